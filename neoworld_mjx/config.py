@@ -1,0 +1,250 @@
+"""Every option of the package, in one validated tree that is read from and written to YAML.
+
+A configuration file states only what differs from the defaults here. Units are in the names or in
+the field's description; unknown keys are errors that name the key and its valid neighbours.
+"""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from .errors import ConfigError, choices
+
+Role = Literal["reasoner", "programmer", "critic"]
+EngineName = Literal["auto", "mjx", "warp", "native"]
+
+
+class Options(BaseModel):
+    """Base of all option groups: frozen, and closed against unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class RoleOptions(Options):
+    """Which model plays a role of Section 3.2 of the paper."""
+
+    model: str = "claude-sonnet-4-5"
+    max_tokens: int = Field(8192, ge=256)
+
+
+class MLLMOptions(Options):
+    """How multimodal models are asked."""
+
+    reasoner: RoleOptions = RoleOptions()
+    programmer: RoleOptions = RoleOptions(max_tokens=16384)
+    critic: RoleOptions = RoleOptions()
+    base_url: str | None = None
+    """A server that speaks the provider's API, such as vLLM or Ollama."""
+    headers: dict[str, str] = {}
+    timeout_s: float = Field(120.0, gt=0)
+    retries: int = Field(4, ge=0)
+    concurrency: int = Field(8, ge=1)
+    validation_rounds: int = Field(3, ge=1)
+    """How often an answer that breaks the schema is sent back with its error."""
+    max_cost_usd: float | None = Field(None, gt=0)
+    prices: Path | None = None
+    """YAML of prices in USD per million tokens; None takes the table in the package."""
+
+
+class ParseOptions(Options):
+    """Step 1, scene parsing."""
+
+    critic_rounds: int = Field(1, ge=0)
+    max_side_px: int = Field(1568, ge=64)
+    """Longer side of the picture that the model is shown."""
+
+
+class ProgramOptions(Options):
+    """Step 2, procedural asset programming."""
+
+    debug_rounds: int = Field(1, ge=0)
+    critic_rounds: int = Field(1, ge=0)
+    sandbox: Literal["monty", "cpython"] = "monty"
+    timeout_s: float = Field(2.0, gt=0)
+    memory_mib: int = Field(64, ge=8)
+
+
+class VerifyOptions(Options):
+    """Step 3, object-level physics."""
+
+    duration_s: float = Field(2.0, gt=0)
+    timestep_s: float = Field(0.002, gt=0)
+    drop_height_m: float = Field(0.005, ge=0)
+    impulse_ns_per_kg: float = Field(0.3, ge=0)
+    """Force perturbation: impulse per kilogram, that is the change of speed in m/s."""
+    push_duration_s: float = Field(0.1, gt=0)
+    max_drift_m: float = Field(0.01, gt=0)
+    max_tilt_deg: float = Field(5.0, gt=0)
+    max_depth_m: float = Field(0.001, gt=0)
+
+
+class ComposeOptions(Options):
+    """Step 4, scene composition."""
+
+    gap_m: float = Field(1e-4, ge=0)
+    """Clearance left between a child and the surface it is snapped onto."""
+
+
+class CEMOptions(Options):
+    """Step 5, the Cross-Entropy Method (Algorithm 1 and Appendix B of the paper)."""
+
+    population: int = Field(256, ge=2)
+    iterations: int = Field(8, ge=1)
+    elite_ratio: float = Field(0.125, gt=0, le=1)
+    sigma_xy: float = Field(0.05, ge=0)
+    """Of the object's horizontal bounding-box diagonal."""
+    sigma_yaw_deg: float = Field(15.0, ge=0)
+    sigma_log_scale: float = Field(0.1, ge=0)
+    sigma_floor: float = Field(0.02, ge=0)
+    """Smallest standard deviation, as a fraction of the initial one."""
+    smoothing: float = Field(0.0, ge=0, lt=1)
+    """Weight of the old mean and deviation in the update; 0 is Algorithm 1."""
+    zero_candidate: bool = True
+    """Always try the composed layout itself as a candidate."""
+    stop_gain: float = Field(1e-3, ge=0)
+    """Stop when the elites' mean absolute reward gains less than this in an iteration."""
+
+
+class RewardOptions(Options):
+    """R(z) = w_sem S_sem - w_pen D_pen - w_drift D_drift (Section 3.3)."""
+
+    w_sem: float = Field(1.0, ge=0)
+    w_pen: float = Field(1.0, ge=0)
+    w_drift: float = Field(1.0, ge=0)
+    w_scale: float = Field(0.1, ge=0)
+    """Weight of the prior that keeps scales near the parsed ones: mean of (log s)^2 over 0.1^2."""
+    normalisation: Literal["iteration", "fixed"] = "iteration"
+    d_pen_cap_m: float = Field(0.02, gt=0)
+    d_drift_cap: float = Field(10.0, gt=0)
+    """In units of the drift scales below: 10 is 10 cm or 50 degrees."""
+    pen_scale_m: float = Field(0.001, gt=0)
+    drift_scale_m: float = Field(0.01, gt=0)
+    tilt_scale_deg: float = Field(5.0, gt=0)
+    terms: dict[str, float] = {}
+    """A user's own reward terms: import path "package.module:function" to weight."""
+
+
+class RolloutOptions(Options):
+    """Free-fall rollouts of candidate layouts."""
+
+    engine: EngineName = "auto"
+    duration_s: float = Field(1.0, gt=0)
+    timestep_s: float = Field(0.004, gt=0)
+    record_every_s: float = Field(0.1, gt=0)
+    samples_per_object: int = Field(256, ge=16)
+    """Surface samples of an object for D_pen."""
+
+
+class RefineOptions(Options):
+    """Step 5 as a whole: search, rewards, rollouts and the final check."""
+
+    cem: CEMOptions = CEMOptions()
+    reward: RewardOptions = RewardOptions()
+    rollout: RolloutOptions = RolloutOptions()
+    check_duration_s: float = Field(2.0, gt=0)
+    check_timestep_s: float = Field(0.002, gt=0)
+    max_drift_m: float = Field(0.01, gt=0)
+    max_tilt_deg: float = Field(5.0, gt=0)
+    max_depth_m: float = Field(0.001, gt=0)
+    finalists: int = Field(16, ge=1)
+    """How many of the best candidates may be tried in the final check."""
+
+
+class RenderOptions(Options):
+    """Ray-cast pictures."""
+
+    width: int = Field(480, ge=16)
+    supersample: int = Field(2, ge=1, le=4)
+
+
+class Config(Options):
+    """All options of a run."""
+
+    seed: int = Field(0, ge=0)
+    provider: str = "auto"
+    mllm: MLLMOptions = MLLMOptions()
+    parse: ParseOptions = ParseOptions()
+    program: ProgramOptions = ProgramOptions()
+    verify: VerifyOptions = VerifyOptions()
+    compose: ComposeOptions = ComposeOptions()
+    refine: RefineOptions = RefineOptions()
+    render: RenderOptions = RenderOptions()
+
+    def fingerprint(self) -> str:
+        """Return 16 hex digits that change whenever any option changes."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def load_config(path: Path | None = None, overrides: dict[str, Any] | None = None) -> Config:
+    """Read a YAML file of options and lay overrides over it.
+
+    Args:
+        path: the file; None means the defaults alone.
+        overrides: a nested mapping that wins over the file, such as {"seed": 3}.
+
+    Raises:
+        ConfigError: the file is missing or no YAML mapping, or a key or value is wrong; the message
+            names the file, the key's full path and the valid keys.
+    """
+    data: dict[str, Any] = {}
+    if path is not None:
+        data = _read_yaml(path)
+    data = _merge(data, overrides or {})
+    try:
+        return Config.model_validate(data)
+    except ValidationError as error:
+        where = str(path) if path is not None else "options"
+        raise ConfigError(f"{where}: {describe(error, Config)}") from None
+
+
+def describe(error: ValidationError, model: type[BaseModel]) -> str:
+    """Phrase a validation error in one line a person can act on."""
+    lines = []
+    for item in error.errors():
+        where = ".".join(str(step) for step in item["loc"]) or "(root)"
+        if item["type"] == "extra_forbidden":
+            keys = _keys_at(model, item["loc"][:-1])
+            lines.append(f"unknown key {where}: {choices(str(item['loc'][-1]), keys)}")
+        else:
+            shown = repr(item["input"])
+            shown = shown if len(shown) <= 80 else shown[:77] + "..."
+            lines.append(f"{where}: {item['msg']}, got {shown}")
+    return "; ".join(lines)
+
+
+def _keys_at(model: type[BaseModel], path: tuple[Any, ...]) -> list[str]:
+    for step in path:
+        field = model.model_fields.get(str(step))
+        inner = field.annotation if field is not None else None
+        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+            return []
+        model = inner
+    return sorted(model.model_fields)
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"cannot read config {path}: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"config {path} is not valid YAML: {error}") from None
+    if data is None:
+        return {}
+    if not isinstance(data, dict):
+        raise ConfigError(f"config {path} must be a mapping of options, got {type(data).__name__}")
+    return data
+
+
+def _merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in over.items():
+        old = merged.get(key)
+        both = isinstance(old, dict) and isinstance(value, dict)
+        merged[key] = _merge(old, value) if both else value
+    return merged

@@ -1,0 +1,249 @@
+"""What is asked of a multimodal model and what comes back: requests, answers, and who gives them.
+
+A room builds a `Request` and hands it to a `Model`; it gets an `Answer` whose value is an instance
+of the request's own pydantic schema. Which server, tape or person answered is not its business.
+
+A request is known by its content: `Request.key` covers role, system text, prompt, the pictures'
+labels and decoded pixels, and the JSON schema. It does not cover the name, the model or how a
+picture was compressed, so the same question has the same key on every machine.
+"""
+
+import hashlib
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Generic, Literal, Protocol, TypeVar
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+from pydantic import BaseModel
+
+from ..config import Role, RoleOptions
+from ..errors import ModelError
+
+T = TypeVar("T", bound=BaseModel)
+
+_MEDIA = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}
+
+
+def digest(text: str | bytes) -> str:
+    """Return the sha256 of a text or bytes as 64 hex digits."""
+    data = text.encode() if isinstance(text, str) else text
+    return hashlib.sha256(data).hexdigest()
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture of a request, PNG or JPEG, with the label its prompt speaks of it by.
+
+    Raises:
+        ModelError: the data is neither PNG nor JPEG.
+    """
+
+    label: str
+    data: bytes = field(repr=False)
+
+    def __post_init__(self) -> None:
+        if not any(self.data.startswith(magic) for magic in _MEDIA):
+            raise ModelError(f"picture {self.label!r} must be PNG or JPEG bytes")
+
+    @classmethod
+    def of(cls, label: str, rgb: UInt8[np.ndarray, "height width 3"]) -> "Picture":
+        """Encode an array of RGB bytes, shape [height, width, 3], as a PNG."""
+        if rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3:
+            raise ModelError(
+                f"picture {label!r} must be uint8 of shape [height, width, 3], "
+                f"got {rgb.dtype} of shape {list(rgb.shape)}"
+            )
+        buffer = io.BytesIO()
+        Image.fromarray(np.ascontiguousarray(rgb)).save(buffer, "PNG", compress_level=6)
+        return cls(label, buffer.getvalue())
+
+    @property
+    def media_type(self) -> str:
+        """The MIME type, image/png or image/jpeg."""
+        return next(kind for magic, kind in _MEDIA.items() if self.data.startswith(magic))
+
+    @property
+    def suffix(self) -> str:
+        """The file suffix that fits the data."""
+        return ".png" if self.media_type == "image/png" else ".jpg"
+
+    @cached_property
+    def _decoded(self) -> tuple[tuple[int, int], str]:
+        try:
+            with Image.open(io.BytesIO(self.data), formats=["PNG", "JPEG"]) as image:
+                rgb = image.convert("RGB")
+        except (OSError, SyntaxError, ValueError) as error:
+            raise ModelError(f"picture {self.label!r} cannot be decoded: {error}") from None
+        return rgb.size, digest(f"{rgb.width}x{rgb.height}:".encode() + rgb.tobytes())
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        return self._decoded[0]
+
+    @property
+    def pixels(self) -> str:
+        """The sha256 of size and decoded RGB bytes; the same for every encoder of the same picture."""
+        return self._decoded[1]
+
+
+@dataclass(frozen=True)
+class Request(Generic[T]):
+    """One question to a model.
+
+    Put what several requests share first: the system text, and the photo as the first picture. A
+    server that caches prompts then pays for them once.
+    """
+
+    role: Role
+    name: str
+    """Short and for people, such as "parse" or "program:cup"; not part of the key."""
+    system: str
+    prompt: str
+    schema: type[T]
+    """The pydantic model that the answer must validate against."""
+    pictures: Sequence[Picture] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pictures", tuple(self.pictures))
+
+    @cached_property
+    def json_schema(self) -> dict[str, Any]:
+        """The JSON schema of the answer."""
+        return self.schema.model_json_schema()
+
+    @cached_property
+    def parts(self) -> dict[str, str]:
+        """A digest for each part of the content; a tape tells by them what differs."""
+        pictures = [[picture.label, picture.pixels] for picture in self.pictures]
+        return {
+            "role": self.role,
+            "system": digest(self.system),
+            "prompt": digest(self.prompt),
+            "pictures": digest(json.dumps(pictures)),
+            "schema": digest(json.dumps(self.json_schema, sort_keys=True)),
+        }
+
+    @cached_property
+    def key(self) -> str:
+        """The sha256 over role, system, prompt, pictures with labels, and JSON schema."""
+        return digest(json.dumps(self.parts, sort_keys=True))
+
+
+@dataclass(frozen=True)
+class Usage:
+    """Tokens of one call as the server counted them; `input` leaves out what the cache served."""
+
+    input: int = 0
+    output: int = 0
+    cache_read: int = 0
+    cache_write: int = 0
+
+    def __add__(self, other: "Usage") -> "Usage":
+        return Usage(
+            self.input + other.input,
+            self.output + other.output,
+            self.cache_read + other.cache_read,
+            self.cache_write + other.cache_write,
+        )
+
+
+@dataclass(frozen=True)
+class Answer(Generic[T]):
+    """A validated answer."""
+
+    value: T
+    text: str
+    """As it came, before JSON was taken out of it."""
+    usage: Usage
+    """Over all calls that this answer took, rejected answers included."""
+    model: str
+
+
+class Model(Protocol):
+    """What rooms ask; `Panel` is the one that the package ships."""
+
+    async def ask(self, request: Request[T]) -> Answer[T]:
+        """Answer a request.
+
+        Raises:
+            ModelError: no valid answer could be had; the message says why and what to do.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """An answer that did not validate, and the reason, to be sent back."""
+
+    text: str
+    reason: str
+
+    def message(self, request: Request[Any]) -> str:
+        """The words that go back to the model; they repeat the schema, as it was not heeded."""
+        return (
+            f"That answer cannot be used: {self.reason}\n\n"
+            f"Answer again, complete and corrected. {answer_rule(request)}"
+        )
+
+
+@dataclass(frozen=True)
+class Reply:
+    """One reply of a provider, not yet validated."""
+
+    text: str
+    usage: Usage
+    model: str
+    stop: Literal["end", "length", "refusal"] = "end"
+    detail: str = ""
+    """What the server said about a refusal."""
+    fallback: str | None = None
+    """What the provider had to do without, such as structured output."""
+
+
+class Transient(Exception):
+    """A failed call that is worth another try; never leaves the room.
+
+    Args:
+        message: what happened.
+        retry_after: seconds the server asks to wait, if it does.
+        usage: tokens the server had counted before the call failed.
+    """
+
+    def __init__(
+        self, message: str, retry_after: float | None = None, usage: Usage | None = None
+    ) -> None:
+        super().__init__(message)
+        self.retry_after = retry_after
+        self.usage = usage or Usage()
+
+
+class Provider(Protocol):
+    """One way to have requests answered: a tape, a mailbox, a server's API."""
+
+    name: str
+    online: bool
+    """Whether calls cost money and may fail, so that they are limited, retried and corrected."""
+    secrets: tuple[str, ...]
+    """Texts that must never be shown."""
+
+    async def reply(
+        self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
+    ) -> Reply:
+        """Make one call; raise Transient where another try may help, else ModelError."""
+        ...
+
+    async def close(self) -> None:
+        """Let go of connections."""
+        ...
+
+
+def answer_rule(request: Request[Any]) -> str:
+    """Say what an answer must look like, for models that are not held to a schema by their server."""
+    schema = json.dumps(request.json_schema, sort_keys=True)
+    return f"Give one JSON object and nothing else; it must fit this JSON schema:\n{schema}"

@@ -1,0 +1,69 @@
+"""The pinhole camera that a photograph was taken with, in the world frame."""
+
+import math
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from .object import Number, Spec
+from .pose import Pose, from_matrix
+
+
+class Camera(Spec):
+    """A camera above the world origin that looks along +x, pitched down.
+
+    World: x ahead, y to the left, z up, z = 0 at the floor, or at the top of the main support when
+    no floor is seen. Pixels: u to the right, v down, (0, 0) the outer corner of the first pixel.
+    """
+
+    width: Annotated[int, Field(ge=1)]
+    height_px: Annotated[int, Field(ge=1)]
+    fovy: Annotated[float, Field(gt=0.01, lt=math.pi - 0.01)]
+    """Vertical field of view [rad]."""
+    height: Number
+    """Of the camera above z = 0 [m]."""
+    pitch: Annotated[float, Field(ge=-math.pi / 2, le=math.pi / 2)]
+    """Angle [rad] that the view is turned down from the horizontal."""
+    roll: Number = 0.0
+    """Angle [rad] that the camera is turned clockwise about its view, as seen from behind it."""
+
+    @property
+    def focal(self) -> float:
+        """Focal length in pixels."""
+        return self.height_px / 2 / math.tan(self.fovy / 2)
+
+    def axes(self) -> NDArray:
+        """Return the camera's axes as columns [3, 3] in the world: right, down, forward."""
+        cp, sp = math.cos(self.pitch), math.sin(self.pitch)
+        forward = np.array([cp, 0.0, -sp])
+        right, down = np.array([0.0, -1.0, 0.0]), np.array([-sp, 0.0, -cp])
+        c, s = math.cos(self.roll), math.sin(self.roll)
+        return np.column_stack([c * right + s * down, c * down - s * right, forward])
+
+    def position(self) -> NDArray:
+        """Return the centre of projection [m], shape [3]."""
+        return np.array([0.0, 0.0, self.height])
+
+    def pose(self) -> Pose:
+        """Return MuJoCo's camera pose in the world: x right, y up, looking along -z."""
+        return Pose(self.position(), from_matrix(self.axes() * [1.0, -1.0, -1.0]))
+
+    def project(self, points: ArrayLike) -> tuple[NDArray, NDArray]:
+        """Project world points [..., 3] m to pixels [..., 2] and depth along the view [...] m.
+
+        Points at or behind the camera have depth <= 0 and meaningless pixels.
+        """
+        local = (np.asarray(points, float) - self.position()) @ self.axes()
+        depth = local[..., 2]
+        safe = np.where(depth > 1e-6, depth, 1e-6)[..., None]
+        centre = np.array([self.width / 2, self.height_px / 2])
+        return local[..., :2] / safe * self.focal + centre, depth
+
+    def rays(self, pixels: ArrayLike) -> NDArray:
+        """Return unit view directions [..., 3] in the world through pixels [..., 2]."""
+        centre = np.array([self.width / 2, self.height_px / 2])
+        local = (np.asarray(pixels, float) - centre) / self.focal
+        d = np.concatenate([local, np.ones((*local.shape[:-1], 1))], axis=-1) @ self.axes().T
+        return d / np.linalg.norm(d, axis=-1, keepdims=True)

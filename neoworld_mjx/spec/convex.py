@@ -1,0 +1,159 @@
+"""Convex pieces: their hulls, mass properties, extents and triangles.
+
+A piece is what one MuJoCo geom collides with. `size` follows MuJoCo's geom_size: half edges of a
+box, (radius, half length) of a capsule or cylinder, semi-axes of an ellipsoid.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .pose import IDENTITY, matrix
+
+Kind = Literal["box", "sphere", "capsule", "cylinder", "ellipsoid", "mesh"]
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A convex solid with its pose in the shape's frame."""
+
+    kind: Kind
+    size: tuple[float, ...] = (0.0, 0.0, 0.0)
+    pos: Vector = (0.0, 0.0, 0.0)
+    quat: tuple[float, float, float, float] = IDENTITY
+    vertices: tuple[Vector, ...] = ()
+    """Corners of a "mesh" piece [m]; empty for the others."""
+
+
+def polytope(points: NDArray) -> Piece:
+    """Build a "mesh" piece from points [n, 3]; repeated points and inner points are dropped."""
+    unique = np.unique(np.asarray(points, float), axis=0)
+    vertices, _ = hull(tuple(map(tuple, unique.tolist())))
+    return Piece("mesh", vertices=tuple(map(tuple, vertices.tolist())))
+
+
+@lru_cache(maxsize=4096)
+def hull(points: tuple[Vector, ...]) -> tuple[NDArray, NDArray]:
+    """Return the convex hull: vertices [v, 3] and outward triangles [f, 3].
+
+    Raises:
+        ValueError: the points are flat or too few.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    p = np.array(points)
+    span = np.ptp(p, axis=0).max() if len(p) else 0.0
+    if len(p) < 4 or span <= 0:
+        raise ValueError(f"a convex piece needs 4 points in general position, got {len(p)}")
+    try:
+        # Unit size keeps qhull's absolute tolerances the same for a pin and a house.
+        found = ConvexHull((p - p.mean(axis=0)) / span)
+    except QhullError:
+        raise ValueError("a convex piece is flat") from None
+    used = np.sort(found.vertices)
+    index = np.full(len(p), -1)
+    index[used] = np.arange(len(used))
+    faces = index[found.simplices]
+    v = p[used]
+    normal = np.cross(v[faces[:, 1]] - v[faces[:, 0]], v[faces[:, 2]] - v[faces[:, 0]])
+    flip = np.sum(normal * found.equations[:, :3], axis=1) < 0
+    faces[flip] = faces[flip][:, ::-1]
+    return v, faces
+
+
+def planes(piece: Piece) -> NDArray:
+    """Return the outward half-spaces n.x <= d of a "box" or "mesh" piece, shape [f, 4] (n, d).
+
+    Coplanar hull triangles are merged, so a box has six rows.
+    """
+    if piece.kind == "box":
+        n = np.vstack([np.eye(3), -np.eye(3)])
+        return np.column_stack([n, np.tile(piece.size, 2)])
+    v, faces = hull(piece.vertices)
+    n = np.cross(v[faces[:, 1]] - v[faces[:, 0]], v[faces[:, 2]] - v[faces[:, 0]])
+    area = np.linalg.norm(n, axis=1)
+    n, first = n / area[:, None], v[faces[:, 0]]
+    keep: list[int] = []
+    for i in np.argsort(-area, kind="stable"):
+        if all(n[i] @ n[k] < 1 - 1e-9 for k in keep):
+            keep.append(int(i))
+    keep.sort()
+    n = n[keep]
+    # The offset is the support of the corners, so that no corner lies outside by rounding.
+    return np.column_stack([n, (v @ n.T).max(axis=0)]) if len(first) else np.zeros((0, 4))
+
+
+def mass_properties(piece: Piece) -> tuple[float, NDArray, NDArray]:
+    """Return volume [m^3], centre [3] and inertia about it [3, 3] at density 1 [m^5].
+
+    All are in the frame that the piece's own pose is expressed in.
+    """
+    s = np.array(piece.size)
+    if piece.kind == "box":
+        volume = 8 * s.prod()
+        d = volume / 3 * (s**2)
+        inertia = np.diag([d[1] + d[2], d[0] + d[2], d[0] + d[1]])
+    elif piece.kind in ("sphere", "ellipsoid"):
+        r = np.full(3, s[0]) if piece.kind == "sphere" else s
+        volume = 4 / 3 * np.pi * r.prod()
+        d = volume / 5 * r**2
+        inertia = np.diag([d[1] + d[2], d[0] + d[2], d[0] + d[1]])
+    elif piece.kind == "cylinder":
+        r, h = s[0], 2 * s[1]
+        volume = np.pi * r**2 * h
+        side = volume * (3 * r**2 + h**2) / 12
+        inertia = np.diag([side, side, volume * r**2 / 2])
+    elif piece.kind == "capsule":
+        r, h = s[0], 2 * s[1]
+        tube, ball = np.pi * r**2 * h, 4 / 3 * np.pi * r**3
+        volume = tube + ball
+        side = tube * (3 * r**2 + h**2) / 12 + ball * (2 / 5 * r**2 + h**2 / 4 + 3 / 8 * h * r)
+        inertia = np.diag([side, side, tube * r**2 / 2 + ball * 2 / 5 * r**2])
+    else:
+        return _mesh_properties(piece)
+    rotation = matrix(piece.quat)
+    return float(volume), np.array(piece.pos), rotation @ inertia @ rotation.T
+
+
+def _mesh_properties(piece: Piece) -> tuple[float, NDArray, NDArray]:
+    v, faces = hull(piece.vertices)
+    centre = v.mean(axis=0)
+    a, b, c = (v[faces[:, k]] - centre for k in range(3))
+    det = np.sum(a * np.cross(b, c), axis=1)  # six times each tetrahedron's volume
+    volume = det.sum() / 6
+    com = (det[:, None] * (a + b + c)).sum(axis=0) / 24 / volume
+    total = a + b + c
+    second = sum(np.einsum("f,fi,fj->ij", det, p, p) for p in (a, b, c, total)) / 120
+    second = second - volume * np.outer(com, com)
+    inertia = np.trace(second) * np.eye(3) - second
+    rotation = matrix(piece.quat)
+    return (
+        float(volume),
+        rotation @ (centre + com) + np.array(piece.pos),
+        rotation @ inertia @ rotation.T,
+    )
+
+
+def extent(piece: Piece, direction: NDArray) -> float:
+    """Return the support max(x . direction) of the piece's own solid, without its pose.
+
+    Args:
+        piece: the solid.
+        direction: unit vector [3] in the piece's frame.
+    """
+    s, d = np.array(piece.size), np.asarray(direction, float)
+    if piece.kind == "box":
+        return float(np.abs(d) @ s)
+    if piece.kind == "sphere":
+        return float(s[0])
+    if piece.kind == "capsule":
+        return float(abs(d[2]) * s[1] + s[0])
+    if piece.kind == "cylinder":
+        return float(abs(d[2]) * s[1] + s[0] * np.hypot(d[0], d[1]))
+    if piece.kind == "ellipsoid":
+        return float(np.linalg.norm(s * d))
+    return float((np.array(piece.vertices) @ d).max())

@@ -1,0 +1,419 @@
+"""ObjectSpec: one object as parts, joints and materials; what a program compiles to.
+
+Everything is written in the object's frame at rest (all joints at 0): origin at the centre of the
+bounding box's bottom face, +x its front, +z up. Part geometry, joint anchors and axes share that
+one frame, so a reader needs no chain of transforms.
+"""
+
+import math
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from .convex import Piece, extent, mass_properties
+from .pose import IDENTITY, Pose, conjugate, from_axis_angle, pose, quat_mul, rotate
+from .shapes import Number, Shape
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=48)]
+Vec3 = tuple[Number, Number, Number]
+Quat = tuple[Number, Number, Number, Number]
+JointType = Literal["fixed", "revolute", "continuous", "prismatic"]
+Role = Literal["both", "visual", "collision"]
+
+
+class Spec(BaseModel):
+    """Base of all host-side descriptions: frozen, closed against unknown keys, JSON both ways."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Material(Spec):
+    """What a geom is made of."""
+
+    name: Name
+    density: Annotated[float, Field(gt=0, le=30000)]
+    """[kg/m^3]"""
+    friction: Annotated[float, Field(ge=0, le=10)] = 0.5
+    """Sliding friction coefficient."""
+    rgba: tuple[
+        Annotated[float, Field(ge=0, le=1)],
+        Annotated[float, Field(ge=0, le=1)],
+        Annotated[float, Field(ge=0, le=1)],
+        Annotated[float, Field(ge=0, le=1)],
+    ] = (0.7, 0.7, 0.7, 1.0)
+
+
+class Geom(Spec):
+    """A shape of one material, placed in the object's frame."""
+
+    name: Name
+    shape: Shape
+    pos: Vec3 = (0.0, 0.0, 0.0)
+    quat: Quat = IDENTITY
+    material: Name
+    role: Role = "both"
+    """Whether it is seen, collides, or both; only "both" and "collision" geoms have mass."""
+
+    @field_validator("quat")
+    @classmethod
+    def _unit(cls, value: Quat) -> Quat:
+        return _normalised(value, "quat")
+
+    def pose(self) -> Pose:
+        """Return the shape's pose in the object's frame."""
+        return pose(self.pos, self.quat)
+
+
+class Part(Spec):
+    """A rigid link."""
+
+    name: Name
+    geoms: tuple[Geom, ...] = Field(min_length=1)
+    mass: Annotated[float, Field(gt=0)] | None = None
+    """Authored mass [kg]; None derives it from volume and density. It survives rescaling."""
+
+
+class Mimic(Spec):
+    """A joint that follows another: q = multiplier * q_other + offset."""
+
+    joint: Name
+    multiplier: Number = 1.0
+    offset: Number = 0.0
+
+
+class Joint(Spec):
+    """A joint from `parent` to `child`, with anchor and axis in the object's frame at rest.
+
+    Units are rad, N m for turning joints and m, N for sliding ones. Positive motion turns or moves
+    the child by the right-hand rule about, or along, `axis`; by convention positive opens.
+    """
+
+    name: Name
+    type: JointType
+    parent: Name
+    child: Name
+    pos: Vec3 = (0.0, 0.0, 0.0)
+    axis: Vec3 = (0.0, 0.0, 1.0)
+    lower: Number = 0.0
+    upper: Number = 0.0
+    damping: Annotated[float, Field(ge=0)] = 0.0
+    friction: Annotated[float, Field(ge=0)] = 0.0
+    """Dry friction (MuJoCo's frictionloss)."""
+    stiffness: Annotated[float, Field(ge=0)] = 0.0
+    armature: Annotated[float, Field(ge=0)] = 0.0
+    effort: Annotated[float, Field(gt=0)] | None = None
+    velocity: Annotated[float, Field(gt=0)] | None = None
+    mimic: Mimic | None = None
+
+    @field_validator("axis")
+    @classmethod
+    def _unit(cls, value: Vec3) -> Vec3:
+        return _normalised(value, "axis")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.type in ("revolute", "prismatic") and not self.lower < self.upper:
+            raise ValueError(
+                f"joint {self.name}: lower {self.lower} must be below upper {self.upper}"
+            )
+        return self
+
+
+class Site(Spec):
+    """A named point on a part, in the object's frame [m]."""
+
+    name: Name
+    part: Name
+    pos: Vec3
+
+
+class ObjectSpec(Spec):
+    """An object: a tree of parts."""
+
+    name: Name
+    label: str = ""
+    """What it is, in words."""
+    materials: tuple[Material, ...]
+    parts: tuple[Part, ...] = Field(min_length=1)
+    joints: tuple[Joint, ...] = ()
+    sites: tuple[Site, ...] = ()
+
+    @model_validator(mode="after")
+    def _tree(self) -> Self:
+        parts = _unique("part", [part.name for part in self.parts])
+        materials = _unique("material", [material.name for material in self.materials])
+        _unique("geom", [geom.name for part in self.parts for geom in part.geoms])
+        joints = _unique("joint", [joint.name for joint in self.joints])
+        _unique("site", [site.name for site in self.sites])
+        for part in self.parts:
+            for geom in part.geoms:
+                _known(f"geom {geom.name}: material", geom.material, materials)
+            if all(geom.role == "visual" for geom in part.geoms):
+                raise ValueError(f"part {part.name} has no geom that collides")
+        parents: dict[str, str] = {}
+        for joint in self.joints:
+            _known(f"joint {joint.name}: parent", joint.parent, parts)
+            _known(f"joint {joint.name}: child", joint.child, parts)
+            if joint.child in parents:
+                raise ValueError(f"part {joint.child} is the child of two joints")
+            parents[joint.child] = joint.parent
+            if joint.mimic is not None:
+                _known(f"joint {joint.name}: mimic", joint.mimic.joint, joints)
+        for site in self.sites:
+            _known(f"site {site.name}: part", site.part, parts)
+        roots = [part.name for part in self.parts if part.name not in parents]
+        if len(roots) != 1:
+            raise ValueError(f"an object needs one root part, got {', '.join(roots) or 'none'}")
+        for start in parents:
+            seen, at = {start}, start
+            while at in parents:
+                at = parents[at]
+                if at in seen:
+                    raise ValueError(f"joints form a cycle through part {at}")
+                seen.add(at)
+        return self
+
+    @property
+    def root(self) -> str:
+        """Name of the part without a parent."""
+        children = {joint.child for joint in self.joints}
+        return next(part.name for part in self.parts if part.name not in children)
+
+    @property
+    def ordered(self) -> tuple[tuple[Part, Joint | None], ...]:
+        """Parts with the joint that carries each, parents before children, else in given order."""
+        by_child = {joint.child: joint for joint in self.joints}
+        done: list[tuple[Part, Joint | None]] = []
+        placed: set[str] = set()
+        while len(done) < len(self.parts):
+            for part in self.parts:
+                joint = by_child.get(part.name)
+                if part.name not in placed and (joint is None or joint.parent in placed):
+                    done.append((part, joint))
+                    placed.add(part.name)
+        return tuple(done)
+
+    def part(self, name: str) -> Part:
+        """Return a part by name."""
+        return next(part for part in self.parts if part.name == name)
+
+    def material(self, name: str) -> Material:
+        """Return a material by name."""
+        return next(material for material in self.materials if material.name == name)
+
+    def to_json(self) -> str:
+        """Serialise, the same bytes for the same object."""
+        return self.model_dump_json(indent=1) + "\n"
+
+
+def pieces(part: Part, role: Role = "collision") -> list[tuple[Geom, Piece, Pose]]:
+    """List a part's convex pieces with their poses in the object's frame.
+
+    Args:
+        part: the part.
+        role: "collision" or "visual"; geoms of role "both" belong to either.
+    """
+    found = []
+    for geom in part.geoms:
+        if geom.role in (role, "both"):
+            for piece in geom.shape.pieces():
+                found.append((geom, piece, geom.pose().then(pose(piece.pos, piece.quat))))
+    return found
+
+
+class Inertial(Spec):
+    """Mass properties of a part in the object's frame."""
+
+    mass: float
+    """[kg]"""
+    pos: Vec3
+    """Centre of mass [m]."""
+    quat: Quat
+    """Principal axes."""
+    diagonal: Vec3
+    """Principal moments [kg m^2]."""
+
+
+def inertial(spec: ObjectSpec, part: Part) -> Inertial:
+    """Sum a part's mass properties over its colliding pieces (MuJoCo's body inertial)."""
+    mass, moment = 0.0, np.zeros(3)
+    bodies = []
+    for geom, piece, _ in pieces(part):
+        volume, centre, unit = mass_properties(piece)
+        m = volume * spec.material(geom.material).density
+        rotation = rotate(geom.pose().quat, np.eye(3)).T
+        bodies.append((m, geom.pose().apply(centre), rotation @ unit @ rotation.T * (m / volume)))
+        mass += m
+        moment += m * bodies[-1][1]
+    com = moment / mass
+    total = np.zeros((3, 3))
+    for m, centre, tensor in bodies:
+        d = centre - com
+        total += tensor + m * (d @ d * np.eye(3) - np.outer(d, d))
+    if part.mass is not None:
+        total *= part.mass / mass
+        mass = part.mass
+    diagonal, quat = _principal(total)
+    return Inertial(
+        mass=mass, pos=tuple(com.tolist()), quat=quat, diagonal=tuple(diagonal.tolist())
+    )
+
+
+def _principal(tensor: NDArray) -> tuple[NDArray, Quat]:
+    from .pose import from_matrix
+
+    size = np.trace(tensor)
+    # Rounded, so that a scaled copy of the object gets the very same axes although its tensor
+    # differs in the last bits; symmetric objects would otherwise get arbitrary ones.
+    unit = np.round(tensor / size, 10)
+    if np.allclose(unit, np.diag(np.diag(unit)), atol=1e-9):
+        return np.diag(tensor).copy(), IDENTITY
+    _, axes = np.linalg.eigh(unit)
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1
+    quat = from_matrix(axes)
+    return np.diag(axes.T @ tensor @ axes).copy(), tuple(quat.tolist())
+
+
+def link_poses(spec: ObjectSpec, joint_state: dict[str, float]) -> dict[str, Pose]:
+    """Return how each part is displaced from rest when joints stand at `joint_state` [rad or m].
+
+    A joint not named stands at 0; a mimic joint follows its leader. The result maps the object's
+    frame at rest to the object's frame as posed.
+    """
+    values = {joint.name: joint_value(spec, joint, joint_state) for joint in spec.joints}
+    moved: dict[str, Pose] = {}
+    for part, joint in spec.ordered:
+        if joint is None:
+            moved[part.name] = pose()
+            continue
+        moved[part.name] = moved[joint.parent].then(joint_motion(joint, values[joint.name]))
+    return moved
+
+
+def joint_value(spec: ObjectSpec, joint: Joint, joint_state: dict[str, float]) -> float:
+    """Return where a joint stands, following mimics [rad or m]."""
+    seen = set()
+    scale, offset = 1.0, 0.0
+    while joint.mimic is not None and joint.name not in seen:
+        seen.add(joint.name)
+        offset += scale * joint.mimic.offset
+        scale *= joint.mimic.multiplier
+        leader = joint.mimic.joint
+        joint = next(other for other in spec.joints if other.name == leader)
+    return scale * joint_state.get(joint.name, 0.0) + offset
+
+
+def joint_motion(joint: Joint, value: float) -> Pose:
+    """Return the displacement of the child by a joint at `value`, in the object's rest frame."""
+    if joint.type == "fixed" or value == 0.0:
+        return pose()
+    if joint.type == "prismatic":
+        return pose(np.array(joint.axis) * value)
+    turn = from_axis_angle(joint.axis, value)
+    anchor = np.array(joint.pos)
+    return pose(anchor - rotate(turn, anchor), turn)
+
+
+def bounds(
+    spec: ObjectSpec,
+    joint_state: dict[str, float] | None = None,
+    tilt: Quat = IDENTITY,
+    role: Role = "collision",
+) -> tuple[NDArray, NDArray]:
+    """Return the exact axis-aligned bounds (low [3], high [3]) [m] of an object as posed.
+
+    Args:
+        spec: the object.
+        joint_state: joint values; at rest by default.
+        tilt: rotation of the whole object before measuring.
+        role: whose extent to take.
+    """
+    moved = link_poses(spec, joint_state or {})
+    base = pose((0, 0, 0), tilt)
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for part in spec.parts:
+        for _, piece, at in pieces(part, role):
+            world = base.then(moved[part.name]).then(at)
+            back = conjugate(world.quat)
+            for axis in range(3):
+                d = rotate(back, np.eye(3)[axis])
+                high[axis] = max(high[axis], world.pos[axis] + extent(piece, d))
+                low[axis] = min(low[axis], world.pos[axis] - extent(piece, -d))
+    return low, high
+
+
+def translated(spec: ObjectSpec, offset: NDArray) -> ObjectSpec:
+    """Move everything in the object's frame by `offset` [3] m."""
+
+    def move(at: Vec3) -> Vec3:
+        return tuple((np.array(at) + offset).tolist())
+
+    return spec.model_copy(
+        update={
+            "parts": tuple(
+                part.model_copy(
+                    update={
+                        "geoms": tuple(
+                            geom.model_copy(update={"pos": move(geom.pos)}) for geom in part.geoms
+                        )
+                    }
+                )
+                for part in spec.parts
+            ),
+            "joints": tuple(j.model_copy(update={"pos": move(j.pos)}) for j in spec.joints),
+            "sites": tuple(s.model_copy(update={"pos": move(s.pos)}) for s in spec.sites),
+        }
+    )
+
+
+def recentred(spec: ObjectSpec) -> ObjectSpec:
+    """Move the origin to the centre of the bounding box's bottom face."""
+    low, high = bounds(spec)
+    return translated(spec, -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]))
+
+
+def _normalised(value: tuple[float, ...], what: str) -> tuple:
+    length = math.sqrt(sum(v * v for v in value))
+    if length < 1e-9:
+        raise ValueError(f"{what} must not be zero")
+    if abs(length - 1.0) < 1e-12:
+        return value
+    return tuple(v / length for v in value)
+
+
+def _unique(what: str, names: list[str]) -> set[str]:
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise ValueError(f"{what} names must be unique, repeated: {', '.join(sorted(twice))}")
+    return set(names)
+
+
+def _known(what: str, name: str, valid: set[str]) -> None:
+    from ..errors import choices
+
+    if name not in valid:
+        raise ValueError(f"{what}: {choices(name, sorted(valid))}")
+
+
+__all__ = [
+    "Geom",
+    "Inertial",
+    "Joint",
+    "Material",
+    "Mimic",
+    "ObjectSpec",
+    "Part",
+    "Site",
+    "Spec",
+    "bounds",
+    "inertial",
+    "joint_motion",
+    "link_poses",
+    "pieces",
+    "quat_mul",
+    "recentred",
+    "translated",
+]

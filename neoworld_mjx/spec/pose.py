@@ -1,0 +1,133 @@
+"""Rotations and rigid poses in NumPy: quaternions are (w, x, y, z), float64, shape [..., 4]."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+IDENTITY = (1.0, 0.0, 0.0, 0.0)
+
+
+class Pose(NamedTuple):
+    """A rigid transform: x -> rotate(quat, x) + pos."""
+
+    pos: NDArray
+    """Translation [m], shape [3]."""
+    quat: NDArray
+    """Unit quaternion, w first, shape [4]."""
+
+    def apply(self, points: ArrayLike) -> NDArray:
+        """Transform points [m], shape [..., 3]."""
+        return rotate(self.quat, points) + self.pos
+
+    def then(self, inner: "Pose") -> "Pose":
+        """Compose: first `inner`, then this one."""
+        return Pose(self.apply(inner.pos), quat_mul(self.quat, inner.quat))
+
+    def inverse(self) -> "Pose":
+        """Invert the transform."""
+        back = conjugate(self.quat)
+        return Pose(-rotate(back, self.pos), back)
+
+
+def pose(pos: ArrayLike = (0.0, 0.0, 0.0), quat: ArrayLike = IDENTITY) -> Pose:
+    """Build a pose from a position [m] and a quaternion, which is normalised."""
+    q = np.asarray(quat, float)
+    return Pose(np.asarray(pos, float), q / np.linalg.norm(q))
+
+
+def quat_mul(a: ArrayLike, b: ArrayLike) -> NDArray:
+    """Multiply quaternions; the rotation `b` acts first."""
+    aw, ax, ay, az = np.moveaxis(np.asarray(a, float), -1, 0)
+    bw, bx, by, bz = np.moveaxis(np.asarray(b, float), -1, 0)
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+
+
+def conjugate(quat: ArrayLike) -> NDArray:
+    """Invert a unit quaternion."""
+    return np.asarray(quat, float) * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def rotate(quat: ArrayLike, points: ArrayLike) -> NDArray:
+    """Rotate points [..., 3] by quaternions [..., 4]."""
+    q = np.asarray(quat, float)
+    v = np.asarray(points, float)
+    w, u = q[..., :1], q[..., 1:]
+    t = 2.0 * np.cross(u, v)
+    return v + w * t + np.cross(u, t)
+
+
+def matrix(quat: ArrayLike) -> NDArray:
+    """Turn a unit quaternion [4] into a rotation matrix [3, 3]."""
+    return rotate(np.asarray(quat, float), np.eye(3)).T
+
+
+def from_matrix(rotation: ArrayLike) -> NDArray:
+    """Turn a rotation matrix [3, 3] into a quaternion [4] with w >= 0."""
+    r = np.asarray(rotation, float)
+    # The column with the largest diagonal is the numerically safe one (Shepperd's method).
+    four = np.array(
+        [
+            1 + r[0, 0] + r[1, 1] + r[2, 2],
+            1 + r[0, 0] - r[1, 1] - r[2, 2],
+            1 - r[0, 0] + r[1, 1] - r[2, 2],
+            1 - r[0, 0] - r[1, 1] + r[2, 2],
+        ]
+    )
+    k = int(np.argmax(four))
+    rows = [
+        [four[0], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
+        [r[2, 1] - r[1, 2], four[1], r[1, 0] + r[0, 1], r[0, 2] + r[2, 0]],
+        [r[0, 2] - r[2, 0], r[1, 0] + r[0, 1], four[2], r[2, 1] + r[1, 2]],
+        [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[2, 1] + r[1, 2], four[3]],
+    ]
+    q = np.array(rows[k])
+    q /= np.linalg.norm(q)
+    return -q if q[0] < 0 else q
+
+
+def from_axis_angle(axis: ArrayLike, angle: float) -> NDArray:
+    """Rotation by `angle` [rad] about `axis`, which is normalised."""
+    a = np.asarray(axis, float)
+    a = a / np.linalg.norm(a)
+    return np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * a])
+
+
+def from_yaw(yaw: float) -> NDArray:
+    """Rotation by `yaw` [rad] about +z."""
+    return np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
+
+
+def from_rpy(roll: float, pitch: float, yaw: float) -> NDArray:
+    """URDF's fixed-axis roll, pitch, yaw [rad]: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    q = quat_mul(from_axis_angle((0, 1, 0), pitch), from_axis_angle((1, 0, 0), roll))
+    return quat_mul(from_yaw(yaw), q)
+
+
+def to_rpy(quat: ArrayLike) -> NDArray:
+    """Invert `from_rpy`: roll, pitch, yaw [rad]; at pitch = +-90 degrees yaw is 0."""
+    r = matrix(quat)
+    pitch = np.arcsin(np.clip(-r[2, 0], -1.0, 1.0))
+    if abs(r[2, 0]) > 1 - 1e-12:
+        return np.array([np.arctan2(-r[1, 2], r[1, 1]), pitch, 0.0])
+    return np.array([np.arctan2(r[2, 1], r[2, 2]), pitch, np.arctan2(r[1, 0], r[0, 0])])
+
+
+def yaw_of(quat: ArrayLike) -> float:
+    """Heading [rad] of a rotation: the yaw of its swing-twist decomposition about +z."""
+    w, _, _, z = np.asarray(quat, float)
+    return float(2.0 * np.arctan2(z, w))
+
+
+def angle_between(a: ArrayLike, b: ArrayLike) -> NDArray:
+    """Angle [rad] of the rotation from quaternion(s) a to b, shape [...]."""
+    d = quat_mul(conjugate(a), b)
+    return 2.0 * np.arctan2(np.linalg.norm(d[..., 1:], axis=-1), np.abs(d[..., 0]))

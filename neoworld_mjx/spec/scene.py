@@ -1,0 +1,172 @@
+"""SceneSpec: objects composed into one scene (Step 4), and what a layout does to it.
+
+A pose is (x, y, yaw) in the parent's frame plus a snapped height; children move with their parent.
+The frame of a parent has its origin at the parent's origin and its yaw, but not its tilt; with
+`parent_link` it also takes the link's displacement at the parent's joint state.
+"""
+
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from .camera import Camera
+from .object import Name, Number, ObjectSpec, Quat, Spec, Vec3, link_poses
+from .pose import IDENTITY, Pose, from_yaw, pose, quat_mul, rotate, yaw_of
+from .scale import scale
+from .tree import Box2D, Relation
+
+
+class SceneObject(Spec):
+    """An object in its place."""
+
+    name: Name
+    spec: ObjectSpec
+    parent: Name | None = None
+    parent_link: Name | None = None
+    relation: Relation = "on"
+    environment: bool = False
+    """A static support, not optimised."""
+    fixed_base: bool = False
+    xy: tuple[Number, Number] = (0.0, 0.0)
+    """In the parent's frame [m]."""
+    z: Number = 0.0
+    """Height of the object's origin above the parent's [m], snapped."""
+    yaw: Number = 0.0
+    """In the parent's frame [rad]."""
+    base_tilt: Quat = IDENTITY
+    joint_state: dict[Name, Number] = {}
+    """Joint values [rad or m]; joints not named stand at 0."""
+    box2d: Box2D | None = None
+    """Where the photograph shows it."""
+    depth: Number | None = None
+    """Parsed distance of its centre along the view [m]."""
+    parsed_size: Vec3 | None = None
+    """Edge lengths of the parsed 3D box [m]."""
+    scale_residual: Vec3 | None = None
+    """Object size over parsed size per axis, minus 1, after isotropic rescaling."""
+
+    @property
+    def static(self) -> bool:
+        """Whether the base cannot move: an environment support or a fastened object."""
+        return self.environment or self.fixed_base
+
+
+class SceneSpec(Spec):
+    """A composed scene."""
+
+    name: Name = "scene"
+    objects: tuple[SceneObject, ...] = Field(min_length=1)
+    camera: Camera | None = None
+    gravity: Vec3 = (0.0, 0.0, -9.81)
+
+    @model_validator(mode="after")
+    def _hierarchy(self) -> Self:
+        seen: dict[str, SceneObject] = {}
+        for item in self.objects:
+            if item.name in seen:
+                raise ValueError(f"object names must be unique, repeated: {item.name}")
+            if item.parent is not None:
+                if item.parent not in seen:
+                    raise ValueError(f"object {item.name}: parent {item.parent!r} must come first")
+                links = [part.name for part in seen[item.parent].spec.parts]
+                if item.parent_link is not None and item.parent_link not in links:
+                    raise ValueError(
+                        f"object {item.name}: parent_link {item.parent_link!r} is not a part of "
+                        f"{item.parent}; parts are {', '.join(links)}"
+                    )
+                if item.static and not seen[item.parent].static:
+                    raise ValueError(
+                        f"object {item.name} is fixed to {item.parent}, which is free to move; "
+                        "make it one of that object's parts"
+                    )
+            joints = [joint.name for joint in item.spec.joints]
+            for name in item.joint_state:
+                if name not in joints:
+                    raise ValueError(
+                        f"object {item.name}: joint_state names {name!r}; joints are "
+                        f"{', '.join(joints) or 'none'}"
+                    )
+            seen[item.name] = item
+        return self
+
+    def object(self, name: str) -> SceneObject:
+        """Return an object by name."""
+        return next(item for item in self.objects if item.name == name)
+
+    def index(self, name: str) -> int:
+        """Return an object's place in `objects`."""
+        return [item.name for item in self.objects].index(name)
+
+    def to_json(self) -> str:
+        """Serialise, the same bytes for the same scene."""
+        return self.model_dump_json(indent=1) + "\n"
+
+
+def support_frame(parent: SceneObject, parent_pose: Pose, link: str | None) -> Pose:
+    """Return the world frame that a parent's children are placed in.
+
+    Args:
+        parent: the parent.
+        parent_pose: world pose of the parent's object frame, tilt included.
+        link: the parent's part that carries the child, or None.
+    """
+    frame = pose(parent_pose.pos, from_yaw(yaw_of(parent_pose.quat)))
+    if link is None:
+        return frame
+    moved = parent_pose.then(link_poses(parent.spec, parent.joint_state)[link])
+    return pose(moved.pos, from_yaw(yaw_of(moved.quat)))
+
+
+def world_poses(scene: SceneSpec) -> dict[str, Pose]:
+    """Return every object's pose in the world: origin [m] and rotation, tilt included."""
+    poses: dict[str, Pose] = {}
+    for item in scene.objects:
+        frame = pose()
+        if item.parent is not None:
+            frame = support_frame(scene.object(item.parent), poses[item.parent], item.parent_link)
+        at = frame.pos + rotate(frame.quat, np.array([*item.xy, item.z]))
+        yaw = quat_mul(frame.quat, from_yaw(item.yaw))
+        poses[item.name] = pose(at, quat_mul(yaw, item.base_tilt))
+    return poses
+
+
+def rearranged(
+    scene: SceneSpec,
+    xy: Annotated[np.ndarray, "[object, 2]"],
+    yaw: Annotated[np.ndarray, "[object]"],
+    log_scale: Annotated[np.ndarray, "[object]"],
+    z: Annotated[np.ndarray, "[object]"],
+) -> SceneSpec:
+    """Write a layout into a scene (scale, yaw, translation in that order).
+
+    Args:
+        scene: the composed scene.
+        xy: offset of each object in its parent's frame at the parent's old size [m].
+        yaw: offset of each object's yaw [rad].
+        log_scale: log of each object's isotropic scale factor.
+        z: new snapped height of each object above its parent's origin [m].
+
+    Returns:
+        A scene whose zero layout is the given layout. Offsets in a parent's frame have grown with
+        the parent, sizes of children have not.
+    """
+    size = np.exp(np.asarray(log_scale, float))
+    objects = []
+    for i, item in enumerate(scene.objects):
+        parent = 1.0 if item.parent is None else size[scene.index(item.parent)]
+        place = (np.array(item.xy) + xy[i]) * parent
+        update: dict[str, object] = {
+            "xy": tuple(place.tolist()),
+            "yaw": float(item.yaw + yaw[i]),
+            "z": float(z[i]),
+        }
+        if size[i] != 1.0:
+            joints = {joint.name: joint for joint in item.spec.joints}
+            update["spec"] = scale(item.spec, float(size[i]))
+            update["joint_state"] = {
+                name: value * (size[i] if joints[name].type == "prismatic" else 1.0)
+                for name, value in item.joint_state.items()
+            }
+        objects.append(item.model_copy(update=update))
+    return scene.model_copy(update={"objects": tuple(objects)})

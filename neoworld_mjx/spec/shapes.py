@@ -1,0 +1,261 @@
+"""Shapes that parts are made of: parametric, scalable, each the sum of its convex pieces.
+
+A shape's pieces do not overlap, so volume and inertia are sums over them, and they are the
+colliders as well: cavities stay open. Lengths are in metres; each class states its frame.
+"""
+
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from .convex import Piece, polytope
+
+Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Point2 = tuple[Number, Number]
+Face = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+
+MIN_SECTORS, MAX_SECTORS = 6, 64
+
+
+class _Shape(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def pieces(self) -> list[Piece]:
+        """Return the convex pieces, in the shape's frame."""
+        raise NotImplementedError
+
+    def scaled(self, s: float) -> Self:
+        """Return the shape with every length multiplied by `s`."""
+        lengths = {
+            name: _times(getattr(self, name), s)
+            for name in type(self).model_fields
+            if name not in ("type", "sectors", "open")
+        }
+        return self.model_copy(update=lengths)
+
+
+def _times(value: object, s: float) -> object:
+    if isinstance(value, tuple):
+        return tuple(_times(item, s) for item in value)
+    return value * s if isinstance(value, int | float) else value
+
+
+class Box(_Shape):
+    """A box, centred, with full edge lengths along x, y, z."""
+
+    type: Literal["box"] = "box"
+    size: tuple[Length, Length, Length]
+
+    def pieces(self) -> list[Piece]:
+        """Return the box itself."""
+        return [Piece("box", tuple(v / 2 for v in self.size))]
+
+
+class Sphere(_Shape):
+    """A ball, centred."""
+
+    type: Literal["sphere"] = "sphere"
+    radius: Length
+
+    def pieces(self) -> list[Piece]:
+        """Return the ball itself."""
+        return [Piece("sphere", (self.radius, 0.0, 0.0))]
+
+
+class Capsule(_Shape):
+    """A capsule along z, centred; `length` is that of the cylinder between the two half balls."""
+
+    type: Literal["capsule"] = "capsule"
+    radius: Length
+    length: Length
+
+    def pieces(self) -> list[Piece]:
+        """Return the capsule itself."""
+        return [Piece("capsule", (self.radius, self.length / 2, 0.0))]
+
+
+class Cylinder(_Shape):
+    """A cylinder along z, centred."""
+
+    type: Literal["cylinder"] = "cylinder"
+    radius: Length
+    height: Length
+
+    def pieces(self) -> list[Piece]:
+        """Return the cylinder itself."""
+        return [Piece("cylinder", (self.radius, self.height / 2, 0.0))]
+
+
+class Ellipsoid(_Shape):
+    """An ellipsoid, centred, with semi-axes along x, y, z."""
+
+    type: Literal["ellipsoid"] = "ellipsoid"
+    radii: tuple[Length, Length, Length]
+
+    def pieces(self) -> list[Piece]:
+        """Return the ellipsoid itself."""
+        return [Piece("ellipsoid", self.radii)]
+
+
+class Prism(_Shape):
+    """A convex outline in x, y extruded along z from -height/2 to height/2."""
+
+    type: Literal["prism"] = "prism"
+    outline: tuple[Point2, ...] = Field(min_length=3, max_length=64)
+    height: Length
+
+    @model_validator(mode="after")
+    def _convex(self) -> Self:
+        p = np.array(self.outline)
+        edge = np.roll(p, -1, axis=0) - p
+        turn = _cross2(edge, np.roll(edge, -1, axis=0))
+        if not (np.all(turn > 0) or np.all(turn < 0)):
+            raise ValueError(
+                "prism outline must be strictly convex, without repeated or collinear points"
+            )
+        # A star polygon turns the same way at every corner too, but more than once around.
+        if abs(np.sum(np.arctan2(turn, np.sum(edge * np.roll(edge, -1, axis=0), axis=1)))) > 7:
+            raise ValueError("prism outline must go around once")
+        return self
+
+    def pieces(self) -> list[Piece]:
+        """Return the prism itself."""
+        p = np.array(self.outline)
+        h = self.height / 2
+        top = np.column_stack([p, np.full(len(p), h)])
+        return [polytope(np.vstack([top, top * [1, 1, -1]]))]
+
+
+class HollowBox(_Shape):
+    """A box with walls of one thickness and the named faces left open, centred; a drawer or bin."""
+
+    type: Literal["hollow_box"] = "hollow_box"
+    size: tuple[Length, Length, Length]
+    wall: Length
+    open: tuple[Face, ...] = ("+z",)
+
+    @model_validator(mode="after")
+    def _thin(self) -> Self:
+        if 2 * self.wall >= min(self.size):
+            raise ValueError(f"wall {self.wall} leaves no cavity in a box of size {self.size}")
+        if len(set(self.open)) == 6:
+            raise ValueError("a hollow box with all six faces open has no walls")
+        return self
+
+    def pieces(self) -> list[Piece]:
+        """Return the walls, cut so that they do not overlap at the edges."""
+        low, high = -np.array(self.size) / 2, np.array(self.size) / 2
+        walls = []
+        for axis, letter in ((2, "z"), (1, "y"), (0, "x")):
+            for sign, side in (("-", low), ("+", high)):
+                if f"{sign}{letter}" in self.open:
+                    continue
+                a, b = low.copy(), high.copy()
+                if sign == "-":
+                    b[axis] = a[axis] + self.wall
+                    low_next = b[axis]
+                else:
+                    a[axis] = b[axis] - self.wall
+                    low_next = a[axis]
+                half, centre = (b - a) / 2, (a + b) / 2
+                walls.append(Piece("box", tuple(half.tolist()), tuple(centre.tolist())))
+                # What remains for the walls still to come is the inside of this one.
+                side[axis] = low_next
+        return walls
+
+
+class Lathe(_Shape):
+    """A profile of (r, z) points revolved about z.
+
+    With `thickness` the profile is the outer face of a shell, walked from the foot to the rim; the
+    wall grows to its left, which is inwards and upwards (a cup, a bowl, a saucer). Without it the
+    profile bounds a solid and z must not decrease. Pieces are convex: frusta for a solid, wedges of
+    each band for a shell. Their corners lie on the true surface of revolution, so they stay within
+    r (1 - cos(pi / sectors)) of it.
+    """
+
+    type: Literal["lathe"] = "lathe"
+    profile: tuple[Point2, ...] = Field(min_length=2, max_length=64)
+    thickness: Length | None = None
+    sectors: int = Field(16, ge=MIN_SECTORS, le=MAX_SECTORS)
+
+    @model_validator(mode="after")
+    def _sane(self) -> Self:
+        p = np.array(self.profile)
+        if np.any(p[:, 0] < 0):
+            raise ValueError("lathe radii must not be negative")
+        if np.any(np.all(np.diff(p, axis=0) == 0, axis=1)):
+            raise ValueError("lathe profile repeats a point")
+        if self.thickness is None and np.any(np.diff(p[:, 1]) < 0):
+            raise ValueError("the z of a solid lathe's profile must not decrease")
+        if self.thickness is not None and np.any(p[1:, 0] == 0):
+            raise ValueError("a lathe shell may touch the axis only at its first point")
+        if not self.pieces():
+            raise ValueError("lathe has no volume")
+        return self
+
+    def inner(self) -> NDArray:
+        """Return the inner face of the shell, shape [len(profile), 2]: the profile, offset."""
+        p = np.array(self.profile)
+        d = np.diff(p, axis=0)
+        n = np.column_stack([-d[:, 1], d[:, 0]]) / np.linalg.norm(d, axis=1, keepdims=True)
+        before, after = np.vstack([n[:1], n]), np.vstack([n, n[-1:]])
+        mitre = (before + after) / (1 + np.sum(before * after, axis=1, keepdims=True))
+        q = p + (self.thickness or 0.0) * mitre
+        q[:, 0] = np.maximum(q[:, 0], 0.0)
+        if p[0, 0] == 0:
+            q[0, 0] = 0.0
+        return q
+
+    def pieces(self) -> list[Piece]:
+        """Return frusta (solid) or a disc and wedges (shell)."""
+        p = np.array(self.profile)
+        angles = 2 * np.pi * np.arange(self.sectors) / self.sectors
+        if self.thickness is None:
+            return [
+                polytope(np.vstack([_ring(a, angles), _ring(b, angles)]))
+                for a, b in zip(p[:-1], p[1:], strict=True)
+                if b[1] > a[1] and max(a[0], b[0]) > 0
+            ]
+        q = self.inner()
+        pieces = []
+        for i in range(len(p) - 1):
+            quad = [p[i], p[i + 1], q[i + 1], q[i]]
+            if p[i][0] == 0 and p[i][1] == p[i + 1][1]:
+                pieces.append(polytope(np.vstack([_ring(c, angles) for c in quad[1:3]])))
+                continue
+            for k in range(self.sectors):
+                ends = angles[[k, (k + 1) % self.sectors]]
+                pieces.append(polytope(np.vstack([_ring(c, ends) for c in quad])))
+        return pieces
+
+
+def _ring(corner: NDArray, angles: NDArray) -> NDArray:
+    r, z = corner
+    return np.column_stack([r * np.cos(angles), r * np.sin(angles), np.full(len(angles), z)])
+
+
+def _cross2(a: NDArray, b: NDArray) -> NDArray:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+Shape = Annotated[
+    Box | Sphere | Capsule | Cylinder | Ellipsoid | Prism | HollowBox | Lathe,
+    Field(discriminator="type"),
+]
+
+__all__ = [
+    "Box",
+    "Capsule",
+    "Cylinder",
+    "Ellipsoid",
+    "Face",
+    "HollowBox",
+    "Lathe",
+    "Prism",
+    "Shape",
+    "Sphere",
+]
