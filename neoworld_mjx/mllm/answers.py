@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Iterator
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -12,6 +11,7 @@ from ..config import describe
 T = TypeVar("T", bound=BaseModel)
 
 _FENCE = re.compile(r"```[A-Za-z0-9_-]*[ \t]*\r?\n(.*?)```", re.DOTALL)
+_OPENING = re.compile(r"\{(?=\s*[\"}])")
 _REASON_CHARS = 2000
 
 
@@ -28,8 +28,10 @@ def read_answer(text: str, schema: type[T]) -> T:
     Raises:
         InvalidAnswer: nothing validates; the message speaks of the most likely object.
     """
-    reason = ""
-    for value in _objects(text):
+    whole = _whole(text)
+    inside, broken = ([], "") if whole else _embedded(text)
+    reason = broken
+    for value in (*whole, *inside):
         try:
             # Through JSON again, as only then lists may become tuples and strings enums.
             return schema.model_validate_json(json.dumps(value))
@@ -47,32 +49,41 @@ def is_json(text: str) -> bool:
     return True
 
 
-def _objects(text: str) -> Iterator[dict[str, Any]]:
-    """Yield the JSON objects in a text, the likeliest first."""
+def _whole(text: str) -> list[dict[str, Any]]:
+    """Return the objects that are the whole text or a whole fenced block of it."""
+    found = []
     for part in (text, *_FENCE.findall(text)):
         try:
             value = _loads(part)
         except (ValueError, RecursionError):
             continue
         if isinstance(value, dict):
-            yield value
-    yield from _embedded(text)
+            found.append(value)
+    return found
 
 
-def _embedded(text: str) -> list[dict[str, Any]]:
+def _embedded(text: str) -> tuple[list[dict[str, Any]], str]:
+    """Return the objects inside a text, the largest first, and what broke off the search.
+
+    A broken object ends the search: an object inside it could pass for the answer.
+    """
     decoder = json.JSONDecoder(parse_constant=_refuse)
     found: list[tuple[int, dict[str, Any]]] = []
-    start = text.find("{")
-    while start >= 0:
-        end = start + 1
+    broken = ""
+    for match in _OPENING.finditer(text):
+        if found and match.start() < found[-1][0]:
+            continue
         try:
-            value, end = decoder.raw_decode(text, start)
-        except (ValueError, RecursionError):
-            pass
-        else:
-            found.append((end - start, value))
-        start = text.find("{", end)
-    return [value for _, value in sorted(found, key=lambda item: -item[0])]
+            value, end = decoder.raw_decode(text, match.start())
+        except RecursionError:
+            broken = "the JSON is nested too deeply"
+            break
+        except ValueError as error:
+            broken = f"the JSON object in it is broken ({error})"
+            break
+        found.append((end, value))
+    sizes = sorted(found, key=lambda item: -len(json.dumps(item[1])))
+    return [value for _, value in sizes], broken
 
 
 def _loads(text: str) -> Any:
