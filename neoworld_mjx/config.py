@@ -40,12 +40,12 @@ class MLLMOptions(Options):
     base_url: str | None = None
     """A server that speaks the provider's API, such as vLLM or Ollama."""
     headers: dict[str, str] = {}
-    timeout_s: float = Field(120.0, gt=0)
-    retries: int = Field(4, ge=0)
-    concurrency: int = Field(8, ge=1)
-    validation_rounds: int = Field(3, ge=1)
+    timeout_s: float = Field(default=120.0, gt=0)
+    retries: int = Field(default=4, ge=0)
+    concurrency: int = Field(default=8, ge=1)
+    validation_rounds: int = Field(default=3, ge=1)
     """How often an answer that breaks the schema is sent back with its error."""
-    max_cost_usd: float | None = Field(None, gt=0)
+    max_cost_usd: float | None = Field(default=None, gt=0)
     prices: Path | None = None
     """YAML of prices in USD per million tokens; None takes the table in the package."""
 

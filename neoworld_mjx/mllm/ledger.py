@@ -1,0 +1,253 @@
+"""What asking costs: calls, tokens and dollars per role and model, and the cap that stops a run.
+
+Prices are USD per million tokens, read from YAML: `input`, `output`, and where a server caches
+prompts `cache_read` and `cache_write`. A model without a price has an unknown cost, which is said,
+never counted as zero.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from ..errors import BudgetError, ConfigError
+from .model import Request, Usage
+
+_PACKAGE_PRICES = Path(__file__).with_name("prices.yaml")
+_CHARS_PER_TOKEN = 2.5
+_PIXELS_PER_TOKEN = 750
+_TOKENS_ASIDE = 600
+"""For what a server adds of its own, such as the instructions for structured output."""
+
+
+class Price(BaseModel):
+    """Price of a model in USD per million tokens."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    input: float = Field(ge=0)
+    output: float = Field(ge=0)
+    cache_read: float | None = Field(default=None, ge=0)
+    """Default: as `input`."""
+    cache_write: float | None = Field(default=None, ge=0)
+    """Default: as `input`."""
+
+    def cost(self, usage: Usage) -> float:
+        """Return the price of a call in USD."""
+        read = self.input if self.cache_read is None else self.cache_read
+        write = self.input if self.cache_write is None else self.cache_write
+        micro = (
+            usage.input * self.input
+            + usage.output * self.output
+            + usage.cache_read * read
+            + usage.cache_write * write
+        )
+        return micro / 1e6
+
+
+def load_prices(path: Path | None = None) -> dict[str, Price]:
+    """Read a table of prices; a user's table lies over the one in the package.
+
+    Raises:
+        ConfigError: the file is missing, no YAML, or an entry is wrong.
+    """
+    prices = _read_prices(_PACKAGE_PRICES)
+    return prices if path is None else prices | _read_prices(Path(path))
+
+
+def price_of(model: str, prices: dict[str, Price]) -> Price | None:
+    """Find a model's price: by its full name, else by the name without its trailing date."""
+    if model in prices:
+        return prices[model]
+    stem, _, tail = model.rpartition("-")
+    dated = (tail.isdigit() and len(tail) == 8) or tail == "latest"
+    if dated:
+        return prices.get(stem)
+    for name, price in prices.items():
+        rest = model.removeprefix(name + "-")
+        if rest != model and rest.replace("-", "").isdigit() and len(rest) == 10:
+            return price
+    return None
+
+
+def most_tokens(request: Request[Any], max_tokens: int) -> Usage:
+    """Bound the tokens of one call from above, to reserve its cost before it is made."""
+    chars = len(request.system) + len(request.prompt) + 2 * len(str(request.json_schema))
+    pixels = sum(width * height for width, height in (p.size for p in request.pictures))
+    tokens = int(chars / _CHARS_PER_TOKEN + pixels / _PIXELS_PER_TOKEN) + _TOKENS_ASIDE
+    # Everything may be written to the cache, which costs more than plain input.
+    return Usage(cache_write=tokens, output=max_tokens)
+
+
+@dataclass
+class _Line:
+    calls: int = 0
+    failed: int = 0
+    usage: Usage = field(default_factory=Usage)
+    cost_usd: float | None = 0.0
+
+
+@dataclass
+class Ledger:
+    """Calls, tokens and cost of a run, by role and model.
+
+    Raises:
+        ConfigError: the table of prices is wrong.
+    """
+
+    max_cost_usd: float | None = None
+    prices: dict[str, Price] = field(default_factory=load_prices)
+    fallbacks: dict[str, int] = field(default_factory=dict)
+    _lines: dict[tuple[str, str], _Line] = field(default_factory=dict)
+    _holds: list[float] = field(default_factory=list)
+
+    @property
+    def reserved_usd(self) -> float:
+        """The most that the calls now under way can cost, in USD."""
+        return sum(self._holds)
+
+    @property
+    def spent_usd(self) -> float:
+        """Cost so far of everything whose price is known, in USD."""
+        return sum(line.cost_usd or 0.0 for line in self._lines.values())
+
+    @property
+    def unpriced(self) -> list[str]:
+        """Models that were called and have no price."""
+        return sorted({m for (_, m), line in self._lines.items() if line.cost_usd is None})
+
+    def bound(
+        self, request: Request[Any], model: str, max_tokens: int, share: float = 1.0
+    ) -> float:
+        """Return the most that a call can cost in USD; zero where nothing is capped.
+
+        Raises:
+            BudgetError: a cap is set and the model has no price, so the cap could not hold.
+        """
+        if self.max_cost_usd is None:
+            return 0.0
+        price = price_of(model, self.prices)
+        if price is None:
+            raise BudgetError(
+                f"mllm.max_cost_usd is set but {model!r} has no price, so the cap cannot be kept: "
+                f"add its price to a YAML file and name that in mllm.prices "
+                f"(a local model: {{input: 0, output: 0}})"
+            )
+        most = most_tokens(request, max_tokens)
+        # A server without a cache price bills the same tokens as input.
+        return share * max(
+            price.cost(most), price.cost(Usage(input=most.cache_write, output=most.output))
+        )
+
+    def fits(self, bound_usd: float, *, others: bool = True) -> bool:
+        """Tell whether a call keeps the cap, with or without the other calls now under way."""
+        if self.max_cost_usd is None:
+            return True
+        held = self.reserved_usd if others else 0.0
+        return self.spent_usd + held + bound_usd <= self.max_cost_usd
+
+    def hold(self, bound_usd: float) -> None:
+        """Reserve the highest cost of a call that is about to be made."""
+        self._holds.append(bound_usd)
+
+    def release(self, bound_usd: float) -> None:
+        """Give back what `hold` reserved."""
+        self._holds.remove(bound_usd)
+
+    def refuse(self, request: Request[Any], bound_usd: float) -> BudgetError:
+        """Phrase why a call is not made."""
+        return BudgetError(
+            f"{request.name}: cost cap reached: {self.spent_usd:.4f} USD of "
+            f"{self.max_cost_usd:g} are spent and this call may cost up to {bound_usd:.4f}; "
+            f"what is answered so far is kept: raise mllm.max_cost_usd and resume the run"
+        )
+
+    def add(
+        self,
+        role: str,
+        model: str,
+        usage: Usage,
+        *,
+        billed: bool = True,
+        failed: bool = False,
+        share: float = 1.0,
+    ) -> None:
+        """Book one call; `share` is the part of the list price that is billed."""
+        line = self._lines.setdefault((role, model), _Line())
+        line.calls += 1
+        line.failed += failed
+        line.usage = line.usage + usage
+        price = price_of(model, self.prices) if billed else Price(input=0, output=0)
+        if price is not None and line.cost_usd is not None:
+            line.cost_usd += share * price.cost(usage)
+        elif usage != Usage():
+            line.cost_usd = None
+
+    def fell_back(self, note: str) -> None:
+        """Count something that had to be done without."""
+        self.fallbacks[note] = self.fallbacks.get(note, 0) + 1
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the ledger for run.json; `cost_usd` is null where any cost is unknown."""
+        total = sum((line.usage for line in self._lines.values()), Usage())
+        return {
+            "calls": sum(line.calls for line in self._lines.values()),
+            "failed_calls": sum(line.failed for line in self._lines.values()),
+            "tokens": _tokens(total),
+            "cost_usd": None if self.unpriced else round(self.spent_usd, 6),
+            "known_cost_usd": round(self.spent_usd, 6),
+            "models_without_price": self.unpriced,
+            "max_cost_usd": self.max_cost_usd,
+            "fallbacks": dict(sorted(self.fallbacks.items())),
+            "by_role_and_model": [
+                {
+                    "role": role,
+                    "model": model,
+                    "calls": line.calls,
+                    "failed_calls": line.failed,
+                    "tokens": _tokens(line.usage),
+                    "cost_usd": None if line.cost_usd is None else round(line.cost_usd, 6),
+                }
+                for (role, model), line in sorted(self._lines.items())
+            ],
+        }
+
+    def carry(self, earlier: dict[str, Any]) -> None:
+        """Take over the ledger of an interrupted run, as `to_json` gave it, so that its cap holds."""
+        for row in earlier["by_role_and_model"]:
+            line = self._lines.setdefault((row["role"], row["model"]), _Line())
+            line.calls += row["calls"]
+            line.failed += row["failed_calls"]
+            line.usage = line.usage + Usage(**row["tokens"])
+            known = line.cost_usd is not None and row["cost_usd"] is not None
+            line.cost_usd = line.cost_usd + row["cost_usd"] if known else None
+        for note, count in earlier["fallbacks"].items():
+            self.fallbacks[note] = self.fallbacks.get(note, 0) + count
+
+
+def _tokens(usage: Usage) -> dict[str, int]:
+    return {
+        "input": usage.input,
+        "output": usage.output,
+        "cache_read": usage.cache_read,
+        "cache_write": usage.cache_write,
+    }
+
+
+def _read_prices(path: Path) -> dict[str, Price]:
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        return TypeAdapter(dict[str, Price]).validate_python(data or {})
+    except OSError as error:
+        raise ConfigError(f"cannot read prices {path}: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"prices {path} is not valid YAML: {error}") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(step) for step in first["loc"])
+        raise ConfigError(
+            f"prices {path}: {where}: {first['msg']}; each model needs input and output, "
+            f"optionally cache_read and cache_write, in USD per million tokens"
+        ) from None

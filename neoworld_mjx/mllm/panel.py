@@ -1,0 +1,391 @@
+"""The panel of models that rooms ask: one provider behind routing, retries, checks and records.
+
+Whatever answers, the panel routes a request to the model of its role, keeps calls under the
+concurrency limit and the cost cap, tries again where a server failed, sends an invalid answer back
+with its error a bounded number of times, books every call, and records what was answered.
+
+A panel runs its own event loop in one thread, so it can be asked from plain code (`ask_sync`,
+`ask_many`), from any event loop (`ask`), and from several of them one after the other.
+"""
+
+import asyncio
+import concurrent.futures
+import random
+import threading
+from collections.abc import Coroutine, Sequence
+from pathlib import Path
+from typing import Any, Self, TypeVar
+
+from pydantic import BaseModel
+
+from ..config import MLLMOptions, RoleOptions
+from ..errors import ModelError
+from .answers import InvalidAnswer, read_answer
+from .ledger import Ledger, load_prices
+from .model import Answer, Provider, Rejection, Reply, Request, Transient, Usage
+from .replay import Tape
+from .secrets import scrub
+
+T = TypeVar("T", bound=BaseModel)
+R = TypeVar("R")
+
+_LONGEST_BACKOFF_S = 30.0
+_BATCH_SHARE = 0.5
+"""Part of the list price that a batch is billed at."""
+
+
+class Panel:
+    """The models that play reasoner, programmer and critic.
+
+    Args:
+        provider: who answers.
+        options: models, limits and cap.
+        ledger: the books; default: new ones, with the options' cap and prices.
+        record: a tape file. Every answer is written to it at once, and what it holds already is
+            taken from it and not asked again, so that an interrupted run loses no answer.
+        photo: sha256 of the photo's file, for the tape's header.
+        made: how the answers come about, for the tape's header.
+        backoff_s: first wait after a failed call; it doubles from call to call.
+
+    Raises:
+        ConfigError: the table of prices is wrong.
+        ModelError: the tape to record on cannot be read or belongs to another photo.
+    """
+
+    def __init__(
+        self,
+        provider: Provider,
+        options: MLLMOptions | None = None,
+        *,
+        ledger: Ledger | None = None,
+        record: Path | None = None,
+        photo: str | None = None,
+        made: str = "",
+        backoff_s: float = 0.5,
+    ) -> None:
+        self.provider = provider
+        self.options = options or MLLMOptions()
+        self.ledger = ledger or Ledger(self.options.max_cost_usd, load_prices(self.options.prices))
+        self._record = Path(record) if record is not None else None
+        self._tape = _open_record(self._record, photo, made)
+        self._backoff_s = backoff_s
+        self._gate = asyncio.Semaphore(self.options.concurrency)
+        self._settled = asyncio.Condition()
+        self._asked: dict[tuple[str, type], asyncio.Task[Answer[Any]]] = {}
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._thread: threading.Thread | None = None
+        self._lock = threading.Lock()
+
+    @property
+    def name(self) -> str:
+        """The provider's name, such as "replay" or "anthropic"."""
+        return self.provider.name
+
+    async def ask(self, request: Request[T]) -> Answer[T]:
+        """Answer a request; many may be asked at once, and the same one twice costs once.
+
+        Raises:
+            MissingAnswerError: a tape does not hold the answer.
+            BudgetError: the call could exceed the cost cap; nothing was sent.
+            ModelError: any other reason why no valid answer could be had.
+        """
+        return await asyncio.wrap_future(self._submit(self._shared(request)))
+
+    def ask_sync(self, request: Request[T]) -> Answer[T]:
+        """As `ask`, for code without an event loop."""
+        return self._wait(self._shared(request))
+
+    def ask_many(self, requests: Sequence[Request[T]]) -> list[Answer[T]]:
+        """Ask many requests at once and return their answers in order.
+
+        When one fails the others are still waited for, so that answers already paid for are kept.
+
+        Raises:
+            ModelError: as `ask`; the first failure in the order of the requests.
+        """
+        return self._wait(self._together(requests))
+
+    def batch(self, requests: Sequence[Request[T]]) -> list[Answer[T]]:
+        """As `ask_many`, at batch prices where the provider has them; this may take up to a day.
+
+        What a batch leaves unanswered or answers invalidly is asked one by one.
+
+        Raises:
+            ModelError: as `ask`.
+        """
+        return self._wait(self._batch(requests))
+
+    def close(self) -> None:
+        """Close connections and end the panel's thread; asking again starts anew."""
+        with self._lock:
+            loop, thread = self._loop, self._thread
+            self._loop = self._thread = None
+        if loop is None or thread is None:
+            return
+        asyncio.run_coroutine_threadsafe(self._shut(), loop).result(timeout=5)
+        loop.call_soon_threadsafe(loop.stop)
+        thread.join(timeout=5)
+        loop.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    # The loop in its thread.
+
+    def _submit(self, work: Coroutine[Any, Any, R]) -> "concurrent.futures.Future[R]":
+        with self._lock:
+            if self._loop is None:
+                self._loop = asyncio.new_event_loop()
+                self._thread = threading.Thread(
+                    target=self._loop.run_forever, name="neoworld-mllm", daemon=True
+                )
+                self._thread.start()
+            return asyncio.run_coroutine_threadsafe(work, self._loop)
+
+    def _wait(self, work: Coroutine[Any, Any, R]) -> R:
+        future = self._submit(work)
+        try:
+            return future.result()
+        except BaseException:
+            future.cancel()
+            raise
+
+    async def _shut(self) -> None:
+        for task in self._asked.values():
+            task.cancel()
+        await asyncio.gather(*self._asked.values(), return_exceptions=True)
+        self._asked.clear()
+        await self.provider.close()
+
+    async def _together(self, requests: Sequence[Request[T]]) -> list[Answer[T]]:
+        results = await asyncio.gather(*map(self._shared, requests), return_exceptions=True)
+        answers = []
+        for result in results:
+            if isinstance(result, BaseException):
+                raise result
+            answers.append(result)
+        return answers
+
+    # One request: once a run, from the record if it is there, else in conversation.
+
+    async def _shared(self, request: Request[T]) -> Answer[T]:
+        known = (request.key, request.schema)
+        task = self._asked.get(known)
+        if task is None:
+            task = asyncio.ensure_future(self._answer(request))
+            self._asked[known] = task
+            task.add_done_callback(lambda done: self._forget_failure(known, done))
+        # Shielded: one caller that gives up must not take the answer from the others.
+        return await asyncio.shield(task)
+
+    def _forget_failure(self, known: tuple[str, type], done: "asyncio.Task[Any]") -> None:
+        if done.cancelled() or done.exception() is not None:
+            self._asked.pop(known, None)
+
+    async def _answer(self, request: Request[T]) -> Answer[T]:
+        kept = self._tape.get(request) if self._record is not None else None
+        if kept is not None:
+            try:
+                value = read_answer(kept.text, request.schema)
+                return Answer(value, kept.text, Usage(), kept.model)
+            except InvalidAnswer:
+                pass  # A schema's validators may have changed behind the same JSON schema.
+        return await self._converse(request, ())
+
+    async def _converse(self, request: Request[T], rejected: tuple[Rejection, ...]) -> Answer[T]:
+        role: RoleOptions = getattr(self.options, request.role)
+        rounds = 1 + (self.options.validation_rounds if self.provider.online else 0)
+        usage = Usage()
+        reply = Reply("", usage, role.model)
+        while len(rejected) < rounds:
+            reply = await self._call(request, role, rejected)
+            usage = usage + reply.usage
+            self._check_stop(request, role, reply)
+            try:
+                value = read_answer(reply.text, request.schema)
+            except InvalidAnswer as error:
+                rejected = (*rejected, Rejection(reply.text, str(error)))
+                continue
+            self._keep(request, reply)
+            return Answer(value, reply.text, usage, reply.model)
+        raise self._error(
+            f"{request.name}: {reply.model} gave no valid answer in {len(rejected)} "
+            f"{'try' if len(rejected) == 1 else 'tries'}; the last one: {rejected[-1].reason}"
+        )
+
+    def _check_stop(self, request: Request[Any], role: RoleOptions, reply: Reply) -> None:
+        if reply.stop == "refusal":
+            why = f": {reply.detail}" if reply.detail else ""
+            raise self._error(
+                f"{request.name}: {reply.model} refused to answer{why}; "
+                f"try another photo or another model (mllm.{request.role}.model)"
+            )
+        if reply.stop == "length":
+            raise self._error(
+                f"{request.name}: the answer of {reply.model} was cut off at {role.max_tokens} "
+                f"tokens; raise mllm.{request.role}.max_tokens"
+            )
+
+    def _keep(self, request: Request[Any], reply: Reply) -> None:
+        if self._record is not None:
+            self._tape.put(request, scrub(reply.text, self.provider.secrets), reply.model)
+            self._tape.save(self._record)
+
+    # One call, with retries, inside the limits.
+
+    async def _call(
+        self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
+    ) -> Reply:
+        if not self.provider.online:
+            reply = await self._guarded(request, role, rejected)
+            self.ledger.add(request.role, reply.model, reply.usage, billed=False)
+            return reply
+        failure = Transient("not asked")
+        for attempt in range(self.options.retries + 1):
+            if attempt:
+                await asyncio.sleep(self._delay(request, attempt, failure))
+            try:
+                async with self._gate:
+                    return await self._booked(request, role, rejected)
+            except Transient as error:
+                failure = error
+        tries = self.options.retries + 1
+        raise self._error(
+            f"{request.name}: {self.name} did not answer in {tries} "
+            f"{'try' if tries == 1 else 'tries'}; the last one: {failure}. Resume the run later, "
+            f"or raise mllm.retries or mllm.timeout_s"
+        )
+
+    async def _booked(
+        self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
+    ) -> Reply:
+        bound = self.ledger.bound(request, role.model, role.max_tokens)
+        async with self._held(request, bound):
+            try:
+                reply = await self._guarded(request, role, rejected)
+            except Transient as error:
+                self.ledger.add(request.role, role.model, error.usage, failed=True)
+                raise
+            except ModelError:
+                self.ledger.add(request.role, role.model, Usage(), failed=True)
+                raise
+            self.ledger.add(request.role, role.model, reply.usage)
+        if reply.fallback is not None:
+            self.ledger.fell_back(reply.fallback)
+        return reply
+
+    async def _guarded(
+        self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
+    ) -> Reply:
+        """Call the provider; let nothing out that could show a key."""
+        try:
+            return await self.provider.reply(request, role, rejected)
+        except Transient as error:
+            clean = scrub(str(error), self.provider.secrets)
+            raise Transient(clean, error.retry_after, error.usage) from None
+        except ModelError as error:
+            raise type(error)(scrub(str(error), self.provider.secrets)) from None
+        except Exception as error:
+            what = f"{type(error).__name__}: {error}"
+            raise self._error(f"{request.name}: {self.name} failed: {what}") from None
+
+    def _held(self, request: Request[Any], bound: float) -> "_Held":
+        return _Held(self.ledger, self._settled, request, bound)
+
+    def _delay(self, request: Request[Any], attempt: int, failure: Transient) -> float:
+        if failure.retry_after is None:
+            wait = min(self._backoff_s * 2 ** (attempt - 1), _LONGEST_BACKOFF_S)
+            return wait * random.uniform(0.5, 1.0)  # spread, so that calls do not return as one
+        longest = max(self.options.timeout_s, 60.0)
+        if failure.retry_after > longest:
+            raise self._error(
+                f"{request.name}: {self.name} asks to wait {failure.retry_after:.0f} s, longer "
+                f"than a run waits ({longest:.0f} s): {failure}. Resume the run later"
+            )
+        return failure.retry_after
+
+    def _error(self, message: str) -> ModelError:
+        return ModelError(scrub(message, self.provider.secrets))
+
+    # Batches.
+
+    async def _batch(self, requests: Sequence[Request[T]]) -> list[Answer[T]]:
+        send = getattr(self.provider, "batch", None)
+        if send is None:
+            return await self._together(requests)
+        waiting = {r.key: r for r in requests if (r.key, r.schema) not in self._asked}
+        if self._record is not None:
+            waiting = {key: r for key, r in waiting.items() if self._tape.get(r) is None}
+        if waiting:
+            await self._batch_new(send, list(waiting.values()))
+        return await self._together(requests)
+
+    async def _batch_new(self, send: Any, requests: list[Request[Any]]) -> None:
+        roles: list[RoleOptions] = [getattr(self.options, r.role) for r in requests]
+        bound = sum(
+            self.ledger.bound(request, role.model, role.max_tokens, _BATCH_SHARE)
+            for request, role in zip(requests, roles, strict=True)
+        )
+        async with self._held(requests[0], bound):
+            try:
+                replies: list[Reply | None] = await send(list(zip(requests, roles, strict=True)))
+            except ModelError as error:
+                raise type(error)(scrub(str(error), self.provider.secrets)) from None
+            for request, role, reply in zip(requests, roles, replies, strict=True):
+                if reply is not None:
+                    self.ledger.add(request.role, role.model, reply.usage, share=_BATCH_SHARE)
+        for request, reply in zip(requests, replies, strict=True):
+            if reply is None or reply.stop != "end":
+                continue
+            try:
+                value = read_answer(reply.text, request.schema)
+            except InvalidAnswer:
+                continue  # asked singly below, from the start
+            self._keep(request, reply)
+            answer = Answer(value, reply.text, reply.usage, reply.model)
+            task = asyncio.ensure_future(_ready(answer))
+            self._asked[request.key, request.schema] = task
+
+
+class _Held:
+    """Holds a call's highest cost against the cap while the call is under way."""
+
+    def __init__(
+        self, ledger: Ledger, settled: asyncio.Condition, request: Request[Any], bound: float
+    ) -> None:
+        self._ledger, self._settled = ledger, settled
+        self._request, self._bound = request, bound
+
+    async def __aenter__(self) -> None:
+        async with self._settled:
+            while not self._ledger.fits(self._bound):
+                # Calls under way mostly cost less than is held for them: wait before giving up.
+                if not self._ledger.reserved_usd or not self._ledger.fits(
+                    self._bound, others=False
+                ):
+                    raise self._ledger.refuse(self._request, self._bound)
+                await self._settled.wait()
+            self._ledger.hold(self._bound)
+
+    async def __aexit__(self, *exc: object) -> None:
+        async with self._settled:
+            self._ledger.release(self._bound)
+            self._settled.notify_all()
+
+
+async def _ready(answer: Answer[T]) -> Answer[T]:
+    return answer
+
+
+def _open_record(path: Path | None, photo: str | None, made: str) -> Tape:
+    if path is None or not path.exists():
+        return Tape(format=1, photo=photo, made=made)
+    tape = Tape.load(path)
+    if photo is not None and tape.photo not in (None, photo):
+        raise ModelError(f"tape {path} was recorded for another photo; give another file to record")
+    tape.photo = tape.photo or photo
+    tape.made = made or tape.made
+    return tape

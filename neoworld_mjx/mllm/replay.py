@@ -1,0 +1,193 @@
+"""Tapes: answers kept in one JSON file, found again by the content of the request.
+
+    {"format": 1, "photo": sha256 of the photo's file, "made": how the answers came about,
+     "answers": {key: {"role", "name", "model", "parts", "answer"}, ...}}
+
+Keys cover the decoded pixels of every picture, not its file: a tape outlives another PNG encoder,
+but not a renderer that draws one pixel differently. The order in which requests come plays no
+part, and entries are sorted, so that recording the same answers gives the same bytes.
+"""
+
+import difflib
+import json
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from ..config import RoleOptions, describe
+from ..errors import MissingAnswerError, ModelError
+from .model import Rejection, Reply, Request, Usage
+
+SUFFIX = ".tape.json"
+
+
+class Entry(BaseModel):
+    """One answer on a tape."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    role: str
+    name: str
+    model: str = ""
+    """Who answered."""
+    parts: dict[str, str] = {}
+    """Digests of the request's parts, to tell what differs when an answer is missing."""
+    answer: dict[str, Any] | str
+    """The JSON object, or the raw text where it was not plain JSON."""
+
+    @property
+    def text(self) -> str:
+        """The answer as a model gives it."""
+        return self.answer if isinstance(self.answer, str) else json.dumps(self.answer)
+
+
+class Tape(BaseModel):
+    """A tape in memory."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    format: int = Field(1, ge=1, le=1)
+    photo: str | None = None
+    """The sha256 of the photo's file."""
+    made: str = ""
+    """How the answers came about, for people."""
+    answers: dict[str, Entry] = {}
+
+    @classmethod
+    def load(cls, path: Path) -> "Tape":
+        """Read a tape.
+
+        Raises:
+            ModelError: the file cannot be read or is no tape.
+        """
+        try:
+            return cls.model_validate_json(Path(path).read_text(encoding="utf-8"))
+        except OSError as error:
+            raise ModelError(f"cannot read tape {path}: {error.strerror}") from None
+        except UnicodeDecodeError:
+            raise ModelError(f"{path} is no tape: it is not text") from None
+        except ValidationError as error:
+            raise ModelError(f"{path} is no tape: {describe(error, cls)}") from None
+
+    def save(self, path: Path) -> None:
+        """Write the tape at once or not at all.
+
+        Raises:
+            ModelError: the file cannot be written.
+        """
+        data = self.model_dump()
+        order = sorted(self.answers, key=lambda key: (self.answers[key].name, key))
+        data["answers"] = {key: data["answers"][key] for key in order}
+        text = json.dumps(data, indent=1, ensure_ascii=False) + "\n"
+        path = Path(path)
+        partial = path.with_name(f".{path.name}.partial")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with partial.open("w", encoding="utf-8") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+            partial.replace(path)
+        except OSError as error:
+            raise ModelError(f"cannot write tape {path}: {error.strerror}") from None
+
+    def put(self, request: Request[Any], text: str, model: str) -> None:
+        """Keep an answer under the request's key."""
+        self.answers[request.key] = Entry(
+            role=request.role,
+            name=request.name,
+            model=model,
+            parts={part: value[:16] for part, value in request.parts.items()},
+            answer=_plain(text),
+        )
+
+    def get(self, request: Request[Any]) -> Entry | None:
+        """Return the answer to a request, if the tape holds it."""
+        return self.answers.get(request.key)
+
+    def nearest(self, request: Request[Any]) -> str:
+        """Say which entry comes closest to a request and what differs."""
+        names = sorted({entry.name for entry in self.answers.values()})
+        close = difflib.get_close_matches(request.name, names, n=1)
+        if not close:
+            return f"the tape holds: {', '.join(names) or 'nothing'}"
+        differing = min(
+            (_differing(entry, request) for entry in self.answers.values() if entry.name in close),
+            key=len,
+        )
+        what = ", ".join(differing) or "the key"
+        return f"the nearest entry is {close[0]!r}, which differs in: {what}"
+
+
+class Replay:
+    """The provider that answers from a tape alone."""
+
+    online = False
+    secrets: tuple[str, ...] = ()
+
+    def __init__(self, tape: Tape, where: Path | str) -> None:
+        self.name = "replay"
+        self._tape = tape
+        self._where = where
+
+    async def reply(
+        self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
+    ) -> Reply:
+        """Look the answer up.
+
+        Raises:
+            MissingAnswerError: the tape does not hold it.
+        """
+        del role, rejected
+        entry = self._tape.get(request)
+        if entry is None:
+            raise MissingAnswerError(
+                f"tape {self._where} has no answer for {request.name!r} (role {request.role}, "
+                f"key {request.key[:16]}); {self._tape.nearest(request)}. Record it anew with "
+                f"another provider, or take back what changed"
+            )
+        return Reply(entry.text, Usage(), entry.model or "tape")
+
+    async def close(self) -> None:
+        """Do nothing; a tape holds nothing open."""
+
+
+def find_tape(photo_sha256: str | None, places: Iterable[Path]) -> tuple[Tape, Path] | None:
+    """Find a tape for this very photo.
+
+    Args:
+        photo_sha256: sha256 of the photo's file.
+        places: folders, searched for files ending in .tape.json, or tapes themselves. A tape that
+            is named outright is taken whatever photo it was made for, as its keys decide anyway.
+
+    Raises:
+        ModelError: a tape that is named outright cannot be read.
+    """
+    for place in map(Path, places):
+        if not place.is_dir():
+            if place.exists() or place.name.endswith(SUFFIX):
+                return Tape.load(place), place
+            continue
+        for path in sorted(place.glob(f"*{SUFFIX}")):
+            try:
+                tape = Tape.load(path)
+            except ModelError:
+                continue  # A stranger's broken file must not stop a run that does not need it.
+            if photo_sha256 is not None and tape.photo == photo_sha256:
+                return tape, path
+    return None
+
+
+def _plain(text: str) -> dict[str, Any] | str:
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        return text
+    return value if isinstance(value, dict) else text
+
+
+def _differing(entry: Entry, request: Request[Any]) -> list[str]:
+    return [part for part, value in request.parts.items() if entry.parts.get(part) != value[:16]]

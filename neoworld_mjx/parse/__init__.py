@@ -1,0 +1,1 @@
+"""Step 1: a photograph becomes a scene tree."""

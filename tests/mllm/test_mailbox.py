@@ -1,0 +1,178 @@
+"""The mailbox asks by folders, waits, rejects with a reason, and takes up what was begun."""
+
+import json
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from neoworld_mjx.errors import ModelError
+from neoworld_mjx.mllm import Panel, Picture
+from neoworld_mjx.mllm.mailbox import Mailbox
+
+
+def panel_of(
+    folder: Path, timeout_s: float | None = 5.0, said: list | None = None, **more
+) -> Panel:
+    say = (said if said is not None else []).append
+    return Panel(Mailbox(folder, timeout_s=timeout_s, poll_s=0.01, settled_s=0.1, say=say), **more)
+
+
+def wait_for(path: Path) -> Path:
+    for _ in range(500):
+        if path.exists():
+            return path
+        time.sleep(0.01)
+    raise AssertionError(f"{path} did not appear")
+
+
+def in_background(work) -> threading.Thread:
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    return thread
+
+
+def test_folder_holds_all_that_is_needed_to_answer(make, tmp_path):
+    asked = make.request(name="program:cup", pictures=[Picture.of("the photo", make.noise())])
+    said: list[str] = []
+
+    def answer():
+        folder = wait_for(tmp_path / "0001-program-cup")
+        (folder / "response.json").write_text('{"name": "red"}')
+
+    in_background(answer)
+    with panel_of(tmp_path, said=said) as panel:
+        given = panel.ask_sync(asked)
+    assert given.value == make.Colour(name="red")
+    folder = tmp_path / "0001-program-cup"
+    names = {path.name for path in folder.iterdir()}
+    assert names == {
+        "prompt.md",
+        "schema.json",
+        "request.json",
+        "response.json",
+        "1-the-photo.png",
+    }
+    prompt = (folder / "prompt.md").read_text()
+    for part in (asked.system, asked.prompt, "1-the-photo.png: the photo (30 x 20 px)"):
+        assert part in prompt
+    assert json.loads((folder / "schema.json").read_text()) == asked.json_schema
+    assert (folder / "1-the-photo.png").read_bytes() == asked.pictures[0].data
+    assert len(said) == 1
+    assert str(tmp_path) in said[0]
+
+
+def test_invalid_responses_are_moved_aside_with_a_reason(make, tmp_path):
+    def answer():
+        folder = wait_for(tmp_path / "0001-parse")
+        (folder / "response.json").write_text('{"name": 3}')
+        reason = wait_for(folder / "error.md").read_text()
+        assert "name: Input should be a valid string, got 3" in reason
+        assert "response.rejected-1.json" in reason
+        (folder / "error.md").unlink()
+        (folder / "response.json").write_text("red, I think")
+        assert "no JSON object" in wait_for(folder / "error.md").read_text()
+        (folder / "response.json").write_text('```json\n{"name": "red"}\n```')
+
+    writer = in_background(answer)
+    with panel_of(tmp_path) as panel:
+        assert panel.ask_sync(make.request()).value.name == "red"
+    writer.join()
+    folder = tmp_path / "0001-parse"
+    assert (folder / "response.rejected-1.json").read_text() == '{"name": 3}'
+    assert (folder / "response.rejected-2.json").read_text() == "red, I think"
+    assert not (folder / "error.md").exists()
+
+
+def test_a_response_written_in_pieces_is_waited_for(make, tmp_path):
+    text = json.dumps({"name": "red" * 20})
+
+    def answer():
+        folder = wait_for(tmp_path / "0001-parse")
+        with (folder / "response.json").open("w") as file:
+            for letter in text:
+                file.write(letter)
+                file.flush()
+                time.sleep(0.005)
+
+    in_background(answer)
+    with panel_of(tmp_path) as panel:
+        assert panel.ask_sync(make.request()).text == text
+    assert not list((tmp_path / "0001-parse").glob("response.rejected*"))
+
+
+def test_many_wait_at_once_beyond_the_concurrency_limit(make, tmp_path):
+    count = 20
+    asked = [make.request(prompt=f"p{i}", name=f"n{i}") for i in range(count)]
+
+    def answer():
+        for i in reversed(range(count)):
+            folder = wait_for(tmp_path / f"{i + 1:04d}-n{i}")
+            (folder / "response.json").write_text(json.dumps({"name": f"c{i}"}))
+
+    in_background(answer)
+    with panel_of(tmp_path) as panel:
+        answers = panel.ask_many(asked)
+    assert [given.value.name for given in answers] == [f"c{i}" for i in range(count)]
+
+
+def test_time_out_then_taken_up_again(make, tmp_path):
+    with (
+        panel_of(tmp_path, timeout_s=0.1) as panel,
+        pytest.raises(ModelError, match=r"within 0\.1 s"),
+    ):
+        panel.ask_sync(make.request())
+    folder = tmp_path / "0001-parse"
+    with panel_of(tmp_path, timeout_s=0.1) as panel, pytest.raises(ModelError):
+        panel.ask_sync(make.request())
+    assert [path.name for path in tmp_path.iterdir()] == [folder.name]
+    (folder / "response.json").write_text('{"name": "red"}')
+    said: list[str] = []
+    with panel_of(tmp_path, timeout_s=0.1, said=said) as panel:
+        assert panel.ask_sync(make.request()).value.name == "red"
+        assert said == []
+        with pytest.raises(ModelError):
+            panel.ask_sync(make.request(prompt="another"))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["0001-parse", "0002-parse"]
+
+
+def test_unwritable_mailbox_is_one_message(make, tmp_path):
+    (tmp_path / "file").write_text("")
+    with (
+        panel_of(tmp_path / "file") as panel,
+        pytest.raises(ModelError, match=r"parse: mailbox .*file"),
+    ):
+        panel.ask_sync(make.request())
+
+
+def test_names_cannot_leave_the_mailbox(make, tmp_path):
+    asked = make.request(name="../../escape", pictures=[Picture.of("../x/y", make.noise())])
+    with panel_of(tmp_path / "box", timeout_s=0.05) as panel, pytest.raises(ModelError):
+        panel.ask_sync(asked)
+    assert [path.name for path in tmp_path.iterdir()] == ["box"]
+    (folder,) = (tmp_path / "box").iterdir()
+    assert "1-x-y.png" in {path.name for path in folder.iterdir()}
+
+
+def test_recorded_answers_replay(make, tmp_path):
+    tape = tmp_path / "a.tape.json"
+    folder = tmp_path / "box"
+
+    def answer():
+        path = wait_for(folder / "0001-parse")
+        (path / "response.json").write_text('{"name": "red"}')
+
+    in_background(answer)
+    with panel_of(folder, record=tape, photo="ab", made="by looking") as panel:
+        panel.ask_sync(make.request())
+    data = json.loads(tape.read_text())
+    assert (data["photo"], data["made"]) == ("ab", "by looking")
+    (entry,) = data["answers"].values()
+    assert (entry["name"], entry["role"], entry["answer"]) == ("parse", "reasoner", {"name": "red"})
+
+    with panel_of(tmp_path / "unused", record=tape) as panel:
+        assert panel.ask_sync(make.request()).value.name == "red"
+    assert not (tmp_path / "unused").exists()
+    with pytest.raises(ModelError, match="another photo"):
+        panel_of(folder, record=tape, photo="cd")

@@ -1,0 +1,57 @@
+"""Requests are known by their content, not by their name or how their pictures were compressed."""
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from neoworld_mjx.errors import ModelError
+from neoworld_mjx.mllm import Picture
+
+
+def test_key_is_fixed_for_good(make):
+    # A change here breaks every tape that anybody has recorded.
+    plain = make.request(pictures=[Picture.of("photo", np.zeros((16, 16, 3), np.uint8))])
+    assert plain.key == "ad95deb91565b013ecab0d22328a954dc818ac75d0f93649ff37e5b9818ad9c7"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        lambda make: {"role": "critic"},
+        lambda make: {"system": "You see!"},
+        lambda make: {"prompt": "Which colour ?"},
+        lambda make: {"schema": make.Shade},
+        lambda make: {"pictures": []},
+        lambda make: {"pictures": [Picture.of("crop", make.noise())]},
+        lambda make: {"pictures": [Picture.of("photo", make.noise(1))]},
+        lambda make: {"pictures": [Picture.of("photo", make.noise().reshape(30, 20, 3))]},
+    ],
+)
+def test_key_covers(make, changes):
+    assert make.request(**changes(make)).key != make.request().key
+
+
+def test_key_leaves_out_name_and_compression(make):
+    buffer = io.BytesIO()
+    Image.fromarray(make.noise()).save(buffer, "PNG", compress_level=0, optimize=False)
+    other = Picture("photo", buffer.getvalue())
+    assert other.data != Picture.of("photo", make.noise()).data
+    assert make.request(name="again", pictures=[other]).key == make.request().key
+
+
+def test_jpeg_pictures_are_taken(make):
+    buffer = io.BytesIO()
+    Image.fromarray(make.noise()).save(buffer, "JPEG")
+    picture = Picture("photo", buffer.getvalue())
+    assert (picture.media_type, picture.suffix, picture.size) == ("image/jpeg", ".jpg", (30, 20))
+
+
+def test_other_data_are_no_picture():
+    with pytest.raises(ModelError, match="'photo' must be PNG or JPEG"):
+        Picture("photo", b"GIF89a")
+    with pytest.raises(ModelError, match="'photo' must be uint8"):
+        Picture.of("photo", np.zeros((3, 3, 3)))
+    with pytest.raises(ModelError, match="'photo' cannot be decoded"):
+        _ = Picture("photo", b"\x89PNG\r\n\x1a\nnothing").pixels

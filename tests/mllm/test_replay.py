@@ -1,0 +1,98 @@
+"""Tapes give back what was recorded, in any order, and say what is missing."""
+
+import json
+
+import pytest
+
+from neoworld_mjx.errors import MissingAnswerError, ModelError
+from neoworld_mjx.mllm import Panel, Picture, Tape, find_tape, open_panel
+from neoworld_mjx.mllm.replay import Replay
+
+
+def tape_of(*requests) -> Tape:
+    tape = Tape(photo="ab" * 32, made="by hand")
+    for number, asked in enumerate(requests):
+        tape.put(asked, json.dumps({"name": f"c{number}"}), "m")
+    return tape
+
+
+def test_round_trip_is_byte_for_byte_and_free_of_order(make, tmp_path):
+    asked = [make.request(prompt=f"p{i}", name=f"n{i}") for i in range(3)]
+    one, two = Tape(photo="ab", made="x"), Tape(photo="ab", made="x")
+    for r in asked:
+        one.put(r, '{"name":"ü"}', "m")
+    for r in reversed(asked):
+        two.put(r, '{"name": "ü"}', "m")
+    one.save(tmp_path / "one.tape.json")
+    two.save(tmp_path / "two.tape.json")
+    text = (tmp_path / "one.tape.json").read_text(encoding="utf-8")
+    assert text == (tmp_path / "two.tape.json").read_text(encoding="utf-8")
+    assert "ü" in text
+    assert Tape.load(tmp_path / "one.tape.json") == one
+
+    with Panel(Replay(one, "one")) as panel:
+        answers = panel.ask_many([asked[2], asked[0], asked[1]])
+    assert [a.value for a in answers] == [make.Colour(name="ü")] * 3
+    assert panel.ledger.to_json()["cost_usd"] == 0
+
+
+def test_prose_is_kept_as_it_came(make, tmp_path):
+    tape = Tape()
+    text = 'Well: {"name": "red"}'
+    tape.put(make.request(), text, "m")
+    tape.save(tmp_path / "t.tape.json")
+    with Panel(Replay(Tape.load(tmp_path / "t.tape.json"), "t")) as panel:
+        answer = panel.ask_sync(make.request())
+    assert (answer.text, answer.value.name) == (text, "red")
+
+
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        (lambda make: {"prompt": "other"}, "differs in: prompt\\."),
+        (
+            lambda make: {"pictures": [Picture.of("photo", make.noise(5))]},
+            "differs in: pictures\\.",
+        ),
+        (lambda make: {"schema": make.Shade}, "differs in: schema\\."),
+        (lambda make: {"system": "s", "role": "critic"}, "differs in: role, system\\."),
+        (lambda make: {"prompt": "other", "name": "parsing"}, "nearest entry is 'parse'"),
+        (lambda make: {"prompt": "other", "name": "zzz"}, "the tape holds: parse"),
+    ],
+)
+def test_missing_answer_names_request_and_nearest(make, changes, what):
+    panel = Panel(Replay(tape_of(make.request()), "some.tape.json"))
+    missing = make.request(**changes(make))
+    with panel, pytest.raises(MissingAnswerError, match=what) as caught:
+        panel.ask_sync(missing)
+    message = str(caught.value)
+    assert "some.tape.json" in message
+    assert repr(missing.name) in message
+    assert missing.role in message
+    assert missing.key[:16] in message
+
+
+def test_tape_is_found_by_photo_only(make, tmp_path):
+    tape_of(make.request()).save(tmp_path / "a.tape.json")
+    (tmp_path / "broken.tape.json").write_text("{")
+    found = find_tape("ab" * 32, [tmp_path / "none", tmp_path])
+    assert found is not None
+    assert found[1] == tmp_path / "a.tape.json"
+    assert find_tape("cd" * 32, [tmp_path]) is None
+    assert find_tape(None, [tmp_path]) is None
+    assert find_tape("cd" * 32, [tmp_path / "a.tape.json"]) is not None
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"format": 2}', '{"answers": {"k": {}}}', '{"x": 1}'])
+def test_broken_tape_is_one_message(tmp_path, text):
+    path = tmp_path / "t.tape.json"
+    path.write_text(text)
+    with pytest.raises(ModelError, match="is no tape"):
+        Tape.load(path)
+    with pytest.raises(ModelError, match="No such file"):
+        Tape.load(tmp_path / "missing.tape.json")
+
+
+def test_replay_without_tape_says_where_it_looked(tmp_path):
+    with pytest.raises(MissingAnswerError, match="no tape was recorded for this photo"):
+        open_panel(Panel(Replay(Tape(), "")).options, "replay", photo="00", tapes=[tmp_path])
