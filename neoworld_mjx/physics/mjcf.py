@@ -1,0 +1,315 @@
+"""From descriptions to MuJoCo: the one builder that physics, pictures, checks and exports share.
+
+Names in the model, for an object `o`, part `p`, geom `g`, joint `j`:
+
+    body    o (the root part), o/p (every other part)      joint   o (free), o/j
+    geom    o/g/k (k-th convex piece), o/g/visual          mesh    the name of its geom
+    site    o/s                                            equality o/j (a mimic)
+    key     start (the scene's poses and joint states)     camera  photo
+
+A root body's frame is the object's frame; a child's frame has its origin at its joint's anchor and
+the object's orientation, so every joint sits at its body's origin.
+"""
+
+import math
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from ..spec import (
+    Box,
+    Camera,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    Geom,
+    Joint,
+    ObjectSpec,
+    Part,
+    SceneObject,
+    SceneSpec,
+    Shape,
+    Sphere,
+    inertial,
+    world_poses,
+)
+from ..spec.convex import Piece
+from ..spec.object import joint_value
+from ..spec.pose import Pose, pose
+from ..spec.surface import surface
+
+COLLISION_GROUP, VISUAL_GROUP = 0, 1
+START = "start"
+"""Name of the keyframe with the scene's poses and joint states."""
+
+_TYPES = {
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+    "mesh": mujoco.mjtGeom.mjGEOM_MESH,
+}
+_PRIMITIVES = (Box, Sphere, Capsule, Cylinder, Ellipsoid)
+
+
+def to_mjspec(
+    scene: SceneSpec | ObjectSpec, *, visual: bool = False, timestep: float = 0.002
+) -> mujoco.MjSpec:
+    """Describe a scene, or one free object alone, to MuJoCo.
+
+    Each convex piece becomes a colliding geom of group 0 with its own mesh asset where it needs
+    one. Masses are explicit, from `spec.inertial`. A moving joint's parent and child, with what is
+    fixed to either, never collide; MuJoCo's own filter does that for free objects only. An effort
+    limit becomes the joint's actuatorfrcrange, which binds actuators that a user adds; velocity
+    limits have no counterpart. The rest position of every joint is 0; the scene's own state is the
+    keyframe "start".
+
+    Args:
+        scene: what to describe; an ObjectSpec stands for a scene with that object free at the
+            origin.
+        visual: whether to add, in group 1, smooth geoms that do not collide.
+        timestep: of the simulation [s].
+
+    Returns:
+        A specification without files; the same input gives the same XML to the byte.
+    """
+    if isinstance(scene, ObjectSpec):
+        scene = SceneSpec(name=scene.name, objects=(SceneObject(name=scene.name, spec=scene),))
+    model = mujoco.MjSpec()
+    model.modelname = scene.name
+    model.compiler.degree = False
+    model.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+    model.compiler.alignfree = False
+    model.option.timestep = timestep
+    model.option.gravity = scene.gravity
+    model.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    if scene.camera is not None:
+        _add_camera(model, scene.camera)
+    poses = world_poses(scene)
+    start: list[float] = []
+    for item in scene.objects:
+        start += _add_object(model, item, poses[item.name], visual)
+    if start:
+        model.add_key(name=START, qpos=start)
+    return model
+
+
+def joint_order(spec: ObjectSpec) -> list[Joint]:
+    """List the joints that MuJoCo gives a coordinate, in the order of its qpos: depth first."""
+    return [joint for _, joint in _depth_first(spec) if joint is not None and joint.type != "fixed"]
+
+
+def welded(spec: ObjectSpec) -> dict[str, str]:
+    """Map each part to the part that it moves with: itself, or across fixed joints its ancestor."""
+    group: dict[str, str] = {}
+    for part, joint in spec.ordered:
+        rigid = joint is not None and joint.type == "fixed"
+        group[part.name] = group[joint.parent] if rigid and joint is not None else part.name
+    return group
+
+
+def body_name(item: SceneObject | ObjectSpec, part: str) -> str:
+    """Return the name of the body that a part of an object becomes."""
+    spec = item if isinstance(item, ObjectSpec) else item.spec
+    return item.name if part == spec.root else f"{item.name}/{part}"
+
+
+def _add_camera(model: mujoco.MjSpec, camera: Camera) -> None:
+    at = camera.pose()
+    model.worldbody.add_camera(
+        name="photo",
+        pos=at.pos,
+        quat=at.quat,
+        fovy=math.degrees(camera.fovy),
+        resolution=[camera.width, camera.height_px],
+    )
+
+
+def _add_object(model: mujoco.MjSpec, item: SceneObject, at: Pose, visual: bool) -> list[float]:
+    """Add one object and return its coordinates in the keyframe."""
+    spec = item.spec
+    start: list[float] = []
+    bodies: dict[str, mujoco.MjsBody] = {}
+    origins: dict[str, np.ndarray] = {}
+    for part, joint in _depth_first(spec):
+        if joint is None:
+            origin = np.zeros(3)
+            body = model.worldbody.add_body(name=item.name, pos=at.pos, quat=at.quat)
+            if not item.static:
+                free = body.add_freejoint(name=item.name)
+                free.align = mujoco.mjtAlignFree.mjALIGNFREE_FALSE
+                start += [*at.pos, *at.quat]
+        else:
+            origin = np.array(joint.pos)
+            body = bodies[joint.parent].add_body(
+                name=f"{item.name}/{part.name}", pos=origin - origins[joint.parent]
+            )
+            if joint.type != "fixed":
+                _add_joint(body, item.name, joint)
+                start.append(joint_value(spec, joint, item.joint_state))
+        bodies[part.name], origins[part.name] = body, origin
+        mass = inertial(spec, part)
+        body.mass = mass.mass
+        body.ipos = np.array(mass.pos) - origin
+        body.iquat = mass.quat
+        body.inertia = mass.diagonal
+        body.explicitinertial = True
+        _add_geoms(model, body, item.name, spec, part, origin, visual)
+        for site in spec.sites:
+            if site.part == part.name:
+                body.add_site(name=f"{item.name}/{site.name}", pos=np.array(site.pos) - origin)
+    _add_mimics(model, item)
+    _add_excludes(model, item)
+    return [float(v) for v in start]
+
+
+def _add_joint(body: mujoco.MjsBody, owner: str, joint: Joint) -> None:
+    slide = joint.type == "prismatic"
+    limited = joint.type != "continuous"
+    made = body.add_joint(
+        name=f"{owner}/{joint.name}",
+        type=mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE,
+        axis=joint.axis,
+        limited=int(limited),
+        damping=joint.damping,
+        frictionloss=joint.friction,
+        stiffness=joint.stiffness,
+        armature=joint.armature,
+    )
+    if limited:
+        made.range = [joint.lower, joint.upper]
+    if joint.effort is not None:
+        made.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        made.actfrcrange = [-joint.effort, joint.effort]
+
+
+def _add_geoms(
+    model: mujoco.MjSpec,
+    body: mujoco.MjsBody,
+    owner: str,
+    spec: ObjectSpec,
+    part: Part,
+    origin: np.ndarray,
+    visual: bool,
+) -> None:
+    for geom in part.geoms:
+        material = spec.material(geom.material)
+        look = {"rgba": material.rgba}
+        if geom.role != "visual":
+            for k, piece in enumerate(geom.shape.pieces()):
+                at = geom.pose().then(pose(piece.pos, piece.quat))
+                made = body.add_geom(
+                    name=f"{owner}/{geom.name}/{k}",
+                    group=COLLISION_GROUP,
+                    type=_TYPES[piece.kind],
+                    size=piece.size,
+                    pos=at.pos - origin,
+                    quat=at.quat,
+                    condim=3,
+                    **look,
+                )
+                # Torsional and rolling friction keep MuJoCo's defaults; condim 3 ignores them.
+                made.friction[0] = material.friction
+                if piece.kind == "mesh":
+                    _add_piece_mesh(model, made.name, piece)
+                    made.meshname = made.name
+        if visual and geom.role != "collision":
+            _add_visual(model, body, f"{owner}/{geom.name}/visual", geom, origin, look)
+
+
+def _add_piece_mesh(model: mujoco.MjSpec, name: str, piece: Piece) -> None:
+    mesh = model.add_mesh(name=name)
+    mesh.uservert = np.array(piece.vertices).ravel()
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+
+
+def _add_visual(
+    model: mujoco.MjSpec,
+    body: mujoco.MjsBody,
+    name: str,
+    geom: Geom,
+    origin: np.ndarray,
+    look: dict[str, tuple[float, ...]],
+) -> None:
+    made = body.add_geom(
+        name=name,
+        group=VISUAL_GROUP,
+        contype=0,
+        conaffinity=0,
+        mass=0,
+        pos=geom.pose().pos - origin,
+        quat=geom.quat,
+        **look,
+    )
+    primitive = primitive_piece(geom.shape)
+    if primitive is not None:
+        made.type = _TYPES[primitive.kind]
+        made.size = primitive.size
+        return
+    vertices, faces = surface(geom.shape)
+    mesh = model.add_mesh(name=name)
+    mesh.uservert = vertices.ravel()
+    mesh.userface = faces.ravel()
+    # A surface needs no volume for this one, and visuals have no mass anyway.
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    made.type = mujoco.mjtGeom.mjGEOM_MESH
+    made.meshname = name
+
+
+def primitive_piece(shape: Shape) -> Piece | None:
+    """Return the single piece of a shape that MuJoCo has a primitive geom for, else None."""
+    return shape.pieces()[0] if isinstance(shape, _PRIMITIVES) else None
+
+
+def _add_mimics(model: mujoco.MjSpec, item: SceneObject) -> None:
+    joints = {joint.name: joint for joint in item.spec.joints}
+    for joint in joint_order(item.spec):
+        if joint.mimic is None:
+            continue
+        tie = model.add_equality(
+            name=f"{item.name}/{joint.name}",
+            type=mujoco.mjtEq.mjEQ_JOINT,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            name1=f"{item.name}/{joint.name}",
+        )
+        tie.data[:5] = [joint.mimic.offset, joint.mimic.multiplier, 0.0, 0.0, 0.0]
+        # A leader that cannot move leaves the follower tied to a constant.
+        if joints[joint.mimic.joint].type != "fixed":
+            tie.name2 = f"{item.name}/{joint.mimic.joint}"
+
+
+def _add_excludes(model: mujoco.MjSpec, item: SceneObject) -> None:
+    spec = item.spec
+    group = welded(spec)
+    for joint in spec.joints:
+        if joint.type == "fixed":
+            pairs = [(joint.parent, joint.child)]
+        else:
+            above, below = group[joint.parent], group[joint.child]
+            pairs = [
+                (a.name, b.name)
+                for a in spec.parts
+                for b in spec.parts
+                if group[a.name] == above and group[b.name] == below
+            ]
+        for a, b in pairs:
+            one, two = body_name(item, a), body_name(item, b)
+            model.add_exclude(name=f"{one}:{two}", bodyname1=one, bodyname2=two)
+
+
+def _depth_first(spec: ObjectSpec) -> Iterator[tuple[Part, Joint | None]]:
+    joints = {joint.child: joint for joint in spec.joints}
+
+    def visit(name: str) -> Iterator[tuple[Part, Joint | None]]:
+        yield spec.part(name), joints.get(name)
+        for part in spec.parts:
+            carrier = joints.get(part.name)
+            if carrier is not None and carrier.parent == name:
+                yield from visit(part.name)
+
+    return visit(spec.root)
+
+
+__all__ = ["START", "body_name", "joint_order", "primitive_piece", "to_mjspec", "welded"]

@@ -1,0 +1,380 @@
+import mujoco
+import numpy as np
+import pytest
+
+from neoworld_mjx.physics.mjcf import START, body_name, joint_order, to_mjspec
+from neoworld_mjx.spec import (
+    Box,
+    Cylinder,
+    Geom,
+    HollowBox,
+    Joint,
+    Lathe,
+    Material,
+    Mimic,
+    ObjectSpec,
+    Part,
+    Prism,
+    SceneObject,
+    SceneSpec,
+    Site,
+    Sphere,
+    inertial,
+    link_poses,
+    pieces,
+    world_poses,
+)
+from neoworld_mjx.spec.object import joint_value
+from neoworld_mjx.spec.pose import matrix, pose
+
+WOOD = Material(name="wood", density=600, friction=0.4, rgba=(0.6, 0.4, 0.2, 1))
+
+
+def cabinet() -> ObjectSpec:
+    """A body with a drawer, a door with a fixed knob, a wheel, and a follower of the drawer."""
+    hex_ = tuple((0.01 * np.cos(a), 0.01 * np.sin(a)) for a in np.arange(6) * np.pi / 3)
+    turned = (0.9, 0.1, 0.3, -0.2)
+    return ObjectSpec(
+        name="cabinet",
+        materials=(WOOD,),
+        parts=(
+            Part(
+                name="door",
+                geoms=(
+                    Geom(
+                        name="panel",
+                        shape=Box(size=(0.02, 0.2, 0.3)),
+                        pos=(0.16, -0.1, 0.15),
+                        material="wood",
+                    ),
+                ),
+            ),
+            Part(
+                name="carcass",
+                geoms=(
+                    Geom(
+                        name="case",
+                        shape=HollowBox(size=(0.3, 0.4, 0.3), wall=0.015, open=("+x",)),
+                        pos=(0, 0, 0.15),
+                        material="wood",
+                    ),
+                ),
+            ),
+            Part(
+                name="knob",
+                geoms=(
+                    Geom(
+                        name="stem",
+                        shape=Prism(outline=hex_, height=0.04),
+                        pos=(0.19, -0.18, 0.15),
+                        quat=turned,
+                        material="wood",
+                    ),
+                    Geom(
+                        name="halo",
+                        shape=Sphere(radius=0.02),
+                        pos=(0.2, -0.18, 0.15),
+                        material="wood",
+                        role="visual",
+                    ),
+                ),
+            ),
+            Part(
+                name="drawer",
+                mass=0.7,
+                geoms=(
+                    Geom(
+                        name="tray",
+                        shape=HollowBox(size=(0.2, 0.15, 0.1), wall=0.01),
+                        pos=(0, 0.1, 0.1),
+                        material="wood",
+                    ),
+                    Geom(
+                        name="cup",
+                        shape=Lathe(
+                            profile=((0, 0), (0.02, 0), (0.03, 0.05)), thickness=0.004, sectors=8
+                        ),
+                        pos=(0, 0.1, 0.06),
+                        quat=turned,
+                        material="wood",
+                    ),
+                ),
+            ),
+            Part(
+                name="wheel",
+                geoms=(
+                    Geom(
+                        name="disc",
+                        shape=Cylinder(radius=0.03, height=0.01),
+                        pos=(0, 0.25, 0.2),
+                        quat=(1, 1, 0, 0),
+                        material="wood",
+                    ),
+                ),
+            ),
+            Part(
+                name="flap",
+                geoms=(
+                    Geom(
+                        name="flap",
+                        shape=Box(size=(0.1, 0.1, 0.01)),
+                        pos=(0, 0, 0.33),
+                        material="wood",
+                    ),
+                ),
+            ),
+        ),
+        joints=(
+            Joint(name="grip", type="fixed", parent="door", child="knob", pos=(0.17, -0.18, 0.15)),
+            Joint(
+                name="hinge",
+                type="revolute",
+                parent="carcass",
+                child="door",
+                pos=(0.15, 0.0, 0.1),
+                axis=(0.1, 0, 1),
+                upper=1.6,
+                damping=0.02,
+                friction=0.01,
+                stiffness=0.1,
+                armature=0.003,
+                effort=3.0,
+            ),
+            Joint(
+                name="slide",
+                type="prismatic",
+                parent="carcass",
+                child="drawer",
+                pos=(0.1, 0.1, 0.1),
+                axis=(1, 0, 0.05),
+                upper=0.15,
+            ),
+            Joint(
+                name="spin",
+                type="continuous",
+                parent="drawer",
+                child="wheel",
+                pos=(0, 0.25, 0.2),
+                axis=(0, 1, 0),
+            ),
+            Joint(
+                name="follow",
+                type="revolute",
+                parent="carcass",
+                child="flap",
+                pos=(-0.05, 0, 0.32),
+                axis=(0, -1, 0),
+                lower=-0.1,
+                upper=1.5,
+                mimic=Mimic(joint="slide", multiplier=5.0, offset=0.1),
+            ),
+        ),
+        sites=(Site(name="pull", part="knob", pos=(0.21, -0.18, 0.15)),),
+    )
+
+
+def scene() -> SceneSpec:
+    table = ObjectSpec(
+        name="table",
+        materials=(WOOD,),
+        parts=(
+            Part(
+                name="top",
+                geoms=(
+                    Geom(
+                        name="slab", shape=Box(size=(1, 1, 0.04)), pos=(0, 0, 0.02), material="wood"
+                    ),
+                ),
+            ),
+        ),
+    )
+    return SceneSpec(
+        objects=(
+            SceneObject(name="table", spec=table, environment=True, yaw=0.2),
+            SceneObject(
+                name="box",
+                spec=cabinet(),
+                parent="table",
+                xy=(0.1, -0.2),
+                z=0.05,
+                yaw=0.7,
+                base_tilt=(0.99, 0.1, 0.0, 0.0),
+                joint_state={"hinge": 0.8, "slide": 0.1, "spin": 2.0},
+            ),
+        )
+    )
+
+
+def start(model: mujoco.MjModel) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    return data
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_world_geometry_follows_the_description(fixed):
+    items = scene()
+    if fixed:
+        items = items.model_copy(
+            update={
+                "objects": (
+                    items.objects[0],
+                    items.objects[1].model_copy(update={"fixed_base": True}),
+                )
+            }
+        )
+    model = to_mjspec(items).compile()
+    data = start(model)
+    base = world_poses(items)
+    for item in items.objects:
+        moved = link_poses(item.spec, item.joint_state)
+        for part in item.spec.parts:
+            count: dict[str, int] = {}
+            for geom, piece, at in pieces(part):
+                k = count.get(geom.name, 0)
+                count[geom.name] = k + 1
+                g = model.geom(f"{item.name}/{geom.name}/{k}").id
+                assert model.body(model.geom_bodyid[g]).name == body_name(item, part.name)
+                world = base[item.name].then(moved[part.name]).then(at)
+                if piece.kind != "mesh":
+                    assert np.allclose(data.geom_xpos[g], world.pos, atol=1e-9)
+                    assert np.allclose(
+                        data.geom_xmat[g].reshape(3, 3), matrix(world.quat), atol=1e-9
+                    )
+                    continue
+                mesh = model.geom_dataid[g]
+                assert model.mesh(mesh).name == model.geom(g).name
+                first = model.mesh_vertadr[mesh]
+                vert = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
+                got = vert @ data.geom_xmat[g].reshape(3, 3).T + data.geom_xpos[g]
+                want = world.apply(piece.vertices)
+                assert len(got) == len(want)
+                assert np.abs(got[:, None] - want[None]).max(axis=2).min(axis=0).max() < 1e-7
+            inert = inertial(item.spec, part)
+            body = model.body(body_name(item, part.name)).id
+            assert model.body_mass[body] == pytest.approx(inert.mass, rel=1e-12)
+            centre = base[item.name].then(moved[part.name]).then(pose(inert.pos, inert.quat))
+            assert np.allclose(data.xipos[body], centre.pos, atol=1e-9)
+            a = (
+                data.ximat[body].reshape(3, 3)
+                @ np.diag(model.body_inertia[body])
+                @ data.ximat[body].reshape(3, 3).T
+            )
+            r = matrix(centre.quat)
+            assert np.allclose(a, r @ np.diag(inert.diagonal) @ r.T, rtol=1e-9, atol=1e-15)
+
+
+def test_joints_carry_their_numbers():
+    spec = cabinet()
+    model = to_mjspec(spec).compile()
+    names = [model.joint(j).name for j in range(model.njnt)]
+    assert names == ["cabinet", *(f"cabinet/{joint.name}" for joint in joint_order(spec))]
+    hinge = model.joint("cabinet/hinge")
+    assert hinge.range.tolist() == [0.0, 1.6]
+    assert (hinge.damping, hinge.frictionloss, hinge.stiffness, hinge.armature) == (
+        0.02,
+        0.01,
+        0.1,
+        0.003,
+    )
+    assert hinge.pos.tolist() == [0, 0, 0]
+    assert model.jnt_actfrcrange[hinge.id].tolist() == [-3.0, 3.0]
+    assert not model.jnt_limited[model.joint("cabinet/spin").id]
+    assert model.geom_friction[model.geom("cabinet/tray/0").id][0] == 0.4
+    data = start(model)
+    site = data.site_xpos[model.site("cabinet/pull").id]
+    assert np.allclose(site, (0.21, -0.18, 0.15))
+
+
+def test_a_mimic_stands_where_its_leader_puts_it():
+    items = scene()
+    model = to_mjspec(items).compile()
+    data = start(model)
+    flap = items.objects[1].spec.joints[4]
+    want = joint_value(items.objects[1].spec, flap, items.objects[1].joint_state)
+    assert (
+        data.qpos[model.joint("box/follow").qposadr[0]] == pytest.approx(want) == pytest.approx(0.6)
+    )
+    mujoco.mj_forward(model, data)
+    residual = data.efc_pos[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
+    assert np.allclose(residual, 0.0, atol=1e-12)
+
+
+def test_parts_that_a_joint_connects_never_collide_free_or_fixed():
+    counts = []
+    for fixed in (False, True):
+        items = (
+            scene()
+            .objects[1]
+            .model_copy(
+                update={
+                    "parent": None,
+                    "fixed_base": fixed,
+                    "base_tilt": (1, 0, 0, 0),
+                    "joint_state": {"hinge": 1.5},
+                }
+            )
+        )
+        model = to_mjspec(SceneSpec(objects=(items,))).compile()
+        data = start(model)
+        mujoco.mj_collision(model, data)
+        pairs = {
+            tuple(sorted(model.body(model.geom_bodyid[g]).name for g in pair))
+            for pair in data.contact.geom
+        }
+        counts.append(pairs)
+    assert counts[0] == counts[1]
+    assert not any("box" in pair and "box/knob" in pair for pair in counts[0])
+
+
+def test_visual_geoms_are_seen_only():
+    items = scene()
+    bare, seen = to_mjspec(items).compile(), to_mjspec(items, visual=True).compile()
+    assert bare.ngeom == int(np.sum(bare.geom_group == 0)) == int(np.sum(seen.geom_group == 0))
+    extra = np.flatnonzero(seen.geom_group == 1)
+    assert {seen.geom(g).name for g in extra} == {
+        "table/slab/visual",
+        *(f"box/{geom.name}/visual" for part in cabinet().parts for geom in part.geoms),
+    }
+    assert not seen.geom_contype[extra].any() and not seen.geom_conaffinity[extra].any()
+    assert np.array_equal(bare.body_mass, seen.body_mass)
+    assert np.array_equal(bare.body_inertia, seen.body_inertia)
+
+
+def test_the_same_scene_gives_the_same_bytes():
+    texts = []
+    for _ in range(2):
+        model = to_mjspec(scene(), visual=True)
+        model.compile()
+        texts.append(model.to_xml())
+    assert texts[0] == texts[1]
+    assert mujoco.MjModel.from_xml_string(texts[0]).nmesh == 10 + 4
+
+
+def test_mjx_takes_what_it_can_collide():
+    mjx = pytest.importorskip("mujoco.mjx")
+    ball = ObjectSpec(
+        name="ball",
+        materials=(WOOD,),
+        parts=(
+            Part(
+                name="body",
+                geoms=(
+                    Geom(name="ball", shape=Sphere(radius=0.1), material="wood"),
+                    Geom(
+                        name="cone",
+                        shape=Lathe(profile=((0.1, 0), (0.05, 0.1)), sectors=8),
+                        material="wood",
+                    ),
+                ),
+            ),
+        ),
+    )
+    objects = (
+        scene().objects[0],
+        SceneObject(name="ball", spec=ball, z=0.2),
+    )
+    model = to_mjspec(SceneSpec(objects=objects)).compile()
+    assert mjx.put_model(model).nq == model.nq == 7

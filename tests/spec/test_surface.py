@@ -1,0 +1,77 @@
+import itertools
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.spec import (
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    HollowBox,
+    Lathe,
+    Prism,
+    Sphere,
+)
+from neoworld_mjx.spec.convex import mass_properties
+from neoworld_mjx.spec.surface import corner_normals, surface
+
+FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
+SHAPES = [
+    Box(size=(0.1, 0.2, 0.3)),
+    Sphere(radius=0.1),
+    Capsule(radius=0.05, length=0.2),
+    Cylinder(radius=0.05, height=0.2),
+    Ellipsoid(radii=(0.1, 0.2, 0.05)),
+    Prism(outline=((0, 0), (0, 0.1), (0.2, 0.05)), height=0.1),
+    Lathe(profile=((0.1, 0), (0.02, 0.0), (0.05, 0.1), (0.03, 0.1), (0.02, 0.2), (0.01, 0.2))),
+    Lathe(profile=((0, 0), (0.1, 0.1), (0, 0.3)), sectors=7),
+    Lathe(profile=((0, 0), (0.03, 0), (0.04, 0.08)), thickness=0.003),
+    Lathe(profile=((0.02, 0), (0.03, 0.01), (0.04, 0.08)), thickness=0.003, sectors=12),
+    *(
+        HollowBox(size=(0.3, 0.2, 0.1), wall=0.01, open=open_)
+        for n in range(4)
+        for open_ in itertools.combinations(FACES, n)
+    ),
+]
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.type)
+def test_surfaces_are_closed_outward_and_of_the_right_volume(shape):
+    vertices, faces = surface(shape)
+    edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    codes = edges[:, 0] * len(vertices) + edges[:, 1]
+    assert len(np.unique(codes)) == len(codes)
+    assert set(codes) == set(edges[:, 1] * len(vertices) + edges[:, 0])
+    assert set(faces.ravel()) == set(range(len(vertices)))
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    assert np.linalg.norm(np.cross(b - a, c - a), axis=1).min() > 0
+    volume = np.sum(a * np.cross(b, c)) / 6
+    solid = sum(mass_properties(piece)[0] for piece in shape.pieces())
+    # Colliders of round shapes are coarser than what is seen, and both lie inside the true shape.
+    slack = 0.2 if isinstance(shape, Lathe) else 0.01
+    exact = isinstance(shape, Box | Prism | HollowBox)
+    assert volume == pytest.approx(solid, rel=1e-9 if exact else slack)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    if not isinstance(shape, Prism | Lathe):
+        assert np.allclose(low, -high)
+
+
+def test_normals_are_smooth_around_and_sharp_at_rims():
+    vertices, faces = surface(Cylinder(radius=0.05, height=0.2))
+    normals = corner_normals(vertices, faces)
+    assert np.allclose(np.linalg.norm(normals, axis=2), 1)
+    corners = vertices[faces]
+    side = np.abs(np.ptp(corners[..., 2], axis=1)) > 0.1
+    radial = corners[side] * [1, 1, 0] / 0.05
+    # Within 1.5 degrees: a corner has one or two triangles of the next facet.
+    assert np.sum(normals[side] * radial, axis=2).min() > np.cos(np.radians(1.5))
+    assert np.allclose(np.abs(normals[~side]), [0, 0, 1], atol=1e-12)
+
+
+def test_the_surface_holds_the_corners_of_a_lathes_colliders():
+    shape = SHAPES[8]
+    vertices, _ = surface(shape)
+    corners = np.vstack([piece.vertices for piece in shape.pieces()])
+    gap = np.linalg.norm(corners[:, None] - vertices[None], axis=2).min(axis=1)
+    assert gap.max() < 1e-12
