@@ -6,16 +6,21 @@ the field's description; unknown keys are errors that name the key and its valid
 
 import hashlib
 import json
+import re
 from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from .errors import ConfigError, choices
 
 Role = Literal["reasoner", "programmer", "critic"]
 EngineName = Literal["auto", "mjx", "warp", "native"]
+
+_KEY_HEADER = re.compile(r"authorization|key|token|secret|cookie", re.IGNORECASE)
+_UNSHOWN = ("headers", "base_url")
+"""Options whose wrong values are not shown, as they may hold keys."""
 
 
 class Options(BaseModel):
@@ -27,20 +32,25 @@ class Options(BaseModel):
 class RoleOptions(Options):
     """Which model plays a role of Section 3.2 of the paper."""
 
-    model: str = "claude-sonnet-4-5"
-    max_tokens: int = Field(8192, ge=256)
+    model: str = "claude-sonnet-5-5"
+    max_tokens: int = Field(default=16384, ge=256)
+    """Longest answer, in tokens; with models that think first their thinking is part of it."""
 
 
 class MLLMOptions(Options):
     """How multimodal models are asked."""
 
+    model_config = ConfigDict(hide_input_in_errors=True)
+
     reasoner: RoleOptions = RoleOptions()
-    programmer: RoleOptions = RoleOptions(max_tokens=16384)
+    programmer: RoleOptions = RoleOptions(max_tokens=32768)
     critic: RoleOptions = RoleOptions()
     base_url: str | None = None
     """A server that speaks the provider's API, such as vLLM or Ollama."""
     headers: dict[str, str] = {}
+    """Sent with every call. Keys are named, not written: `{"x-api-key": "${MY_KEY}"}`."""
     timeout_s: float = Field(default=120.0, gt=0)
+    """The longest silence of a server; a call as a whole may take ten times as long."""
     retries: int = Field(default=4, ge=0)
     concurrency: int = Field(default=8, ge=1)
     validation_rounds: int = Field(default=3, ge=1)
@@ -49,81 +59,92 @@ class MLLMOptions(Options):
     prices: Path | None = None
     """YAML of prices in USD per million tokens; None takes the table in the package."""
 
+    @field_validator("headers", "base_url")
+    @classmethod
+    def _keep_keys_out(cls, value: Any) -> Any:
+        """Refuse keys, as a configuration is written into every run."""
+        for name, text in value.items() if isinstance(value, dict) else ():
+            if _KEY_HEADER.search(name) and "${" not in text:
+                raise ValueError(f"{name} would be written into run.json: give it as ${{VARIABLE}}")
+        if isinstance(value, str) and re.search(r"://[^/]*@|[?&][^=]*(key|token)=", value, re.I):
+            raise ValueError("holds a key, which would be written into run.json: use headers")
+        return value
+
 
 class ParseOptions(Options):
     """Step 1, scene parsing."""
 
-    critic_rounds: int = Field(1, ge=0)
-    max_side_px: int = Field(1568, ge=64)
+    critic_rounds: int = Field(default=1, ge=0)
+    max_side_px: int = Field(default=1568, ge=64)
     """Longer side of the picture that the model is shown."""
 
 
 class ProgramOptions(Options):
     """Step 2, procedural asset programming."""
 
-    debug_rounds: int = Field(1, ge=0)
-    critic_rounds: int = Field(1, ge=0)
+    debug_rounds: int = Field(default=1, ge=0)
+    critic_rounds: int = Field(default=1, ge=0)
     sandbox: Literal["monty", "cpython"] = "monty"
-    timeout_s: float = Field(2.0, gt=0)
-    memory_mib: int = Field(64, ge=8)
+    timeout_s: float = Field(default=2.0, gt=0)
+    memory_mib: int = Field(default=64, ge=8)
 
 
 class VerifyOptions(Options):
     """Step 3, object-level physics."""
 
-    duration_s: float = Field(2.0, gt=0)
-    timestep_s: float = Field(0.002, gt=0)
-    drop_height_m: float = Field(0.005, ge=0)
-    impulse_ns_per_kg: float = Field(0.3, ge=0)
+    duration_s: float = Field(default=2.0, gt=0)
+    timestep_s: float = Field(default=0.002, gt=0)
+    drop_height_m: float = Field(default=0.005, ge=0)
+    impulse_ns_per_kg: float = Field(default=0.3, ge=0)
     """Force perturbation: impulse per kilogram, that is the change of speed in m/s."""
-    push_duration_s: float = Field(0.1, gt=0)
-    max_drift_m: float = Field(0.01, gt=0)
-    max_tilt_deg: float = Field(5.0, gt=0)
-    max_depth_m: float = Field(0.001, gt=0)
+    push_duration_s: float = Field(default=0.1, gt=0)
+    max_drift_m: float = Field(default=0.01, gt=0)
+    max_tilt_deg: float = Field(default=5.0, gt=0)
+    max_depth_m: float = Field(default=0.001, gt=0)
 
 
 class ComposeOptions(Options):
     """Step 4, scene composition."""
 
-    gap_m: float = Field(1e-4, ge=0)
+    gap_m: float = Field(default=1e-4, ge=0)
     """Clearance left between a child and the surface it is snapped onto."""
 
 
 class CEMOptions(Options):
     """Step 5, the Cross-Entropy Method (Algorithm 1 and Appendix B of the paper)."""
 
-    population: int = Field(256, ge=2)
-    iterations: int = Field(8, ge=1)
-    elite_ratio: float = Field(0.125, gt=0, le=1)
-    sigma_xy: float = Field(0.05, ge=0)
+    population: int = Field(default=256, ge=2)
+    iterations: int = Field(default=8, ge=1)
+    elite_ratio: float = Field(default=0.125, gt=0, le=1)
+    sigma_xy: float = Field(default=0.05, ge=0)
     """Of the object's horizontal bounding-box diagonal."""
-    sigma_yaw_deg: float = Field(15.0, ge=0)
-    sigma_log_scale: float = Field(0.1, ge=0)
-    sigma_floor: float = Field(0.02, ge=0)
+    sigma_yaw_deg: float = Field(default=15.0, ge=0)
+    sigma_log_scale: float = Field(default=0.1, ge=0)
+    sigma_floor: float = Field(default=0.02, ge=0)
     """Smallest standard deviation, as a fraction of the initial one."""
-    smoothing: float = Field(0.0, ge=0, lt=1)
+    smoothing: float = Field(default=0.0, ge=0, lt=1)
     """Weight of the old mean and deviation in the update; 0 is Algorithm 1."""
     zero_candidate: bool = True
     """Always try the composed layout itself as a candidate."""
-    stop_gain: float = Field(1e-3, ge=0)
+    stop_gain: float = Field(default=1e-3, ge=0)
     """Stop when the elites' mean absolute reward gains less than this in an iteration."""
 
 
 class RewardOptions(Options):
     """R(z) = w_sem S_sem - w_pen D_pen - w_drift D_drift (Section 3.3)."""
 
-    w_sem: float = Field(1.0, ge=0)
-    w_pen: float = Field(1.0, ge=0)
-    w_drift: float = Field(1.0, ge=0)
-    w_scale: float = Field(0.1, ge=0)
+    w_sem: float = Field(default=1.0, ge=0)
+    w_pen: float = Field(default=1.0, ge=0)
+    w_drift: float = Field(default=1.0, ge=0)
+    w_scale: float = Field(default=0.1, ge=0)
     """Weight of the prior that keeps scales near the parsed ones: mean of (log s)^2 over 0.1^2."""
     normalisation: Literal["iteration", "fixed"] = "iteration"
-    d_pen_cap_m: float = Field(0.02, gt=0)
-    d_drift_cap: float = Field(10.0, gt=0)
+    d_pen_cap_m: float = Field(default=0.02, gt=0)
+    d_drift_cap: float = Field(default=10.0, gt=0)
     """In units of the drift scales below: 10 is 10 cm or 50 degrees."""
-    pen_scale_m: float = Field(0.001, gt=0)
-    drift_scale_m: float = Field(0.01, gt=0)
-    tilt_scale_deg: float = Field(5.0, gt=0)
+    pen_scale_m: float = Field(default=0.001, gt=0)
+    drift_scale_m: float = Field(default=0.01, gt=0)
+    tilt_scale_deg: float = Field(default=5.0, gt=0)
     terms: dict[str, float] = {}
     """A user's own reward terms: import path "package.module:function" to weight."""
 
@@ -132,10 +153,10 @@ class RolloutOptions(Options):
     """Free-fall rollouts of candidate layouts."""
 
     engine: EngineName = "auto"
-    duration_s: float = Field(1.0, gt=0)
-    timestep_s: float = Field(0.004, gt=0)
-    record_every_s: float = Field(0.1, gt=0)
-    samples_per_object: int = Field(256, ge=16)
+    duration_s: float = Field(default=1.0, gt=0)
+    timestep_s: float = Field(default=0.004, gt=0)
+    record_every_s: float = Field(default=0.1, gt=0)
+    samples_per_object: int = Field(default=256, ge=16)
     """Surface samples of an object for D_pen."""
 
 
@@ -145,26 +166,26 @@ class RefineOptions(Options):
     cem: CEMOptions = CEMOptions()
     reward: RewardOptions = RewardOptions()
     rollout: RolloutOptions = RolloutOptions()
-    check_duration_s: float = Field(2.0, gt=0)
-    check_timestep_s: float = Field(0.002, gt=0)
-    max_drift_m: float = Field(0.01, gt=0)
-    max_tilt_deg: float = Field(5.0, gt=0)
-    max_depth_m: float = Field(0.001, gt=0)
-    finalists: int = Field(16, ge=1)
+    check_duration_s: float = Field(default=2.0, gt=0)
+    check_timestep_s: float = Field(default=0.002, gt=0)
+    max_drift_m: float = Field(default=0.01, gt=0)
+    max_tilt_deg: float = Field(default=5.0, gt=0)
+    max_depth_m: float = Field(default=0.001, gt=0)
+    finalists: int = Field(default=16, ge=1)
     """How many of the best candidates may be tried in the final check."""
 
 
 class RenderOptions(Options):
     """Ray-cast pictures."""
 
-    width: int = Field(480, ge=16)
-    supersample: int = Field(2, ge=1, le=4)
+    width: int = Field(default=480, ge=16)
+    supersample: int = Field(default=2, ge=1, le=4)
 
 
 class Config(Options):
     """All options of a run."""
 
-    seed: int = Field(0, ge=0)
+    seed: int = Field(default=0, ge=0)
     provider: str = "auto"
     mllm: MLLMOptions = MLLMOptions()
     parse: ParseOptions = ParseOptions()
@@ -210,6 +231,8 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
         if item["type"] == "extra_forbidden":
             keys = _keys_at(model, item["loc"][:-1])
             lines.append(f"unknown key {where}: {choices(str(item['loc'][-1]), keys)}")
+        elif any(name in item["loc"] for name in _UNSHOWN):
+            lines.append(f"{where}: {item['msg']}")
         else:
             shown = repr(item["input"])
             shown = shown if len(shown) <= 80 else shown[:77] + "..."
@@ -245,6 +268,8 @@ def _merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     merged = dict(base)
     for key, value in over.items():
         old = merged.get(key)
-        both = isinstance(old, dict) and isinstance(value, dict)
-        merged[key] = _merge(old, value) if both else value
+        if isinstance(old, dict) and isinstance(value, dict):
+            merged[key] = _merge(old, value)
+        else:
+            merged[key] = value
     return merged

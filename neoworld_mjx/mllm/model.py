@@ -204,6 +204,8 @@ class Reply:
     """What the server said about a refusal."""
     fallback: str | None = None
     """What the provider had to do without, such as structured output."""
+    counted: bool = True
+    """Whether the server counted tokens at all."""
 
 
 class Transient(Exception):

@@ -13,6 +13,7 @@ import concurrent.futures
 import random
 import threading
 from collections.abc import Coroutine, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
@@ -21,7 +22,7 @@ from pydantic import BaseModel
 from ..config import MLLMOptions, RoleOptions
 from ..errors import ModelError
 from .answers import InvalidAnswer, read_answer
-from .ledger import Ledger, load_prices
+from .ledger import Ledger, load_prices, most_tokens
 from .model import Answer, Provider, Rejection, Reply, Request, Transient, Usage
 from .replay import Tape
 from .secrets import scrub
@@ -272,6 +273,8 @@ class Panel:
             except ModelError:
                 self.ledger.add(request.role, role.model, Usage(), failed=True)
                 raise
+            if not reply.counted:
+                reply = replace(reply, usage=most_tokens(request, role.max_tokens))
             self.ledger.add(request.role, role.model, reply.usage)
         if reply.fallback is not None:
             self.ledger.fell_back(reply.fallback)

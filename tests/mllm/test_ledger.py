@@ -1,0 +1,109 @@
+"""The books: prices, what is unknown, and what carries over to a resumed run."""
+
+import pytest
+
+from neoworld_mjx.errors import BudgetError, ConfigError
+from neoworld_mjx.mllm import Ledger, Price, Usage, load_prices
+from neoworld_mjx.mllm.ledger import most_tokens, price_of
+
+PRICES = {"m": Price(input=1, output=10, cache_read=0.1, cache_write=2)}
+
+
+def test_cost_counts_every_kind_of_token():
+    price = PRICES["m"]
+    assert price.cost(Usage(1_000_000)) == 1
+    assert price.cost(Usage(output=1_000_000)) == 10
+    assert price.cost(Usage(cache_read=1_000_000)) == pytest.approx(0.1)
+    assert price.cost(Usage(cache_write=1_000_000)) == 2
+    assert Price(input=3, output=0).cost(Usage(cache_read=10**6, cache_write=10**6)) == 6
+
+
+def test_default_models_have_a_price_and_users_prices_win(tmp_path):
+    from neoworld_mjx.config import RoleOptions
+
+    prices = load_prices()
+    assert price_of(RoleOptions().model, prices) is not None
+    path = tmp_path / "p.yaml"
+    path.write_text("claude-sonnet-5-5: {input: 7, output: 8}\nmine: {input: 0, output: 0}\n")
+    mixed = load_prices(path)
+    assert mixed["claude-sonnet-5-5"].input == 7
+    assert mixed["claude-haiku-4-5"] == prices["claude-haiku-4-5"]
+
+
+@pytest.mark.parametrize(
+    ("model", "found"),
+    [
+        ("m", True),
+        ("m-20250929", True),
+        ("m-latest", True),
+        ("m-2024-08-06", True),
+        ("m-mini", False),
+        ("m-2", False),
+        ("x", False),
+    ],
+)
+def test_dated_names_take_the_price_of_their_model(model, found):
+    assert (price_of(model, PRICES) is not None) == found
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("m: {input: 1}", "m.output: Field required"),
+        ("m: {input: -1, output: 1}", "m.input"),
+        ("m: {input: 1, output: 1, extra: 2}", "m.extra"),
+        ("- 1", "dictionary"),
+        ("m: {", "not valid YAML"),
+    ],
+)
+def test_wrong_prices_are_one_message(tmp_path, text, words):
+    path = tmp_path / "p.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=words) as caught:
+        load_prices(path)
+    assert str(path) in str(caught.value)
+    with pytest.raises(ConfigError, match="cannot read prices"):
+        load_prices(tmp_path / "none.yaml")
+
+
+def test_unknown_price_is_unknown_cost():
+    ledger = Ledger(None, PRICES)
+    ledger.add("critic", "m", Usage(1_000_000))
+    ledger.add("critic", "x", Usage(5))
+    books = ledger.to_json()
+    assert books["cost_usd"] is None
+    assert books["known_cost_usd"] == 1
+    assert books["models_without_price"] == ["x"]
+    assert books["tokens"]["input"] == 1_000_005
+
+
+def test_carry_continues_the_books(make):
+    first = Ledger(2.0, PRICES)
+    first.add("critic", "m", Usage(1_000_000), failed=True)
+    first.fell_back("asked in words")
+    second = Ledger(2.0, PRICES)
+    second.carry(first.to_json())
+    assert second.to_json() == first.to_json()
+    bound = second.bound(make.request(), "m", 100_000)
+    assert bound > 1
+    assert not second.fits(bound)
+    assert isinstance(second.refuse(make.request(), bound), BudgetError)
+
+
+def test_bound_lies_above_any_call_of_the_same_request(make):
+    ledger = Ledger(1.0, PRICES)
+    asked = make.request(prompt="word " * 1000)
+    # English text has about four letters a token; pictures a token for 750 pixels.
+    real = Usage(len(asked.prompt) // 4 + 30 * 20 // 750 + 400, 256)
+    assert ledger.bound(asked, "m", 256) > PRICES["m"].cost(real)
+    assert most_tokens(asked, 256).output == 256
+
+
+def test_calls_under_way_are_held_against_the_cap():
+    ledger = Ledger(1.0, PRICES)
+    ledger.hold(0.6)
+    assert not ledger.fits(0.5)
+    assert ledger.fits(0.5, others=False)
+    ledger.release(0.6)
+    assert ledger.reserved_usd == 0
+    assert ledger.fits(0.5)
