@@ -1,0 +1,329 @@
+import errno
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.config import Config, load_config
+from neoworld_mjx.errors import RunError
+from neoworld_mjx.run_folder import RunFolder, read_run
+
+
+def _two_steps(out, config=None, *, text="tree", ran=None, **options):
+    """A small pipeline: compose upper-cases what parse wrote."""
+    ran = [] if ran is None else ran
+    with RunFolder(out, config or Config(), **options) as run:
+        with run.step("parse", {"text": text}) as stage:
+            if stage is not None:
+                ran.append("parse")
+                (stage / "tree.json").write_text(text)
+        with run.step("compose", {"tree": out / "tree.json"}) as stage:
+            if stage is not None:
+                ran.append("compose")
+                (stage / "objects").mkdir()
+                (stage / "objects" / "scene.txt").write_text((out / "tree.json").read_text() * 2)
+        run.finish()
+    return ran
+
+
+def test_a_run_leaves_its_files_and_what_repeats_it(tmp_path):
+    out = tmp_path / "deep" / "out"
+    _two_steps(out)
+    data = read_run(out)
+    assert (out / "objects" / "scene.txt").read_text() == "treetree"
+    assert data["status"] == "finished"
+    assert data["fingerprint"] == Config().fingerprint()
+    assert data["config"]["refine"]["cem"]["population"] == 256
+    assert {"python", "mujoco", "jax", "numpy"} <= set(data["versions"])
+    assert set(data["steps"]) == {"parse", "compose"}
+    assert not (out / ".staging").exists()
+
+
+def test_resume_skips_what_has_not_changed_and_redoes_what_has(tmp_path):
+    out = tmp_path / "out"
+    assert _two_steps(out) == ["parse", "compose"]
+    assert _two_steps(out, resume=True) == []
+    assert _two_steps(out, resume=True, text="bush") == ["parse", "compose"]
+    (out / "objects" / "scene.txt").unlink()
+    assert _two_steps(out, resume=True, text="bush") == ["compose"]
+
+
+def test_a_step_that_writes_the_same_again_does_not_wake_the_next(tmp_path):
+    out = tmp_path / "out"
+    _two_steps(out)
+    (out / "tree.json").unlink()
+    assert _two_steps(out, resume=True) == ["parse"]
+
+
+def test_a_damaged_output_is_made_again_and_the_changed_file_kept(tmp_path):
+    out = tmp_path / "out"
+    _two_steps(out)
+    for edit in ("mine", "mine too"):
+        (out / "tree.json").write_text(edit)
+        assert _two_steps(out, resume=True) == ["parse"]
+    assert (out / "tree.json").read_text() == "tree"
+    assert (out / "replaced" / "tree.json").read_text() == "mine"
+    assert (out / "replaced" / "tree.json.old").read_text() == "mine too"
+
+
+def test_from_keeps_edits_before_the_step_and_so_does_a_later_resume(tmp_path):
+    out = tmp_path / "out"
+    _two_steps(out)
+    (out / "tree.json").write_text("edited")
+    assert _two_steps(out, start="compose") == ["compose"]
+    assert (out / "objects" / "scene.txt").read_text() == "editededited"
+    assert read_run(out)["steps"]["parse"]["edited"] == ["tree.json"]
+    assert _two_steps(out, resume=True) == []
+
+
+def test_from_redoes_the_step_and_all_after_it(tmp_path):
+    out = tmp_path / "out"
+    _two_steps(out)
+    assert _two_steps(out, start="parse") == ["parse", "compose"]
+
+
+def test_an_existing_run_is_not_touched_unasked(tmp_path):
+    out = tmp_path / "out"
+    _two_steps(out)
+    before = (out / "run.json").read_bytes()
+    with pytest.raises(RunError, match=r"--resume.*--from STEP.*--overwrite"):
+        RunFolder(out, Config())
+    assert (out / "run.json").read_bytes() == before
+
+
+def test_overwrite_deletes_what_the_run_wrote_and_nothing_else(tmp_path):
+    out = tmp_path / "out"
+    _two_steps(out)
+    (out / "notes.txt").write_text("mine")
+    with RunFolder(out, Config(), overwrite=True):
+        assert not (out / "tree.json").exists()
+        assert not (out / "objects").exists()
+    assert (out / "notes.txt").read_text() == "mine"
+    assert _two_steps(out, overwrite=True) == ["parse", "compose"]
+
+
+def test_what_a_finished_run_no_longer_has_is_deleted(tmp_path):
+    out = tmp_path / "out"
+    for names in (["cup", "spoon"], ["cup"]):
+        with RunFolder(out, Config(), resume=True) as run:
+            for name in names:
+                with run.step(f"program/{name}", {"name": name}) as stage:
+                    if stage is not None:
+                        (stage / "objects" / name).mkdir(parents=True)
+                        (stage / "objects" / name / "spec.json").write_text(name)
+            run.finish()
+    assert [path.name for path in (out / "objects").iterdir()] == ["cup"]
+
+
+def test_a_step_done_again_drops_the_files_it_no_longer_writes(tmp_path):
+    out = tmp_path / "out"
+    for name in ("a", "b"):
+        with RunFolder(out, Config(), resume=True) as run:
+            with run.step("export", {"name": name}) as stage:
+                assert stage is not None
+                (stage / name).write_text(name)
+    assert not (out / "a").exists()
+    assert (out / "b").exists()
+
+
+@pytest.mark.parametrize("what", ["file", "foreign", "foreign run.json", "below a file"])
+def test_folders_that_are_refused_are_left_as_they_are(tmp_path, what):
+    out = tmp_path / "out"
+    if what == "file":
+        out.write_text("precious")
+    elif what == "below a file":
+        (tmp_path / "file").write_text("precious")
+        out = tmp_path / "file" / "out"
+    else:
+        out.mkdir()
+        (out / ("photos.txt" if what == "foreign" else "run.json")).write_text("{}")
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(RunError) as caught:
+        RunFolder(out, Config(), resume=True)
+    assert str(out if what != "below a file" else out.parent) in str(caught.value)
+    assert [p for p in sorted(tmp_path.rglob("*")) if p.name != ".lock"] == before
+
+
+def test_a_folder_that_cannot_be_made_is_one_message():
+    with pytest.raises(RunError, match="cannot write /proc/nowhere"):
+        RunFolder(Path("/proc/nowhere/out"), Config())
+
+
+def test_a_second_run_in_the_same_folder_is_refused_until_the_first_ends(tmp_path):
+    with RunFolder(tmp_path / "out", Config()):
+        with pytest.raises(RunError, match=f"in use by another run .process {os.getpid()}"):
+            RunFolder(tmp_path / "out", Config(), resume=True)
+    with RunFolder(tmp_path / "out", Config(), resume=True):
+        pass
+
+
+def test_a_failed_step_leaves_no_file_and_says_failed(tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(ZeroDivisionError), RunFolder(out, Config()) as run:
+        with run.step("parse", {}) as stage:
+            assert stage is not None
+            (stage / "tree.json").write_text("half")
+            1 / 0  # noqa: B018
+    assert sorted(p.name for p in out.iterdir()) == [".lock", "run.json"]
+    assert read_run(out)["status"] == "failed"
+    assert read_run(out)["steps"] == {}
+    assert _two_steps(out, resume=True) == ["parse", "compose"]
+
+
+def test_a_missing_input_names_the_file(tmp_path):
+    with RunFolder(tmp_path / "out", Config()) as run:
+        with pytest.raises(RunError, match=r"compose needs .*tree\.json.*--from STEP"):
+            with run.step("compose", {"tree": run.path / "tree.json"}):
+                pass
+
+
+def test_misspelt_steps_name_the_choices(tmp_path):
+    with pytest.raises(RunError, match="did you mean 'refine'"):
+        RunFolder(tmp_path / "out", Config(), start="refin")
+    with RunFolder(tmp_path / "out", Config()) as run:
+        with pytest.raises(RunError, match="valid are: parse"), run.step("pars", {}):
+            pass
+
+
+def test_fallbacks_belong_to_their_step_and_go_when_it_is_done_again(tmp_path):
+    out = tmp_path / "out"
+    with RunFolder(out, Config()) as run:
+        for step in ("parse", "refine"):
+            with run.step(step, {}):
+                run.fallback(step, "native", "no GPU")
+                run.fallback(step, "native", "no GPU")
+    assert len(read_run(out)["fallbacks"]) == 2
+    with RunFolder(out, Config(), start="refine") as run:
+        with run.step("parse", {}), run.step("refine", {}):
+            pass
+    assert read_run(out)["fallbacks"] == [{"step": "parse", "what": "native", "why": "no GPU"}]
+
+
+def test_metrics_take_numpy_numbers_and_keep_run_json_strict(tmp_path):
+    with RunFolder(tmp_path / "out", Config()) as run:
+        run.record("metrics", depth=np.float32(0.5), drift=float("nan"), best=-np.inf)
+    text = (tmp_path / "out" / "run.json").read_text()
+    data = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} in run.json"))
+    assert data["metrics"] == {"depth": 0.5, "drift": None, "best": None}
+
+
+def test_seconds_add_up_over_the_parts_of_a_step(tmp_path):
+    with RunFolder(tmp_path / "out", Config()) as run:
+        for name in ("program/cup", "program/spoon"):
+            with run.step(name, {}):
+                time.sleep(0.02)
+        assert 0.04 <= run.seconds()["program"] < 1.0
+
+
+def test_header_values_stay_out_of_run_json(tmp_path):
+    headers = {"x-mine": "hunter2", "authorization": "${TOKEN}"}
+    with RunFolder(tmp_path / "out", load_config(None, {"mllm": {"headers": headers}})):
+        pass
+    text = (tmp_path / "out" / "run.json").read_text()
+    assert "hunter2" not in text
+    assert "${TOKEN}" in text
+
+
+@pytest.mark.parametrize("writer", ["os", "own error"])
+def test_a_full_disk_is_one_message_and_the_run_goes_on_after(tmp_path, monkeypatch, writer):
+    out = tmp_path / "out"
+
+    def fails():
+        if writer == "os":
+            raise OSError(errno.ENOSPC, "No space left on device", str(out / "x"))
+        monkeypatch.setattr("neoworld_mjx.run_folder.disk_full", lambda path: True)
+        raise RuntimeError("layer could not be saved")
+
+    with pytest.raises(RunError, match=r"no space left.*--resume"), RunFolder(out, Config()) as run:
+        with run.step("parse", {}):
+            fails()
+    monkeypatch.undo()
+    assert _two_steps(out, resume=True) == ["parse", "compose"]
+
+
+def test_a_really_full_disk(tmp_path):
+    if os.geteuid() != 0:
+        pytest.skip("only root may mount a small tmpfs")
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=128k", "tmpfs", disk]).returncode != 0:
+        pytest.skip("mounting is not allowed here")
+    try:
+        with (
+            pytest.raises(RunError, match=f"no space left on the disk of {disk}"),
+            RunFolder(disk / "out", Config()) as run,
+            run.step("parse", {}) as stage,
+        ):
+            assert stage is not None
+            (stage / "tree.json").write_text("x" * 1_000_000)
+        assert read_run(disk / "out")["status"] == "failed"
+        assert not (disk / "out" / "tree.json").exists()
+        assert _two_steps(disk / "out", resume=True) == ["parse", "compose"]
+    finally:
+        subprocess.run(["umount", disk], check=True)
+
+
+_KILLED = """
+import sys, time
+from pathlib import Path
+from neoworld_mjx.config import Config
+from neoworld_mjx.run_folder import RunFolder
+out = Path(sys.argv[1])
+with RunFolder(out, Config(), resume=True) as run:
+    print("begun", flush=True)
+    before = b""
+    for step in ("parse", "program/a", "program/b", "compose", "export"):
+        with run.step(step, {"before": before}) as stage:
+            if stage is not None:
+                with open(sys.argv[2], "a") as log:
+                    log.write(step + " ")
+                for i in range(20):
+                    (stage / f"{step.replace('/', '.')}_{i}").write_bytes(before + bytes([i]) * 999)
+                    time.sleep(0.0005)
+        before = (out / f"{step.replace('/', '.')}_3").read_bytes()
+    run.finish()
+"""
+
+
+def test_killed_at_random_moments_it_resumes_to_the_same_files(tmp_path):
+    def start(out):
+        return subprocess.Popen(
+            [sys.executable, "-c", _KILLED, str(out), str(tmp_path / "log")],
+            stdout=subprocess.PIPE,
+        )
+
+    assert start(tmp_path / "whole").wait() == 0
+    (tmp_path / "log").unlink()
+    draw = random.Random(0)
+    out = tmp_path / "killed"
+    kills = 0
+    while True:
+        process = start(out)
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(draw.uniform(0, 0.05))
+        done = read_run(out)["steps"] if (out / "run.json").exists() else {}
+        for name, entry in done.items():
+            assert all((out / path).exists() for path in entry["outputs"]), name
+        process.send_signal(signal.SIGKILL)
+        if process.wait() == 0:
+            break
+        kills += 1
+        assert kills < 40
+
+    def contents(path):
+        hidden = (".lock", "run.json")
+        return {p.name: p.read_bytes() for p in path.iterdir() if p.name not in hidden}
+
+    assert kills >= 2
+    assert contents(out) == contents(tmp_path / "whole")
+    assert read_run(out)["status"] == "finished"
+    # Each kill costs at most the one step that was under way.
+    assert len((tmp_path / "log").read_text().split()) <= 5 + kills
