@@ -39,6 +39,8 @@ class SceneObject(Spec):
     """Joint values [rad or m]; joints not named stand at 0."""
     box2d: Box2D | None = None
     """Where the photograph shows it."""
+    occluded: bool = False
+    """Whether `box2d` shows only a part of it."""
     depth: Number | None = None
     """Parsed distance of its centre along the view [m]."""
     parsed_size: Vec3 | None = None

@@ -1,0 +1,120 @@
+"""What a rollout is, and which engine computes it."""
+
+import enum
+from typing import Protocol
+
+import equinox as eqx
+from jaxtyping import Array, Float, Int
+
+from ..config import EngineName
+from ..errors import EngineError, choices
+from .layout import Layout, Poses
+from .model import SceneModel
+
+
+class RolloutStatus(enum.IntEnum):
+    """How a candidate's rollout ended."""
+
+    OK = 0
+    SETTLED = 1
+    """Stopped early at rest; its last pose stands for the rest of the time."""
+    DRIFTED = 2
+    """Stopped early because it had drifted past the cap, where D_drift is clipped anyway."""
+    FAILED = 3
+    """Not a number, or diverged; its reward is minus infinity."""
+    TRUNCATED = 4
+    """Contacts were dropped by an engine's cap and no other engine could take over."""
+
+
+class EarlyStop(eqx.Module):
+    """When a candidate's rollout may end before its time.
+
+    Settled: every speed and acceleration below the bounds in two consecutive checks, not before
+    `after`. Drifted: an object moved further than `drift` or turned more than `tilt`.
+    """
+
+    after: float = 0.25
+    """[s]"""
+    speed: float = 0.01
+    """[m/s or rad/s]"""
+    acceleration: float = 0.2
+    """[m/s^2 or rad/s^2]"""
+    drift: float = 0.1
+    """[m]"""
+    tilt: float = 0.8726646
+    """[rad]"""
+
+
+class Rollout(eqx.Module):
+    """Poses of every object of every candidate over time; movable bases move, others do not."""
+
+    time: Float[Array, " time"]
+    """[s], without the start."""
+    pos: Float[Array, "pop time object 3"]
+    """Object origins in the world [m]."""
+    quat: Float[Array, "pop time object 4"]
+    """Rotations, w first."""
+    status: Int[Array, " pop"]
+    """RolloutStatus of each candidate."""
+    start: Poses
+    """Where the layouts put the objects."""
+    steps: Int[Array, " pop"]
+    """Steps that were simulated."""
+
+
+class Engine(Protocol):
+    """Rolls candidate layouts of a scene out under gravity."""
+
+    name: str
+
+    def rollout(
+        self,
+        scene: SceneModel,
+        layouts: Layout,
+        *,
+        duration: float = 1.0,
+        record_every: float = 0.1,
+        early_stop: EarlyStop | None = None,
+    ) -> Rollout:
+        """Simulate every candidate from rest at its snapped pose.
+
+        Args:
+            scene: the compiled scene; its time step is used.
+            layouts: the candidates.
+            duration: simulated time [s].
+            record_every: time between recorded poses [s].
+            early_stop: rules for stopping candidates early; None simulates all of them to the end.
+
+        Returns:
+            Poses and a status per candidate; a candidate that fails never raises.
+        """
+        ...
+
+
+def open_engine(name: EngineName = "auto") -> Engine:
+    """Return an engine by name.
+
+    `auto` is warp on an NVIDIA GPU when it is installed, else mjx on an accelerator, else native.
+
+    Raises:
+        EngineError: the engine is unknown, or cannot run here.
+    """
+    if name == "auto":
+        import jax
+
+        name = "native" if jax.default_backend() == "cpu" else "mjx"
+    if name == "native":
+        from .native import NativeEngine
+
+        return NativeEngine()
+    if name == "mjx":
+        from .mjx_engine import MjxEngine
+
+        return MjxEngine()
+    raise EngineError(f"engine: {choices(name, ['auto', 'mjx', 'native'])}")
+
+
+def record_steps(timestep: float, duration: float, record_every: float) -> tuple[int, int]:
+    """Split a rollout into (number of records, steps between them)."""
+    every = max(1, round(record_every / timestep))
+    return max(1, round(duration / (every * timestep))), every

@@ -1,0 +1,312 @@
+"""SceneModel: a scene compiled once, and what a layout changes in its MuJoCo model.
+
+`leaves` turns placed candidates into per-candidate values of MjModel fields; nothing is recompiled.
+The law of scaling is that of `spec.scale`: compiling a rearranged scene gives the same fields.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from neoworld_kernels import Solids
+
+from ..errors import SpecError
+from ..spec import SceneSpec, bounds, rearranged
+from ..spec.scale import joint_exponents, mass_exponent, mimic_exponents
+from .layout import Arrangement, Layout, Poses, arrange, compose_poses, diagonal, heights
+from .mjcf import to_mjspec
+from .solids import solids, surface_samples
+
+FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
+MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
+
+
+class Powers(NamedTuple):
+    """The power of its object's scale that each entry of an MjModel field follows."""
+
+    body_mass: np.ndarray
+    body_inertia: np.ndarray
+    jnt_range: np.ndarray
+    jnt_stiffness: np.ndarray
+    jnt_actfrcrange: np.ndarray
+    dof_armature: np.ndarray
+    dof_damping: np.ndarray
+    dof_frictionloss: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Host:
+    """What stays on the host; compared by identity, so that it can be static under `jit`."""
+
+    spec: SceneSpec
+    mjm: mujoco.MjModel
+    arrangement: Arrangement
+    names: tuple[str, ...]
+    root: np.ndarray
+    """Body of each object's root part, shape [object]."""
+    body_object: np.ndarray
+    """Object of each body, -1 for the world, shape [nbody]."""
+    geom_object: np.ndarray
+    jnt_object: np.ndarray
+    dof_object: np.ndarray
+    powers: Powers
+    start: np.ndarray
+    """qpos of the composed scene, shape [nq]."""
+
+
+class SceneModel(eqx.Module):
+    """A compiled scene: one compile, any number of layouts.
+
+    Pass it to jitted functions as it is; `host` is static.
+    """
+
+    host: Host = eqx.field(static=True)
+    samples: Float[Array, "object sample 3"]
+    """Surface points in object frames [m]."""
+    solids: Solids
+    """Canonical colliders in object frames."""
+    optimised: Bool[Array, " object"]
+    """Objects that CEM moves: all but environment supports."""
+    movable: Bool[Array, " object"]
+    """Objects whose base is free."""
+    diagonal: Float[Array, " object"]
+    """Horizontal bounding-box diagonal [m]."""
+    corners: Float[Array, "object 8 3"]
+    """Corners of each object's box in its frame, as posed [m]."""
+    pair_mask: Bool[Array, "object object"]
+    """Pairs that can penetrate by a layout's fault: not both environment supports."""
+
+    @property
+    def spec(self) -> SceneSpec:
+        """The composed scene."""
+        return self.host.spec
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Object names, in the order of the object axis."""
+        return self.host.names
+
+    def place(self, layouts: Layout) -> Poses:
+        """Place every object of every candidate; see `layout.place`. Traceable."""
+        a = self.host.arrangement
+        return compose_poses(a, layouts, heights(a, layouts))
+
+    def apply(self, layouts: Layout, index: int, poses: Poses | None = None) -> SceneSpec:
+        """Write one candidate into the scene's description.
+
+        Args:
+            layouts: the candidates.
+            index: which.
+            poses: where `place` put the candidates; the heights are taken from here, since snapping
+                one candidate alone may round differently in the last bit of single precision.
+        """
+        poses = self.place(layouts) if poses is None else poses
+        return rearranged(
+            self.spec,
+            np.asarray(layouts.xy[index], float),
+            np.asarray(layouts.yaw[index], float),
+            np.asarray(layouts.log_scale[index], float),
+            np.asarray(poses.height[index], float),
+        )
+
+
+def compile_scene(
+    scene: SceneSpec,
+    *,
+    timestep: float = 0.004,
+    samples: int = 256,
+    reach: float | None = None,
+    gap: float = 1e-4,
+) -> SceneModel:
+    """Compile a composed scene.
+
+    Args:
+        scene: the scene; its zero layout.
+        timestep: of rollouts [s].
+        samples: surface samples of each object for D_pen.
+        reach: how far [m] objects may move and still be snapped; see `layout.arrange`.
+        gap: clearance under snapped objects [m].
+
+    Raises:
+        SpecError: MuJoCo cannot compile the scene; the message is MuJoCo's.
+    """
+    try:
+        mjm = to_mjspec(scene, timestep=timestep).compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise SpecError(f"scene {scene.name} does not compile: {error}") from None
+    # Without this MuJoCo puts a diverged simulation back to its start, where it would look stable.
+    mjm.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    names = tuple(item.name for item in scene.objects)
+    owner = np.array([_owner(mjm.body(b).name, names) for b in range(mjm.nbody)])
+    host = Host(
+        spec=scene,
+        mjm=mjm,
+        arrangement=arrange(scene, reach=reach, gap=gap),
+        names=names,
+        root=np.array([mjm.body(name).id for name in names]),
+        body_object=owner,
+        geom_object=owner[mjm.geom_bodyid],
+        jnt_object=owner[mjm.jnt_bodyid],
+        dof_object=owner[mjm.dof_bodyid] if mjm.nv else np.zeros(0, int),
+        powers=_powers(scene, mjm),
+        start=mjm.key("start").qpos.copy() if mjm.nq else np.zeros(0),
+    )
+    boxes = [bounds(item.spec, item.joint_state) for item in scene.objects]
+    unit = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    environment = np.array([item.environment for item in scene.objects])
+    return SceneModel(
+        host=host,
+        samples=jnp.stack([surface_samples(o, samples) for o in scene.objects]),
+        solids=solids(scene.objects),
+        optimised=jnp.asarray(~environment),
+        movable=jnp.asarray([not item.static for item in scene.objects]),
+        diagonal=jnp.asarray([diagonal(item) for item in scene.objects], jnp.float32),
+        corners=jnp.asarray([a + unit * (b - a) for a, b in boxes], jnp.float32),
+        pair_mask=jnp.asarray(
+            ~np.eye(len(names), dtype=bool) & ~(environment[:, None] & environment)
+        ),
+    )
+
+
+def leaves(scene: SceneModel, layouts: Layout, poses: Poses, xp: Any = jnp) -> dict[str, Any]:
+    """Compute the MjModel fields that candidates differ in, each with a leading [pop] axis.
+
+    Fields that MuJoCo derives from these (mj_setConst, bounding volumes) are not among them, but
+    for the bounding radii and boxes of geoms, which scale as they are. "qpos" is the start state.
+
+    Args:
+        scene: the compiled scene.
+        layouts: the candidates.
+        poses: where `place` put them.
+        xp: `numpy` for double precision on the host, or `jnp`.
+    """
+    h, m = scene.host, scene.host.mjm
+    pop = poses.scale.shape[0]
+    padded = xp.concatenate([poses.scale, xp.ones_like(poses.scale[:, :1])], axis=1)
+    # Index -1, the world, meets the column of ones at the end.
+    body, geom = padded[:, h.body_object], padded[:, h.geom_object]
+    jnt, dof = padded[:, h.jnt_object], padded[:, h.dof_object]
+    p = h.powers
+
+    body_pos, body_quat = _spread(m.body_pos, pop, xp), _spread(m.body_quat, pop, xp)
+    body_pos = _put(body_pos * body[..., None], h.root, poses.pos, xp)
+    body_quat = _put(body_quat, h.root, poses.quat, xp)
+    slide = m.jnt_type == SLIDE
+    qpos = _spread(h.start, pop, xp)
+    qpos0 = _spread(m.qpos0, pop, xp)
+    slides = m.jnt_qposadr[slide]
+    qpos = _put(qpos, slides, qpos[:, slides] * jnt[:, slide], xp)
+    for j in np.flatnonzero(m.jnt_type == FREE):
+        owner, adr = h.jnt_object[j], m.jnt_qposadr[j]
+        seven = xp.concatenate([poses.pos[:, owner], poses.quat[:, owner]], axis=-1)
+        qpos, qpos0 = (_put(q, np.arange(adr, adr + 7), seven, xp) for q in (qpos, qpos0))
+    found = {
+        "body_pos": body_pos,
+        "body_quat": body_quat,
+        "body_ipos": m.body_ipos * body[..., None],
+        "body_mass": m.body_mass * body**p.body_mass,
+        "body_inertia": m.body_inertia * (body**p.body_inertia)[..., None],
+        "geom_pos": m.geom_pos * geom[..., None],
+        "geom_size": m.geom_size * geom[..., None],
+        "geom_rbound": m.geom_rbound * geom,
+        "geom_aabb": m.geom_aabb.reshape(-1, 6) * geom[..., None],
+        "jnt_pos": m.jnt_pos * jnt[..., None],
+        "jnt_range": m.jnt_range * (jnt**p.jnt_range)[..., None],
+        "jnt_stiffness": _times(m.jnt_stiffness, jnt**p.jnt_stiffness),
+        "jnt_actfrcrange": m.jnt_actfrcrange * (jnt**p.jnt_actfrcrange)[..., None],
+        "dof_armature": m.dof_armature * dof**p.dof_armature,
+        "dof_damping": _times(m.dof_damping, dof**p.dof_damping),
+        "dof_frictionloss": m.dof_frictionloss * dof**p.dof_frictionloss,
+        "qpos0": qpos0,
+        "qpos_spring": qpos0,
+        "qpos": qpos,
+    }
+    if m.neq:
+        found["eq_data"] = _mimics(scene, jnt, xp)
+    if m.nsite:
+        found["site_pos"] = m.site_pos * padded[:, h.body_object[m.site_bodyid]][..., None]
+    return found
+
+
+def _mimics(scene: SceneModel, jnt: Any, xp: Any) -> Any:
+    m = scene.host.mjm
+    factor = xp.ones((jnt.shape[0], *m.eq_data.shape), jnt.dtype)
+    joints = {}
+    for item in scene.spec.objects:
+        joints |= {f"{item.name}/{joint.name}": joint for joint in item.spec.joints}
+    for e in range(m.neq):
+        follower, leader = m.eq_obj1id[e], m.eq_obj2id[e]
+        multiplier, offset = mimic_exponents(
+            joints[m.joint(follower).name], joints[m.joint(leader).name]
+        )
+        own = jnt[:, follower]
+        pair = xp.stack([own**offset, own**multiplier], axis=-1)
+        factor = _put(
+            factor.reshape(jnt.shape[0], -1), e * m.eq_data.shape[1] + np.arange(2), pair, xp
+        )
+        factor = factor.reshape(jnt.shape[0], *m.eq_data.shape)
+    return m.eq_data * factor
+
+
+def _spread(field: np.ndarray, pop: int, xp: Any) -> Any:
+    return xp.broadcast_to(xp.asarray(field), (pop, *field.shape))
+
+
+def _put(array: Any, index: np.ndarray, values: Any, xp: Any) -> Any:
+    """Write values into columns of an array [pop, n, ...]."""
+    if xp is np:
+        array = array.copy()
+        array[:, index] = values
+        return array
+    return array.at[:, index].set(values)
+
+
+def _times(field: np.ndarray, factor: Any) -> Any:
+    """Multiply a field [n] or [n, k] by a factor [pop, n]."""
+    return field * (factor if field.ndim == 1 else factor[..., None])
+
+
+def _owner(body: str, names: tuple[str, ...]) -> int:
+    name = body.split("/", maxsplit=1)[0]
+    return names.index(name) if name in names else -1
+
+
+def _powers(scene: SceneSpec, m: mujoco.MjModel) -> Powers:
+    mass = np.zeros(m.nbody)
+    by_joint: dict[str, dict[str, float]] = {}
+    for item in scene.objects:
+        root = item.spec.root
+        for part in item.spec.parts:
+            name = item.name if part.name == root else f"{item.name}/{part.name}"
+            mass[m.body(name).id] = mass_exponent(part)
+        for joint in item.spec.joints:
+            child = item.spec.part(joint.child)
+            by_joint[f"{item.name}/{joint.name}"] = joint_exponents(joint, child)
+    of_joint = lambda key: np.array(
+        [by_joint.get(m.joint(j).name, {}).get(key, 0.0) for j in range(m.njnt)]
+    )
+    of_dof = lambda key: of_joint(key)[m.dof_jntid] if m.nv else np.zeros(0)
+    return Powers(
+        body_mass=mass,
+        body_inertia=np.where(m.body_mass > 0, mass + 2.0, 0.0),
+        jnt_range=of_joint("upper"),
+        jnt_stiffness=of_joint("stiffness"),
+        jnt_actfrcrange=of_joint("effort"),
+        dof_armature=of_dof("armature"),
+        dof_damping=of_dof("damping"),
+        dof_frictionloss=of_dof("friction"),
+    )
+
+
+def mesh_object(scene: SceneModel) -> np.ndarray:
+    """Return the object that each mesh asset belongs to, shape [nmesh]."""
+    m = scene.host.mjm
+    owner = np.full(m.nmesh, -1)
+    for g in np.flatnonzero(m.geom_type == MESH):
+        owner[m.geom_dataid[g]] = scene.host.geom_object[g]
+    return owner

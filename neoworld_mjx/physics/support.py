@@ -1,0 +1,292 @@
+"""Snapping: the height at which a child comes to touch what carries it, for every candidate.
+
+A child's tilt is fixed and only its yaw, size and place vary, so the underside of a child and the
+upper side of its support are functions of two coordinates that can be tabulated once: the underside
+as points, the support as a grid of heights. Snapping a population is then a gather and a maximum.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import NDArray
+
+from ..spec import SceneObject, SceneSpec, link_poses, pieces
+from ..spec.convex import Piece, planes
+from ..spec.pose import Pose, conjugate, from_yaw, pose, rotate, yaw_of
+
+GRID = 160
+"""Cells along each side of a support's height grid."""
+FOOT = 192
+"""Points that stand for a child's underside."""
+NOTHING = -1e3
+"""Height [m] where a support has no surface."""
+
+
+class Support(NamedTuple):
+    """What one object stands on, at the support's size 1 and in its support frame.
+
+    A row of the stacked tables has the same fields with a leading [object] axis.
+    """
+
+    heights: Float[Array, "GRID GRID"]
+    """Upper surface [m] at grid points, x first; NOTHING where there is none."""
+    origin: Float[Array, " 2"]
+    """Grid point (0, 0) [m]."""
+    cell: Float[Array, ""]
+    """Spacing of grid points [m]."""
+    foot: Float[Array, "FOOT 3"]
+    """The child's underside in its own tilted frame [m]; unused rows lie at +inf height."""
+
+
+def posed_pieces(
+    item: SceneObject, links: set[str] | None = None, *, tilted: bool = True
+) -> list[tuple[Piece, Pose]]:
+    """List an object's convex pieces with its joints as they stand.
+
+    Args:
+        item: the object in its place.
+        links: the parts to take; None takes all.
+        tilted: whether to turn them by the object's tilt, or leave them in the object's frame.
+    """
+    moved = link_poses(item.spec, item.joint_state)
+    tilt = pose((0, 0, 0), item.base_tilt) if tilted else pose()
+    return [
+        (piece, tilt.then(moved[part.name]).then(at))
+        for part in item.spec.parts
+        if links is None or part.name in links
+        for _, piece, at in pieces(part)
+    ]
+
+
+def column(piece: Piece, at: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
+    """Intersect vertical lines with a convex piece.
+
+    Args:
+        piece: the solid.
+        at: its pose.
+        xy: the lines' coordinates [n, 2] m.
+
+    Returns:
+        Lowest and highest point [n] m on each line; (inf, -inf) where a line misses.
+    """
+    back = conjugate(at.quat)
+    o = rotate(back, np.column_stack([xy, np.zeros(len(xy))]) - at.pos)
+    d = rotate(back, np.array([0.0, 0.0, 1.0]))
+    s = np.asarray(piece.size, float)
+    if piece.kind in ("box", "mesh"):
+        return _through_planes(planes(piece), o, d)
+    if piece.kind in ("sphere", "ellipsoid"):
+        r = np.full(3, s[0]) if piece.kind == "sphere" else s
+        return _through_ball(o / r, d / r)
+    side = _through_ball(o[:, :2] / s[0], d[:2] / s[0])
+    slab = _through_planes(np.array([[0, 0, 1, s[1]], [0, 0, -1, s[1]]], float), o, d)
+    low, high = np.maximum(side[0], slab[0]), np.minimum(side[1], slab[1])
+    low, high = np.where(low <= high, low, np.inf), np.where(low <= high, high, -np.inf)
+    if piece.kind == "capsule":
+        for end in (s[1], -s[1]):
+            a, b = _through_ball((o - [0, 0, end]) / s[0], d / s[0])
+            low, high = np.minimum(low, a), np.maximum(high, b)
+    return low, high
+
+
+def _through_planes(half: NDArray, o: NDArray, d: NDArray) -> tuple[NDArray, NDArray]:
+    slope, room = half[:, :3] @ d, half[:, 3] - o @ half[:, :3].T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = room / slope
+    outside = np.any((np.abs(slope) < 1e-12) & (room < -1e-9), axis=1)
+    low = np.max(np.where(slope < -1e-12, t, -np.inf), axis=1)
+    high = np.min(np.where(slope > 1e-12, t, np.inf), axis=1)
+    # A line along a face or through an edge still counts as hitting.
+    miss = outside | (low > high + 1e-9)
+    return np.where(miss, np.inf, low), np.where(miss, -np.inf, np.maximum(low, high))
+
+
+def _through_ball(o: NDArray, d: NDArray) -> tuple[NDArray, NDArray]:
+    a, b, c = d @ d, o @ d, np.sum(o * o, axis=1) - 1
+    if a < 1e-18:
+        inside = c <= 0
+        return np.where(inside, -np.inf, np.inf), np.where(inside, np.inf, -np.inf)
+    disc = b * b - a * c
+    root = np.sqrt(np.maximum(disc, 0.0))
+    miss = disc < 0
+    return np.where(miss, np.inf, (-b - root) / a), np.where(miss, -np.inf, (-b + root) / a)
+
+
+def footprint(item: SceneObject) -> NDArray:
+    """Sample an object's underside in its tilted frame: points [FOOT, 3] m, padded at +inf."""
+    solids = posed_pieces(item)
+    corners = [_corners(piece, at) for piece, at in solids]
+    spots = np.vstack(corners)
+    low, high = spots[:, :2].min(axis=0), spots[:, :2].max(axis=0)
+    steps = np.stack(
+        np.meshgrid(*(np.linspace(a, b, 25) for a, b in zip(low, high, strict=True))), -1
+    ).reshape(-1, 2)
+    xy = np.unique(np.round(np.vstack([spots[:, :2], steps]), 9), axis=0)
+    z = np.min([column(piece, at, xy)[0] for piece, at in solids], axis=0)
+    found = np.column_stack([xy, z])[np.isfinite(z)]
+    if len(found) > FOOT:
+        # The lowest points matter most, but a wide flat foot must stay covered: take the hull of
+        # each low level first, then spread the rest.
+        level = np.round((found[:, 2] - found[:, 2].min()) / (1e-4 + np.ptp(found[:, 2]) / 8))
+        spread = _spread(found[:, :2], level)
+        found = found[spread[:FOOT]]
+    pad = np.full((FOOT - len(found), 3), np.inf)
+    pad[:, :2] = 0.0
+    return np.vstack([found, pad])
+
+
+def _corners(piece: Piece, at: Pose) -> NDArray:
+    if piece.kind == "mesh":
+        return at.apply(np.array(piece.vertices))
+    s = np.asarray(piece.size, float)
+    if piece.kind == "box":
+        return at.apply(np.array(np.meshgrid(*([-1, 1],) * 3)).reshape(3, -1).T * s)
+    if piece.kind in ("sphere", "ellipsoid"):
+        r = np.full(3, s[0]) if piece.kind == "sphere" else s
+        down = rotate(conjugate(at.quat), np.array([0.0, 0.0, -1.0]))
+        lowest = r * r * down / np.linalg.norm(r * down)
+        ring = np.vstack([np.eye(3), -np.eye(3)]) * r
+        return at.apply(np.vstack([lowest, ring]))
+    turn = 2 * np.pi * np.arange(16) / 16
+    ring = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(16)]) * s[0]
+    ends = np.vstack([ring + [0, 0, s[1]], ring - [0, 0, s[1]]])
+    if piece.kind == "capsule":
+        tips = np.array([[0, 0, s[1] + s[0]], [0, 0, -s[1] - s[0]], [0, 0, s[1]], [0, 0, -s[1]]])
+        ends = np.vstack([ends, tips])
+    return at.apply(ends)
+
+
+def _spread(xy: NDArray, level: NDArray) -> NDArray:
+    """Order points so that low ones come first and each prefix covers its level evenly."""
+    order: list[int] = []
+    for value in np.unique(level):
+        rest = np.flatnonzero(level == value)
+        centre = xy[rest].mean(axis=0)
+        gap = np.linalg.norm(xy[rest] - centre, axis=1)
+        for _ in range(min(len(rest), FOOT - len(order))):
+            k = int(np.argmax(gap))
+            order.append(int(rest[k]))
+            gap = np.minimum(gap, np.linalg.norm(xy[rest] - xy[rest[k]], axis=1))
+        if len(order) >= FOOT:
+            break
+    return np.array(order)
+
+
+def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
+    """Tabulate what an object stands on.
+
+    Only pieces that begin below the middle of the child count, so that a can on the lower shelf
+    does not jump onto the upper one; among those the highest surface wins.
+
+    Args:
+        scene: the composed scene.
+        item: the object; it must have a parent.
+        reach: how far [m] from its composed place the object may be moved.
+    """
+    parent = scene.object(str(item.parent))
+    links = {item.parent_link} if item.parent_link else None
+    shift = link_frame(parent, item.parent_link)
+    foot = footprint(item)
+    own = foot[np.isfinite(foot[:, 2])]
+    radius = float(np.linalg.norm(own[:, :2], axis=1).max())
+    half = radius * 1.3 + reach
+    origin = np.array(item.xy) - half
+    cell = 2 * half / (GRID - 1)
+    axis = np.arange(GRID) * cell
+    xy = np.stack(np.meshgrid(origin[0] + axis, origin[1] + axis, indexing="ij"), -1).reshape(-1, 2)
+    tops = posed_pieces(item)
+    top = max(float(_corners(piece, at)[:, 2].max()) for piece, at in tops)
+    middle = item.z + (own[:, 2].min() + top) / 2
+    heights = np.full(len(xy), NOTHING)
+    for piece, at in posed_pieces(parent, links):
+        here = shift.inverse().then(at)
+        low, high = column(piece, here, xy)
+        heights = np.where(low < middle, np.maximum(heights, high), heights)
+    return Support(
+        jnp.asarray(heights.reshape(GRID, GRID), jnp.float32),
+        jnp.asarray(origin, jnp.float32),
+        jnp.asarray(cell, jnp.float32),
+        jnp.asarray(foot, jnp.float32),
+    )
+
+
+def link_frame(parent: SceneObject, link: str | None) -> Pose:
+    """Return a support frame relative to the parent's origin, in the parent's yaw frame."""
+    moved = pose((0, 0, 0), parent.base_tilt)
+    if link is not None:
+        moved = moved.then(link_poses(parent.spec, parent.joint_state)[link])
+    return pose(moved.pos, from_yaw(yaw_of(moved.quat)))
+
+
+def nothing() -> Support:
+    """Return the table of an object that stands on nothing."""
+    foot = np.zeros((FOOT, 3), np.float32)
+    foot[:, 2] = np.inf
+    return Support(
+        jnp.full((GRID, GRID), NOTHING, jnp.float32), jnp.zeros(2), jnp.ones(()), jnp.asarray(foot)
+    )
+
+
+def height_above(
+    table: Support,
+    xy: Float[Array, " 2"],
+    yaw: Float[Array, ""],
+    size: Float[Array, ""],
+    parent_size: Float[Array, ""],
+) -> Float[Array, ""]:
+    """Return how high an object's origin stands when it touches its support.
+
+    Args:
+        table: the support.
+        xy: the object's place in the support frame [m], the support at its present size.
+        yaw: the object's yaw in the support frame [rad].
+        size: scale of the object.
+        parent_size: scale of the support.
+
+    Returns:
+        Height [m] in the support frame; below NOTHING / 2 when no point of the underside is above
+        the support.
+    """
+    c, s = jnp.cos(yaw), jnp.sin(yaw)
+    x, y = table.foot[:, 0] * size, table.foot[:, 1] * size
+    at = jnp.stack([xy[0] + c * x - s * y, xy[1] + s * x + c * y], axis=-1) / parent_size
+    grid = (at - table.origin) / table.cell
+    inside = jnp.all((grid >= 0) & (grid <= GRID - 1), axis=-1)
+    low = jnp.clip(jnp.floor(grid), 0, GRID - 2).astype(jnp.int32)
+    f = jnp.clip(grid - low, 0.0, 1.0)
+    i, j = low[:, 0], low[:, 1]
+    h = table.heights
+    four = jnp.stack([h[i, j], h[i + 1, j], h[i, j + 1], h[i + 1, j + 1]], axis=-1)
+    weight = jnp.stack(
+        [
+            (1 - f[:, 0]) * (1 - f[:, 1]),
+            f[:, 0] * (1 - f[:, 1]),
+            (1 - f[:, 0]) * f[:, 1],
+            f[:, 0] * f[:, 1],
+        ],
+        axis=-1,
+    )
+    # Beside an edge of the support interpolation would invent a slope: take the nearest corner.
+    smooth = jnp.ptp(four, axis=-1) < 2.0 * table.cell
+    nearest = jnp.take_along_axis(four, jnp.argmax(weight, axis=-1)[:, None], axis=-1)[:, 0]
+    surface = jnp.where(smooth, jnp.sum(four * weight, axis=-1), nearest)
+    surface = jnp.where(inside, surface, NOTHING)
+    gap = surface * parent_size - table.foot[:, 2] * size
+    return jnp.max(jnp.where(jnp.isfinite(gap) & (surface > NOTHING / 2), gap, NOTHING))
+
+
+__all__ = [
+    "FOOT",
+    "GRID",
+    "NOTHING",
+    "Support",
+    "column",
+    "footprint",
+    "height_above",
+    "link_frame",
+    "nothing",
+    "posed_pieces",
+    "support",
+]

@@ -1,0 +1,207 @@
+"""Small scenes that several tests share."""
+
+import math
+
+from neoworld_mjx.spec import (
+    Box,
+    Camera,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    Geom,
+    HollowBox,
+    Joint,
+    Lathe,
+    Material,
+    Mimic,
+    ObjectSpec,
+    Part,
+    Prism,
+    SceneObject,
+    SceneSpec,
+    Site,
+    Sphere,
+    recentred,
+)
+
+WOOD = Material(name="wood", density=600, friction=0.5, rgba=(0.5, 0.3, 0.1, 1))
+CERAMIC = Material(name="ceramic", density=2300, friction=0.4, rgba=(0.9, 0.9, 0.85, 1))
+STEEL = Material(name="steel", density=7800, friction=0.3, rgba=(0.6, 0.6, 0.65, 1))
+
+
+def single(name, *geoms, material=WOOD, mass=None):
+    """One rigid object of shapes, each (shape, pos) or (shape, pos, quat)."""
+    made = tuple(
+        Geom(name=f"g{k}", shape=g[0], pos=g[1], quat=(*g, (1, 0, 0, 0))[2], material=material.name)
+        for k, g in enumerate(geoms)
+    )
+    part = Part(name="body", geoms=made, mass=mass)
+    return recentred(ObjectSpec(name=name, materials=(material,), parts=(part,)))
+
+
+def table(size=(0.6, 0.8, 0.04)):
+    return single("table", (Box(size=size), (0, 0, 0)))
+
+
+def saucer():
+    return single(
+        "saucer",
+        (Cylinder(radius=0.03, height=0.004), (0, 0, 0.002)),
+        (Lathe(profile=((0, 0.003), (0.03, 0.003), (0.075, 0.015)), thickness=0.004), (0, 0, 0)),
+        material=CERAMIC,
+    )
+
+
+def cup():
+    bowl = Lathe(
+        profile=((0, 0.003), (0.022, 0.003), (0.035, 0.03), (0.04, 0.06)),
+        thickness=0.004,
+        sectors=12,
+    )
+    return single(
+        "cup",
+        (Cylinder(radius=0.02, height=0.004), (0, 0, 0.002)),
+        (bowl, (0, 0, 0)),
+        (Box(size=(0.03, 0.008, 0.03)), (0.05, 0, 0.035)),
+        material=CERAMIC,
+    )
+
+
+def spoon():
+    flat = (math.sqrt(0.5), 0, math.sqrt(0.5), 0)
+    return single(
+        "spoon",
+        (Capsule(radius=0.003, length=0.1), (0, 0, 0), flat),
+        (Ellipsoid(radii=(0.02, 0.014, 0.005)), (0.06, 0, 0)),
+        material=STEEL,
+    )
+
+
+def cabinet():
+    """A carcass with a drawer, a door, a mimic knob, sites and an authored mass."""
+    body = Geom(
+        name="carcass",
+        shape=HollowBox(size=(0.4, 0.5, 0.5), wall=0.02, open=("+x",)),
+        pos=(0, 0, 0.25),
+        material="wood",
+    )
+    drawer = Geom(
+        name="tray",
+        shape=HollowBox(size=(0.36, 0.44, 0.12), wall=0.01),
+        pos=(0.0, 0, 0.1),
+        material="wood",
+    )
+    door = Geom(
+        name="leaf", shape=Box(size=(0.02, 0.44, 0.26)), pos=(0.19, 0, 0.33), material="wood"
+    )
+    knob = Geom(
+        name="knob",
+        shape=Prism(outline=((0.01, 0), (0, 0.01), (-0.01, 0), (0, -0.01)), height=0.02),
+        pos=(0.21, 0.18, 0.33),
+        material="steel",
+    )
+    return recentred(
+        ObjectSpec(
+            name="cabinet",
+            materials=(WOOD, STEEL),
+            parts=(
+                Part(name="carcass", geoms=(body,)),
+                Part(name="drawer", geoms=(drawer,)),
+                Part(name="door", geoms=(door,), mass=1.5),
+                Part(name="knob", geoms=(knob,)),
+            ),
+            joints=(
+                Joint(
+                    name="slide",
+                    type="prismatic",
+                    parent="carcass",
+                    child="drawer",
+                    axis=(1, 0, 0),
+                    upper=0.3,
+                    damping=2.0,
+                    friction=1.0,
+                    effort=30.0,
+                    armature=0.05,
+                ),
+                Joint(
+                    name="hinge",
+                    type="revolute",
+                    parent="carcass",
+                    child="door",
+                    pos=(0.19, -0.22, 0.33),
+                    axis=(0, 0, 1),
+                    lower=-1.5,
+                    upper=0.1,
+                    damping=0.1,
+                    friction=0.05,
+                    stiffness=0.01,
+                ),
+                Joint(
+                    name="turn",
+                    type="continuous",
+                    parent="door",
+                    child="knob",
+                    pos=(0.21, 0.18, 0.33),
+                    axis=(1, 0, 0),
+                    damping=0.001,
+                    mimic=Mimic(joint="slide", multiplier=2.0, offset=0.1),
+                ),
+            ),
+            sites=(Site(name="handle", part="drawer", pos=(0.18, 0, 0.1)),),
+        )
+    )
+
+
+def on_table(*items, name="scene"):
+    """A static table with things on it, each (spec, xy, yaw, extra fields)."""
+    objects = [SceneObject(name="table", spec=table(), environment=True, xy=(0.5, 0), z=-0.04)]
+    for spec, xy, yaw, extra in items:
+        objects.append(
+            SceneObject(
+                **{"name": spec.name, "spec": spec, "parent": "table", "z": 0.04, **extra},
+                xy=xy,
+                yaw=yaw,
+            )
+        )
+    camera = Camera(width=600, height_px=400, fovy=0.6, height=0.4, pitch=0.7)
+    return SceneSpec(name=name, objects=tuple(objects), camera=camera)
+
+
+def coffee():
+    return on_table(
+        (saucer(), (0, 0), 0.0, {}),
+        (cup(), (0.012, 0), 0.3, {"parent": "saucer", "z": 0.007}),
+        (spoon(), (0.01, -0.05), 0.2, {"parent": "saucer", "z": 0.01}),
+        name="coffee",
+    )
+
+
+def blocks():
+    """Two boxes and a ball: primitives that every engine carries."""
+    low = single("low", (Box(size=(0.1, 0.1, 0.06)), (0, 0, 0)))
+    high = single("high", (Box(size=(0.06, 0.06, 0.05)), (0, 0, 0)))
+    ball = single("ball", (Sphere(radius=0.03), (0, 0, 0)), material=STEEL)
+    return on_table(
+        (low, (0, 0), 0.2, {}),
+        (high, (0.01, 0.0), 0.4, {"parent": "low", "z": 0.06}),
+        (ball, (0.0, 0.15), 0.0, {}),
+        name="blocks",
+    )
+
+
+def furnished():
+    """A free cabinet with its drawer open and a block in the drawer, and a leaning board."""
+    block = single("block", (Box(size=(0.05, 0.05, 0.04)), (0, 0, 0)))
+    board = single("board", (Box(size=(0.02, 0.1, 0.2)), (0, 0, 0)))
+    lean = (math.cos(0.1), 0, math.sin(0.1), 0)
+    return on_table(
+        (cabinet(), (0, 0), 0.1, {"joint_state": {"slide": 0.2, "turn": 0.5}}),
+        (
+            block,
+            (0.05, 0.02),
+            0.3,
+            {"parent": "cabinet", "parent_link": "drawer", "relation": "in", "z": 0.05},
+        ),
+        (board, (-0.24, 0.1), 0.0, {"relation": "leaning", "base_tilt": lean}),
+        name="furnished",
+    )
