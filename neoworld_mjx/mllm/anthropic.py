@@ -40,8 +40,8 @@ class Anthropic:
         self._retries = options.retries
         self._batch_poll_s = batch_poll_s
         self._client: anthropic.AsyncAnthropic | None = None
-        self._plain: set[str] = set()
-        """Models that turned structured output down."""
+        self._plain: set[tuple[str, str]] = set()
+        """Models and schemas for which structured output was turned down."""
 
     async def reply(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
@@ -56,7 +56,7 @@ class Anthropic:
         try:
             return await self._stream(request, role, params)
         except _Unstructured:
-            self._plain.add(role.model)
+            self._plain.add((role.model, request.parts["schema"]))
             return await self._stream(request, role, self._params(request, role, rejected))
 
     async def _stream(
@@ -136,7 +136,8 @@ class Anthropic:
     def _params(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> dict[str, Any]:
-        schema = None if role.model in self._plain else _schema(request)
+        plain = (role.model, request.parts["schema"]) in self._plain
+        schema = None if plain else _schema(request)
         prompt = request.prompt
         if schema is None or self._line.local:
             # A local server may take output_config and not heed it.

@@ -5,6 +5,7 @@ prompts `cache_read` and `cache_write`. A model without a price has an unknown c
 never counted as zero.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from ..errors import BudgetError, ConfigError
-from .model import Request, Usage
+from .model import Rejection, Request, Usage
 
 _PACKAGE_PRICES = Path(__file__).with_name("prices.yaml")
 _CHARS_PER_TOKEN = 2.5
@@ -72,9 +73,12 @@ def price_of(model: str, prices: dict[str, Price]) -> Price | None:
     return None
 
 
-def most_tokens(request: Request[Any], max_tokens: int) -> Usage:
+def most_tokens(
+    request: Request[Any], max_tokens: int, rejected: Sequence[Rejection] = ()
+) -> Usage:
     """Bound the tokens of one call from above, to reserve its cost before it is made."""
     chars = len(request.system) + len(request.prompt) + 2 * len(str(request.json_schema))
+    chars += sum(len(each.text) + len(each.message(request)) for each in rejected)
     pixels = sum(width * height for width, height in (p.size for p in request.pictures))
     tokens = int(chars / _CHARS_PER_TOKEN + pixels / _PIXELS_PER_TOKEN) + _TOKENS_ASIDE
     # Everything may be written to the cache, which costs more than plain input.
@@ -118,10 +122,8 @@ class Ledger:
         """Models that were called and have no price."""
         return sorted({m for (_, m), line in self._lines.items() if line.cost_usd is None})
 
-    def bound(
-        self, request: Request[Any], model: str, max_tokens: int, share: float = 1.0
-    ) -> float:
-        """Return the most that a call can cost in USD; zero where nothing is capped.
+    def bound(self, model: str, most: Usage) -> float:
+        """Return the most that a call of so many tokens costs in USD; zero if nothing is capped.
 
         Raises:
             BudgetError: a cap is set and the model has no price, so the cap could not hold.
@@ -135,11 +137,9 @@ class Ledger:
                 f"add its price to a YAML file and name that in mllm.prices "
                 f"(a local model: {{input: 0, output: 0}})"
             )
-        most = most_tokens(request, max_tokens)
         # A server without a cache price bills the same tokens as input.
-        return share * max(
-            price.cost(most), price.cost(Usage(input=most.cache_write, output=most.output))
-        )
+        plain = Usage(input=most.cache_write, output=most.output)
+        return max(price.cost(most), price.cost(plain))
 
     def fits(self, bound_usd: float, *, others: bool = True) -> bool:
         """Tell whether a call keeps the cap, with or without the other calls now under way."""

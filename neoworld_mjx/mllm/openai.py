@@ -45,8 +45,8 @@ class OpenAI:
         self._line: Line = open_line(options, "OPENAI_API_KEY", "OPENAI_BASE_URL")
         self.secrets = self._line.secrets
         self._client: Any = None
-        self._without: set[tuple[str, str]] = set()
-        """What a model's server has turned down, as (model, feature)."""
+        self._without: set[tuple[str, str, str]] = set()
+        """What a model's server has turned down, as (model, feature, for which schema)."""
 
     async def reply(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
@@ -67,7 +67,7 @@ class OpenAI:
             try:
                 return await self._stream(request, role, params)
             except _TurnedDown as refused:
-                self._without.add((role.model, refused.feature))
+                self._without.add((role.model, refused.feature, _scope(refused.feature, request)))
 
     async def _stream(
         self, request: Request[Any], role: RoleOptions, params: dict[str, Any]
@@ -128,7 +128,11 @@ class OpenAI:
     def _params(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> dict[str, Any]:
-        lacking = {feature for model, feature in self._without if model == role.model}
+        lacking = {
+            feature
+            for model, feature, scope in self._without
+            if model == role.model and scope == _scope(feature, request)
+        }
         schema = None if "response_format" in lacking else _schema(request)
         prompt = request.prompt
         if schema is None or self._line.local:
@@ -168,6 +172,11 @@ class _TurnedDown(Exception):
     def __init__(self, feature: str) -> None:
         super().__init__(feature)
         self.feature = feature
+
+
+def _scope(feature: str, request: Request[Any]) -> str:
+    """A server may turn down one schema and take another."""
+    return request.parts["schema"] if feature == "response_format" else ""
 
 
 def _turned_down(error: Exception, params: dict[str, Any]) -> str | None:

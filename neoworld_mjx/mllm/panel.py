@@ -10,10 +10,8 @@ A panel runs its own event loop in one thread, so it can be asked from plain cod
 
 import asyncio
 import concurrent.futures
-import random
 import threading
 from collections.abc import Coroutine, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
@@ -22,17 +20,14 @@ from pydantic import BaseModel
 from ..config import MLLMOptions, RoleOptions
 from ..errors import ModelError
 from .answers import InvalidAnswer, read_answer
-from .ledger import Ledger, load_prices, most_tokens
-from .model import Answer, Provider, Rejection, Reply, Request, Transient, Usage
+from .calls import Calls
+from .ledger import Ledger, load_prices
+from .model import Answer, Provider, Rejection, Reply, Request, Usage
 from .replay import Tape
-from .secrets import scrub
+from .secrets import hide
 
 T = TypeVar("T", bound=BaseModel)
 R = TypeVar("R")
-
-_LONGEST_BACKOFF_S = 30.0
-_BATCH_SHARE = 0.5
-"""Part of the list price that a batch is billed at."""
 
 
 class Panel:
@@ -69,9 +64,7 @@ class Panel:
         self.ledger = ledger or Ledger(self.options.max_cost_usd, load_prices(self.options.prices))
         self._record = Path(record) if record is not None else None
         self._tape = _open_record(self._record, photo, made)
-        self._backoff_s = backoff_s
-        self._gate = asyncio.Semaphore(self.options.concurrency)
-        self._settled = asyncio.Condition()
+        self._calls = Calls(provider, self.options, self.ledger, backoff_s)
         self._asked: dict[tuple[str, type], asyncio.Task[Answer[Any]]] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
@@ -194,153 +187,58 @@ class Panel:
                 return Answer(value, kept.text, Usage(), kept.model)
             except InvalidAnswer:
                 pass  # A schema's validators may have changed behind the same JSON schema.
-        return await self._converse(request, ())
+        return await self._converse(request)
 
-    async def _converse(self, request: Request[T], rejected: tuple[Rejection, ...]) -> Answer[T]:
-        role: RoleOptions = getattr(self.options, request.role)
+    async def _converse(self, request: Request[T]) -> Answer[T]:
+        """Ask, and send an invalid answer back with its error, until it is valid or enough."""
+        role = self._role(request)
+        rejected: tuple[Rejection, ...] = ()
         rounds = 1 + (self.options.validation_rounds if self.provider.online else 0)
         usage = Usage()
-        reply = Reply("", usage, role.model)
+        who, reason = role.model, ""
         while len(rejected) < rounds:
-            reply = await self._call(request, role, rejected)
+            reply = await self._calls.make(request, role, rejected)
             usage = usage + reply.usage
             self._check_stop(request, role, reply)
             try:
                 value = read_answer(reply.text, request.schema)
             except InvalidAnswer as error:
-                rejected = (*rejected, Rejection(reply.text, str(error)))
+                who, reason = reply.model, str(error)
+                rejected = (*rejected, Rejection(reply.text, reason))
                 continue
             self._keep(request, reply)
             return Answer(value, reply.text, usage, reply.model)
-        raise self._error(
-            f"{request.name}: {reply.model} gave no valid answer in {len(rejected)} "
-            f"{'try' if len(rejected) == 1 else 'tries'}; the last one: {rejected[-1].reason}"
+        raise self._calls.error(
+            f"{request.name}: {who} gave no valid answer in {rounds} "
+            f"{'try' if rounds == 1 else 'tries'}; the last one: {reason}"
         )
 
     def _check_stop(self, request: Request[Any], role: RoleOptions, reply: Reply) -> None:
         if reply.stop == "refusal":
             why = f": {reply.detail}" if reply.detail else ""
-            raise self._error(
+            raise self._calls.error(
                 f"{request.name}: {reply.model} refused to answer{why}; "
                 f"try another photo or another model (mllm.{request.role}.model)"
             )
         if reply.stop == "length":
-            raise self._error(
+            raise self._calls.error(
                 f"{request.name}: the answer of {reply.model} was cut off at {role.max_tokens} "
                 f"tokens; raise mllm.{request.role}.max_tokens"
             )
 
     def _keep(self, request: Request[Any], reply: Reply) -> None:
         if self._record is not None:
-            self._tape.put(request, scrub(reply.text, self.provider.secrets), reply.model)
+            self._tape.put(request, hide(reply.text, self.provider.secrets), reply.model)
             self._tape.save(self._record)
 
-    # One call, with retries, inside the limits.
-
-    async def _call(
-        self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
-    ) -> Reply:
-        if not self.provider.online:
-            reply = await self._guarded(request, role, rejected)
-            self.ledger.add(request.role, reply.model, reply.usage, billed=False)
-            return reply
-        failure = Transient("not asked")
-        for attempt in range(self.options.retries + 1):
-            if attempt:
-                await asyncio.sleep(self._delay(request, attempt, failure))
-            try:
-                async with self._gate:
-                    return await self._booked(request, role, rejected)
-            except Transient as error:
-                failure = error
-        tries = self.options.retries + 1
-        raise self._error(
-            f"{request.name}: {self.name} did not answer in {tries} "
-            f"{'try' if tries == 1 else 'tries'}; the last one: {failure}. Resume the run later, "
-            f"or raise mllm.retries or mllm.timeout_s"
-        )
-
-    async def _booked(
-        self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
-    ) -> Reply:
-        bound = self.ledger.bound(request, role.model, role.max_tokens)
-        async with self._held(request, bound):
-            try:
-                reply = await self._guarded(request, role, rejected)
-            except Transient as error:
-                self.ledger.add(request.role, role.model, error.usage, failed=True)
-                raise
-            except ModelError:
-                self.ledger.add(request.role, role.model, Usage(), failed=True)
-                raise
-            if not reply.counted:
-                reply = replace(reply, usage=most_tokens(request, role.max_tokens))
-            self.ledger.add(request.role, role.model, reply.usage)
-        if reply.fallback is not None:
-            self.ledger.fell_back(reply.fallback)
-        return reply
-
-    async def _guarded(
-        self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
-    ) -> Reply:
-        """Call the provider; let nothing out that could show a key."""
-        try:
-            return await self.provider.reply(request, role, rejected)
-        except Transient as error:
-            clean = scrub(str(error), self.provider.secrets)
-            raise Transient(clean, error.retry_after, error.usage) from None
-        except ModelError as error:
-            raise type(error)(scrub(str(error), self.provider.secrets)) from None
-        except Exception as error:
-            what = f"{type(error).__name__}: {error}"
-            raise self._error(f"{request.name}: {self.name} failed: {what}") from None
-
-    def _held(self, request: Request[Any], bound: float) -> "_Held":
-        return _Held(self.ledger, self._settled, request, bound)
-
-    def _delay(self, request: Request[Any], attempt: int, failure: Transient) -> float:
-        if failure.retry_after is None:
-            wait = min(self._backoff_s * 2 ** (attempt - 1), _LONGEST_BACKOFF_S)
-            return wait * random.uniform(0.5, 1.0)  # spread, so that calls do not return as one
-        longest = max(self.options.timeout_s, 60.0)
-        if failure.retry_after > longest:
-            raise self._error(
-                f"{request.name}: {self.name} asks to wait {failure.retry_after:.0f} s, longer "
-                f"than a run waits ({longest:.0f} s): {failure}. Resume the run later"
-            )
-        return failure.retry_after
-
-    def _error(self, message: str) -> ModelError:
-        return ModelError(scrub(message, self.provider.secrets))
-
-    # Batches.
+    def _role(self, request: Request[Any]) -> RoleOptions:
+        return getattr(self.options, request.role)
 
     async def _batch(self, requests: Sequence[Request[T]]) -> list[Answer[T]]:
-        send = getattr(self.provider, "batch", None)
-        if send is None:
-            return await self._together(requests)
-        waiting = {r.key: r for r in requests if (r.key, r.schema) not in self._asked}
-        if self._record is not None:
-            waiting = {key: r for key, r in waiting.items() if self._tape.get(r) is None}
-        if waiting:
-            await self._batch_new(send, list(waiting.values()))
-        return await self._together(requests)
-
-    async def _batch_new(self, send: Any, requests: list[Request[Any]]) -> None:
-        roles: list[RoleOptions] = [getattr(self.options, r.role) for r in requests]
-        bound = sum(
-            self.ledger.bound(request, role.model, role.max_tokens, _BATCH_SHARE)
-            for request, role in zip(requests, roles, strict=True)
-        )
-        async with self._held(requests[0], bound):
-            try:
-                replies: list[Reply | None] = await send(list(zip(requests, roles, strict=True)))
-            except ModelError as error:
-                raise type(error)(scrub(str(error), self.provider.secrets)) from None
-            for request, role, reply in zip(requests, roles, replies, strict=True):
-                if reply is not None:
-                    self.ledger.add(request.role, role.model, reply.usage, share=_BATCH_SHARE)
-        for request, reply in zip(requests, replies, strict=True):
+        new = {r.key: r for r in requests if (r.key, r.schema) not in self._asked}
+        waiting = [r for r in new.values() if self._record is None or self._tape.get(r) is None]
+        roles = [self._role(request) for request in waiting]
+        for request, reply in zip(waiting, await self._calls.batch(waiting, roles), strict=True):
             if reply is None or reply.stop != "end":
                 continue
             try:
@@ -349,34 +247,8 @@ class Panel:
                 continue  # asked singly below, from the start
             self._keep(request, reply)
             answer = Answer(value, reply.text, reply.usage, reply.model)
-            task = asyncio.ensure_future(_ready(answer))
-            self._asked[request.key, request.schema] = task
-
-
-class _Held:
-    """Holds a call's highest cost against the cap while the call is under way."""
-
-    def __init__(
-        self, ledger: Ledger, settled: asyncio.Condition, request: Request[Any], bound: float
-    ) -> None:
-        self._ledger, self._settled = ledger, settled
-        self._request, self._bound = request, bound
-
-    async def __aenter__(self) -> None:
-        async with self._settled:
-            while not self._ledger.fits(self._bound):
-                # Calls under way mostly cost less than is held for them: wait before giving up.
-                if not self._ledger.reserved_usd or not self._ledger.fits(
-                    self._bound, others=False
-                ):
-                    raise self._ledger.refuse(self._request, self._bound)
-                await self._settled.wait()
-            self._ledger.hold(self._bound)
-
-    async def __aexit__(self, *exc: object) -> None:
-        async with self._settled:
-            self._ledger.release(self._bound)
-            self._settled.notify_all()
+            self._asked[request.key, request.schema] = asyncio.ensure_future(_ready(answer))
+        return await self._together(requests)
 
 
 async def _ready(answer: Answer[T]) -> Answer[T]:

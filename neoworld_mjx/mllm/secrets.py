@@ -16,12 +16,17 @@ def environment_key(name: str) -> str | None:
     return os.environ.get(name, "").strip() or None
 
 
-def scrub(text: str, secrets: Iterable[str]) -> str:
-    """Replace given secrets, and whatever looks like a key, by a placeholder."""
+def hide(text: str, secrets: Iterable[str]) -> str:
+    """Replace given secrets by a placeholder and leave everything else as it is."""
     for secret in sorted(secrets, key=len, reverse=True):
         if len(secret) >= 4:
             text = text.replace(secret, _SHOWN)
-    return _SHAPES.sub(_SHOWN, text)
+    return text
+
+
+def scrub(text: str, secrets: Iterable[str]) -> str:
+    """Replace given secrets, and whatever looks like a key, by a placeholder; for messages."""
+    return _SHAPES.sub(_SHOWN, hide(text, secrets))
 
 
 def expand(headers: dict[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:

@@ -84,7 +84,7 @@ def test_carry_continues_the_books(make):
     second = Ledger(2.0, PRICES)
     second.carry(first.to_json())
     assert second.to_json() == first.to_json()
-    bound = second.bound(make.request(), "m", 100_000)
+    bound = second.bound("m", most_tokens(make.request(), 100_000))
     assert bound > 1
     assert not second.fits(bound)
     assert isinstance(second.refuse(make.request(), bound), BudgetError)
@@ -95,7 +95,7 @@ def test_bound_lies_above_any_call_of_the_same_request(make):
     asked = make.request(prompt="word " * 1000)
     # English text has about four letters a token; pictures a token for 750 pixels.
     real = Usage(len(asked.prompt) // 4 + 30 * 20 // 750 + 400, 256)
-    assert ledger.bound(asked, "m", 256) > PRICES["m"].cost(real)
+    assert ledger.bound("m", most_tokens(asked, 256)) > PRICES["m"].cost(real)
     assert most_tokens(asked, 256).output == 256
 
 

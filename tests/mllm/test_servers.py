@@ -206,9 +206,9 @@ def open_to(monkeypatch, tmp_path) -> Iterator[Callable[..., Panel]]:
     def start(server: Server, record: Path | None = None, **options) -> Panel:
         if server.dialect == "openai":
             pytest.importorskip("openai")
-        given = {"timeout_s": 0.3, "retries": 2, "base_url": server.url} | options
+        given = {"timeout_s": 3.0, "retries": 2, "base_url": server.url} | options
         panel = open_panel(MLLMOptions(**given), server.dialect, record=record)
-        panel._backoff_s = 0.01
+        panel._calls.backoff_s = 0.01
         panels.append(panel)
         return panel
 
@@ -228,7 +228,7 @@ def failure_of(panel: Panel, request) -> str:
     start = time.perf_counter()
     with pytest.raises(ModelError) as caught:
         panel.ask_sync(request)
-    assert time.perf_counter() - start < 3
+    assert time.perf_counter() - start < 5
     assert KEY not in shown(caught.value)
     assert KEY not in json.dumps(panel.ledger.to_json())
     return str(caught.value)
@@ -258,7 +258,7 @@ class TestServers:
         server = serve(dialect, fails(429, headers="retry-after: 0.4\r\n"), says())
         start = time.perf_counter()
         open_to(server).ask_sync(make.request())
-        assert 0.4 <= time.perf_counter() - start < 2
+        assert 0.4 <= time.perf_counter() - start < 5
 
     def test_too_long_a_wait_is_not_waited_for(self, serve, open_to, make, dialect):
         server = serve(dialect, fails(429, headers="retry-after: 3600\r\n"))
@@ -269,7 +269,8 @@ class TestServers:
     @pytest.mark.parametrize("script", [resets, cuts_off, ends_early, hangs])
     def test_broken_connection_is_tried_again(self, serve, open_to, make, dialect, script):
         server = serve(dialect, script, says())
-        assert open_to(server).ask_sync(make.request()).value.name == "red"
+        panel = open_to(server, timeout_s=0.3 if script is hangs else 3.0)
+        assert panel.ask_sync(make.request()).value.name == "red"
 
     @pytest.mark.parametrize(
         ("script", "words"),
@@ -284,7 +285,8 @@ class TestServers:
     )
     def test_tries_are_bounded(self, serve, open_to, make, dialect, script, words):
         server = serve(dialect, script)
-        said = failure_of(open_to(server, retries=1, timeout_s=0.2), make.request())
+        limit = 0.2 if script is hangs else 3.0
+        said = failure_of(open_to(server, retries=1, timeout_s=limit), make.request())
         assert re.search(f"parse: {dialect} did not answer in 2 tries.*{words}", said), said
         assert len(server.bodies) == 2
 
@@ -451,6 +453,26 @@ class TestServers:
             assert answer.value.name == "red"
         panel.close()
         assert panel.ask_sync(make.request(prompt="anew")).value.name == "red"
+
+
+@pytest.mark.parametrize("dialect", PROVIDERS)
+def test_no_logger_shows_the_key(serve, open_to, make, caplog, dialect):
+    caplog.set_level("DEBUG")
+    server = serve(dialect, fails(500, "busy"), says())
+    open_to(server, headers={"x-my-key": "${ANTHROPIC_API_KEY}"}).ask_sync(make.request())
+    assert caplog.records
+    assert KEY not in "".join(
+        str(record.__dict__) + record.getMessage() for record in caplog.records
+    )
+
+
+def test_corrections_count_towards_what_is_held(make):
+    from neoworld_mjx.mllm.ledger import most_tokens
+    from neoworld_mjx.mllm.model import Rejection
+
+    asked = make.request()
+    more = most_tokens(asked, 256, [Rejection("x" * 5000, "wrong")])
+    assert more.cache_write > most_tokens(asked, 256).cache_write + 5000 / 4
 
 
 def test_system_text_and_photo_are_cached(serve, open_to, make):
