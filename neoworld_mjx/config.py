@@ -84,9 +84,38 @@ class ProgramOptions(Options):
 
     debug_rounds: int = Field(default=1, ge=0)
     critic_rounds: int = Field(default=1, ge=0)
+    geometry_critic: bool = True
+    """Show the critic the object at rest."""
+    articulation_critic: bool = True
+    """Show the critic the object opened, where it has joints that move."""
+    accept_score: float = Field(default=8.0, ge=0, le=10)
+    """Critic's score from which no further round is asked for."""
     sandbox: Literal["monty", "cpython"] = "monty"
-    timeout_s: float = Field(default=2.0, gt=0)
+    """cpython runs the text in this very process, without any wall: for one's own programs only."""
+    type_check: bool = True
+    timeout_s: float = Field(default=1.0, gt=0)
+    """Of the program's own code, and again as much for the shapes that it asks for."""
     memory_mib: int = Field(default=64, ge=8)
+    max_recursion: int = Field(default=200, ge=10)
+    max_calls: int = Field(default=5000, ge=10)
+    """Calls of the SDK."""
+    max_output_bytes: int = Field(default=20_000, ge=0)
+    """Of what the program prints."""
+    max_text_bytes: int = Field(default=200_000, ge=100)
+    max_parts: int = Field(default=300, ge=1)
+    max_geoms: int = Field(default=3000, ge=1)
+    max_pieces: int = Field(default=4000, ge=1)
+    """Convex pieces of the whole object."""
+    workers: int = Field(default=2, ge=1)
+    """Sandbox processes kept for programs that run at once."""
+    touch_gap_m: float = Field(default=0.002, ge=0)
+    """Farthest that a part may stay away from what it is attached to."""
+    max_depth_m: float = Field(default=0.001, gt=0)
+    """Deepest that two parts of an object may enter each other."""
+    sweep_steps: int = Field(default=9, ge=2)
+    """Positions tried over each joint's range."""
+    sweep_combinations: int = Field(default=16, ge=0)
+    """Positions tried with all joints moved at once."""
 
 
 class VerifyOptions(Options):

@@ -1,0 +1,139 @@
+"""From what a program made to an ObjectSpec: structure first, then default friction, then origin."""
+
+import math
+
+import numpy as np
+from pydantic import ValidationError
+
+from .. import spec as S
+from ..config import describe
+from ..spec.object import Inertial
+from ..spec.pose import rotate
+from .object import Object
+from .signals import Signal, has_errors
+
+GRAVITY = 9.81
+SETTLING_S = 0.4
+"""Time in which a joint without authored damping loses its speed."""
+TURNING_FRICTION, SLIDING_FRICTION = 0.02, 0.1
+"""Dry friction of a joint without authored friction, over weight times lever, and over weight."""
+
+
+def assemble(made: list[Object]) -> tuple[S.ObjectSpec | None, list[Signal]]:
+    """Turn a program's object into its description, or say why that cannot be done."""
+    if len(made) != 1:
+        names = ", ".join(repr(item.name) for item in made[:5])
+        return None, [
+            Signal(
+                severity="error",
+                code="no_object" if not made else "many_objects",
+                message=f"a program makes exactly one Object, this one made {len(made)}"
+                + (f": {names}" if made else ""),
+                hint="call Object(name, label=...) once; parts of it are made by .part(name)",
+            )
+        ]
+    item = made[0]
+    signals = list(_structure(item))
+    if has_errors(signals):
+        return None, signals
+    used = {geom._spec.material for part in item._parts for geom in part._geoms}
+    try:
+        plain = S.ObjectSpec(
+            name=item.name,
+            label=item.label,
+            materials=tuple(m for name, m in item._materials.items() if name in used),
+            parts=tuple(
+                S.Part(name=p.name, geoms=tuple(g._spec for g in p._geoms), mass=p._mass)
+                for p in item._parts
+            ),
+            joints=tuple(S.Joint(**joint._fields) for joint in item._joints),
+            sites=tuple(item._sites),
+        )
+    except ValidationError as error:
+        return None, [
+            Signal(severity="error", code="structure", message=describe(error, S.ObjectSpec))
+        ]
+    inertials = {part.name: S.inertial(plain, part) for part in plain.parts}
+    joints = tuple(
+        _with_losses(joint, made_joint._fields, inertials[joint.child])
+        for joint, made_joint in zip(plain.joints, item._joints, strict=True)
+    )
+    return S.recentred(plain.model_copy(update={"joints": joints})), signals
+
+
+def _structure(item: Object) -> list[Signal]:
+    found = []
+    if not item._parts:
+        return [
+            Signal(
+                severity="error",
+                code="no_parts",
+                message=f"object {item.name!r} has no parts",
+                hint="make one with .part(name) and .add shapes to it",
+            )
+        ]
+    carried = {joint._fields["child"]: joint._fields["parent"] for joint in item._joints}
+    roots = [part.name for part in item._parts if part.name not in carried]
+    for part in item._parts:
+        colliding = any(geom._spec.role != "visual" for geom in part._geoms)
+        if not colliding:
+            found.append(
+                Signal(
+                    severity="error",
+                    code="empty_part",
+                    part=part.name,
+                    line=part._line,
+                    message=f"part {part.name!r} has no shape that collides",
+                    hint="add a shape with role 'both', or leave the part out",
+                )
+            )
+        if part.name in roots[1:]:
+            found.append(
+                Signal(
+                    severity="error",
+                    code="orphan_part",
+                    part=part.name,
+                    line=part._line,
+                    message=f"part {part.name!r} hangs on nothing; the root is {roots[0]!r}",
+                    hint="join it to another part by fixed, revolute, prismatic or continuous",
+                )
+            )
+    for start, first in carried.items():
+        chain, at = [start], first
+        while at in carried and at not in chain:
+            chain.append(at)
+            at = carried[at]
+        if at == start:
+            found.append(
+                Signal(
+                    severity="error",
+                    code="joint_cycle",
+                    part=start,
+                    message=f"joints go in a circle: {' -> '.join([*chain, start])}",
+                    hint="joints form a tree with one root part",
+                )
+            )
+            break
+    return found
+
+
+def _with_losses(joint: S.Joint, authored: dict[str, object], child: Inertial) -> S.Joint:
+    """Fill in damping and dry friction that the program left open, from the child's mass."""
+    if joint.type == "fixed":
+        return joint
+    if joint.type == "prismatic":
+        inertia, weight = child.mass, SLIDING_FRICTION * child.mass * GRAVITY
+    else:
+        axis = np.array(joint.axis)
+        arm = np.array(child.pos) - np.array(joint.pos)
+        arm = arm - (arm @ axis) * axis
+        own = rotate(np.array(child.quat) * [1, -1, -1, -1], axis) ** 2 @ np.array(child.diagonal)
+        inertia = float(own) + child.mass * float(arm @ arm)
+        # The radius of gyration is the lever, so that a balanced knob holds still too.
+        weight = TURNING_FRICTION * child.mass * GRAVITY * math.sqrt(inertia / child.mass)
+    update = {}
+    if "damping" not in authored:
+        update["damping"] = inertia / SETTLING_S
+    if "friction" not in authored:
+        update["friction"] = weight
+    return joint.model_copy(update=update)

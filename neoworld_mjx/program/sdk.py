@@ -1,0 +1,38 @@
+"""What object programs call: parts made of shapes, joints between parts, materials, sites.
+
+A program makes one `Object`, gives it parts, adds shapes to them and joins them. Everything is in
+one frame, the object's at rest, in metres and radians: +x its front, +y its left, +z up. Where the
+origin lies is up to the program; it is moved to the centre of the bounding box's bottom face.
+Wrong arguments raise ValueError or TypeError at the call; what can only be seen of the whole object
+comes back as signals from `neoworld_mjx.program.build`. `sdk.pyi` beside this file is what programs
+are type-checked against.
+"""
+
+from .object import Geom, Joint, Object, Part
+from .solids import (
+    Shape,
+    box,
+    capsule,
+    cylinder,
+    ellipsoid,
+    hollow_box,
+    lathe,
+    prism,
+    sphere,
+)
+
+__all__ = [
+    "Geom",
+    "Joint",
+    "Object",
+    "Part",
+    "Shape",
+    "box",
+    "capsule",
+    "cylinder",
+    "ellipsoid",
+    "hollow_box",
+    "lathe",
+    "prism",
+    "sphere",
+]

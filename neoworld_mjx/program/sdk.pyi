@@ -1,0 +1,114 @@
+from collections.abc import Sequence
+from typing import Literal
+
+Vec3 = tuple[float, float, float] | list[float]
+Point2 = tuple[float, float] | list[float]
+Face = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+
+class Shape:
+    @property
+    def size(self) -> tuple[float, float, float]: ...
+
+class Geom:
+    name: str
+    def anchor(self, where: str) -> tuple[float, float, float]: ...
+
+class Part:
+    name: str
+    def add(
+        self,
+        shape: Shape,
+        at: Vec3 = (0.0, 0.0, 0.0),
+        rpy: Vec3 = (0.0, 0.0, 0.0),
+        *,
+        by: str = "",
+        material: str | None = None,
+        rgb: Vec3 | None = None,
+        role: Literal["both", "visual", "collision"] = "both",
+        name: str | None = None,
+    ) -> Geom: ...
+    def anchor(self, where: str) -> tuple[float, float, float]: ...
+
+class Joint:
+    name: str
+
+class Object:
+    name: str
+    label: str
+    def __init__(self, name: str, label: str = "") -> None: ...
+    def material(
+        self,
+        name: str,
+        like: str | None = None,
+        *,
+        density: float | None = None,
+        friction: float | None = None,
+        rgb: Vec3 | None = None,
+        alpha: float | None = None,
+    ) -> str: ...
+    def part(self, name: str, material: str | None = None, mass: float | None = None) -> Part: ...
+    def fixed(self, name: str, parent: Part, child: Part) -> Joint: ...
+    def revolute(
+        self,
+        name: str,
+        parent: Part,
+        child: Part,
+        *,
+        at: Vec3,
+        axis: Vec3,
+        range: Point2,
+        damping: float | None = None,
+        friction: float | None = None,
+        stiffness: float = 0.0,
+        effort: float | None = None,
+        velocity: float | None = None,
+        mimic: Joint | None = None,
+        multiplier: float = 1.0,
+        offset: float = 0.0,
+    ) -> Joint: ...
+    def continuous(
+        self,
+        name: str,
+        parent: Part,
+        child: Part,
+        *,
+        at: Vec3,
+        axis: Vec3,
+        damping: float | None = None,
+        friction: float | None = None,
+        effort: float | None = None,
+        velocity: float | None = None,
+        mimic: Joint | None = None,
+        multiplier: float = 1.0,
+        offset: float = 0.0,
+    ) -> Joint: ...
+    def prismatic(
+        self,
+        name: str,
+        parent: Part,
+        child: Part,
+        *,
+        axis: Vec3,
+        range: Point2,
+        at: Vec3 | None = None,
+        damping: float | None = None,
+        friction: float | None = None,
+        stiffness: float = 0.0,
+        effort: float | None = None,
+        velocity: float | None = None,
+        mimic: Joint | None = None,
+        multiplier: float = 1.0,
+        offset: float = 0.0,
+    ) -> Joint: ...
+    def site(self, name: str, part: Part, at: Vec3) -> None: ...
+
+def box(size: Vec3) -> Shape: ...
+def sphere(radius: float) -> Shape: ...
+def capsule(radius: float, length: float) -> Shape: ...
+def cylinder(radius: float, height: float) -> Shape: ...
+def ellipsoid(radii: Vec3) -> Shape: ...
+def prism(outline: Sequence[Point2], height: float) -> Shape: ...
+def hollow_box(size: Vec3, wall: float, open: Face | Sequence[Face] = "+z") -> Shape: ...
+def lathe(
+    profile: Sequence[Point2], thickness: float | None = None, sectors: int = 16
+) -> Shape: ...

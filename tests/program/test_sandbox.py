@@ -1,0 +1,113 @@
+import pytest
+
+from neoworld_mjx.config import ProgramOptions
+from neoworld_mjx.program.sandbox import run
+
+HEAD = "from neoworld_mjx.program.sdk import *\n".replace(
+    "*", "Object, box, capsule, cylinder, ellipsoid, hollow_box, lathe, prism, sphere"
+)
+CUP = (
+    HEAD
+    + """
+import math
+
+cup = Object("cup", label="espresso cup")
+body = cup.part("body", material="ceramic")
+body.add(lathe([(0, 0), (0.02, 0), (0.03, 0.02), (0.035, 0.06)], thickness=0.003), name="bowl")
+for i in range(5):
+    a = math.radians(-60 + 30 * i)
+    at = (0, 0.035 + 0.018 * math.cos(a), 0.035 + 0.018 * math.sin(a))
+    body.add(capsule(0.004, 0.01), at=at, rpy=(a, 0, 0))
+cup.site("grasp", body, body.anchor("left"))
+print(box((1, 2, 3)).size)
+"""
+)
+CABINET = (
+    HEAD
+    + """
+cab = Object("cabinet")
+wood = cab.material("wood_dark", like="oak", rgb=(0.4, 0.3, 0.2))
+frame = cab.part("frame", material=wood)
+frame.add(hollow_box((0.4, 0.8, 0.7), 0.018, open="+x"), at=(0, 0, 0.35))
+door = cab.part("door", material=wood)
+door.add(box((0.018, 0.8, 0.7)), at=frame.anchor("front"), by="back")
+hinge = cab.revolute(
+    "hinge", frame, door, at=door.anchor("left.back"), axis=(0, 0, 2), range=(0, 1.6)
+)
+knob = cab.part("knob", material="brass", mass=0.05)
+knob.add(sphere(0.02), at=door.anchor("front"), by="back")
+cab.continuous("turn", door, knob, at=knob.anchor("centre"), axis=(1, 0, 0), mimic=hinge)
+"""
+)
+
+
+@pytest.mark.parametrize("text", [CUP, CABINET])
+def test_both_sandboxes_give_the_same_bytes(text: str):
+    walled = run(text)
+    trusted = run(text, ProgramOptions(sandbox="cpython"))
+    assert walled.signals == () and trusted.signals == ()
+    assert walled.spec is not None and trusted.spec is not None
+    assert walled.spec.to_json() == trusted.spec.to_json()
+    assert walled.lines == trusted.lines
+    assert walled.printed == trusted.printed
+
+
+def test_the_object_stands_on_its_origin():
+    spec = run(CUP).spec
+    assert spec is not None
+    from neoworld_mjx.spec import bounds
+
+    low, high = bounds(spec)
+    assert abs(low[2]) < 1e-12 and abs(low[0] + high[0]) < 1e-12 and abs(low[1] + high[1]) < 1e-12
+
+
+def test_type_check_names_every_misuse_with_its_line():
+    text = HEAD + "o = Object('x')\np = o.part('body', colour='red')\np.ad(box((1, 2)))\nbox('a')\n"
+    built = run(text)
+    assert built.spec is None
+    assert {(s.code, s.line) for s in built.signals} == {("type", 3), ("type", 4), ("type", 5)}
+
+
+def test_a_wrong_value_is_told_where_it_happens():
+    text = HEAD + "o = Object('x')\ndef leg(w):\n    return box((w, 1, 1))\n\nleg(-1)\n"
+    (signal,) = run(text).signals
+    assert (signal.code, signal.line) == ("value", 4)
+    assert "box size must be a positive length" in signal.message
+
+
+@pytest.mark.parametrize(
+    ("body", "code"),
+    [
+        ("", "no_object"),
+        ("Object('a')\nObject('b')", "many_objects"),
+        ("Object('a')", "no_parts"),
+        ("Object('a').part('p')", "empty_part"),
+        (
+            "o = Object('a')\nfor n in 'pq':\n    o.part(n, material='oak').add(box((1, 1, 1)))",
+            "orphan_part",
+        ),
+    ],
+)
+def test_structure(body: str, code: str):
+    built = run(HEAD + body)
+    assert built.spec is None
+    assert code in {signal.code for signal in built.signals}
+
+
+def test_programs_share_nothing():
+    run(HEAD + "o = Object('a')\np = o.part('p', material='oak')\nm = o.material('mine', 'oak')")
+    spec = run(CUP).spec
+    assert spec is not None and {m.name for m in spec.materials} == {"ceramic"}
+    unknown = run(HEAD + "Object('b').part('p', material='mine')")
+    assert "'mine'" in unknown.signals[0].message
+
+
+def test_losses_follow_from_the_child_where_none_are_given():
+    spec = run(CABINET).spec
+    assert spec is not None
+    hinge = next(joint for joint in spec.joints if joint.name == "hinge")
+    assert hinge.damping > 0 and hinge.friction > 0
+    given = run(CABINET.replace("range=(0, 1.6)", "range=(0, 1.6), damping=0, friction=0.25")).spec
+    assert given is not None
+    hinge = next(joint for joint in given.joints if joint.name == "hinge")
+    assert (hinge.damping, hinge.friction) == (0, 0.25)
