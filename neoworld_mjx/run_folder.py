@@ -17,6 +17,7 @@ import platform
 import shutil
 import time
 from collections.abc import Iterable, Iterator, Mapping
+from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Self
@@ -228,6 +229,7 @@ class RunFolder:
         self.data = {
             "format": FORMAT,
             "status": "running",
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
             "config": _shown(config),
             "fingerprint": config.fingerprint(),
             "seeds": {"run": config.seed},

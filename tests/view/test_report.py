@@ -1,0 +1,223 @@
+import json
+import re
+import xml.etree.ElementTree as ET
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from neoworld_mjx.config import Config, load_config
+from neoworld_mjx.errors import RunError
+from neoworld_mjx.run_folder import RunFolder
+from neoworld_mjx.view.charts import Line, bars, line_chart, nice_ticks
+from neoworld_mjx.view.report import write_report
+
+EVIL = '<script>alert("x")</script><img src=http://evil/a.png>'
+
+
+def _tree(label="a saucer"):
+    camera = {"width": 60, "height_px": 40, "fovy": 0.8, "height": 0.4, "pitch": 0.6, "roll": 0.0}
+    box = {"position": [0.4, 0, 0], "size": [0.15, 0.15, 0.02], "yaw": 0.5}
+    node = {"name": "saucer", "label": label, "parent": "table", "relation": "on", "box3d": box}
+    return {"camera": camera, "nodes": [node | {"articulation": []}]}
+
+
+def _scene():
+    joint = {
+        **{"name": "lid_hinge", "type": "revolute", "parent": "body", "child": "lid"},
+        **{"axis": [0, 1, 0], "lower": 0.0, "upper": 1.5707963, "damping": 0.01},
+    }
+    item = {"name": "jar", "parent": "table", "xy": [0.1, 0.02], "z": 0.0, "yaw": 0.1}
+    item |= {"scale_residual": [0.0, 0.1, -0.05], "spec": {"joints": [joint]}}
+    return {"objects": [item | {"joint_state": {"lid_hinge": 0.7853982}}]}
+
+
+def _history(path, iterations=5, population=16, objects=3):
+    draw = np.random.default_rng(0)
+    shape = (iterations, population)
+    absolute = draw.normal(size=shape) * 0.2 + np.linspace(-2, 0.5, iterations)[:, None]
+    absolute[:, 0] = -np.inf
+    np.savez(
+        path,
+        xy=np.zeros((*shape, objects, 2)),
+        yaw=np.zeros((*shape, objects)),
+        log_scale=np.full((*shape, objects), -0.02),
+        reward=absolute,
+        absolute=absolute,
+        d_pen=np.abs(draw.normal(size=shape)) * 1e-3,
+        d_drift=np.abs(draw.normal(size=shape)),
+        s_sem=draw.uniform(size=shape),
+        status=np.zeros(shape, int),
+        valid=draw.uniform(size=shape) < np.linspace(0.1, 0.9, iterations)[:, None],
+        object_names=np.array(["cup", "saucer", "spoon"][:objects]),
+    )
+
+
+@pytest.fixture
+def finished(tmp_path):
+    """A run folder with everything in it, made by hand."""
+    out = tmp_path / "out"
+    with RunFolder(out, load_config(None, {"refine": {"cem": {"population": 16}}})) as run:
+        with run.step("parse", {}) as stage:
+            assert stage is not None
+            (stage / "tree.json").write_text(json.dumps(_tree()))
+            Image.new("RGB", (60, 40), "teal").save(stage / "photo.png")
+            (stage / "pictures").mkdir()
+            Image.new("RGB", (60, 40), "tan").save(stage / "pictures" / "parse.png")
+        with run.step("verify/jar", {}) as stage:
+            assert stage is not None
+            (stage / "objects" / "jar").mkdir(parents=True)
+            check = {"name": "free_fall", "value": 0.0021, "threshold": 0.01, "unit": "m"}
+            found = {"passed": True, "checks": [check | {"passed": True}]}
+            (stage / "objects" / "jar" / "verify.json").write_text(json.dumps(found))
+        with run.step("compose", {}) as stage:
+            assert stage is not None
+            (stage / "scene.json").write_text(json.dumps(_scene()))
+        with run.step("refine", {}) as stage:
+            assert stage is not None
+            (stage / "refine").mkdir()
+            _history(stage / "refine" / "history.npz")
+        run.fallback("refine", "native", "no GPU here")
+        pair = {"a": "cup", "b": "saucer", "before_m": 0.004, "after_m": 0.0}
+        run.record("metrics", s_pen=0, max_depth_m=0.0, s_stab=True, max_drift_m=0.0004)
+        run.record("metrics", max_tilt_deg=0.1, mean_log_scale=-0.01, objects=4, movable=3)
+        run.record("metrics", penetrations=[pair])
+        run.finish()
+    return out
+
+
+class _Page(HTMLParser):
+    def __init__(self, html):
+        super().__init__()
+        self.open, self.tags, self.links = [], [], []
+        self.feed(html)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.links += [value for name, value in attrs if name in ("src", "href", "xlink:href")]
+        if tag not in ("meta", "img", "br"):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def _words(html):
+    return " ".join(re.sub(r"<style>.*?</style>|<[^>]+>", " ", html, flags=re.S).split())
+
+
+def test_a_whole_run_shows_its_numbers_pictures_and_verdicts(finished):
+    html = write_report(finished).read_text()
+    page, words = _Page(html), _words(html)
+    assert page.tags.count("img") >= 2
+    assert page.tags.count("polyline") >= 6
+    for said in (
+        *("1 fallback was used", "refine : native — no GPU here", "0.40 mm", "limit 10 mm in 2 s"),
+        *("free fall 2.10 mm 10.00 mm ✓ pass", "cup – saucer 4.00 0.00 ✓ pass", "stable"),
+        *("lid_hinge revolute body → lid (0.00, 1.00, 0.00) 0 to 90 ° 45 °", "a saucer"),
+        *("refine.cem.population 16 256", "+0 / +10 / -5", "3 movable objects of 4"),
+    ):
+        assert said in words, said
+
+
+def test_the_page_asks_nothing_of_the_network(finished):
+    html = write_report(finished).read_text()
+    assert all(link.startswith("data:image/") for link in _Page(html).links)
+    assert "script" not in _Page(html).tags
+    assert not re.search(r"url\(|@import|https?://", html)
+
+
+def test_failed_numbers_are_shown_as_failed(finished):
+    with RunFolder(finished, Config(), resume=True) as run:
+        run.record("metrics", s_pen=1, max_depth_m=0.005, s_stab=False, max_drift_m=float("nan"))
+    html = write_report(finished).read_text()
+    assert 'class="value bad">5.00 mm' in html
+    assert 'class="value bad">not stable' in html
+    assert 'class="value bad">unknown' in html
+
+
+def test_text_from_models_is_escaped(finished):
+    (finished / "tree.json").write_text(json.dumps(_tree(label=EVIL)))
+    (finished / "objects" / "jar" / "verify.json").write_text(
+        json.dumps({"passed": False, "checks": [{"name": EVIL, "value": EVIL, "hint": EVIL}]})
+    )
+    with RunFolder(finished, Config(), resume=True) as run:
+        run.fallback(EVIL, EVIL, EVIL)
+        run.record("mllm", provider=EVIL, by_role_and_model=[{"model": EVIL}])
+        run.record("device", engine=EVIL)
+    html = write_report(finished).read_text()
+    assert "<script" not in html
+    assert "evil/a.png" in html
+    assert all(link.startswith("data:") for link in _Page(html).links)
+
+
+def test_a_run_stopped_early_says_what_is_not_there(tmp_path):
+    with RunFolder(tmp_path / "out", Config()) as run:
+        with run.step("parse", {}) as stage:
+            assert stage is not None
+            (stage / "tree.json").write_text(json.dumps(_tree()))
+        run.finish(until="parse")
+    html = write_report(tmp_path / "out").read_text()
+    words = _words(html)
+    assert "stopped after parse" in words
+    assert "No refine/history.npz yet." in words
+    assert "No objects yet." in words
+    assert "done so far: parse" in words
+    _Page(html)
+
+
+def test_damaged_files_cost_their_section_only(finished):
+    (finished / "refine" / "history.npz").write_bytes(b"PK\x03\x04 not a zip")
+    (finished / "tree.json").write_text('{"nodes": [{"name": "cup"}], "camera": 3}')
+    (finished / "scene.json").write_text("{half")
+    (finished / "photo.png").write_bytes(b"no picture")
+    words = _words(write_report(finished).read_text())
+    assert "refine/history.npz cannot be read" in words
+    assert "A file of this run does not fit: KeyError" in words
+    assert "photo.png cannot be read" in words
+    assert "4.00 0.00 ✓ pass" in words
+
+
+def test_large_pictures_are_shrunk(finished):
+    noise = np.random.default_rng(0).integers(0, 255, (1500, 2000, 3), np.uint8)
+    Image.fromarray(noise).save(finished / "photo.png")
+    assert write_report(finished).stat().st_size < 2_500_000
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path):
+    with pytest.raises(RunError, match="not a run folder"):
+        write_report(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [[1.0], [2.0, 2.0, 2.0], [np.nan, np.inf], [0.0, np.nan, 3.0, -1e-9], [1e9, 1e-9, -1e9]],
+)
+def test_charts_are_well_formed_and_stay_inside(values):
+    drawn = line_chart([Line("<a>", np.array(values))], y_label="y & z")
+    root = ET.fromstring(drawn)
+    for circle in root.iter("circle"):
+        assert 0 <= float(circle.get("cx", "nan")) <= 460
+        assert 0 <= float(circle.get("cy", "nan")) <= 260
+    assert len(list(root.iter("circle"))) == np.isfinite(values).sum()
+
+
+def test_bars_are_proportional():
+    root = ET.fromstring(bars([("a", 1.0), ("b", 2.0)], "s"))
+    a, b = (float(rect.get("width", "nan")) for rect in root.iter("rect"))
+    assert b == pytest.approx(2 * a, rel=0.01)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.2, 0.7), (0.00012, 0.00013), (5, 9000)])
+def test_ticks_are_round_and_cover(low, high):
+    ticks = nice_ticks(low, high)
+    assert 2 <= len(ticks) <= 8
+    assert ticks[0] <= low + 1e-12
+    assert ticks[-1] >= high - 1e-12
+    steps = np.diff(ticks)
+    assert np.allclose(steps, steps[0])
