@@ -1,0 +1,177 @@
+"""Rays against a MuJoCo model: hits with smooth normals, and whether one point sees another.
+
+`mujoco.mj_multiRay` needs no OpenGL, gives the same result on every machine, and lets go of the
+interpreter's lock; it writes to its MjData's stack, so each thread has its own.
+"""
+
+import copy
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from ..physics.mjcf import VISUAL_GROUP
+from ..spec.surface import corner_normals
+
+FAR = 1e10
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What rays meet first; one row a ray."""
+
+    geom: NDArray
+    """Geom id, -1 for nothing, int32 [n]."""
+    distance: NDArray
+    """Along the ray, in lengths of its direction; inf for nothing, [n]."""
+    point: NDArray
+    """[m], [n, 3]; meaningless for nothing."""
+    normal: NDArray
+    """Outward unit normal, smooth over meshes, [n, 3]; zero for nothing."""
+
+
+class Caster:
+    """A posed model, ready for rays."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, threads: int | None = None):
+        self.model, self.data = model, data
+        count = threads or min(4, os.cpu_count() or 1)
+        self._datas = [data, *(copy.copy(data) for _ in range(count - 1))]
+        seen = model.geom_group == VISUAL_GROUP
+        self.shown: NDArray = seen if seen.any() else model.geom_group <= 2
+        """Which geoms are seen [geom]: the visual ones, or where a model has none, all."""
+        self._groups = np.zeros(6, np.uint8)
+        self._groups[np.unique(model.geom_group[self.shown])] = 1
+        self._smooth: dict[int, _Smooth] = {}
+
+    def hits(self, eye: NDArray, directions: NDArray) -> Hits:
+        """Cast rays [n, 3] from one point [3] m."""
+        geom, distance, normal = self._cast(eye, directions, normals=True)
+        point = eye + directions * np.where(geom >= 0, distance, 0.0)[:, None]
+        assert normal is not None
+        self._smoothen(geom, point, normal)
+        normal[geom < 0] = 0.0
+        return Hits(geom, np.where(geom >= 0, distance, np.inf), point, normal)
+
+    def visible(self, source: NDArray, points: NDArray) -> NDArray:
+        """Return whether nothing stands between a source [3] and points [n, 3], bool [n]."""
+        geom, distance, _ = self._cast(source, points - source, normals=False)
+        return (geom < 0) | (distance >= 1.0 - 1e-9)
+
+    def _cast(
+        self, eye: NDArray, directions: NDArray, *, normals: bool
+    ) -> tuple[NDArray, NDArray, NDArray | None]:
+        n = len(directions)
+        rays = np.ascontiguousarray(directions, float).reshape(-1)
+        geom, distance = np.empty(n, np.int32), np.empty(n)
+        normal = np.empty(3 * n) if normals else None
+        workers = len(self._datas) if n > 4096 else 1
+        cuts = np.linspace(0, n, workers + 1).astype(int)
+
+        def work(k: int) -> None:
+            low, high = int(cuts[k]), int(cuts[k + 1])
+            if low == high:
+                return
+            mujoco.mj_multiRay(
+                self.model,
+                self._datas[k],
+                np.asarray(eye, float),
+                rays[3 * low : 3 * high],
+                self._groups,
+                True,
+                -1,
+                geom[low:high],
+                distance[low:high],
+                None if normal is None else normal[3 * low : 3 * high],
+                high - low,
+                FAR,
+            )
+
+        if workers == 1:
+            work(0)
+        else:
+            with ThreadPoolExecutor(workers) as pool:
+                list(pool.map(work, range(workers)))
+        return geom, distance, None if normal is None else normal.reshape(-1, 3)
+
+    def _smoothen(self, geom: NDArray, point: NDArray, normal: NDArray) -> None:
+        """Replace the facet normals of mesh hits by normals interpolated over the facet."""
+        data = self.data
+        for g in np.unique(geom):
+            if g < 0 or self.model.geom_type[g] != mujoco.mjtGeom.mjGEOM_MESH:
+                continue
+            mesh = int(self.model.geom_dataid[g])
+            if mesh not in self._smooth:
+                self._smooth[mesh] = _Smooth.of(self.model, mesh)
+            rows = np.flatnonzero(geom == g)
+            turn = data.geom_xmat[g].reshape(3, 3)
+            local = (point[rows] - data.geom_xpos[g]) @ turn
+            normal[rows] = self._smooth[mesh].normals(local, normal[rows] @ turn) @ turn.T
+
+
+@dataclass(frozen=True)
+class _Smooth:
+    """Finds the facet of a mesh that a ray has hit, which MuJoCo does not tell, by its plane."""
+
+    tree: KDTree
+    reach: float
+    corners: NDArray
+    """[f, 3, 3] m"""
+    normals_at: NDArray
+    """At the corners, [f, 3, 3]."""
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, mesh: int) -> "_Smooth":
+        v0, f0 = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
+        vertices = model.mesh_vert[v0 : v0 + model.mesh_vertnum[mesh]].astype(float)
+        faces = model.mesh_face[f0 : f0 + model.mesh_facenum[mesh]].astype(int)
+        corners = vertices[faces]
+        flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-30)
+        reach = float(np.abs(vertices).max()) or 1.0
+        offset = np.sum(flat * corners.mean(axis=1), axis=1) / reach
+        tree = KDTree(_key(flat, offset, corners.mean(axis=1) / reach))
+        return cls(tree, reach, corners, corner_normals(vertices, faces))
+
+    def normals(self, points: NDArray, flat: NDArray) -> NDArray:
+        """Interpolate at points [n, 3] on facets with normals [n, 3], in the mesh's frame."""
+        offset = np.sum(flat * points, axis=1) / self.reach
+        count = min(3, len(self.corners))
+        _, near = self.tree.query(_key(flat, offset, points / self.reach), k=count)
+        best, weights = self._weights(points, near.reshape(len(points), -1))
+        mixed = np.einsum("nk,nkx->nx", weights, self.normals_at[best])
+        length = np.linalg.norm(mixed, axis=1, keepdims=True)
+        return np.where(length > 0.1, mixed / np.maximum(length, 1e-30), flat)
+
+    def _weights(self, points: NDArray, near: NDArray) -> tuple[NDArray, NDArray]:
+        """Choose the candidate facet [n, k] that holds each point; return it and barycentrics."""
+        best = near[:, 0].copy()
+        weights = _barycentric(points, self.corners[best])
+        for k in range(1, near.shape[1]):
+            other = _barycentric(points, self.corners[near[:, k]])
+            better = other.min(axis=1) > weights.min(axis=1)
+            best[better], weights[better] = near[better, k], other[better]
+        weights = np.clip(weights, 0.0, 1.0)
+        return best, weights / weights.sum(axis=1, keepdims=True)
+
+
+def _key(normal: NDArray, offset: NDArray, place: NDArray) -> NDArray:
+    # Facets of one plane are told apart by place; planes, which a ray knows exactly, come first.
+    return np.column_stack([100.0 * normal, 100.0 * offset, place])
+
+
+def _barycentric(points: NDArray, corners: NDArray) -> NDArray:
+    a = corners[:, 0]
+    u, v, w = corners[:, 1] - a, corners[:, 2] - a, points - a
+    uu, uv, vv = (np.einsum("nx,nx->n", x, y) for x, y in ((u, u), (u, v), (v, v)))
+    wu, wv = np.einsum("nx,nx->n", w, u), np.einsum("nx,nx->n", w, v)
+    det = np.maximum(uu * vv - uv * uv, 1e-300)
+    s, t = (vv * wu - uv * wv) / det, (uu * wv - uv * wu) / det
+    return np.stack([1.0 - s - t, s, t], axis=1)
+
+
+__all__ = ["Caster", "Hits"]

@@ -1,0 +1,226 @@
+"""Light: a soft key light, a sky that reaches into corners, and a floor that carries shadows.
+
+Both lights are sampled at 16 points that neighbouring pixels share out among them in tiles of 4 by
+4; averaging over a tile, within one surface, then gives every pixel all 16. That is one shadow ray
+a pixel and light instead of sixteen.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .cast import Caster
+from .finish import linear
+from .view import View
+
+TILE = 4
+FLOOR = -2
+"""Stands for the floor among geom ids."""
+
+KEY_COLOUR = np.array([1.0, 0.95, 0.86]) * 1.1
+SKY_COLOUR = np.array([0.86, 0.92, 1.0]) * 0.45
+BOUNCE_COLOUR = np.array([1.0, 0.96, 0.92]) * 0.24
+ZENITH, HORIZON = linear(np.array([0.72, 0.76, 0.81])), linear(np.array([0.90, 0.91, 0.92]))
+GROUND = linear(np.array([0.62, 0.60, 0.58]))
+FLOOR_COLOUR = linear(np.array([0.74, 0.735, 0.73]))
+
+
+@dataclass(frozen=True)
+class Lights:
+    """Sample points of both lights, far away."""
+
+    key: NDArray
+    """[16, 3] m"""
+    key_direction: NDArray
+    """Unit vector [3] towards the key light."""
+    sky: NDArray
+    """[16, 3] m"""
+    sky_directions: NDArray
+    """[16, 3]"""
+
+
+def lights(view: View, centre: NDArray, reach: float) -> Lights:
+    """Set the key light high at the camera's left shoulder, and the sky all around.
+
+    Args:
+        view: the camera.
+        centre: of what is lit [m], [3].
+        reach: its radius [m].
+    """
+    forward = view.axes[:, 2] * [1.0, 1.0, 0.0]
+    if np.linalg.norm(forward) < 1e-6:
+        forward = -view.axes[:, 1] * [1.0, 1.0, 0.0]
+    forward = forward / np.linalg.norm(forward)
+    left = np.array([-forward[1], forward[0], 0.0])
+    towards = 0.95 * left - 0.25 * forward + [0.0, 0.0, 1.35]
+    towards = towards / np.linalg.norm(towards)
+    u = np.cross(towards, [0.0, 0.0, 1.0])
+    u = u / np.linalg.norm(u)
+    v = np.cross(towards, u)
+    n = TILE * TILE
+    k = np.arange(n)
+    # A sunflower spread; the stride through it keeps neighbours in a tile far apart on the light.
+    spread = (k * 7) % n
+    radius, angle = np.sqrt((spread + 0.5) / n), spread * math.pi * (3 - math.sqrt(5))
+    disc = radius[:, None] * (np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v)
+    far = 12.0 * reach
+    height = 1.0 - (spread + 0.5) / n * 0.92
+    level = np.sqrt(1.0 - height**2)
+    dome = np.column_stack([level * np.cos(angle), level * np.sin(angle), height])
+    return Lights(centre + far * (towards + 0.075 * disc), towards, centre + far * dome, dome)
+
+
+def tile_index(rows: NDArray, columns: NDArray) -> NDArray:
+    """Return which of the 16 samples a pixel takes."""
+    return (rows % TILE) * TILE + columns % TILE
+
+
+def visibility(
+    caster: Caster,
+    sources: Lights,
+    surface: NDArray,
+    point: NDArray,
+    normal: NDArray,
+    depth: NDArray,
+) -> tuple[NDArray, NDArray]:
+    """Return how much of the key light and of the sky each pixel sees, both [h, w] in [0, 1].
+
+    Args:
+        caster: the model.
+        sources: the lights.
+        surface: geom id of each pixel, FLOOR for the floor, -1 for nothing, [h, w].
+        point: [m], [h, w, 3].
+        normal: [h, w, 3].
+        depth: distance along the view [m], [h, w]; sets how far shadow rays start off the surface.
+    """
+    h, w = surface.shape
+    rows, columns = np.mgrid[:h, :w]
+    which = tile_index(rows, columns)
+    # Facets stand inside the smooth surface that they shade as; the offset clears them.
+    lifted = point + normal * (np.where(np.isfinite(depth), depth, 0.0) * 1.0e-3)[..., None]
+    key, key_weight = np.zeros((h, w)), np.zeros((h, w))
+    sky, sky_weight = np.zeros((h, w)), np.zeros((h, w))
+    for k in range(TILE * TILE):
+        mine = (which == k) & (surface != -1)
+        for value, weight, source, towards in (
+            (key, key_weight, sources.key[k], sources.key_direction),
+            (sky, sky_weight, sources.sky[k], sources.sky_directions[k]),
+        ):
+            facing = normal[mine] @ towards
+            lit = np.flatnonzero(facing > 0)
+            seen = np.zeros(len(facing))
+            seen[lit] = caster.visible(source, lifted[mine][lit])
+            share = np.maximum(facing, 0.0) if value is sky else (facing > 0).astype(float)
+            value[mine], weight[mine] = seen * share, share
+    fields = np.stack([key, key_weight, sky, sky_weight], axis=-1)
+    # Once to either side, so that the mean is centred on the pixel.
+    fields = _mean(fields, ((-1, 0, 1, 2), (-2, -1, 0, 1)), surface, point, normal, depth)
+    # The sky has no edges to keep: tiles farther apart smooth it more.
+    sky_fields = _mean(fields[..., 2:], ((-4, 0, 4), (-8, 0, 8)), surface, point, normal, depth)
+    return (
+        fields[..., 0] / np.maximum(fields[..., 1], 1e-9),
+        sky_fields[..., 0] / np.maximum(sky_fields[..., 1], 1e-9),
+    )
+
+
+def _mean(
+    fields: NDArray,
+    passes: tuple[tuple[int, ...], ...],
+    surface: NDArray,
+    point: NDArray,
+    normal: NDArray,
+    depth: NDArray,
+) -> NDArray:
+    """Average fields [h, w, c] over shifted pixels of the same smooth piece of surface."""
+    reach = 0.01 * np.where(np.isfinite(depth), depth, 1.0)
+    for shifts in passes:
+        for axis in (0, 1):
+            total, count = np.zeros_like(fields), np.zeros(surface.shape)
+            for shift in shifts:
+                near = _shift(surface, shift, axis, -3)
+                same = near == surface
+                if shift:
+                    away = np.abs(
+                        np.sum((_shift(point, shift, axis, 0.0) - point) * normal, axis=-1)
+                    )
+                    same &= away < reach
+                    same &= np.sum(_shift(normal, shift, axis, 0.0) * normal, axis=-1) > 0.8
+                total += np.where(same[..., None], _shift(fields, shift, axis, 0.0), 0.0)
+                count += same
+            fields = total / np.maximum(count, 1)[..., None]
+    return fields
+
+
+def _shift(a: NDArray, by: int, axis: int, fill: float) -> NDArray:
+    if by == 0:
+        return a
+    out = np.full_like(a, fill)
+    to: list[slice] = [slice(None)] * a.ndim
+    source = list(to)
+    to[axis] = slice(max(0, -by), a.shape[axis] - max(0, by))
+    source[axis] = slice(max(0, by), a.shape[axis] - max(0, -by))
+    out[tuple(to)] = a[tuple(source)]
+    return out
+
+
+def surroundings(direction: NDArray, key_direction: NDArray | None = None) -> NDArray:
+    """Return the light [n, 3] from directions [n, 3]: a bright sky over a grey ground.
+
+    Args:
+        direction: unit vectors.
+        key_direction: where the key light shows as a soft bright spot; None leaves it out.
+    """
+    z = direction[..., 2:3]
+    up = np.clip(z, 0.0, 1.0)
+    sky = HORIZON + (ZENITH - HORIZON) * up * (2.0 - up)
+    blend = np.clip(0.5 + z * 4.0, 0.0, 1.0)
+    light = GROUND + (sky - GROUND) * blend * blend * (3.0 - 2.0 * blend)
+    if key_direction is not None:
+        near = np.clip((direction @ key_direction - 0.93) / 0.06, 0.0, 1.0)
+        light = light + (near * near * (3.0 - 2.0 * near))[..., None] * KEY_COLOUR * 1.6
+    return light
+
+
+def shade(
+    colour: NDArray,
+    gloss: NDArray,
+    metal: NDArray,
+    normal: NDArray,
+    towards_eye: NDArray,
+    key: NDArray,
+    sky: NDArray,
+    key_direction: NDArray,
+) -> NDArray:
+    """Return the light [n, 3] that surfaces send to the eye.
+
+    Args:
+        colour: linear albedo [n, 3].
+        gloss: mirrored share head-on [n].
+        metal: whether it mirrors in its own colour [n].
+        normal: [n, 3].
+        towards_eye: unit vectors [n, 3].
+        key: visible share of the key light [n].
+        sky: visible share of the sky [n].
+        key_direction: unit vector [3] towards the key light.
+    """
+    facing = np.clip(normal @ key_direction, 0.0, 1.0) * key
+    up = 0.5 + 0.5 * normal[:, 2]
+    sky = 0.15 + 0.85 * sky
+    light = (
+        facing[:, None] * KEY_COLOUR
+        + (up * sky)[:, None] * SKY_COLOUR
+        + ((1.0 - up) * (0.4 + 0.6 * sky))[:, None] * BOUNCE_COLOUR
+    )
+    cosine = np.clip(np.sum(normal * towards_eye, axis=1), 0.0, 1.0)
+    grazing = (1.0 - cosine) ** 5
+    mirror = 2.0 * cosine[:, None] * normal - towards_eye
+    seen = surroundings(mirror, key_direction) * (0.25 + 0.75 * np.maximum(sky, key))[:, None]
+    share = np.where(gloss > 0, gloss + (1.0 - gloss) * grazing * 0.5, 0.0)[:, None]
+    tint = np.where(metal[:, None], colour * 1.25, 1.0)
+    body = np.where(metal, 0.45, 1.0)[:, None] * colour * light
+    return body * (1.0 - share) + seen * share * tint
+
+
+__all__ = ["FLOOR", "FLOOR_COLOUR", "Lights", "lights", "shade", "surroundings", "visibility"]

@@ -1,0 +1,102 @@
+"""Pictures of scenes and single objects, and their PNG bytes."""
+
+import io
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from ..spec import Camera, ObjectSpec, SceneObject, SceneSpec, bounds, link_poses, world_poses
+from ..spec.surface import surface
+from .raycast import Picture, render
+from .view import View
+
+
+def render_scene(
+    scene: SceneSpec,
+    camera: Camera | View | None = None,
+    *,
+    width: int | None = None,
+    height: int | None = None,
+    supersample: int = 2,
+) -> Picture:
+    """Take a picture of a scene.
+
+    Args:
+        scene: the scene.
+        camera: from where; None takes the scene's own, else one that frames what can move.
+        width: in pixels; 480 where neither size nor camera says.
+        height: in pixels; None follows from the camera's aspect, else 2/3 of the width.
+        supersample: rays a pixel and axis at edges.
+    """
+    camera = camera or scene.camera
+    if camera is None:
+        columns = width or (480 if height is None else height * 3 // 2)
+        rows = height or columns * 2 // 3
+        items = [item for item in scene.objects if not item.environment] or list(scene.objects)
+        poses = world_poses(scene)
+        points = [poses[item.name].apply(corners(item.spec, item.joint_state)) for item in items]
+        # From where a scene's own camera stands: the near side is -x.
+        camera = View.framing(
+            np.vstack(points), width=columns, height=rows, azimuth=np.radians(215)
+        )
+    return render(scene, camera, width=width, height=height, supersample=supersample)
+
+
+def render_object(
+    spec: ObjectSpec,
+    joint_state: Mapping[str, float] | None = None,
+    camera: Camera | View | None = None,
+    *,
+    width: int = 480,
+    height: int = 320,
+    supersample: int = 2,
+) -> Picture:
+    """Take a picture of one object on a plain floor.
+
+    Args:
+        spec: the object.
+        joint_state: joint values [rad or m]; joints not named stand at 0.
+        camera: from where, in the object's frame; None sees its front from the right and above.
+        width: in pixels.
+        height: in pixels.
+        supersample: rays a pixel and axis at edges.
+    """
+    item = SceneObject(name=spec.name, spec=spec, joint_state=dict(joint_state or {}))
+    if camera is None:
+        points = corners(spec, item.joint_state)
+        camera = View.framing(points, width=width, height=height)
+    scene = SceneSpec(name=spec.name, objects=(item,))
+    return render(scene, camera, width=width, height=height, supersample=supersample)
+
+
+def corners(spec: ObjectSpec, joint_state: Mapping[str, float] | None = None) -> NDArray:
+    """Return the visible surface's vertices [n, 3] m in the object's frame, as posed."""
+    moved = link_poses(spec, dict(joint_state or {}))
+    points = [
+        moved[part.name].then(geom.pose()).apply(surface(geom.shape)[0])
+        for part in spec.parts
+        for geom in part.geoms
+        if geom.role != "collision"
+    ]
+    if points:
+        return np.vstack(points)
+    low, high = bounds(spec, dict(joint_state or {}))
+    return np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+
+
+def to_png(picture: Picture | NDArray) -> bytes:
+    """Encode a picture's colour, or an array uint8 [h, w], [h, w, 3] or [h, w, 4], as PNG.
+
+    The same array gives the same bytes; there is no time stamp in them.
+    """
+    array = picture.color if isinstance(picture, Picture) else np.asarray(picture)
+    if array.dtype != np.uint8:
+        raise TypeError(f"a PNG needs uint8 pixels, got {array.dtype}")
+    stream = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(array)).save(stream, "PNG", compress_level=6)
+    return stream.getvalue()
+
+
+__all__ = ["render_object", "render_scene", "to_png"]

@@ -1,0 +1,256 @@
+"""Pictures by casting rays: colour, depth, normals and which object is where; no OpenGL.
+
+Depth, normals and segmentation are those of the ray through each pixel's centre, whatever the
+supersampling. Colour is smoothed at edges only: pixels whose neighbours show another surface are
+cast again at several points.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..physics.mjcf import START, to_mjspec
+from ..spec import Camera, SceneSpec
+from .cast import Caster, Hits
+from .finish import Finish, albedo, display, finish_of
+from .light import FLOOR, FLOOR_COLOUR, Lights, lights, shade, surroundings, visibility
+from .view import View
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What a camera sees, [height, width]."""
+
+    color: NDArray
+    """Display colour (sRGB), uint8 [h, w, 3]."""
+    depth: NDArray
+    """Along the view, not the ray [m], float64 [h, w]; inf where no object is."""
+    normal: NDArray
+    """Outward unit normal in the world, float64 [h, w, 3]; zero where no object is."""
+    segmentation: NDArray
+    """Index of the object, int32 [h, w]; -1 where none is."""
+    names: tuple[str, ...]
+    """Objects by index."""
+
+
+def render(
+    scene: SceneSpec | tuple[mujoco.MjModel, mujoco.MjData],
+    camera: Camera | View,
+    *,
+    width: int | None = None,
+    height: int | None = None,
+    supersample: int = 2,
+    floor: bool = True,
+) -> Picture:
+    """Take a picture.
+
+    Args:
+        scene: a scene, in its own poses and joint states; or a model with its data posed
+            (`mj_kinematics` has run). Of a model with geoms in group 1 only those are seen. An
+            object of a model is a body of the world with all below it, in the model's order.
+        camera: the camera.
+        width: in pixels; None takes the camera's own, or follows from `height`.
+        height: in pixels; None follows from `width` by the camera's aspect.
+        supersample: rays a pixel and axis at edges; 1 leaves them jagged.
+        floor: whether to draw a plain floor under everything; it is no object.
+    """
+    if isinstance(camera, Camera):
+        view = View.of(camera, width, height)
+    else:
+        view = camera._replace(width=width or camera.width, height=height or camera.height)
+    spec = scene if isinstance(scene, SceneSpec) else None
+    model, data = compiled(scene) if isinstance(scene, SceneSpec) else scene
+    caster = Caster(model, data)
+    studio = _Studio.of(caster, finish_of(model, data, spec), view, floor)
+
+    rows, columns = np.mgrid[: view.height, : view.width]
+    pixels = np.stack([columns + 0.5, rows + 0.5], axis=-1)
+    seen = studio.look(view.rays(pixels.reshape(-1, 2)))
+    shape = (view.height, view.width)
+    surface = seen.surface.reshape(shape)
+    point, normal = seen.hits.point.reshape(*shape, 3), seen.hits.normal.reshape(*shape, 3)
+    depth = ((seen.hits.point - view.eye) @ view.axes[:, 2]).reshape(shape)
+    depth = np.where(surface == -1, np.inf, depth)
+    key, sky = visibility(caster, studio.lights, surface, point, normal, depth)
+    light = studio.shade(seen, key.ravel(), sky.ravel()).reshape(*shape, 3)
+    color = display(light)
+    if supersample > 1:
+        edge = _edges(surface, point, normal, depth)
+        _smooth_edges(color, edge, studio, surface, point, normal, key, sky, supersample)
+    objects, names = _objects(model)
+    found = surface >= 0
+    return Picture(
+        color=color,
+        depth=np.where(found, depth, np.inf),
+        normal=np.where(found[..., None], normal, 0.0),
+        segmentation=np.where(found, objects[np.maximum(surface, 0)], -1).astype(np.int32),
+        names=names,
+    )
+
+
+def compiled(scene: SceneSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Compile a scene with its visual geoms and pose it as the scene says."""
+    model = to_mjspec(scene, visual=True).compile()
+    data = mujoco.MjData(model)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
+    mujoco.mj_kinematics(model, data)
+    return model, data
+
+
+def _objects(model: mujoco.MjModel) -> tuple[NDArray, tuple[str, ...]]:
+    roots = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0]
+    index = np.full(model.nbody, -1)
+    index[roots] = np.arange(len(roots))
+    root_of = model.body_rootid[model.geom_bodyid]
+    return index[root_of], tuple(model.body(b).name for b in roots)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    rays: NDArray
+    hits: Hits
+    surface: NDArray
+    """Geom id, FLOOR, or -1, [n]."""
+
+
+@dataclass(frozen=True)
+class _Studio:
+    caster: Caster
+    finish: Finish
+    view: View
+    lights: Lights
+    centre: NDArray
+    reach: float
+    ground: float | None
+    """Height of the floor [m]."""
+
+    @classmethod
+    def of(cls, caster: Caster, finish: Finish, view: View, floor: bool) -> "_Studio":
+        model, data = caster.model, caster.data
+        shown = np.flatnonzero(caster.shown & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE))
+        turn = data.geom_xmat[shown].reshape(-1, 3, 3)
+        middle = np.einsum("nij,nj->ni", turn, model.geom_aabb[shown, :3]) + data.geom_xpos[shown]
+        half = np.einsum("nij,nj->ni", np.abs(turn), model.geom_aabb[shown, 3:])
+        low, high = (middle - half).min(axis=0), (middle + half).max(axis=0)
+        centre, reach = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+        return cls(
+            caster,
+            finish,
+            view,
+            lights(view, centre, reach),
+            centre,
+            reach,
+            float(low[2]) if floor else None,
+        )
+
+    def look(self, rays: NDArray) -> _Seen:
+        hits = self.caster.hits(self.view.eye, rays)
+        surface = hits.geom.astype(np.int64)
+        down = rays[:, 2] < -1e-6
+        if self.ground is not None and self.view.eye[2] > self.ground and down.any():
+            distance = (self.ground - self.view.eye[2]) / np.where(down, rays[:, 2], -1.0)
+            on = (surface < 0) & down & (distance < 40.0 * self.reach)
+            surface[on] = FLOOR
+            hits.point[on] = self.view.eye + rays[on] * distance[on, None]
+            hits.normal[on] = [0.0, 0.0, 1.0]
+        return _Seen(rays, hits, surface)
+
+    def shade(self, seen: _Seen, key: NDArray, sky: NDArray) -> NDArray:
+        """Return the light [n, 3] along each ray."""
+        towards = self.lights.key_direction
+        light = surroundings(seen.rays)
+        body = np.flatnonzero(seen.surface >= 0)
+        g = seen.surface[body]
+        light[body] = shade(
+            albedo(self.finish, g, seen.hits.point[body]),
+            self.finish.gloss[g],
+            self.finish.metal[g],
+            seen.hits.normal[body],
+            -seen.rays[body],
+            key[body],
+            sky[body],
+            towards,
+        )
+        on = np.flatnonzero(seen.surface == FLOOR)
+        n = len(on)
+        lit = shade(
+            np.tile(FLOOR_COLOUR, (n, 1)),
+            np.zeros(n),
+            np.zeros(n, bool),
+            seen.hits.normal[on],
+            -seen.rays[on],
+            key[on],
+            sky[on],
+            towards,
+        )
+        # The floor fades into the horizon, so that it has no edge.
+        away = np.linalg.norm((seen.hits.point[on] - self.centre)[:, :2], axis=1) / self.reach
+        fade = np.clip((away - 2.0) / 10.0, 0.0, 1.0)[:, None]
+        light[on] = lit + (surroundings(seen.rays[on] * [1, 1, 0]) - lit) * fade
+        return light
+
+
+def _edges(surface: NDArray, point: NDArray, normal: NDArray, depth: NDArray) -> NDArray:
+    """Return the pixels [h, w] whose neighbour to any side shows another surface or a crease."""
+    edge = np.zeros(surface.shape, bool)
+    for axis in (0, 1):
+        a: tuple[slice, ...] = (
+            (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
+        )
+        b: tuple[slice, ...] = (
+            (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
+        )
+        differs = surface[a] != surface[b]
+        differs |= np.sum(normal[a] * normal[b], axis=-1) < 0.9
+        gap = np.abs(np.sum((point[a] - point[b]) * normal[a], axis=-1))
+        differs |= gap > 0.02 * np.minimum(depth[a], depth[b])
+        differs &= (surface[a] != -1) | (surface[b] != -1)
+        edge[a] |= differs
+        edge[b] |= differs
+    return edge
+
+
+def _smooth_edges(
+    color: NDArray,
+    edge: NDArray,
+    studio: _Studio,
+    surface: NDArray,
+    point: NDArray,
+    normal: NDArray,
+    key: NDArray,
+    sky: NDArray,
+    supersample: int,
+) -> None:
+    """Replace the colour of edge pixels by the mean over several rays, in place."""
+    rows, columns = np.nonzero(edge)
+    if not len(rows):
+        return
+    step = (np.arange(supersample) + 0.5) / supersample
+    du, dv = (grid.ravel() for grid in np.meshgrid(step, step))
+    u = (columns[:, None] + du).ravel()
+    v = (rows[:, None] + dv).ravel()
+    seen = studio.look(studio.view.rays(np.column_stack([u, v])))
+    row, column = np.repeat(rows, len(du)), np.repeat(columns, len(du))
+    best = np.full(len(row), np.inf)
+    lit, open_ = key[row, column].copy(), sky[row, column].copy()
+    h, w = surface.shape
+    # Shadows come from the neighbouring pixel that lies nearest on the same surface.
+    for i in (0, -1, 1):
+        for j in (0, -1, 1):
+            r, c = np.clip(row + i, 0, h - 1), np.clip(column + j, 0, w - 1)
+            apart = np.linalg.norm(point[r, c] - seen.hits.point, axis=1)
+            turned = 1.0 - np.sum(normal[r, c] * seen.hits.normal, axis=1)
+            cost = np.where(surface[r, c] == seen.surface, apart * (1.0 + 20.0 * turned), np.inf)
+            better = cost < best
+            best[better] = cost[better]
+            lit[better], open_[better] = key[r, c][better], sky[r, c][better]
+    shaded = studio.shade(seen, lit, open_).reshape(len(rows), -1, 3)
+    # Averaged as displayed: rims of bright surfaces would otherwise stay jagged.
+    total = display(shaded).astype(np.int64).sum(axis=1)
+    color[rows, columns] = ((2 * total + len(du)) // (2 * len(du))).astype(np.uint8)
+
+
+__all__ = ["Picture", "compiled", "render"]

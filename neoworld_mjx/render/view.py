@@ -1,0 +1,111 @@
+"""Where a picture is taken from: any pinhole camera, and views that frame an object."""
+
+import math
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..spec import Camera
+
+FOVY = math.radians(32.0)
+"""Vertical field of view [rad] of views that frame something by themselves."""
+
+
+class View(NamedTuple):
+    """A pinhole camera anywhere in the world."""
+
+    eye: NDArray
+    """Centre of projection [m], shape [3]."""
+    axes: NDArray
+    """Columns [3, 3] in the world: right, down, forward."""
+    fovy: float
+    """Vertical field of view [rad]."""
+    width: int
+    height: int
+
+    @classmethod
+    def of(cls, camera: Camera, width: int | None = None, height: int | None = None) -> Self:
+        """Take a scene's camera at another size.
+
+        Args:
+            camera: the camera.
+            width: of the picture in pixels; None follows from `height`, or is the camera's own.
+            height: of the picture in pixels; None follows from `width` by the camera's aspect.
+        """
+        if width is None:
+            rows = camera.height_px if height is None else height
+            width = max(1, round(rows * camera.width / camera.height_px))
+        if height is None:
+            height = max(1, round(width * camera.height_px / camera.width))
+        return cls(camera.position(), camera.axes(), camera.fovy, width, height)
+
+    @classmethod
+    def look_at(
+        cls, eye: ArrayLike, target: ArrayLike, *, width: int, height: int, fovy: float = FOVY
+    ) -> Self:
+        """Look from one point [3] m to another, upright."""
+        at = np.asarray(eye, float)
+        forward = np.asarray(target, float) - at
+        forward = forward / np.linalg.norm(forward)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        if np.linalg.norm(right) < 1e-9:  # straight up or down: keep +x at the picture's top
+            right = np.array([0.0, -1.0, 0.0])
+        right = right / np.linalg.norm(right)
+        return cls(
+            at, np.column_stack([right, np.cross(forward, right), forward]), fovy, width, height
+        )
+
+    @classmethod
+    def framing(
+        cls,
+        points: ArrayLike,
+        *,
+        width: int,
+        height: int,
+        azimuth: float = math.radians(-35.0),
+        elevation: float = math.radians(28.0),
+        fovy: float = FOVY,
+        margin: float = 1.22,
+    ) -> Self:
+        """See all points [n, 3] m from a direction, as near as they fit.
+
+        Args:
+            points: what must be inside the picture, such as the corners of a bounding box.
+            width: of the picture in pixels.
+            height: of the picture in pixels.
+            azimuth: of the camera about +z [rad]; 0 looks at the front (+x).
+            elevation: of the camera above the horizontal [rad].
+            fovy: vertical field of view [rad].
+            margin: how much farther away than the nearest place that shows everything.
+        """
+        p = np.asarray(points, float)
+        centre = (p.min(axis=0) + p.max(axis=0)) / 2
+        away = np.array(
+            [
+                math.cos(elevation) * math.cos(azimuth),
+                math.cos(elevation) * math.sin(azimuth),
+                math.sin(elevation),
+            ]
+        )
+        view = cls.look_at(centre + away, centre, width=width, height=height, fovy=fovy)
+        local = (p - centre) @ view.axes
+        tall = math.tan(fovy / 2)
+        wide = tall * width / height
+        need = np.maximum(np.abs(local[:, 0]) / wide, np.abs(local[:, 1]) / tall) - local[:, 2]
+        distance = max(float(need.max()), 1e-3) * margin
+        return view._replace(eye=centre + away * distance)
+
+    @property
+    def focal(self) -> float:
+        """Focal length in pixels."""
+        return self.height / 2 / math.tan(self.fovy / 2)
+
+    def rays(self, pixels: ArrayLike) -> NDArray:
+        """Return unit directions [..., 3] in the world through pixels [..., 2] (u, v)."""
+        local = (np.asarray(pixels, float) - [self.width / 2, self.height / 2]) / self.focal
+        d = np.concatenate([local, np.ones((*local.shape[:-1], 1))], axis=-1) @ self.axes.T
+        return d / np.linalg.norm(d, axis=-1, keepdims=True)
+
+
+__all__ = ["FOVY", "View"]

@@ -1,0 +1,207 @@
+import io
+import math
+
+import mujoco
+import numpy as np
+import pytest
+from PIL import Image
+
+from neoworld_mjx.physics.mjcf import to_mjspec
+from neoworld_mjx.render import View, render, render_object, render_scene, to_png
+from neoworld_mjx.spec import (
+    Box,
+    Camera,
+    Geom,
+    Joint,
+    Lathe,
+    Material,
+    ObjectSpec,
+    Part,
+    SceneObject,
+    SceneSpec,
+    Shape,
+    Sphere,
+)
+
+PAINT = Material(name="paint", density=500, rgba=(0.8, 0.2, 0.1, 1))
+WOOD = Material(name="wood", density=600, rgba=(0.6, 0.4, 0.2, 1))
+
+
+def thing(name: str, shape: Shape, z: float, material: Material = PAINT) -> ObjectSpec:
+    geom = Geom(name="body", shape=shape, pos=(0, 0, z), material=material.name)
+    return ObjectSpec(name=name, materials=(material,), parts=(Part(name="body", geoms=(geom,)),))
+
+
+CAMERA = Camera(width=200, height_px=150, fovy=math.radians(40), height=0.6, pitch=math.radians(35))
+
+
+def scene() -> SceneSpec:
+    table = thing("table", Box(size=(1.2, 1.2, 0.04)), -0.02, WOOD)
+    return SceneSpec(
+        objects=(
+            SceneObject(name="table", spec=table, environment=True, xy=(0.8, 0)),
+            SceneObject(
+                name="ball",
+                spec=thing("ball", Sphere(radius=0.08), 0.08),
+                parent="table",
+                xy=(0, 0.15),
+            ),
+            SceneObject(
+                name="bowl",
+                spec=thing(
+                    "bowl", Lathe(profile=((0, 0), (0.05, 0), (0.1, 0.06)), thickness=0.004), 0
+                ),
+                parent="table",
+                xy=(0, -0.15),
+                yaw=1.0,
+            ),
+        ),
+        camera=CAMERA,
+    )
+
+
+def test_what_is_where_agrees_with_the_camera():
+    picture = render_scene(scene(), supersample=1)
+    assert picture.color.shape == (150, 200, 3) and picture.color.dtype == np.uint8
+    assert picture.names == ("table", "ball", "bowl")
+    at = np.array([[0.8, 0.15, 0.08]])
+    (u, v), depth = CAMERA.project(at)[0][0], CAMERA.project(at)[1][0]
+    row, column = int(v), int(u)
+    assert picture.segmentation[row, column] == 1
+    # The ball's near point lies one radius before its centre along the ray through the centre.
+    ray = CAMERA.rays(np.array([[column + 0.5, row + 0.5]]))[0]
+    cosine = ray @ CAMERA.axes()[:, 2]
+    assert picture.depth[row, column] == pytest.approx(depth - 0.08 * cosine, abs=2e-4)
+    mask = picture.segmentation == 1
+    rows, columns = np.nonzero(mask)
+    hit = (
+        CAMERA.position()
+        + CAMERA.rays(np.column_stack([columns, rows]) + 0.5)
+        * (
+            picture.depth[mask]
+            / (CAMERA.rays(np.column_stack([columns, rows]) + 0.5) @ CAMERA.axes()[:, 2])
+        )[:, None]
+    )
+    radial = (hit - at) / 0.08
+    assert np.allclose(np.linalg.norm(radial, axis=1), 1, atol=1e-6)
+    assert np.allclose(picture.normal[mask], radial, atol=1e-6)
+    assert np.isinf(picture.depth[picture.segmentation == -1]).all()
+
+
+def test_meshes_have_smooth_normals():
+    shape = Lathe(profile=((0.1, 0), (0.1, 0.2)), sectors=8)
+    view = View.look_at((1, 0.3, 0.1), (0, 0, 0.1), width=120, height=120)
+    picture = render_object(thing("can", shape, 0), camera=view, width=120, height=120)
+    rows, columns = np.nonzero((picture.segmentation == 0) & (np.abs(picture.normal[..., 2]) < 0.5))
+    rays = view.rays(np.column_stack([columns, rows]) + 0.5)
+    reach = picture.depth[rows, columns] / (rays @ view.axes[:, 2])
+    hit = (view.eye + rays * reach[:, None])[:, :2]
+    radial = hit / np.linalg.norm(hit, axis=1, keepdims=True)
+    off = np.degrees(
+        np.arccos(np.sum(picture.normal[rows, columns, :2] * radial, axis=1).clip(-1, 1))
+    )
+    # A facet alone is up to 2.8 degrees off.
+    assert off.max() < 1.0
+    assert len(rows) > 1000
+
+
+def test_shadows_fall_away_from_the_light():
+    bare = SceneSpec(objects=scene().objects[:1], camera=CAMERA)
+    with_, without = render_scene(scene()), render_scene(bare)
+    same = (with_.segmentation == 0) & (without.segmentation == 0)
+    darker = without.color.astype(int).sum(axis=2) - with_.color.astype(int).sum(axis=2)
+    assert (darker[same] > 60).sum() > 100
+    # The light stands to the camera's left, so shadows lie to the right of what casts them.
+    ball = np.nonzero(with_.segmentation == 1)[1].mean()
+    columns = np.nonzero(same & (darker > 60))[1]
+    near = columns[(columns > ball - 40) & (columns < ball + 40)]
+    assert near.mean() > ball
+
+
+def test_supersampling_changes_colour_only_and_only_at_edges():
+    one, two = render_scene(scene(), supersample=1), render_scene(scene(), supersample=3)
+    assert np.array_equal(one.depth, two.depth)
+    assert np.array_equal(one.segmentation, two.segmentation)
+    changed = (one.color != two.color).any(axis=2)
+    assert 0.01 < changed.mean() < 0.3
+
+
+def test_pictures_and_their_bytes_repeat():
+    one, two = render_scene(scene()), render_scene(scene())
+    assert np.array_equal(one.color, two.color)
+    assert to_png(one) == to_png(two)
+    assert np.array_equal(np.array(Image.open(io.BytesIO(to_png(one)))), one.color)
+    with pytest.raises(TypeError, match="uint8"):
+        to_png(one.depth)
+
+
+def test_a_model_gives_the_geometry_of_its_scene():
+    model = to_mjspec(scene(), visual=True).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    one, two = render((model, data), CAMERA, width=100), render(scene(), CAMERA, width=100)
+    assert one.color.shape == (75, 100, 3)
+    assert np.array_equal(one.segmentation, two.segmentation)
+    assert np.array_equal(one.depth, two.depth)
+
+
+def test_collision_only_models_can_be_seen_too():
+    model = to_mjspec(scene()).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    picture = render((model, data), CAMERA, width=100)
+    assert set(np.unique(picture.segmentation)) >= {0, 1, 2}
+
+
+def test_joints_and_roles_are_seen():
+    lid = Part(
+        name="lid",
+        geoms=(
+            Geom(name="lid", shape=Box(size=(0.2, 0.2, 0.02)), pos=(0, 0, 0.11), material="paint"),
+        ),
+    )
+    hidden = Geom(
+        name="hull",
+        shape=Box(size=(0.5, 0.5, 0.5)),
+        pos=(0, 0, 0.25),
+        material="paint",
+        role="collision",
+    )
+    body = Part(
+        name="body",
+        geoms=(
+            Geom(name="body", shape=Box(size=(0.2, 0.2, 0.1)), pos=(0, 0, 0.05), material="paint"),
+            hidden,
+        ),
+    )
+    hinge = Joint(
+        name="hinge",
+        type="revolute",
+        parent="body",
+        child="lid",
+        pos=(-0.1, 0, 0.1),
+        axis=(0, -1, 0),
+        upper=1.6,
+    )
+    box = ObjectSpec(name="box", materials=(PAINT,), parts=(body, lid), joints=(hinge,))
+    closed = render_object(box, width=90, height=60)
+    opened = render_object(box, {"hinge": 1.5}, width=90, height=60)
+    for picture in (closed, opened):
+        seen = picture.segmentation == 0
+        assert seen.any() and not seen[[0, -1]].any() and not seen[:, [0, -1]].any()
+    tall = [
+        np.ptp(np.nonzero(p.segmentation == 0)[0]) / np.ptp(np.nonzero(p.segmentation == 0)[1])
+        for p in (closed, opened)
+    ]
+    assert tall[1] > 1.3 * tall[0]
+
+
+def test_everything_in_view_fits():
+    points = np.random.default_rng(0).normal(size=(200, 3)) * [0.5, 0.1, 0.02]
+    for azimuth in (0.0, 1.0, 4.0):
+        view = View.framing(points, width=120, height=80, azimuth=azimuth)
+        local = (points - view.eye) @ view.axes
+        u = local[:, 0] / local[:, 2] * view.focal + 60
+        v = local[:, 1] / local[:, 2] * view.focal + 40
+        assert u.min() > 0 and u.max() < 120 and v.min() > 0 and v.max() < 80
+        assert max(np.ptp(u) / 120, np.ptp(v) / 80) > 0.5
