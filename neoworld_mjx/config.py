@@ -116,6 +116,7 @@ class ProgramOptions(Options):
     """Positions tried over each joint's range."""
     sweep_combinations: int = Field(default=16, ge=0)
     """Positions tried with all joints moved at once."""
+    check_timeout_s: float = Field(default=1.0, gt=0)
 
 
 class VerifyOptions(Options):
@@ -185,6 +186,8 @@ class RolloutOptions(Options):
     duration_s: float = Field(default=1.0, gt=0)
     timestep_s: float = Field(default=0.004, gt=0)
     record_every_s: float = Field(default=0.1, gt=0)
+    early_stop: bool = True
+    """End a candidate's rollout once it has settled, or has drifted past the cap."""
     samples_per_object: int = Field(default=256, ge=16)
     """Surface samples of an object for D_pen."""
 

@@ -71,24 +71,26 @@ class Arrangement(NamedTuple):
     """Clearance left under a snapped object [m]."""
 
 
-def arrange(scene: SceneSpec, *, reach: float | None = None, gap: float = 1e-4) -> Arrangement:
+def arrange(scene: SceneSpec, *, reach: float = 1 / 3, gap: float = 1e-4) -> Arrangement:
     """Tabulate a composed scene for `place`.
 
     Args:
         scene: the composed scene.
-        reach: how far [m] objects may move from their composed place; None takes a third of each
-            object's horizontal diagonal plus 2 cm, which covers six default standard deviations.
+        reach: how far objects may move from their composed place and still be snapped, as a fraction
+            of their horizontal diagonal, plus 2 cm; a third is six default standard deviations.
         gap: clearance under snapped objects [m].
     """
     frames = []
     for item in scene.objects:
         parent = None if item.parent is None else scene.object(item.parent)
         frames.append(pose() if parent is None else link_frame(parent, item.parent_link))
-    snapped = tuple(o.parent is not None and o.relation != "attached" for o in scene.objects)
+    snapped = tuple(
+        o.parent is not None and o.relation != "attached" and not o.environment
+        for o in scene.objects
+    )
     tables = []
     for item, snap in zip(scene.objects, snapped, strict=True):
-        far = reach if reach is not None else diagonal(item) / 3 + 0.02
-        tables.append(support(scene, item, far) if snap else nothing())
+        tables.append(support(scene, item, reach * diagonal(item) + 0.02) if snap else nothing())
     return Arrangement(
         xy=np.array([item.xy for item in scene.objects], float),
         z=np.array([item.z for item in scene.objects], float),

@@ -120,7 +120,7 @@ def compile_scene(
     *,
     timestep: float = 0.004,
     samples: int = 256,
-    reach: float | None = None,
+    reach: float = 1 / 3,
     gap: float = 1e-4,
 ) -> SceneModel:
     """Compile a composed scene.
@@ -129,7 +129,7 @@ def compile_scene(
         scene: the scene; its zero layout.
         timestep: of rollouts [s].
         samples: surface samples of each object for D_pen.
-        reach: how far [m] objects may move and still be snapped; see `layout.arrange`.
+        reach: how far objects may move and still be snapped; see `layout.arrange`.
         gap: clearance under snapped objects [m].
 
     Raises:

@@ -271,8 +271,10 @@ def _principal(tensor: NDArray) -> tuple[NDArray, Quat]:
     if np.allclose(unit, np.diag(np.diag(unit)), atol=1e-9):
         return np.diag(tensor).copy(), IDENTITY
     _, axes = np.linalg.eigh(unit)
-    if np.linalg.det(axes) < 0:
-        axes[:, 0] *= -1
+    # Eigenvectors have no sign of their own: let the largest component of each be positive.
+    for k in (0, 1):
+        axes[:, k] *= np.sign(axes[np.argmax(np.abs(np.round(axes[:, k], 6))), k])
+    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     quat = from_matrix(axes)
     return np.diag(axes.T @ tensor @ axes).copy(), tuple(quat.tolist())
 

@@ -1,0 +1,203 @@
+"""Composing a scene: objects rescaled to their parsed boxes and snapped onto their supports.
+
+Paper Section 3.3, Step 4, and Appendix B: programs are written at a convenient size, so the parsed
+3D box gives each object its absolute scale; heights come from the support, not from the parse.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from ..config import ComposeOptions
+from ..errors import SpecError
+from ..physics.layout import Layout, arrange, heights
+from ..spec import (
+    ObjectSpec,
+    SceneObject,
+    SceneSpec,
+    SceneTree,
+    TreeNode,
+    bounds,
+    scale,
+    support_frame,
+)
+from ..spec.object import Joint
+from ..spec.pose import Pose, from_yaw, pose, quat_mul, yaw_of
+
+
+@dataclass(frozen=True)
+class Composed:
+    """A composed scene and what could not be taken over from the parse."""
+
+    scene: SceneSpec
+    scales: dict[str, float]
+    """Isotropic factor that each object was rescaled by."""
+    notes: tuple[str, ...]
+    """Fallbacks taken, in words."""
+
+
+def compose(
+    tree: SceneTree,
+    objects: dict[str, ObjectSpec],
+    options: ComposeOptions | None = None,
+    *,
+    name: str = "scene",
+) -> Composed:
+    """Compose a scene top-down from a parse and its objects.
+
+    Args:
+        tree: the parse.
+        objects: an object for every node, by node name.
+        options: clearance under snapped objects.
+        name: of the scene.
+
+    Raises:
+        SpecError: a node has no object.
+    """
+    missing = [node.name for node in tree.nodes if node.name not in objects]
+    if missing:
+        raise SpecError(f"no object for node {', '.join(missing)}; there are {sorted(objects)}")
+    notes: list[str] = []
+    placed: dict[str, SceneObject] = {}
+    scales: dict[str, float] = {}
+    for node in tree.top_down():
+        state = _joint_state(node, objects[node.name], notes)
+        spec, scales[node.name], residual = rescaled(objects[node.name], node, state)
+        joints = {joint.name: joint for joint in spec.joints}
+        factor = scales[node.name]
+        state = {
+            k: v * (factor if joints[k].type == "prismatic" else 1.0) for k, v in state.items()
+        }
+        placed[node.name] = _place(node, tree, placed, spec, state, residual, notes)
+    scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
+    gap = (options or ComposeOptions()).gap_m
+    return Composed(snapped(scene, gap), scales, tuple(notes))
+
+
+def snapped(scene: SceneSpec, gap: float = 1e-4) -> SceneSpec:
+    """Set every object down on the surface under its footprint, `gap` [m] above it."""
+    # Jitted, so that it rounds as the same function does in a rollout.
+    arrangement = arrange(scene, gap=gap)
+    snap = jax.jit(lambda layouts: heights(arrangement, layouts))
+    z = np.asarray(snap(Layout.zero(1, len(scene.objects)))[0], float)
+    objects = [
+        item.model_copy(update={"z": float(h)}) if flag else item
+        for item, h, flag in zip(scene.objects, z, arrangement.snapped, strict=True)
+    ]
+    return scene.model_copy(update={"objects": tuple(objects)})
+
+
+def rescaled(
+    spec: ObjectSpec, node: TreeNode, state: dict[str, float]
+) -> tuple[ObjectSpec, float, tuple[float, float, float]]:
+    """Scale an object isotropically to its parsed box.
+
+    The factor is the geometric mean of the three ratios, which is the least-squares fit in log
+    space; what an isotropic factor cannot fit is returned per axis.
+
+    Args:
+        spec: the object as programmed.
+        node: its node in the tree.
+        state: how its joints stand, at the programmed size.
+
+    Returns:
+        The scaled object, the factor, and size over parsed size minus 1 along x, y, z.
+    """
+    low, high = bounds(spec, state)
+    ratio = np.array(node.box3d.size) / (high - low)
+    factor = float(np.exp(np.mean(np.log(ratio))))
+    residual = factor / ratio - 1.0
+    return scale(spec, factor), factor, tuple(residual.tolist())
+
+
+def _joint_state(node: TreeNode, spec: ObjectSpec, notes: list[str]) -> dict[str, float]:
+    state = {}
+    for part in node.articulation:
+        joint = _joint_named(spec, part.part, part.type)
+        if joint is None:
+            if part.opening > 0:
+                names = ", ".join(j.name for j in spec.joints) or "none"
+                notes.append(
+                    f"{node.name}: the parse shows {part.part} open by {part.opening:.0%}, but no "
+                    f"joint of the program fits it (joints: {names}); left closed"
+                )
+            continue
+        state[joint.name] = opening_value(joint, part.opening)
+    return state
+
+
+def _joint_named(spec: ObjectSpec, part: str, kind: str) -> Joint | None:
+    moving = [joint for joint in spec.joints if joint.type != "fixed" and joint.mimic is None]
+    for joint in moving:
+        if part in (joint.name, joint.child):
+            return joint
+    same = [joint for joint in moving if joint.type == kind]
+    return same[0] if len(same) == 1 else None
+
+
+def opening_value(joint: Joint, opening: float) -> float:
+    """Return where a joint stands when opened by a share of its range [rad or m].
+
+    Closed is 0, or the limit nearest to it; open is the limit furthest from that, by convention the
+    positive one. A continuous joint turns once.
+    """
+    if joint.type == "continuous":
+        return float(2 * np.pi * opening)
+    closed = float(np.clip(0.0, joint.lower, joint.upper))
+    far = joint.upper if joint.upper - closed >= closed - joint.lower else joint.lower
+    return closed + opening * (far - closed)
+
+
+def _place(
+    node: TreeNode,
+    tree: SceneTree,
+    placed: dict[str, SceneObject],
+    spec: ObjectSpec,
+    state: dict[str, float],
+    residual: tuple[float, float, float],
+    notes: list[str],
+) -> SceneObject:
+    frame, link = pose(), node.parent_link
+    if node.parent is not None:
+        parent = placed[node.parent]
+        if link is not None and link not in [part.name for part in parent.spec.parts]:
+            joint = _joint_named(parent.spec, link, "prismatic")
+            found = None if joint is None else joint.child
+            notes.append(
+                f"{node.name}: {node.parent} has no part {link!r}; placed on "
+                f"{'the whole object' if found is None else found}"
+            )
+            link = found
+        frame = support_frame(parent, _parsed_pose(tree.node(node.parent)), link)
+    here = frame.inverse().then(_parsed_pose(node, tilted=False))
+    fixed = node.fixed_base
+    if fixed and node.parent is not None and not placed[node.parent].static:
+        notes.append(f"{node.name}: {node.parent} is free to move, so it cannot be fixed to it")
+        fixed = False
+    _, depth = tree.camera.project(node.box3d.corners(node.base_tilt).mean(axis=0))
+    return SceneObject(
+        name=node.name,
+        spec=spec,
+        parent=node.parent,
+        parent_link=link,
+        relation=node.relation,
+        environment=node.environment,
+        fixed_base=fixed,
+        xy=tuple(here.pos[:2].tolist()),
+        z=float(here.pos[2]),
+        yaw=yaw_of(here.quat),
+        base_tilt=node.base_tilt,
+        joint_state=state,
+        box2d=node.box2d,
+        occluded=node.occluded,
+        depth=float(depth),
+        parsed_size=node.box3d.size,
+        scale_residual=residual,
+    )
+
+
+def _parsed_pose(node: TreeNode, *, tilted: bool = True) -> Pose:
+    yaw = from_yaw(node.box3d.yaw)
+    quat = quat_mul(yaw, node.base_tilt) if tilted else yaw
+    return pose(node.box3d.position, quat)

@@ -1,0 +1,88 @@
+"""Exact distances between colliders, by MuJoCo's `mj_geomDistance`: the measure, not a reward."""
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..spec import SceneSpec
+from .mjcf import to_mjspec
+
+
+def start_state(scene: SceneSpec, timestep: float = 0.002) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Compile a scene and put it into its composed state, positions computed."""
+    model = to_mjspec(scene, timestep=timestep).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+def object_of_geom(scene: SceneSpec, model: mujoco.MjModel) -> NDArray:
+    """Return the object that owns each geom, -1 for none, shape [ngeom]."""
+    names = [item.name for item in scene.objects]
+    owner = [model.body(b).name.split("/", 1)[0] for b in model.geom_bodyid]
+    return np.array([names.index(name) if name in names else -1 for name in owner], int)
+
+
+def pair_distance(
+    model: mujoco.MjModel, data: mujoco.MjData, first: NDArray, second: NDArray, reach: float = 0.05
+) -> float:
+    """Return the smallest signed distance [m] between two sets of geoms, at most `reach`.
+
+    Negative is penetration depth. Pairs whose bounding spheres are further apart are skipped.
+    """
+    nearest = reach
+    for a in first:
+        gaps = np.linalg.norm(data.geom_xpos[second] - data.geom_xpos[a], axis=1)
+        gaps = gaps - model.geom_rbound[second] - model.geom_rbound[a]
+        for b in second[gaps < nearest]:
+            found = mujoco.mj_geomDistance(model, data, int(a), int(b), nearest, None)
+            nearest = min(nearest, found)
+    return float(nearest)
+
+
+def object_depths(
+    scene: SceneSpec, model: mujoco.MjModel, data: mujoco.MjData
+) -> dict[tuple[str, str], float]:
+    """Measure how deep [m] every two objects penetrate, in the state of `data`.
+
+    Pairs of environment supports are left out, and so are pairs that do not touch.
+    """
+    owner = object_of_geom(scene, model)
+    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    found = {}
+    for i, a in enumerate(scene.objects):
+        for j in range(i + 1, len(scene.objects)):
+            b = scene.objects[j]
+            if a.environment and b.environment:
+                continue
+            one, two = (np.flatnonzero((owner == k) & solid) for k in (i, j))
+            depth = -pair_distance(model, data, one, two, reach=1e-3)
+            if depth > 0:
+                found[(a.name, b.name)] = depth
+    return found
+
+
+def snap_exactly(scene: SceneSpec, gap: float = 1e-4, rounds: int = 30) -> SceneSpec:
+    """Set every snapped object down on its support to within `gap` [m], from the root downwards.
+
+    A distance bounds how far an object can sink before it touches, so sinking by it never
+    overshoots; where two objects overlap the upper one is raised until they do not.
+    """
+    for index, item in enumerate(scene.objects):
+        if item.parent is None or item.relation == "attached" or item.environment:
+            continue
+        for _ in range(rounds):
+            model, data = start_state(scene)
+            owner = object_of_geom(scene, model)
+            own = np.flatnonzero(owner == index)
+            support = np.flatnonzero(owner == scene.index(item.parent))
+            distance = pair_distance(model, data, own, support, reach=0.02)
+            if distance >= 0.02 or 0 <= distance <= gap + 1e-6:
+                break
+            step = gap - distance
+            item = item.model_copy(update={"z": item.z + step})
+            objects = list(scene.objects)
+            objects[index] = item
+            scene = scene.model_copy(update={"objects": tuple(objects)})
+    return scene
