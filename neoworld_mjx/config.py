@@ -131,6 +131,16 @@ class VerifyOptions(Options):
     max_drift_m: float = Field(default=0.01, gt=0)
     max_tilt_deg: float = Field(default=5.0, gt=0)
     max_depth_m: float = Field(default=0.001, gt=0)
+    max_rest_speed: float = Field(default=0.01, gt=0)
+    """Speed [m/s] at the end of the free fall."""
+    max_energy_gain: float = Field(default=0.02, gt=0)
+    """Rise of mechanical energy with no force acting, over the object's weight times its height."""
+    max_overshoot: float = Field(default=0.05, gt=0)
+    """Travel beyond a joint limit, over the joint's range."""
+    joint_push_s: float = Field(default=0.5, gt=0)
+    """Time in which a free joint is pushed across its range."""
+    min_mobility: float = Field(default=0.9, gt=0, le=1)
+    """What a joint covers when pushed both ways from its middle, over its range."""
 
 
 class ComposeOptions(Options):

@@ -12,7 +12,8 @@ def start_state(scene: SceneSpec, timestep: float = 0.002) -> tuple[mujoco.MjMod
     """Compile a scene and put it into its composed state, positions computed."""
     model = to_mjspec(scene, timestep=timestep).compile()
     data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
+    if model.nkey:  # a scene in which nothing moves has no state
+        mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
     mujoco.mj_forward(model, data)
     return model, data
 

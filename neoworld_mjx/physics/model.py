@@ -154,7 +154,7 @@ def compile_scene(
         jnt_object=owner[mjm.jnt_bodyid],
         dof_object=owner[mjm.dof_bodyid] if mjm.nv else np.zeros(0, int),
         powers=_powers(scene, mjm),
-        start=mjm.key("start").qpos.copy() if mjm.nq else np.zeros(0),
+        start=mjm.key("start").qpos.copy() if mjm.nkey else np.zeros(0),
     )
     boxes = [bounds(item.spec, item.joint_state) for item in scene.objects]
     unit = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)

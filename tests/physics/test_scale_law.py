@@ -77,7 +77,9 @@ def test_leaves_equal_a_recompiled_scene(make):
         again = compile_scene(scene.apply(layouts, k, poses))
         errors = field_errors(batch.get_model(k), again.host.mjm)
         errors.pop("key_qpos", None)  # a keyframe is not read; the batch's qpos is compared below
-        loose = {n: e for n, e in errors.items() if e > (1e-9)}
+        # dof_length comes from mesh sizes, which MuJoCo keeps in single precision.
+        bound = {"dof_length": 1e-6}
+        loose = {n: e for n, e in errors.items() if e > bound.get(n, 1e-9)}
         assert not loose, loose
         assert np.allclose(batch.bind("qpos")[k], again.host.start, atol=1e-12)
 
