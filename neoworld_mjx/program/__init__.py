@@ -7,11 +7,11 @@ Python loads no sandbox.
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .build import build
+    from .make import build
     from .sandbox import Built
     from .signals import Signal
 
-_HOMES = {"build": "build", "Built": "sandbox", "Signal": "signals"}
+_HOMES = {"build": "make", "Built": "sandbox", "Signal": "signals"}
 
 
 def __getattr__(name: str) -> object:

@@ -1,0 +1,351 @@
+"""Checks of a finished object that its program has no say in.
+
+At rest: every part holds together, touches what it is attached to, and enters no other part. In
+motion: no two parts enter each other anywhere over the joints' ranges, one joint at a time and in
+sampled combinations. Joints: the axis lies on what it moves, the range moves something. And sizes
+and masses are those of real things.
+"""
+
+import itertools
+
+import numpy as np
+
+from ..config import ProgramOptions
+from ..spec import Joint, ObjectSpec
+from .plausible import plausibility
+from .probe import OutOfTime, Probe
+from .signals import Signal, deduplicated
+
+AXIS_SLACK = 0.05
+"""How far an axis may pass beside the part it turns, over that part's diagonal."""
+LEAST_TURN_RAD, LEAST_SLIDE = 0.03, 0.01
+"""Ranges below these move nothing one would see; a slide counts over the child's diagonal."""
+LONGEST_SLIDE = 1.5
+"""Of a slide, over the object's diagonal."""
+
+
+def check(
+    spec: ObjectSpec, options: ProgramOptions | None = None, lines: dict[str, int] | None = None
+) -> tuple[Signal, ...]:
+    """Check an object.
+
+    Args:
+        spec: the object.
+        options: thresholds and how finely ranges are swept.
+        lines: where parts and joints were made, as `Built.lines` has it.
+
+    Returns:
+        What was found, each thing once; nothing when the object is sound.
+    """
+    options = options or ProgramOptions()
+    found = list(plausibility(spec))
+    try:
+        probe = Probe(spec, options.check_timeout_s)
+        found += _loose(probe, options)
+        found += _joints(probe, options)
+        found += _overlaps(probe, options)
+    except OutOfTime:
+        found.append(
+            Signal(
+                severity="error",
+                code="too_intricate",
+                message="the object could not be checked in the time allowed",
+                threshold=options.check_timeout_s,
+                value=options.check_timeout_s,
+                hint="use fewer shapes, lathe sectors or parts that overlap",
+            )
+        )
+    return deduplicated(_placed(signal, lines or {}) for signal in found)
+
+
+def _placed(signal: Signal, lines: dict[str, int]) -> Signal:
+    key = f"joint:{signal.joint}" if signal.joint is not None else f"part:{signal.part}"
+    if signal.line is None and key in lines:
+        return signal.model_copy(update={"line": lines[key]})
+    return signal
+
+
+def _loose(probe: Probe, options: ProgramOptions) -> list[Signal]:
+    """Find shapes of a part that touch neither the rest of it nor what it is attached to."""
+    spec, gap, found = probe.spec, options.touch_gap_m, []
+    carrier = {joint.child: joint.parent for joint in spec.joints}
+    for index, part in enumerate(spec.parts):
+        own = probe.of_part(index)
+        geoms = list(dict.fromkeys(probe.geom[own].tolist()))
+        group = {g: g for g in geoms}
+        for a, b in itertools.combinations(geoms, 2):
+            if group[a] == group[b]:
+                continue
+            one, two = own[probe.geom[own] == a], own[probe.geom[own] == b]
+            if probe.nearest(one, two, gap + 1e-6) is not None:
+                old, new = group[b], group[a]
+                group = {g: new if at == old else at for g, at in group.items()}
+        others = []
+        if part.name in carrier:
+            others.append(probe.names.index(carrier[part.name]))
+        held = {}
+        for root in dict.fromkeys(group.values()):
+            members = own[np.isin(probe.geom[own], [g for g in geoms if group[g] == root])]
+            held[root] = any(
+                probe.nearest(members, probe.of_part(other), gap + 1e-6) for other in others
+            )
+        joint = next((j for j in spec.joints if j.child == part.name), None)
+        if joint is not None and not any(held.values()):
+            found.append(_apart(probe, index, joint, options))
+            held[next(iter(held))] = True
+        # The biggest island of the root part is the part; of others, islands may hang on the parent.
+        main = max(held, key=lambda r: (held[r], sum(at == r for at in group.values())))
+        for root, attached in held.items():
+            if root == main or attached:
+                continue
+            shapes = [probe.geom_names[g] for g in geoms if group[g] == root]
+            found.append(
+                Signal(
+                    severity="error",
+                    code="loose_shape",
+                    part=part.name,
+                    message=f"part {part.name!r}: {', '.join(shapes[:4])} "
+                    f"{'touches' if len(shapes) == 1 else 'touch'} nothing else of the part",
+                    threshold=gap,
+                    hint="move the shape until it touches, or add what holds it",
+                )
+            )
+    return found
+
+
+def _apart(probe: Probe, index: int, joint: Joint, options: ProgramOptions) -> Signal:
+    parent = probe.names.index(joint.parent)
+    near = probe.nearest(probe.of_part(index), probe.of_part(parent), 100.0)
+    return Signal(
+        severity="error",
+        code="detached_part",
+        part=joint.child,
+        message=f"part {joint.child!r} does not touch {joint.parent!r}, which joint "
+        f"{joint.name!r} attaches it to",
+        value=None if near is None else near.distance,
+        threshold=options.touch_gap_m,
+        hint="close the gap, or attach the part to the one that it touches",
+    )
+
+
+def _joints(probe: Probe, options: ProgramOptions) -> list[Signal]:
+    found = []
+    low = np.min([probe.extent(i)[0] for i in range(len(probe.names))], axis=0)
+    high = np.max([probe.extent(i)[1] for i in range(len(probe.names))], axis=0)
+    whole = float(np.linalg.norm(high - low))
+    for joint in probe.spec.joints:
+        if joint.type == "fixed":
+            continue
+        child = probe.names.index(joint.child)
+        box = probe.extent(child)
+        size = float(np.linalg.norm(box[1] - box[0]))
+        if joint.type != "prismatic":
+            miss = _line_misses(np.array(joint.pos), np.array(joint.axis), *box)
+            if miss > AXIS_SLACK * size:
+                found.append(
+                    _of_joint(
+                        joint,
+                        "axis_off",
+                        f"the axis passes beside part {joint.child!r}",
+                        "put `at` on the hinge: an edge or the middle of the part that turns",
+                        miss,
+                        AXIS_SLACK * size,
+                    )
+                )
+        found += _range(joint, size, whole)
+    return found
+
+
+def _range(joint: Joint, size: float, whole: float) -> list[Signal]:
+    if joint.type == "continuous":
+        return []
+    found = []
+    width = joint.upper - joint.lower
+    slides = joint.type == "prismatic"
+    least = LEAST_SLIDE * size if slides else LEAST_TURN_RAD
+    most = LONGEST_SLIDE * whole if slides else 2 * np.pi + 1e-6
+    if width < least:
+        hint = "give the range that the real thing has"
+        found.append(_of_joint(joint, "range_small", "the range moves nothing", hint, width, least))
+    if width > most:
+        hint = "shorten the range" if slides else "use continuous for what turns without end"
+        found.append(_of_joint(joint, "range_large", "the range is too large", hint, width, most))
+    if not joint.lower - 1e-9 <= 0.0 <= joint.upper + 1e-9:
+        nearest = joint.lower if joint.lower > 0 else joint.upper
+        hint = "shapes are drawn at 0, so the range must hold 0"
+        message = "the range leaves out 0, where the object is drawn"
+        found.append(_of_joint(joint, "rest_outside", message, hint, 0.0, nearest))
+    return found
+
+
+def _of_joint(
+    joint: Joint, code: str, message: str, hint: str, value: float, threshold: float
+) -> Signal:
+    return Signal(
+        severity="error",
+        code=code,
+        joint=joint.name,
+        part=joint.child,
+        message=f"joint {joint.name!r}: {message}",
+        value=float(value),
+        threshold=float(threshold),
+        hint=hint,
+    )
+
+
+def _line_misses(point: np.ndarray, axis: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
+    """Return how far [m] a box must grow on all sides to be met by a line."""
+    least, most = 0.0, float(np.abs(np.concatenate([low - point, high - point])).max()) + 1.0
+    for _ in range(40):
+        grow = (least + most) / 2
+        a, b = low - grow - point, high + grow - point
+        inside = np.where((a <= 0) & (b >= 0), np.inf, -np.inf)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            near = np.where(axis == 0, -inside, np.minimum(a / axis, b / axis))
+            far = np.where(axis == 0, inside, np.maximum(a / axis, b / axis))
+        if near.max() <= far.min():
+            most = grow
+        else:
+            least = grow
+    return most if most > 1e-9 else 0.0
+
+
+def _overlaps(probe: Probe, options: ProgramOptions) -> list[Signal]:
+    spec = probe.spec
+    rigid = _welded(spec)
+    every = [
+        (a, b)
+        for a, b in itertools.combinations(range(len(probe.names)), 2)
+        if rigid[probe.names[a]] != rigid[probe.names[b]]
+    ]
+    found, bad = [], set()
+    for pair, near in probe.depths(every).items():
+        if -near.distance > options.max_depth_m:
+            bad.add(pair)
+            found.append(_overlap(probe, pair, near.first, near.second, near.distance, options))
+    rest = [pair for pair in every if pair not in bad]
+    driven = [j for j in spec.joints if j.type != "fixed" and j.mimic is None]
+    for joint in driven:
+        moving = {probe.names.index(name) for name in _carried(spec, joint)}
+        pairs = [pair for pair in rest if (pair[0] in moving) != (pair[1] in moving)]
+        pairs += [p for p in rest if p[0] in moving and p[1] in moving and _follows(spec, joint)]
+        worst: dict[tuple[int, int], tuple[float, float]] = {}
+        for value in _positions(joint, options.sweep_steps):
+            probe.place({joint.name: value})
+            for pair, near in probe.depths(pairs).items():
+                if near.distance < worst.get(pair, (-options.max_depth_m, 0.0))[0]:
+                    worst[pair] = (near.distance, value)
+        for pair, (distance, value) in worst.items():
+            found.append(_collision(probe, pair, joint, distance, value, moving, options))
+        bad |= set(worst)
+    rest = [pair for pair in every if pair not in bad]
+    if len(driven) > 1:
+        found += _combinations(probe, driven, rest, options)
+    probe.place({})
+    return found
+
+
+def _combinations(
+    probe: Probe, driven: list[Joint], rest: list[tuple[int, int]], options: ProgramOptions
+) -> list[Signal]:
+    random = np.random.default_rng(0)
+    worst: dict[tuple[int, int], tuple[float, str]] = {}
+    reach = [_positions(joint, options.sweep_steps) for joint in driven]
+    for k in range(options.sweep_combinations):
+        # All open and all closed come first: that is where what swings past each other meets.
+        index = [(-1, 0)[k] if k < 2 else random.integers(len(values)) for values in reach]
+        state = {j.name: float(v[i]) for j, v, i in zip(driven, reach, index, strict=True)}
+        probe.place(state)
+        for pair, near in probe.depths(rest).items():
+            if near.distance < worst.get(pair, (-options.max_depth_m, ""))[0]:
+                shown = ", ".join(f"{name} at {value:.3g}" for name, value in state.items())
+                worst[pair] = (near.distance, shown)
+    return [
+        Signal(
+            severity="error",
+            code="overlap_in_combination",
+            part=probe.names[b],
+            message=f"parts {probe.names[a]!r} and {probe.names[b]!r} enter each other with "
+            f"{shown[:200]}",
+            value=-distance,
+            threshold=options.max_depth_m,
+            hint="leave the parts room when several joints are open at once, or shorten a range",
+        )
+        for (a, b), (distance, shown) in worst.items()
+    ]
+
+
+def _positions(joint: Joint, steps: int) -> np.ndarray:
+    if joint.type == "continuous":
+        return np.linspace(0, 2 * np.pi, steps + 3, endpoint=False)
+    return np.linspace(joint.lower, joint.upper, steps)
+
+
+def _carried(spec: ObjectSpec, joint: Joint) -> set[str]:
+    """Return the parts that a joint moves, those of its followers included."""
+    led = {joint.name}
+    for _ in spec.joints:
+        led |= {j.name for j in spec.joints if j.mimic is not None and j.mimic.joint in led}
+    moved: set[str] = set()
+    for part, carrier in spec.ordered:
+        if carrier is not None and (carrier.name in led or carrier.parent in moved):
+            moved.add(part.name)
+    return moved
+
+
+def _follows(spec: ObjectSpec, joint: Joint) -> bool:
+    return any(j.mimic is not None and j.mimic.joint == joint.name for j in spec.joints)
+
+
+def _welded(spec: ObjectSpec) -> dict[str, str]:
+    """Name for every part the rigid group that it belongs to."""
+    group: dict[str, str] = {}
+    for part, joint in spec.ordered:
+        rigid = joint is not None and joint.type == "fixed"
+        group[part.name] = group[joint.parent] if rigid and joint is not None else part.name
+    return group
+
+
+def _overlap(
+    probe: Probe,
+    pair: tuple[int, int],
+    first: int,
+    second: int,
+    distance: float,
+    options: ProgramOptions,
+) -> Signal:
+    a, b = (probe.names[index] for index in pair)
+    shapes = (probe.geom_names[probe.geom[k]] for k in (first, second))
+    return Signal(
+        severity="error",
+        code="overlap_at_rest",
+        part=b,
+        message=f"parts {a!r} and {b!r} enter each other at rest, at {' and '.join(shapes)}",
+        value=-distance,
+        threshold=options.max_depth_m,
+        hint="parts that move against each other may touch, not overlap: leave 0.5 to 1 mm",
+    )
+
+
+def _collision(
+    probe: Probe,
+    pair: tuple[int, int],
+    joint: Joint,
+    distance: float,
+    value: float,
+    moving: set[int],
+    options: ProgramOptions,
+) -> Signal:
+    a, b = sorted(pair, key=lambda index: index in moving)
+    unit = "m" if joint.type == "prismatic" else "rad"
+    return Signal(
+        severity="error",
+        code="overlap_in_motion",
+        joint=joint.name,
+        part=probe.names[b],
+        message=f"joint {joint.name!r} at {value:.3g} {unit} drives {probe.names[b]!r} into "
+        f"{probe.names[a]!r}",
+        value=-distance,
+        threshold=options.max_depth_m,
+        hint="check the sign of the axis (positive opens), the anchor, the range and the clearance",
+    )

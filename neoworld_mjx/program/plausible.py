@@ -1,0 +1,123 @@
+"""Sizes and masses that real things have: what no collision check would notice."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..spec import ObjectSpec, bounds, inertial, pieces
+from ..spec.convex import extent
+from .signals import Signal
+
+SMALLEST_M, LARGEST_M = 0.002, 20.0
+HEAVIEST_KG = 2000.0
+SOLID_KG_M3, DENSE_KG_M3 = 3000.0, 1500.0
+"""Mass over the bounding box's volume: above the first only solid metal comes, above the second few
+things that stand on a table."""
+WEIGHED_KG, LIFTED_KG = 1.0, 8.0
+"""Below the first a dense part is a fitting; above the second few hands lift it."""
+LIGHTEST_KG_M3 = 1.0
+THINNEST_M = 0.0004
+"""Pieces thinner than this slip through each other in a time step."""
+
+
+def plausibility(spec: ObjectSpec) -> Iterator[Signal]:
+    """Yield what is wrong with an object's size, masses and thinnest walls."""
+    low, high = bounds(spec)
+    yield from _size(high - low)
+    total = 0.0
+    for part in spec.parts:
+        mass = inertial(spec, part).mass
+        total += mass
+        lowest, highest = _box(spec, part.name)
+        volume = float(np.prod(np.maximum(highest - lowest, 1e-4)))
+        if part.mass is None:
+            yield from _density(part.name, mass, volume)
+        yield from _thin(spec, part.name)
+    if total > HEAVIEST_KG:
+        yield Signal(
+            severity="error",
+            code="too_heavy",
+            message=f"the object weighs {total:.4g} kg",
+            value=total,
+            threshold=HEAVIEST_KG,
+            hint="lengths are in metres; make it hollow, or choose a lighter material",
+        )
+
+
+def _size(size: np.ndarray) -> Iterator[Signal]:
+    for value, threshold, wrong in (
+        (float(size.max()), LARGEST_M, size.max() > LARGEST_M),
+        (float(size.min()), SMALLEST_M, size.max() < 5 * SMALLEST_M),
+    ):
+        if wrong:
+            shown = " x ".join(f"{v:.4g}" for v in size)
+            yield Signal(
+                severity="error",
+                code="size",
+                message=f"the object measures {shown} m",
+                value=value,
+                threshold=threshold,
+                hint="lengths are in metres",
+            )
+
+
+def _density(part: str, mass: float, volume: float) -> Iterator[Signal]:
+    density = mass / volume
+    about = f"part {part!r} weighs {mass:.3g} kg, {density:.0f} kg for each m^3 that it spans"
+    if mass > WEIGHED_KG and density > SOLID_KG_M3:
+        yield Signal(
+            severity="error",
+            code="too_heavy",
+            part=part,
+            message=about + ": that is solid metal",
+            value=density,
+            threshold=SOLID_KG_M3,
+            hint="make it a shell (lathe with thickness, hollow_box); if it is solid, say so by "
+            "mass=",
+        )
+    elif mass > LIFTED_KG and density > DENSE_KG_M3:
+        yield Signal(
+            severity="warning",
+            code="heavy",
+            part=part,
+            message=about,
+            value=density,
+            threshold=DENSE_KG_M3,
+            hint="is it hollow in the picture? then make it a shell",
+        )
+    elif density < LIGHTEST_KG_M3:
+        yield Signal(
+            severity="warning",
+            code="light",
+            part=part,
+            message=about,
+            value=density,
+            threshold=LIGHTEST_KG_M3,
+            hint="are the walls too thin, or is a shape missing?",
+        )
+
+
+def _thin(spec: ObjectSpec, name: str) -> Iterator[Signal]:
+    thinnest, where = np.inf, ""
+    for geom, piece, _ in pieces(spec.part(name)):
+        if piece.kind == "mesh":
+            continue  # shells state their thickness
+        wide = min(extent(piece, d) + extent(piece, -d) for d in np.eye(3))
+        if wide < thinnest:
+            thinnest, where = wide, geom.name
+    if thinnest < THINNEST_M:
+        yield Signal(
+            severity="warning",
+            code="thin",
+            part=name,
+            message=f"part {name!r}: {where} is very thin",
+            value=float(thinnest),
+            threshold=THINNEST_M,
+            hint="things fall through such a wall; 1 mm and more is safe",
+        )
+
+
+def _box(spec: ObjectSpec, name: str) -> tuple[np.ndarray, np.ndarray]:
+    part = spec.part(name)
+    alone = spec.model_copy(update={"parts": (part,), "joints": (), "sites": ()})
+    return bounds(alone)
