@@ -15,14 +15,10 @@ from ..files import write_atomic
 from ..run_folder import STEPS, read_run
 from . import charts
 from .convergence import convergence
-from .page import Html, card, document, missing, picture, section, table, text, verdict
+from .page import Html, card, document, missing, picture, section, table, text
+from .tables import joints, parsed, penetrations, placed, read_json, verdicts, where
 
-PHOTO, PARSED, BEFORE, AFTER = (
-    "photo.png",
-    "pictures/parse.png",
-    "pictures/before.png",
-    "pictures/after.png",
-)
+PHOTO, BEFORE, AFTER = "photo.png", "pictures/before.png", "pictures/after.png"
 
 
 def write_report(folder: Path) -> Path:
@@ -33,19 +29,19 @@ def write_report(folder: Path) -> Path:
     """
     folder = Path(folder)
     run = read_run(folder)
-    scene = _json(folder / "scene.json") or {}
-    tree = _json(folder / "tree.json") or {}
+    scene = read_json(folder / "scene.json") or {}
+    tree = read_json(folder / "tree.json") or {}
     title = f"{run.get('photo', {}).get('name') or folder.resolve().name}"
     sections = {
         "Fallbacks": lambda: _fallbacks(run),
         "Numbers": lambda: _numbers(run),
         "Before and after": lambda: _pictures(folder),
-        "Parse": lambda: _parse(folder, tree),
-        "Objects and their verdicts": lambda: _objects(folder),
-        "Scene": lambda: _placed(scene),
+        "Parse": lambda: parsed(folder, tree),
+        "Objects and their verdicts": lambda: verdicts(folder),
+        "Scene": lambda: placed(scene),
         "Convergence of the search": lambda: convergence(folder / "refine" / "history.npz"),
-        "Joints": lambda: _joints(folder, scene),
-        "Penetrations": lambda: _penetrations(run),
+        "Joints": lambda: joints(folder, scene),
+        "Penetrations and drift": lambda: penetrations(run),
         "Time": lambda: _time(run),
         "Models asked": lambda: _models(run),
         "Options and versions": lambda: _settings(run),
@@ -98,7 +94,7 @@ def _fallbacks(run: dict[str, Any]) -> Html:
 def _numbers(run: dict[str, Any]) -> Html:
     found = run["metrics"]
     if not found:
-        return section("Numbers", missing(f"Measured after refine; {_where(run)}."))
+        return section("Numbers", missing(f"Measured after refine; {where(run)}."))
     limits = run["config"]["refine"]
     cards = []
 
@@ -121,7 +117,8 @@ def _numbers(run: dict[str, Any]) -> Html:
         depth <= deepest,
     )
     stable = found.get("s_stab")
-    add("s_stab", "S-Stab", "stable" if stable else "not stable", "free fall", bool(stable))
+    fell = "" if stable is None else "free fall"
+    add("s_stab", "S-Stab", "stable" if stable else "not stable", fell, stable)
     drift, furthest = number("max_drift_m"), limits["max_drift_m"]
     add(
         "max_drift_m",
@@ -148,150 +145,6 @@ def _pictures(folder: Path) -> Html:
         picture(folder / AFTER, "Refined"),
     ]
     return section("Before and after", f'<div class="pictures">{"".join(shown)}</div>')
-
-
-def _parse(folder: Path, tree: dict[str, Any]) -> Html:
-    nodes = tree.get("nodes")
-    if not nodes:
-        return section("Parse", missing("No tree.json yet."))
-    rows = []
-    for node in nodes:
-        size = node["box3d"]["size"]
-        flags = [
-            "environment" if node.get("environment") else "",
-            "fixed" if node.get("fixed_base") else "",
-            "occluded" if node.get("occluded") else "",
-            *(f"{a['part']} {a['type']} {100 * a['opening']:.0f} %" for a in node["articulation"]),
-        ]
-        parent = f"{node.get('relation', 'on')} {node['parent']}" if node.get("parent") else "world"
-        if node.get("parent_link"):
-            parent += f" ({node['parent_link']})"
-        rows.append(
-            [
-                node["name"],
-                node["label"],
-                parent,
-                " × ".join(f"{100 * v:.1f}" for v in size),
-                f"{math.degrees(node['box3d'].get('yaw', 0.0)):.0f}",
-                ", ".join(flag for flag in flags if flag),
-            ]
-        )
-    camera = tree["camera"]
-    seen = (
-        f"Camera {camera['height']:.2f} m high, pitched down "
-        f"{math.degrees(camera['pitch']):.1f}°, vertical field of view "
-        f"{math.degrees(camera['fovy']):.1f}°."
-    )
-    heads = ["object", "label", "stands", "#size, cm", "#yaw, deg", "notes"]
-    return section(
-        "Parse",
-        f'<div class="pictures" style="max-width:720px">{picture(folder / PARSED, seen)}</div>',
-        table(heads, rows),
-    )
-
-
-def _objects(folder: Path) -> Html:
-    homes = sorted(path for path in (folder / "objects").glob("*") if path.is_dir())
-    if not homes:
-        return section("Objects and their verdicts", missing("No objects yet."))
-    parts = []
-    for home in homes:
-        found = _json(home / "verify.json")
-        passed = found.get("passed") if found else None
-        parts.append(f"<h3>{text(home.name)} {verdict(passed) if found else ''}</h3>")
-        shots = [(home / "crop.png", "photograph"), (home / "render.png", "program")]
-        if any(path.is_file() for path, _ in shots):
-            thumbs = "".join(picture(path, caption) for path, caption in shots)
-            parts.append(f'<div class="thumbs">{thumbs}</div>')
-        if found is None:
-            parts.append(missing("No verify.json yet."))
-            continue
-        rows = [
-            [
-                str(check.get("name", "?")).replace("_", " "),
-                _value(check.get("value"), check.get("unit")),
-                _value(check.get("threshold"), check.get("unit")),
-                verdict(check.get("passed")),
-                check.get("hint") or check.get("note") or "",
-            ]
-            for check in found.get("checks", [])
-        ]
-        parts.append(table(["check", "#value", "#threshold", "verdict", "note"], rows))
-    return section("Objects and their verdicts", *parts)
-
-
-def _placed(scene: dict[str, Any]) -> Html:
-    if not scene.get("objects"):
-        return section("Scene", missing("No scene.json yet."))
-    rows = []
-    for item in scene["objects"]:
-        residual = item.get("scale_residual")
-        x, y = item["xy"]
-        rows.append(
-            [
-                item["name"],
-                f"{item.get('relation', 'on')} {item['parent']}" if item.get("parent") else "world",
-                f"{1000 * x:.1f}, {1000 * y:.1f}, {1000 * item.get('z', 0.0):.1f}",
-                f"{math.degrees(item.get('yaw', 0.0)):.1f}",
-                " / ".join(f"{100 * v:+.0f}" for v in residual) if residual else "",
-                "static" if item.get("environment") or item.get("fixed_base") else "movable",
-            ]
-        )
-    heads = ["object", "stands", "#x, y, z in parent, mm", "#yaw, deg", "#size off x/y/z, %", ""]
-    note = '<p class="dim">Size off: against the parsed box, after isotropic rescaling.</p>'
-    return section("Scene", table(heads, rows), note)
-
-
-def _joints(folder: Path, scene: dict[str, Any]) -> Html:
-    specs: list[tuple[dict[str, Any], dict[str, float]]] = [
-        (item["spec"], item.get("joint_state", {})) for item in scene.get("objects", [])
-    ]
-    names = [item["name"] for item in scene.get("objects", [])]
-    if not specs:
-        files = sorted((folder / "objects").glob("*/spec.json"))
-        loaded = [(file.parent.name, _json(file)) for file in files]
-        specs = [(spec, {}) for _, spec in loaded if spec]
-        names = [name for name, spec in loaded if spec]
-    rows = []
-    for name, (spec, state) in zip(names, specs, strict=True):
-        for joint in spec.get("joints", []):
-            if joint["type"] == "fixed":
-                continue
-            unit, factor = ("mm", 1000.0) if joint["type"] == "prismatic" else ("°", 180 / math.pi)
-            span = f"{factor * joint['lower']:.0f} to {factor * joint['upper']:.0f} {unit}"
-            rows.append(
-                [
-                    name,
-                    joint["name"],
-                    joint["type"],
-                    f"{joint['parent']} → {joint['child']}",
-                    "(" + ", ".join(f"{v:.2f}" for v in joint["axis"]) + ")",
-                    "unlimited" if joint["type"] == "continuous" else span,
-                    f"{factor * state.get(joint['name'], 0.0):.0f} {unit}",
-                    f"{joint['damping']:.2g}",
-                ]
-            )
-    heads = ["object", "joint", "type", "links", "axis", "#range", "#now", "#damping, SI"]
-    if rows:
-        return section("Joints", table(heads, rows))
-    return section("Joints", missing("No object has a joint." if specs else "No objects yet."))
-
-
-def _penetrations(run: dict[str, Any]) -> Html:
-    pairs = run["metrics"].get("penetrations")
-    if pairs is None:
-        return section("Penetrations", missing(f"Measured after refine; {_where(run)}."))
-    if not pairs:
-        return section("Penetrations", "<p>No two objects intersect, before or after.</p>")
-    limit = run["config"]["refine"]["max_depth_m"]
-    rows = []
-    for pair in pairs:
-        before, after = pair.get("before_m"), pair.get("after_m")
-        passed = None if after is None else after <= limit
-        rows.append([f"{pair['a']} – {pair['b']}", _mm(before), _mm(after), verdict(passed)])
-    return section(
-        "Penetrations", table(["pair", "#composed, mm", "#refined, mm", "verdict"], rows)
-    )
 
 
 def _time(run: dict[str, Any]) -> Html:
@@ -355,33 +208,3 @@ def _differences(default: Any, given: Any, at: str = "") -> list[tuple[str, Any,
             found += _differences(default.get(key), given.get(key), where)
         return found
     return [] if default == given else [(at, default, given)]
-
-
-def _where(run: dict[str, Any]) -> str:
-    done = [step for step in STEPS if any(n.partition("/")[0] == step for n in run["steps"])]
-    return f"this run is {run['status']}, done so far: {', '.join(done) or 'nothing'}"
-
-
-def _value(value: Any, unit: Any) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return str(value)
-    if unit == "m":
-        return f"{1000 * value:.2f} mm"
-    if unit == "rad":
-        return f"{math.degrees(value):.2f}°"
-    return f"{value:.4g} {unit or ''}".strip()
-
-
-def _mm(value: float | None) -> str:
-    return "" if value is None else f"{1000 * value:.2f}"
-
-
-def _json(path: Path) -> dict[str, Any] | None:
-    """Read a JSON object; None if it is absent or damaged."""
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return data if isinstance(data, dict) else None

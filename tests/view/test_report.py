@@ -79,10 +79,11 @@ def finished(tmp_path):
             (stage / "refine").mkdir()
             _history(stage / "refine" / "history.npz")
         run.fallback("refine", "native", "no GPU here")
-        pair = {"a": "cup", "b": "saucer", "before_m": 0.004, "after_m": 0.0}
+        before = {"depths_m": {"cup|saucer": 0.004}, "drift_m": {"cup": 0.05}}
         run.record("metrics", s_pen=0, max_depth_m=0.0, s_stab=True, max_drift_m=0.0004)
         run.record("metrics", max_tilt_deg=0.1, mean_log_scale=-0.01, objects=4, movable=3)
-        run.record("metrics", penetrations=[pair])
+        run.record("metrics", depths_m={}, drift_m={"cup": 0.0004}, tilt_deg={"cup": 0.1})
+        run.record("metrics", before=before)
         run.finish()
     return out
 
@@ -119,6 +120,7 @@ def test_a_whole_run_shows_its_numbers_pictures_and_verdicts(finished):
     for said in (
         *("1 fallback was used", "refine : native — no GPU here", "0.40 mm", "limit 10 mm in 2 s"),
         *("free fall 2.10 mm 10.00 mm ✓ pass", "cup – saucer 4.00 0.00 ✓ pass", "stable"),
+        "cup 50.00 0.40 0.10°",
         *("lid_hinge revolute body → lid (0.00, 1.00, 0.00) 0 to 90 ° 45 °", "a saucer"),
         *("refine.cem.population 16 256", "+0 / +10 / -5", "3 movable objects of 4"),
     ):

@@ -1,0 +1,220 @@
+"""The tables of a report: what was seen, what was made of it, and how it stands."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from ..run_folder import STEPS
+from .page import Html, missing, picture, section, table, text, verdict
+
+PARSED = "pictures/parse.png"
+
+
+def parsed(folder: Path, tree: dict[str, Any]) -> Html:
+    """Show tree.json beside the picture of its boxes."""
+    nodes = tree.get("nodes")
+    if not nodes:
+        return section("Parse", missing("No tree.json yet."))
+    rows = []
+    for node in nodes:
+        size = node["box3d"]["size"]
+        flags = [
+            "environment" if node.get("environment") else "",
+            "fixed" if node.get("fixed_base") else "",
+            "occluded" if node.get("occluded") else "",
+            *(f"{a['part']} {a['type']} {100 * a['opening']:.0f} %" for a in node["articulation"]),
+        ]
+        parent = f"{node.get('relation', 'on')} {node['parent']}" if node.get("parent") else "world"
+        if node.get("parent_link"):
+            parent += f" ({node['parent_link']})"
+        rows.append(
+            [
+                node["name"],
+                node["label"],
+                parent,
+                " × ".join(f"{100 * v:.1f}" for v in size),
+                f"{math.degrees(node['box3d'].get('yaw', 0.0)):.0f}",
+                ", ".join(flag for flag in flags if flag),
+            ]
+        )
+    camera = tree["camera"]
+    seen = (
+        f"Camera {camera['height']:.2f} m high, pitched down "
+        f"{math.degrees(camera['pitch']):.1f}°, vertical field of view "
+        f"{math.degrees(camera['fovy']):.1f}°."
+    )
+    heads = ["object", "label", "stands", "#size, cm", "#yaw, deg", "notes"]
+    return section(
+        "Parse",
+        f'<div class="pictures" style="max-width:720px">{picture(folder / PARSED, seen)}</div>',
+        table(heads, rows),
+    )
+
+
+def verdicts(folder: Path) -> Html:
+    """Show each object's verify.json: every check with its number, threshold and verdict."""
+    homes = sorted(path for path in (folder / "objects").glob("*") if path.is_dir())
+    if not homes:
+        return section("Objects and their verdicts", missing("No objects yet."))
+    parts = []
+    for home in homes:
+        found = read_json(home / "verify.json")
+        passed = found.get("passed") if found else None
+        parts.append(f"<h3>{text(home.name)} {verdict(passed) if found else ''}</h3>")
+        shots = [(home / "crop.png", "photograph"), (home / "render.png", "program")]
+        if any(path.is_file() for path, _ in shots):
+            thumbs = "".join(picture(path, caption) for path, caption in shots)
+            parts.append(f'<div class="thumbs">{thumbs}</div>')
+        if found is None:
+            parts.append(missing("No verify.json yet."))
+            continue
+        rows = [
+            [
+                str(check.get("name", "?")).replace("_", " "),
+                _value(check.get("value"), check.get("unit")),
+                _value(check.get("threshold"), check.get("unit")),
+                verdict(check.get("passed")),
+                check.get("hint") or check.get("note") or "",
+            ]
+            for check in found.get("checks", [])
+        ]
+        parts.append(table(["check", "#value", "#threshold", "verdict", "note"], rows))
+    return section("Objects and their verdicts", *parts)
+
+
+def placed(scene: dict[str, Any]) -> Html:
+    """Show where scene.json puts the objects, and how far rescaling left them off their boxes."""
+    if not scene.get("objects"):
+        return section("Scene", missing("No scene.json yet."))
+    rows = []
+    for item in scene["objects"]:
+        residual = item.get("scale_residual")
+        x, y = item["xy"]
+        rows.append(
+            [
+                item["name"],
+                f"{item.get('relation', 'on')} {item['parent']}" if item.get("parent") else "world",
+                f"{1000 * x:.1f}, {1000 * y:.1f}, {1000 * item.get('z', 0.0):.1f}",
+                f"{math.degrees(item.get('yaw', 0.0)):.1f}",
+                " / ".join(f"{100 * v:+.0f}" for v in residual) if residual else "",
+                "static" if item.get("environment") or item.get("fixed_base") else "movable",
+            ]
+        )
+    heads = ["object", "stands", "#x, y, z in parent, mm", "#yaw, deg", "#size off x/y/z, %", ""]
+    note = '<p class="dim">Size off: against the parsed box, after isotropic rescaling.</p>'
+    return section("Scene", table(heads, rows), note)
+
+
+def joints(folder: Path, scene: dict[str, Any]) -> Html:
+    """List the joints of all objects, from scene.json or else from each spec.json."""
+    specs: list[tuple[dict[str, Any], dict[str, float]]] = [
+        (item["spec"], item.get("joint_state", {})) for item in scene.get("objects", [])
+    ]
+    names = [item["name"] for item in scene.get("objects", [])]
+    if not specs:
+        files = sorted((folder / "objects").glob("*/spec.json"))
+        loaded = [(file.parent.name, read_json(file)) for file in files]
+        specs = [(spec, {}) for _, spec in loaded if spec]
+        names = [name for name, spec in loaded if spec]
+    rows = []
+    for name, (spec, state) in zip(names, specs, strict=True):
+        for joint in spec.get("joints", []):
+            if joint["type"] == "fixed":
+                continue
+            unit, factor = ("mm", 1000.0) if joint["type"] == "prismatic" else ("°", 180 / math.pi)
+            span = f"{factor * joint['lower']:.0f} to {factor * joint['upper']:.0f} {unit}"
+            rows.append(
+                [
+                    name,
+                    joint["name"],
+                    joint["type"],
+                    f"{joint['parent']} → {joint['child']}",
+                    "(" + ", ".join(f"{v:.2f}" for v in joint["axis"]) + ")",
+                    "unlimited" if joint["type"] == "continuous" else span,
+                    f"{factor * state.get(joint['name'], 0.0):.0f} {unit}",
+                    f"{joint['damping']:.2g}",
+                ]
+            )
+    heads = ["object", "joint", "type", "links", "axis", "#range", "#now", "#damping, SI"]
+    if rows:
+        return section("Joints", table(heads, rows))
+    return section("Joints", missing("No object has a joint." if specs else "No objects yet."))
+
+
+def penetrations(run: dict[str, Any]) -> Html:
+    """Compare the pairs that intersect, and the drift in free fall, before and after Step 5."""
+    after = run["metrics"]
+    before = after.get("before") or {}
+    if "depths_m" not in after:
+        return section("Penetrations and drift", missing(f"Measured after refine; {where(run)}."))
+    old, new = before.get("depths_m", {}), after["depths_m"]
+    limit = run["config"]["refine"]["max_depth_m"]
+    pairs = [
+        [
+            pair.replace("|", " – "),
+            _mm(old.get(pair, 0.0)) if before else "",
+            _mm(new.get(pair, 0.0)),
+            verdict(new.get(pair, 0.0) <= limit),
+        ]
+        for pair in sorted({*old, *new}, key=lambda p: -max(old.get(p, 0.0), new.get(p, 0.0)))
+    ]
+    heads = ["pair", "#depth composed, mm", "#depth refined, mm", "verdict"]
+    none = "<p>No two objects intersect, before or after.</p>"
+    moved = [
+        [
+            name,
+            _mm(before.get("drift_m", {}).get(name)),
+            _mm(drift),
+            _degrees(before.get("tilt_deg", {}).get(name)),
+            _degrees(after.get("tilt_deg", {}).get(name)),
+        ]
+        for name, drift in after.get("drift_m", {}).items()
+    ]
+    drifts = [
+        "object",
+        "#drift composed, mm",
+        "#drift refined, mm",
+        "#turn composed",
+        "#turn refined",
+    ]
+    return section(
+        "Penetrations and drift",
+        table(heads, pairs) if pairs else none,
+        table(drifts, moved) if moved else "",
+    )
+
+
+def where(run: dict[str, Any]) -> str:
+    """Say how far a run has come."""
+    done = [step for step in STEPS if any(n.partition("/")[0] == step for n in run["steps"])]
+    return f"this run is {run['status']}, done so far: {', '.join(done) or 'nothing'}"
+
+
+def read_json(path: Path) -> dict[str, Any] | None:
+    """Read a JSON object; None if it is absent or damaged."""
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return data if isinstance(data, dict) else None
+
+
+def _value(value: Any, unit: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return str(value)
+    if unit == "m":
+        return f"{1000 * value:.2f} mm"
+    if unit == "rad":
+        return f"{math.degrees(value):.2f}°"
+    return f"{value:.4g} {unit or ''}".strip()
+
+
+def _mm(value: float | None) -> str:
+    return "" if value is None else f"{1000 * value:.2f}"
+
+
+def _degrees(value: float | None) -> str:
+    return "" if value is None else f"{value:.2f}°"
