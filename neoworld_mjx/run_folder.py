@@ -108,14 +108,22 @@ class RunFolder:
         finally:
             self._lock.close()
 
+    def finished(self, name: str, inputs: Mapping[str, object]) -> bool:
+        """Tell whether `step` would find this step finished, without beginning it."""
+        self._touched.add(name)
+        return self._finished(name, self._hash_inputs(name, inputs))
+
     @contextlib.contextmanager
-    def step(self, name: str, inputs: Mapping[str, object]) -> Iterator[Path | None]:
+    def step(
+        self, name: str, inputs: Mapping[str, object], *, begun: float | None = None
+    ) -> Iterator[Path | None]:
         """Do a step of the run, unless it is finished: `with run.step(...) as out: if out: ...`.
 
         Args:
             name: one of `STEPS`, or such a name and a part, as in "program/cup".
             inputs: everything that decides what the step writes: paths stand for the contents of
                 that file or folder, pydantic models and JSON values for themselves.
+            begun: `time.perf_counter()` when its work began, if before this call.
 
         Yields:
             An empty folder that stands for the run folder, to write the step's files into; None if
@@ -132,7 +140,7 @@ class RunFolder:
             _log.info("%s: kept as it is", name)
             yield None
             return
-        begun = time.perf_counter()
+        begun = time.perf_counter() if begun is None else begun
         before = self._forget(name)
         out = self.path / _STAGING / name.replace("/", ".")
         with self._writing():
