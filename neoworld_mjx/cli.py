@@ -149,7 +149,9 @@ def run(command: Common) -> int:
         if "error" in answer:
             print(f"error: {answer['error']}", file=sys.stderr)
         if command.json:
-            print(json.dumps(answer), file=out, flush=True)
+            # NaN and Infinity are no JSON: they become null.
+            strict = json.loads(json.dumps(answer), parse_constant=lambda _: None)
+            print(json.dumps(strict), file=out, flush=True)
         elif "error" not in answer:
             _print(answer)
     return code
@@ -183,7 +185,10 @@ def check(command: Check) -> Answer:
         from .program import build
 
         built = build(_read(command.target), config.program)
-        signals = [signal.model_dump(exclude_none=True) for signal in built.signals]
+        signals = [
+            {"code": signal.code, **signal.model_dump(exclude_defaults=True)}
+            for signal in built.signals
+        ]
         return {"target": str(command.target), "passed": built.ok, "signals": signals}
     from .measure.scene import scene_measure
 

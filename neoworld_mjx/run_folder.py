@@ -62,8 +62,8 @@ class RunFolder:
             path: the folder; it may exist if it is empty or a run.
             config: the options of the run.
             resume: keep finished steps of an earlier run whose inputs have not changed.
-            start: do this step of an earlier run and all after it again; the steps before it are
-                kept as their files stand, so edits by hand count.
+            start: delete what this step of an earlier run and all after it wrote, to do them
+                again; the steps before it are kept as their files stand, so edits by hand count.
             overwrite: delete what an earlier run wrote (and only that) and begin anew.
 
         Raises:
@@ -225,10 +225,8 @@ class RunFolder:
         else:
             self.data = {"steps": {}, "fallbacks": []}
         for name in [*self.data["steps"]]:
-            if overwrite and not resume:
+            if _head(name) not in self._kept if start is not None else overwrite and not resume:
                 self._delete(self._forget(name))
-            elif start is not None and _head(name) not in self._kept:
-                self._forget(name)
         if not resume:
             (self.path / "report.html").unlink(missing_ok=True)
             self.data = {"steps": {}, "fallbacks": []}
@@ -243,8 +241,8 @@ class RunFolder:
             "seeds": {"run": config.seed},
             "versions": versions(),
             "device": {"machine": platform.machine(), "cores": os.cpu_count()},
-            **{key: old.get(key, {}) for key in ("metrics", "mllm")},
-            **{key: old[key] for key in ("fallbacks", "steps")},
+            "metrics": {},
+            **{key: old.get(key, {}) for key in ("mllm", "fallbacks", "steps")},
         }
         self.save()
 
@@ -265,11 +263,8 @@ class RunFolder:
 
     def _changed(self, entry: dict[str, Any]) -> list[str]:
         found = entry["outputs"].items()
-        return [
-            p
-            for p, old in found
-            if (self.path / p).is_file() and content_hash(self.path / p) != old
-        ]
+        there = [(self.path / name, name, old) for name, old in found]
+        return [name for at, name, old in there if at.is_file() and content_hash(at) != old]
 
     def _forget(self, name: str) -> list[str]:
         """Drop a step's record and return its files; those edited by hand are set aside."""

@@ -86,6 +86,9 @@ def test_from_keeps_edits_before_the_step_and_so_does_a_later_resume(tmp_path):
 def test_from_redoes_the_step_and_all_after_it(tmp_path):
     out = tmp_path / "out"
     _two_steps(out)
+    with RunFolder(out, Config(), start="compose"):
+        assert (out / "tree.json").exists()
+        assert not (out / "objects").exists()
     assert _two_steps(out, start="parse") == ["parse", "compose"]
 
 

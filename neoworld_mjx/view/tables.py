@@ -71,11 +71,11 @@ def verdicts(folder: Path) -> Html:
             continue
         rows = [
             [
-                str(check.get("name", "?")).replace("_", " "),
+                f"{check.get('scenario', '')} {check.get('name', '')}".replace("_", " ").strip(),
                 _value(check.get("value"), check.get("unit")),
                 _value(check.get("threshold"), check.get("unit")),
-                verdict(check.get("passed")),
-                check.get("hint") or check.get("note") or "",
+                _outcome(check.get("outcome")),
+                check.get("hint") or "",
             ]
             for check in found.get("checks", [])
         ]
@@ -198,6 +198,13 @@ def read_json(path: Path) -> dict[str, Any] | None:
     except (OSError, ValueError):
         return None
     return data if isinstance(data, dict) else None
+
+
+def _outcome(outcome: Any) -> Html:
+    if outcome in ("PASS", "FAIL"):
+        return verdict(outcome == "PASS")
+    said = {"SKIP": "skipped", "TOOL_FAILURE": "could not be tested"}.get(outcome, "unknown")
+    return Html(f'<span class="dim">{said}</span>')
 
 
 def _value(value: Any, unit: Any) -> str:

@@ -10,6 +10,7 @@ from PIL import Image
 from neoworld_mjx.config import Config, load_config
 from neoworld_mjx.errors import RunError
 from neoworld_mjx.run_folder import RunFolder
+from neoworld_mjx.verify import Verdict
 from neoworld_mjx.view.charts import Line, bars, line_chart, nice_ticks
 from neoworld_mjx.view.report import write_report
 
@@ -68,9 +69,12 @@ def finished(tmp_path):
         with run.step("verify/jar", {}) as stage:
             assert stage is not None
             (stage / "objects" / "jar").mkdir(parents=True)
-            check = {"name": "free_fall", "value": 0.0021, "threshold": 0.01, "unit": "m"}
-            found = {"passed": True, "checks": [check | {"passed": True}]}
-            (stage / "objects" / "jar" / "verify.json").write_text(json.dumps(found))
+            fell = {"name": "drift", "value": 0.0021, "threshold": 0.01, "unit": "m"}
+            fell |= {"scenario": "free_fall", "outcome": "PASS"}
+            pushed = {"scenario": "force_perturbation", "name": "energy", "outcome": "SKIP"}
+            found = {"object": "jar", "passed": True, "mass_kg": 0.3, "checks": [fell, pushed]}
+            verdict = Verdict.model_validate(found)
+            (stage / "objects" / "jar" / "verify.json").write_text(verdict.to_json())
         with run.step("compose", {}) as stage:
             assert stage is not None
             (stage / "scene.json").write_text(json.dumps(_scene()))
@@ -119,7 +123,8 @@ def test_a_whole_run_shows_its_numbers_pictures_and_verdicts(finished):
     assert page.tags.count("polyline") >= 6
     for said in (
         *("1 fallback was used", "refine : native — no GPU here", "0.40 mm", "limit 10 mm in 2 s"),
-        *("free fall 2.10 mm 10.00 mm ✓ pass", "cup – saucer 4.00 0.00 ✓ pass", "stable"),
+        *("free fall drift 2.10 mm 10.00 mm ✓ pass", "cup – saucer 4.00 0.00 ✓ pass", "stable"),
+        "force perturbation energy skipped",
         "cup 50.00 0.40 0.10°",
         *("lid_hinge revolute body → lid (0.00, 1.00, 0.00) 0 to 90 ° 45 °", "a saucer"),
         *("refine.cem.population 16 256", "+0 / +10 / -5", "3 movable objects of 4"),

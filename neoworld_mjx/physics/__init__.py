@@ -1,0 +1,1 @@
+"""Scenes as MuJoCo models, and engines that roll populations of layouts out."""
