@@ -10,8 +10,8 @@ from ..errors import choices
 from ..spec.pose import from_rpy, pose
 from . import arguments as take
 from .materials import MATERIALS
+from .placing import Bounds, Shape, anchor_of, bounds_of
 from .session import current, here
-from .solids import Bounds, Shape, anchor_of, bounds_of
 
 MAX_ANGLE_RAD = 200.0
 

@@ -27,8 +27,8 @@ import pydantic_monty as monty
 from ..config import ProgramOptions
 from ..spec import ObjectSpec
 from . import object as made
-from . import solids
 from .assemble import assemble
+from .placing import Shape
 from .session import Session, Spent, entered
 from .signals import Signal, deduplicated, has_errors
 
@@ -43,14 +43,14 @@ _METHODS: dict[type, frozenset[str]] = {
     made.Part: frozenset({"add", "anchor"}),
     made.Geom: frozenset({"anchor"}),
     made.Joint: frozenset(),
-    solids.Shape: frozenset(),
+    Shape: frozenset(),
 }
 _FIELDS: dict[type, tuple[str, ...]] = {
     made.Object: ("name", "label"),
     made.Part: ("name",),
     made.Geom: ("name",),
     made.Joint: ("name",),
-    solids.Shape: (),
+    Shape: (),
 }
 
 
@@ -168,7 +168,7 @@ def _handed(value: Any, session: Session) -> Any:
     handle = _Handle(
         value,
         eager_attrs=_FIELDS[kind],
-        lazy_attrs=("size",) if kind is solids.Shape else None,
+        lazy_attrs=("size",) if kind is Shape else None,
         allowed_methods=_METHODS[kind],
     )
     handle.session = session

@@ -9,16 +9,22 @@ are type-checked against.
 """
 
 from .object import Geom, Joint, Object, Part
+from .placing import Shape
 from .solids import (
-    Shape,
     box,
     capsule,
     cylinder,
     ellipsoid,
+    extrusion,
+    frustum,
     hollow_box,
     lathe,
     prism,
+    rounded_box,
     sphere,
+    sweep,
+    torus,
+    tube,
 )
 
 __all__ = [
@@ -31,8 +37,14 @@ __all__ = [
     "capsule",
     "cylinder",
     "ellipsoid",
+    "extrusion",
+    "frustum",
     "hollow_box",
     "lathe",
     "prism",
+    "rounded_box",
     "sphere",
+    "sweep",
+    "torus",
+    "tube",
 ]

@@ -3,52 +3,19 @@
 Every function says where the shape's own origin lies. Sizes are full lengths in metres.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from .. import spec as S
-from ..spec.convex import extent
-from ..spec.pose import Pose, conjugate, pose, rotate
 from ..spec.shapes import MAX_SECTORS, MIN_SECTORS
 from . import arguments as take
+from .placing import Shape
 from .session import current
-
-Bounds = tuple[NDArray, NDArray]
 
 MAX_POINTS = 64
 MAX_SHAPE_PIECES = 1200
 _FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
-_SIDES = {
-    "front": (0, 1),
-    "back": (0, -1),
-    "left": (1, 1),
-    "right": (1, -1),
-    "top": (2, 1),
-    "bottom": (2, -1),
-    **{face: ("xyz".index(face[1]), 1 if face[0] == "+" else -1) for face in _FACES},
-}
-
-
-class Shape:
-    """A solid that a part may be given, with the size of its bounding box."""
-
-    __slots__ = ("_spec",)
-
-    def __init__(self, described: Any) -> None:
-        self._spec: S.Shape = described
-
-    def __repr__(self) -> str:
-        return repr(self._spec)
-
-    @property
-    def size(self) -> tuple[float, float, float]:
-        """Edge lengths [m] of the bounding box in the shape's own frame."""
-        low, high = bounds_of(self, pose())
-        x, y, z = (high - low).tolist()
-        return x, y, z
 
 
 def box(size: Sequence[float]) -> Shape:
@@ -134,43 +101,119 @@ def lathe(
     )
 
 
-def bounds_of(shape: Shape, at: Pose) -> Bounds:
-    """Return the bounding box (low [3], high [3]) [m] of a shape at a pose."""
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for piece in shape._spec.pieces():
-        world = at.then(pose(piece.pos, piece.quat))
-        back = conjugate(world.quat)
-        for axis in range(3):
-            d = rotate(back, np.eye(3)[axis])
-            high[axis] = max(high[axis], world.pos[axis] + extent(piece, d))
-            low[axis] = min(low[axis], world.pos[axis] - extent(piece, -d))
-    return low, high
+def frustum(bottom_radius: float, top_radius: float, height: float) -> Shape:
+    """Make a solid frustum along z, centred; one of the radii may be 0 for a cone."""
+    radii = [
+        0.0 if value == 0 else take.length(value, f"frustum {what}")
+        for value, what in ((bottom_radius, "bottom_radius"), (top_radius, "top_radius"))
+    ]
+    half = take.length(height, "frustum height") / 2
+    profile = ((radii[0], -half), (radii[1], half))
+    return _made(S.Lathe, 1, profile=profile, sectors=32)
 
 
-def anchor_of(bounds: Bounds, where: Any, what: str) -> NDArray:
-    """Return a named point of a bounding box [3] m: "top", "left.front", "-x.bottom", "centre".
+def tube(radius: float, wall: float, height: float, sectors: int = 16) -> Shape:
+    """Make a pipe along z, centred, open at both ends; `radius` is the outer one."""
+    outer, half = take.length(radius, "tube radius"), take.length(height, "tube height") / 2
+    thickness = take.length(wall, "tube wall")
+    if thickness >= outer:
+        raise ValueError(f"tube wall {thickness} must be smaller than its radius {outer}")
+    count = take.whole(sectors, "tube sectors", MIN_SECTORS, MAX_SECTORS)
+    profile = ((outer, -half), (outer, half))
+    return _made(S.Lathe, count, profile=profile, thickness=thickness, sectors=count)
 
-    A direction that is not named stays in the middle.
+
+def rounded_box(size: Sequence[float], radius: float) -> Shape:
+    """Make a box with full edge lengths, centred, with edges rounded by `radius`."""
+    return _made(
+        S.RoundedBox,
+        1,
+        size=take.lengths(size, "rounded_box size"),
+        radius=take.length(radius, "rounded_box radius"),
+    )
+
+
+def sweep(
+    path: Sequence[Sequence[float]],
+    radius: float | Sequence[float] | None = None,
+    *,
+    width: float | Sequence[float] | None = None,
+    thickness: float | Sequence[float] | None = None,
+    closed: bool = False,
+    sectors: int = 8,
+) -> Shape:
+    """Sweep a round or elliptic section along points (x, y, z): a handle, hook, stem, wire.
+
+    Give `radius` for a round section, or `width` (across the plane of the path) and `thickness` (in
+    that plane), full diameters; one number, or one for each point, so that it tapers.
     """
-    if not isinstance(where, str):
-        raise TypeError(f"{what} must be a string such as 'top', got {take.shown(where)}")
-    low, high = bounds
-    point = (low + high) / 2
-    named: set[int] = set()
-    for word in take.text(where, what).split("."):
-        if word == "centre":
-            continue
-        if word not in _SIDES:
-            raise ValueError(
-                f"{what} takes {', '.join(_SIDES)} or centre, joined by dots as in "
-                f"'left.bottom'; got {take.shown(where)}"
-            )
-        axis, sign = _SIDES[word]
-        if axis in named:
-            raise ValueError(f"{what} {where!r} names one direction twice")
-        named.add(axis)
-        point[axis] = high[axis] if sign > 0 else low[axis]
-    return point
+    track = tuple(
+        take.vector(point, f"sweep path[{i}]")
+        for i, point in enumerate(take.sequence(path, "sweep path", 2, MAX_POINTS))
+    )
+    if not isinstance(closed, bool):
+        raise TypeError(f"sweep closed must be True or False, got {take.shown(closed)}")
+    if (radius is None) == (width is None or thickness is None):
+        raise ValueError("sweep needs radius=, or both width= and thickness=")
+    if radius is not None:
+        across = inward = tuple(2 * r for r in _each(radius, "sweep radius"))
+    else:
+        across, inward = _each(width, "sweep width"), _each(thickness, "sweep thickness")
+    return _made(
+        S.Sweep,
+        len(track),
+        path=track,
+        width=across,
+        thickness=inward,
+        closed=closed,
+        sectors=take.whole(sectors, "sweep sectors", 4, 32),
+    )
+
+
+def torus(radius: float, tube: float, arc: float = 2 * math.pi, sectors: int = 8) -> Shape:
+    """Make a ring, or the part of it that spans `arc` [rad] about its +x side, around z, centred.
+
+    `radius` goes to the middle of the bar, `tube` is the bar's own radius.
+    """
+    big, small = take.length(radius, "torus radius"), take.length(tube, "torus tube")
+    span = take.number(arc, "torus arc", 7.0)
+    if not 0 < span <= 2 * math.pi + 1e-9:
+        raise ValueError(f"torus arc must lie above 0 and up to 2 pi, got {span!r}")
+    whole = span > 2 * math.pi - 1e-6
+    steps = max(3, math.ceil(24 * span / (2 * math.pi)))
+    angles = [span * (i / steps - 0.5) for i in range(steps if whole else steps + 1)]
+    track = tuple((big * math.cos(a), big * math.sin(a), 0.0) for a in angles)
+    return _made(
+        S.Sweep,
+        steps,
+        path=track,
+        width=(2 * small,),
+        thickness=(2 * small,),
+        closed=whole,
+        sectors=take.whole(sectors, "torus sectors", 4, 32),
+    )
+
+
+def extrusion(
+    outline: Sequence[Sequence[float]],
+    height: float,
+    holes: Sequence[Sequence[Sequence[float]]] = (),
+) -> Shape:
+    """Extrude any outline of (x, y) points, with holes, along z from -height/2 to height/2."""
+    border = take.points(outline, "extrusion outline", 3, 2 * MAX_POINTS)
+    loops = tuple(
+        take.points(hole, f"extrusion holes[{i}]", 3, MAX_POINTS)
+        for i, hole in enumerate(take.sequence(holes, "extrusion holes", 0, MAX_POINTS))
+    )
+    pieces = len(border) + sum(len(loop) + 2 for loop in loops)
+    depth = take.length(height, "extrusion height")
+    return _made(S.Extrusion, pieces, outline=border, holes=loops, height=depth)
+
+
+def _each(value: Any, what: str) -> tuple[float, ...]:
+    if isinstance(value, list | tuple):
+        return tuple(take.length(v, what) for v in take.sequence(value, what, 1, MAX_POINTS))
+    return (take.length(value, what),)
 
 
 def _made(model: Any, pieces: int, **fields: Any) -> Shape:

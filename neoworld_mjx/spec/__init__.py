@@ -17,7 +17,20 @@ from .object import (
 )
 from .scale import scale
 from .scene import SceneObject, SceneSpec, rearranged, support_frame, world_poses
-from .shapes import Box, Capsule, Cylinder, Ellipsoid, HollowBox, Lathe, Prism, Shape, Sphere
+from .shapes import (
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    Extrusion,
+    HollowBox,
+    Lathe,
+    Prism,
+    RoundedBox,
+    Shape,
+    Sphere,
+    Sweep,
+)
 from .tree import Box2D, Box3D, PartState, SceneTree, TreeNode
 
 __all__ = [
@@ -28,6 +41,7 @@ __all__ = [
     "Capsule",
     "Cylinder",
     "Ellipsoid",
+    "Extrusion",
     "Geom",
     "HollowBox",
     "Joint",
@@ -38,12 +52,14 @@ __all__ = [
     "Part",
     "PartState",
     "Prism",
+    "RoundedBox",
     "SceneObject",
     "SceneSpec",
     "SceneTree",
     "Shape",
     "Site",
     "Sphere",
+    "Sweep",
     "TreeNode",
     "bounds",
     "inertial",

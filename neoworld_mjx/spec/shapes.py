@@ -8,42 +8,15 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from .base_shape import MAX_SECTORS, MIN_SECTORS, BaseShape, Face, Length, Number, Point2
 from .convex import Piece, polytope
-
-Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Point2 = tuple[Number, Number]
-Face = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
-
-MIN_SECTORS, MAX_SECTORS = 6, 64
+from .extruded import Extrusion, RoundedBox
+from .swept import Sweep
 
 
-class _Shape(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    def pieces(self) -> list[Piece]:
-        """Return the convex pieces, in the shape's frame."""
-        raise NotImplementedError
-
-    def scaled(self, s: float) -> Self:
-        """Return the shape with every length multiplied by `s`."""
-        lengths = {
-            name: _times(getattr(self, name), s)
-            for name in type(self).model_fields
-            if name not in ("type", "sectors", "open")
-        }
-        return self.model_copy(update=lengths)
-
-
-def _times(value: object, s: float) -> object:
-    if isinstance(value, tuple):
-        return tuple(_times(item, s) for item in value)
-    return value * s if isinstance(value, int | float) else value
-
-
-class Box(_Shape):
+class Box(BaseShape):
     """A box, centred, with full edge lengths along x, y, z."""
 
     type: Literal["box"] = "box"
@@ -54,7 +27,7 @@ class Box(_Shape):
         return [Piece("box", tuple(v / 2 for v in self.size))]
 
 
-class Sphere(_Shape):
+class Sphere(BaseShape):
     """A ball, centred."""
 
     type: Literal["sphere"] = "sphere"
@@ -65,7 +38,7 @@ class Sphere(_Shape):
         return [Piece("sphere", (self.radius, 0.0, 0.0))]
 
 
-class Capsule(_Shape):
+class Capsule(BaseShape):
     """A capsule along z, centred; `length` is that of the cylinder between the two half balls."""
 
     type: Literal["capsule"] = "capsule"
@@ -77,7 +50,7 @@ class Capsule(_Shape):
         return [Piece("capsule", (self.radius, self.length / 2, 0.0))]
 
 
-class Cylinder(_Shape):
+class Cylinder(BaseShape):
     """A cylinder along z, centred."""
 
     type: Literal["cylinder"] = "cylinder"
@@ -89,7 +62,7 @@ class Cylinder(_Shape):
         return [Piece("cylinder", (self.radius, self.height / 2, 0.0))]
 
 
-class Ellipsoid(_Shape):
+class Ellipsoid(BaseShape):
     """An ellipsoid, centred, with semi-axes along x, y, z."""
 
     type: Literal["ellipsoid"] = "ellipsoid"
@@ -100,7 +73,7 @@ class Ellipsoid(_Shape):
         return [Piece("ellipsoid", self.radii)]
 
 
-class Prism(_Shape):
+class Prism(BaseShape):
     """A convex outline in x, y extruded along z from -height/2 to height/2."""
 
     type: Literal["prism"] = "prism"
@@ -129,7 +102,7 @@ class Prism(_Shape):
         return [polytope(np.vstack([top, top * [1, 1, -1]]))]
 
 
-class HollowBox(_Shape):
+class HollowBox(BaseShape):
     """A box with walls of one thickness and the named faces left open, centred; a drawer or bin."""
 
     type: Literal["hollow_box"] = "hollow_box"
@@ -167,7 +140,7 @@ class HollowBox(_Shape):
         return walls
 
 
-class Lathe(_Shape):
+class Lathe(BaseShape):
     """A profile of (r, z) points revolved about z.
 
     With `thickness` the profile is the outer face of a shell, walked from the foot to the rim; the
@@ -243,19 +216,36 @@ def _cross2(a: NDArray, b: NDArray) -> NDArray:
 
 
 Shape = Annotated[
-    Box | Sphere | Capsule | Cylinder | Ellipsoid | Prism | HollowBox | Lathe,
+    Box
+    | Sphere
+    | Capsule
+    | Cylinder
+    | Ellipsoid
+    | Prism
+    | HollowBox
+    | Lathe
+    | Sweep
+    | Extrusion
+    | RoundedBox,
     Field(discriminator="type"),
 ]
 
 __all__ = [
+    "MAX_SECTORS",
+    "MIN_SECTORS",
     "Box",
     "Capsule",
     "Cylinder",
     "Ellipsoid",
+    "Extrusion",
     "Face",
     "HollowBox",
     "Lathe",
+    "Length",
+    "Number",
     "Prism",
+    "RoundedBox",
     "Shape",
     "Sphere",
+    "Sweep",
 ]

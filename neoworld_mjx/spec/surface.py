@@ -10,7 +10,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from .extruded import Extrusion, RoundedBox
 from .shapes import Box, Capsule, Cylinder, Ellipsoid, HollowBox, Lathe, Prism, Shape, Sphere
+from .swept import Sweep
 
 SECTORS = 64
 """Facets around a round shape, at least."""
@@ -72,6 +74,8 @@ def corner_normals(vertices: NDArray, faces: NDArray, crease: float = CREASE) ->
 
 
 def _build(shape: Shape) -> tuple[NDArray, NDArray]:
+    if isinstance(shape, Sweep | Extrusion | RoundedBox):
+        return shape.surface()
     if isinstance(shape, Box):
         return _prism(_rectangle(shape.size[0], shape.size[1]), shape.size[2])
     if isinstance(shape, Prism):

@@ -1,0 +1,198 @@
+"""Extrusion of any outline with holes, and the box with rounded edges."""
+
+from functools import lru_cache
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from .base_shape import BaseShape, Length, Point2
+from .convex import Piece, hull, polytope
+
+Loop = tuple[Point2, ...]
+
+
+class Extrusion(BaseShape):
+    """An outline of (x, y) points with holes, extruded along z from -height/2 to height/2.
+
+    The outline need not be convex: a bracket, a letter, a panel with cut-outs. Pieces are convex
+    prisms that tile it exactly.
+    """
+
+    type: Literal["extrusion"] = "extrusion"
+    outline: Loop = Field(min_length=3, max_length=128)
+    holes: tuple[Loop, ...] = Field((), max_length=64)
+    height: Length
+
+    @model_validator(mode="after")
+    def _simple(self) -> Self:
+        loops = [np.array(loop) for loop in (self.outline, *self.holes)]
+        if sum(len(loop) for loop in loops) > 512:
+            raise ValueError("an extrusion may have 512 points in all")
+        for loop, what in zip(loops, ("outline", *("hole",) * len(self.holes)), strict=True):
+            if len(loop) < 3 or abs(_area(loop)) < 1e-12:
+                raise ValueError(f"extrusion {what} encloses no area")
+        if _crosses(loops):
+            raise ValueError("extrusion outline and holes must not cross or touch themselves")
+        tiles = sum(abs(_area(np.array(tile))) for tile in self.tiles())
+        inside = abs(_area(loops[0])) - sum(abs(_area(loop)) for loop in loops[1:])
+        if inside <= 0 or abs(tiles - inside) > 1e-6 * abs(_area(loops[0])):
+            raise ValueError("extrusion holes must lie inside the outline and apart")
+        return self
+
+    def tiles(self) -> tuple[Loop, ...]:
+        """Return convex polygons, counter-clockwise, that tile the outline without its holes."""
+        return _tiles(self.outline, self.holes)
+
+    def pieces(self) -> list[Piece]:
+        """Return one prism for each convex tile."""
+        h = self.height / 2
+        found = []
+        for tile in self.tiles():
+            flat = np.array(tile)
+            top = np.column_stack([flat, np.full(len(flat), h)])
+            found.append(polytope(np.vstack([top, top * [1, 1, -1]])))
+        return found
+
+    def surface(self) -> tuple[NDArray, NDArray]:
+        """Return the closed outward surface: vertices [v, 3] and triangles [f, 3]."""
+        loops = _wound(self.outline, self.holes)
+        flat = np.vstack(loops)
+        n, h = len(flat), self.height / 2
+        vertices = np.vstack(
+            [np.column_stack([flat, np.full(n, -h)]), np.column_stack([flat, np.full(n, h)])]
+        )
+        caps = _triangles(loops)
+        faces, start = [caps[:, ::-1], caps + n], 0
+        for loop in loops:
+            i = start + np.arange(len(loop))
+            j = start + (np.arange(len(loop)) + 1) % len(loop)
+            faces += [np.column_stack([i, j, n + j]), np.column_stack([i, n + j, n + i])]
+            start += len(loop)
+        return vertices, np.ascontiguousarray(np.vstack(faces).astype(np.int64))
+
+
+class RoundedBox(BaseShape):
+    """A box with full edge lengths, centred, its edges and corners rounded."""
+
+    type: Literal["rounded_box"] = "rounded_box"
+    size: tuple[Length, Length, Length]
+    radius: Length
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if 2 * self.radius >= min(self.size):
+            raise ValueError(f"radius {self.radius} is too large for a box of size {self.size}")
+        return self
+
+    def pieces(self) -> list[Piece]:
+        """Return one convex piece; its corners lie on the rounded surface."""
+        return [polytope(self._points(2))]
+
+    def surface(self) -> tuple[NDArray, NDArray]:
+        """Return the closed outward surface: vertices [v, 3] and triangles [f, 3]."""
+        return hull(tuple(map(tuple, np.unique(self._points(6), axis=0).tolist())))
+
+    def _points(self, steps: int) -> NDArray:
+        angle = np.linspace(0, np.pi / 2, steps + 1)
+        # Sines and cosines of a quarter mirror each other, so that opposite corners match exactly.
+        c = np.cos(angle)
+        c[-1] = 0.0
+        s = c[::-1]
+        ball = np.array(
+            [[c[i] * c[k], c[i] * s[k], s[i]] for i in range(steps + 1) for k in range(steps + 1)]
+        )
+        inner = np.array(self.size) / 2 - self.radius
+        corner = inner + self.radius * ball
+        signs = np.array(np.meshgrid(*([-1.0, 1.0],) * 3)).reshape(3, -1).T
+        return np.vstack([corner * sign for sign in signs])
+
+
+@lru_cache(maxsize=512)
+def _tiles(outline: Loop, holes: tuple[Loop, ...]) -> tuple[Loop, ...]:
+    """Merge triangles into convex polygons (Hertel and Mehlhorn, 1983: at most 4 times too many)."""
+    loops = _wound(outline, holes)
+    flat = np.vstack(loops)
+    polygons = [list(map(int, t)) for t in _triangles(loops)]
+    merged = True
+    while merged:
+        merged = False
+        edges = {
+            (p[i], p[(i + 1) % len(p)]): k for k, p in enumerate(polygons) for i in range(len(p))
+        }
+        for (a, b), k in edges.items():
+            other = edges.get((b, a))
+            if other is None or other == k:
+                continue
+            union = _joined(polygons[k], polygons[other], a, b)
+            if _convex(flat[union]):
+                polygons[k] = union
+                del polygons[other]
+                merged = True
+                break
+    return tuple(tuple(map(tuple, flat[p].tolist())) for p in polygons)
+
+
+def _joined(one: list[int], two: list[int], a: int, b: int) -> list[int]:
+    i, j = one.index(a), two.index(a)
+    # `one` runs ... a b ..., `two` runs ... b a ...: leave the common edge out of both.
+    head = one[i + 1 :] + one[: i + 1]
+    tail = two[j + 1 :] + two[:j]
+    return head + [v for v in tail if v != b]
+
+
+def _convex(p: NDArray) -> bool:
+    e = np.roll(p, -1, axis=0) - p
+    f = np.roll(e, -1, axis=0)
+    turn = e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]
+    return bool(np.all(turn >= -1e-12 * np.abs(e).max() ** 2))
+
+
+def _triangles(loops: list[NDArray]) -> NDArray:
+    import manifold3d
+
+    return np.asarray(manifold3d.triangulate(loops))
+
+
+def _wound(outline: Loop, holes: tuple[Loop, ...]) -> list[NDArray]:
+    """Return the loops [n, 2]: outline counter-clockwise, holes clockwise."""
+    found = []
+    for k, loop in enumerate((outline, *holes)):
+        p = np.array(loop, float)
+        found.append(p[::-1].copy() if (_area(p) < 0) == (k == 0) else p)
+    return found
+
+
+def _area(p: NDArray) -> float:
+    q = np.roll(p, -1, axis=0)
+    return float(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]) / 2)
+
+
+def _crosses(loops: list[NDArray]) -> bool:
+    """Tell whether any two edges meet other than neighbours at their common corner."""
+    a = np.vstack(loops)
+    b = np.vstack([np.roll(loop, -1, axis=0) for loop in loops])
+    n = len(a)
+    following = np.concatenate(
+        [
+            start + (np.arange(len(loop)) + 1) % len(loop)
+            for start, loop in zip(np.cumsum([0, *map(len, loops[:-1])]), loops, strict=True)
+        ]
+    )
+    side = lambda p, q, r: (
+        (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1])
+        - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
+    )
+    p, q, r, s = a[:, None], b[:, None], a[None], b[None]
+    apart = (side(p, q, r) * side(p, q, s) > 0) | (side(r, s, p) * side(r, s, q) > 0)
+    # Parallel edges on one line are apart when their spans are.
+    spans = (np.maximum(p, q) < np.minimum(r, s)) | (np.maximum(r, s) < np.minimum(p, q))
+    apart |= spans.any(axis=-1)
+    near = np.zeros((n, n), bool)
+    near[np.arange(n), following] = near[following, np.arange(n)] = True
+    near |= np.eye(n, dtype=bool)
+    return bool(np.any(~apart & ~near))
+
+
+__all__ = ["Extrusion", "RoundedBox"]

@@ -1,0 +1,110 @@
+import math
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from neoworld_mjx.spec import Extrusion, RoundedBox, Sweep
+from neoworld_mjx.spec.convex import mass_properties, planes
+from neoworld_mjx.spec.surface import surface
+
+
+def ring(radius: float, count: int, arc: float = 2 * math.pi) -> tuple:
+    whole = arc == 2 * math.pi
+    angles = np.linspace(0, arc, count, endpoint=not whole)
+    return tuple((radius * math.cos(a), radius * math.sin(a), 0.0) for a in angles)
+
+
+TORUS = Sweep(path=ring(0.05, 32), width=(0.01,), thickness=(0.01,), closed=True, sectors=16)
+STRAP = Sweep(path=ring(0.03, 9, math.pi), width=(0.012,), thickness=(0.004,))
+HOOK = Sweep(
+    path=((0, 0, 0), (0, 0, 0.1), (0.02, 0, 0.12), (0.05, 0.02, 0.12)),
+    width=(0.01, 0.01, 0.008, 0.004),
+    thickness=(0.01, 0.01, 0.008, 0.004),
+)
+ROD = Sweep(path=((0, 0, 0), (0, 0, 0.2)), width=(0.01,), thickness=(0.02,))
+L_SHAPE = Extrusion(outline=((0, 0), (2, 0), (2, 1), (1, 1), (1, 3), (0, 3)), height=0.5)
+PANEL = Extrusion(
+    outline=((0, 0), (0, 2), (3, 2), (3, 0)),
+    holes=(((0.5, 0.5), (1, 0.5), (1, 1.5), (0.5, 1.5)), ((2, 1), (2.5, 1.2), (2.2, 1.7))),
+    height=0.02,
+)
+SHAPES = [TORUS, STRAP, HOOK, ROD, L_SHAPE, PANEL, RoundedBox(size=(0.2, 0.1, 0.05), radius=0.01)]
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.type)
+def test_surfaces_are_closed_and_outward(shape):
+    vertices, faces = surface(shape)
+    edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    codes = edges[:, 0] * len(vertices) + edges[:, 1]
+    assert len(np.unique(codes)) == len(codes)
+    assert set(codes) == set(edges[:, 1] * len(vertices) + edges[:, 0])
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    volume = np.sum(a * np.cross(b, c)) / 6
+    solid = sum(mass_properties(piece)[0] for piece in shape.pieces())
+    assert volume == pytest.approx(solid, rel=1e-9 if isinstance(shape, Extrusion) else 0.12)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.type)
+def test_pieces_do_not_overlap(shape):
+    random = np.random.default_rng(0)
+    found = [planes(piece) for piece in shape.pieces()]
+    corners = np.vstack([np.array(piece.vertices) for piece in shape.pieces()])
+    points = random.uniform(corners.min(axis=0), corners.max(axis=0), (20000, 3))
+    depth = np.array([(p[:, 3] - points @ p[:, :3].T).min(axis=1) for p in found])
+    assert np.sum(depth > 1e-9, axis=0).max() <= 1
+    assert np.sum(depth > 1e-9) > 100
+
+
+def test_volumes_against_formulas():
+    volume = sum(mass_properties(piece)[0] for piece in TORUS.pieces())
+    # Pappus, with the polygon in place of the circle.
+    section = 0.5 * 16 * 0.005**2 * math.sin(2 * math.pi / 16)
+    assert volume == pytest.approx(2 * math.pi * 0.05 * section, rel=0.01)
+    volume = sum(mass_properties(piece)[0] for piece in L_SHAPE.pieces())
+    assert volume == pytest.approx(4 * 0.5)
+    assert len(L_SHAPE.pieces()) == 2
+    volume = sum(mass_properties(piece)[0] for piece in PANEL.pieces())
+    assert volume == pytest.approx((6 - 0.5 - 0.155) * 0.02)
+
+
+def test_a_strap_is_wide_across_its_plane():
+    corners = np.vstack([np.array(piece.vertices) for piece in STRAP.pieces()])
+    assert np.ptp(corners[:, 2]) == pytest.approx(0.012, rel=0.1)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.type)
+def test_scaling_scales_every_length(shape):
+    before = sum(mass_properties(piece)[0] for piece in shape.pieces())
+    after = sum(mass_properties(piece)[0] for piece in shape.scaled(2.0).pieces())
+    assert after == pytest.approx(8 * before)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Sweep(path=((0, 0, 0), (0, 0, 0)), width=(1,), thickness=(1,)), "repeats"),
+        (
+            lambda: Sweep(
+                path=((0, 0, 0), (1, 0, 0), (0, 0.1, 0)), width=(0.01,), thickness=(0.01,)
+            ),
+            "turns",
+        ),
+        (lambda: Sweep(path=ring(0.01, 12), width=(0.03,), thickness=(0.03,)), "sharply"),
+        (lambda: Sweep(path=ring(1, 6), width=(0.1, 0.1), thickness=(0.1,)), "1 value or 6"),
+        (lambda: Extrusion(outline=((0, 0), (1, 1), (1, 0), (0, 1)), height=1), "area|cross"),
+        (lambda: Extrusion(outline=((0, 0), (2, 2), (2, 0), (0, 1)), height=1), "cross"),
+        (
+            lambda: Extrusion(
+                outline=((0, 0), (1, 0), (1, 1), (0, 1)),
+                holes=(((2, 2), (3, 2), (3, 3)),),
+                height=1,
+            ),
+            "inside",
+        ),
+        (lambda: RoundedBox(size=(1, 1, 0.1), radius=0.06), "too large"),
+    ],
+)
+def test_wrong_shapes_say_why(make, words):
+    with pytest.raises(ValidationError, match=words):
+        make()
