@@ -1,0 +1,204 @@
+"""Drawing a parse on its photograph: boxes with name tags, the same pixels on every machine.
+
+The picture is part of what the critic is asked, and tapes know requests by their pixels. So boxes are
+written into the array directly, with Pillow's bitmap font and whole pixels, and no text or line
+passes through a rasteriser whose rounding may change between versions.
+"""
+
+from collections.abc import Iterable
+from functools import cache
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from ..mllm import Picture
+from ..spec import SceneTree, TreeNode
+from .photo import Photo
+from .project import edges_in_view
+
+GREY = (170, 170, 170)
+COLOURS = (
+    (255, 70, 70),
+    (70, 220, 90),
+    (80, 150, 255),
+    (255, 200, 40),
+    (230, 90, 255),
+    (60, 225, 225),
+    (255, 140, 60),
+    (190, 255, 110),
+)
+"""By carrier, in the order in which carriers are first named."""
+
+Region = tuple[int, int, int, int]
+
+
+def draw_parse(photo: Photo, tree: SceneTree, *, solid: bool = False) -> Picture:
+    """Draw a parse on the shown picture, at its size.
+
+    Objects on the same carrier share a colour, dashed boxes are partly hidden, environment supports
+    are thin and grey.
+
+    Args:
+        photo: the photograph.
+        tree: the parse, in original pixels.
+        solid: also draw the edges of the 3D boxes as the parsed camera sees them. They follow the
+            rounding of the machine, so such a picture is for people.
+    """
+    canvas = np.array(photo.rgb)
+    height, width = canvas.shape[:2]
+    colours = _colours(tree)
+    glyph = 1 if max(width, height) < 900 else 2
+    line = max(2, round(max(width, height) / 400))
+    if solid:
+        canvas = _edges(canvas, photo, tree, colours)
+    boxes = {node.name: _pixels(node, photo) for node in tree.nodes}
+    # Supports first and large boxes before small ones, so that small things end on top.
+    order = sorted(tree.nodes, key=lambda node: (not node.environment, -_area(boxes[node.name])))
+    for node in order:
+        thick = 1 if node.environment else line
+        _frame(canvas, boxes[node.name], colours[node.name], thick, dashed=node.occluded)
+    taken: list[Region] = []
+    for node in reversed(order):
+        tag = _tag(node.name, glyph)
+        at = _place(tag.shape, boxes[node.name], (width, height), taken, boxes.values())
+        _stamp(canvas, tag, at, colours[node.name])
+        taken.append((at[0], at[1], at[0] + tag.shape[1], at[1] + tag.shape[0]))
+    return Picture.of("parse", canvas)
+
+
+def _colours(tree: SceneTree) -> dict[str, tuple[int, int, int]]:
+    carriers = list(dict.fromkeys(node.parent for node in tree.nodes if not node.environment))
+    return {
+        node.name: GREY if node.environment else COLOURS[carriers.index(node.parent) % len(COLOURS)]
+        for node in tree.nodes
+    }
+
+
+def _pixels(node: TreeNode, photo: Photo) -> Region:
+    """Return a node's box in whole pixels of the shown picture, at least 2 pixels a side."""
+    width, height = photo.size
+    sx, sy = width / photo.original_size[0], height / photo.original_size[1]
+    box = node.box2d
+    x0, y0 = int(np.floor(box.x0 * sx + 0.5)), int(np.floor(box.y0 * sy + 0.5))
+    x1, y1 = int(np.floor(box.x1 * sx + 0.5)), int(np.floor(box.y1 * sy + 0.5))
+    x0, y0 = min(max(x0, 0), width - 2), min(max(y0, 0), height - 2)
+    return x0, y0, min(max(x1, x0 + 2), width), min(max(y1, y0 + 2), height)
+
+
+def _area(box: Region) -> int:
+    return (box[2] - box[0]) * (box[3] - box[1])
+
+
+def _frame(
+    canvas: UInt8[np.ndarray, "h w 3"],
+    box: Region,
+    colour: tuple[int, int, int],
+    thick: int,
+    *,
+    dashed: bool,
+) -> None:
+    """Draw a box's frame inwards from its outer edge, with a dark line inside it."""
+    for inset, width, ink in ((thick, 1, (0, 0, 0)), (0, thick, colour)):
+        x0, y0, x1, y1 = box[0] + inset, box[1] + inset, box[2] - inset, box[3] - inset
+        if x1 - x0 < 1 or y1 - y0 < 1:
+            continue
+        across = _dashes(x1 - x0, thick, dashed)
+        along = _dashes(y1 - y0, thick, dashed)
+        for k in range(width):
+            canvas[min(y0 + k, y1 - 1), x0:x1][across] = ink
+            canvas[max(y1 - 1 - k, y0), x0:x1][across] = ink
+            canvas[y0:y1, min(x0 + k, x1 - 1)][along] = ink
+            canvas[y0:y1, max(x1 - 1 - k, x0)][along] = ink
+
+
+def _dashes(length: int, thick: int, dashed: bool) -> Bool[np.ndarray, " length"]:
+    if not dashed:
+        return np.ones(length, bool)
+    period = 8 * thick
+    at = np.arange(length)
+    # Mirrored, so that all four corners are drawn.
+    return np.minimum(at, length - 1 - at) % period < period // 2
+
+
+@cache
+def _tag(name: str, glyph: int) -> Bool[np.ndarray, "h w"]:
+    """Return a name in the bitmap font with a margin, as a mask; `glyph` is its magnification."""
+    font = ImageFont.load_default_imagefont()
+    left, top, right, bottom = font.getbbox(name)
+    image = Image.new("1", (int(right - left) + 4, int(bottom - top) + 2), 0)
+    ImageDraw.Draw(image).text((2 - left, 1 - top), name, fill=1, font=font)
+    mask = np.array(image, dtype=bool)
+    return mask.repeat(glyph, axis=0).repeat(glyph, axis=1)
+
+
+def _place(
+    shape: tuple[int, ...],
+    box: Region,
+    size: tuple[int, int],
+    taken: list[Region],
+    boxes: Iterable[Region],
+) -> tuple[int, int]:
+    """Choose where a tag goes: where it hides the fewest other tags, then the fewest frames."""
+    tall, wide = shape[0], shape[1]
+    x0, y0, x1, y1 = box
+    spots = [
+        (x, y)
+        for y in (y0 - tall, y0, y1 - tall, y1, (y0 + y1 - tall) // 2)
+        for x in (x0, x1 - wide, (x0 + x1 - wide) // 2, x1, x0 - wide)
+    ]
+    frames = list(boxes)
+
+    def cost(spot: tuple[int, int]) -> tuple[int, int, int]:
+        x, y = _inside(spot, (wide, tall), size)
+        region = (x, y, x + wide, y + tall)
+        moved = abs(x - spot[0]) + abs(y - spot[1])
+        return (
+            sum(_overlap(region, other) for other in taken),
+            sum(_crosses(region, other) for other in frames),
+            moved,
+        )
+
+    return _inside(min(spots, key=cost), (wide, tall), size)
+
+
+def _inside(spot: tuple[int, int], tag: tuple[int, int], size: tuple[int, int]) -> tuple[int, int]:
+    x = min(max(spot[0], 0), max(size[0] - tag[0], 0))
+    y = min(max(spot[1], 0), max(size[1] - tag[1], 0))
+    return x, y
+
+
+def _overlap(a: Region, b: Region) -> int:
+    return max(0, min(a[2], b[2]) - max(a[0], b[0])) * max(0, min(a[3], b[3]) - max(a[1], b[1]))
+
+
+def _crosses(tag: Region, frame: Region) -> bool:
+    within = tag[0] >= frame[0] and tag[1] >= frame[1] and tag[2] <= frame[2] and tag[3] <= frame[3]
+    return _overlap(tag, frame) > 0 and not within
+
+
+def _stamp(
+    canvas: UInt8[np.ndarray, "h w 3"],
+    tag: Bool[np.ndarray, "th tw"],
+    at: tuple[int, int],
+    colour: tuple[int, int, int],
+) -> None:
+    x, y = at
+    under = canvas[y : y + tag.shape[0], x : x + tag.shape[1]]
+    mask = tag[: under.shape[0], : under.shape[1]]
+    under[~mask] = colour
+    under[mask] = 0
+
+
+def _edges(
+    canvas: NDArray, photo: Photo, tree: SceneTree, colours: dict[str, tuple[int, int, int]]
+) -> NDArray:
+    image = Image.fromarray(canvas)
+    draw = ImageDraw.Draw(image)
+    scale = np.array(photo.size) / np.array(photo.original_size)
+    for node in tree.nodes:
+        for start, end in edges_in_view(tree.camera, node.box3d.corners(node.base_tilt)):
+            ends = [tuple((point * scale).tolist()) for point in (start, end)]
+            draw.line(ends, fill=colours[node.name], width=1)
+    return np.array(image)

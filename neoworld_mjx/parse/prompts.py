@@ -1,0 +1,135 @@
+"""What is said to the reasoner and to the critic of Step 1, and what the critic answers."""
+
+from collections.abc import Sequence
+from functools import cache
+from importlib import resources
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..mllm import Picture, Request
+from .photo import Photo
+from .schema import SceneSeen
+
+ASK = (
+    "Write down the scene in this photograph of {width} x {height} pixels: camera, every object, "
+    "every support. Boxes in pixels of this picture."
+)
+MEND = (
+    "{ask}\n\nYou have answered before:\n\n{answer}\n\nThat answer was checked against the "
+    "photograph and against itself. These faults were found; look at the photograph again for each, "
+    "since a finding can itself be wrong:\n\n{findings}\n\nAnswer again with the complete scene, "
+    "faults corrected and everything that was right unchanged."
+)
+JUDGE = (
+    "The photograph has {width} x {height} pixels. The parse lists {count} objects:\n\n{listing}\n\n"
+    "Judge it."
+)
+
+
+class Fault(BaseModel):
+    """One thing that is wrong with the parse."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    node: str | None = Field(
+        description="Name of the object; null for one that is missing or for the scene as a whole."
+    )
+    kind: Literal["box", "missing", "extra", "split", "carrier", "relation", "hidden", "parts"]
+    what: str = Field(description="What is wrong, and where it is seen.")
+    correction: str = Field(description="What it should be instead.")
+
+
+class Verdict(BaseModel):
+    """The critic's judgement of a parse."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    faults: list[Fault]
+    boxes: float = Field(description="Tightness of the boxes, 0 to 10.")
+    completeness: float = Field(description="0 to 10.")
+    hierarchy: float = Field(description="Carriers, relations, hidden and moving parts, 0 to 10.")
+
+    @property
+    def score(self) -> float:
+        """Mean of the three scores, each held to 0 .. 10, over 10."""
+        scores = (self.boxes, self.completeness, self.hierarchy)
+        return sum(min(max(score, 0.0), 10.0) for score in scores) / 30.0
+
+    @property
+    def lowest(self) -> float:
+        """The lowest of the three scores."""
+        return min(self.boxes, self.completeness, self.hierarchy)
+
+
+@cache
+def text(name: str) -> str:
+    """Read one of the room's texts, such as "reasoner"."""
+    return (resources.files(__name__.rpartition(".")[0]) / f"{name}.md").read_text(encoding="utf-8")
+
+
+def parse_request(
+    photo: Photo, answer: SceneSeen | None = None, findings: Sequence[str] = ()
+) -> Request[SceneSeen]:
+    """Ask for the scene in a photo, or for a mended answer.
+
+    Args:
+        photo: the photograph.
+        answer: an earlier answer that `findings` are about.
+        findings: what was found wrong, one line each.
+    """
+    width, height = photo.size
+    prompt = ASK.format(width=width, height=height)
+    if answer is not None:
+        prompt = MEND.format(
+            ask=prompt,
+            answer=answer.model_dump_json(indent=1),
+            findings="\n".join(f"- {line}" for line in findings),
+        )
+    return Request(
+        role="reasoner",
+        name="parse" if answer is None else "parse:mend",
+        system=text("reasoner"),
+        prompt=prompt,
+        schema=SceneSeen,
+        pictures=[Picture.of("photo", photo.rgb)],
+    )
+
+
+def judge_request(photo: Photo, seen: SceneSeen, drawn: Picture) -> Request[Verdict]:
+    """Ask the critic about an answer and its drawn picture."""
+    width, height = photo.size
+    return Request(
+        role="critic",
+        name="parse:judge",
+        system=text("critic"),
+        prompt=JUDGE.format(
+            width=width, height=height, count=len(seen.objects), listing=listing(seen)
+        ),
+        schema=Verdict,
+        pictures=[Picture.of("photo", photo.rgb), drawn],
+    )
+
+
+def listing(seen: SceneSeen) -> str:
+    """List an answer's objects for the critic, one a line, as given."""
+    lines = []
+    for item in seen.objects:
+        box = item.box
+        place = "no carrier" if item.parent is None else f"{item.relation} {item.parent}"
+        if item.parent_link is not None:
+            place += f" ({item.parent_link})"
+        said = [
+            f"{item.name} ({item.label}): {place}",
+            f"box {box.left:.0f} {box.top:.0f} {box.right:.0f} {box.bottom:.0f}",
+        ]
+        if item.environment:
+            said.append("environment")
+        if item.fixed_base:
+            said.append("fixed")
+        if item.occluded or item.occluded_by:
+            said.append("partly hidden by " + (", ".join(item.occluded_by) or "the picture's edge"))
+        for part in item.articulation:
+            said.append(f"{part.part} {part.motion} {part.opening:.0%} open")
+        lines.append("- " + "; ".join(said))
+    return "\n".join(lines)
