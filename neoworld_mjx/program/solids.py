@@ -7,11 +7,15 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from .. import spec as S
 from ..spec.shapes import MAX_SECTORS, MIN_SECTORS
 from . import arguments as take
 from .placing import Shape
 from .session import current
+
+Point3 = tuple[float, float, float]
 
 MAX_POINTS = 64
 MAX_SHAPE_PIECES = 1200
@@ -81,12 +85,16 @@ def hollow_box(size: Sequence[float], wall: float, open: str | Sequence[str] = "
 
 
 def lathe(
-    profile: Sequence[Sequence[float]], thickness: float | None = None, sectors: int = 16
+    profile: Sequence[Sequence[float]],
+    thickness: float | None = None,
+    sectors: int = 16,
+    oval: float = 1.0,
 ) -> Shape:
     """Revolve a profile of (radius, z) points about the shape's z axis.
 
     With `thickness` the profile is the outer face of a shell, from the foot to the rim, and the
     wall grows inwards and upwards: a cup, a bowl, a plate. Without it the profile bounds a solid.
+    `oval` stretches the whole along y.
     """
     outline = take.points(profile, "lathe profile", 2, MAX_POINTS)
     count = take.whole(sectors, "lathe sectors", MIN_SECTORS, MAX_SECTORS)
@@ -98,6 +106,7 @@ def lathe(
         profile=outline,
         thickness=wall,
         sectors=count,
+        oval=take.number(oval, "lathe oval"),
     )
 
 
@@ -140,12 +149,14 @@ def sweep(
     width: float | Sequence[float] | None = None,
     thickness: float | Sequence[float] | None = None,
     closed: bool = False,
+    smooth: int = 1,
     sectors: int = 8,
 ) -> Shape:
     """Sweep a round or elliptic section along points (x, y, z): a handle, hook, stem, wire.
 
     Give `radius` for a round section, or `width` (across the plane of the path) and `thickness` (in
-    that plane), full diameters; one number, or one for each point, so that it tapers.
+    that plane), full diameters; one number, or one for each point, so that it tapers. `smooth`
+    divides every stretch into that many, on a curve through the points.
     """
     track = tuple(
         take.vector(point, f"sweep path[{i}]")
@@ -159,12 +170,14 @@ def sweep(
         across = inward = tuple(2 * r for r in _each(radius, "sweep radius"))
     else:
         across, inward = _each(width, "sweep width"), _each(thickness, "sweep thickness")
+    steps = take.whole(smooth, "sweep smooth", 1, 8)
+    track = _curved(track, steps, closed)
     return _made(
         S.Sweep,
         len(track),
         path=track,
-        width=across,
-        thickness=inward,
+        width=_stretched(across, steps, closed),
+        thickness=_stretched(inward, steps, closed),
         closed=closed,
         sectors=take.whole(sectors, "sweep sectors", 4, 32),
     )
@@ -208,6 +221,55 @@ def extrusion(
     pieces = len(border) + sum(len(loop) + 2 for loop in loops)
     depth = take.length(height, "extrusion height")
     return _made(S.Extrusion, pieces, outline=border, holes=loops, height=depth)
+
+
+def _curved(track: tuple[Point3, ...], steps: int, closed: bool) -> tuple[Point3, ...]:
+    """Divide every stretch by a Catmull-Rom curve through the points."""
+    if steps == 1:
+        return track
+    count = len(track)
+    if (count if closed else count - 1) * steps + 1 > MAX_POINTS:
+        raise ValueError(f"sweep would have over {MAX_POINTS} points: lower smooth")
+    ends = [track[-1], track[0]] if closed else [_beyond(*track[1::-1]), _beyond(*track[-2:])]
+    points = np.array(
+        [ends[0], *track, ends[1], *track[1:2]] if closed else [ends[0], *track, ends[1]]
+    )
+    found: list[Point3] = []
+    for i in range(count if closed else count - 1):
+        for t in np.arange(steps) / steps:
+            weights = (
+                np.array(
+                    [
+                        -t + 2 * t**2 - t**3,
+                        2 - 5 * t**2 + 3 * t**3,
+                        t + 4 * t**2 - 3 * t**3,
+                        t**3 - t**2,
+                    ]
+                )
+                / 2
+            )
+            x, y, z = (weights @ points[i : i + 4]).tolist()
+            found.append((x, y, z))
+    return tuple(found) if closed else (*found, track[-1])
+
+
+def _beyond(before: Point3, last: Point3) -> Point3:
+    """Return the point as far after the last one as that is after the one before."""
+    x, y, z = (2 * b - a for a, b in zip(before, last, strict=True))
+    return x, y, z
+
+
+def _stretched(values: tuple[float, ...], steps: int, closed: bool) -> tuple[float, ...]:
+    """Interpolate one value for each point to the divided path."""
+    if len(values) == 1 or steps == 1:
+        return values
+    pairs = list(zip(values, (*values[1:], values[0]), strict=True))
+    found = [
+        a + (b - a) * step / steps
+        for a, b in (pairs if closed else pairs[:-1])
+        for step in range(steps)
+    ]
+    return tuple(found) if closed else (*found, values[-1])
 
 
 def _each(value: Any, what: str) -> tuple[float, ...]:

@@ -20,7 +20,7 @@ class BaseShape(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    unscaled: ClassVar[tuple[str, ...]] = ("type", "sectors", "open", "closed")
+    unscaled: ClassVar[tuple[str, ...]] = ("type", "sectors", "open", "closed", "oval")
     """Fields that are no lengths."""
 
     def pieces(self) -> list[Piece]:

@@ -153,7 +153,9 @@ class Lathe(BaseShape):
     type: Literal["lathe"] = "lathe"
     profile: tuple[Point2, ...] = Field(min_length=2, max_length=64)
     thickness: Length | None = None
-    sectors: int = Field(16, ge=MIN_SECTORS, le=MAX_SECTORS)
+    sectors: int = Field(default=16, ge=MIN_SECTORS, le=MAX_SECTORS)
+    oval: float = Field(default=1.0, ge=0.05, le=20.0, allow_inf_nan=False)
+    """Size along y over size along x: the whole shape, wall included, is stretched along y."""
 
     @model_validator(mode="after")
     def _sane(self) -> Self:
@@ -189,7 +191,7 @@ class Lathe(BaseShape):
         angles = 2 * np.pi * np.arange(self.sectors) / self.sectors
         if self.thickness is None:
             return [
-                polytope(np.vstack([_ring(a, angles), _ring(b, angles)]))
+                polytope(np.vstack([self._ring(a, angles), self._ring(b, angles)]))
                 for a, b in zip(p[:-1], p[1:], strict=True)
                 if b[1] > a[1] and max(a[0], b[0]) > 0
             ]
@@ -198,17 +200,17 @@ class Lathe(BaseShape):
         for i in range(len(p) - 1):
             quad = [p[i], p[i + 1], q[i + 1], q[i]]
             if p[i][0] == 0 and p[i][1] == p[i + 1][1]:
-                pieces.append(polytope(np.vstack([_ring(c, angles) for c in quad[1:3]])))
+                pieces.append(polytope(np.vstack([self._ring(c, angles) for c in quad[1:3]])))
                 continue
             for k in range(self.sectors):
                 ends = angles[[k, (k + 1) % self.sectors]]
-                pieces.append(polytope(np.vstack([_ring(c, ends) for c in quad])))
+                pieces.append(polytope(np.vstack([self._ring(c, ends) for c in quad])))
         return pieces
 
-
-def _ring(corner: NDArray, angles: NDArray) -> NDArray:
-    r, z = corner
-    return np.column_stack([r * np.cos(angles), r * np.sin(angles), np.full(len(angles), z)])
+    def _ring(self, corner: NDArray, angles: NDArray) -> NDArray:
+        r, z = corner
+        y = self.oval * r * np.sin(angles)
+        return np.column_stack([r * np.cos(angles), y, np.full(len(angles), z)])
 
 
 def _cross2(a: NDArray, b: NDArray) -> NDArray:

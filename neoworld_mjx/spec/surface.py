@@ -83,7 +83,8 @@ def _build(shape: Shape) -> tuple[NDArray, NDArray]:
     if isinstance(shape, HollowBox):
         return _hollow_box(shape)
     if isinstance(shape, Lathe):
-        return _lathe(shape)
+        vertices, faces = _lathe(shape)
+        return vertices * [1.0, shape.oval, 1.0], faces
     if isinstance(shape, Cylinder):
         r, h = shape.radius, shape.height / 2
         return _revolve(np.array([[0, -h], [r, -h], [r, h], [0, h]]), SECTORS)

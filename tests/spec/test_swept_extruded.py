@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from neoworld_mjx.spec import Extrusion, RoundedBox, Sweep
+from neoworld_mjx.spec import Extrusion, Lathe, RoundedBox, Sweep
 from neoworld_mjx.spec.convex import mass_properties, planes
 from neoworld_mjx.spec.surface import surface
 
@@ -29,7 +29,17 @@ PANEL = Extrusion(
     holes=(((0.5, 0.5), (1, 0.5), (1, 1.5), (0.5, 1.5)), ((2, 1), (2.5, 1.2), (2.2, 1.7))),
     height=0.02,
 )
-SHAPES = [TORUS, STRAP, HOOK, ROD, L_SHAPE, PANEL, RoundedBox(size=(0.2, 0.1, 0.05), radius=0.01)]
+SPOON = Lathe(profile=((0, 0), (0.01, 0.003), (0.02, 0.01)), thickness=0.002, oval=0.7)
+SHAPES = [
+    SPOON,
+    TORUS,
+    STRAP,
+    HOOK,
+    ROD,
+    L_SHAPE,
+    PANEL,
+    RoundedBox(size=(0.2, 0.1, 0.05), radius=0.01),
+]
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.type)
@@ -66,6 +76,16 @@ def test_volumes_against_formulas():
     assert len(L_SHAPE.pieces()) == 2
     volume = sum(mass_properties(piece)[0] for piece in PANEL.pieces())
     assert volume == pytest.approx((6 - 0.5 - 0.155) * 0.02)
+
+
+def test_an_oval_lathe_is_a_stretched_round_one():
+    low, high = surface(SPOON)[0].min(axis=0), surface(SPOON)[0].max(axis=0)
+    assert (high - low)[1] == pytest.approx(0.7 * (high - low)[0], rel=1e-2)
+    flat, round_ = (
+        sum(mass_properties(piece)[0] for piece in shape.pieces())
+        for shape in (SPOON, SPOON.model_copy(update={"oval": 1.0}))
+    )
+    assert flat == pytest.approx(0.7 * round_)
 
 
 def test_a_strap_is_wide_across_its_plane():
