@@ -2,6 +2,9 @@
 
 import math
 
+import numpy as np
+
+from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.spec import (
     Box,
     Camera,
@@ -204,4 +207,16 @@ def furnished():
         ),
         (board, (-0.24, 0.1), 0.0, {"relation": "leaning", "base_tilt": lean}),
         name="furnished",
+    )
+
+
+def random_layout(scene, pop, seed=0, spread=0.3):
+    """Layouts with 1 cm and 17 degrees of noise, and scales up to exp(+-spread)."""
+    rng = np.random.default_rng(seed)
+    free = np.asarray(scene.optimised, float)
+    n = len(free)
+    return Layout(
+        np.asarray(rng.normal(0, 0.01, (pop, n, 2)) * free[:, None], np.float32),
+        np.asarray(rng.normal(0, 0.3, (pop, n)) * free, np.float32),
+        np.asarray(rng.uniform(-spread, spread, (pop, n)) * free, np.float32),
     )

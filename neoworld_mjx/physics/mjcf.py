@@ -271,7 +271,6 @@ def _add_mimics(model: mujoco.MjSpec, item: SceneObject) -> None:
         tie = model.add_equality(
             name=f"{item.name}/{joint.name}",
             type=mujoco.mjtEq.mjEQ_JOINT,
-            objtype=mujoco.mjtObj.mjOBJ_JOINT,
             name1=f"{item.name}/{joint.name}",
         )
         tie.data[:5] = [joint.mimic.offset, joint.mimic.multiplier, 0.0, 0.0, 0.0]

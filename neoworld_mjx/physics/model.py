@@ -241,9 +241,9 @@ def _mimics(scene: SceneModel, jnt: Any, xp: Any) -> Any:
         joints |= {f"{item.name}/{joint.name}": joint for joint in item.spec.joints}
     for e in range(m.neq):
         follower, leader = m.eq_obj1id[e], m.eq_obj2id[e]
-        multiplier, offset = mimic_exponents(
-            joints[m.joint(follower).name], joints[m.joint(leader).name]
-        )
+        # A tie to a constant has no leader; then only its offset counts.
+        led = joints[m.joint(leader if leader >= 0 else follower).name]
+        multiplier, offset = mimic_exponents(joints[m.joint(follower).name], led)
         own = jnt[:, follower]
         pair = xp.stack([own**offset, own**multiplier], axis=-1)
         factor = _put(

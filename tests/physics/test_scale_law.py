@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 import scenes
+from scenes import random_layout
 
-from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import exact_poses, open_batch
 from neoworld_mjx.spec import bounds, inertial, scale
@@ -28,17 +28,6 @@ def meshes_in_bodies(model):
         order = np.lexsort(np.round(v, 6).T)
         found[model.geom(g).name] = v[order]
     return found
-
-
-def random_layout(scene, pop, seed=0, spread=0.3):
-    rng = np.random.default_rng(seed)
-    free = np.asarray(scene.optimised, float)
-    n = len(free)
-    return Layout(
-        np.asarray(rng.normal(0, 0.01, (pop, n, 2)) * free[:, None], np.float32),
-        np.asarray(rng.normal(0, 0.3, (pop, n)) * free, np.float32),
-        np.asarray(rng.uniform(-spread, spread, (pop, n)) * free, np.float32),
-    )
 
 
 def field_errors(ours, theirs):

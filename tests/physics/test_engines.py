@@ -1,0 +1,112 @@
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+import scenes
+from scenes import random_layout
+
+from neoworld_mjx.errors import EngineError
+from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus, open_engine
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.mjx_engine import MjxEngine, invweights
+from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.physics.native import NativeEngine, exact_poses, open_batch
+from neoworld_mjx.refine.rewards import drifts
+
+
+@pytest.fixture(scope="module")
+def blocks():
+    return compile_scene(scenes.blocks())
+
+
+def test_native_is_bit_equal_to_mj_step_on_each_candidates_model():
+    for make in (scenes.blocks, scenes.coffee):
+        scene = compile_scene(make())
+        layouts = random_layout(scene, 3, spread=0.2)
+        rollout = NativeEngine().rollout(scene, layouts, duration=0.2)
+        poses = exact_poses(scene, layouts)
+        batch = open_batch(scene, layouts, poses)
+        for k in range(3):
+            model = batch.get_model(k)
+            data = mujoco.MjData(model)
+            data.qpos[:] = batch.bind("qpos")[k]
+            for _ in range(50):
+                mujoco.mj_step(model, data)
+            for o, body in enumerate(scene.host.root):
+                if scene.movable[o]:
+                    adr = model.jnt_qposadr[model.body_jntadr[body]]
+                    expected = data.qpos[adr : adr + 7].astype(np.float32)
+                    assert np.array_equal(rollout.pos[k, -1, o], expected[:3])
+                    assert np.array_equal(rollout.quat[k, -1, o], expected[3:])
+
+
+def test_native_does_not_depend_on_threads_or_chunks(blocks, monkeypatch):
+    layouts = random_layout(blocks, 7, spread=0.2)
+    one = NativeEngine(threads=1).rollout(blocks, layouts, duration=0.2)
+    monkeypatch.setattr("neoworld_mjx.physics.native.CHUNK", 3)
+    two = NativeEngine(threads=2).rollout(blocks, layouts, duration=0.2)
+    assert all(
+        np.array_equal(a, b)
+        for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(two), strict=True)
+    )
+
+
+def test_mjx_agrees_with_native(blocks):
+    layouts = random_layout(blocks, 8, spread=0.2)
+    ours = MjxEngine().rollout(blocks, layouts, duration=0.2)
+    theirs = NativeEngine().rollout(blocks, layouts, duration=0.2)
+    # 50 steps of contact in single precision; sliding blocks may part by micrometres.
+    assert np.median(np.abs(ours.pos - theirs.pos).max(axis=(1, 2, 3))) < 2e-5
+    far, _ = drifts(blocks, ours)
+    far_native, _ = drifts(blocks, theirs)
+    assert np.array_equal(far > 0.01, far_native > 0.01)
+    assert ours.time == pytest.approx(theirs.time)
+
+
+def test_mjx_inverse_weights_follow_mujocos(blocks):
+    for scene in (blocks, compile_scene(scenes.furnished())):
+        layouts = random_layout(scene, 3)
+        poses = exact_poses(scene, layouts)
+        found = invweights(scene, layouts, poses)
+        batch = open_batch(scene, layouts, poses)
+        for k in range(3):
+            exact = batch.get_model(k)
+            for name, values in found.items():
+                assert np.allclose(values[k], getattr(exact, name), rtol=2e-5), name
+
+
+def test_early_stop_keeps_the_verdicts():
+    scene = compile_scene(scenes.blocks())
+    layouts = random_layout(scene, 64, seed=3, spread=0.2)
+    layouts = Layout(layouts.xy * 3, layouts.yaw, layouts.log_scale)
+    full = NativeEngine().rollout(scene, layouts)
+    early = NativeEngine().rollout(scene, layouts, early_stop=EarlyStop())
+    verdicts = [np.all(np.asarray(drifts(scene, r)[0]) < 0.01, axis=1) for r in (full, early)]
+    assert 0.1 < verdicts[0].mean() < 0.95
+    assert np.mean(verdicts[0] == verdicts[1]) >= 0.98
+    assert early.steps.mean() < 0.8 * full.steps.mean()
+    assert set(np.unique(early.status)) >= {int(RolloutStatus.SETTLED), int(RolloutStatus.DRIFTED)}
+
+
+def test_a_candidate_that_diverges_is_a_status_and_harms_no_other(blocks):
+    layouts = random_layout(blocks, 4, spread=0.1)
+    poison = Layout(jnp.asarray(layouts.xy).at[2].set(jnp.nan), layouts.yaw, layouts.log_scale)
+    rollout = NativeEngine().rollout(blocks, poison, duration=0.2)
+    clean = NativeEngine().rollout(blocks, layouts, duration=0.2)
+    assert rollout.status.tolist() == [0, 0, int(RolloutStatus.FAILED), 0]
+    for k in (0, 1, 3):
+        assert np.array_equal(rollout.pos[k], clean.pos[k])
+
+
+def test_a_scene_with_nothing_movable():
+    still = scenes.on_table()
+    scene = compile_scene(still)
+    rollout = NativeEngine().rollout(scene, Layout.zero(2, 1), duration=0.1)
+    assert rollout.pos.shape == (2, 1, 1, 3)
+    assert np.array_equal(rollout.pos[:, 0], rollout.start.pos)
+
+
+def test_an_unknown_engine_names_the_valid_ones():
+    with pytest.raises(EngineError, match="native"):
+        open_engine("isaac")
