@@ -1,0 +1,85 @@
+import re
+from importlib import resources
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.config import ProgramOptions
+from neoworld_mjx.program import build
+from neoworld_mjx.program.materials import MATERIALS
+from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.spec import bounds, link_poses
+
+GUIDE = resources.files("neoworld_mjx.program").joinpath("guide.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```python\n(.*?)```", GUIDE, re.DOTALL)
+GIVEN = re.compile(r"given box ([\d.]+) x ([\d.]+) x ([\d.]+) m")
+
+
+@pytest.mark.parametrize("text", BLOCKS, ids=lambda text: re.search(r'Object\("(\w+)', text)[1])
+def test_every_block_builds_cleanly_and_alike(text: str):
+    built = build(text)
+    assert built.spec is not None and built.signals == ()
+    trusted = run(text, ProgramOptions(sandbox="cpython"))
+    assert trusted.spec is not None and trusted.spec.to_json() == built.spec.to_json()
+    given = GIVEN.search(text)
+    if given is not None:
+        low, high = bounds(built.spec)
+        wanted = np.array([float(v) for v in given.groups()])
+        assert np.abs((high - low) / wanted - 1).max() < 0.03
+
+
+def test_all_five_examples_state_their_box():
+    assert sum(GIVEN.search(text) is not None for text in BLOCKS) == 5
+
+
+def test_the_guide_fits():
+    # No tokenizer comes with the package; 3 characters a token is fewer than code and prose have.
+    assert len(GUIDE) / 3 < 12_000
+
+
+def test_every_material_and_shape_is_listed():
+    listed = re.search(r"Named: (.*?)\.\n", GUIDE, re.DOTALL)
+    assert listed is not None
+    assert set(re.split(r",\s+", listed[1])) == set(MATERIALS)
+    from neoworld_mjx.program import sdk
+
+    for name in sdk.__all__:
+        if name[0].islower():
+            assert f"`{name}(" in GUIDE, name
+
+
+ROWS = re.findall(r"^\| (.+?) \| (.+?) \| (.+?) \| `(\(.+?\))` \|$", GUIDE, re.MULTILINE)
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row[0]}, {row[1]}")
+def test_positive_opens_as_the_table_says(row: tuple[str, str, str, str]):
+    """Build each row's part before, or on, a body and see that positive moves it out."""
+    what, _, at, axis = row
+    slides = at == "-"
+    lid = what.startswith("lid")
+    place = "top" if lid else "front"
+    by = "bottom" if lid else "back"
+    anchor = at.strip("`").split(".", 1)[-1] if not slides else ""
+    text = f"""from neoworld_mjx.program.sdk import Object, box
+o = Object("thing")
+body = o.part("body", material="oak")
+body.add(box((0.4, 0.4, 0.4)))
+p = o.part("p", material="oak")
+p.add(box({"(0.4, 0.4, 0.02)" if lid else "(0.02, 0.4, 0.4)"}), at=body.anchor("{place}"), by="{by}")
+"""
+    if slides:
+        text += f"o.prismatic('j', body, p, axis={axis}, range=(0, 0.1))\n"
+    else:
+        text += f"o.revolute('j', body, p, at=p.{anchor}, axis={axis}, range=(0, 1.2))\n"
+    spec = run(text).spec
+    assert spec is not None
+    moved = link_poses(spec, {"j": 0.1})["p"]
+    centre = np.array([0.0, 0, 0.41]) if lid else np.array([0.21, 0, 0.2])
+    shift = moved.apply(centre) - centre
+    out = shift[2] if lid else shift[0]
+    assert (out < 0) == what.startswith("button")
+    assert abs(out) > 0.01
+
+
+def test_the_table_of_joints_is_read():
+    assert len(ROWS) == 7
