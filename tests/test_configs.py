@@ -1,0 +1,54 @@
+from pathlib import Path
+
+import pytest
+import yaml
+
+from neoworld_mjx.config import Config, load_config
+
+CONFIGS = Path(__file__).parents[1] / "configs"
+
+
+def _keys(tree, at=()):
+    if not isinstance(tree, dict) or not tree:
+        return {at}
+    return set().union(*(_keys(value, (*at, key)) for key, value in tree.items()))
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.rglob("*.yaml")), ids=lambda path: path.name)
+def test_every_configuration_loads_and_survives_a_round_trip(path):
+    config = load_config(path)
+    again = Config.model_validate(yaml.safe_load(yaml.safe_dump(config.model_dump(mode="json"))))
+    assert again == config
+
+
+def test_default_spells_out_every_option_with_its_default():
+    path = CONFIGS / "default.yaml"
+    assert load_config(path) == Config()
+    given = _keys(yaml.safe_load(path.read_text()))
+    assert given == _keys(Config().model_dump(mode="json"))
+
+
+def test_paper_switches_every_departure_from_algorithm_1_off():
+    config = load_config(CONFIGS / "paper.yaml")
+    cem, reward = config.refine.cem, config.refine.reward
+    assert not cem.zero_candidate
+    assert (cem.smoothing, cem.sigma_floor, reward.w_scale) == (0.0, 0.0, 0.0)
+    assert reward.normalisation == "iteration"
+    assert reward.terms == {}
+    assert not config.refine.rollout.early_stop
+    assert config.refine.finalists == 1
+    assert (cem.sigma_xy, cem.sigma_yaw_deg, cem.sigma_log_scale) == (0.05, 15.0, 0.1)
+
+
+def test_paper_names_every_option_of_the_search_and_the_reward():
+    given = yaml.safe_load((CONFIGS / "paper.yaml").read_text())["refine"]
+    every = Config().model_dump(mode="json")["refine"]
+    assert _keys(given["cem"]) == _keys(every["cem"])
+    assert _keys(given["reward"]) == _keys(every["reward"]) - {("terms",)}
+
+
+def test_fast_keeps_the_final_check():
+    fast, default = load_config(CONFIGS / "fast.yaml").refine, Config().refine
+    for name in ("check_duration_s", "max_drift_m", "max_tilt_deg", "max_depth_m"):
+        assert getattr(fast, name) == getattr(default, name)
+    assert fast.cem.population * fast.cem.iterations < default.cem.population * 2

@@ -1,0 +1,99 @@
+"""Rules of the house that linters do not know."""
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+LIBRARY = sorted(
+    path
+    for folder in ("neoworld_mjx", "kernels/neoworld_kernels")
+    for path in (ROOT / folder).rglob("*.py")
+)
+TEXTS = sorted(
+    path
+    for folder in ("neoworld_mjx", "kernels", "configs", "docs", "tests", "notebooks", "examples")
+    for path in (ROOT / folder).rglob("*")
+    if path.suffix in (".py", ".pyi", ".md", ".yaml", ".json", ".toml", ".ipynb")
+) + sorted(ROOT.glob("*.md"))
+
+MAX_LINES = 600
+VAGUE_NAMES = re.compile(r"(Manager|Handler|Helper)$|^(utils?|helpers?|misc|common)$")
+MACHINE_PATHS = re.compile(r"(?<![\w.~}])/(home|root|Users|work|mnt/data)/\w")
+
+
+def _name(path):
+    return path.relative_to(ROOT).as_posix()
+
+
+def _tree(path):
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("path", LIBRARY, ids=_name)
+def test_module(path):
+    """Small, with a docstring, plain names, no prints, no postponed annotations."""
+    text, tree = path.read_text(encoding="utf-8"), _tree(path)
+    lines = text.count("\n")
+    assert lines <= MAX_LINES, f"{lines} lines: split it by ideas"
+    assert ast.get_docstring(tree), "say what the module is for"
+    assert not VAGUE_NAMES.search(path.stem), "name the module after what it does"
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef):
+            assert not VAGUE_NAMES.search(node.name), f"{node.name}: name what it is"
+        if isinstance(node, ast.ImportFrom):
+            assert node.module != "__future__", "annotations are needed at run time"
+            assert [alias.name for alias in node.names] != ["*"]
+        if isinstance(node, ast.Call) and path.name != "cli.py":
+            called = node.func.id if isinstance(node.func, ast.Name) else ""
+            assert called != "print", f"line {node.lineno}: a library logs or returns"
+
+
+def test_no_file_holds_a_path_of_a_machine_or_an_unfinished_mark():
+    found = []
+    for path in TEXTS:
+        if path == Path(__file__):
+            continue
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+            if MACHINE_PATHS.search(line) or re.search(r"\b(TODO|FIXME|XXX)\b", line):
+                found.append(f"{_name(path)}:{number}: {line.strip()[:80]}")
+    assert not found, "\n".join(found)
+
+
+def test_importing_the_package_is_light():
+    code = (
+        "import sys, neoworld_mjx\n"
+        "print(sorted({'jax', 'mujoco', 'pxr', 'trimesh', 'anthropic'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_imports_go_one_way():
+    done = subprocess.run(
+        [Path(sys.executable).with_name("lint-imports"), "--no-logo"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_links_between_pages_lead_somewhere():
+    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").glob("*.md")]
+    broken = []
+    for page in pages:
+        for target in re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8")):
+            if "://" not in target and not (page.parent / target).exists():
+                broken.append(f"{_name(page)}: {target}")
+    assert not broken, "\n".join(broken)
+
+
+def test_the_readme_gives_the_command_that_ci_runs():
+    command = "uv run --extra dev pytest"
+    assert command in (ROOT / "README.md").read_text(encoding="utf-8")
+    assert (ROOT / ".ci" / "run").read_text(encoding="utf-8").rstrip().endswith(command)
