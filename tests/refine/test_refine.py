@@ -1,0 +1,92 @@
+"""The whole of Algorithm 1, natively and on MJX."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scenes
+
+from neoworld_mjx.config import CEMOptions, RefineOptions, RolloutOptions
+from neoworld_mjx.measure import scene_measure
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.mjx_engine import MjxEngine
+from neoworld_mjx.physics.native import NativeEngine
+from neoworld_mjx.refine import refine
+from neoworld_mjx.spec import Box
+
+
+def clashing():
+    """Three boxes, two of them interpenetrating and one half over the edge of another."""
+    low = scenes.single("low", (Box(size=(0.1, 0.1, 0.06)), (0, 0, 0)))
+    side = scenes.single("side", (Box(size=(0.08, 0.08, 0.08)), (0, 0, 0)))
+    high = scenes.single("high", (Box(size=(0.05, 0.05, 0.05)), (0, 0, 0)))
+    return scenes.on_table(
+        (low, (0, 0), 0.0, {}),
+        (side, (0.0, 0.082), 0.1, {}),
+        (high, (0.049, 0.0), 0.3, {"parent": "low", "z": 0.06}),
+        name="clashing",
+    )
+
+
+def options(population=64, iterations=6, steps=50):
+    return RefineOptions(
+        cem=CEMOptions(population=population, iterations=iterations),
+        rollout=RolloutOptions(duration_s=steps * 0.004, samples_per_object=64),
+    )
+
+
+@pytest.mark.parametrize("engine", [NativeEngine(), MjxEngine()], ids=["native", "mjx"])
+def test_an_invalid_scene_becomes_valid(engine):
+    population = 64 if engine.name == "native" else 32
+    found = refine(clashing(), options(population), seed=1, engine=engine)
+    assert found.engine == engine.name
+    before, after = found.before, found.measure
+    assert before.s_pen == 1
+    assert before.max_depth_m > 0.005
+    assert found.passed
+    assert after.s_pen == 0
+    assert after.s_stab is True
+    assert after.movable == 3
+    assert after.max_depth_m < 1e-3
+    first = found.history["absolute"][0]
+    assert found.history["absolute"].max() > first[0] + 0.2  # the zero layout comes first
+    again = scene_measure(found.scene)
+    assert again == after
+
+
+def test_the_same_seed_gives_the_same_bits():
+    one = refine(clashing(), options(32, 3), seed=5)
+    two = refine(clashing(), options(32, 3), seed=5)
+    other = refine(clashing(), options(32, 3), seed=6)
+    assert one.scene.to_json() == two.scene.to_json()
+    for name, values in one.history.items():
+        assert np.array_equal(values, two.history[name]), name
+    assert not np.array_equal(one.history["xy"], other.history["xy"])
+
+
+class Stubborn:
+    """Reports every candidate as failed."""
+
+    name = "stubborn"
+
+    def rollout(self, scene, layouts, **kwargs):
+        found = NativeEngine().rollout(scene, layouts, **kwargs)
+        status = jnp.full_like(found.status, 3)
+        return found.__class__(found.time, found.pos, found.quat, status, found.start, found.steps)
+
+
+def test_when_every_candidate_fails_that_is_said():
+    found = refine(clashing(), options(8, 2), engine=Stubborn())
+    assert not found.passed
+    assert found.winner == (-1, -1)
+    assert found.fallbacks
+    assert found.mean_log_scale == 0.0
+
+
+def test_a_scene_that_is_valid_already_keeps_its_layout():
+    found = refine(scenes.blocks(), options(16, 4))
+    assert found.passed
+    assert math.isfinite(found.measure.max_drift_m)
+    assert isinstance(found.layout, Layout)
+    assert found.history["valid"][0, 0]
