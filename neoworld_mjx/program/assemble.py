@@ -58,7 +58,36 @@ def assemble(made: list[Object]) -> tuple[S.ObjectSpec | None, list[Signal]]:
         _with_losses(joint, made_joint._fields, inertials[joint.child])
         for joint, made_joint in zip(plain.joints, item._joints, strict=True)
     )
-    return S.recentred(plain.model_copy(update={"joints": joints})), signals
+    return _rounded(S.recentred(plain.model_copy(update={"joints": joints}))), signals
+
+
+def _rounded(spec: S.ObjectSpec) -> S.ObjectSpec:
+    """Drop the last digits, which differ from one processor to the next; to a nanometre."""
+    vec = lambda values, digits: tuple(round(v, digits) + 0.0 for v in values)
+    parts = tuple(
+        part.model_copy(
+            update={
+                "geoms": tuple(
+                    geom.model_copy(update={"pos": vec(geom.pos, 9), "quat": vec(geom.quat, 12)})
+                    for geom in part.geoms
+                )
+            }
+        )
+        for part in spec.parts
+    )
+    joints = tuple(
+        joint.model_copy(
+            update={
+                "pos": vec(joint.pos, 9),
+                "axis": vec(joint.axis, 12),
+                "damping": float(f"{joint.damping:.6g}"),
+                "friction": float(f"{joint.friction:.6g}"),
+            }
+        )
+        for joint in spec.joints
+    )
+    sites = tuple(site.model_copy(update={"pos": vec(site.pos, 9)}) for site in spec.sites)
+    return spec.model_copy(update={"parts": parts, "joints": joints, "sites": sites})
 
 
 def _structure(item: Object) -> list[Signal]:

@@ -195,7 +195,7 @@ def torus(radius: float, tube: float, arc: float = 2 * math.pi, sectors: int = 8
     whole = span > 2 * math.pi - 1e-6
     steps = max(3, math.ceil(24 * span / (2 * math.pi)))
     angles = [span * (i / steps - 0.5) for i in range(steps if whole else steps + 1)]
-    track = tuple((big * math.cos(a), big * math.sin(a), 0.0) for a in angles)
+    track = tuple((round(big * math.cos(a), 9), round(big * math.sin(a), 9), 0.0) for a in angles)
     return _made(
         S.Sweep,
         steps,
@@ -248,7 +248,7 @@ def _curved(track: tuple[Point3, ...], steps: int, closed: bool) -> tuple[Point3
                 )
                 / 2
             )
-            x, y, z = (weights @ points[i : i + 4]).tolist()
+            x, y, z = np.round(weights @ points[i : i + 4], 9).tolist()
             found.append((x, y, z))
     return tuple(found) if closed else (*found, track[-1])
 

@@ -1,0 +1,206 @@
+"""What models are asked about an object: to write its program, to mend it, to judge pictures of it."""
+
+from collections.abc import Sequence
+from functools import cache
+from importlib import resources
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..config import ProgramOptions
+from ..mllm import Picture, Request
+from ..spec import TreeNode
+from .signals import Signal
+
+Score = Annotated[float, Field(ge=0, le=10)]
+
+
+class Written(BaseModel):
+    """The programmer's answer."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    program: str = Field(description="The whole program, plain Python text, without code fences.")
+    notes: str = Field(default="", description="What was guessed or could not be seen, briefly.")
+    removed: list[str] = Field(
+        default=[],
+        description="Names of parts and joints of the earlier program that this one leaves out on "
+        "purpose; else empty.",
+    )
+
+
+class Fault(BaseModel):
+    """One difference between the made object and the photographed one."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    part: str
+    what: str
+    change: str
+
+
+class Verdict(BaseModel):
+    """The critic's answer."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    geometry: Score
+    articulation: Score
+    colour: Score
+    faults: list[Fault] = Field(default=[], max_length=6)
+    verdict: Literal["accept", "revise"]
+
+
+ASK = """Write the program of this object.
+
+name: {name}
+what it is: {label}
+described as: {description}
+measured box at rest, all joints at 0: {x:.3f} m (x, front to back) by {y:.3f} m (y) by {z:.3f} m (z, up)
+moving parts seen: {moving}
+{seen}
+The picture "crop" is cut out of the photo along the object's box; neighbours may show at its edges.
+"""
+HIDDEN = "Part of it is hidden in the photo{behind}: complete it as such things are."
+WHOLE = "It is seen without anything in front of it."
+MEND = """{ask}
+This is the program so far:
+
+```python
+{program}
+```
+
+{heading}
+
+{findings}
+
+Write the whole program again, mended. Keep every part and joint that was right. If you leave one out on
+purpose, name it in `removed`.
+"""
+JUDGE = """The real thing: {label}. {description}
+Moving parts seen in the photo: {moving}.
+
+The made one measures {x:.3f} by {y:.3f} by {z:.3f} m (front to back, across, up). Its parts: {parts}.
+Its joints: {joints}.
+{scope}
+Judge it.
+"""
+NO_ARTICULATION = "Leave `articulation` out of account: give it 10 and list no faults of it.\n"
+NO_GEOMETRY = (
+    "Leave `geometry` and `colour` out of account: give them 10, list no faults of them.\n"
+)
+
+
+@cache
+def text(name: str) -> str:
+    """Read one of the room's texts: "guide" or "critic"."""
+    return resources.files("neoworld_mjx.program").joinpath(f"{name}.md").read_text("utf-8")
+
+
+def program_request(node: TreeNode, crop: Picture) -> Request[Written]:
+    """Ask for an object's first program."""
+    return _written(f"program:{node.name}", _ask(node), crop)
+
+
+def mend_request(
+    node: TreeNode,
+    crop: Picture,
+    program: str,
+    signals: Sequence[Signal],
+    before: Sequence[Signal] | None = None,
+) -> Request[Written]:
+    """Ask for a program that is rid of its signals.
+
+    Args:
+        node: the object.
+        crop: its picture.
+        program: the program so far.
+        signals: what is wrong with it.
+        before: what was wrong with the program before that one, to say what has changed.
+    """
+    known = {signal.identity for signal in before or ()}
+    lines = []
+    for signal in signals:
+        again = "(still) " if signal.identity in known else "(new) " if known else ""
+        lines.append(f"- {again}{signal.phrase()}")
+    gone = known - {signal.identity for signal in signals}
+    if gone:
+        codes = sorted({str(identity[0]) for identity in gone})
+        lines.append(f"- (mended since the program before: {', '.join(codes)})")
+    heading = "It was run and checked. Mend this:"
+    return _mended(f"debug:{node.name}", node, crop, program, heading, lines)
+
+
+def revise_request(
+    node: TreeNode, crop: Picture, program: str, verdict: Verdict
+) -> Request[Written]:
+    """Ask for a program without the faults that the critic saw."""
+    lines = [f"- {fault.part}: {fault.what} -> {fault.change}" for fault in verdict.faults]
+    heading = "It runs. Drawn and held beside the photo, it differs:"
+    return _mended(f"revise:{node.name}", node, crop, program, heading, lines)
+
+
+def judge_request(
+    node: TreeNode,
+    pictures: Sequence[Picture],
+    described: dict[str, str],
+    size: tuple[float, float, float],
+    options: ProgramOptions,
+) -> Request[Verdict]:
+    """Ask the critic about pictures of an object beside its crop.
+
+    Args:
+        node: the object.
+        pictures: the crop, "made", and if it has joints "opened".
+        described: the made object's "parts" and "joints" in words.
+        size: of the made object [m].
+        options: which criteria are on.
+    """
+    scope = "" if options.articulation_critic else NO_ARTICULATION
+    scope += "" if options.geometry_critic else NO_GEOMETRY
+    x, y, z = size
+    prompt = JUDGE.format(
+        label=node.label,
+        description=node.description,
+        moving=_moving(node),
+        scope=scope,
+        x=x,
+        y=y,
+        z=z,
+        **described,
+    )
+    return Request("critic", f"judge:{node.name}", text("critic"), prompt, Verdict, pictures)
+
+
+def _written(name: str, prompt: str, crop: Picture) -> Request[Written]:
+    return Request("programmer", name, text("guide"), prompt, Written, [crop])
+
+
+def _mended(
+    name: str, node: TreeNode, crop: Picture, program: str, heading: str, lines: list[str]
+) -> Request[Written]:
+    prompt = MEND.format(
+        ask=_ask(node), program=program.strip(), heading=heading, findings="\n".join(lines)
+    )
+    return _written(name, prompt, crop)
+
+
+def _ask(node: TreeNode) -> str:
+    x, y, z = node.box3d.size
+    behind = f", behind {', '.join(node.occluded_by)}" if node.occluded_by else ""
+    return ASK.format(
+        name=node.name,
+        label=node.label,
+        description=node.description or "-",
+        x=x,
+        y=y,
+        z=z,
+        moving=_moving(node),
+        seen=HIDDEN.format(behind=behind) if node.occluded else WHOLE,
+    )
+
+
+def _moving(node: TreeNode) -> str:
+    if not node.articulation:
+        return "none noted"
+    return ", ".join(f"{state.part} ({state.type})" for state in node.articulation)

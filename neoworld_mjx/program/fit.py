@@ -1,0 +1,93 @@
+"""Whether a made object is what was asked for: its box, its movable parts, nothing lost on the way."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ..spec import ObjectSpec, TreeNode, bounds
+from .signals import Signal
+
+PROPORTION_WARNS, PROPORTION_FAILS = 0.08, 0.25
+"""Deviation of an edge, over the parsed one, after the best uniform scale."""
+SIZE_WARNS, SIZE_FAILS = 0.15, 1.0
+"""Deviation of the size as a whole, over the parsed one; it will be scaled, walls and all."""
+
+
+def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
+    """Yield how an object differs from what the parse asks for."""
+    low, high = bounds(spec)
+    made, given = high - low, np.array(node.box3d.size)
+    factor = float(np.exp(np.mean(np.log(given / made))))
+    edges = made * factor / given - 1
+    worst = int(np.argmax(np.abs(edges)))
+    if abs(edges[worst]) > PROPORTION_WARNS:
+        shown = " x ".join(f"{v:.3f}" for v in made)
+        asked = " x ".join(f"{v:.3f}" for v in given)
+        yield Signal(
+            severity="error" if abs(edges[worst]) > PROPORTION_FAILS else "warning",
+            code="proportions",
+            message=f"the object measures {shown} m, the box in the photo {asked} m; "
+            f"{'xyz'[worst]} is too {'large' if edges[worst] > 0 else 'small'} for the others",
+            value=float(edges[worst]),
+            threshold=PROPORTION_WARNS,
+            hint="fill the given box in all three directions; is the front at +x?",
+        )
+    off = max(factor, 1 / factor) - 1
+    if off > SIZE_WARNS:
+        yield Signal(
+            severity="error" if off > SIZE_FAILS else "warning",
+            code="wrong_size",
+            message=f"the object is {1 / factor:.3g} times as large as the box in the photo",
+            value=1 / factor,
+            threshold=1.0 + SIZE_WARNS,
+            hint="write it at the given size, in metres",
+        )
+    moving = [joint for joint in spec.joints if joint.type != "fixed"]
+    kinds = Counter("prismatic" if j.type == "prismatic" else "turning" for j in moving)
+    asked = Counter("prismatic" if s.type == "prismatic" else "turning" for s in node.articulation)
+    for kind, count in asked.items():
+        if kinds[kind] < count:
+            names = [
+                s.part for s in node.articulation if (s.type == "prismatic") == (kind[0] == "p")
+            ]
+            yield Signal(
+                severity="error",
+                code="missing_joint",
+                message=f"the photo shows {count} {kind} parts ({', '.join(names)}), the program has "
+                f"{kinds[kind]}",
+                value=kinds[kind],
+                threshold=count,
+                hint="make each a part of that name, with its joint",
+            )
+
+
+def losses(before: ObjectSpec, after: ObjectSpec, removed: Sequence[str]) -> Iterator[Signal]:
+    """Yield what an earlier round had and this one has not, unless it says so.
+
+    A part or joint that merely changed its name is not lost: counts decide.
+    """
+    kinds = (
+        ("part", [part.name for part in before.parts], [part.name for part in after.parts]),
+        *(
+            (
+                f"{kind} joint",
+                [joint.name for joint in before.joints if joint.type == kind],
+                [joint.name for joint in after.joints if joint.type == kind],
+            )
+            for kind in ("revolute", "continuous", "prismatic")
+        ),
+    )
+    said = " ".join(removed)
+    for what, old, new in kinds:
+        gone = [name for name in old if name not in new and name not in said]
+        short = len(old) - len(new) - sum(name in said for name in old if name not in new)
+        if short > 0 and gone:
+            yield Signal(
+                severity="error",
+                code="lost",
+                message=f"the earlier program had {what} {', '.join(gone)}, this one has not",
+                value=len(new),
+                threshold=len(old),
+                hint="put it back, or name it in `removed` if it was wrong",
+            )

@@ -1,0 +1,224 @@
+import asyncio
+import io
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from neoworld_mjx.config import ProgramOptions
+from neoworld_mjx.errors import MissingAnswerError, ModelError
+from neoworld_mjx.mllm import Answer, Picture, Request, Usage
+from neoworld_mjx.program.ask import Fault, Verdict, Written
+from neoworld_mjx.program.synthesise import Programmed, synthesise, unfenced
+from neoworld_mjx.program.views import draw, opened_state, view_from
+from neoworld_mjx.spec import Box2D, Box3D, Camera, PartState, TreeNode
+
+HEAD = "from neoworld_mjx.program.sdk import Object, box, hollow_box\n"
+BODY = (
+    HEAD
+    + "o = Object('cabinet')\n"
+    + "body = o.part('body', material='oak')\n"
+    + "body.add(hollow_box((0.38, 0.6, 0.6), 0.02, open='+x'), at=(0, 0, 0.3))\n"
+)
+DOOR = (
+    "door = o.part('door', material='oak')\n"
+    "door.add(box((0.02, 0.6, 0.6)), at=body.anchor('front'), by='back')\n"
+)
+HINGE = (
+    "o.revolute('hinge', body, door, at=door.anchor('left.back'), axis=(0, 0, {sign}), "
+    "range=(0, 1.6))\n"
+)
+GOOD = BODY + DOOR + HINGE.format(sign=1)
+WRONG_WAY = BODY + DOOR + HINGE.format(sign=-1)
+BROKEN = BODY + "door.add(box((1, 1, 1)))\n"
+DOORLESS = BODY.replace("0.38", "0.4")
+
+OPTIONS = ProgramOptions(debug_rounds=1, critic_rounds=1)
+
+
+def node(**more: Any) -> TreeNode:
+    given: dict[str, Any] = {
+        "name": "cabinet",
+        "label": "cabinet",
+        "parent": "floor",
+        "box2d": Box2D(x0=0, y0=0, x1=64, y1=64),
+        "box3d": Box3D(position=(2, 0.3, 0), size=(0.4, 0.6, 0.6), yaw=3.0),
+        "articulation": (PartState(part="door", type="revolute", opening=0.2),),
+    }
+    return TreeNode(**(given | more))
+
+
+def crop() -> bytes:
+    stream = io.BytesIO()
+    Image.fromarray(np.full((8, 8, 3), (200, 100, 50), np.uint8)).save(stream, "PNG")
+    return stream.getvalue()
+
+
+class Script:
+    """Answers in the order given; an exception in the list is raised."""
+
+    def __init__(self, *answers: Any) -> None:
+        self.answers = list(answers)
+        self.asked: list[Request[Any]] = []
+
+    async def ask(self, request: Request[Any]) -> Answer[Any]:
+        self.asked.append(request)
+        value = self.answers.pop(0)
+        if isinstance(value, Exception):
+            raise value
+        assert isinstance(value, request.schema)
+        return Answer(value, "", Usage(), "script")
+
+
+def written(text: str, *removed: str) -> Written:
+    return Written(program=text, removed=list(removed))
+
+
+def verdict(geometry: float, accept: bool = False) -> Verdict:
+    faults = [] if accept else [Fault(part="door", what="too thin", change="make it 3 cm thick")]
+    return Verdict(
+        geometry=geometry,
+        articulation=8,
+        colour=6,
+        faults=faults,
+        verdict="accept" if accept else "revise",
+    )
+
+
+def made(script: Script, options: ProgramOptions = OPTIONS, **more: Any) -> Programmed:
+    camera = Camera(width=640, height_px=480, fovy=0.8, height=1.2, pitch=0.4)
+    return asyncio.run(synthesise(node(**more), crop(), script, options, camera=camera))
+
+
+def test_a_good_program_takes_one_question_and_one_judgement():
+    script = Script(written(GOOD), verdict(9, accept=True))
+    outcome = made(script)
+    assert outcome.spec is not None and outcome.signals == () and outcome.reason == ""
+    assert [request.role for request in script.asked] == ["programmer", "critic"]
+    labels = [picture.label for picture in script.asked[1].pictures]
+    assert labels == ["crop", "made", "opened"]
+    assert outcome.score == pytest.approx(0.5 * 9 + 0.3 * 8 + 0.2 * 6)
+    assert "0.400 m (x, front to back)" in script.asked[0].prompt
+    assert "door (revolute)" in script.asked[0].prompt
+
+
+def test_signals_go_back_with_their_lines():
+    script = Script(written(BROKEN), written(GOOD), verdict(9, accept=True))
+    outcome = made(script)
+    assert outcome.spec is not None and outcome.text.strip() == GOOD.strip()
+    assert "line 5" in script.asked[1].prompt and BROKEN.strip() in script.asked[1].prompt
+
+
+def test_a_fence_is_taken_off():
+    assert unfenced("```python\nx = 1\n```") == "x = 1\n"
+    assert unfenced("x = 1") == "x = 1\n"
+
+
+def test_deleting_the_joint_does_not_pass_for_mending_it():
+    script = Script(written(WRONG_WAY), written(DOORLESS), verdict(6, accept=True))
+    outcome = made(script, articulation=())
+    assert outcome.spec is not None and outcome.text.strip() == WRONG_WAY.strip()
+    assert outcome.fallbacks and "overlap_in_motion" in outcome.fallbacks[0][1]
+    lost = outcome.rounds[1].built.signals
+    assert [signal.code for signal in lost if signal.severity == "error"] == ["lost", "lost"]
+
+
+def test_what_is_removed_on_purpose_may_go():
+    script = Script(written(WRONG_WAY), written(DOORLESS, "door", "hinge"), verdict(6, accept=True))
+    outcome = made(script, articulation=())
+    assert outcome.spec is not None and outcome.spec.joints == ()
+
+
+def test_a_part_that_the_photo_shows_moving_is_asked_for():
+    script = Script(written(DOORLESS), written(GOOD), verdict(9, accept=True))
+    assert made(script).text.strip() == GOOD.strip()
+    assert "missing_joint" in script.asked[1].prompt
+
+
+def test_the_best_is_kept_not_the_last():
+    worse = GOOD.replace("material='oak'", "material='steel', mass=3")
+    script = Script(written(GOOD), verdict(7), written(worse), verdict(4))
+    outcome = made(script)
+    assert outcome.text.strip() == GOOD.strip()
+    assert "too thin" in script.asked[2].prompt
+    assert [attempt.stage for attempt in outcome.rounds] == ["program", "revise"]
+
+
+def test_proportions_are_held_against_the_box():
+    flat = GOOD.replace("0.6, 0.6", "0.6, 0.3")
+    script = Script(written(flat), written(GOOD), verdict(9, accept=True))
+    assert made(script).text.strip() == GOOD.strip()
+    assert "proportions" in script.asked[1].prompt
+
+
+def test_nothing_to_build_says_why():
+    outcome = made(Script(written("1 / 0"), written("1 / 0")))
+    assert outcome.spec is None and "ZeroDivisionError" in outcome.reason
+
+
+def test_a_critic_that_fails_is_done_without():
+    outcome = made(Script(written(GOOD), ModelError("server is down")))
+    assert outcome.spec is not None
+    assert outcome.fallbacks == (("cabinet: no judge round", "server is down"),)
+
+
+def test_a_missing_answer_is_no_fallback():
+    with pytest.raises(MissingAnswerError):
+        made(Script(written(GOOD), MissingAnswerError("no answer for judge:cabinet")))
+
+
+@pytest.mark.parametrize(
+    ("geometry", "articulation", "pictures"), [(True, False, 2), (False, True, 3)]
+)
+def test_critics_can_be_switched(geometry: bool, articulation: bool, pictures: int):
+    options = OPTIONS.model_copy(
+        update={"geometry_critic": geometry, "articulation_critic": articulation}
+    )
+    script = Script(written(GOOD), verdict(9, accept=True))
+    made(script, options)
+    assert len(script.asked[1].pictures) == pictures
+    none = OPTIONS.model_copy(update={"geometry_critic": False, "articulation_critic": False})
+    assert made(Script(written(GOOD)), none).spec is not None
+
+
+@pytest.mark.parametrize(
+    ("label", "size", "geoms"),
+    [("wooden table", (0.6, 1.2, 0.7), 5), ("kitchen counter", (0.6, 1.2, 0.03), 1)],
+)
+def test_supports_need_no_model(label: str, size: tuple[float, float, float], geoms: int):
+    box = Box3D(position=(1, 0, 0), size=size)
+    outcome = made(Script(), environment=True, parent=None, label=label, box3d=box, articulation=())
+    assert outcome.spec is not None and len(outcome.spec.parts[0].geoms) == geoms
+    assert outcome.spec.materials[0].rgba[:3] == pytest.approx((0.784, 0.392, 0.196))
+    from neoworld_mjx.spec import bounds
+
+    low, high = bounds(outcome.spec)
+    assert np.allclose(high - low, size)
+
+
+def test_rounds_are_written_down():
+    import json
+
+    outcome = made(Script(written(BROKEN), written(GOOD), verdict(9, accept=True)))
+    data = json.loads(outcome.to_json())
+    assert [one["stage"] for one in data["rounds"]] == ["program", "debug"]
+    assert [one["kept"] for one in data["rounds"]] == [False, True]
+    assert data["rounds"][1]["verdict"]["geometry"] == 9
+
+
+def test_the_object_is_drawn_from_the_side_that_the_photo_shows():
+    spec = made(Script(written(GOOD), verdict(9, accept=True))).spec
+    assert spec is not None
+    camera = Camera(width=640, height_px=480, fovy=0.8, height=1.2, pitch=0.4)
+    item = node()
+    view = view_from(spec, {}, item, camera)
+    # The camera stands at the world's origin; seen from the object, which faces it by 3.0 rad, it is
+    # ahead and a little to the side.
+    azimuth = np.arctan2(view.eye[1], view.eye[0])
+    wanted = np.arctan2(-0.3, -2.0) - 3.0
+    assert np.cos(azimuth - wanted) == pytest.approx(1, abs=0.02)
+    first, second = (draw(spec, item, camera, opened=True) for _ in range(2))
+    assert first.pixels == second.pixels and first.data == second.data
+    assert draw(spec, item, camera).pixels != first.pixels
+    assert isinstance(first, Picture) and opened_state(spec) == {"hinge": pytest.approx(1.28)}
