@@ -214,6 +214,8 @@ class RunFolder:
     def _begin(self, config: Config, resume: bool, start: str | None, overwrite: bool) -> None:
         if (self.path / "run.json").exists():
             self.data = read_run(self.path)
+            # A run that never finished a step has nothing to lose but its books of what it cost.
+            resume = resume or not (overwrite or self.data["steps"])
             if not (resume or overwrite):
                 raise RunError(
                     f"{self.path} holds a run ({self.data['status']}): go on with --resume, do "

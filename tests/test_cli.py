@@ -5,8 +5,9 @@ import sys
 import time
 
 import pytest
+from PIL import Image
 
-from neoworld_mjx import cli, run_folder
+from neoworld_mjx import arguments, cli, commands, run_folder
 from neoworld_mjx.config import Config
 from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.run_folder import RunFolder
@@ -37,7 +38,7 @@ def test_help_names_the_commands_and_is_quick():
         done = _neoworld("--help")
         times.append(time.perf_counter() - begun)
     assert done.returncode == 0
-    for command in ("reconstruct", "check", "render", "report", "doctor"):
+    for command in ("reconstruct", "check", "build", "render", "report", "doctor"):
         assert command in done.stdout
     assert min(times) < 0.5
 
@@ -54,7 +55,7 @@ def test_help_imports_nothing_heavy():
 
 
 def test_steps_are_those_of_a_run():
-    assert cli.Step.__args__ == run_folder.STEPS
+    assert arguments.Step.__args__ == run_folder.STEPS
 
 
 def test_a_misspelt_flag_names_its_neighbour():
@@ -96,11 +97,55 @@ def test_flags_win_over_settings_and_settings_over_the_file(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text("seed: 1\nrefine: {cem: {population: 4, iterations: 2}}\n")
     settings = ("refine.cem.population=8", "seed=2")
-    command = cli.Check(target=tmp_path, config=file, set=settings)
-    config = cli._config(command, seed=3)
+    command = arguments.Check(target=tmp_path, config=file, set=settings)
+    config = commands._config(command, seed=3)
     assert (config.seed, config.refine.cem.population, config.refine.cem.iterations) == (3, 8, 2)
     with pytest.raises(ConfigError, match="set to a value already"):
-        cli._config(cli.Check(target=tmp_path, set=("seed=1", "seed.x=1")))
+        commands._config(arguments.Check(target=tmp_path, set=("seed=1", "seed.x=1")))
+
+
+@pytest.mark.parametrize("out_is_a_file", [True, False])
+def test_bad_input_is_one_message_and_leaves_no_folder(tmp_path, out_is_a_file):
+    photo, out = tmp_path / "photo.png", tmp_path / "out"
+    if out_is_a_file:
+        Image.new("RGB", (64, 64)).save(photo)
+        out.write_text("precious")
+    else:
+        photo.write_text("no picture")
+    done = _neoworld("reconstruct", photo, "--out", out, "--json")
+    _fails(done, str(out if out_is_a_file else photo))
+    assert json.loads(done.stdout).keys() == {"error"}
+    assert out.exists() == out_is_a_file
+
+
+PROGRAM = """
+from neoworld_mjx.program.sdk import Object, box
+
+block = Object("block", "a block")
+wood = block.material("wood", like="oak")
+block.part("body", material=wood).add(box((0.04, 0.04, 0.03)), at=(0, 0, 0), by="bottom")
+"""
+
+
+def test_a_program_becomes_its_files(tmp_path):
+    program = tmp_path / "block.py"
+    program.write_text(PROGRAM)
+    done = _neoworld("build", program, "--out", tmp_path / "out", "--json")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert json.loads(done.stdout)["object"] == "block"
+    files = {path.name for path in (tmp_path / "out").iterdir()}
+    assert files >= {"object.urdf", "object.usda", "object.xml", "program.py", "spec.json"}
+    _fails(_neoworld("build", program, "--out", tmp_path / "out"), "--overwrite")
+    assert _neoworld("check", program).returncode == 0
+
+
+def test_a_program_that_fails_writes_nothing_and_exits_1(tmp_path):
+    program = tmp_path / "block.py"
+    program.write_text(PROGRAM.replace("box(", "bax("))
+    done = _neoworld("build", program, "--out", tmp_path / "out", "--json")
+    assert done.returncode == 1, done.stderr
+    assert "bax" in json.loads(done.stdout)["signals"][0]["message"]
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
@@ -136,20 +181,20 @@ def test_report_of_an_unfinished_run(tmp_path):
 
 
 def test_whatever_prints_meanwhile_stays_out_of_the_json(capfd):
-    command = cli.Doctor(json=True)
+    command = arguments.Doctor(json=True)
 
     def noisy(_):
         print("from Python")
         os.system("echo from C")
         return {"a": 1}
 
-    before = cli._COMMANDS[cli.Doctor]
-    cli._COMMANDS[cli.Doctor] = noisy
+    before = commands.COMMANDS[arguments.Doctor]
+    commands.COMMANDS[arguments.Doctor] = noisy
     try:
         sys.stdout.flush()
         assert cli.run(command) == 0
     finally:
-        cli._COMMANDS[cli.Doctor] = before
+        commands.COMMANDS[arguments.Doctor] = before
     out, err = capfd.readouterr()
     assert json.loads(out) == {"a": 1}
     assert "from C" in err
@@ -162,14 +207,14 @@ def test_exit_codes_of_errors(monkeypatch, capsys, raised, code):
     def fails(_):
         raise raised
 
-    monkeypatch.setitem(cli._COMMANDS, cli.Doctor, fails)
-    assert cli.run(cli.Doctor()) == code
+    monkeypatch.setitem(commands.COMMANDS, arguments.Doctor, fails)
+    assert cli.run(arguments.Doctor()) == code
     assert capsys.readouterr().err.startswith("Traceback" if code == 70 else "error: ")
 
 
 def test_a_scene_that_fails_exits_1(monkeypatch):
-    monkeypatch.setitem(cli._COMMANDS, cli.Doctor, lambda _: {"passed": False})
-    assert cli.run(cli.Doctor(quiet=True)) == 1
+    monkeypatch.setitem(commands.COMMANDS, arguments.Doctor, lambda _: {"passed": False})
+    assert cli.run(arguments.Doctor(quiet=True)) == 1
 
 
 def test_doctor_says_what_is_here_and_shows_no_key(tmp_path):

@@ -101,6 +101,16 @@ def test_an_existing_run_is_not_touched_unasked(tmp_path):
     assert (out / "run.json").read_bytes() == before
 
 
+def test_a_run_that_never_finished_a_step_may_be_begun_again_and_keeps_its_books(tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(RunError), RunFolder(out, Config()) as run:
+        run.record("mllm", cost_usd=1.5)
+        raise RunError("no key")
+    assert _two_steps(out) == ["parse", "compose"]
+    assert read_run(out)["mllm"] == {"cost_usd": 1.5}
+    assert "error" not in read_run(out)
+
+
 def test_overwrite_deletes_what_the_run_wrote_and_nothing_else(tmp_path):
     out = tmp_path / "out"
     _two_steps(out)

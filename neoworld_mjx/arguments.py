@@ -1,0 +1,114 @@
+"""What the commands of `neoworld` take: one dataclass a command."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, UseAppendAction, arg, subcommand
+
+Step = Literal["parse", "program", "verify", "compose", "refine", "export"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Common:
+    """Options of every command."""
+
+    json: bool = False
+    """Print one JSON object on stdout, and everything else on stderr."""
+    quiet: bool = False
+    """Say nothing about progress."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Configured(Common):
+    """Options of the commands that take a configuration."""
+
+    config: Path | None = None
+    """YAML of options; only what differs from the defaults."""
+    set: UseAppendAction[tuple[str, ...]] = ()
+    """One option as KEY=VALUE, such as --set refine.cem.population=64; may be repeated."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reconstruct(Configured):
+    """Turn a photograph into a scene that simulates."""
+
+    photo: Positional[Path]
+    """The photograph."""
+    out: Path
+    """Run folder to write; a new or empty one, or a run to go on with."""
+    provider: str | None = None
+    """Who answers: auto, anthropic, openai, replay or mailbox."""
+    engine: Literal["auto", "mjx", "warp", "native"] | None = None
+    """Physics engine of the refine step."""
+    seed: int | None = None
+    """Seed of the search."""
+    until: Step | None = None
+    """Stop after this step."""
+    resume: bool = False
+    """Go on with the run in --out: keep the finished steps whose inputs have not changed."""
+    start: Annotated[Step | None, arg(name="from")] = None
+    """Do this step of the run in --out again, and all after it."""
+    overwrite: bool = False
+    """Replace the run in --out."""
+    record: Path | None = None
+    """Record the models' answers on this tape, and take those it has from it."""
+    tape: UseAppendAction[tuple[Path, ...]] = ()
+    """Tape of answers, or folder of tapes, to look in before those of the package; may be repeated."""
+    mailbox: Path | None = None
+    """Folder of requests and answers, for the provider mailbox."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check(Configured):
+    """Check a scene, or an object's program: every verdict with its number and threshold."""
+
+    target: Positional[Path]
+    """A run folder, a scene.json, or a program (.py)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Build(Configured):
+    """Turn an object's program into URDF, USD and MJCF."""
+
+    program: Positional[Path]
+    """The program (.py)."""
+    out: Path
+    """Folder to write; a new or empty one."""
+    overwrite: bool = False
+    """Write into a folder that is not empty."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Render(Configured):
+    """Take a picture of a scene."""
+
+    target: Positional[Path]
+    """A run folder or a scene.json."""
+    out: Path | None = None
+    """PNG file to write; by default render.png beside the scene."""
+    width: int | None = None
+    """Of the picture, in pixels."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report(Common):
+    """Write report.html of a run, finished or not."""
+
+    folder: Positional[Path]
+    """The run folder."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Doctor(Common):
+    """Say what is installed here and what can run."""
+
+
+Command = (
+    Annotated[Reconstruct, subcommand("reconstruct")]
+    | Annotated[Check, subcommand("check")]
+    | Annotated[Build, subcommand("build")]
+    | Annotated[Render, subcommand("render")]
+    | Annotated[Report, subcommand("report")]
+    | Annotated[Doctor, subcommand("doctor")]
+)

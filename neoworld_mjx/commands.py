@@ -1,0 +1,234 @@
+"""The commands of `neoworld`: each takes its arguments and returns what is to be printed.
+
+Whatever is heavy is imported inside the functions, so that `--help` is quick.
+"""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .arguments import Build, Check, Configured, Doctor, Reconstruct, Render, Report
+from .errors import ConfigError, NeoWorldError, RunError, SpecError
+
+if TYPE_CHECKING:
+    from .config import Config
+    from .program import Built
+
+Answer = dict[str, Any]
+"""Its entry "passed" decides the exit code."""
+
+
+def reconstruct(command: Reconstruct) -> Answer:
+    """Run the five steps."""
+    from .cache import keep_compilations
+    from .pipeline import reconstruct as steps
+
+    config = _config(command, command.provider, command.engine, command.seed)
+    keep_compilations()
+    result = steps(
+        command.photo,
+        command.out,
+        config,
+        until=command.until,
+        resume=command.resume,
+        start=command.start,
+        overwrite=command.overwrite,
+        record=command.record,
+        mailbox=command.mailbox,
+        tapes=command.tape,
+    )
+    return result.summary()
+
+
+def check(command: Check) -> Answer:
+    """Measure a scene, or build a program and say what is wrong with it."""
+    config = _config(command)
+    if command.target.suffix == ".py":
+        from .program import build as make
+
+        built = make(_read(command.target), config.program)
+        answer = {"target": str(command.target), "passed": built.ok, "signals": _signals(built)}
+        return answer
+    from .measure.scene import scene_measure
+
+    limits = config.refine
+    found = scene_measure(
+        _scene(command.target),
+        duration=limits.check_duration_s,
+        timestep=limits.check_timestep_s,
+        max_depth=limits.max_depth_m,
+        max_drift=limits.max_drift_m,
+        max_tilt=limits.max_tilt_deg,
+    )
+    checks = [
+        ("max_depth_m", found.max_depth_m, limits.max_depth_m, not found.s_pen),
+        ("max_drift_m", found.max_drift_m, limits.max_drift_m, found.s_stab),
+        ("max_tilt_deg", found.max_tilt_deg, limits.max_tilt_deg, found.s_stab),
+    ]
+    return {
+        "target": str(command.target),
+        "passed": not found.s_pen and found.s_stab is not False,
+        "checks": [
+            {"name": name, "value": value, "threshold": limit, "passed": passed}
+            for name, value, limit, passed in checks
+        ],
+        **found.model_dump(),
+    }
+
+
+def build(command: Build) -> Answer:
+    """Build a program and write its object in every format."""
+    from .export import export_object
+    from .program import build as make
+
+    out = command.out
+    if out.exists() and not out.is_dir():
+        raise RunError(f"{out} is a file; name a folder")
+    if out.is_dir() and any(out.iterdir()) and not command.overwrite:
+        raise RunError(f"{out} is not empty: name a new folder, or use --overwrite")
+    text = _read(command.program)
+    built = make(text, _config(command).program)
+    answer: Answer = {"passed": built.ok, "signals": _signals(built)}
+    if built.spec is None or not built.ok:
+        return answer
+    export_object(built.spec, out)
+    (out / "program.py").write_text(text, encoding="utf-8")
+    (out / "spec.json").write_text(built.spec.to_json(), encoding="utf-8")
+    return {"object": built.spec.name, "folder": str(out), **answer}
+
+
+def render(command: Render) -> Answer:
+    """Ray-cast a scene with its own camera."""
+    from .files import write_atomic
+    from .render import render_scene, to_png
+
+    options = _config(command).render
+    scene = _scene(command.target)
+    home = command.target if command.target.is_dir() else command.target.parent
+    out = command.out or home / "render.png"
+    picture = render_scene(
+        scene, width=command.width or options.width, supersample=options.supersample
+    )
+    try:
+        write_atomic(out, to_png(picture))
+    except OSError as error:
+        raise RunError(f"cannot write {out}: {error.strerror}") from None
+    return {"picture": str(out), "size": [picture.color.shape[1], picture.color.shape[0]]}
+
+
+def report(command: Report) -> Answer:
+    """Write the report of a run."""
+    from .view.report import write_report
+
+    return {"report": str(write_report(command.folder))}
+
+
+def doctor(_: Doctor) -> Answer:
+    """Look at this machine."""
+    import platform
+
+    import jax
+
+    from .cache import cache_folder
+    from .mllm.provider import bundled_tapes
+    from .run_folder import versions
+
+    kept = cache_folder()
+    tapes = sorted(path.name for path in bundled_tapes().glob("*") if path.is_file())
+    return {
+        "system": platform.platform(),
+        "cores": os.cpu_count(),
+        "devices": [f"{device.platform}: {device.device_kind}" for device in jax.devices()],
+        "engines": {name: _engine(name) for name in ("native", "mjx", "warp")},
+        "cache": {"folder": str(kept), "exists": kept.is_dir()},
+        "keys": {name: bool(os.environ.get(name)) for name in _KEYS},
+        "tapes": tapes,
+        "versions": versions(),
+    }
+
+
+_KEYS = ("ANTHROPIC_API_KEY", "OPENAI_API_KEY")
+COMMANDS: dict[type, Any] = {
+    Reconstruct: reconstruct,
+    Check: check,
+    Build: build,
+    Render: render,
+    Report: report,
+    Doctor: doctor,
+}
+
+
+def _signals(built: "Built") -> list[dict[str, Any]]:
+    return [{"code": s.code, **s.model_dump(exclude_defaults=True)} for s in built.signals]
+
+
+def _engine(name: Any) -> str:
+    from .physics.engine import open_engine
+
+    try:
+        open_engine(name)
+    except (NeoWorldError, ImportError) as error:
+        return f"not here: {error}"
+    return "ready"
+
+
+def _config(
+    command: Configured,
+    provider: str | None = None,
+    engine: str | None = None,
+    seed: int | None = None,
+) -> "Config":
+    """Lay --set over the file, and the command's own flags over both."""
+    import yaml
+
+    from .config import load_config
+
+    over: dict[str, Any] = {}
+    for setting in command.set:
+        key, equals, value = setting.partition("=")
+        if not equals or not key:
+            raise ConfigError(f"--set takes KEY=VALUE, such as seed=3, got {setting!r}")
+        try:
+            _put(over, key, yaml.safe_load(value))
+        except yaml.YAMLError:
+            raise ConfigError(f"--set {key}: {value!r} is not a YAML value") from None
+    for key, value in (("provider", provider), ("refine.rollout.engine", engine), ("seed", seed)):
+        if value is not None:
+            _put(over, key, value)
+    return load_config(command.config, over)
+
+
+def _put(tree: dict[str, Any], key: str, value: Any) -> None:
+    *path, last = key.split(".")
+    for name in path:
+        inner = tree.setdefault(name, {})
+        if not isinstance(inner, dict):
+            raise ConfigError(f"--set {key}: {name} is set to a value already")
+        tree = inner
+    tree[last] = value
+
+
+def _scene(target: Path) -> Any:
+    """Read the scene of a run folder, or a scene.json."""
+    from pydantic import ValidationError
+
+    from .spec import SceneSpec
+
+    file = target / "scene.json" if target.is_dir() else target
+    if file.suffix != ".json":
+        raise SpecError(f"{target}: expected a run folder, a scene.json or a program (.py)")
+    try:
+        return SceneSpec.model_validate_json(_read(file))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(step) for step in first["loc"])
+        raise SpecError(f"{file} is not a scene: {where or '(root)'}: {first['msg']}") from None
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise SpecError(f"cannot read {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise SpecError(f"{path} is not a text file") from None
