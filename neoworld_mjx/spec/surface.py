@@ -16,8 +16,8 @@ from .swept import Sweep
 
 SECTORS = 64
 """Facets around a round shape, at least."""
-RINGS = 32
-"""Facets from pole to pole of a ball."""
+BALL_SECTORS, RINGS = 32, 16
+"""Facets around a ball, and from pole to pole; exports alone show them, and want small files."""
 CREASE = math.radians(40.0)
 """Faces that meet at a smaller angle [rad] are shaded as one smooth surface."""
 
@@ -89,11 +89,11 @@ def _build(shape: Shape) -> tuple[NDArray, NDArray]:
         r, h = shape.radius, shape.height / 2
         return _revolve(np.array([[0, -h], [r, -h], [r, h], [0, h]]), SECTORS)
     if isinstance(shape, Capsule):
-        return _revolve(_meridian(shape.radius, shape.length / 2), SECTORS)
+        return _revolve(_meridian(shape.radius, shape.length / 2), BALL_SECTORS)
     if isinstance(shape, Sphere):
-        return _revolve(_meridian(shape.radius, 0.0), SECTORS)
+        return _revolve(_meridian(shape.radius, 0.0), BALL_SECTORS)
     assert isinstance(shape, Ellipsoid)
-    vertices, faces = _revolve(_meridian(1.0, 0.0), SECTORS)
+    vertices, faces = _revolve(_meridian(1.0, 0.0), BALL_SECTORS)
     return vertices * np.array(shape.radii), faces
 
 

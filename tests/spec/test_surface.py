@@ -49,7 +49,7 @@ def test_surfaces_are_closed_outward_and_of_the_right_volume(shape):
     volume = np.sum(a * np.cross(b, c)) / 6
     solid = sum(mass_properties(piece)[0] for piece in shape.pieces())
     # Colliders of round shapes are coarser than what is seen, and both lie inside the true shape.
-    slack = 0.2 if isinstance(shape, Lathe) else 0.01
+    slack = 0.2 if isinstance(shape, Lathe) else 0.03
     exact = isinstance(shape, Box | Prism | HollowBox)
     assert volume == pytest.approx(solid, rel=1e-9 if exact else slack)
     low, high = vertices.min(axis=0), vertices.max(axis=0)

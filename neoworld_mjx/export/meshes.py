@@ -1,0 +1,97 @@
+"""Mesh files of an object, and the number formatting that all text formats share."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..spec import Box, Cylinder, Geom, ObjectSpec, Sphere
+from ..spec.convex import Piece, hull
+from ..spec.surface import corner_normals, surface
+
+FOLDER = "meshes"
+
+
+def number(value: float) -> str:
+    """Format a number so that it reads back exactly, shortest, and the same everywhere."""
+    text = repr(float(value))
+    text = text.removesuffix(".0")
+    return "0" if text == "-0" else text
+
+
+def numbers(values: Iterable[float]) -> str:
+    """Format numbers with spaces between."""
+    return " ".join(number(value) for value in values)
+
+
+def visual_file(geom: Geom) -> str | None:
+    """Return the path, relative to the object, of a geom's visual mesh.
+
+    None means that URDF has a primitive for it.
+    """
+    if isinstance(geom.shape, Box | Sphere | Cylinder):
+        return None
+    return f"{FOLDER}/{geom.name}.obj"
+
+
+def collision_file(geom: Geom, k: int) -> str:
+    """Return the path, relative to the object, of the mesh of a geom's k-th convex piece."""
+    # A hyphen is in no geom's name, so these never meet the visual meshes' names.
+    return f"{FOLDER}/{geom.name}-{k}.obj"
+
+
+def piece_mesh(geom: Geom, piece: Piece) -> tuple[NDArray, NDArray] | None:
+    """Return vertices [v, 3] and faces [f, 3] of a piece that needs a mesh, in its own frame.
+
+    Ellipsoids have no counterpart in URDF and UsdPhysics and become the hull of
+    their surface, whose facets lie up to 1 % of the radius inside.
+    """
+    if piece.kind == "mesh":
+        return hull(piece.vertices)
+    if piece.kind == "ellipsoid":
+        return surface(geom.shape)
+    return None
+
+
+def mesh_files(spec: ObjectSpec) -> dict[str, str]:
+    """Return every mesh file of an object: path relative to the object, and OBJ text."""
+    files: dict[str, str] = {}
+    for part in spec.parts:
+        for geom in part.geoms:
+            if geom.role != "collision" and (path := visual_file(geom)) is not None:
+                files[path] = obj(*surface(geom.shape), smooth=True)
+            if geom.role == "visual":
+                continue
+            for k, piece in enumerate(geom.shape.pieces()):
+                mesh = piece_mesh(geom, piece)
+                if mesh is not None:
+                    files[collision_file(geom, k)] = obj(*mesh)
+    return files
+
+
+def obj(vertices: NDArray, faces: NDArray, *, smooth: bool = False) -> str:
+    """Write a triangle mesh as Wavefront OBJ, with normals per corner where `smooth`."""
+    lines = [f"v {numbers(np.round(v, 9))}" for v in vertices]
+    if not smooth:
+        lines += [f"f {a} {b} {c}" for a, b, c in faces + 1]
+        return "\n".join(lines) + "\n"
+    normals = np.round(corner_normals(vertices, faces).reshape(-1, 3), 6) + 0.0
+    unique, index = np.unique(normals, axis=0, return_inverse=True)
+    index = index.reshape(-1, 3) + 1
+    lines += [f"vn {numbers(n)}" for n in unique]
+    lines += [
+        "f " + " ".join(f"{v}//{n}" for v, n in zip(face, corner, strict=True))
+        for face, corner in zip(faces + 1, index, strict=True)
+    ]
+    return "\n".join(lines) + "\n"
+
+
+__all__ = [
+    "collision_file",
+    "mesh_files",
+    "number",
+    "numbers",
+    "obj",
+    "piece_mesh",
+    "visual_file",
+]

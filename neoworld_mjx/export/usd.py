@@ -1,0 +1,330 @@
+"""USD of one object, with UsdPhysics.
+
+    /<object>                the object's frame; articulation root where there are joints
+    /<object>/links/<part>   rigid body; origin at its joint's anchor, the object's orientation
+        visuals/<geom>  collisions/<geom>_<k> (guides)  sites/<site>
+    /<object>/joints/<joint>   /<object>/looks/<material>
+
+A joint's axis lies in its local rotations unless it is +X, +Y or +Z: whoever reads only the axis
+token loses it. UsdPhysics counts angles in degrees: limits, and per degree stiffness and damping
+of drives. Armature, dry friction, velocity limits and mimics are Newton's attributes
+(newton-usd-schemas), with angles in degrees too; other readers pass over them.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
+
+from ..physics.mjcf import welded
+from ..spec import (
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    Geom,
+    Joint,
+    Material,
+    ObjectSpec,
+    Part,
+    Sphere,
+    inertial,
+)
+from ..spec.convex import Piece
+from ..spec.pose import IDENTITY, Pose, pose
+from ..spec.surface import corner_normals, surface
+from .meshes import piece_mesh
+
+_AXES = {(1.0, 0.0, 0.0): "X", (0.0, 1.0, 0.0): "Y", (0.0, 0.0, 1.0): "Z"}
+
+
+def usd_text(spec: ObjectSpec) -> str:
+    """Return an object, all joints at 0, as a USD layer in text form."""
+    stage = new_stage()
+    root = UsdGeom.Xform.Define(stage, f"/{spec.name}")
+    stage.SetDefaultPrim(root.GetPrim())
+    Usd.ModelAPI(root.GetPrim()).SetKind("component")
+    if spec.label:
+        root.GetPrim().SetDisplayName(spec.label)
+    if spec.joints:
+        UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
+    base = root.GetPath()
+    UsdGeom.Scope.Define(stage, base.AppendChild("looks"))
+    for material in spec.materials:
+        _add_material(stage, base, material)
+    UsdGeom.Xform.Define(stage, base.AppendChild("links"))
+    origins = link_origins(spec)
+    for part, _ in spec.ordered:
+        _add_link(stage, base, spec, part, origins[part.name])
+    if spec.joints:
+        UsdGeom.Scope.Define(stage, base.AppendChild("joints"))
+    for joint in spec.joints:
+        _add_joint(stage, base, spec, joint, origins[joint.parent])
+    _filter_pairs(stage, base, spec)
+    return stage.GetRootLayer().ExportToString()
+
+
+def new_stage() -> Usd.Stage:
+    """Return an empty stage in metres and kilograms, Z up."""
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    return stage
+
+
+def link_origins(spec: ObjectSpec) -> dict[str, NDArray]:
+    """Return where each link's frame has its origin [m], [3], in the object's frame at rest."""
+    origins = {joint.child: np.array(joint.pos) for joint in spec.joints}
+    origins[spec.root] = np.zeros(3)
+    return origins
+
+
+def set_pose(xform: UsdGeom.Xformable, at: Pose) -> None:
+    """Place a prim in its parent's frame."""
+    xform.ClearXformOpOrder()
+    xform.AddTranslateOp().Set(Gf.Vec3d(*map(float, at.pos)))
+    xform.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).Set(quatd(at.quat))
+
+
+def quatd(quat: NDArray | tuple[float, ...]) -> Gf.Quatd:
+    """Turn (w, x, y, z) into USD's double quaternion."""
+    w, x, y, z = map(float, quat)
+    return Gf.Quatd(w, x, y, z)
+
+
+def quatf(quat: NDArray | tuple[float, ...]) -> Gf.Quatf:
+    """Turn (w, x, y, z) into USD's single quaternion."""
+    return Gf.Quatf(quatd(quat))
+
+
+def _add_material(stage: Usd.Stage, base: Sdf.Path, material: Material) -> None:
+    path = base.AppendChild("looks").AppendChild(material.name)
+    made = UsdShade.Material.Define(stage, path)
+    shader = UsdShade.Shader.Define(stage, path.AppendChild("surface"))
+    shader.CreateIdAttr("UsdPreviewSurface")
+    shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(_colour(material))
+    shader.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(material.rgba[3])
+    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.5)
+    made.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+    physics = UsdPhysics.MaterialAPI.Apply(made.GetPrim())
+    physics.CreateStaticFrictionAttr(material.friction)
+    physics.CreateDynamicFrictionAttr(material.friction)
+    physics.CreateRestitutionAttr(0.0)
+    physics.CreateDensityAttr(material.density)
+
+
+def _add_link(
+    stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec, part: Part, origin: NDArray
+) -> None:
+    path = base.AppendChild("links").AppendChild(part.name)
+    link = UsdGeom.Xform.Define(stage, path)
+    set_pose(link, pose(origin))
+    UsdPhysics.RigidBodyAPI.Apply(link.GetPrim())
+    mass = inertial(spec, part)
+    physics = UsdPhysics.MassAPI.Apply(link.GetPrim())
+    physics.CreateMassAttr(mass.mass)
+    physics.CreateCenterOfMassAttr(Gf.Vec3f(*(np.array(mass.pos) - origin).tolist()))
+    physics.CreateDiagonalInertiaAttr(Gf.Vec3f(*mass.diagonal))
+    physics.CreatePrincipalAxesAttr(quatf(mass.quat))
+    for geom in part.geoms:
+        material = spec.material(geom.material)
+        local = Pose(np.array(geom.pos) - origin, np.array(geom.quat))
+        if geom.role != "collision":
+            folder = UsdGeom.Scope.Define(stage, path.AppendChild("visuals")).GetPath()
+            _add_visual(stage, folder.AppendChild(geom.name), geom, local)
+            _dress(stage, folder.AppendChild(geom.name), base, material, physical=False)
+        if geom.role != "visual":
+            folder = UsdGeom.Scope.Define(stage, path.AppendChild("collisions")).GetPath()
+            for k, piece in enumerate(geom.shape.pieces()):
+                at = folder.AppendChild(f"{geom.name}_{k}")
+                _add_collider(stage, at, geom, piece, local.then(pose(piece.pos, piece.quat)))
+                _dress(stage, at, base, material, physical=True)
+    for site in spec.sites:
+        if site.part == part.name:
+            folder = UsdGeom.Scope.Define(stage, path.AppendChild("sites")).GetPath()
+            point = UsdGeom.Xform.Define(stage, folder.AppendChild(site.name))
+            set_pose(point, pose(np.array(site.pos) - origin))
+
+
+def _add_visual(stage: Usd.Stage, path: Sdf.Path, geom: Geom, at: Pose) -> None:
+    if isinstance(geom.shape, Box | Sphere | Capsule | Cylinder | Ellipsoid):
+        _gprim(stage, path, geom.shape.pieces()[0], at)
+        return
+    vertices, faces = surface(geom.shape)
+    mesh = _mesh(stage, path, vertices, faces, at)
+    mesh.CreateNormalsAttr(_points(corner_normals(vertices, faces).reshape(-1, 3).round(6) + 0.0))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
+
+
+def _add_collider(stage: Usd.Stage, path: Sdf.Path, geom: Geom, piece: Piece, at: Pose) -> None:
+    triangles = piece_mesh(geom, piece)
+    if triangles is None:
+        prim = _gprim(stage, path, piece, at).GetPrim()
+    else:
+        prim = _mesh(stage, path, *triangles, at).GetPrim()
+        hull = UsdPhysics.MeshCollisionAPI.Apply(prim)
+        hull.CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
+    UsdPhysics.CollisionAPI.Apply(prim)
+    UsdGeom.Imageable(prim).CreatePurposeAttr(UsdGeom.Tokens.guide)
+
+
+def _gprim(stage: Usd.Stage, path: Sdf.Path, piece: Piece, at: Pose) -> UsdGeom.Gprim:
+    size = [float(v) for v in piece.size]
+    scale: list[float] | None = None
+    if piece.kind == "box":
+        gprim = UsdGeom.Cube.Define(stage, path)
+        gprim.CreateSizeAttr(1.0)
+        scale = [2 * v for v in size]
+    elif piece.kind in ("sphere", "ellipsoid"):
+        gprim = UsdGeom.Sphere.Define(stage, path)
+        gprim.CreateRadiusAttr(size[0] if piece.kind == "sphere" else 1.0)
+        scale = size if piece.kind == "ellipsoid" else None
+    elif piece.kind == "capsule":
+        gprim = UsdGeom.Capsule.Define(stage, path)
+    else:
+        gprim = UsdGeom.Cylinder.Define(stage, path)
+    if isinstance(gprim, UsdGeom.Capsule | UsdGeom.Cylinder):
+        gprim.CreateRadiusAttr(size[0])
+        gprim.CreateHeightAttr(2 * size[1])
+        gprim.CreateAxisAttr(UsdGeom.Tokens.z)
+    set_pose(gprim, at)
+    if scale is not None:
+        gprim.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*scale))
+    extent = UsdGeom.Boundable.ComputeExtentFromPlugins(gprim, Usd.TimeCode.Default())
+    gprim.CreateExtentAttr(extent)
+    return gprim
+
+
+def _mesh(
+    stage: Usd.Stage, path: Sdf.Path, vertices: NDArray, faces: NDArray, at: Pose
+) -> UsdGeom.Mesh:
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    mesh.CreatePointsAttr(_points(vertices))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray([3] * len(faces)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.ravel().astype(np.int32)))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateExtentAttr(_points(np.stack([vertices.min(axis=0), vertices.max(axis=0)])))
+    set_pose(mesh, at)
+    return mesh
+
+
+def _points(values: NDArray) -> Vt.Vec3fArray:
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32))
+
+
+def _dress(
+    stage: Usd.Stage, path: Sdf.Path, base: Sdf.Path, material: Material, *, physical: bool
+) -> None:
+    """Bind a material; to colliders for physics only."""
+    prim = stage.GetPrimAtPath(path)
+    look = UsdShade.Material.Get(stage, base.AppendChild("looks").AppendChild(material.name))
+    UsdGeom.Gprim(prim).CreateDisplayColorAttr(Vt.Vec3fArray([_colour(material)]))
+    binding = UsdShade.MaterialBindingAPI.Apply(prim)
+    if physical:
+        binding.Bind(look, UsdShade.Tokens.weakerThanDescendants, "physics")
+    else:
+        binding.Bind(look)
+
+
+def _colour(material: Material) -> Gf.Vec3f:
+    """Return the colour as USD wants it: linear, where ours is for display."""
+    c = np.array(material.rgba[:3])
+    light = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+    return Gf.Vec3f(*np.round(light, 6).tolist())
+
+
+def _add_joint(
+    stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec, joint: Joint, parent_origin: NDArray
+) -> None:
+    path = base.AppendChild("joints").AppendChild(joint.name)
+    turning = joint.type != "prismatic"
+    kind = {"fixed": UsdPhysics.FixedJoint, "prismatic": UsdPhysics.PrismaticJoint}
+    made = kind.get(joint.type, UsdPhysics.RevoluteJoint).Define(stage, path)
+    links = base.AppendChild("links")
+    made.CreateBody0Rel().SetTargets([links.AppendChild(joint.parent)])
+    made.CreateBody1Rel().SetTargets([links.AppendChild(joint.child)])
+    token, turn = axis_frame(joint.axis) if joint.type != "fixed" else ("X", IDENTITY)
+    made.CreateLocalPos0Attr(Gf.Vec3f(*(np.array(joint.pos) - parent_origin).tolist()))
+    made.CreateLocalPos1Attr(Gf.Vec3f(0.0))
+    made.CreateLocalRot0Attr(quatf(turn))
+    made.CreateLocalRot1Attr(quatf(turn))
+    if joint.type == "fixed":
+        return
+    unit = math.degrees(1.0) if turning else 1.0
+    made.CreateAxisAttr(token)
+    if joint.type != "continuous":
+        made.CreateLowerLimitAttr(joint.lower * unit)
+        made.CreateUpperLimitAttr(joint.upper * unit)
+    prim = made.GetPrim()
+    if joint.stiffness or joint.damping or joint.effort is not None:
+        # A drive towards 0 is the spring and damper of the joint itself.
+        drive = UsdPhysics.DriveAPI.Apply(prim, "angular" if turning else "linear")
+        drive.CreateTypeAttr(UsdPhysics.Tokens.force)
+        drive.CreateTargetPositionAttr(0.0)
+        drive.CreateTargetVelocityAttr(0.0)
+        drive.CreateStiffnessAttr(joint.stiffness / unit)
+        drive.CreateDampingAttr(joint.damping / unit)
+        if joint.effort is not None:
+            drive.CreateMaxForceAttr(joint.effort)
+    newton = {"armature": joint.armature, "friction": joint.friction}
+    if joint.velocity is not None:
+        newton["velocityLimit"] = joint.velocity * unit
+    for name, value in newton.items():
+        if value:
+            _attribute(prim, f"newton:{name}", value)
+    if joint.mimic is not None:
+        leader = next(other for other in spec.joints if other.name == joint.mimic.joint)
+        led = 1.0 if leader.type == "prismatic" else math.degrees(1.0)
+        target = base.AppendChild("joints").AppendChild(leader.name)
+        prim.CreateRelationship("newton:mimicJoint", custom=True).SetTargets([target])
+        _attribute(prim, "newton:mimicCoef0", joint.mimic.offset * unit)
+        _attribute(prim, "newton:mimicCoef1", joint.mimic.multiplier * unit / led)
+        # Newton knows no mimic between turning and sliding joints; the numbers stay for others.
+        enabled = turning == (leader.type != "prismatic")
+        prim.CreateAttribute("newton:mimicEnabled", Sdf.ValueTypeNames.Bool, custom=True).Set(
+            enabled
+        )
+
+
+def _attribute(prim: Usd.Prim, name: str, value: float) -> None:
+    prim.CreateAttribute(name, Sdf.ValueTypeNames.Float, custom=True).Set(value)
+
+
+def axis_frame(axis: tuple[float, float, float]) -> tuple[str, tuple[float, ...]]:
+    """Return a UsdPhysics axis token and the rotation (w, x, y, z) that takes it to `axis`."""
+    found = _AXES.get((float(axis[0]), float(axis[1]), float(axis[2])))
+    if found is not None:
+        return found, IDENTITY
+    x = np.array([1.0, 0.0, 0.0])
+    a = np.array(axis)
+    if a[0] < -1 + 1e-12:
+        return "X", (0.0, 0.0, 0.0, 1.0)
+    quat = np.array([1.0 + x @ a, *np.cross(x, a)])
+    return "X", tuple((quat / np.linalg.norm(quat)).tolist())
+
+
+def _filter_pairs(stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec) -> None:
+    """Keep what is fixed to either side of a joint from colliding, as the MuJoCo model does."""
+    group = welded(spec)
+    jointed = {(joint.parent, joint.child) for joint in spec.joints}
+    links = base.AppendChild("links")
+    for joint in spec.joints:
+        for a in spec.parts:
+            others = [
+                b.name
+                for b in spec.parts
+                if group[a.name] == group[joint.parent]
+                and group[b.name] == group[joint.child]
+                and group[a.name] != group[b.name]
+                and (a.name, b.name) not in jointed
+            ]
+            if others:
+                prim = stage.GetPrimAtPath(links.AppendChild(a.name))
+                pairs = UsdPhysics.FilteredPairsAPI.Apply(prim).CreateFilteredPairsRel()
+                for other in others:
+                    pairs.AddTarget(links.AppendChild(other))
+
+
+__all__ = ["axis_frame", "link_origins", "new_stage", "quatf", "set_pose", "usd_text"]

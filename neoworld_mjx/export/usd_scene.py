@@ -1,0 +1,127 @@
+"""USD of a scene: objects as references, put in their places.
+
+    /<scene>/physics   gravity            /<scene>/<object>    reference to the object's own file
+    /<scene>/photo     the camera         /<scene>/fixtures    joints that hold fastened objects
+    /<scene>/lights
+
+The names after /<scene>/ that are no object's get underscores where an object has them.
+"""
+
+import math
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdPhysics
+
+from ..spec import Camera, SceneObject, SceneSpec, link_poses, world_poses
+from ..spec.pose import Pose, pose
+from .usd import link_origins, new_stage, quatd, quatf, set_pose
+
+
+def scene_usd_text(scene: SceneSpec) -> str:
+    """Return a scene as a USD layer in text form; objects are references to ./objects/<name>/."""
+    stage = new_stage()
+    root = UsdGeom.Xform.Define(stage, f"/{scene.name}")
+    stage.SetDefaultPrim(root.GetPrim())
+    Usd.ModelAPI(root.GetPrim()).SetKind("assembly")
+    base = root.GetPath()
+    taken = {item.name for item in scene.objects}
+
+    def free(name: str) -> Sdf.Path:
+        while name in taken:
+            name += "_"
+        return base.AppendChild(name)
+
+    _add_physics(stage, free("physics"), scene)
+    _add_lights(stage, free("lights"))
+    if scene.camera is not None:
+        _add_camera(stage, free("photo"), scene.camera)
+    poses = world_poses(scene)
+    for item in scene.objects:
+        _add_object(stage, base.AppendChild(item.name), item, poses[item.name])
+        if item.static and _articulated(item):
+            fixtures = UsdGeom.Scope.Define(stage, free("fixtures")).GetPath()
+            _fasten(stage, fixtures.AppendChild(item.name), base, item, poses[item.name])
+    # References come last and on a layer that no stage composes: they would not resolve here.
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.TransferContent(stage.GetRootLayer())
+    for item in scene.objects:
+        prim = layer.GetPrimAtPath(base.AppendChild(item.name))
+        prim.referenceList.Prepend(Sdf.Reference(f"./objects/{item.name}/object.usda"))
+    return layer.ExportToString()
+
+
+def _articulated(item: SceneObject) -> bool:
+    return any(joint.type != "fixed" for joint in item.spec.joints)
+
+
+def _add_physics(stage: Usd.Stage, path: Sdf.Path, scene: SceneSpec) -> None:
+    physics = UsdPhysics.Scene.Define(stage, path)
+    gravity = np.array(scene.gravity)
+    size = float(np.linalg.norm(gravity))
+    down = gravity / size if size > 0 else np.array([0.0, 0.0, -1.0])
+    physics.CreateGravityDirectionAttr(Gf.Vec3f(*down.tolist()))
+    physics.CreateGravityMagnitudeAttr(size)
+
+
+def _add_lights(stage: Usd.Stage, path: Sdf.Path) -> None:
+    UsdGeom.Scope.Define(stage, path)
+    sky = UsdLux.DomeLight.Define(stage, path.AppendChild("sky"))
+    sky.CreateIntensityAttr(400.0)
+    key = UsdLux.DistantLight.Define(stage, path.AppendChild("key"))
+    key.CreateIntensityAttr(1500.0)
+    key.CreateAngleAttr(4.0)
+    tilt = math.radians(35.0) / 2
+    set_pose(key, pose((0, 0, 0), (math.cos(tilt), math.sin(tilt), 0.0, 0.0)))
+
+
+def _add_camera(stage: Usd.Stage, path: Sdf.Path, camera: Camera) -> None:
+    made = UsdGeom.Camera.Define(stage, path)
+    set_pose(made, camera.pose())
+    focal = 35.0
+    tall = 2 * focal * math.tan(camera.fovy / 2)
+    made.CreateFocalLengthAttr(focal)
+    made.CreateVerticalApertureAttr(tall)
+    made.CreateHorizontalApertureAttr(tall * camera.width / camera.height_px)
+    made.CreateClippingRangeAttr(Gf.Vec2f(0.01, 1000.0))
+
+
+def _add_object(stage: Usd.Stage, path: Sdf.Path, item: SceneObject, at: Pose) -> None:
+    prim = UsdGeom.Xform.Define(stage, path)
+    set_pose(prim, at)
+    moved = link_poses(item.spec, item.joint_state)
+    origins = link_origins(item.spec)
+    for part in item.spec.parts:
+        place = moved[part.name].then(pose(origins[part.name]))
+        here = path.AppendChild("links").AppendChild(part.name)
+        displaced = not np.array_equal(place.pos, origins[part.name]) or place.quat[0] != 1.0
+        frozen = item.static and not _articulated(item)
+        if not (displaced or frozen):
+            continue
+        over = stage.OverridePrim(here)
+        if displaced:
+            _override(over, "xformOp:translate", Sdf.ValueTypeNames.Double3, Gf.Vec3d(*place.pos))
+            _override(over, "xformOp:orient", Sdf.ValueTypeNames.Quatd, quatd(place.quat))
+        if frozen:
+            _override(over, "physics:rigidBodyEnabled", Sdf.ValueTypeNames.Bool, False)
+    if item.static and not _articulated(item):
+        for joint in item.spec.joints:
+            over = stage.OverridePrim(path.AppendChild("joints").AppendChild(joint.name))
+            _override(over, "physics:jointEnabled", Sdf.ValueTypeNames.Bool, False)
+
+
+def _override(prim: Usd.Prim, name: str, kind: Sdf.ValueTypeName, value: object) -> None:
+    prim.CreateAttribute(name, kind, custom=False).Set(value)
+
+
+def _fasten(stage: Usd.Stage, path: Sdf.Path, base: Sdf.Path, item: SceneObject, at: Pose) -> None:
+    """Hold an articulated object's root in the world; without joints it is simply no rigid body."""
+    joint = UsdPhysics.FixedJoint.Define(stage, path)
+    link = base.AppendChild(item.name).AppendChild("links").AppendChild(item.spec.root)
+    joint.CreateBody1Rel().SetTargets([link])
+    joint.CreateLocalPos0Attr(Gf.Vec3f(*at.pos.tolist()))
+    joint.CreateLocalRot0Attr(quatf(at.quat))
+    joint.CreateLocalPos1Attr(Gf.Vec3f(0.0))
+    joint.CreateLocalRot1Attr(quatf((1.0, 0.0, 0.0, 0.0)))
+
+
+__all__ = ["scene_usd_text"]

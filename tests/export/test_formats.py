@@ -1,0 +1,371 @@
+import math
+
+import mujoco
+import numpy as np
+import pytest
+from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdValidation
+
+from neoworld_mjx.errors import ExportError
+from neoworld_mjx.export import (
+    export_object,
+    export_scene,
+    mechanism,
+    mjcf_text,
+    object_files,
+    read_mjcf,
+    read_urdf,
+    read_usd,
+    scene_files,
+    world_links_usd,
+)
+from neoworld_mjx.physics.mjcf import START, body_name, to_mjspec
+from neoworld_mjx.spec import Box, Geom, Material, ObjectSpec, Part, link_poses, scale, world_poses
+from neoworld_mjx.spec.object import joint_value
+from neoworld_mjx.spec.pose import angle_between, matrix, pose
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, scene, cabinet):
+    out = tmp_path_factory.mktemp("run")
+    export_scene(scene, out)
+    export_object(cabinet, out / "alone")
+    return out
+
+
+READERS = {
+    "urdf": lambda folder, spec: read_urdf(folder / "object.urdf"),
+    "mjcf": lambda folder, spec: read_mjcf(folder / "object.xml", spec),
+    "usd": lambda folder, spec: read_usd(folder / "object.usda"),
+}
+# Formats hold what they can: URDF has neither stiffness nor armature, MJCF no velocity limits.
+LOST = {"urdf": {"stiffness", "armature"}, "mjcf": {"velocity"}, "usd": set()}
+
+
+@pytest.mark.parametrize("form", READERS)
+def test_mechanisms_read_back(form, folder, cabinet):
+    want, got = mechanism(cabinet), READERS[form](folder / "alone", cabinet)
+    assert got.root == want.root
+    assert set(got.links) == set(want.links) and set(got.joints) == set(want.joints)
+    for name, link in want.links.items():
+        assert got.links[name].mass == pytest.approx(link.mass, rel=1e-6)
+        assert np.allclose(got.links[name].com, link.com, atol=1e-6)
+        assert np.allclose(got.links[name].inertia, link.inertia, rtol=1e-5, atol=1e-9)
+        assert np.allclose(got.links[name].origin, link.origin, atol=1e-6)
+    for name, joint in want.joints.items():
+        read = got.joints[name]
+        assert (read.type, read.parent, read.child) == (joint.type, joint.parent, joint.child)
+        assert np.allclose(read.pos, joint.pos, atol=1e-6)
+        if joint.type == "fixed":
+            continue
+        assert np.allclose(read.axis, joint.axis, atol=1e-6)
+        for field in ("lower", "upper", "damping", "friction", "stiffness", "armature"):
+            if field not in LOST[form]:
+                assert getattr(read, field) == pytest.approx(getattr(joint, field), rel=1e-6), field
+        for field in {"effort", "velocity"} - LOST[form]:
+            value = getattr(joint, field)
+            if value is not None:
+                assert getattr(read, field) == pytest.approx(value, rel=1e-6), field
+        assert (read.mimic is None) == (joint.mimic is None)
+        if joint.mimic is not None:
+            assert read.mimic.joint == joint.mimic.joint
+            assert read.mimic.multiplier == pytest.approx(joint.mimic.multiplier, rel=1e-6)
+            assert read.mimic.offset == pytest.approx(joint.mimic.offset, rel=1e-6)
+
+
+@pytest.mark.parametrize("form", READERS)
+def test_links_go_to_the_same_places(form, folder, cabinet):
+    got = READERS[form](folder / "alone", cabinet)
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        values = {j.name: rng.uniform(-1, 1) for j in cabinet.joints if j.mimic is None}
+        want, found = link_poses(cabinet, values), got.poses(values)
+        for name, at in want.items():
+            assert np.allclose(found[name].pos, at.pos, atol=5e-6), name
+            assert angle_between(found[name].quat, at.quat) < 5e-6, name
+
+
+def test_the_formats_own_kinematics_agree(folder, cabinet):
+    """MuJoCo on MJCF and on URDF, and yourdfpy, each by its own forward kinematics."""
+    import yourdfpy
+
+    robot = yourdfpy.URDF.load(str(folder / "alone" / "object.urdf"), load_meshes=False)
+    mjcf = mujoco.MjModel.from_xml_path(str(folder / "alone" / "object.xml"))
+    urdf = mujoco.MjModel.from_xml_path(str(folder / "alone" / "object.urdf"))
+    origins = {joint.child: np.array(joint.pos) for joint in cabinet.joints}
+    rng = np.random.default_rng(2)
+    for _ in range(10):
+        state = {j.name: rng.uniform(-1, 1) for j in cabinet.joints if j.mimic is None}
+        values = {
+            j.name: joint_value(cabinet, j, state) for j in cabinet.joints if j.type != "fixed"
+        }
+        moved = link_poses(cabinet, state)
+        robot.update_cfg({name: values[name] for name in robot.actuated_joint_names})
+        datas = []
+        for model, prefix in ((mjcf, "cabinet/"), (urdf, "")):
+            data = mujoco.MjData(model)
+            for name, value in values.items():
+                data.qpos[model.joint(prefix + name).qposadr[0]] = value
+            mujoco.mj_kinematics(model, data)
+            datas.append(data)
+        for part in cabinet.parts:
+            want = moved[part.name].then(pose(origins.get(part.name, np.zeros(3))))
+            body = mjcf.body(body_name(cabinet, part.name)).id
+            assert np.allclose(datas[0].xpos[body], want.pos, atol=1e-9)
+            assert angle_between(datas[0].xquat[body], want.quat) < 1e-7
+            if part.name != cabinet.root:  # MuJoCo makes a URDF's root link the world
+                body = urdf.body(part.name).id
+                assert np.allclose(datas[1].xpos[body], want.pos, atol=1e-7)
+                assert angle_between(datas[1].xquat[body], want.quat) < 1e-6
+            chain = {j.child: j for j in cabinet.joints}
+            at, follows_a_mimic_of_a_mimic = part.name, False
+            while at in chain:
+                follows_a_mimic_of_a_mimic |= chain[at].name == "gear"
+                at = chain[at].parent
+            if not follows_a_mimic_of_a_mimic:  # which yourdfpy does not resolve
+                frame = robot.get_transform(part.name, cabinet.root)
+                assert np.allclose(frame[:3, 3], want.pos, atol=1e-7), part.name
+                assert np.allclose(frame[:3, :3], matrix(want.quat), atol=1e-7)
+
+
+def test_mujocos_urdf_loader_takes_ours_whole(folder, cabinet):
+    model = mujoco.MjModel.from_xml_path(str(folder / "alone" / "object.urdf"))
+    own = to_mjspec(cabinet, visual=True).compile()
+    assert np.sum(model.geom_group == 1) == np.sum(own.geom_group == 1)
+    # A capsule is three URDF primitives.
+    assert np.sum(model.geom_group == 0) == np.sum(own.geom_group == 0) + 2
+    hinge = model.joint("hinge")
+    assert hinge.range.tolist() == pytest.approx([-0.2, 1.6])
+    assert (hinge.damping[0], hinge.frictionloss[0]) == (0.02, 0.01)
+    for part in cabinet.parts:
+        if part.name != cabinet.root:
+            want = own.body_mass[own.body(f"cabinet/{part.name}").id]
+            assert model.body_mass[model.body(part.name).id] == pytest.approx(want)
+
+
+def test_scene_xml_compiles_to_the_very_same_model(folder, scene):
+    read = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
+    built = to_mjspec(scene, visual=True).compile()
+    for field in [
+        "body_pos",
+        "body_quat",
+        "body_mass",
+        "body_ipos",
+        "body_iquat",
+        "body_inertia",
+        "geom_pos",
+        "geom_quat",
+        "geom_size",
+        "geom_friction",
+        "jnt_pos",
+        "jnt_axis",
+        "jnt_range",
+        "dof_damping",
+        "dof_armature",
+        "dof_frictionloss",
+        "jnt_stiffness",
+        "mesh_vert",
+        "eq_data",
+        "exclude_signature",
+        "key_qpos",
+        "site_pos",
+        "cam_pos",
+        "cam_fovy",
+    ]:
+        assert np.array_equal(getattr(read, field), getattr(built, field)), field
+    assert set(np.unique(read.geom_group)) == {1, 3}
+
+
+def test_thin_plates_survive_the_text():
+    """Six digits, as MuJoCo writes them, can break A + B >= C of a plate's inertia."""
+    broken = 0
+    for k in range(20):
+        sheet = Geom(name="sheet", shape=Box(size=(0.3 + 0.01 * k, 0.41, 1e-5)), material="paper")
+        plate = ObjectSpec(
+            name="plate",
+            materials=(Material(name="paper", density=800),),
+            parts=(Part(name="body", geoms=(sheet,)),),
+        )
+        mujoco.MjModel.from_xml_string(mjcf_text(plate))
+        rounded = to_mjspec(plate)
+        rounded.compile()
+        try:
+            mujoco.MjModel.from_xml_string(rounded.to_xml())
+        except ValueError:
+            broken += 1
+    assert broken > 0
+
+
+@pytest.mark.parametrize("name", ["physics", "box", "bowl", "fastened"])
+def test_everything_stands_in_its_place_in_both_scene_files(name, folder, scene):
+    item = scene.object(name)
+    at, moved = world_poses(scene)[name], link_poses(item.spec, item.joint_state)
+    model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
+    mujoco.mj_kinematics(model, data)
+    usd = world_links_usd(folder / "scene.usda")
+    origins = {joint.child: joint.pos for joint in item.spec.joints}
+    for part in item.spec.parts:
+        want = at.then(moved[part.name]).then(pose(origins.get(part.name, (0, 0, 0))))
+        body = model.body(body_name(item, part.name)).id
+        link = usd[f"/scene/{name}/links/{part.name}"]
+        for pos, quat in ((data.xpos[body], data.xquat[body]), link):
+            assert np.allclose(pos, want.pos, atol=1e-9)
+            assert angle_between(quat, want.quat) < 1e-7
+
+
+def test_usd_joints_hold_in_the_scene_as_posed(folder, scene):
+    """The two frames of a joint differ by exactly its motion at the scene's joint state."""
+    stage = Usd.Stage.Open(str(folder / "scene.usda"))
+    links = world_links_usd(folder / "scene.usda")
+    checked = 0
+    for prim in stage.Traverse():
+        joint = UsdPhysics.Joint(prim)
+        if not joint or "fixtures" in str(prim.GetPath()):
+            continue
+        owner = scene.object(str(prim.GetPath()).split("/")[2])
+        spec = next(j for j in owner.spec.joints if j.name == prim.GetName())
+        ends = []
+        for body, at, turn in (
+            (joint.GetBody0Rel(), joint.GetLocalPos0Attr(), joint.GetLocalRot0Attr()),
+            (joint.GetBody1Rel(), joint.GetLocalPos1Attr(), joint.GetLocalRot1Attr()),
+        ):
+            q = turn.Get()
+            local = pose(list(at.Get()), [q.GetReal(), *q.GetImaginary()])
+            ends.append(links[str(body.GetTargets()[0])].then(local))
+        between = ends[0].inverse().then(ends[1])
+        value = joint_value(owner.spec, spec, owner.joint_state)
+        along = np.zeros(3)
+        if spec.type != "fixed":
+            token = (
+                (
+                    UsdPhysics.PrismaticJoint(prim)
+                    if spec.type == "prismatic"
+                    else UsdPhysics.RevoluteJoint(prim)
+                )
+                .GetAxisAttr()
+                .Get()
+            )
+            along["XYZ".index(token)] = 1.0
+        if spec.type == "prismatic":
+            assert np.allclose(between.pos, along * value, atol=1e-6)
+            assert angle_between(between.quat, (1, 0, 0, 0)) < 1e-6
+        else:
+            turn = (
+                (1, 0, 0, 0)
+                if spec.type == "fixed"
+                else (math.cos(value / 2), *(math.sin(value / 2) * along))
+            )
+            assert np.allclose(between.pos, 0, atol=1e-6)
+            assert angle_between(between.quat, np.array(turn)) < 1e-6
+        checked += 1
+    assert checked == 12
+
+
+def test_usd_scene_says_what_moves(folder):
+    stage = Usd.Stage.Open(str(folder / "scene.usda"))
+    enabled = {
+        str(p.GetPath()): UsdPhysics.RigidBodyAPI(p).GetRigidBodyEnabledAttr().Get()
+        for p in stage.Traverse()
+        if p.HasAPI(UsdPhysics.RigidBodyAPI)
+    }
+    assert enabled["/scene/physics/links/body"] is False
+    assert enabled["/scene/bowl/links/body"] is True
+    hold = UsdPhysics.FixedJoint(stage.GetPrimAtPath("/scene/fixtures/fastened"))
+    assert not hold.GetBody0Rel().GetTargets()
+    assert [str(t) for t in hold.GetBody1Rel().GetTargets()] == ["/scene/fastened/links/carcass"]
+    gravity = UsdPhysics.Scene(stage.GetPrimAtPath("/scene/physics_"))
+    assert gravity.GetGravityMagnitudeAttr().Get() == pytest.approx(9.81)
+
+
+@pytest.mark.parametrize("file", ["alone/object.usda", "scene.usda", "objects/bowl/object.usda"])
+def test_usd_passes_its_validators(file, folder):
+    stage = Usd.Stage.Open(str(folder / file))
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    context = UsdValidation.ValidationContext(validators)
+    errors = [e.GetErrorAsString() for e in context.Validate(stage)]
+    assert errors == []
+    assert len(validators) > 20
+
+
+def test_usd_physics_parses_every_joint_and_shape(folder, cabinet):
+    stage = Usd.Stage.Open(str(folder / "alone" / "object.usda"))
+    parsed = UsdPhysics.UsdPhysicsLoadStageFromPrimRange(stage, ["/"])
+    kinds = {kind: descriptions for kind, (_, descriptions) in parsed.items()}
+    count = {str(kind).split(".")[-1]: len(d) for kind, d in kinds.items()}
+    assert count["RevoluteJoint"] == 4 and count["PrismaticJoint"] == 1 and count["FixedJoint"] == 1
+    assert count["RigidBody"] == len(cabinet.parts) and count["Articulation"] == 1
+    shapes = sum(n for kind, n in count.items() if kind.endswith("Shape"))
+    pieces = sum(
+        len(g.shape.pieces()) for p in cabinet.parts for g in p.geoms if g.role != "visual"
+    )
+    assert shapes == pieces
+    for descriptions in kinds.values():
+        assert all(d.isValid for d in descriptions)
+
+
+def test_usd_looks_are_bound(folder):
+    stage = Usd.Stage.Open(str(folder / "alone" / "object.usda"))
+    seen = stage.GetPrimAtPath("/cabinet/links/drawer/visuals/rail")
+    felt = stage.GetPrimAtPath("/cabinet/links/drawer/collisions/rail_0")
+    for prim, purpose in ((seen, ""), (felt, "physics")):
+        bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(purpose)[0]
+        assert bound.GetPath() == "/cabinet/looks/steel"
+        assert UsdPhysics.MaterialAPI(
+            bound.GetPrim()
+        ).GetDynamicFrictionAttr().Get() == pytest.approx(0.2)
+    assert UsdGeom.Imageable(felt).ComputePurpose() == "guide"
+    assert UsdGeom.Gprim(seen).GetDisplayColorAttr().Get()[0][0] == pytest.approx(
+        0.7**2.2, abs=0.02
+    )
+    assert UsdGeom.GetStageUpAxis(stage) == "Z" and UsdGeom.GetStageMetersPerUnit(stage) == 1.0
+
+
+def test_usd_camera_sees_what_ours_sees(folder, scene):
+    stage = Usd.Stage.Open(str(folder / "scene.usda"))
+    frustum = UsdGeom.Camera(stage.GetPrimAtPath("/scene/photo")).GetCamera(0).frustum
+    matrices = frustum.ComputeViewMatrix() * frustum.ComputeProjectionMatrix()
+    for point in ((0.8, 0.1, 0.0), (0.6, -0.2, 0.1)):
+        x, y, _ = matrices.Transform(Gf.Vec3d(*point))
+        (u, v), _ = scene.camera.project(np.array(point))
+        assert (x, y) == pytest.approx((u / 150 - 1, 1 - v / 100), abs=1e-6)
+
+
+def test_the_same_scene_gives_the_same_bytes(scene, cabinet):
+    assert scene_files(scene) == scene_files(type(scene).model_validate_json(scene.to_json()))
+    again = ObjectSpec.model_validate_json(cabinet.to_json())
+    assert object_files(cabinet) == object_files(again)
+
+
+def test_files_name_no_other_place(folder):
+    for path in folder.rglob("*"):
+        if path.is_file():
+            assert str(folder) not in path.read_text()
+
+
+def test_a_scaled_object_is_written_scaled(cabinet, tmp_path):
+    half = scale(cabinet, 0.5)
+    export_object(half, tmp_path)
+    for read in READERS.values():
+        got = read(tmp_path, half)
+        assert got.joints["slide"].upper == pytest.approx(0.075, rel=1e-6)
+        assert got.links["links"].mass == pytest.approx(
+            mechanism(cabinet).links["links"].mass / 8, rel=1e-6
+        )
+        assert got.links["drawer"].mass == pytest.approx(0.7)
+
+
+def test_what_cannot_be_written_or_read_says_so(cabinet, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ExportError, match="cannot write"):
+        export_object(cabinet, tmp_path / "file")
+    export_object(cabinet, tmp_path / "out")
+    renamed = cabinet.model_copy(
+        update={
+            "parts": tuple(
+                Part(name="x", geoms=p.geoms) if p.name == "cog" else p for p in cabinet.parts
+            )
+        }
+    )
+    with pytest.raises(ExportError, match="cabinet/x"):
+        read_mjcf(tmp_path / "out" / "object.xml", renamed)
