@@ -14,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 from ..config import describe
 
 MAX_COORDINATE_M = 100.0
+MIN_LENGTH_M = 1e-5
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
 _S = TypeVar("_S", bound=BaseModel)
 
@@ -48,8 +49,11 @@ def number(value: Any, what: str, limit: float = 1e6) -> float:
 def length(value: Any, what: str) -> float:
     """Take a positive length in metres."""
     metres = number(value, what, MAX_COORDINATE_M)
-    if metres <= 0:
-        raise ValueError(f"{what} must be a positive length in metres, got {metres!r}")
+    if metres < MIN_LENGTH_M:
+        raise ValueError(
+            f"{what} must be a positive length in metres, at least {MIN_LENGTH_M:g}, "
+            f"got {metres!r}"
+        )
     return metres
 
 

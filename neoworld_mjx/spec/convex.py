@@ -36,7 +36,7 @@ def polytope(points: NDArray) -> Piece:
     return Piece("mesh", vertices=tuple(map(tuple, vertices.tolist())))
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=2048)
 def hull(points: tuple[Vector, ...]) -> tuple[NDArray, NDArray]:
     """Return the convex hull: vertices [v, 3] and outward triangles [f, 3].
 
