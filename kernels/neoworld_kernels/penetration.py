@@ -35,6 +35,9 @@ class Solids(NamedTuple):
     cylinder: Group
     ellipsoid: Group
     polytope: Group
+    sector: Group
+    """Polytopes repeated about their frame's z axis: `size[0]` times around, of which the one that
+    spans the angles from 0 to 2 pi / size[0] is given. A point is turned into it first."""
 
 
 def signed_distance(kind: str, x: Float[Array, "*batch 3"], piece: Group) -> Float[Array, "*batch"]:
@@ -48,36 +51,43 @@ def signed_distance(kind: str, x: Float[Array, "*batch 3"], piece: Group) -> Flo
         x: points [m].
         piece: one row of the group, without the leading axis.
     """
+    return _distance(kind, x[..., 0], x[..., 1], x[..., 2], piece)
+
+
+def _distance(kind: str, x: Array, y: Array, z: Array, piece: Group) -> Array:
+    # In components, so that XLA fuses everything into one pass over the points.
     size = piece.size
     if kind == "box":
-        q = jnp.abs(x) - size
-        return _norm(jnp.maximum(q, 0.0)) + jnp.minimum(jnp.max(q, axis=-1), 0.0)
+        a, b, c = jnp.abs(x) - size[0], jnp.abs(y) - size[1], jnp.abs(z) - size[2]
+        outside = _norm(jnp.maximum(a, 0.0), jnp.maximum(b, 0.0), jnp.maximum(c, 0.0))
+        return outside + jnp.minimum(jnp.maximum(a, jnp.maximum(b, c)), 0.0)
     if kind == "capsule":
-        z = x[..., 2] - jnp.clip(x[..., 2], -size[1], size[1])
-        return _norm(jnp.stack([x[..., 0], x[..., 1], z], axis=-1)) - size[0]
+        return _norm(x, y, z - jnp.clip(z, -size[1], size[1])) - size[0]
     if kind == "cylinder":
-        side = _norm(x[..., :2]) - size[0]
-        end = jnp.abs(x[..., 2]) - size[1]
-        outside = _norm(jnp.stack([jnp.maximum(side, 0.0), jnp.maximum(end, 0.0)], axis=-1))
+        side, end = _norm(x, y) - size[0], jnp.abs(z) - size[1]
+        outside = _norm(jnp.maximum(side, 0.0), jnp.maximum(end, 0.0))
         return outside + jnp.minimum(jnp.maximum(side, end), 0.0)
     if kind == "ellipsoid":
-        near, steep = _norm(x / size), _norm(x / size**2)
-        return jnp.where(
-            steep > 1e-9, near * (near - 1.0) / jnp.maximum(steep, 1e-9), -jnp.min(size)
-        )
-    if kind == "polytope":
-        # Unrolled over faces, so that XLA fuses it into one pass over the points.
-        a, b, c = x[..., 0], x[..., 1], x[..., 2]
-        distance = jnp.full(a.shape, -1e6, x.dtype)
-        for n in piece.planes:
-            distance = jnp.maximum(distance, n[0] * a + n[1] * b + n[2] * c - n[3])
-        return distance
-    raise ValueError(f"kind must be one of {', '.join(Solids._fields)}, got {kind!r}")
+        near = _norm(x / size[0], y / size[1], z / size[2])
+        steep = _norm(x / size[0] ** 2, y / size[1] ** 2, z / size[2] ** 2)
+        safe = jnp.maximum(steep, 1e-9)
+        return jnp.where(steep > 1e-9, near * (near - 1.0) / safe, -jnp.min(size))
+    if kind == "sector":
+        step = 2 * jnp.pi / size[0]
+        turn = jnp.floor(jnp.arctan2(y, x) / step) * step
+        c, s = jnp.cos(turn), jnp.sin(turn)
+        x, y = c * x + s * y, c * y - s * x
+    elif kind != "polytope":
+        raise ValueError(f"kind must be one of {', '.join(Solids._fields)}, got {kind!r}")
+    distance = jnp.full(x.shape, -1e6, x.dtype)
+    for n in piece.planes:
+        distance = jnp.maximum(distance, n[0] * x + n[1] * y + n[2] * z - n[3])
+    return distance
 
 
-def _norm(v: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
+def _norm(*parts: Array) -> Array:
     # The gradient of a norm at zero is taken as zero instead of NaN.
-    square = jnp.sum(v * v, axis=-1)
+    square = sum(v * v for v in parts)
     positive = square > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
 
@@ -101,39 +111,33 @@ def pair_depth_reference(
     Returns:
         Depths, zero where nothing penetrates; the diagonal is zero.
     """
-    count = pos.shape[1]
-    points = jnp.einsum("poij,osj->posi", rot, samples) * scale[:, :, None, None]
-    points = points + pos[:, :, None, :]
-    depth = jnp.zeros((pos.shape[0], count, count), pos.dtype)
+    pop, count = scale.shape
+    # Candidates last: the maximum over samples then runs along vectors of candidates.
+    pos, rot, scale = jnp.moveaxis(pos, 0, -1), jnp.moveaxis(rot, 0, -1), scale.T
+    at = jnp.swapaxes(samples, 0, 1)[..., None]
+    points = [
+        sum(rot[None, :, i, j] * at[:, :, j] for j in range(3)) * scale + pos[None, :, i]
+        for i in range(3)
+    ]
+    depth = jnp.zeros((count, count, pop), pos.dtype)
     for kind, group in zip(Solids._fields, solids, strict=True):
         if group.owner.shape[0] == 0:
             continue
 
-        def deepest(piece: Group, kind: str = kind) -> Float[Array, "pop object"]:
+        def deepest(piece: Group, kind: str = kind) -> Float[Array, "object pop"]:
             o = piece.owner
             # World to piece: undo the owner's pose and scale, then the piece's own pose.
-            turn = rot[:, o] @ piece.rot
-            at = pos[:, o] + scale[:, o, None] * (rot[:, o] @ piece.pos)
-            turn, at, size = turn[:, None, None], at[:, None, None], scale[:, o, None, None]
-            d = points - at
-            local = jnp.stack(
-                [
-                    (
-                        d[..., 0] * turn[..., 0, k]
-                        + d[..., 1] * turn[..., 1, k]
-                        + d[..., 2] * turn[..., 2, k]
-                    )
-                    / size
-                    for k in range(3)
-                ],
-                axis=-1,
-            )
-            inside = -signed_distance(kind, local, piece) * size
-            return jnp.maximum(jnp.max(inside, axis=-1), 0.0)
+            turn = jnp.einsum("ijp,jk->ikp", rot[o], piece.rot)
+            origin = pos[o] + scale[o] * jnp.einsum("ijp,j->ip", rot[o], piece.pos)
+            d = [points[i] - origin[i] for i in range(3)]
+            local = [sum(d[i] * turn[i, k] for i in range(3)) / scale[o] for k in range(3)]
+            inside = -_distance(kind, *local, piece)
+            return jnp.maximum(jnp.max(inside, axis=0) * scale[o], 0.0)
 
         found = jax.lax.map(deepest, group)
-        depth = depth.at[:, :, group.owner].max(jnp.moveaxis(found, 0, -1))
-    return depth * (1.0 - jnp.eye(count, dtype=pos.dtype))
+        depth = depth.at[:, group.owner].max(jnp.moveaxis(found, 0, 1))
+    apart = 1.0 - jnp.eye(count, dtype=pos.dtype)
+    return jnp.moveaxis(depth, -1, 0) * apart
 
 
 def pair_depth(

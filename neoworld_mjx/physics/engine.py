@@ -35,9 +35,9 @@ class EarlyStop(eqx.Module):
 
     after: float = 0.25
     """[s]"""
-    speed: float = 0.01
+    speed: float = 0.02
     """[m/s or rad/s]"""
-    acceleration: float = 0.2
+    acceleration: float = 1.0
     """[m/s^2 or rad/s^2]"""
     drift: float = 0.1
     """[m]"""

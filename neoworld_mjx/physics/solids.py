@@ -9,10 +9,10 @@ from jaxtyping import Array, Float
 from neoworld_kernels import Group, Solids
 from numpy.typing import NDArray
 
-from ..spec import SceneObject
+from ..spec import Lathe, SceneObject, Shape
 from ..spec.convex import Piece, hull, planes
-from ..spec.pose import Pose, conjugate, matrix, rotate
-from .support import posed_pieces
+from ..spec.pose import Pose, conjugate, matrix, pose, rotate
+from .support import posed_pieces, posed_shapes
 
 KIND = {
     "box": "box",
@@ -25,28 +25,42 @@ KIND = {
 
 
 def solids(objects: tuple[SceneObject, ...]) -> Solids:
-    """Collect every object's convex pieces, in its own frame with joints as they stand."""
-    rows: dict[str, list[tuple[int, Piece, Pose]]] = {kind: [] for kind in Solids._fields}
+    """Collect every object's convex pieces, in its own frame with joints as they stand.
+
+    Wedges that a lathe repeats around its axis are kept once.
+    """
+    rows: dict[str, list[tuple[int, Piece, Pose, int]]] = {kind: [] for kind in Solids._fields}
     for owner, item in enumerate(objects):
-        for piece, at in posed_pieces(item, tilted=False):
-            rows[KIND[piece.kind]].append((owner, piece, at))
-    return Solids(**{kind: _group(rows[kind], kind) for kind in Solids._fields})
+        for shape, at in posed_shapes(item):
+            for piece, repeats in _distinct(shape):
+                kind = KIND[piece.kind] if repeats == 1 else "sector"
+                rows[kind].append((owner, piece, at.then(pose(piece.pos, piece.quat)), repeats))
+    return Solids(**{kind: _group(rows[kind]) for kind in Solids._fields})
 
 
-def _group(rows: list[tuple[int, Piece, Pose]], kind: str) -> Group:
-    faces = [planes(piece) if kind == "polytope" else np.zeros((0, 4)) for _, piece, _ in rows]
+def _distinct(shape: Shape) -> list[tuple[Piece, int]]:
+    # Stretched along y a lathe has no rotational symmetry left.
+    if isinstance(shape, Lathe) and shape.oval == 1.0:
+        return shape.distinct_pieces()
+    return [(piece, 1) for piece in shape.pieces()]
+
+
+def _group(rows: list[tuple[int, Piece, Pose, int]]) -> Group:
+    faces = [planes(p) if p.kind == "mesh" else np.zeros((0, 4)) for _, p, _, _ in rows]
     most = max((len(f) for f in faces), default=0)
     table = np.zeros((len(rows), most, 4))
     table[..., 3] = 1e6
     size = np.zeros((len(rows), 3))
-    for k, (_, piece, _) in enumerate(rows):
+    for k, (_, piece, _, repeats) in enumerate(rows):
         table[k, : len(faces[k])] = faces[k]
         size[k, : len(piece.size)] = piece.size
+        if repeats > 1:
+            size[k, 0] = repeats
     f32 = lambda value, shape: jnp.asarray(np.array(value, np.float32).reshape(shape))
     return Group(
-        owner=jnp.asarray(np.array([owner for owner, _, _ in rows], np.int32)),
-        pos=f32([at.pos for _, _, at in rows], (-1, 3)),
-        rot=f32([matrix(at.quat) for _, _, at in rows], (-1, 3, 3)),
+        owner=jnp.asarray(np.array([owner for owner, _, _, _ in rows], np.int32)),
+        pos=f32([at.pos for _, _, at, _ in rows], (-1, 3)),
+        rot=f32([matrix(at.quat) for _, _, at, _ in rows], (-1, 3, 3)),
         size=f32(size, (-1, 3)),
         planes=f32(table, (len(rows), most, 4)),
     )

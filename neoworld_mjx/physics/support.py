@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
-from ..spec import SceneObject, SceneSpec, link_poses, pieces
+from ..spec import SceneObject, SceneSpec, Shape, link_poses
 from ..spec.convex import Piece, planes
 from ..spec.pose import Pose, conjugate, from_yaw, pose, rotate, yaw_of
 
@@ -40,10 +40,10 @@ class Support(NamedTuple):
     """The child's underside in its own tilted frame [m]; unused rows lie at +inf height."""
 
 
-def posed_pieces(
-    item: SceneObject, links: set[str] | None = None, *, tilted: bool = True
-) -> list[tuple[Piece, Pose]]:
-    """List an object's convex pieces with its joints as they stand.
+def posed_shapes(
+    item: SceneObject, links: set[str] | None = None, *, tilted: bool = False
+) -> list[tuple[Shape, Pose]]:
+    """List an object's colliding shapes with its joints as they stand.
 
     Args:
         item: the object in its place.
@@ -53,10 +53,22 @@ def posed_pieces(
     moved = link_poses(item.spec, item.joint_state)
     tilt = pose((0, 0, 0), item.base_tilt) if tilted else pose()
     return [
-        (piece, tilt.then(moved[part.name]).then(at))
+        (geom.shape, tilt.then(moved[part.name]).then(geom.pose()))
         for part in item.spec.parts
         if links is None or part.name in links
-        for _, piece, at in pieces(part)
+        for geom in part.geoms
+        if geom.role != "visual"
+    ]
+
+
+def posed_pieces(
+    item: SceneObject, links: set[str] | None = None, *, tilted: bool = True
+) -> list[tuple[Piece, Pose]]:
+    """List an object's convex pieces; see `posed_shapes`."""
+    return [
+        (piece, at.then(pose(piece.pos, piece.quat)))
+        for shape, at in posed_shapes(item, links, tilted=tilted)
+        for piece in shape.pieces()
     ]
 
 
@@ -288,5 +300,6 @@ __all__ = [
     "link_frame",
     "nothing",
     "posed_pieces",
+    "posed_shapes",
     "support",
 ]

@@ -51,8 +51,7 @@ def length(value: Any, what: str) -> float:
     metres = number(value, what, MAX_COORDINATE_M)
     if metres < MIN_LENGTH_M:
         raise ValueError(
-            f"{what} must be a positive length in metres, at least {MIN_LENGTH_M:g}, "
-            f"got {metres!r}"
+            f"{what} must be a positive length in metres, at least {MIN_LENGTH_M:g}, got {metres!r}"
         )
     return metres
 

@@ -72,11 +72,6 @@ def lights(view: View, centre: NDArray, reach: float) -> Lights:
     return Lights(centre + far * (towards + 0.075 * disc), towards, centre + far * dome, dome)
 
 
-def tile_index(rows: NDArray, columns: NDArray) -> NDArray:
-    """Return which of the 16 samples a pixel takes."""
-    return (rows % TILE) * TILE + columns % TILE
-
-
 def visibility(
     caster: Caster,
     sources: Lights,
@@ -96,24 +91,22 @@ def visibility(
         depth: distance along the view [m], [h, w]; sets how far shadow rays start off the surface.
     """
     h, w = surface.shape
-    rows, columns = np.mgrid[:h, :w]
-    which = tile_index(rows, columns)
     # Facets stand inside the smooth surface that they shade as; the offset clears them.
     lifted = point + normal * (np.where(np.isfinite(depth), depth, 0.0) * 1.0e-3)[..., None]
     key, key_weight = np.zeros((h, w)), np.zeros((h, w))
     sky, sky_weight = np.zeros((h, w)), np.zeros((h, w))
     for k in range(TILE * TILE):
-        mine = (which == k) & (surface != -1)
-        for value, weight, source, towards in (
-            (key, key_weight, sources.key[k], sources.key_direction),
-            (sky, sky_weight, sources.sky[k], sources.sky_directions[k]),
+        mine = (slice(k // TILE, None, TILE), slice(k % TILE, None, TILE))
+        facing_key = normal[mine] @ sources.key_direction
+        facing_sky = np.maximum(normal[mine] @ sources.sky_directions[k], 0.0)
+        for value, weight, source, share in (
+            (key, key_weight, sources.key[k], (facing_key > 0).astype(float)),
+            (sky, sky_weight, sources.sky[k], facing_sky),
         ):
-            facing = normal[mine] @ towards
-            lit = np.flatnonzero(facing > 0)
-            seen = np.zeros(len(facing))
-            seen[lit] = caster.visible(source, lifted[mine][lit])
-            share = np.maximum(facing, 0.0) if value is sky else (facing > 0).astype(float)
-            value[mine], weight[mine] = seen * share, share
+            # What faces away needs no ray; nor does nothing, which has no normal.
+            lit = share > 0
+            value[mine][lit] = share[lit] * caster.visible(source, lifted[mine][lit])
+            weight[mine] = share
     fields = np.stack([key, key_weight, sky, sky_weight], axis=-1)
     # Once to either side, so that the mean is centred on the pixel.
     fields = _mean(fields, ((-1, 0, 1, 2), (-2, -1, 0, 1)), surface, point, normal, depth)
@@ -142,15 +135,17 @@ def _mean(
                 near = _shift(surface, shift, axis, -3)
                 same = near == surface
                 if shift:
-                    away = np.abs(
-                        np.sum((_shift(point, shift, axis, 0.0) - point) * normal, axis=-1)
-                    )
-                    same &= away < reach
-                    same &= np.sum(_shift(normal, shift, axis, 0.0) * normal, axis=-1) > 0.8
+                    gap = _dot(_shift(point, shift, axis, 0.0) - point, normal)
+                    same &= np.abs(gap) < reach
+                    same &= _dot(_shift(normal, shift, axis, 0.0), normal) > 0.8
                 total += np.where(same[..., None], _shift(fields, shift, axis, 0.0), 0.0)
                 count += same
             fields = total / np.maximum(count, 1)[..., None]
     return fields
+
+
+def _dot(a: NDArray, b: NDArray) -> NDArray:
+    return np.einsum("...x,...x->...", a, b)
 
 
 def _shift(a: NDArray, by: int, axis: int, fill: float) -> NDArray:

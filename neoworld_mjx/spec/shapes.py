@@ -187,11 +187,28 @@ class Lathe(BaseShape):
 
     def pieces(self) -> list[Piece]:
         """Return frusta (solid) or a disc and wedges (shell)."""
+        turn = 2 * np.pi / self.sectors
+        pieces = []
+        for piece, repeats in self.distinct_pieces():
+            pieces.append(piece)
+            corners = np.array(piece.vertices) / [1.0, self.oval, 1.0]
+            for k in range(1, repeats):
+                c, s = np.cos(k * turn), np.sin(k * turn)
+                x, y, z = corners.T
+                around = np.column_stack([c * x - s * y, self.oval * (s * x + c * y), z])
+                pieces.append(polytope(around))
+        return pieces
+
+    def distinct_pieces(self) -> list[tuple[Piece, int]]:
+        """Return the pieces up to turns about z, with how many times each goes around.
+
+        One that goes around is the wedge that spans the angles from 0 to 2 pi / sectors.
+        """
         p = np.array(self.profile)
         angles = 2 * np.pi * np.arange(self.sectors) / self.sectors
         if self.thickness is None:
             return [
-                polytope(np.vstack([self._ring(a, angles), self._ring(b, angles)]))
+                (polytope(np.vstack([self._ring(a, angles), self._ring(b, angles)])), 1)
                 for a, b in zip(p[:-1], p[1:], strict=True)
                 if b[1] > a[1] and max(a[0], b[0]) > 0
             ]
@@ -200,11 +217,11 @@ class Lathe(BaseShape):
         for i in range(len(p) - 1):
             quad = [p[i], p[i + 1], q[i + 1], q[i]]
             if p[i][0] == 0 and p[i][1] == p[i + 1][1]:
-                pieces.append(polytope(np.vstack([self._ring(c, angles) for c in quad[1:3]])))
-                continue
-            for k in range(self.sectors):
-                ends = angles[[k, (k + 1) % self.sectors]]
-                pieces.append(polytope(np.vstack([self._ring(c, ends) for c in quad])))
+                disc = [self._ring(c, angles) for c in quad[1:3]]
+                pieces.append((polytope(np.vstack(disc)), 1))
+            else:
+                wedge = [self._ring(c, angles[:2]) for c in quad]
+                pieces.append((polytope(np.vstack(wedge)), self.sectors))
         return pieces
 
     def _ring(self, corner: NDArray, angles: NDArray) -> NDArray:
