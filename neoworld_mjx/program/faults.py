@@ -1,0 +1,46 @@
+"""From exceptions of programs to signals."""
+
+from .session import Session, Spent
+from .signals import Signal
+
+MODULE = "neoworld_mjx.program.sdk"
+"""The only module of the package that a program may import."""
+
+IMPORT_HINT = (
+    f"import only from {MODULE}, math, random, itertools, functools, dataclasses and typing"
+)
+ENDLESS_HINT = "the program must end by itself; look for an endless loop"
+_CLOSED_HINT = "programs have no files, network or processes"
+_CODES: dict[type[BaseException], tuple[str, str]] = {
+    TimeoutError: ("timeout", ENDLESS_HINT),
+    MemoryError: ("memory", "the program holds too much at once"),
+    RecursionError: ("recursion", "write a loop instead"),
+    NotImplementedError: (
+        "unsupported",
+        "the sandbox knows a part of Python: no inheritance, no yield, no del, no properties, "
+        "no import *",
+    ),
+    ImportError: ("import", IMPORT_HINT),
+    OSError: ("forbidden", _CLOSED_HINT),
+    ValueError: ("value", ""),
+    TypeError: ("value", ""),
+}
+
+
+def of_exception(
+    error: BaseException, line: int | None = None, column: int | None = None
+) -> Signal:
+    """Turn an exception that a program raised into a signal."""
+    code, hint = next(
+        (entry for kind, entry in _CODES.items() if isinstance(error, kind)), ("runtime", "")
+    )
+    message = f"{type(error).__name__}: {error}"[:600]
+    return Signal(severity="error", code=code, message=message, line=line, column=column, hint=hint)
+
+
+def of_spent(spent: Spent, session: Session) -> Signal:
+    """Turn a used-up limit into a signal."""
+    hint = "use fewer or simpler shapes"
+    return Signal(
+        severity="error", code=spent.code, message=str(spent), line=session.line, hint=hint
+    )

@@ -1,0 +1,52 @@
+"""Programs one trusts, run by CPython in this very process: no wall, no limits but the SDK's own."""
+
+import contextlib
+import io
+import traceback
+
+from ..config import ProgramOptions
+from .faults import of_exception, of_spent
+from .session import Session, Spent, entered
+from .signals import Signal
+
+
+def run_trusted(text: str, session: Session, options: ProgramOptions) -> tuple[str, list[Signal]]:
+    """Run a program in this process, with all that Python can do.
+
+    Args:
+        text: the program.
+        session: its account; the objects that it makes end up there.
+        options: the limits; of time, memory and recursion none hold here.
+
+    Returns:
+        What it printed, and what went wrong.
+    """
+    session.filename = "<program.py>"
+    printed = io.StringIO()
+    try:
+        code = compile(text, session.filename, "exec", dont_inherit=True)
+        with contextlib.redirect_stdout(printed), entered(session):
+            exec(code, {"__name__": "__main__", "__file__": "program.py"})
+    except SyntaxError as error:
+        problem = Signal(
+            severity="error",
+            code="syntax",
+            message=str(error.msg),
+            line=error.lineno,
+            column=error.offset,
+        )
+        return printed.getvalue(), [problem]
+    except (Exception, SystemExit) as error:
+        return printed.getvalue(), [_signal(error, session)]
+    if session.spent is not None:
+        return printed.getvalue(), [of_spent(session.spent, session)]
+    return printed.getvalue()[: options.max_output_bytes], []
+
+
+def _signal(error: BaseException, session: Session) -> Signal:
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame.lineno for frame in frames if frame.filename == session.filename]
+    line = own[-1] if own else None
+    if isinstance(error, Spent):
+        return of_spent(error, session).model_copy(update={"line": line})
+    return of_exception(error, line)
