@@ -6,15 +6,16 @@ MJCF and USD gives the same numbers.
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, get_args
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ExportError
+from ..errors import ExportError, choices
 from ..physics.mjcf import body_name
 from ..spec import ObjectSpec, inertial
-from ..spec.object import Joint, Mimic, joint_motion
+from ..spec.object import Joint, JointType, Mimic, joint_motion
 from ..spec.pose import Pose, matrix, pose, rotate
 
 
@@ -82,51 +83,75 @@ def mechanism(spec: ObjectSpec) -> Mechanism:
 
 
 def read_urdf(path: Path) -> Mechanism:
-    """Read a URDF file with yourdfpy; efforts and velocities as written."""
+    """Read a URDF file with yourdfpy; efforts and velocities as written.
+
+    Raises:
+        ExportError: a joint is of a type, or lacks a limit, that we have no counterpart for.
+    """
     import yourdfpy
 
-    robot = yourdfpy.URDF.load(str(path), load_meshes=False, build_collision_scene_graph=False)
-    children = {joint.child for joint in robot.robot.joints}
-    (root,) = [link.name for link in robot.robot.links if link.name not in children]
-    frames: dict[str, NDArray] = {root: np.eye(4)}
+    robot = yourdfpy.URDF.load(
+        str(path), load_meshes=False, build_collision_scene_graph=False
+    ).robot
+    children = {joint.child for joint in robot.joints}
+    roots = [link.name for link in robot.links if link.name not in children]
+    if len(roots) != 1:
+        raise ExportError(
+            f"{path}: a mechanism needs one root link, got {', '.join(roots) or 'none'}"
+        )
+    frames: dict[str, NDArray] = {roots[0]: np.eye(4)}
     joints: dict[str, Joint] = {}
-    waiting = list(robot.robot.joints)
+    waiting = list(robot.joints)
     while waiting:
         joint = next(joint for joint in waiting if joint.parent in frames)
         waiting.remove(joint)
         local = np.eye(4) if joint.origin is None else joint.origin
-        at = frames[joint.child] = frames[joint.parent] @ local
-        limit, dynamics, mimic = joint.limit, joint.dynamics, joint.mimic
-        bounded = joint.type in ("revolute", "prismatic")
-        joints[joint.name] = Joint(
-            name=joint.name,
-            type=joint.type,
-            parent=joint.parent,
-            child=joint.child,
-            pos=triple(at[:3, 3]),
-            axis=triple(at[:3, :3] @ joint.axis) if joint.type != "fixed" else (0, 0, 1),
-            lower=limit.lower if bounded else 0.0,
-            upper=limit.upper if bounded else 0.0,
-            damping=dynamics.damping or 0.0 if dynamics else 0.0,
-            friction=dynamics.friction or 0.0 if dynamics else 0.0,
-            effort=limit.effort if limit else None,
-            velocity=limit.velocity if limit else None,
-            mimic=None
-            if mimic is None
-            else Mimic(joint=mimic.joint, multiplier=mimic.multiplier, offset=mimic.offset),
-        )
+        frames[joint.child] = frames[joint.parent] @ local
+        joints[joint.name] = _urdf_joint(path, joint, frames[joint.child])
     links = {}
-    for link in robot.robot.links:
+    for link in robot.links:
         at, own = frames[link.name], link.inertial
-        local = np.eye(4) if own.origin is None else own.origin
-        turn = (at @ local)[:3, :3]
+        if own is None:
+            links[link.name] = Link(0.0, at[:3, 3], np.zeros((3, 3)), at[:3, 3])
+            continue
+        place = at if own.origin is None else at @ own.origin
+        turn = place[:3, :3]
+        inertia = np.zeros((3, 3)) if own.inertia is None else np.array(own.inertia)
         links[link.name] = Link(
-            float(own.mass),
-            (at @ local)[:3, 3],
-            turn @ np.array(own.inertia) @ turn.T,
-            at[:3, 3],
+            float(own.mass or 0.0), place[:3, 3], turn @ inertia @ turn.T, at[:3, 3]
         )
-    return Mechanism(root, links, joints)
+    return Mechanism(roots[0], links, joints)
+
+
+def _urdf_joint(path: Path, joint: Any, at: NDArray) -> Joint:
+    if joint.type not in get_args(JointType):
+        raise ExportError(f"{path}: joint {joint.name}: {choices(joint.type, get_args(JointType))}")
+    limit, dynamics, mimic = joint.limit, joint.dynamics, joint.mimic
+    bounded = joint.type in ("revolute", "prismatic")
+    if bounded and (limit is None or limit.lower is None or limit.upper is None):
+        raise ExportError(f"{path}: joint {joint.name} is {joint.type} and lacks lower or upper")
+    return Joint(
+        name=joint.name,
+        type=joint.type,
+        parent=joint.parent,
+        child=joint.child,
+        pos=triple(at[:3, 3]),
+        axis=triple(at[:3, :3] @ joint.axis) if joint.type != "fixed" else (0, 0, 1),
+        lower=limit.lower if bounded else 0.0,
+        upper=limit.upper if bounded else 0.0,
+        damping=dynamics.damping or 0.0 if dynamics else 0.0,
+        friction=dynamics.friction or 0.0 if dynamics else 0.0,
+        # Some files write 0 for "none", which would mean a joint that cannot be driven.
+        effort=limit.effort or None if limit else None,
+        velocity=limit.velocity or None if limit else None,
+        mimic=None
+        if mimic is None
+        else Mimic(
+            joint=mimic.joint,
+            multiplier=1.0 if mimic.multiplier is None else mimic.multiplier,
+            offset=mimic.offset or 0.0,
+        ),
+    )
 
 
 def read_mjcf(path: Path, spec: ObjectSpec, name: str | None = None) -> Mechanism:
@@ -176,7 +201,7 @@ def read_mjcf(path: Path, spec: ObjectSpec, name: str | None = None) -> Mechanis
         if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT
     }
     for joint in spec.joints:
-        common = {"name": joint.name, "parent": joint.parent, "child": joint.child}
+        common: dict[str, Any] = {"name": joint.name, "parent": joint.parent, "child": joint.child}
         b = body(joint.child)
         if model.body_parentid[b] != body(joint.parent):
             raise ExportError(f"{path}: {joint.child} does not hang on {joint.parent}")

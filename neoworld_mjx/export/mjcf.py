@@ -97,7 +97,7 @@ def _exact(element: ET.Element, source: Any, attributes: dict[str, str]) -> None
         if written is None:
             continue
         value = getattr(source, field)
-        values = [value] if np.isscalar(value) else _plain(value)
+        values = [value] if isinstance(value, float | int) else _plain(value)
         # MJCF gives only the leading numbers that a geom's type needs.
         element.set(attribute, numbers(values[: len(written.split())]))
 

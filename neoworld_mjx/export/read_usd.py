@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +78,12 @@ def read_usd(path: Path, object_path: str | None = None) -> Mechanism:
 
 
 def _usd_joint(prim: Usd.Prim, anchor: Pose, parent: str, child: str) -> Joint:
-    common = {"name": prim.GetName(), "parent": parent, "child": child, "pos": triple(anchor.pos)}
+    common: dict[str, Any] = {
+        "name": prim.GetName(),
+        "parent": parent,
+        "child": child,
+        "pos": triple(anchor.pos),
+    }
     if prim.IsA(UsdPhysics.FixedJoint):
         return Joint(**common, type="fixed")
     slide = prim.IsA(UsdPhysics.PrismaticJoint)

@@ -369,3 +369,23 @@ def test_what_cannot_be_written_or_read_says_so(cabinet, tmp_path):
     )
     with pytest.raises(ExportError, match="cabinet/x"):
         read_mjcf(tmp_path / "out" / "object.xml", renamed)
+
+
+def test_foreign_urdf_is_read_or_refused_by_name(tmp_path):
+    text = (
+        '<robot name="r"><link name="a"/><link name="b"/>'
+        '<joint name="j" type="{}"><parent link="a"/><child link="b"/>'
+        '<origin xyz="0 0 1" rpy="0 0 1.5707963267948966"/><axis xyz="1 0 0"/></joint></robot>'
+    )
+    path = tmp_path / "r.urdf"
+    path.write_text(text.format("continuous"))
+    got = read_urdf(path)
+    assert got.links["b"].mass == 0.0
+    assert np.allclose(got.joints["j"].axis, (0, 1, 0)) and got.joints["j"].pos == (0, 0, 1)
+    for kind, message in (
+        ("planar", "got 'planar', valid are: fixed"),
+        ("revolute", "lacks lower"),
+    ):
+        path.write_text(text.format(kind))
+        with pytest.raises(ExportError, match=message):
+            read_urdf(path)
