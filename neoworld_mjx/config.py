@@ -165,8 +165,8 @@ class CEMOptions(Options):
     smoothing: float = Field(default=0.0, ge=0, lt=1)
     """Weight of the old mean and deviation in the update; 0 is Algorithm 1."""
     zero_candidate: bool = True
-    """Always try the composed layout itself as a candidate."""
-    stop_gain: float = Field(default=1e-3, ge=0)
+    """Always try the mean itself as a candidate; at first that is the composed layout."""
+    stop_gain: float = Field(default=0.02, ge=0)
     """Stop when the elites' mean absolute reward gains less than this in an iteration."""
 
 
@@ -176,8 +176,9 @@ class RewardOptions(Options):
     w_sem: float = Field(default=1.0, ge=0)
     w_pen: float = Field(default=1.0, ge=0)
     w_drift: float = Field(default=1.0, ge=0)
-    w_scale: float = Field(default=0.1, ge=0)
-    """Weight of the prior that keeps scales near the parsed ones: mean of (log s)^2 over 0.1^2."""
+    w_prior: float = Field(default=0.3, ge=0)
+    """Weight of the prior that holds layouts near the composed one, and sizes near the parsed ones:
+    the mean of (z / sigma)^2 over objects and their four numbers, sigma being the initial one."""
     normalisation: Literal["iteration", "fixed"] = "iteration"
     d_pen_cap_m: float = Field(default=0.02, gt=0)
     d_drift_cap: float = Field(default=10.0, gt=0)

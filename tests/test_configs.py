@@ -32,7 +32,7 @@ def test_paper_switches_every_departure_from_algorithm_1_off():
     config = load_config(CONFIGS / "paper.yaml")
     cem, reward = config.refine.cem, config.refine.reward
     assert not cem.zero_candidate
-    assert (cem.smoothing, cem.sigma_floor, reward.w_scale) == (0.0, 0.0, 0.0)
+    assert (cem.smoothing, cem.sigma_floor, reward.w_prior) == (0.0, 0.0, 0.0)
     assert reward.normalisation == "iteration"
     assert reward.terms == {}
     assert not config.refine.rollout.early_stop

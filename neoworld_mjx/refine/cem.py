@@ -56,7 +56,7 @@ class CEM(eqx.Module):
     def ask(self, key: Key[Array, ""], state: CEMState, params: CEMParams) -> Layout:
         """Draw a population; `key` is consumed.
 
-        With `zero_candidate` the first is the composed scene. Objects whose deviation is zero
+        With `zero_candidate` the first is the mean, which at first is the composed scene. Objects whose deviation is zero
         (environment supports) stay where they are.
         """
         del params
@@ -70,7 +70,7 @@ class CEM(eqx.Module):
         drawn = Layout(*draws)
         if not self.zero_candidate:
             return drawn
-        return jax.tree.map(lambda leaf: leaf.at[0].set(0.0), drawn)
+        return jax.tree.map(lambda leaf, mean: leaf.at[0].set(mean[0]), drawn, state.mean)
 
     def tell(
         self,

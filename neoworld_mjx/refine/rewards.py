@@ -29,6 +29,7 @@ __all__ = [
     "Term",
     "Weights",
     "absolute_reward",
+    "departure",
     "compose",
     "d_drift",
     "d_pen",
@@ -106,13 +107,33 @@ def s_sem(
     return semantic_score(scene, poses, depths(scene, poses))
 
 
+def departure(
+    scene: SceneModel, layouts: Layout, sigma: Float[Array, " 3"]
+) -> Float[Array, " pop"]:
+    """Mean of (z / sigma)^2 over optimised objects and their four numbers; 1 for a typical draw.
+
+    It keeps what physics leaves open near the parse: without it elites wander, and shrinking
+    everything would lower D_pen.
+
+    Args:
+        scene: the compiled scene.
+        layouts: the candidates.
+        sigma: deviations of xy (over each object's diagonal), yaw [rad] and log scale.
+    """
+    safe = jnp.maximum(sigma, 1e-6)
+    xy = jnp.sum((layouts.xy / (safe[0] * scene.diagonal[:, None])) ** 2, axis=-1)
+    each = (xy + (layouts.yaw / safe[1]) ** 2 + (layouts.log_scale / safe[2]) ** 2) / 4
+    free = jnp.maximum(jnp.sum(scene.optimised), 1)
+    return jnp.sum(jnp.where(scene.optimised, each, 0.0), axis=1) / free
+
+
 class Weights(eqx.Module):
     """Weights and scales of the reward; traced, so a sweep over them is one `vmap`."""
 
     w_sem: Float[Array, ""]
     w_pen: Float[Array, ""]
     w_drift: Float[Array, ""]
-    w_scale: Float[Array, ""]
+    w_prior: Float[Array, ""]
     d_pen_cap: Float[Array, ""]
     """[m]"""
     d_drift_cap: Float[Array, ""]
@@ -124,6 +145,8 @@ class Weights(eqx.Module):
     """Stability bound [rad]."""
     max_depth: Float[Array, ""]
     """Depth [m] from which a candidate is invalid."""
+    sigma: Float[Array, " 3"]
+    """Initial deviations of xy (over the diagonal), yaw [rad] and log scale."""
     user: Float[Array, " term"]
     normalisation: str = eqx.field(static=True)
 
@@ -136,13 +159,20 @@ def weights(options: RefineOptions) -> Weights:
         w_sem=f(r.w_sem),
         w_pen=f(r.w_pen),
         w_drift=f(r.w_drift),
-        w_scale=f(r.w_scale),
+        w_prior=f(r.w_prior),
         d_pen_cap=f(r.d_pen_cap_m),
         d_drift_cap=f(r.d_drift_cap),
         pen_scale=f(r.pen_scale_m),
         distance=f(r.drift_scale_m),
         angle=f(np.radians(r.tilt_scale_deg)),
         max_depth=f(options.max_depth_m),
+        sigma=f(
+            [
+                options.cem.sigma_xy,
+                np.radians(options.cem.sigma_yaw_deg),
+                options.cem.sigma_log_scale,
+            ]
+        ),
         user=f(list(r.terms.values())).reshape(-1),
         normalisation=r.normalisation,
     )
@@ -157,7 +187,7 @@ class Scores(eqx.Module):
     s_sem: Float[Array, " pop"]
     """In [0, 1]."""
     prior: Float[Array, " pop"]
-    """Mean over objects of (log s / 0.1)^2."""
+    """How far the layout is from the composed one; see `departure`."""
     user: Float[Array, "term pop"]
     """A user's own terms."""
     valid: Bool[Array, " pop"]
@@ -195,12 +225,11 @@ def score(
     alive = ~jnp.isin(
         rollout.status, jnp.array([int(RolloutStatus.FAILED), int(RolloutStatus.TRUNCATED)])
     )
-    free = jnp.maximum(jnp.sum(scene.optimised), 1)
-    prior = jnp.sum(jnp.where(scene.optimised, (layouts.log_scale / 0.1) ** 2, 0.0), axis=1) / free
+    prior = departure(scene, layouts, w.sigma)
     own = [jnp.asarray(term(scene, layouts, rollout), jnp.float32) for term in terms]
     user = jnp.stack(own) if own else jnp.zeros((0, pen.shape[0]))
     semantic = semantic_score(scene, rollout.start, found)
-    rest = w.w_sem * semantic - w.w_scale * prior + jnp.sum(w.user[:, None] * user, axis=0)
+    rest = w.w_sem * semantic - w.w_prior * prior + jnp.sum(w.user[:, None] * user, axis=0)
     alive &= jnp.isfinite(pen + moved + rest)
     return Scores(
         d_pen=pen,

@@ -1,5 +1,6 @@
 """CEM against a plain NumPy one on the same draws, and its edge cases."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -36,6 +37,8 @@ def test_ask_draws_the_gaussian_and_the_zero_layout(scene):
     assert not np.any(np.asarray(drawn.xy[0]))
     std = np.asarray(drawn.yaw).std(axis=0)
     assert np.allclose(std, np.asarray(params.sigma.yaw[0]), rtol=0.05)
+    moved = eqx.tree_at(lambda s: s.mean.yaw, state, state.mean.yaw + 0.5)
+    assert np.allclose(cem.ask(jax.random.key(1), moved, params).yaw[0], 0.5)
     again = cem.ask(jax.random.key(1), state, params)
     assert all(
         np.array_equal(a, b)
