@@ -17,7 +17,6 @@ import numpy as np
 from .config import Config
 from .errors import ProgramError, SpecError
 from .mllm import Panel, open_panel
-from .mllm.ledger import Ledger
 from .parse.photo import Photo, load_photo
 from .run_folder import RunFolder
 from .spec import ObjectSpec, SceneSpec, SceneTree, TreeNode
@@ -95,7 +94,6 @@ def reconstruct(
     folder = RunFolder(out, config, resume=resume, start=start, overwrite=overwrite)
     with folder as run:
         run.record("photo", name=Path(photo).name, sha256=picture.sha256)
-        ledger = Ledger.carry(run.data["mllm"]) if run.data["mllm"] else None
         models = open_panel(
             config.mllm,
             config.provider,
@@ -104,8 +102,9 @@ def reconstruct(
             mailbox=mailbox or Path(out) / "mailbox",
             record=record or Path(out) / ANSWERS,
             made=f"recorded from provider {config.provider}",
-            ledger=ledger,
         )
+        if run.data["mllm"]:
+            models.ledger.carry(run.data["mllm"])
         steps = {
             "parse": lambda: _parse(run, picture, models, config),
             "program": lambda: _program(run, picture, models, config),
@@ -245,7 +244,7 @@ def _refine(run: RunFolder, config: Config) -> None:
             scene, config.refine, seed=config.seed, progress=lambda s: _log.info("  %s", s)
         )
         (out / "refine").mkdir()
-        np.savez_compressed(out / "refine" / "history.npz", **found.history)
+        np.savez_compressed(out / "refine" / "history.npz", allow_pickle=False, **found.history)
         (out / SCENE).write_text(found.scene.to_json())
         told = {
             "passed": found.passed,

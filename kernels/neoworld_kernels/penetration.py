@@ -131,7 +131,7 @@ def pair_depth_reference(
             origin = pos[o] + scale[o] * jnp.einsum("ijp,j->ip", rot[o], piece.pos)
             d = [points[i] - origin[i] for i in range(3)]
             local = [sum(d[i] * turn[i, k] for i in range(3)) / scale[o] for k in range(3)]
-            inside = -_distance(kind, *local, piece)
+            inside = -_distance(kind, local[0], local[1], local[2], piece)
             return jnp.maximum(jnp.max(inside, axis=0) * scale[o], 0.0)
 
         found = jax.lax.map(deepest, group)

@@ -77,7 +77,7 @@ def snap_exactly(scene: SceneSpec, gap: float = 1e-4, rounds: int = 30) -> Scene
             model, data = start_state(scene)
             owner = object_of_geom(scene, model)
             own = np.flatnonzero(owner == index)
-            support = np.flatnonzero(owner == scene.index(item.parent))
+            support = np.flatnonzero(owner == scene.index(str(item.parent)))
             distance = pair_distance(model, data, own, support, reach=0.02)
             if distance >= 0.02 or 0 <= distance <= gap + 1e-6:
                 break

@@ -13,17 +13,21 @@ from ..spec.pose import pose, yaw_of
 from .support import NOTHING, Support, height_above, link_frame, nothing, support
 
 
+Either = Any
+"""Leaves are JAX arrays, or NumPy arrays in double precision on the host."""
+
+
 class Layout(eqx.Module):
     """Perturbations z = (dx, dy, dyaw, log s) of a composed scene (paper Section 3.3).
 
     Zero is the composed scene. Applied in the order scale, yaw, translation, in parent frames.
     """
 
-    xy: Float[Array, "pop object 2"]
+    xy: Float[Either, "pop object 2"]
     """Offset in the parent's frame [m]."""
-    yaw: Float[Array, "pop object"]
+    yaw: Float[Either, "pop object"]
     """Offset of the yaw [rad]."""
-    log_scale: Float[Array, "pop object"]
+    log_scale: Float[Either, "pop object"]
     """Log of the isotropic scale factor."""
 
     @classmethod
@@ -40,12 +44,12 @@ class Layout(eqx.Module):
 class Poses(eqx.Module):
     """World poses of all objects."""
 
-    pos: Float[Array, "pop object 3"]
+    pos: Float[Either, "pop object 3"]
     """Origins [m]."""
-    quat: Float[Array, "pop object 4"]
+    quat: Float[Either, "pop object 4"]
     """Rotations, tilt included, w first."""
-    scale: Float[Array, "pop object"]
-    height: Float[Array, "pop object"]
+    scale: Float[Either, "pop object"]
+    height: Float[Either, "pop object"]
     """Snapped height above the support frame's origin [m]; the `z` of a SceneObject."""
 
 
@@ -139,7 +143,7 @@ def heights(arrangement: Arrangement, layouts: Layout) -> Float[Array, "pop obje
 
 
 def compose_poses(
-    arrangement: Arrangement, layouts: Layout, height: Float[Array, "pop object"], xp: Any = jnp
+    arrangement: Arrangement, layouts: Layout, height: Float[Either, "pop object"], xp: Any = jnp
 ) -> Poses:
     """Chain parent frames from the root downwards.
 

@@ -12,7 +12,7 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 
 from .engine import EarlyStop, Rollout, RolloutStatus, record_steps
-from .layout import Layout, Poses, compose_poses, heights
+from .layout import Either, Layout, Poses, compose_poses, heights
 from .model import FREE, MESH, SceneModel, leaves, mesh_object
 
 CHUNK, MESH_CHUNK = 1024, 256
@@ -94,7 +94,7 @@ def open_batch(scene: SceneModel, layouts: Layout, poses: Poses, threads: int = 
     return batch
 
 
-def model_ring(scene: SceneModel, fields: dict, scale: np.ndarray) -> list[mujoco.MjModel]:
+def model_ring(scene: SceneModel, fields: dict, scale: Either) -> list[mujoco.MjModel]:
     """Copy the scene's model once a candidate and scale each copy, meshes included."""
     base, owner = scene.host.mjm, mesh_object(scene)
     data = mujoco.MjData(base)
@@ -175,7 +175,7 @@ def _step(batch: Batch, active: np.ndarray, steps: int) -> np.ndarray:
 
 
 def drift(
-    pos: np.ndarray, quat: np.ndarray, pos0: np.ndarray, quat0: np.ndarray
+    pos: np.ndarray, quat: np.ndarray, pos0: Either, quat0: Either
 ) -> tuple[np.ndarray, np.ndarray]:
     """Distance [m] and angle [rad] of poses from others, shapes [..., 3] and [..., 4]."""
     dot = np.abs(np.sum(quat * quat0, axis=-1))

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import spec as S
-from ..spec.convex import extent
-from ..spec.pose import Pose, conjugate, pose, rotate
+from ..spec.convex import box_around
+from ..spec.pose import Pose, pose
 from . import arguments as take
 
 Bounds = tuple[NDArray, NDArray]
@@ -45,15 +45,10 @@ class Shape:
 
 def bounds_of(shape: Shape, at: Pose) -> Bounds:
     """Return the bounding box (low [3], high [3]) [m] of a shape at a pose."""
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for piece in shape._spec.pieces():
-        world = at.then(pose(piece.pos, piece.quat))
-        back = conjugate(world.quat)
-        for axis in range(3):
-            d = rotate(back, np.eye(3)[axis])
-            high[axis] = max(high[axis], world.pos[axis] + extent(piece, d))
-            low[axis] = min(low[axis], world.pos[axis] - extent(piece, -d))
-    return low, high
+    boxes = [
+        box_around(piece, at.then(pose(piece.pos, piece.quat))) for piece in shape._spec.pieces()
+    ]
+    return np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)
 
 
 def anchor_of(bounds: Bounds, where: Any, what: str) -> NDArray:

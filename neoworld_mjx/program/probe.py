@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..spec import ObjectSpec, link_poses, pieces
-from ..spec.pose import matrix
+from ..spec.pose import rotate
 
 _TYPES = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -94,7 +94,8 @@ class Probe:
     def place(self, joint_state: Mapping[str, float]) -> None:
         """Put every piece where the joints carry it; joints not named stand at 0."""
         moved = link_poses(self.spec, dict(joint_state))
-        turn = np.array([matrix(moved[name].quat) for name in self.names])[self.owner]
+        quats = np.array([moved[name].quat for name in self.names])
+        turn = rotate(quats[:, None], np.eye(3)).swapaxes(1, 2)[self.owner]
         shift = np.array([moved[name].pos for name in self.names])[self.owner]
         xpos = np.einsum("gij,gj->gi", turn, self._rest_pos) + shift
         xmat = turn @ self._rest_mat

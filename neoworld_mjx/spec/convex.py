@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .pose import IDENTITY, matrix
+from .pose import IDENTITY, Pose, matrix
 
 Kind = Literal["box", "sphere", "capsule", "cylinder", "ellipsoid", "mesh"]
 Vector = tuple[float, float, float]
@@ -157,3 +157,19 @@ def extent(piece: Piece, direction: NDArray) -> float:
     if piece.kind == "ellipsoid":
         return float(np.linalg.norm(s * d))
     return float((np.array(piece.vertices) @ d).max())
+
+
+def box_around(piece: Piece, at: Pose) -> tuple[NDArray, NDArray]:
+    """Return the exact bounds (low [3], high [3]) [m] of a piece's solid.
+
+    Args:
+        piece: the solid.
+        at: where it is, its own pose included.
+    """
+    turn = matrix(at.quat)
+    if piece.kind == "mesh":
+        points = np.array(piece.vertices) @ turn.T
+        return at.pos + points.min(axis=0), at.pos + points.max(axis=0)
+    # All other kinds are symmetric, so one support a direction is enough.
+    half = np.array([extent(piece, row) for row in turn])
+    return at.pos - half, at.pos + half

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from .convex import Piece, extent, mass_properties
-from .pose import IDENTITY, Pose, conjugate, from_axis_angle, pose, quat_mul, rotate
+from .convex import Piece, box_around, mass_properties
+from .pose import IDENTITY, Pose, from_axis_angle, pose, quat_mul, rotate
 from .shapes import Number, Shape
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=48)]
@@ -338,12 +338,8 @@ def bounds(
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for part in spec.parts:
         for _, piece, at in pieces(part, role):
-            world = base.then(moved[part.name]).then(at)
-            back = conjugate(world.quat)
-            for axis in range(3):
-                d = rotate(back, np.eye(3)[axis])
-                high[axis] = max(high[axis], world.pos[axis] + extent(piece, d))
-                low[axis] = min(low[axis], world.pos[axis] - extent(piece, -d))
+            one, other = box_around(piece, base.then(moved[part.name]).then(at))
+            low, high = np.minimum(low, one), np.maximum(high, other)
     return low, high
 
 

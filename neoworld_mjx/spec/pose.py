@@ -61,8 +61,19 @@ def rotate(quat: ArrayLike, points: ArrayLike) -> NDArray:
     q = np.asarray(quat, float)
     v = np.asarray(points, float)
     w, u = q[..., :1], q[..., 1:]
-    t = 2.0 * np.cross(u, v)
-    return v + w * t + np.cross(u, t)
+    t = 2.0 * _cross(u, v)
+    return v + w * t + _cross(u, t)
+
+
+def _cross(a: NDArray, b: NDArray) -> NDArray:
+    """Multiply vectors [..., 3]; np.cross does the same at three times the cost for single ones."""
+    found = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
+    b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
+    found[..., 0] = a1 * b2 - a2 * b1
+    found[..., 1] = a2 * b0 - a0 * b2
+    found[..., 2] = a0 * b1 - a1 * b0
+    return found
 
 
 def matrix(quat: ArrayLike) -> NDArray:
