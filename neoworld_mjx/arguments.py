@@ -60,6 +60,21 @@ class Reconstruct(Configured):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Refine(Configured):
+    """Refine the composed scene of a run again, and export it; the steps before are kept.
+
+    Without --config and --set the options are those that the run was made with.
+    """
+
+    folder: Positional[Path]
+    """The run folder."""
+    engine: Literal["auto", "mjx", "warp", "native"] | None = None
+    """Physics engine."""
+    seed: int | None = None
+    """Seed of the search."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Check(Configured):
     """Check a scene, or an object's program: every verdict with its number and threshold."""
 
@@ -106,6 +121,7 @@ class Doctor(Common):
 
 Command = (
     Annotated[Reconstruct, subcommand("reconstruct")]
+    | Annotated[Refine, subcommand("refine")]
     | Annotated[Check, subcommand("check")]
     | Annotated[Build, subcommand("build")]
     | Annotated[Render, subcommand("render")]

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .arguments import Build, Check, Configured, Doctor, Reconstruct, Render, Report
+from .arguments import Build, Check, Configured, Doctor, Reconstruct, Refine, Render, Report
 from .errors import ConfigError, NeoWorldError, RunError, SpecError
 
 if TYPE_CHECKING:
@@ -40,6 +40,23 @@ def reconstruct(command: Reconstruct) -> Answer:
     return result.summary()
 
 
+def refine(command: Refine) -> Answer:
+    """Refine the composed scene of a run again."""
+    from .cache import keep_compilations
+    from .pipeline import refine_again
+
+    keep_compilations()
+    over = {
+        "seed": command.seed,
+        "refine": None if command.engine is None else {"rollout": {"engine": command.engine}},
+    }
+    config = None
+    if command.config is not None or command.set:
+        config = _config(command, None, command.engine, command.seed)
+    over = {key: value for key, value in over.items() if value is not None}
+    return refine_again(command.folder, config, over).summary()
+
+
 def check(command: Check) -> Answer:
     """Measure a scene, or build a program and say what is wrong with it."""
     config = _config(command)
@@ -50,10 +67,11 @@ def check(command: Check) -> Answer:
         answer = {"target": str(command.target), "passed": built.ok, "signals": _signals(built)}
         return answer
     from .measure.scene import scene_measure
+    from .spec import read_scene
 
     limits = config.refine
     found = scene_measure(
-        _scene(command.target),
+        read_scene(command.target),
         duration=limits.check_duration_s,
         timestep=limits.check_timestep_s,
         max_depth=limits.max_depth_m,
@@ -101,9 +119,10 @@ def render(command: Render) -> Answer:
     """Ray-cast a scene with its own camera."""
     from .files import write_atomic
     from .render import render_scene, to_png
+    from .spec import read_scene
 
     options = _config(command).render
-    scene = _scene(command.target)
+    scene = read_scene(command.target)
     home = command.target if command.target.is_dir() else command.target.parent
     out = command.out or home / "render.png"
     picture = render_scene(
@@ -150,6 +169,7 @@ def doctor(_: Doctor) -> Answer:
 _KEYS = ("ANTHROPIC_API_KEY", "OPENAI_API_KEY")
 COMMANDS: dict[type, Any] = {
     Reconstruct: reconstruct,
+    Refine: refine,
     Check: check,
     Build: build,
     Render: render,
@@ -206,23 +226,6 @@ def _put(tree: dict[str, Any], key: str, value: Any) -> None:
             raise ConfigError(f"--set {key}: {name} is set to a value already")
         tree = inner
     tree[last] = value
-
-
-def _scene(target: Path) -> Any:
-    """Read the scene of a run folder, or a scene.json."""
-    from pydantic import ValidationError
-
-    from .spec import SceneSpec
-
-    file = target / "scene.json" if target.is_dir() else target
-    if file.suffix != ".json":
-        raise SpecError(f"{target}: expected a run folder, a scene.json or a program (.py)")
-    try:
-        return SceneSpec.model_validate_json(_read(file))
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(step) for step in first["loc"])
-        raise SpecError(f"{file} is not a scene: {where or '(root)'}: {first['msg']}") from None
 
 
 def _read(path: Path) -> str:

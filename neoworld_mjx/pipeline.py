@@ -5,6 +5,7 @@ through the same bytes as one that is not.
 """
 
 import asyncio
+import hashlib
 import json
 import logging
 import time
@@ -14,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from .config import Config
-from .errors import ProgramError, SpecError
+from .config import Config, load_config, merged
+from .errors import ProgramError, RunError, SpecError
 from .mllm import Panel, open_panel
 from .parse.photo import Photo, load_photo
-from .run_folder import RunFolder
+from .run_folder import RunFolder, read_run
 from .spec import ObjectSpec, SceneSpec, SceneTree, TreeNode
 
 _log = logging.getLogger(__name__)
@@ -126,6 +127,36 @@ def reconstruct(
         return _result(run, until)
 
 
+def refine_again(
+    folder: Path, config: Config | None = None, over: dict[str, Any] | None = None
+) -> Result:
+    """Refine the composed scene of a run again, and export it; earlier steps are kept.
+
+    Args:
+        folder: the run folder; its compose step must have finished.
+        config: all options; None takes those that the run was made with.
+        over: a nested mapping of options that wins over the run's own, when `config` is None.
+
+    Raises:
+        RunError: the folder is no run, or its scene has not been composed yet.
+    """
+    folder = Path(folder)
+    earlier = read_run(folder)
+    if not (folder / COMPOSED).is_file():
+        raise RunError(f"{folder} has no composed scene yet; go on with reconstruct --resume")
+    if config is None:
+        data = earlier["config"]
+        # Header values are not written into run.json, and no model is asked here.
+        data["mllm"]["headers"] = {}
+        config = load_config(None, merged(data, over or {}))
+    with RunFolder(folder, config, start="refine") as run:
+        _refine(run, config)
+        _export(run, config)
+        run.finish()
+        _report(run)
+        return _result(run, None)
+
+
 def _parse(run: RunFolder, photo: Photo, models: Panel, config: Config) -> None:
     from .parse import parse
     from .render import to_png
@@ -153,7 +184,7 @@ def _program(run: RunFolder, photo: Photo, models: Panel, config: Config) -> Non
     inputs = {
         node.name: {
             "node": node.model_dump(mode="json"),
-            "crop": pictures[node.name].sha256,
+            "crop": hashlib.sha256(pictures[node.name].data).hexdigest(),
             "options": config.program.model_dump(mode="json"),
             "guide": guide(),
         }
@@ -164,7 +195,9 @@ def _program(run: RunFolder, photo: Photo, models: Panel, config: Config) -> Non
         name, begun = f"program/{node.name}", time.perf_counter()
         if run.finished(name, inputs[node.name]):
             return
-        made = await synthesise(node, pictures[node.name], models, config.program)
+        made = await synthesise(
+            node, pictures[node.name], models, config.program, camera=tree.camera
+        )
         if made.spec is None:
             raise ProgramError(f"object {node.name}: {made.reason}")
         with run.step(name, inputs[node.name], begun=begun) as out:

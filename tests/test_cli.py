@@ -152,7 +152,7 @@ def test_a_program_that_fails_writes_nothing_and_exits_1(tmp_path):
     ("name", "content", "said"),
     [
         (None, None, "cannot read"),
-        ("scene.txt", "x", "expected a run folder, a scene.json or a program"),
+        ("scene.txt", "x", "expected a run folder or a scene.json"),
         ("scene.json", "{", "is not a scene"),
         ("scene.json", '{"objects": []}', "is not a scene: objects"),
     ],

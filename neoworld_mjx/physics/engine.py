@@ -114,6 +114,33 @@ def open_engine(name: EngineName = "auto") -> Engine:
     raise EngineError(f"engine: {choices(name, ['auto', 'mjx', 'native'])}")
 
 
+def rollout(
+    scene: SceneModel,
+    layouts: Layout,
+    *,
+    engine: EngineName = "auto",
+    duration: float = 1.0,
+    record_every: float = 0.1,
+    early_stop: EarlyStop | None = None,
+) -> Rollout:
+    """Roll candidate layouts out; see `Engine.rollout`.
+
+    Args:
+        scene: the compiled scene.
+        layouts: the candidates.
+        engine: auto, mjx or native.
+        duration: simulated time [s].
+        record_every: time between recorded poses [s].
+        early_stop: rules for stopping candidates early; None simulates all of them to the end.
+
+    Raises:
+        EngineError: the engine is unknown, or cannot run here.
+    """
+    return open_engine(engine).rollout(
+        scene, layouts, duration=duration, record_every=record_every, early_stop=early_stop
+    )
+
+
 def record_steps(timestep: float, duration: float, record_every: float) -> tuple[int, int]:
     """Split a rollout into (number of records, steps between them)."""
     every = max(1, round(record_every / timestep))

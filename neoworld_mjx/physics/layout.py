@@ -12,7 +12,6 @@ from ..spec import SceneObject, SceneSpec, bounds
 from ..spec.pose import pose, yaw_of
 from .support import NOTHING, Support, height_above, link_frame, nothing, support
 
-
 Either = Any
 """Leaves are JAX arrays, or NumPy arrays in double precision on the host."""
 

@@ -5,6 +5,7 @@ The law of scaling is that of `spec.scale`: compiling a rearranged scene gives t
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -15,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 from neoworld_kernels import Solids
 
 from ..errors import SpecError
-from ..spec import SceneSpec, bounds, rearranged
+from ..spec import SceneSpec, bounds, read_scene, rearranged
 from ..spec.scale import joint_exponents, mass_exponent, mimic_exponents
 from .layout import Arrangement, Layout, Poses, arrange, compose_poses, diagonal, heights
 from .mjcf import to_mjspec
@@ -171,6 +172,19 @@ def compile_scene(
             ~np.eye(len(names), dtype=bool) & ~(environment[:, None] & environment)
         ),
     )
+
+
+def load_scene(path: Path, **options: Any) -> SceneModel:
+    """Read a scene.json, or that of a run folder, and compile it.
+
+    Args:
+        path: the file or folder.
+        options: of `compile_scene`.
+
+    Raises:
+        SpecError: there is no such file, or it holds no scene.
+    """
+    return compile_scene(read_scene(path), **options)
 
 
 def leaves(scene: SceneModel, layouts: Layout, poses: Poses, xp: Any = jnp) -> dict[str, Any]:

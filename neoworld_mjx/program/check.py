@@ -7,11 +7,14 @@ and masses are those of real things.
 """
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
 from ..config import ProgramOptions
 from ..spec import Joint, ObjectSpec
+from .allowance import Allowance
+from .overlap import overlaps
 from .plausible import plausibility
 from .probe import OutOfTime, Probe
 from .signals import Signal, deduplicated
@@ -25,7 +28,10 @@ LONGEST_SLIDE = 1.5
 
 
 def check(
-    spec: ObjectSpec, options: ProgramOptions | None = None, lines: dict[str, int] | None = None
+    spec: ObjectSpec,
+    options: ProgramOptions | None = None,
+    lines: dict[str, int] | None = None,
+    allowances: Sequence[Allowance] = (),
 ) -> tuple[Signal, ...]:
     """Check an object.
 
@@ -33,17 +39,30 @@ def check(
         spec: the object.
         options: thresholds and how finely ranges are swept.
         lines: where parts and joints were made, as `Built.lines` has it.
+        allowances: overlaps that the program asks for by name.
 
     Returns:
         What was found, each thing once; nothing when the object is sound.
     """
     options = options or ProgramOptions()
     found = list(plausibility(spec))
+    found += [
+        Signal(
+            severity="warning",
+            code="allowed_overlap",
+            part=allowed.second,
+            message=f"{allowed.first!r} and {allowed.second!r} may enter each other: "
+            f"{allowed.reason}",
+            value=allowed.depth,
+            threshold=options.max_depth_m,
+        )
+        for allowed in allowances
+    ]
     try:
         probe = Probe(spec, options.check_timeout_s)
         found += _loose(probe, options)
         found += _joints(probe, options)
-        found += _overlaps(probe, options)
+        found += overlaps(probe, options, allowances)
     except OutOfTime:
         found.append(
             Signal(
@@ -208,144 +227,3 @@ def _line_misses(point: np.ndarray, axis: np.ndarray, low: np.ndarray, high: np.
         else:
             least = grow
     return most if most > 1e-9 else 0.0
-
-
-def _overlaps(probe: Probe, options: ProgramOptions) -> list[Signal]:
-    spec = probe.spec
-    rigid = _welded(spec)
-    every = [
-        (a, b)
-        for a, b in itertools.combinations(range(len(probe.names)), 2)
-        if rigid[probe.names[a]] != rigid[probe.names[b]]
-    ]
-    found, bad = [], set()
-    for pair, near in probe.depths(every).items():
-        if -near.distance > options.max_depth_m:
-            bad.add(pair)
-            found.append(_overlap(probe, pair, near.first, near.second, near.distance, options))
-    rest = [pair for pair in every if pair not in bad]
-    driven = [j for j in spec.joints if j.type != "fixed" and j.mimic is None]
-    for joint in driven:
-        moving = {probe.names.index(name) for name in _carried(spec, joint)}
-        pairs = [pair for pair in rest if (pair[0] in moving) != (pair[1] in moving)]
-        pairs += [p for p in rest if p[0] in moving and p[1] in moving and _follows(spec, joint)]
-        worst: dict[tuple[int, int], tuple[float, float]] = {}
-        for value in _positions(joint, options.sweep_steps):
-            probe.place({joint.name: value})
-            for pair, near in probe.depths(pairs).items():
-                if near.distance < worst.get(pair, (-options.max_depth_m, 0.0))[0]:
-                    worst[pair] = (near.distance, value)
-        for pair, (distance, value) in worst.items():
-            found.append(_collision(probe, pair, joint, distance, value, moving, options))
-        bad |= set(worst)
-    rest = [pair for pair in every if pair not in bad]
-    if len(driven) > 1:
-        found += _combinations(probe, driven, rest, options)
-    probe.place({})
-    return found
-
-
-def _combinations(
-    probe: Probe, driven: list[Joint], rest: list[tuple[int, int]], options: ProgramOptions
-) -> list[Signal]:
-    random = np.random.default_rng(0)
-    worst: dict[tuple[int, int], tuple[float, str]] = {}
-    reach = [_positions(joint, options.sweep_steps) for joint in driven]
-    for k in range(options.sweep_combinations):
-        # All open and all closed come first: that is where what swings past each other meets.
-        index = [(-1, 0)[k] if k < 2 else random.integers(len(values)) for values in reach]
-        state = {j.name: float(v[i]) for j, v, i in zip(driven, reach, index, strict=True)}
-        probe.place(state)
-        for pair, near in probe.depths(rest).items():
-            if near.distance < worst.get(pair, (-options.max_depth_m, ""))[0]:
-                shown = ", ".join(f"{name} at {value:.3g}" for name, value in state.items())
-                worst[pair] = (near.distance, shown)
-    return [
-        Signal(
-            severity="error",
-            code="overlap_in_combination",
-            part=probe.names[b],
-            message=f"parts {probe.names[a]!r} and {probe.names[b]!r} enter each other with "
-            f"{shown[:200]}",
-            value=-distance,
-            threshold=options.max_depth_m,
-            hint="leave the parts room when several joints are open at once, or shorten a range",
-        )
-        for (a, b), (distance, shown) in worst.items()
-    ]
-
-
-def _positions(joint: Joint, steps: int) -> np.ndarray:
-    if joint.type == "continuous":
-        return np.linspace(0, 2 * np.pi, steps + 3, endpoint=False)
-    return np.linspace(joint.lower, joint.upper, steps)
-
-
-def _carried(spec: ObjectSpec, joint: Joint) -> set[str]:
-    """Return the parts that a joint moves, those of its followers included."""
-    led = {joint.name}
-    for _ in spec.joints:
-        led |= {j.name for j in spec.joints if j.mimic is not None and j.mimic.joint in led}
-    moved: set[str] = set()
-    for part, carrier in spec.ordered:
-        if carrier is not None and (carrier.name in led or carrier.parent in moved):
-            moved.add(part.name)
-    return moved
-
-
-def _follows(spec: ObjectSpec, joint: Joint) -> bool:
-    return any(j.mimic is not None and j.mimic.joint == joint.name for j in spec.joints)
-
-
-def _welded(spec: ObjectSpec) -> dict[str, str]:
-    """Name for every part the rigid group that it belongs to."""
-    group: dict[str, str] = {}
-    for part, joint in spec.ordered:
-        rigid = joint is not None and joint.type == "fixed"
-        group[part.name] = group[joint.parent] if rigid and joint is not None else part.name
-    return group
-
-
-def _overlap(
-    probe: Probe,
-    pair: tuple[int, int],
-    first: int,
-    second: int,
-    distance: float,
-    options: ProgramOptions,
-) -> Signal:
-    a, b = (probe.names[index] for index in pair)
-    shapes = (probe.geom_names[probe.geom[k]] for k in (first, second))
-    return Signal(
-        severity="error",
-        code="overlap_at_rest",
-        part=b,
-        message=f"parts {a!r} and {b!r} enter each other at rest, at {' and '.join(shapes)}",
-        value=-distance,
-        threshold=options.max_depth_m,
-        hint="parts that move against each other may touch, not overlap: leave 0.5 to 1 mm",
-    )
-
-
-def _collision(
-    probe: Probe,
-    pair: tuple[int, int],
-    joint: Joint,
-    distance: float,
-    value: float,
-    moving: set[int],
-    options: ProgramOptions,
-) -> Signal:
-    a, b = sorted(pair, key=lambda index: index in moving)
-    unit = "m" if joint.type == "prismatic" else "rad"
-    return Signal(
-        severity="error",
-        code="overlap_in_motion",
-        joint=joint.name,
-        part=probe.names[b],
-        message=f"joint {joint.name!r} at {value:.3g} {unit} drives {probe.names[b]!r} into "
-        f"{probe.names[a]!r}",
-        value=-distance,
-        threshold=options.max_depth_m,
-        hint="check the sign of the axis (positive opens), the anchor, the range and the clearance",
-    )

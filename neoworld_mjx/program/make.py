@@ -26,7 +26,7 @@ def build(text: str, options: ProgramOptions | None = None) -> Built:
         return made
     start = time.monotonic()
     try:
-        found = check(made.spec, options, made.lines)
+        found = check(made.spec, options, made.lines, made.allowances)
     except Exception as error:  # the border: a fault of a check is a signal, too
         message = f"a check failed: {type(error).__name__}: {error}"[:500]
         found = (Signal(severity="error", code="internal", message=message),)

@@ -1,124 +1,18 @@
-"""The objects behind the SDK: an object under construction, its parts, placed shapes and joints."""
+"""The object that a program makes: its materials, parts, joints and sites."""
 
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from .. import spec as S
 from ..errors import choices
-from ..spec.pose import from_rpy, pose
 from . import arguments as take
+from .allowance import Allowance
+from .furniture import add_door, add_drawer
 from .materials import MATERIALS
-from .placing import Bounds, Shape, anchor_of, bounds_of
+from .part import MAX_ANGLE_RAD, Joint, Part
 from .session import current, here
 
-MAX_ANGLE_RAD = 200.0
-
-
-class Geom:
-    """A shape in its place on a part."""
-
-    def __init__(self, spec: S.Geom, bounds: Bounds, line: int | None) -> None:
-        self._spec, self._bounds, self._line = spec, bounds, line
-        self.name = spec.name
-
-    def anchor(self, where: str) -> tuple[float, float, float]:
-        """Return a named point of the shape's bounding box, as placed: "top", "left.front"."""
-        x, y, z = anchor_of(self._bounds, where, f"anchor of {self.name}").tolist()
-        return x, y, z
-
-
-class Part:
-    """A rigid link; made by `Object.part`."""
-
-    def __init__(self, owner: "Object", name: str, material: str | None, mass: float | None):
-        self._owner, self._material, self._mass = owner, material, mass
-        self._geoms: list[Geom] = []
-        self._line = here()
-        self.name = name
-
-    def add(
-        self,
-        shape: Shape,
-        at: Sequence[float] = (0.0, 0.0, 0.0),
-        rpy: Sequence[float] = (0.0, 0.0, 0.0),
-        *,
-        by: str = "",
-        material: str | None = None,
-        rgb: Sequence[float] | None = None,
-        role: str = "both",
-        name: str | None = None,
-    ) -> Geom:
-        """Place a shape on the part.
-
-        Args:
-            shape: what `box`, `cylinder`, `lathe` and the like returned.
-            at: where the shape's origin goes, in the object's frame [m].
-            rpy: fixed-axis roll, pitch, yaw [rad], applied about the shape's origin first.
-            by: an anchor of the turned shape's bounding box that goes to `at` instead of its
-                origin, such as "bottom" or "back.top".
-            material: name of a material; the part's own by default.
-            rgb: colour in 0 to 1 that overrides the material's.
-            role: "both", or "visual" (seen only, no mass), or "collision".
-            name: unique in the object; numbered by default.
-        """
-        what = f"part {self.name!r}, add"
-        if not isinstance(shape, Shape):
-            raise TypeError(f"{what}: needs a shape such as box(...), got {take.shown(shape)}")
-        label = self._geom_name(name, what)
-        where = np.array(take.vector(at, f"{what}: at"))
-        turned = from_rpy(*take.vector(rpy, f"{what}: rpy", MAX_ANGLE_RAD))
-        bounds = bounds_of(shape, pose((0, 0, 0), turned))
-        if by:
-            where = where - anchor_of(bounds, by, f"{what}: by")
-        if role not in ("both", "visual", "collision"):
-            given = choices(take.shown(role), ("both", "visual", "collision"))
-            raise ValueError(f"{what}: role: {given}")
-        spec = take.described(
-            S.Geom,
-            f"{what} {label!r}",
-            name=label,
-            shape=shape._spec,
-            pos=tuple(where.tolist()),
-            quat=tuple(turned.tolist()),
-            material=self._owner._shade(material or self._material, rgb, what),
-            role=role,
-        )
-        account = current()
-        account.use("geoms", 1, account.max_geoms)
-        account.use("convex pieces", len(shape._spec.pieces()), account.max_pieces)
-        geom = Geom(spec, (bounds[0] + where, bounds[1] + where), here())
-        self._geoms.append(geom)
-        return geom
-
-    def anchor(self, where: str) -> tuple[float, float, float]:
-        """Return a named point of the bounding box of what the part has so far."""
-        if not self._geoms:
-            raise ValueError(f"part {self.name!r} has no shapes yet, so it has no anchors")
-        low = np.min([geom._bounds[0] for geom in self._geoms], axis=0)
-        high = np.max([geom._bounds[1] for geom in self._geoms], axis=0)
-        x, y, z = anchor_of((low, high), where, f"anchor of part {self.name!r}").tolist()
-        return x, y, z
-
-    def _geom_name(self, given: str | None, what: str) -> str:
-        taken = self._owner._geom_names
-        if given is None:
-            count = len(self._geoms)
-            while (given := f"{self.name[:40]}_{count}") in taken:
-                count += 1
-        elif take.name(given, f"{what}: name") in taken:
-            raise ValueError(f"{what}: the name {given!r} is taken by another shape")
-        taken.add(given)
-        return given
-
-
-class Joint:
-    """A joint between two parts; made by `Object.revolute` and its like."""
-
-    def __init__(self, fields: dict[str, Any], line: int | None) -> None:
-        self._fields, self._line = fields, line
-        self.name: str = fields["name"]
+MAX_ALLOWED_M, MIN_REASON = 0.005, 10
 
 
 class Object:
@@ -135,6 +29,7 @@ class Object:
         self._parts: list[Part] = []
         self._joints: list[Joint] = []
         self._sites: list[S.Site] = []
+        self._allowances: list[Allowance] = []
         self._materials: dict[str, S.Material] = {}
         self._geom_names: set[str] = set()
         current().objects.append(self)
@@ -264,6 +159,74 @@ class Object:
         given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent", "child")}
         return self._join("prismatic", name, parent, child, given)
 
+    def door(
+        self,
+        name: str,
+        parent: Part,
+        *,
+        x: float,
+        y: Sequence[float],
+        z: Sequence[float],
+        hinge: str,
+        thickness: float = 0.018,
+        gap: float = 0.001,
+        opens: float = 1.7,
+        material: str | None = None,
+    ) -> Part:
+        """Hang a flat door, or a flap, before a front that lies in the plane x.
+
+        Args:
+            name: of the part; its joint is called <name>_hinge.
+            parent: what it hangs on.
+            x: the plane whose +x side it stands on.
+            y: (low, high) of the area that it covers.
+            z: (low, high) of the area that it covers.
+            hinge: the edge it turns about: "left" (+y), "right" (-y), "top" or "bottom".
+            thickness: along x.
+            gap: left free at all four edges.
+            opens: angle when fully open [rad].
+            material: the parent's by default.
+        """
+        self._own(parent, "door: parent")
+        given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent")}
+        return add_door(self, name, parent, **given)
+
+    def drawer(
+        self,
+        name: str,
+        parent: Part,
+        *,
+        x: float,
+        y: Sequence[float],
+        z: Sequence[float],
+        depth: float,
+        wall: float = 0.01,
+        front: float = 0.018,
+        overlay: float = 0.0,
+        gap: float = 0.002,
+        travel: float | None = None,
+        material: str | None = None,
+    ) -> Part:
+        """Put a drawer into an opening: a tray behind the plane x and a front before it.
+
+        Args:
+            name: of the part; its joint is called <name>_slide.
+            parent: what it slides in.
+            x: the plane of the opening.
+            y: (low, high) of the opening inside its frame.
+            z: (low, high) of the opening; the tray runs on its floor.
+            depth: of the tray, back from x.
+            wall: thickness of the tray's walls.
+            front: thickness of the front, before x.
+            overlay: how far the front laps over the frame on all sides; 0 leaves a gap instead.
+            gap: left free beside and above the tray.
+            travel: how far it comes out; three quarters of its depth by default.
+            material: the parent's by default.
+        """
+        self._own(parent, "drawer: parent")
+        given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent")}
+        return add_drawer(self, name, parent, **given)
+
     def site(self, name: str, part: Part, at: Sequence[float]) -> None:
         """Mark a point on a part, such as a grasp point or a spout."""
         label = take.name(name, "site name")
@@ -273,6 +236,21 @@ class Object:
         account.use("sites", 1, account.max_geoms)
         where = take.vector(at, f"site {label!r}: at")
         self._sites.append(S.Site(name=label, part=part.name, pos=where))
+
+    def allow_overlap(self, first: Part, second: Part, depth: float, reason: str) -> None:
+        """Declare that two parts enter each other by up to `depth` [m], at most 5 mm, and why."""
+        self._own(first, "allow_overlap: first")
+        self._own(second, "allow_overlap: second")
+        deep = take.length(depth, "allow_overlap: depth")
+        why = take.text(reason, "allow_overlap: reason")
+        if deep > MAX_ALLOWED_M or len(why) < MIN_REASON:
+            raise ValueError(
+                f"allow_overlap takes a depth up to {MAX_ALLOWED_M} m and a reason of "
+                f"{MIN_REASON} letters and more"
+            )
+        account = current()
+        account.use("allowances", 1, account.max_parts)
+        self._allowances.append(Allowance(first.name, second.name, deep, why))
 
     def _join(
         self, kind: str, name: str, parent: Part, child: Part, given: dict[str, Any]
@@ -349,4 +327,4 @@ class Object:
             raise ValueError(f"{kind} {name!r} exists already")
 
 
-__all__ = ["Geom", "Joint", "Object", "Part"]
+__all__ = ["Object"]

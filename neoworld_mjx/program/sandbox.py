@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 from ..config import ProgramOptions
 from ..spec import ObjectSpec
+from .allowance import Allowance
 from .assemble import assemble
 from .session import Session
 from .signals import Signal, deduplicated, has_errors
@@ -26,6 +27,8 @@ class Built:
     printed: str = ""
     lines: dict[str, int] = field(default_factory=dict)
     """Where parts and joints were made: "part:door" or "joint:hinge" to a line."""
+    allowances: tuple[Allowance, ...] = ()
+    """Overlaps that the program declares."""
     seconds: float = 0.0
 
     @property
@@ -75,6 +78,7 @@ def run(text: str, options: ProgramOptions | None = None) -> Built:
         deduplicated(problems),
         printed,
         lines,
+        tuple(session.objects[0]._allowances) if session.objects else (),
         time.monotonic() - start,
     )
 

@@ -8,7 +8,9 @@ comes back as signals from `neoworld_mjx.program.build`. `sdk.pyi` beside this f
 are type-checked against.
 """
 
-from .object import Geom, Joint, Object, Part
+from .object import Object
+from .part import Geom, Joint, Part
+from .patterns import grid, ring
 from .placing import Shape
 from .solids import (
     box,
@@ -39,9 +41,11 @@ __all__ = [
     "ellipsoid",
     "extrusion",
     "frustum",
+    "grid",
     "hollow_box",
     "lathe",
     "prism",
+    "ring",
     "rounded_box",
     "sphere",
     "sweep",

@@ -100,6 +100,37 @@ class Object:
         multiplier: float = 1.0,
         offset: float = 0.0,
     ) -> Joint: ...
+    def door(
+        self,
+        name: str,
+        parent: Part,
+        *,
+        x: float,
+        y: Point2,
+        z: Point2,
+        hinge: Literal["left", "right", "top", "bottom"],
+        thickness: float = 0.018,
+        gap: float = 0.001,
+        opens: float = 1.7,
+        material: str | None = None,
+    ) -> Part: ...
+    def drawer(
+        self,
+        name: str,
+        parent: Part,
+        *,
+        x: float,
+        y: Point2,
+        z: Point2,
+        depth: float,
+        wall: float = 0.01,
+        front: float = 0.018,
+        overlay: float = 0.0,
+        gap: float = 0.002,
+        travel: float | None = None,
+        material: str | None = None,
+    ) -> Part: ...
+    def allow_overlap(self, first: Part, second: Part, depth: float, reason: str) -> None: ...
     def site(self, name: str, part: Part, at: Vec3) -> None: ...
 
 def box(size: Vec3) -> Shape: ...
@@ -132,3 +163,9 @@ def torus(radius: float, tube: float, arc: float = ..., sectors: int = 8) -> Sha
 def extrusion(
     outline: Sequence[Point2], height: float, holes: Sequence[Sequence[Point2]] = ()
 ) -> Shape: ...
+def grid(
+    counts: tuple[int, int], steps: Point2, centre: Vec3 = (0.0, 0.0, 0.0)
+) -> list[tuple[float, float, float]]: ...
+def ring(
+    count: int, radius: float, centre: Vec3 = (0.0, 0.0, 0.0), start: float = 0.0
+) -> list[tuple[float, float, float]]: ...

@@ -18,8 +18,9 @@ from typing import Any
 import pydantic_monty as monty
 
 from ..config import ProgramOptions
-from . import object as made
 from .faults import ENDLESS_HINT, IMPORT_HINT, MODULE, of_exception, of_spent
+from .object import Object
+from .part import Geom, Joint, Part
 from .placing import Shape
 from .session import Session, Spent
 from .signals import Signal
@@ -27,19 +28,30 @@ from .signals import Signal
 _START_S, _GRACE_S = 10.0, 0.5
 _MAX_TYPE_SIGNALS = 20
 _METHODS: dict[type, frozenset[str]] = {
-    made.Object: frozenset(
-        {"material", "part", "fixed", "revolute", "continuous", "prismatic", "site"}
+    Object: frozenset(
+        {
+            "material",
+            "part",
+            "fixed",
+            "revolute",
+            "continuous",
+            "prismatic",
+            "door",
+            "drawer",
+            "site",
+            "allow_overlap",
+        }
     ),
-    made.Part: frozenset({"add", "anchor"}),
-    made.Geom: frozenset({"anchor"}),
-    made.Joint: frozenset(),
+    Part: frozenset({"add", "anchor"}),
+    Geom: frozenset({"anchor"}),
+    Joint: frozenset(),
     Shape: frozenset(),
 }
 _FIELDS: dict[type, tuple[str, ...]] = {
-    made.Object: ("name", "label"),
-    made.Part: ("name",),
-    made.Geom: ("name",),
-    made.Joint: ("name",),
+    Object: ("name", "label"),
+    Part: ("name",),
+    Geom: ("name",),
+    Joint: ("name",),
     Shape: (),
 }
 
@@ -90,7 +102,7 @@ def _module(session: Session) -> dict[str, monty.ExternalModule]:
     for name in sdk.__all__:
         value = getattr(sdk, name)
         # Classes that are only named in annotations cannot be called.
-        made_here = inspect.isclass(value) and value is not made.Object
+        made_here = inspect.isclass(value) and value is not Object
         exposed[name] = monty.ClassType(value) if made_here else bound(value)
     module = monty.ExternalModule(exposed, stubs=stubs())
     *packages, last = MODULE.split(".")

@@ -16,7 +16,7 @@ from .object import (
     recentred,
 )
 from .scale import scale
-from .scene import SceneObject, SceneSpec, rearranged, support_frame, world_poses
+from .scene import SceneObject, SceneSpec, read_scene, rearranged, support_frame, world_poses
 from .shapes import (
     Box,
     Capsule,
@@ -65,6 +65,7 @@ __all__ = [
     "inertial",
     "link_poses",
     "pieces",
+    "read_scene",
     "rearranged",
     "recentred",
     "scale",

@@ -5,11 +5,13 @@ The frame of a parent has its origin at the parent's origin and its yaw, but not
 `parent_link` it also takes the link's displacement at the parent's joint state.
 """
 
+from pathlib import Path
 from typing import Annotated, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
+from ..errors import SpecError
 from .camera import Camera
 from .object import Name, Number, ObjectSpec, Quat, Spec, Vec3, link_poses
 from .pose import IDENTITY, Pose, from_yaw, pose, quat_mul, rotate, yaw_of
@@ -103,6 +105,28 @@ class SceneSpec(Spec):
     def to_json(self) -> str:
         """Serialise, the same bytes for the same scene."""
         return self.model_dump_json(indent=1) + "\n"
+
+
+def read_scene(path: Path) -> SceneSpec:
+    """Read the scene of a run folder, or a scene.json.
+
+    Raises:
+        SpecError: there is no such file, or it holds no scene; the message says where it breaks.
+    """
+    path = Path(path)
+    file = path / "scene.json" if path.is_dir() else path
+    if file.suffix != ".json":
+        raise SpecError(f"{path}: expected a run folder or a scene.json")
+    try:
+        return SceneSpec.model_validate_json(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SpecError(f"cannot read {file}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise SpecError(f"{file} is not a text file") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(step) for step in first["loc"])
+        raise SpecError(f"{file} is not a scene: {where or '(root)'}: {first['msg']}") from None
 
 
 def support_frame(parent: SceneObject, parent_pose: Pose, link: str | None) -> Pose:
