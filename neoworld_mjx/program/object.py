@@ -170,7 +170,7 @@ class Object:
         hinge: str,
         thickness: float = 0.018,
         gap: float = 0.001,
-        opens: float = 1.7,
+        opens: float | None = None,
         material: str | None = None,
     ) -> Part:
         """Hang a flat door, or a flap, before a front that lies in the plane x.
@@ -184,7 +184,7 @@ class Object:
             hinge: the edge it turns about: "left" (+y), "right" (-y), "top" or "bottom".
             thickness: along x.
             gap: left free at all four edges.
-            opens: angle when fully open [rad].
+            opens: angle when fully open [rad]; by default 1.7 at the sides, 1.5 above and below.
             material: the parent's by default.
         """
         self._own(parent, "door: parent")

@@ -111,7 +111,7 @@ class Object:
         hinge: Literal["left", "right", "top", "bottom"],
         thickness: float = 0.018,
         gap: float = 0.001,
-        opens: float = 1.7,
+        opens: float | None = None,
         material: str | None = None,
     ) -> Part: ...
     def drawer(

@@ -1,0 +1,116 @@
+"""Doors and drawers as furniture has them, with the clearances that let them move."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from . import arguments as take
+from .solids import box, hollow_box
+
+_HINGES = {
+    "left": ("left.back", (0, 0, 1)),
+    "right": ("right.back", (0, 0, -1)),
+    "bottom": ("bottom.back", (0, 1, 0)),
+    "top": ("top.back", (0, -1, 0)),
+}
+STANDS_OFF_M = 0.0005
+"""Air between a door and the front that it stands before."""
+LIFTS_M = 0.0005
+"""Air under a drawer's tray."""
+SWING = {"left": 1.7, "right": 1.7, "bottom": 1.5, "top": 1.5}
+"""How far a door opens [rad]; a flap that went further would meet what is below or above it."""
+TRAVEL = 0.75
+"""Of a drawer, over its depth."""
+
+
+def add_door(
+    owner: Any,
+    name: str,
+    parent: Any,
+    *,
+    x: float,
+    y: Sequence[float],
+    z: Sequence[float],
+    hinge: str,
+    thickness: float,
+    gap: float,
+    opens: float | None,
+    material: str | None,
+) -> Any:
+    """Hang a flat door before the plane x; see `Object.door`."""
+    what = f"door {take.name(name, 'door name')!r}"
+    (left, width), (low, height) = _span(y, f"{what}: y"), _span(z, f"{what}: z")
+    if hinge not in _HINGES:
+        raise ValueError(f"{what}: hinge is one of {', '.join(_HINGES)}, got {take.shown(hinge)}")
+    edge = take.number(gap, f"{what}: gap", 1.0)
+    size = (
+        take.length(thickness, f"{what}: thickness"),
+        take.length(width - 2 * edge, f"{what}: width inside the gap"),
+        take.length(height - 2 * edge, f"{what}: height inside the gap"),
+    )
+    front = take.number(x, f"{what}: x", take.MAX_COORDINATE_M)
+    part = owner.part(name, material=material or parent._material)
+    at = (front + STANDS_OFF_M, left + width / 2, low + height / 2)
+    panel = part.add(box(size), at=at, by="back", name=f"{name[:40]}_panel")
+    where, axis = _HINGES[hinge]
+    wide = SWING[hinge] if opens is None else take.number(opens, f"{what}: opens", 7.0)
+    owner.revolute(
+        f"{name[:40]}_hinge", parent, part, at=panel.anchor(where), axis=axis, range=(0.0, wide)
+    )
+    return part
+
+
+def add_drawer(
+    owner: Any,
+    name: str,
+    parent: Any,
+    *,
+    x: float,
+    y: Sequence[float],
+    z: Sequence[float],
+    depth: float,
+    wall: float,
+    front: float,
+    overlay: float,
+    gap: float,
+    travel: float | None,
+    material: str | None,
+) -> Any:
+    """Put a drawer into an opening whose front lies in the plane x; see `Object.drawer`."""
+    what = f"drawer {take.name(name, 'drawer name')!r}"
+    (left, width), (low, height) = _span(y, f"{what}: y"), _span(z, f"{what}: z")
+    side = take.number(gap, f"{what}: gap", 1.0)
+    long = take.length(depth, f"{what}: depth")
+    edge = take.number(x, f"{what}: x", take.MAX_COORDINATE_M)
+    over = take.number(overlay, f"{what}: overlay", 1.0)
+    thick = take.length(front, f"{what}: front")
+    part = owner.part(name, material=material or parent._material)
+    tray = (
+        long,
+        take.length(width - 2 * side, f"{what}: width inside the gap"),
+        take.length(height - side - LIFTS_M, f"{what}: height inside the gap"),
+    )
+    middle = left + width / 2
+    shape = hollow_box(tray, take.length(wall, f"{what}: wall"), open="+z")
+    part.add(shape, at=(edge, middle, low + LIFTS_M), by="front.bottom", name=f"{name[:40]}_tray")
+    # The front covers the opening and laps over its frame; without that it closes flush with it.
+    inset = side if over <= 0 else -over
+    face = (
+        thick,
+        take.length(width - 2 * inset, f"{what}: front"),
+        take.length(height - 2 * inset if over > 0 else tray[2], f"{what}: front"),
+    )
+    foot = low - over if over > 0 else low + LIFTS_M
+    part.add(box(face), at=(edge, middle, foot), by="back.bottom", name=f"{name[:40]}_front")
+    out = TRAVEL * long if travel is None else take.length(travel, f"{what}: travel")
+    owner.prismatic(f"{name[:40]}_slide", parent, part, axis=(1, 0, 0), range=(0.0, out))
+    return part
+
+
+def _span(value: Any, what: str) -> tuple[float, float]:
+    """Take (low, high) and return low and the distance."""
+    low, high = take.sequence(value, what, 2, 2)
+    a = take.number(low, what, take.MAX_COORDINATE_M)
+    b = take.number(high, what, take.MAX_COORDINATE_M)
+    if b <= a:
+        raise ValueError(f"{what} must be (low, high), got {take.shown(value)}")
+    return a, b - a

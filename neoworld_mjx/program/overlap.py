@@ -1,0 +1,171 @@
+"""Parts that enter each other, measured over every joint's range, parent and child included."""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..config import ProgramOptions
+from ..spec import Joint, ObjectSpec
+from .allowance import Allowance
+from .probe import Near, Probe
+from .signals import Signal
+
+Pair = tuple[int, int]
+
+
+def overlaps(
+    probe: Probe, options: ProgramOptions, allowances: Sequence[Allowance] = ()
+) -> list[Signal]:
+    """Find parts that enter each other at rest, over each joint's range, and in combinations.
+
+    Parts that are fastened to each other may overlap. What is found deepest of a pair is told.
+    """
+    spec = probe.spec
+    limits = _limits(probe, options, allowances)
+    rigid = _welded(spec)
+    every = [
+        (a, b)
+        for a, b in itertools.combinations(range(len(probe.names)), 2)
+        if rigid[probe.names[a]] != rigid[probe.names[b]]
+    ]
+    found, bad = [], set()
+    for pair, near in probe.depths(every).items():
+        if -near.distance > limits[pair]:
+            bad.add(pair)
+            found.append(_overlap(probe, pair, near, limits[pair]))
+    rest = [pair for pair in every if pair not in bad]
+    driven = [j for j in spec.joints if j.type != "fixed" and j.mimic is None]
+    for joint in driven:
+        moving = {probe.names.index(name) for name in _carried(spec, joint)}
+        pairs = [pair for pair in rest if (pair[0] in moving) != (pair[1] in moving)]
+        pairs += [p for p in rest if p[0] in moving and p[1] in moving and _follows(spec, joint)]
+        worst: dict[Pair, tuple[float, float]] = {}
+        for value in _positions(joint, options.sweep_steps):
+            probe.place({joint.name: value})
+            for pair, near in probe.depths(pairs).items():
+                if near.distance < worst.get(pair, (-limits[pair], 0.0))[0]:
+                    worst[pair] = (near.distance, value)
+        for pair, (distance, value) in worst.items():
+            found.append(_collision(probe, pair, joint, -distance, value, moving, limits[pair]))
+        bad |= set(worst)
+    rest = [pair for pair in every if pair not in bad]
+    if len(driven) > 1:
+        found += _combinations(probe, driven, rest, limits, options)
+    probe.place({})
+    return found
+
+
+def _combinations(
+    probe: Probe,
+    driven: list[Joint],
+    rest: list[Pair],
+    limits: dict[Pair, float],
+    options: ProgramOptions,
+) -> list[Signal]:
+    random = np.random.default_rng(0)
+    worst: dict[Pair, tuple[float, str]] = {}
+    reach = [_positions(joint, options.sweep_steps) for joint in driven]
+    for k in range(options.sweep_combinations):
+        # All open and all closed come first: that is where what swings past each other meets.
+        index = [(-1, 0)[k] if k < 2 else random.integers(len(values)) for values in reach]
+        state = {j.name: float(v[i]) for j, v, i in zip(driven, reach, index, strict=True)}
+        probe.place(state)
+        for pair, near in probe.depths(rest).items():
+            if near.distance < worst.get(pair, (-limits[pair], ""))[0]:
+                shown = ", ".join(f"{name} at {value:.3g}" for name, value in state.items())
+                worst[pair] = (near.distance, shown)
+    return [
+        Signal(
+            severity="error",
+            code="overlap_in_combination",
+            part=probe.names[b],
+            message=f"parts {probe.names[a]!r} and {probe.names[b]!r} enter each other with "
+            f"{shown[:200]}",
+            value=-distance,
+            threshold=limits[a, b],
+            hint="leave the parts room when several joints are open at once, or shorten a range",
+        )
+        for (a, b), (distance, shown) in worst.items()
+    ]
+
+
+def _positions(joint: Joint, steps: int) -> np.ndarray:
+    if joint.type == "continuous":
+        return np.linspace(0, 2 * np.pi, steps + 3, endpoint=False)
+    return np.linspace(joint.lower, joint.upper, steps)
+
+
+def _carried(spec: ObjectSpec, joint: Joint) -> set[str]:
+    """Return the parts that a joint moves, those of its followers included."""
+    led = {joint.name}
+    for _ in spec.joints:
+        led |= {j.name for j in spec.joints if j.mimic is not None and j.mimic.joint in led}
+    moved: set[str] = set()
+    for part, carrier in spec.ordered:
+        if carrier is not None and (carrier.name in led or carrier.parent in moved):
+            moved.add(part.name)
+    return moved
+
+
+def _follows(spec: ObjectSpec, joint: Joint) -> bool:
+    return any(j.mimic is not None and j.mimic.joint == joint.name for j in spec.joints)
+
+
+def _welded(spec: ObjectSpec) -> dict[str, str]:
+    """Name for every part the rigid group that it belongs to."""
+    group: dict[str, str] = {}
+    for part, joint in spec.ordered:
+        rigid = joint is not None and joint.type == "fixed"
+        group[part.name] = group[joint.parent] if rigid and joint is not None else part.name
+    return group
+
+
+def _limits(
+    probe: Probe, options: ProgramOptions, allowances: Sequence[Allowance]
+) -> dict[Pair, float]:
+    """Return how deep [m] every two parts may enter each other."""
+    granted = {frozenset((a.first, a.second)): a.depth for a in allowances}
+    limits = {}
+    for a, b in itertools.combinations(range(len(probe.names)), 2):
+        named = frozenset((probe.names[a], probe.names[b]))
+        limits[a, b] = max(options.max_depth_m, granted.get(named, 0.0))
+    return limits
+
+
+def _overlap(probe: Probe, pair: Pair, near: Near, limit: float) -> Signal:
+    a, b = (probe.names[index] for index in pair)
+    shapes = (probe.geom_names[probe.geom[k]] for k in (near.first, near.second))
+    return Signal(
+        severity="error",
+        code="overlap_at_rest",
+        part=b,
+        message=f"parts {a!r} and {b!r} enter each other at rest, at {' and '.join(shapes)}",
+        value=-near.distance,
+        threshold=limit,
+        hint="parts that move against each other may touch, not overlap: leave 0.5 to 1 mm",
+    )
+
+
+def _collision(
+    probe: Probe,
+    pair: Pair,
+    joint: Joint,
+    depth: float,
+    value: float,
+    moving: set[int],
+    limit: float,
+) -> Signal:
+    a, b = sorted(pair, key=lambda index: index in moving)
+    unit = "m" if joint.type == "prismatic" else "rad"
+    return Signal(
+        severity="error",
+        code="overlap_in_motion",
+        joint=joint.name,
+        part=probe.names[b],
+        message=f"joint {joint.name!r} at {value:.3g} {unit} drives {probe.names[b]!r} into "
+        f"{probe.names[a]!r}",
+        value=depth,
+        threshold=limit,
+        hint="check the sign of the axis (positive opens), the anchor, the range and the clearance",
+    )

@@ -1,0 +1,120 @@
+"""Parts under construction, the shapes placed on them, and the joints between them."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from .. import spec as S
+from ..errors import choices
+from ..spec.pose import from_rpy, pose
+from . import arguments as take
+from .placing import Bounds, Shape, anchor_of, bounds_of
+from .session import current, here
+
+MAX_ANGLE_RAD = 200.0
+
+
+class Geom:
+    """A shape in its place on a part."""
+
+    def __init__(self, spec: S.Geom, bounds: Bounds, line: int | None) -> None:
+        self._spec, self._bounds, self._line = spec, bounds, line
+        self.name = spec.name
+
+    def anchor(self, where: str) -> tuple[float, float, float]:
+        """Return a named point of the shape's bounding box, as placed: "top", "left.front"."""
+        x, y, z = anchor_of(self._bounds, where, f"anchor of {self.name}").tolist()
+        return x, y, z
+
+
+class Part:
+    """A rigid link; made by `Object.part`."""
+
+    def __init__(self, owner: Any, name: str, material: str | None, mass: float | None):
+        self._owner, self._material, self._mass = owner, material, mass
+        self._geoms: list[Geom] = []
+        self._line = here()
+        self.name = name
+
+    def add(
+        self,
+        shape: Shape,
+        at: Sequence[float] = (0.0, 0.0, 0.0),
+        rpy: Sequence[float] = (0.0, 0.0, 0.0),
+        *,
+        by: str = "",
+        material: str | None = None,
+        rgb: Sequence[float] | None = None,
+        role: str = "both",
+        name: str | None = None,
+    ) -> Geom:
+        """Place a shape on the part.
+
+        Args:
+            shape: what `box`, `cylinder`, `lathe` and the like returned.
+            at: where the shape's origin goes, in the object's frame [m].
+            rpy: fixed-axis roll, pitch, yaw [rad], applied about the shape's origin first.
+            by: an anchor of the turned shape's bounding box that goes to `at` instead of its
+                origin, such as "bottom" or "back.top".
+            material: name of a material; the part's own by default.
+            rgb: colour in 0 to 1 that overrides the material's.
+            role: "both", or "visual" (seen only, no mass), or "collision".
+            name: unique in the object; numbered by default.
+        """
+        what = f"part {self.name!r}, add"
+        if not isinstance(shape, Shape):
+            raise TypeError(f"{what}: needs a shape such as box(...), got {take.shown(shape)}")
+        label = self._geom_name(name, what)
+        where = np.array(take.vector(at, f"{what}: at"))
+        turned = from_rpy(*take.vector(rpy, f"{what}: rpy", MAX_ANGLE_RAD))
+        bounds = bounds_of(shape, pose((0, 0, 0), turned))
+        if by:
+            where = where - anchor_of(bounds, by, f"{what}: by")
+        if role not in ("both", "visual", "collision"):
+            given = choices(take.shown(role), ("both", "visual", "collision"))
+            raise ValueError(f"{what}: role: {given}")
+        spec = take.described(
+            S.Geom,
+            f"{what} {label!r}",
+            name=label,
+            shape=shape._spec,
+            pos=tuple(where.tolist()),
+            quat=tuple(turned.tolist()),
+            material=self._owner._shade(material or self._material, rgb, what),
+            role=role,
+        )
+        account = current()
+        account.use("geoms", 1, account.max_geoms)
+        account.use("convex pieces", len(shape._spec.pieces()), account.max_pieces)
+        geom = Geom(spec, (bounds[0] + where, bounds[1] + where), here())
+        self._geoms.append(geom)
+        return geom
+
+    def anchor(self, where: str) -> tuple[float, float, float]:
+        """Return a named point of the bounding box of what the part has so far."""
+        if not self._geoms:
+            raise ValueError(f"part {self.name!r} has no shapes yet, so it has no anchors")
+        low = np.min([geom._bounds[0] for geom in self._geoms], axis=0)
+        high = np.max([geom._bounds[1] for geom in self._geoms], axis=0)
+        x, y, z = anchor_of((low, high), where, f"anchor of part {self.name!r}").tolist()
+        return x, y, z
+
+    def _geom_name(self, given: str | None, what: str) -> str:
+        taken = self._owner._geom_names
+        if given is None:
+            count = len(self._geoms)
+            while (given := f"{self.name[:40]}_{count}") in taken:
+                count += 1
+        elif take.name(given, f"{what}: name") in taken:
+            raise ValueError(f"{what}: the name {given!r} is taken by another shape")
+        taken.add(given)
+        return given
+
+
+class Joint:
+    """A joint between two parts; made by `Object.revolute` and its like."""
+
+    def __init__(self, fields: dict[str, Any], line: int | None) -> None:
+        self._fields, self._line = fields, line
+        self.name: str = fields["name"]

@@ -1,0 +1,42 @@
+"""Places for things that repeat."""
+
+import math
+from collections.abc import Sequence
+
+from . import arguments as take
+
+Point3 = tuple[float, float, float]
+MOST = 1000
+
+
+def grid(
+    counts: Sequence[int], steps: Sequence[float], centre: Sequence[float] = (0.0, 0.0, 0.0)
+) -> list[Point3]:
+    """Return points on a grid in x and y around a centre, row by row along x."""
+    columns, rows = (
+        take.whole(v, "grid counts", 1, MOST) for v in take.sequence(counts, "grid counts", 2, 2)
+    )
+    if columns * rows > MOST:
+        raise ValueError(f"grid makes at most {MOST} points, got {columns} x {rows}")
+    dx, dy = (
+        take.number(v, "grid steps", take.MAX_COORDINATE_M)
+        for v in take.sequence(steps, "grid steps", 2, 2)
+    )
+    x, y, z = take.vector(centre, "grid centre")
+    return [
+        (x + dx * (i - (columns - 1) / 2), y + dy * (j - (rows - 1) / 2), z)
+        for j in range(rows)
+        for i in range(columns)
+    ]
+
+
+def ring(
+    count: int, radius: float, centre: Sequence[float] = (0.0, 0.0, 0.0), start: float = 0.0
+) -> list[Point3]:
+    """Return points on a circle around +z; the k-th lies at the angle start + 2 pi k / count."""
+    many = take.whole(count, "ring count", 1, MOST)
+    r = take.length(radius, "ring radius")
+    x, y, z = take.vector(centre, "ring centre")
+    first = take.number(start, "ring start", 200.0)
+    angles = [first + 2 * math.pi * k / many for k in range(many)]
+    return [(x + r * math.cos(a), y + r * math.sin(a), z) for a in angles]

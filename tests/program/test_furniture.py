@@ -1,0 +1,93 @@
+import numpy as np
+import pytest
+
+from neoworld_mjx.program import build
+from neoworld_mjx.spec import bounds, link_poses
+
+HEAD = (
+    "from neoworld_mjx.program.sdk import Object, box, grid, hollow_box, ring\n"
+    "o = Object('cabinet')\n"
+    "body = o.part('body', material='oak')\n"
+    "body.add(hollow_box((0.4, 0.6, 0.6), 0.02, open='+x'), by='bottom')\n"
+)
+
+
+@pytest.mark.parametrize("hinge", ["left", "right", "top", "bottom"])
+def test_doors_open_outwards_on_every_edge(hinge: str):
+    text = HEAD + f"o.door('d', body, x=0.2, y=(-0.3, 0.3), z=(0, 0.6), hinge='{hinge}')\n"
+    built = build(text)
+    assert built.spec is not None and built.signals == ()
+    low, high = bounds(built.spec)
+    opened_low, opened_high = bounds(built.spec, {"d_hinge": 1.4})
+    assert opened_high[0] > high[0] + 0.5 and opened_low[0] >= low[0] - 1e-9
+
+
+@pytest.mark.parametrize("overlay", [0, 0.015])
+def test_drawers_run_free(overlay: float):
+    text = HEAD + (
+        f"d = o.drawer('d', body, x=0.2, y=(-0.28, 0.28), z=(0.02, 0.58), depth=0.35, "
+        f"overlay={overlay})\n"
+    )
+    built = build(text)
+    assert built.spec is not None and built.signals == ()
+    (joint,) = built.spec.joints
+    assert joint.type == "prismatic" and joint.upper == pytest.approx(0.75 * 0.35)
+    moved = link_poses(built.spec, {"d_slide": 0.1})["d"]
+    assert np.allclose(moved.pos, [0.1, 0, 0])
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        "o.door('d', body, x=0, y=(1, 0), z=(0, 1), hinge='left')",
+        "o.door('d', body, x=0, y=(0, 1), z=(0, 1), hinge='front')",
+        "o.door('d', body, x=0, y=(0, 0.1), z=(0, 1), hinge='left', gap=0.06)",
+        "o.drawer('d', body, x=0, y=(0, 0.01), z=(0, 1), depth=0.3, wall=0.01)",
+        "grid((1000, 1000), (1, 1))",
+        "ring(0, 1)",
+    ],
+)
+def test_wrong_furniture_is_refused(call: str):
+    from neoworld_mjx.config import ProgramOptions
+
+    (signal,) = build(HEAD + call, ProgramOptions(type_check=False)).signals
+    assert signal.code == "value"
+
+
+OVERLAP = HEAD + (
+    "d = o.part('d', material='oak')\n"
+    "d.add(box((0.02, 0.6, 0.6)), at=(0.207, 0, 0.3))\n"
+    "o.prismatic('s', body, d, axis=(1, 0, 0), range=(0, 0.1))\n"
+)
+
+
+def test_an_allowance_is_granted_and_told():
+    assert {s.code for s in build(OVERLAP).signals} == {"overlap_at_rest"}
+    granted = build(OVERLAP + "o.allow_overlap(body, d, 0.004, 'the rebate of the lid')")
+    assert granted.ok
+    assert [(s.code, s.severity) for s in granted.signals] == [("allowed_overlap", "warning")]
+    assert "rebate" in granted.signals[0].message
+
+
+@pytest.mark.parametrize(
+    ("call", "code"),
+    [
+        ("o.allow_overlap(body, d, 0.002, 'the rebate of the lid')", "overlap_at_rest"),
+        ("o.allow_overlap(body, d, 0.02, 'the rebate of the lid')", "value"),
+        ("o.allow_overlap(body, d, 0.004, 'so')", "value"),
+    ],
+)
+def test_an_allowance_has_bounds(call: str, code: str):
+    built = build(OVERLAP + call)
+    assert not built.ok and code in {signal.code for signal in built.signals}
+
+
+def test_patterns():
+    text = HEAD + (
+        "for x, y, z in grid((2, 3), (0.1, 0.1), (0, 0, 0.6)):\n"
+        "    body.add(box((0.02, 0.02, 0.02)), at=(x, y, z), by='bottom')\n"
+        "for x, y, z in ring(4, 0.15, (0, 0, 0.6)):\n"
+        "    body.add(box((0.01, 0.01, 0.03)), at=(x, y, z), by='bottom')\n"
+    )
+    built = build(text)
+    assert built.ok and built.spec is not None and len(built.spec.parts[0].geoms) == 11
