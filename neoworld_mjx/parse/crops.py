@@ -1,0 +1,81 @@
+"""Crops of objects for the programmer: with margin, neighbours marked, hidden parts named."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..mllm import Picture
+from ..spec import SceneTree, TreeNode
+from .photo import Photo
+
+MARGIN = 0.12
+"""Of the box's longer side, on every side."""
+LEAST_PX = 8
+MARK = (90, 90, 90)
+
+
+@dataclass(frozen=True)
+class Crop:
+    """An object cut out of the photo."""
+
+    data: bytes
+    """PNG."""
+    note: str
+    """What of the object the crop does not show, in words; empty if it shows all."""
+
+
+def crops(photo: Photo, tree: SceneTree) -> dict[str, Crop]:
+    """Cut every object out of the shown picture, by node name.
+
+    Whole pixels only and no resampling, so that the same photo gives the same bytes everywhere. Boxes
+    of other objects within the crop are outlined in grey.
+    """
+    return {node.name: Crop(_cut(photo, tree, node), _note(tree, node)) for node in tree.nodes}
+
+
+def _cut(photo: Photo, tree: SceneTree, node: TreeNode) -> bytes:
+    width, height = photo.size
+    x0, y0, x1, y1 = _shown(photo, node)
+    margin = max(LEAST_PX, round(MARGIN * max(x1 - x0, y1 - y0)))
+    left, top = max(0, x0 - margin), max(0, y0 - margin)
+    right, bottom = min(width, x1 + margin), min(height, y1 + margin)
+    canvas = np.array(photo.rgb)
+    for other in tree.nodes:
+        if other.name != node.name and not other.environment:
+            _outline(canvas, _shown(photo, other))
+    return Picture.of(node.name, canvas[top:bottom, left:right]).data
+
+
+def _outline(canvas: np.ndarray, box: tuple[int, int, int, int]) -> None:
+    x0, y0, x1, y1 = box
+    canvas[y0:y1, [x0, x1 - 1]] = MARK
+    canvas[[y0, y1 - 1], x0:x1] = MARK
+
+
+def _shown(photo: Photo, node: TreeNode) -> tuple[int, int, int, int]:
+    """Return a node's box in whole pixels of the shown picture, at least one wide and high."""
+    width, height = photo.size
+    x0, y0, x1, y1 = (v * photo.scale for v in node.box2d.as_tuple())
+    left, top = min(int(x0), width - 1), min(int(y0), height - 1)
+    return left, top, max(left + 1, min(round(x1), width)), max(top + 1, min(round(y1), height))
+
+
+def _note(tree: SceneTree, node: TreeNode) -> str:
+    camera = tree.camera
+    x0, y0, x1, y1 = node.box2d.as_tuple()
+    cut = [
+        side
+        for side, beyond in (
+            ("left", x0 <= 1),
+            ("top", y0 <= 1),
+            ("right", x1 >= camera.width - 1),
+            ("bottom", y1 >= camera.height_px - 1),
+        )
+        if beyond
+    ]
+    said = []
+    if node.occluded_by:
+        said.append(f"partly hidden by {', '.join(node.occluded_by)}")
+    if cut:
+        said.append(f"cut off by the picture's {' and '.join(cut)} edge")
+    return "; ".join(said)
