@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from functools import cache
 from importlib import resources
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -59,10 +59,11 @@ described as: {description}
 measured box at rest, all joints at 0: {x:.3f} m (x, front to back) by {y:.3f} m (y) by {z:.3f} m (z, up)
 moving parts seen: {moving}
 {seen}
-The picture "crop" is cut out of the photo along the object's box; neighbours may show at its edges.
+The picture "crop" is cut out of the photo around the object; grey frames in it mark neighbours, which are
+no part of it.
 """
-HIDDEN = "Part of it is hidden in the photo{behind}: complete it as such things are."
-WHOLE = "It is seen without anything in front of it."
+HIDDEN = "In the crop it is {note}: complete it as such things are."
+WHOLE = "It is seen whole, without anything in front of it."
 MEND = """{ask}
 This is the program so far:
 
@@ -91,20 +92,28 @@ NO_GEOMETRY = (
 )
 
 
+class Subject(NamedTuple):
+    """What is to be programmed."""
+
+    node: TreeNode
+    crop: Picture
+    note: str = ""
+    """What of it the crop does not show, in words; empty if it shows all."""
+
+
 @cache
 def text(name: str) -> str:
     """Read one of the room's texts: "guide" or "critic"."""
     return resources.files("neoworld_mjx.program").joinpath(f"{name}.md").read_text("utf-8")
 
 
-def program_request(node: TreeNode, crop: Picture) -> Request[Written]:
+def program_request(subject: Subject) -> Request[Written]:
     """Ask for an object's first program."""
-    return _written(f"program:{node.name}", _ask(node), crop)
+    return _written(f"program:{subject.node.name}", _ask(subject), subject.crop)
 
 
 def mend_request(
-    node: TreeNode,
-    crop: Picture,
+    subject: Subject,
     program: str,
     signals: Sequence[Signal],
     before: Sequence[Signal] | None = None,
@@ -112,8 +121,7 @@ def mend_request(
     """Ask for a program that is rid of its signals.
 
     Args:
-        node: the object.
-        crop: its picture.
+        subject: the object.
         program: the program so far.
         signals: what is wrong with it.
         before: what was wrong with the program before that one, to say what has changed.
@@ -128,16 +136,14 @@ def mend_request(
         codes = sorted({str(identity[0]) for identity in gone})
         lines.append(f"- (mended since the program before: {', '.join(codes)})")
     heading = "It was run and checked. Mend this:"
-    return _mended(f"debug:{node.name}", node, crop, program, heading, lines)
+    return _mended(f"debug:{subject.node.name}", subject, program, heading, lines)
 
 
-def revise_request(
-    node: TreeNode, crop: Picture, program: str, verdict: Verdict
-) -> Request[Written]:
+def revise_request(subject: Subject, program: str, verdict: Verdict) -> Request[Written]:
     """Ask for a program without the faults that the critic saw."""
     lines = [f"- {fault.part}: {fault.what} -> {fault.change}" for fault in verdict.faults]
     heading = "It runs. Drawn and held beside the photo, it differs:"
-    return _mended(f"revise:{node.name}", node, crop, program, heading, lines)
+    return _mended(f"revise:{subject.node.name}", subject, program, heading, lines)
 
 
 def judge_request(
@@ -177,17 +183,17 @@ def _written(name: str, prompt: str, crop: Picture) -> Request[Written]:
 
 
 def _mended(
-    name: str, node: TreeNode, crop: Picture, program: str, heading: str, lines: list[str]
+    name: str, subject: Subject, program: str, heading: str, lines: list[str]
 ) -> Request[Written]:
     prompt = MEND.format(
-        ask=_ask(node), program=program.strip(), heading=heading, findings="\n".join(lines)
+        ask=_ask(subject), program=program.strip(), heading=heading, findings="\n".join(lines)
     )
-    return _written(name, prompt, crop)
+    return _written(name, prompt, subject.crop)
 
 
-def _ask(node: TreeNode) -> str:
+def _ask(subject: Subject) -> str:
+    node = subject.node
     x, y, z = node.box3d.size
-    behind = f", behind {', '.join(node.occluded_by)}" if node.occluded_by else ""
     return ASK.format(
         name=node.name,
         label=node.label,
@@ -196,7 +202,7 @@ def _ask(node: TreeNode) -> str:
         y=y,
         z=z,
         moving=_moving(node),
-        seen=HIDDEN.format(behind=behind) if node.occluded else WHOLE,
+        seen=HIDDEN.format(note=subject.note) if subject.note else WHOLE,
     )
 
 

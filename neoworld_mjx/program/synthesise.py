@@ -19,6 +19,7 @@ from ..errors import BudgetError, MissingAnswerError, ModelError
 from ..mllm import Model, Picture, Request
 from ..spec import Camera, ObjectSpec, TreeNode, bounds
 from .ask import (
+    Subject,
     Verdict,
     Written,
     judge_request,
@@ -45,6 +46,11 @@ class Cutout(Protocol):
     @property
     def data(self) -> bytes:
         """The file's bytes."""
+        ...
+
+    @property
+    def note(self) -> str:
+        """What of the object it does not show, in words; empty if it shows all."""
         ...
 
 
@@ -131,8 +137,7 @@ class Programmed:
 
 @dataclass
 class _Work:
-    node: TreeNode
-    crop: Picture
+    subject: Subject
     models: Model
     options: ProgramOptions
     camera: Camera | None
@@ -162,20 +167,22 @@ async def synthesise(
     Raises:
         ModelError: the first program could not be had, an answer is missing, or the budget is spent.
     """
-    picture = Picture("crop", crop if isinstance(crop, bytes) else crop.data)
-    work = _Work(node, picture, models, options, camera)
+    plain = isinstance(crop, bytes)
+    picture = Picture("crop", crop if plain else crop.data)
+    subject = Subject(node, picture, "" if plain else crop.note)
+    work = _Work(subject, models, options, camera)
     if node.environment:
         program = support_program(node, median_colour(picture))
         built = await asyncio.to_thread(run, program, options)
         return _finished(work, Attempt("support", program, built))
-    answer = await models.ask(program_request(node, picture))
+    answer = await models.ask(program_request(subject))
     current = await _debugged(work, await _tried(work, "program", answer.value, None))
     for _ in range(options.critic_rounds):
         current = await _judged(work, current)
         if current.verdict is None or _accepted(current.verdict, options):
             break
         revised = await _asked(
-            work, "revise", revise_request(node, picture, current.text, current.verdict)
+            work, "revise", revise_request(subject, current.text, current.verdict)
         )
         if revised is None:
             break
@@ -215,7 +222,7 @@ async def _tried(work: _Work, stage: str, written: Written, before: ObjectSpec |
     program = unfenced(written.program)
     built = await asyncio.to_thread(build, program, work.options)
     if built.spec is not None:
-        more = list(fit(built.spec, work.node))
+        more = list(fit(built.spec, work.subject.node))
         if before is not None:
             more += losses(before, built.spec, written.removed)
         built = replace(built, signals=deduplicated((*built.signals, *more)))
@@ -231,7 +238,7 @@ async def _debugged(work: _Work, attempt: Attempt) -> Attempt:
         if not has_errors(attempt.built.signals):
             break
         signals = attempt.built.signals
-        request = mend_request(work.node, work.crop, attempt.text, signals, earlier)
+        request = mend_request(work.subject, attempt.text, signals, earlier)
         written = await _asked(work, "debug", request)
         if written is None:
             break
@@ -246,15 +253,15 @@ async def _judged(work: _Work, attempt: Attempt) -> Attempt:
     spec, options = attempt.built.spec, work.options
     if spec is None or not (options.geometry_critic or options.articulation_critic):
         return attempt
-    pictures: list[Picture] = [work.crop]
-    pictures.append(await asyncio.to_thread(draw, spec, work.node, work.camera))
+    pictures: list[Picture] = [work.subject.crop]
+    pictures.append(await asyncio.to_thread(draw, spec, work.subject.node, work.camera))
     moves = any(joint.type != "fixed" for joint in spec.joints)
     if moves and options.articulation_critic:
-        opened = await asyncio.to_thread(draw, spec, work.node, work.camera, opened=True)
+        opened = await asyncio.to_thread(draw, spec, work.subject.node, work.camera, opened=True)
         pictures.append(opened)
     low, high = bounds(spec)
     x, y, z = (high - low).tolist()
-    request = judge_request(work.node, pictures, _described(spec), (x, y, z), options)
+    request = judge_request(work.subject.node, pictures, _described(spec), (x, y, z), options)
     verdict = await _asked(work, "judge", request)
     if verdict is None:
         return attempt
@@ -270,7 +277,7 @@ async def _asked(work: _Work, stage: str, request: Request[Any]) -> Any:
     except (BudgetError, MissingAnswerError):
         raise
     except ModelError as error:
-        work.fallbacks.append((f"{work.node.name}: no {stage} round", str(error)))
+        work.fallbacks.append((f"{work.subject.node.name}: no {stage} round", str(error)))
         return None
 
 
@@ -288,7 +295,7 @@ def _finished(work: _Work, best: Attempt) -> Programmed:
     left = [signal for signal in best.built.signals if signal.severity == "error"]
     if best.built.spec is not None and left:
         why = "; ".join(signal.phrase() for signal in left[:4])
-        work.fallbacks.append((f"{work.node.name}: kept with {len(left)} errors", why))
+        work.fallbacks.append((f"{work.subject.node.name}: kept with {len(left)} errors", why))
     return Programmed(
         best.built.spec,
         best.text,
