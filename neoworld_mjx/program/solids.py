@@ -87,7 +87,7 @@ def hollow_box(size: Sequence[float], wall: float, open: str | Sequence[str] = "
 def lathe(
     profile: Sequence[Sequence[float]],
     thickness: float | None = None,
-    sectors: int = 16,
+    sectors: int = 12,
     oval: float = 1.0,
 ) -> Shape:
     """Revolve a profile of (radius, z) points about the shape's z axis.
@@ -121,7 +121,7 @@ def frustum(bottom_radius: float, top_radius: float, height: float) -> Shape:
     return _made(S.Lathe, 1, profile=profile, sectors=32)
 
 
-def tube(radius: float, wall: float, height: float, sectors: int = 16) -> Shape:
+def tube(radius: float, wall: float, height: float, sectors: int = 12) -> Shape:
     """Make a pipe along z, centred, open at both ends; `radius` is the outer one."""
     outer, half = take.length(radius, "tube radius"), take.length(height, "tube height") / 2
     thickness = take.length(wall, "tube wall")

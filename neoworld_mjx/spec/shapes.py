@@ -145,8 +145,8 @@ class Lathe(BaseShape):
 
     With `thickness` the profile is the outer face of a shell, walked from the foot to the rim; the
     wall grows to its left, which is inwards and upwards (a cup, a bowl, a saucer). Without it the
-    profile bounds a solid and z must not decrease. Pieces are convex: frusta for a solid, wedges of
-    each band for a shell. Their corners lie on the true surface of revolution, so they stay within
+    profile bounds a solid and z must not decrease. Pieces are convex: frusta for a solid and for what
+    lies below the flat inner floor of a shell, wedges of each band above. Their corners lie on the true surface of revolution, so they stay within
     r (1 - cos(pi / sectors)) of it.
     """
 
@@ -213,10 +213,21 @@ class Lathe(BaseShape):
                 if b[1] > a[1] and max(a[0], b[0]) > 0
             ]
         q = self.inner()
-        pieces = []
-        for i in range(len(p) - 1):
-            quad = [p[i], p[i + 1], q[i + 1], q[i]]
-            if p[i][0] == 0 and p[i][1] == p[i + 1][1]:
+        quads = [np.array([p[i], p[i + 1], q[i + 1], q[i]]) for i in range(len(p) - 1)]
+        pieces, floor = [], self.floor()
+        if floor is not None:
+            # Below the inner floor all is solid: one stack of frusta, so that what stands on the
+            # ground stands on one piece and not on every wedge.
+            base = [*(c for c in p[1:] if c[1] < floor[1]), floor]
+            pieces = [
+                (polytope(np.vstack([self._ring(c, angles) for c in pair])), 1)
+                for pair in zip(base[:-1], base[1:], strict=True)
+            ]
+            quads = [_above(quad, floor[1]) for quad in quads[1:]]
+        for quad in quads:
+            if len(quad) < 3:
+                continue
+            if quad[0][0] == 0 and len(quad) == 4 and quad[0][1] == quad[1][1]:
                 disc = [self._ring(c, angles) for c in quad[1:3]]
                 pieces.append((polytope(np.vstack(disc)), 1))
             else:
@@ -224,10 +235,36 @@ class Lathe(BaseShape):
                 pieces.append((polytope(np.vstack(wedge)), self.sectors))
         return pieces
 
+    def floor(self) -> NDArray | None:
+        """Return the outer face's (r, z) at the height of a flat inner floor, None without one."""
+        p = np.array(self.profile)
+        if self.thickness is None or p[0, 0] > 0 or p[0, 1] != p[1, 1]:
+            return None
+        top = p[0, 1] + self.thickness
+        over = np.flatnonzero(p[:, 1] >= top)
+        if len(over) == 0 or np.any(np.diff(p[: over[0] + 1, 1]) < 0) or np.any(p[:, 1] < p[0, 1]):
+            return None
+        a, b = p[over[0] - 1], p[over[0]]
+        share = (top - a[1]) / (b[1] - a[1])
+        return np.array([a[0] + share * (b[0] - a[0]), top])
+
     def _ring(self, corner: NDArray, angles: NDArray) -> NDArray:
         r, z = corner
         y = self.oval * r * np.sin(angles)
         return np.column_stack([r * np.cos(angles), y, np.full(len(angles), z)])
+
+
+def _above(polygon: NDArray, z: float) -> NDArray:
+    """Cut a convex (r, z) polygon off below a height."""
+    found = []
+    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        if a[1] >= z:
+            found.append(a)
+        if (a[1] - z) * (b[1] - z) < 0:
+            found.append(a + (z - a[1]) / (b[1] - a[1]) * (b - a))
+    kept = np.array(found).reshape(-1, 2)
+    # What merely touches the cut, by rounding or in truth, is no piece.
+    return kept if len(kept) >= 3 and np.ptp(kept[:, 1]) > 1e-9 * max(1.0, abs(z)) else kept[:0]
 
 
 def _cross2(a: NDArray, b: NDArray) -> NDArray:

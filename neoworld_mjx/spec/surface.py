@@ -183,7 +183,11 @@ def _lathe(shape: Lathe) -> tuple[NDArray, NDArray]:
         foot = [[0.0, p[0, 1]]] if p[0, 0] > 0 else []
         head = [[0.0, p[-1, 1]]] if p[-1, 0] > 0 else []
         return _revolve(np.array([*foot, *p.tolist(), *head]), sectors)
-    section = np.vstack([profile, shape.inner()[::-1]])
+    outer, floor = profile, shape.floor()
+    if floor is not None and np.linalg.norm(profile - floor, axis=1).min() > 1e-9:
+        # The colliders are cut at the inner floor; their corners there belong to the surface, too.
+        outer = np.insert(profile, np.flatnonzero(profile[:, 1] >= floor[1])[0], floor, axis=0)
+    section = np.vstack([outer, shape.inner()[::-1]])
     return _revolve(section, sectors, closed=bool(profile[0, 0] > 0))
 
 

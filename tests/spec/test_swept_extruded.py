@@ -30,8 +30,12 @@ PANEL = Extrusion(
     height=0.02,
 )
 SPOON = Lathe(profile=((0, 0), (0.01, 0.003), (0.02, 0.01)), thickness=0.002, oval=0.7)
+CUP = Lathe(
+    profile=((0, 0), (0.021, 0), (0.021, 0.003), (0.029, 0.015), (0.0375, 0.06)), thickness=0.0035
+)
 SHAPES = [
     SPOON,
+    CUP,
     TORUS,
     STRAP,
     HOOK,
@@ -86,6 +90,17 @@ def test_an_oval_lathe_is_a_stretched_round_one():
         for shape in (SPOON, SPOON.model_copy(update={"oval": 1.0}))
     )
     assert flat == pytest.approx(0.7 * round_)
+
+
+def test_a_shell_stands_on_one_piece():
+    lows = [min(z for _, _, z in piece.vertices) for piece in CUP.pieces()]
+    assert sorted(lows)[:2] == pytest.approx([0.0, 0.003]) and lows.count(0.0) == 1
+    section = np.vstack([np.array(CUP.profile), CUP.inner()[::-1]])
+    after = np.roll(section, -1, axis=0)
+    cross = section[:, 0] * after[:, 1] - section[:, 1] * after[:, 0]
+    moment = abs(np.sum((section[:, 0] + after[:, 0]) * cross) / 6)
+    volume = sum(mass_properties(piece)[0] for piece in CUP.pieces())
+    assert volume == pytest.approx(16 * math.sin(2 * math.pi / 16) * moment)
 
 
 def test_a_strap_is_wide_across_its_plane():
