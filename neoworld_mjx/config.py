@@ -168,6 +168,8 @@ class CEMOptions(Options):
     """Always try the mean itself as a candidate; at first that is the composed layout."""
     stop_gain: float = Field(default=0.02, ge=0)
     """Stop when the elites' mean absolute reward gains less than this in an iteration."""
+    patience: int = Field(default=2, ge=1)
+    """How many iterations in a row must gain less; 1 is Algorithm 1."""
 
 
 class RewardOptions(Options):
@@ -180,9 +182,10 @@ class RewardOptions(Options):
     """Weight of the prior that holds layouts near the composed one, and sizes near the parsed ones:
     the mean of (z / sigma)^2 over objects and their four numbers, sigma being the initial one."""
     normalisation: Literal["iteration", "fixed"] = "iteration"
-    d_pen_cap_m: float = Field(default=0.02, gt=0)
-    d_drift_cap: float = Field(default=10.0, gt=0)
-    """In units of the drift scales below: 10 is 10 cm or 50 degrees."""
+    d_pen_cap_m: float = Field(default=0.005, gt=0)
+    d_drift_cap: float = Field(default=3.0, gt=0)
+    """In units of the drift scales below: 3 is 3 cm or 15 degrees. A small cap keeps the difference
+    between a valid candidate and one that just fails from drowning in that between two bad ones."""
     pen_scale_m: float = Field(default=0.001, gt=0)
     drift_scale_m: float = Field(default=0.01, gt=0)
     tilt_scale_deg: float = Field(default=5.0, gt=0)

@@ -196,7 +196,12 @@ def _program(run: RunFolder, photo: Photo, models: Panel, config: Config) -> Non
         if run.finished(name, inputs[node.name]):
             return
         made = await synthesise(
-            node, pictures[node.name], models, config.program, camera=tree.camera
+            node,
+            pictures[node.name],
+            models,
+            config.program,
+            camera=tree.camera,
+            colour=pictures[node.name].colour,
         )
         if made.spec is None:
             raise ProgramError(f"object {node.name}: {made.reason}")

@@ -20,6 +20,8 @@ class Crop:
 
     data: bytes
     """PNG."""
+    colour: tuple[float, float, float]
+    """Median red, green, blue, 0 to 1, of the pixels in its box that are in no other object's."""
     note: str
     """What of the object the crop does not show, in words; empty if it shows all."""
 
@@ -30,7 +32,10 @@ def crops(photo: Photo, tree: SceneTree) -> dict[str, Crop]:
     Whole pixels only and no resampling, so that the same photo gives the same bytes everywhere. Boxes
     of other objects within the crop are outlined in grey.
     """
-    return {node.name: Crop(_cut(photo, tree, node), _note(tree, node)) for node in tree.nodes}
+    return {
+        node.name: Crop(_cut(photo, tree, node), _colour(photo, tree, node), _note(tree, node))
+        for node in tree.nodes
+    }
 
 
 def _cut(photo: Photo, tree: SceneTree, node: TreeNode) -> bytes:
@@ -44,6 +49,19 @@ def _cut(photo: Photo, tree: SceneTree, node: TreeNode) -> bytes:
         if other.name != node.name and not other.environment:
             _outline(canvas, _shown(photo, other))
     return Picture.of(node.name, canvas[top:bottom, left:right]).data
+
+
+def _colour(photo: Photo, tree: SceneTree, node: TreeNode) -> tuple[float, float, float]:
+    free = np.zeros(photo.rgb.shape[:2], bool)
+    x0, y0, x1, y1 = _shown(photo, node)
+    free[y0:y1, x0:x1] = True
+    for other in tree.nodes:
+        if other.name != node.name and not other.environment:
+            a, b, c, d = _shown(photo, other)
+            free[b:d, a:c] = False
+    chosen = photo.rgb[free] if free.any() else photo.rgb[y0:y1, x0:x1].reshape(-1, 3)
+    red, green, blue = (float(v) / 255 for v in np.median(chosen, axis=0))
+    return red, green, blue
 
 
 def _outline(canvas: np.ndarray, box: tuple[int, int, int, int]) -> None:

@@ -27,7 +27,7 @@ _MATERIALS = {
 _SLAB = """from neoworld_mjx.program.sdk import Object, box
 
 support = Object("{name}")
-surface = support.material("surface", like="{like}"{rgb})
+surface = support.material("{like}_surface", like="{like}"{rgb})
 body = support.part("body", material=surface)
 body.add(box(({x!r}, {y!r}, {z!r})), by="bottom", name="slab")
 """
@@ -37,7 +37,7 @@ X, Y, Z = {x!r}, {y!r}, {z!r}
 BOARD, LEG = {board!r}, {leg!r}
 
 support = Object("{name}")
-surface = support.material("surface", like="{like}"{rgb})
+surface = support.material("{like}_surface", like="{like}"{rgb})
 body = support.part("body", material=surface)
 body.add(box((X, Y, BOARD)), at=(0, 0, Z), by="top", name="board")
 for i, sx in enumerate((-1, 1)):

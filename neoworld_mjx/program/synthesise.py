@@ -152,6 +152,7 @@ async def synthesise(
     options: ProgramOptions,
     *,
     camera: Camera | None = None,
+    colour: tuple[float, float, float] | None = None,
 ) -> Programmed:
     """Have an object programmed after its crop.
 
@@ -163,6 +164,7 @@ async def synthesise(
         models: who is asked.
         options: rounds, critics, sandbox.
         camera: the photo's, so that the critic sees the object from the same side.
+        colour: of a support, red, green, blue from 0 to 1; by default the median of its crop.
 
     Raises:
         ModelError: the first program could not be had, an answer is missing, or the budget is spent.
@@ -172,7 +174,7 @@ async def synthesise(
     subject = Subject(node, picture, "" if plain else crop.note)
     work = _Work(subject, models, options, camera)
     if node.environment:
-        program = support_program(node, median_colour(picture))
+        program = support_program(node, colour or median_colour(picture))
         built = await asyncio.to_thread(run, program, options)
         return _finished(work, Attempt("support", program, built))
     answer = await models.ask(program_request(subject))

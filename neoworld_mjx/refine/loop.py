@@ -55,8 +55,8 @@ def refine(
 ) -> Refined:
     """Refine a composed scene by CEM (paper Section 3.3, Step 5).
 
-    Stops after T iterations, or when the elites gain less than `stop_gain` once a valid candidate
-    has been seen. The winner is the best valid candidate by absolute reward that also passes an
+    Stops after T iterations, or when the elites have gained less than `stop_gain` for `patience`
+    iterations and a valid candidate has been seen. The winner is the best valid candidate by absolute reward that also passes an
     exact check; when none does, the best one that was tried is returned with `passed` False.
 
     Args:
@@ -83,6 +83,7 @@ def refine(
     key = jax.random.key(seed)
     rule = _early_stop(o) if o.rollout.early_stop else None
     rounds: list[tuple[Layout, Poses, Scores]] = []
+    stalled = 0
     for t in range(o.cem.iterations):
         layouts = cem.ask(jax.random.fold_in(key, t), state, params)
         began = time.perf_counter()
@@ -103,7 +104,8 @@ def refine(
         if progress is not None:
             progress(_line(t, o.cem.iterations, scores, state))
         seen_valid = any(bool(np.any(s.valid)) for _, _, s in rounds)
-        if seen_valid and float(state.gain) < o.cem.stop_gain:
+        stalled = stalled + 1 if float(state.gain) < o.cem.stop_gain else 0
+        if seen_valid and stalled >= o.cem.patience:
             break
     began = time.perf_counter()
     chosen = _choose(model, rounds, o)
