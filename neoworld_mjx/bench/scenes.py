@@ -45,7 +45,7 @@ _KINDS = ("box", "cylinder", "upper", "container", "inside", "prism", "ball", "r
 _EDGES = {"box": (0.075, 0.075, 0.075), "upper": (0.05, 0.05, 0.05), "inside": (0.035, 0.03, 0.03)}
 """Mean edges of the boxes [m]."""
 
-_GAPS = ((3, -0.02), (6, -0.011), (10, 0.01), (20, 0.017), (40, 0.021))
+_GAPS = ((3, -0.02), (6, -0.011), (10, 0.01), (20, 0.017), (40, 0.025))
 """Clearance between neighbours [m] by number of objects: more pairs need more room to fail alike."""
 
 

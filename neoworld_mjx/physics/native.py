@@ -5,15 +5,18 @@ copies in a batch, so scenes with convex pieces run on a ring of model copies sc
 """
 
 import copy
+import weakref
 
+import equinox as eqx
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jaxtyping import Array, Float
 from mujoco.batch import Batch, SimulationError
 
 from .engine import EarlyStop, Rollout, RolloutStatus, record_steps
 from .layout import Either, Layout, Poses, compose_poses, heights
-from .model import FREE, MESH, SceneModel, leaves, mesh_object
+from .model import FREE, MESH, Host, SceneModel, leaves, mesh_object
 
 CHUNK, MESH_CHUNK = 1024, 256
 
@@ -42,12 +45,15 @@ class NativeEngine:
         layouts = _on_host(layouts)
         pop, size = poses.scale.shape[0], MESH_CHUNK if has_meshes(scene) else CHUNK
         parts = []
+        # Taken out while in use, so that a rollout in another thread makes copies of its own.
+        ring = _rings.pop(scene.host, [])
         for first in range(0, pop, size):
             cut = slice(first, min(first + size, pop))
             chosen = Poses(poses.pos[cut], poses.quat[cut], poses.scale[cut], poses.height[cut])
             few = Layout(layouts.xy[cut], layouts.yaw[cut], layouts.log_scale[cut])
-            batch = open_batch(scene, few, chosen, self.threads)
+            batch = open_batch(scene, few, chosen, self.threads, ring)
             parts.append(_run(scene, batch, chosen, records, every, early_stop))
+        _rings[scene.host] = ring
         pos, quat, status, steps = (np.concatenate(column) for column in zip(*parts, strict=True))
         dt = scene.host.mjm.opt.timestep
         f32 = lambda x: jnp.asarray(x, jnp.float32)
@@ -61,10 +67,19 @@ class NativeEngine:
         )
 
 
+_rings: "weakref.WeakKeyDictionary[Host, list[mujoco.MjModel]]" = weakref.WeakKeyDictionary()
+"""Model copies of scenes with convex pieces; writing one anew takes a quarter of copying it."""
+
+
 def exact_poses(scene: SceneModel, layouts: Layout) -> Poses:
     """Place candidates in double precision (NumPy), at the heights that `place` snaps to."""
-    height = np.asarray(heights(scene.host.arrangement, layouts), float)
+    height = np.asarray(_heights(scene, layouts), float)
     return compose_poses(scene.host.arrangement, _on_host(layouts), height, np)
+
+
+@eqx.filter_jit
+def _heights(scene: SceneModel, layouts: Layout) -> Float[Array, "pop object"]:
+    return heights(scene.host.arrangement, layouts)
 
 
 def has_meshes(scene: SceneModel) -> bool:
@@ -72,7 +87,13 @@ def has_meshes(scene: SceneModel) -> bool:
     return bool(np.any(scene.host.mjm.geom_type == MESH))
 
 
-def open_batch(scene: SceneModel, layouts: Layout, poses: Poses, threads: int = 0) -> Batch:
+def open_batch(
+    scene: SceneModel,
+    layouts: Layout,
+    poses: Poses,
+    threads: int = 0,
+    ring: list[mujoco.MjModel] | None = None,
+) -> Batch:
     """Build a batch whose simulation k runs candidate k's model, in its start state.
 
     Args:
@@ -80,12 +101,14 @@ def open_batch(scene: SceneModel, layouts: Layout, poses: Poses, threads: int = 
         layouts: the candidates, NumPy leaves.
         poses: where they stand, NumPy leaves in double precision.
         threads: 0 takes all cores.
+        ring: copies of the scene's model to write over, when it has meshes; extended as needed. A
+            batch made from the same ring before is void.
     """
     fields = leaves(scene, layouts, poses, np)
     qpos = fields.pop("qpos")
     batch = Batch(scene.host.mjm, nsim=len(qpos), nthread=threads)
     if has_meshes(scene):
-        batch.set_models(model_ring(scene, fields, poses.scale))
+        batch.set_models(model_ring(scene, fields, poses.scale, ring))
     else:
         for name, values in fields.items():
             batch.expand(name)[:] = values.reshape(batch.expand(name).shape)
@@ -94,29 +117,47 @@ def open_batch(scene: SceneModel, layouts: Layout, poses: Poses, threads: int = 
     return batch
 
 
-def model_ring(scene: SceneModel, fields: dict, scale: Either) -> list[mujoco.MjModel]:
-    """Copy the scene's model once a candidate and scale each copy, meshes included."""
-    base, owner = scene.host.mjm, mesh_object(scene)
+def model_ring(
+    scene: SceneModel,
+    fields: dict[str, np.ndarray],
+    scale: Either,
+    ring: list[mujoco.MjModel] | None = None,
+) -> list[mujoco.MjModel]:
+    """Write each candidate into its own copy of the scene's model, meshes included.
+
+    Args:
+        scene: the compiled scene.
+        fields: of `leaves`.
+        scale: of every object, shape [pop, object].
+        ring: copies made before, to be written over; extended as needed.
+    """
+    base, pop = scene.host.mjm, len(scale)
+    ring = [] if ring is None else ring
+    ring.extend(copy.copy(base) for _ in range(pop - len(ring)))
     data = mujoco.MjData(base)
-    ring = []
-    for k in range(len(scale)):
-        model = copy.copy(base)
+    fields = {name: v.reshape(pop, *getattr(base, name).shape) for name, v in fields.items()}
+    padded = np.concatenate([scale, np.ones((pop, 1))], axis=1)
+    mesh, vert, box = _mesh_owners(scene)
+    mesh, vert, box = padded[:, mesh, None], padded[:, vert, None], padded[:, box, None]
+    for k, model in enumerate(ring[:pop]):
         for name, values in fields.items():
-            target = getattr(model, name)
-            target[:] = values[k].reshape(target.shape)
-        for mesh in np.flatnonzero(owner >= 0):
-            s = scale[k, owner[mesh]]
-            if s == 1.0:
-                continue
-            at, n = base.mesh_vertadr[mesh], base.mesh_vertnum[mesh]
-            model.mesh_vert[at : at + n] = base.mesh_vert[at : at + n] * s
-            model.mesh_pos[mesh] = base.mesh_pos[mesh] * s
-            if base.mesh_bvhnum[mesh]:
-                at, n = base.mesh_bvhadr[mesh], base.mesh_bvhnum[mesh]
-                model.bvh_aabb[at : at + n] = base.bvh_aabb[at : at + n] * s
+            getattr(model, name)[:] = values[k]
+        model.mesh_vert[:] = base.mesh_vert * vert[k]
+        model.mesh_pos[:] = base.mesh_pos * mesh[k]
+        model.bvh_aabb[:] = base.bvh_aabb * box[k]
         mujoco.mj_setConst(model, data)
-        ring.append(model)
-    return ring
+    return ring[:pop]
+
+
+def _mesh_owners(scene: SceneModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Object of each mesh, mesh vertex and bounding volume; -1 for what no scale acts on."""
+    base, mesh = scene.host.mjm, mesh_object(scene)
+    vert, box = np.full(base.nmeshvert, -1), np.full(base.nbvh, -1)
+    for m, owner in enumerate(mesh):
+        vert[base.mesh_vertadr[m] :][: base.mesh_vertnum[m]] = owner
+        if base.mesh_bvhnum[m]:
+            box[base.mesh_bvhadr[m] :][: base.mesh_bvhnum[m]] = owner
+    return mesh, vert, box
 
 
 def _run(
