@@ -213,8 +213,14 @@ class Lathe(BaseShape):
                 if b[1] > a[1] and max(a[0], b[0]) > 0
             ]
         q = self.inner()
+        floor = self.floor()
+        if floor is not None:
+            # A scaled copy differs in the last bits and must come to the same pieces: heights that
+            # mean the floor's are made equal to it.
+            for points in (p, q):
+                points[np.abs(points[:, 1] - floor[1]) < self._rounding(), 1] = floor[1]
         quads = [np.array([p[i], p[i + 1], q[i + 1], q[i]]) for i in range(len(p) - 1)]
-        pieces, floor = [], self.floor()
+        pieces = []
         if floor is not None:
             # Below the inner floor all is solid: one stack of frusta, so that what stands on the
             # ground stands on one piece and not on every wedge.
@@ -241,12 +247,16 @@ class Lathe(BaseShape):
         if self.thickness is None or p[0, 0] > 0 or p[0, 1] != p[1, 1]:
             return None
         top = p[0, 1] + self.thickness
-        over = np.flatnonzero(p[:, 1] >= top)
+        over = np.flatnonzero(p[:, 1] >= top - self._rounding())
         if len(over) == 0 or np.any(np.diff(p[: over[0] + 1, 1]) < 0) or np.any(p[:, 1] < p[0, 1]):
             return None
         a, b = p[over[0] - 1], p[over[0]]
-        share = (top - a[1]) / (b[1] - a[1])
+        share = min(1.0, (top - a[1]) / (b[1] - a[1]))
         return np.array([a[0] + share * (b[0] - a[0]), top])
+
+    def _rounding(self) -> float:
+        """Return a height [m] that is nothing beside the wall."""
+        return 1e-6 * (self.thickness or 0.0)
 
     def _ring(self, corner: NDArray, angles: NDArray) -> NDArray:
         r, z = corner
