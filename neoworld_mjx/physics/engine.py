@@ -1,9 +1,10 @@
 """What a rollout is, and which engine computes it."""
 
 import enum
-from typing import Protocol
+from typing import Any, Protocol
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..config import EngineName
@@ -141,6 +142,22 @@ def rollout(
     return open_engine(engine).rollout(
         scene, layouts, duration=duration, record_every=record_every, early_stop=early_stop
     )
+
+
+def unplaceable(poses: Poses, xp: Any = np) -> Any:
+    """Tell which candidates no engine should try: [pop], true where a pose is not finite or absurd.
+
+    Absurd is a scale below 1e-3 or above 1e3, where masses meet MuJoCo's smallest, or a place
+    farther than 1e6 m. Engines give such a candidate the status FAILED without simulating it.
+
+    Args:
+        poses: of all candidates.
+        xp: `jnp` for traced poses.
+    """
+    # Comparisons with NaN are false, so it fails without being asked for.
+    sized = (poses.scale > 1e-3) & (poses.scale < 1e3)
+    placed = xp.all(xp.abs(poses.pos) < 1e6, axis=-1) & xp.all(xp.isfinite(poses.quat), axis=-1)
+    return ~xp.all(sized & placed, axis=1)
 
 
 def record_steps(timestep: float, duration: float, record_every: float) -> tuple[int, int]:

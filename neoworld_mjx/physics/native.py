@@ -8,13 +8,14 @@ import copy
 import weakref
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 from mujoco.batch import Batch, SimulationError
 
-from .engine import EarlyStop, Rollout, RolloutStatus, record_steps
+from .engine import EarlyStop, Rollout, RolloutStatus, record_steps, unplaceable
 from .layout import Either, Layout, Poses, compose_poses, heights
 from .model import FREE, MESH, Host, SceneModel, leaves, mesh_object
 
@@ -41,18 +42,19 @@ class NativeEngine:
     ) -> Rollout:
         """Simulate every candidate; see `Engine.rollout`."""
         poses = exact_poses(scene, layouts)
+        bad = unplaceable(poses)
+        runs, layouts = _replaced(scene, poses, _on_host(layouts), bad)
         records, every = record_steps(scene.host.mjm.opt.timestep, duration, record_every)
-        layouts = _on_host(layouts)
         pop, size = poses.scale.shape[0], MESH_CHUNK if has_meshes(scene) else CHUNK
         parts = []
         # Taken out while in use, so that a rollout in another thread makes copies of its own.
         ring = _rings.pop(scene.host, [])
         for first in range(0, pop, size):
             cut = slice(first, min(first + size, pop))
-            chosen = Poses(poses.pos[cut], poses.quat[cut], poses.scale[cut], poses.height[cut])
+            chosen = Poses(runs.pos[cut], runs.quat[cut], runs.scale[cut], runs.height[cut])
             few = Layout(layouts.xy[cut], layouts.yaw[cut], layouts.log_scale[cut])
             batch = open_batch(scene, few, chosen, self.threads, ring)
-            parts.append(_run(scene, batch, chosen, records, every, early_stop))
+            parts.append(_run(scene, batch, chosen, records, every, early_stop, bad[cut]))
         _rings[scene.host] = ring
         pos, quat, status, steps = (np.concatenate(column) for column in zip(*parts, strict=True))
         dt = scene.host.mjm.opt.timestep
@@ -74,7 +76,8 @@ _rings: "weakref.WeakKeyDictionary[Host, list[mujoco.MjModel]]" = weakref.WeakKe
 def exact_poses(scene: SceneModel, layouts: Layout) -> Poses:
     """Place candidates in double precision (NumPy), at the heights that `place` snaps to."""
     height = np.asarray(_heights(scene, layouts), float)
-    return compose_poses(scene.host.arrangement, _on_host(layouts), height, np)
+    with np.errstate(invalid="ignore", over="ignore"):  # such candidates fail; see unplaceable
+        return compose_poses(scene.host.arrangement, _on_host(layouts), height, np)
 
 
 @eqx.filter_jit
@@ -167,6 +170,7 @@ def _run(
     records: int,
     every: int,
     rule: EarlyStop | None,
+    bad: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     m = scene.host.mjm
     free = np.flatnonzero(m.jnt_type == FREE)
@@ -179,13 +183,14 @@ def _run(
     calm = np.zeros(pop, np.int32)
     qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
     qacc = batch.bind("qacc") if m.nv else qvel
-    active = np.arange(pop)
+    status[bad] = int(RolloutStatus.FAILED)
+    active = np.flatnonzero(~bad)
     for t in range(records):
         if len(active) and m.nv:
             failed = _step(batch, active, every)
-            bad = failed | ~np.isfinite(qpos[active]).all(axis=1)
-            status[active[bad]] = int(RolloutStatus.FAILED)
-            active = active[~bad]
+            failed |= ~np.isfinite(qpos[active]).all(axis=1)
+            status[active[failed]] = int(RolloutStatus.FAILED)
+            active = active[~failed]
             steps[active] += every
             for o, a in zip(moving, adr, strict=True):
                 pos[active, t:, o] = qpos[active, None, a : a + 3]
@@ -213,6 +218,19 @@ def _step(batch: Batch, active: np.ndarray, steps: int) -> np.ndarray:
     except SimulationError as error:
         failed = np.isin(active, error.ids)
     return failed
+
+
+def _replaced(
+    scene: SceneModel, poses: Poses, layouts: Layout, bad: np.ndarray
+) -> tuple[Poses, Layout]:
+    """Put the composed scene in the place of candidates that cannot be simulated."""
+    if not bad.any():
+        return poses, layouts
+    pop, objects = bad.shape[0], poses.scale.shape[1]
+    zero = _on_host(Layout.zero(1, objects))
+    sound = exact_poses(scene, zero)
+    mix = lambda leaf, safe: np.where(bad.reshape(pop, *(1,) * (leaf.ndim - 1)), safe, leaf)
+    return jax.tree.map(mix, poses, sound), jax.tree.map(mix, layouts, zero)
 
 
 def drift(

@@ -1,0 +1,67 @@
+"""What the native engine does with populations that hold something broken, and with reused models."""
+
+import jax
+import numpy as np
+import pytest
+import scenes
+from pydantic import ValidationError
+
+from neoworld_mjx.bench.scenes import crowded, noisy_layouts
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.physics import native
+from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.physics.native import NativeEngine
+from neoworld_mjx.spec import Box, ObjectSpec, SceneObject, SceneSpec
+
+
+@pytest.fixture(scope="module", params=["primitives", "meshes"])
+def scene(request):
+    return compile_scene(scenes.blocks() if request.param == "primitives" else crowded(6))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("xy", np.nan), ("yaw", np.nan), ("log_scale", np.nan), ("log_scale", -np.inf)]
+    + [("log_scale", np.inf), ("log_scale", -20.0), ("xy", 1e30)],
+)
+def test_a_broken_candidate_is_a_status_and_harms_no_other(scene, field, value):
+    layouts = noisy_layouts(scene, 4)
+    fields = {name: getattr(layouts, name).copy() for name in ("xy", "yaw", "log_scale")}
+    fields[field][2, 1] = value
+    rule = EarlyStop()
+    broken = NativeEngine().rollout(scene, Layout(**fields), duration=0.2, early_stop=rule)
+    clean = NativeEngine().rollout(scene, layouts, duration=0.2, early_stop=rule)
+    assert int(broken.status[2]) == RolloutStatus.FAILED
+    for k in (0, 1, 3):
+        assert int(broken.status[k]) == int(clean.status[k])
+        assert np.array_equal(broken.pos[k], clean.pos[k])
+
+
+def test_models_written_anew_equal_fresh_copies(monkeypatch):
+    scene = compile_scene(crowded(6))
+    first, second = noisy_layouts(scene, 6, seed=1), noisy_layouts(scene, 4, seed=2)
+    NativeEngine().rollout(scene, first, duration=0.1)
+    assert len(native._rings[scene.host]) == 6
+    again = NativeEngine().rollout(scene, second, duration=0.1)
+    native._rings.clear()
+    monkeypatch.setattr(native, "MESH_CHUNK", 3)
+    fresh = NativeEngine().rollout(scene, second, duration=0.1)
+    assert len(native._rings[scene.host]) == 3
+    for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(fresh), strict=True):
+        assert np.array_equal(a, b)
+
+
+def test_an_object_of_no_size_is_refused_by_name():
+    with pytest.raises(ValidationError, match="size"):
+        Box(size=(0.1, 0.0, 0.1))
+    with pytest.raises((ValidationError, SpecError)):
+        compile_scene(SceneSpec(objects=(SceneObject(name="x", spec=ObjectSpec(name="x")),)))
+
+
+def test_where_nothing_moves_everything_is_stable_at_once():
+    scene = compile_scene(scenes.on_table())
+    rollout = NativeEngine().rollout(scene, Layout.zero(3, 1), early_stop=EarlyStop())
+    assert not set(rollout.status.tolist()) & {int(RolloutStatus.FAILED)}
+    assert np.array_equal(rollout.pos[:, -1], rollout.start.pos)
