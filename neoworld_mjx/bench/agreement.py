@@ -1,0 +1,221 @@
+"""Whether every engine says the same about the same layouts; no clock runs here.
+
+(a) a candidate's model equals a recompiled scaled one, (b) `native` equals `mj_step` on it bit by
+bit, (c) motion equals that of the recompiled model as long as chaos allows, (d) verdicts are equal.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from ..errors import EngineError, choices
+from ..physics.engine import EarlyStop, open_engine
+from ..physics.layout import Layout, Poses
+from ..physics.mjcf import to_mjspec
+from ..physics.model import FREE, SceneModel, compile_scene
+from ..physics.native import exact_poses, open_batch
+from .fields import SINGLE, field_errors, loose_fields
+from .scenes import noisy_layouts
+from .six import AGREEMENT
+from .verdicts import compare, motion, naive_loop, started
+
+WANTED = {"native": 0.99, "mjx": 0.98, "warp": 0.98}
+"""Smallest share of equal verdicts among layouts that no bound is near to."""
+FIRST_STEP, FIRST_STEP_SHARE = 1e-6, 0.95
+"""Largest difference after one step [m] or [rad], and the share of layouts that must keep it."""
+BIT_STEPS, FALL_STEPS, FALL = 100, 100, 2.0
+"""Steps compared bit by bit, steps of the contact-free fall, and the room under each object [m]."""
+
+
+class Row(BaseModel):
+    """A row of a table; None where a column does not apply."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ModelRow(Row):
+    """Checks (a) to (c) of one scene."""
+
+    scene: str
+    layouts: int
+    stable_share: float
+    field_error: float
+    """Largest relative difference of fields in double precision."""
+    field_error_single: float
+    """The same, of what MuJoCo keeps in single precision."""
+    loose_fields: list[str]
+    """Fields beyond 1e-9, or 1e-6 where single precision is all there is."""
+    bit_equal_share: float
+    """Share of layouts whose native trajectory is that of mj_step to the last bit."""
+    first_step_share: float
+    """Share of layouts within 1e-6 m of the recompiled model after one step."""
+    fall_error_m: float
+    """Largest difference from the recompiled model throughout a fall without contact."""
+    passed: bool
+
+
+class VerdictRow(Row):
+    """Check (d) of one scene and engine."""
+
+    scene: str
+    engine: str
+    early_stop: bool
+    layouts: int
+    stable_share: float
+    near_bound: int
+    """Layouts that move 0.5 to 2 times a bound; not part of `agreement`."""
+    agreement: float | None
+    """Share of equal verdicts among the others."""
+    agreement_near_bound: float | None
+    wanted: float
+    passed: bool | None
+    """None where the engine cannot run."""
+    note: str = ""
+
+
+def agreement(
+    scenes: Sequence[str] = (),
+    engines: Sequence[str] = ("native",),
+    *,
+    layouts: int = 64,
+    seed: int = 0,
+) -> Iterator[ModelRow | VerdictRow]:
+    """Compare engines with MuJoCo on recompiled scenes, one row as soon as it is known.
+
+    Args:
+        scenes: names in `AGREEMENT`; none takes all six.
+        engines: of which verdicts are compared.
+        layouts: candidates of each scene.
+        seed: of the layouts.
+
+    Raises:
+        EngineError: there is no such scene.
+    """
+    for name in scenes or AGREEMENT:
+        if name not in AGREEMENT:
+            raise EngineError(f"scene: {choices(name, list(AGREEMENT))}")
+        make, noise = AGREEMENT[name]
+        scene = compile_scene(make())
+        drawn = noisy_layouts(scene, layouts, seed=seed, noise=noise)
+        poses = exact_poses(scene, drawn)
+        reference = naive_loop(scene, drawn, poses).motion
+        yield _models(name, scene, drawn, poses, float(np.mean(reference < 1)))
+        for engine in engines:
+            for rule in (None, EarlyStop()):
+                yield _verdicts(name, scene, drawn, reference, engine, rule)
+
+
+def _verdicts(
+    name: str,
+    scene: SceneModel,
+    layouts: Layout,
+    reference: np.ndarray,
+    engine: str,
+    rule: EarlyStop | None,
+) -> VerdictRow:
+    wanted = WANTED[engine]
+    about = {"scene": name, "engine": engine, "early_stop": rule is not None, "wanted": wanted}
+    try:
+        found = motion(scene, open_engine(engine).rollout(scene, layouts, early_stop=rule))  # pyright: ignore[reportArgumentType]
+    except EngineError as error:
+        found, note = None, str(error)
+    else:
+        note = ""
+    told = compare(reference, reference if found is None else found)
+    share = None if found is None else told.share(near=False)
+    return VerdictRow(
+        **about,
+        layouts=len(reference),
+        stable_share=float(told.stable.mean()),
+        near_bound=int(told.near.sum()),
+        agreement=share,
+        agreement_near_bound=None if found is None else told.share(near=True),
+        passed=None if found is None else share is not None and share >= wanted,
+        note=note,
+    )
+
+
+class _Differences(NamedTuple):
+    fields: dict[str, float]
+    bits: bool
+    first: float
+    fall: float
+
+
+def _models(name: str, scene: SceneModel, layouts: Layout, poses: Poses, stable: float) -> ModelRow:
+    batch = open_batch(scene, layouts, poses)
+    start = batch.bind("qpos").copy()
+    models = [batch.get_model(k) for k in range(batch.nsim)]
+    batch.step(nstep=BIT_STEPS)
+    each = []
+    for k, model in enumerate(models):
+        spec = to_mjspec(scene.apply(layouts, k, poses), timestep=model.opt.timestep)
+        again, data = started(spec)
+        each.append(_differences(model, start[k], batch.bind("qpos")[k], again, data))
+    errors = {n: max(d.fields[n] for d in each) for n in each[0].fields}
+    bits = float(np.mean([d.bits for d in each]))
+    first = float(np.mean([d.first <= FIRST_STEP for d in each]))
+    fall, loose = max(d.fall for d in each), sorted(loose_fields(errors))
+    return ModelRow(
+        scene=name,
+        layouts=len(each),
+        stable_share=stable,
+        field_error=max(e for n, e in errors.items() if n not in SINGLE),
+        field_error_single=max(e for n, e in errors.items() if n in SINGLE),
+        loose_fields=loose,
+        bit_equal_share=bits,
+        first_step_share=first,
+        fall_error_m=fall,
+        passed=not loose and bits == 1 and first >= FIRST_STEP_SHARE and fall <= FIRST_STEP,
+    )
+
+
+def _differences(
+    model: mujoco.MjModel,
+    start: np.ndarray,
+    end: np.ndarray,
+    again: mujoco.MjModel,
+    fresh: mujoco.MjData,
+) -> _Differences:
+    """Hold a candidate's model against the recompiled one, and its native end against mj_step."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = start
+    mujoco.mj_step(model, data)
+    composed = fresh.qpos.copy()
+    mujoco.mj_step(again, fresh)
+    first = float(np.abs(data.qpos - fresh.qpos).max())
+    mujoco.mj_step(model, data, nstep=BIT_STEPS - 1)
+    return _Differences(
+        fields=field_errors(model, again),
+        bits=bool(np.array_equal(data.qpos, end)),
+        first=first,
+        fall=_fall(model, again, composed),
+    )
+
+
+def _fall(model: mujoco.MjModel, again: mujoco.MjModel, start: np.ndarray) -> float:
+    """Let both models fall with room under every object; return their largest difference.
+
+    Objects that are raised each to a height of its own fall side by side and meet nothing.
+
+    Raises:
+        EngineError: something touched; then this is no fall without contact.
+    """
+    high = start.copy()
+    for k, address in enumerate(model.jnt_qposadr[model.jnt_type == FREE]):
+        high[address + 2] += FALL * (k + 1)
+    both = []
+    for m in (model, again):
+        data = mujoco.MjData(m)
+        data.qpos[:] = high
+        path = np.empty((FALL_STEPS, m.nq))
+        for t in range(FALL_STEPS):
+            mujoco.mj_step(m, data)
+            path[t] = data.qpos
+            if data.ncon:
+                raise EngineError("objects raised for a fall without contact touch each other")
+        both.append(path)
+    return float(np.abs(both[0] - both[1]).max())

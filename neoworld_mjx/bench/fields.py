@@ -1,0 +1,62 @@
+"""Whether two compiled models say the same, field by field."""
+
+import mujoco
+import numpy as np
+
+# Search structures (bounding-volume trees, hull graphs) break ties by rounding; they decide how
+# fast, not what, is found. Meshes are compared where they lie: MuJoCo turns each to its principal
+# axes, and a symmetric one has several.
+_SKIP = ("names", "paths", "bvh_", "oct_", "mesh_", "key_qpos")
+SINGLE = ("mesh_vertices", "dof_length")
+"""What MuJoCo keeps in single precision, or derives from that."""
+
+
+def meshes_in_bodies(model: mujoco.MjModel) -> dict[str, np.ndarray]:
+    """Return the vertices [m] of every mesh geom in its body's frame, in an order of their own."""
+    found = {}
+    for g in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
+        mesh = model.geom_dataid[g]
+        at, n = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, model.geom_quat[g])
+        found[model.geom(g).name] = (
+            model.mesh_vert[at : at + n] @ turn.reshape(3, 3).T + model.geom_pos[g]
+        )
+    return found
+
+
+def field_errors(ours: mujoco.MjModel, theirs: mujoco.MjModel) -> dict[str, float]:
+    """Return the largest difference of each field, relative to the field's largest value.
+
+    Integer fields count 0 or inf. "mesh_vertices" stands for how far any vertex of a mesh lies from
+    the nearest of its twin, over the mesh's extent.
+    """
+    errors = {"mesh_vertices": 0.0}
+    ours_at, theirs_at = meshes_in_bodies(ours), meshes_in_bodies(theirs)
+    for name, b in theirs_at.items():
+        gap = np.linalg.norm(ours_at[name][:, None] - b[None], axis=-1)
+        worst = max(gap.min(axis=0).max(), gap.min(axis=1).max()) / np.ptp(b, axis=0).max()
+        errors["mesh_vertices"] = max(errors["mesh_vertices"], float(worst))
+    plain = theirs.geom_type != mujoco.mjtGeom.mjGEOM_MESH
+    for name in dir(theirs):
+        b = None if name.startswith(("_", *_SKIP)) else getattr(theirs, name)
+        if not isinstance(b, np.ndarray) or b.size == 0:
+            continue
+        a = getattr(ours, name)
+        if a.shape != b.shape:
+            errors[name] = float("inf")
+            continue
+        if name.startswith("geom_"):
+            a, b = a[plain], b[plain]
+        if b.dtype.kind != "f":
+            errors[name] = 0.0 if np.array_equal(a, b) else float("inf")
+        elif b.size:
+            errors[name] = float(np.abs(a - b).max() / max(np.abs(b).max(), 1e-12))
+    return errors
+
+
+def loose_fields(
+    errors: dict[str, float], double: float = 1e-9, single: float = 1e-6
+) -> dict[str, float]:
+    """Return the fields that differ by more than their precision allows."""
+    return {n: e for n, e in errors.items() if not e <= (single if n in SINGLE else double)}

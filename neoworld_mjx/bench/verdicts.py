@@ -1,0 +1,145 @@
+"""Stable or not: verdicts of rollouts, and those of the obvious loop that they are held against."""
+
+import time
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..config import RewardOptions
+from ..physics.engine import Rollout, RolloutStatus, record_steps
+from ..physics.layout import Layout, Poses
+from ..physics.mjcf import to_mjspec
+from ..physics.model import FREE, SceneModel
+from ..physics.native import drift
+from ..refine.rewards import drifts
+
+_BOUNDS = RewardOptions()
+DISTANCE, ANGLE = _BOUNDS.drift_scale_m, float(np.radians(_BOUNDS.tilt_scale_deg))
+"""Bounds of stability [m], [rad]."""
+NEAR = (0.5, 2.0)
+"""Layouts whose motion lies between these multiples of a bound are counted apart: the same program
+on the same numbers, nudged by 1e-13, decides them either way."""
+
+
+def motion(scene: SceneModel, rollout: Rollout) -> Float[np.ndarray, " pop"]:
+    """Return each candidate's largest motion in units of the bounds; inf where it failed."""
+    far, turned = (np.asarray(x) for x in drifts(scene, rollout))
+    each = np.maximum(far / DISTANCE, turned / ANGLE)
+    most = np.where(np.asarray(scene.movable), each, 0.0).max(axis=1)
+    return np.where(np.asarray(rollout.status) == RolloutStatus.FAILED, np.inf, most)
+
+
+class Loop(NamedTuple):
+    """What the obvious loop found for the first candidates of a population."""
+
+    motion: Float[np.ndarray, " some"]
+    """Largest motion in units of the bounds."""
+    compile_s: Float[np.ndarray, " some"]
+    """Time that each candidate took to compile."""
+    step_s: Float[np.ndarray, " some"]
+    """Time that each took to simulate."""
+    steps: int
+    """Simulated steps of one candidate."""
+
+    @property
+    def candidates_per_s(self) -> float:
+        """Rate of the loop, without the time that the descriptions took to write."""
+        return len(self.motion) / float(self.compile_s.sum() + self.step_s.sum())
+
+
+def naive_loop(
+    scene: SceneModel,
+    layouts: Layout,
+    poses: Poses,
+    *,
+    duration: float = 1.0,
+    record_every: float = 0.1,
+    budget: float = float("inf"),
+) -> Loop:
+    """Compile each candidate's own model, step it to the end, and go on to the next; one thread.
+
+    The clock runs while MuJoCo compiles and steps; that the scaled description is ready in memory
+    is granted to the loop.
+
+    Args:
+        scene: the compiled scene.
+        layouts: the candidates.
+        poses: where they stand, in double precision.
+        duration: simulated time [s].
+        record_every: time between the poses that a verdict is made of [s].
+        budget: seconds after which no further candidate is begun.
+    """
+    timestep = scene.host.mjm.opt.timestep
+    records, every = record_steps(timestep, duration, record_every)
+    found: list[float] = []
+    compiling, stepping = [], []
+    began = time.perf_counter()
+    for k in range(poses.scale.shape[0]):
+        if found and time.perf_counter() - began > budget:
+            break
+        spec = to_mjspec(scene.apply(layouts, k, poses), timestep=timestep)
+        t0 = time.perf_counter()
+        model, data = started(spec)
+        t1 = time.perf_counter()
+        found.append(_walk(scene, model, data, records, every))
+        stepping.append(time.perf_counter() - t1)
+        compiling.append(t1 - t0)
+    return Loop(np.array(found), np.array(compiling), np.array(stepping), records * every)
+
+
+def started(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Compile a description and put it into its start state."""
+    model = spec.compile()
+    # As in compile_scene: what diverges must not be put back to its start.
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    data = mujoco.MjData(model)
+    if model.nkey:
+        data.qpos[:] = model.key("start").qpos
+    return model, data
+
+
+def _walk(
+    scene: SceneModel, model: mujoco.MjModel, data: mujoco.MjData, records: int, every: int
+) -> float:
+    """Step a candidate to the end; return its largest motion in units of the bounds."""
+    free = model.jnt_qposadr[model.jnt_type == FREE]
+    if not len(free):
+        return 0.0
+    seven = free[:, None] + np.arange(7)
+    start, most = data.qpos[seven], 0.0
+    for _ in range(records):
+        mujoco.mj_step(model, data, nstep=every)
+        now = data.qpos[seven]
+        if not np.isfinite(now).all():
+            return np.inf
+        far, turned = drift(now[:, :3], now[:, 3:], start[:, :3], start[:, 3:])
+        most = max(most, float(np.max(far / DISTANCE)), float(np.max(turned / ANGLE)))
+    return most
+
+
+class Compared(NamedTuple):
+    """How often two verdicts on the same layouts are the same."""
+
+    stable: Bool[np.ndarray, " pop"]
+    """By the reference."""
+    near: Bool[np.ndarray, " pop"]
+    """Within `NEAR` of a bound by the reference."""
+    same: Bool[np.ndarray, " pop"]
+
+    def share(self, *, near: bool) -> float | None:
+        """Share of equal verdicts among the layouts near a bound, or among all others."""
+        chosen = self.near == near
+        return float(self.same[chosen].mean()) if chosen.any() else None
+
+
+def compare(reference: Float[np.ndarray, " pop"], ours: Float[np.ndarray, " pop"]) -> Compared:
+    """Compare verdicts by motion in units of the bounds.
+
+    A layout is near a bound by the reference's motion alone, so that an engine cannot excuse its
+    own errors.
+    """
+    near = (reference > NEAR[0]) & (reference < NEAR[1])
+    stable = reference < 1.0
+    return Compared(stable, near, stable == (ours < 1.0))
