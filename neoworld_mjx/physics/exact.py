@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 from ..spec import SceneSpec
 from .mjcf import to_mjspec
 
+CONCENTRIC = 1e-5
+NUDGE = np.array([0.36, 0.48, 0.80]) * CONCENTRIC
+
 
 def start_state(scene: SceneSpec, timestep: float = 0.002) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """Compile a scene and put it into its composed state, positions computed."""
@@ -37,9 +40,25 @@ def pair_distance(
         gaps = np.linalg.norm(data.geom_xpos[second] - data.geom_xpos[a], axis=1)
         gaps = gaps - model.geom_rbound[second] - model.geom_rbound[a]
         for b in second[gaps < nearest]:
-            found = mujoco.mj_geomDistance(model, data, int(a), int(b), nearest, None)
-            nearest = min(nearest, found)
+            nearest = min(nearest, geom_distance(model, data, int(a), int(b), nearest))
     return float(nearest)
+
+
+def geom_distance(
+    model: mujoco.MjModel, data: mujoco.MjData, a: int, b: int, reach: float
+) -> float:
+    """Return the signed distance [m] of two geoms, at most `reach`.
+
+    MuJoCo 3.17 calls geoms 0 m apart whose centres coincide, however deep they are in each other;
+    then one is moved aside by 10 micrometres for the measurement.
+    """
+    if np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]) > CONCENTRIC:
+        return mujoco.mj_geomDistance(model, data, a, b, reach, None)
+    kept = data.geom_xpos[a].copy()
+    data.geom_xpos[a] = kept + NUDGE
+    found = mujoco.mj_geomDistance(model, data, a, b, reach, None)
+    data.geom_xpos[a] = kept
+    return found
 
 
 def object_depths(
@@ -79,7 +98,7 @@ def snap_exactly(scene: SceneSpec, gap: float = 1e-4, rounds: int = 30) -> Scene
             own = np.flatnonzero(owner == index)
             support = np.flatnonzero(owner == scene.index(str(item.parent)))
             distance = pair_distance(model, data, own, support, reach=0.02)
-            if distance >= 0.02 or 0 <= distance <= gap + 1e-6:
+            if distance >= 0.02 or abs(distance - gap) < 5e-6:
                 break
             step = gap - distance
             item = item.model_copy(update={"z": item.z + step})

@@ -189,8 +189,9 @@ def _spread(xy: NDArray, level: NDArray) -> NDArray:
 def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     """Tabulate what an object stands on.
 
-    Only pieces that begin below the middle of the child count, so that a can on the lower shelf
-    does not jump onto the upper one; among those the highest surface wins.
+    It stands on the highest surface under its footprint, unless it was seen inside: below pieces
+    that leave it the room to stand, as a can on the lower shelf. Of the two places the one nearer to
+    the composed height is taken.
 
     Args:
         scene: the composed scene.
@@ -199,23 +200,29 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     """
     parent = scene.object(str(item.parent))
     links = {item.parent_link} if item.parent_link else None
-    shift = link_frame(parent, item.parent_link)
+    frame = link_frame(parent, item.parent_link).inverse()
     foot = footprint(item)
     own = foot[np.isfinite(foot[:, 2])]
-    radius = float(np.linalg.norm(own[:, :2], axis=1).max())
-    half = radius * 1.3 + reach
+    half = float(np.linalg.norm(own[:, :2], axis=1).max()) * 1.3 + reach
     origin = np.array(item.xy) - half
     cell = 2 * half / (GRID - 1)
     axis = np.arange(GRID) * cell
     xy = np.stack(np.meshgrid(origin[0] + axis, origin[1] + axis, indexing="ij"), -1).reshape(-1, 2)
-    tops = posed_pieces(item)
-    top = max(float(_corners(piece, at)[:, 2].max()) for piece, at in tops)
-    middle = item.z + (own[:, 2].min() + top) / 2
-    heights = np.full(len(xy), NOTHING)
-    for piece, at in posed_pieces(parent, links):
-        here = shift.inverse().then(at)
-        low, high = column(piece, here, xy)
-        heights = np.where(low < middle, np.maximum(heights, high), heights)
+    columns = [column(piece, frame.then(at), xy) for piece, at in posed_pieces(parent, links)]
+    low, high = np.array([c[0] for c in columns]), np.array([c[1] for c in columns])
+
+    top = max(float(_corners(piece, at)[:, 2].max()) for piece, at in posed_pieces(item))
+    under = low < item.z + (own[:, 2].min() + top) / 2
+    outside = np.max(high, axis=0, initial=NOTHING)
+    inside = np.max(np.where(under, high, NOTHING), axis=0, initial=NOTHING)
+    ceiling = np.min(np.where(under, np.inf, low), axis=0, initial=np.inf)
+
+    turned = rotate(from_yaw(item.yaw), own)
+    spots = np.clip(np.round((turned[:, :2] + item.xy - origin) / cell), 0, GRID - 1).astype(int)
+    cells = spots[:, 0] * GRID + spots[:, 1]
+    z_out, z_in = (float(np.max(h[cells] - own[:, 2])) for h in (outside, inside))
+    fits = z_in > NOTHING / 2 and np.min(ceiling[cells]) > z_in + top - 1e-3
+    heights = inside if fits and abs(z_in - item.z) <= abs(z_out - item.z) else outside
     return Support(
         jnp.asarray(heights.reshape(GRID, GRID), jnp.float32),
         jnp.asarray(origin, jnp.float32),

@@ -1,0 +1,209 @@
+"""Composition: sizes from parsed boxes, heights from the surface under the footprint."""
+
+import math
+
+import numpy as np
+import pytest
+import scenes
+
+from neoworld_mjx.compose import compose
+from neoworld_mjx.compose.compose import opening_value
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.physics.exact import object_depths, start_state
+from neoworld_mjx.spec import (
+    Box,
+    Box2D,
+    Box3D,
+    Camera,
+    HollowBox,
+    Joint,
+    Lathe,
+    PartState,
+    SceneTree,
+    TreeNode,
+    bounds,
+    scale,
+    world_poses,
+)
+
+CAMERA = Camera(width=640, height_px=480, fovy=0.8, height=1.0, pitch=0.6)
+PIXELS = Box2D(x0=10, y0=10, x1=100, y1=100)
+
+
+def node(name, spec, position, parent="table", yaw=0.0, size=None, **more):
+    low, high = bounds(spec)
+    return TreeNode(
+        name=name,
+        label=name,
+        parent=parent,
+        box2d=PIXELS,
+        box3d=Box3D(position=position, size=tuple(size or (high - low).tolist()), yaw=yaw),
+        **more,
+    )
+
+
+def ground():
+    return TreeNode(
+        name="table",
+        label="table",
+        environment=True,
+        box2d=PIXELS,
+        box3d=Box3D(position=(1.0, 0, -0.04), size=(0.6, 0.8, 0.04), yaw=0.4),
+    )
+
+
+def composed(nodes, specs):
+    tree = SceneTree(camera=CAMERA, nodes=(ground(), *nodes))
+    return compose(tree, {"table": scenes.table(), **specs})
+
+
+def test_a_program_of_any_size_gets_the_size_of_its_box():
+    small = scale(scenes.cup(), 0.01)
+    low, high = bounds(scenes.cup())
+    made = composed([node("cup", scenes.cup(), (1.0, 0, 0))], {"cup": small})
+    assert made.scales["cup"] == pytest.approx(100.0)
+    item = made.scene.object("cup")
+    a, b = bounds(item.spec)
+    assert np.allclose(b - a, high - low)
+    assert np.allclose(item.scale_residual, 0, atol=1e-9)
+
+
+def test_what_an_isotropic_factor_cannot_fit_is_recorded_per_axis():
+    box = scenes.single("box", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
+    made = composed([node("box", box, (1.0, 0, 0), size=(0.1, 0.1, 0.2))], {"box": box})
+    factor = 2 ** (1 / 3)
+    assert made.scales["box"] == pytest.approx(factor)
+    expected = (factor - 1, factor - 1, factor / 2 - 1)
+    assert made.scene.object("box").scale_residual == pytest.approx(expected)
+
+
+def test_places_and_headings_are_those_of_the_parse():
+    cup = scenes.cup()
+    made = composed([node("cup", cup, (1.1, -0.2, 0.0), yaw=1.0)], {"cup": cup})
+    pose = world_poses(made.scene)["cup"]
+    assert pose.pos[:2] == pytest.approx([1.1, -0.2])
+    assert pose.pos[2] == pytest.approx(1e-4, abs=1e-6)
+    assert pose.quat == pytest.approx([math.cos(0.5), 0, 0, math.sin(0.5)])
+    assert made.scene.object("cup").yaw == pytest.approx(0.6)  # the table is turned by 0.4
+
+
+@pytest.mark.parametrize("off", [-0.01, 0.0, 0.02])
+def test_a_spoon_comes_to_lie_on_the_saucer_whatever_height_was_parsed(off):
+    specs = {"saucer": scenes.saucer(), "spoon": scenes.spoon()}
+    made = composed(
+        [
+            node("saucer", specs["saucer"], (1.0, 0, 0)),
+            node("spoon", specs["spoon"], (1.0, 0.04, 0.01 + off), parent="saucer", yaw=0.3),
+        ],
+        specs,
+    )
+    height = world_poses(made.scene)["spoon"].pos[2]
+    assert 0.004 < height < 0.02
+    model, data = start_state(made.scene)
+    assert max(object_depths(made.scene, model, data).values(), default=0) < 1e-3
+    # A millimetre lower it would sink in: it touches.
+    down = made.scene.object("spoon").model_copy(update={"z": made.scene.object("spoon").z - 2e-3})
+    objects = (*made.scene.objects[:-1], down)
+    lowered = made.scene.model_copy(update={"objects": objects})
+    model, data = start_state(lowered)
+    assert ("saucer", "spoon") in object_depths(lowered, model, data)
+
+
+def test_a_cup_in_a_bowl_stands_on_the_bowls_floor_and_not_on_its_rim():
+    bowl = scenes.single(
+        "bowl",
+        (Lathe(profile=((0, 0), (0.06, 0), (0.1, 0.05)), thickness=0.004), (0, 0, 0)),
+        material=scenes.CERAMIC,
+    )
+    cup = scenes.cup()
+    made = composed(
+        [
+            node("bowl", bowl, (1.0, 0, 0)),
+            node("cup", cup, (1.0, 0, 0.01), parent="bowl", relation="in"),
+        ],
+        {"bowl": bowl, "cup": cup},
+    )
+    assert world_poses(made.scene)["cup"].pos[2] == pytest.approx(0.0042, abs=5e-4)
+
+
+@pytest.mark.parametrize(("parsed", "expected"), [(0.02, 0.02), (0.26, 0.26), (0.5, 0.52)])
+def test_a_can_stands_on_the_shelf_it_was_seen_on(parsed, expected):
+    shelf = scenes.single(
+        "shelf",
+        (HollowBox(size=(0.3, 0.4, 0.52), wall=0.02, open=("+x",)), (0, 0, 0.26)),
+        (Box(size=(0.26, 0.36, 0.02)), (0, 0, 0.25)),
+    )
+    can = scenes.single("can", (Box(size=(0.06, 0.06, 0.1)), (0, 0, 0)))
+    made = composed(
+        [
+            node("shelf", shelf, (1.0, 0, 0)),
+            node("can", can, (1.0, 0.05, parsed), parent="shelf", relation="in"),
+        ],
+        {"shelf": shelf, "can": can},
+    )
+    assert world_poses(made.scene)["can"].pos[2] == pytest.approx(expected + 2e-4, abs=2e-4)
+
+
+def test_a_block_in_an_open_drawer_is_carried_by_the_drawer():
+    cabinet, block = scenes.cabinet(), scenes.single("b", (Box(size=(0.05,) * 3), (0, 0, 0)))
+    closed = bounds(cabinet)
+    opened = bounds(cabinet, {"slide": 0.15})
+    made = composed(
+        [
+            node(
+                "cabinet",
+                cabinet,
+                (1.0, 0, 0),
+                size=tuple((opened[1] - opened[0]).tolist()),
+                articulation=(
+                    PartState(part="drawer", type="prismatic", opening=0.5),
+                    PartState(part="door", type="revolute", opening=0.0),
+                ),
+            ),
+            node("b", block, (1.2, 0, 0.05), parent="cabinet", parent_link="drawer", relation="in"),
+        ],
+        {"cabinet": cabinet, "b": block},
+    )
+    item = made.scene.object("cabinet")
+    assert item.joint_state["slide"] == pytest.approx(0.15)
+    assert item.joint_state["hinge"] == 0.0
+    assert made.scales["cabinet"] == pytest.approx(1.0)
+    pose = world_poses(made.scene)["b"]
+    assert pose.pos[0] == pytest.approx(1.2)
+    # The tray's floor is 1 cm thick and starts 4 cm above the ground.
+    assert pose.pos[2] == pytest.approx(0.05 + 2e-4, abs=2e-4)
+    assert closed[1][0] < opened[1][0]
+
+
+def test_what_cannot_be_taken_over_is_said():
+    cup = scenes.cup()
+    made = composed(
+        [
+            node(
+                "cup",
+                cup,
+                (1.0, 0, 0),
+                articulation=(PartState(part="lid", type="revolute", opening=0.4),),
+            ),
+            node("b", cup, (1.0, 0, 0.07), parent="cup", parent_link="lid", fixed_base=True),
+        ],
+        {"cup": cup, "b": cup},
+    )
+    said = " ".join(made.notes)
+    assert "lid" in said
+    assert "left closed" in said
+    assert "cannot be fixed" in said
+    assert not made.scene.object("b").fixed_base
+
+
+def test_a_missing_object_is_named():
+    with pytest.raises(SpecError, match="cup"):
+        composed([node("cup", scenes.cup(), (1, 0, 0))], {})
+
+
+def test_opening_goes_from_the_limit_nearest_to_zero_to_the_far_one():
+    joint = Joint(name="j", type="revolute", parent="a", child="b", lower=-1.5, upper=0.1)
+    assert opening_value(joint, 0.0) == 0.0
+    assert opening_value(joint, 1.0) == -1.5
+    shifted = joint.model_copy(update={"lower": 0.2, "upper": 1.2})
+    assert opening_value(shifted, 0.5) == pytest.approx(0.7)

@@ -1,0 +1,74 @@
+import numpy as np
+import pytest
+import scenes
+
+from neoworld_mjx.measure import scene_measure
+from neoworld_mjx.physics.exact import snap_exactly
+from neoworld_mjx.spec import Box, Cylinder, SceneObject, Sphere
+
+
+def box(name, size=(0.1, 0.1, 0.1)):
+    return scenes.single(name, (Box(size=size), (0, 0, 0)))
+
+
+@pytest.mark.parametrize("depth", [0.0004, 0.004, 0.03])
+def test_depth_of_two_boxes_side_by_side(depth):
+    found = scene_measure(
+        scenes.on_table((box("a"), (0, 0), 0.0, {}), (box("b"), (0.1 - depth, 0), 0.0, {})),
+        duration=0.01,
+    )
+    assert found.max_depth_m == pytest.approx(depth, abs=1e-5)
+    assert found.s_pen == int(depth > 1e-3)
+
+
+def test_one_thing_inside_another_is_deep_even_if_concentric():
+    small = box("small", (0.04, 0.04, 0.04))
+    found = scene_measure(
+        scenes.on_table((box("big"), (0, 0), 0.0, {}), (small, (0, 0), 0.0, {"z": 0.07})),
+        duration=0.002,
+    )
+    # Out through a side or the top: 5 cm and 2 cm, the small one's own half size included.
+    assert found.depths_m["big|small"] == pytest.approx(0.07, abs=1e-3)
+
+
+def test_a_stack_stands_and_a_ball_on_a_slope_does_not():
+    still = scene_measure(snap_exactly(scenes.blocks()))
+    assert still.s_stab is True
+    assert still.movable == 3
+    assert still.max_drift_m < 1e-3
+    ball = scenes.single("ball", (Sphere(radius=0.03), (0, 0, 0)))
+    lean = {"base_tilt": (np.cos(0.2), 0, np.sin(0.2), 0)}
+    ramp = scenes.single("ramp", (Box(size=(0.3, 0.2, 0.02)), (0, 0, 0)))
+    scene = scenes.on_table((ramp, (0, 0), 0.0, {**lean, "environment": True}))
+    objects = (*scene.objects, SceneObject(name="ball", spec=ball, parent="ramp", z=0.1))
+    rolling = scene_measure(scene.model_copy(update={"objects": objects}))
+    assert rolling.s_stab is False
+    assert rolling.drift_m["ball"] > 0.1
+
+
+def test_rotation_counts_although_the_place_is_kept():
+    pole = scenes.single("pole", (Cylinder(radius=0.004, height=0.3), (0, 0, 0.15)))
+    scene = scenes.on_table((pole, (0, 0), 0.0, {"base_tilt": (np.cos(0.06), np.sin(0.06), 0, 0)}))
+    found = scene_measure(scene)
+    assert found.s_stab is False
+    assert found.max_tilt_deg > 45
+
+
+def test_nothing_movable_means_no_figure():
+    found = scene_measure(scenes.on_table(), duration=0.01)
+    assert found.movable == 0
+    assert found.s_stab is None
+    assert found.s_pen == 0
+
+
+def test_a_support_on_a_support_is_not_penetration():
+    shelf = box("shelf")
+    scene = scenes.on_table((shelf, (0, 0), 0.0, {"environment": True, "z": 0.0}))
+    assert scene_measure(scene, duration=0.01).depths_m == {}
+
+
+@pytest.mark.parametrize("off", [-0.003, 0.0, 0.01])
+def test_snapping_exactly_leaves_the_gap(off):
+    scene = scenes.on_table((scenes.cup(), (0, 0), 0.3, {"z": 0.04 + off}))
+    snapped = snap_exactly(scene)
+    assert snapped.object("cup").z == pytest.approx(0.0401, abs=2e-5)
