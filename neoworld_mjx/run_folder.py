@@ -187,7 +187,8 @@ class RunFolder:
         """
         if until is None:
             for name in sorted(set(self.data["steps"]) - self._touched):
-                self._delete(self._forget(name))
+                if _head(name) not in self._kept:
+                    self._delete(self._forget(name))
         self.data["status"] = "finished" if until is None else f"stopped after {until}"
         self.save()
 

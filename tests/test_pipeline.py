@@ -1,0 +1,165 @@
+"""The bundled example, from the photograph to files that other programs load."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from neoworld_mjx.config import load_config
+from neoworld_mjx.errors import RunError
+from neoworld_mjx.pipeline import reconstruct, refine_again
+from neoworld_mjx.spec import SceneSpec, SceneTree
+
+PHOTO = Path(__file__).parent.parent / "examples" / "coffee.png"
+OBJECTS = ["table", "saucer", "cup", "spoon"]
+QUICK = {"refine": {"cem": {"population": 24, "iterations": 2}}, "render": {"width": 96}}
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory):
+    """The first command of the README, whole."""
+    out = tmp_path_factory.mktemp("example") / "out"
+    command = [
+        sys.executable,
+        "-m",
+        "neoworld_mjx.cli",
+        "reconstruct",
+        str(PHOTO),
+        "--out",
+        str(out),
+    ]
+    done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return out, json.loads(done.stdout)
+
+
+def test_the_command_prints_one_object_that_says_how_the_scene_stands(example):
+    _, answer = example
+    assert answer["objects"] == OBJECTS
+    assert answer["movable"] == 3
+    assert answer["s_pen"] == 0
+    assert answer["max_depth_m"] <= 1e-3
+    assert answer["s_stab"] is True
+    assert answer["max_drift_m"] < 0.01
+    assert abs(answer["mean_log_scale"]) < 0.1
+    assert answer["fallbacks"] == []
+    assert set(answer["seconds"]) == {"parse", "program", "verify", "compose", "refine", "export"}
+    assert Path(answer["scene"]).is_file()
+    assert answer["mllm"]["provider"] == "replay"
+    assert answer["mllm"]["cost_usd"] == 0
+
+
+def test_mujoco_alone_finds_the_scene_standing(example):
+    out, _ = example
+    model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    bodies = [model.body(name).id for name in OBJECTS]
+    start, turn = data.xpos[bodies].copy(), data.xquat[bodies].copy()
+    owner = np.array([model.body_rootid[b] for b in model.geom_bodyid])
+    solid = np.flatnonzero((model.geom_contype > 0) & (model.geom_conaffinity > 0))
+    far, angle, depth = 0.0, 0.0, 0.0
+    for step in range(round(2.0 / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+        far = max(far, np.linalg.norm(data.xpos[bodies] - start, axis=1).max())
+        dot = np.abs(np.sum(data.xquat[bodies] * turn, axis=1)).clip(0, 1)
+        angle = max(angle, np.degrees(2 * np.arccos(dot)).max())
+        if step % 100 == 99:
+            for contact in data.contact[: data.ncon]:
+                depth = max(depth, -contact.dist)
+    for a in solid:
+        for b in solid[solid > a]:
+            if owner[a] != owner[b]:
+                reach = model.geom_rbound[a] + model.geom_rbound[b]
+                if np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]) < reach:
+                    found = mujoco.mj_geomDistance(model, data, a, b, 0.01, None)
+                    depth = max(depth, -found)
+    assert far < 0.01
+    assert angle < 5.0
+    assert 0 < depth < 1e-3  # they touch, and no more
+
+
+def test_usd_opens_it_with_every_object(example):
+    from pxr import Usd, UsdPhysics
+
+    out, _ = example
+    stage = Usd.Stage.Open(str(out / "scene.usda"))
+    prims = list(stage.Traverse())
+    names = {prim.GetName() for prim in prims}
+    assert names >= set(OBJECTS)
+    bodies = [p for p in prims if p.HasAPI(UsdPhysics.RigidBodyAPI)]
+    assert len(bodies) >= 3
+    assert stage.GetPrimAtPath("/").GetStage().GetDefaultPrim()
+
+
+def test_the_folder_holds_what_is_promised(example):
+    out, answer = example
+    for name in OBJECTS:
+        home = out / "objects" / name
+        for file in (
+            "program.py",
+            "spec.json",
+            "verify.json",
+            "object.urdf",
+            "object.usda",
+            "object.xml",
+        ):
+            assert (home / file).is_file(), f"{name}/{file}"
+        assert json.loads((home / "verify.json").read_text())["passed"]
+    tree = SceneTree.model_validate_json((out / "tree.json").read_text())
+    assert [node.name for node in tree.nodes] == OBJECTS
+    scene = SceneSpec.model_validate_json((out / "scene.json").read_text())
+    assert scene.camera == tree.camera
+    assert scene.object("spoon").parent == "saucer"
+    with np.load(out / "refine" / "history.npz") as history:
+        iterations = answer["iterations"]
+        assert history["xy"].shape == (iterations, 256, 4, 2)
+        assert not history["xy"][0, 0].any()  # the composed layout is the first candidate
+        assert history["valid"].any()
+    report = (out / "report.html").read_text()
+    assert "http://" not in report.replace("http://www.w3.org", "")
+    assert "https://" not in report
+    run = json.loads((out / "run.json").read_text())
+    assert run["status"] == "finished"
+    assert run["photo"]["name"] == "coffee.png"
+
+
+def test_the_same_tape_and_seed_give_the_same_bytes(tmp_path):
+    config = load_config(None, QUICK)
+    for name in ("one", "two"):
+        reconstruct(PHOTO, tmp_path / name, config)
+    files = [
+        path.relative_to(tmp_path / "one")
+        for path in sorted((tmp_path / "one").rglob("*"))
+        if path.is_file() and path.name not in ("run.json", "report.html", ".lock")
+    ]
+    assert len(files) > 30
+    for path in files:
+        assert (tmp_path / "one" / path).read_bytes() == (tmp_path / "two" / path).read_bytes(), (
+            path
+        )
+
+
+def test_refining_again_keeps_the_steps_before(tmp_path):
+    config = load_config(None, QUICK)
+    first = reconstruct(PHOTO, tmp_path / "run", config, until="compose")
+    assert first.passed is None
+    with pytest.raises(RunError):
+        reconstruct(PHOTO, tmp_path / "run", config)
+    composed = (tmp_path / "run" / "compose" / "scene.json").read_bytes()
+    again = refine_again(tmp_path / "run", None, {"seed": 7})
+    assert again.passed is not None
+    assert (tmp_path / "run" / "compose" / "scene.json").read_bytes() == composed
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["seeds"]["run"] == 7
+    assert (tmp_path / "run" / "scene.xml").is_file()
+
+
+def test_refining_what_is_not_composed_is_refused(tmp_path):
+    reconstruct(PHOTO, tmp_path / "run", load_config(None, QUICK), until="parse")
+    with pytest.raises(RunError, match="composed"):
+        refine_again(tmp_path / "run")
