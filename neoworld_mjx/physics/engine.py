@@ -1,7 +1,7 @@
 """What a rollout is, and which engine computes it."""
 
 import enum
-from typing import Any, Protocol
+from typing import Any, Protocol, get_args
 
 import equinox as eqx
 import numpy as np
@@ -103,9 +103,7 @@ def open_engine(name: EngineName = "auto") -> Engine:
         EngineError: the engine is unknown, or cannot run here.
     """
     if name == "auto":
-        import jax
-
-        name = "native" if jax.default_backend() == "cpu" else "mjx"
+        name = _automatic()
     if name == "native":
         from .native import NativeEngine
 
@@ -114,7 +112,21 @@ def open_engine(name: EngineName = "auto") -> Engine:
         from .mjx_engine import MjxEngine
 
         return MjxEngine()
-    raise EngineError(f"engine: {choices(name, ['auto', 'mjx', 'native'])}")
+    if name == "warp":
+        from .warp_engine import WarpEngine
+
+        return WarpEngine()
+    raise EngineError(f"engine: {choices(name, get_args(EngineName))}")
+
+
+def _automatic() -> EngineName:
+    from .warp_engine import warp_ready
+
+    if warp_ready():
+        return "warp"
+    import jax
+
+    return "native" if jax.default_backend() == "cpu" else "mjx"
 
 
 def rollout(
@@ -131,7 +143,7 @@ def rollout(
     Args:
         scene: the compiled scene.
         layouts: the candidates.
-        engine: auto, mjx or native.
+        engine: auto, mjx, warp or native.
         duration: simulated time [s].
         record_every: time between recorded poses [s].
         early_stop: rules for stopping candidates early; None simulates all of them to the end.

@@ -1,0 +1,155 @@
+"""What MuJoCo derives from a candidate's model fields (mj_setConst), computed for a population.
+
+Engines that hold the model on a device have no mj_setConst for batches; what they need of it follows
+laws of an object's scale alone, since a layout never changes a shape or a joint's place within one.
+"""
+
+import functools
+from typing import Any
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from .layout import Layout, Poses, compose_poses, quat_mul, rotation
+from .model import FREE, SLIDE, Host, SceneModel
+from .native import open_batch
+
+KNOTS, SPAN = 65, 1.0
+"""Scales at which objects of several mass laws are measured: up to exp(+-SPAN)."""
+
+
+def invweights(scene: SceneModel, layouts: Layout, poses: Poses) -> dict[str, Any]:
+    """Compute body_invweight0 and dof_invweight0 of every candidate, leading axis [pop].
+
+    Inverse masses go with s^-m and inverse inertias with s^-(m + 2) as long as all parts of an
+    object have the same mass exponent m. Where they have not, MuJoCo's values at `KNOTS` scales are
+    interpolated by cubics in the logarithms, to a relative error of 1e-6. Traceable.
+    """
+    h, m = scene.host, scene.host.mjm
+    padded = jnp.concatenate([poses.scale, jnp.ones_like(poses.scale[:, :1])], axis=1)
+    # Index -1, the world, meets the column of ones at the end.
+    body, dof = padded[:, h.body_object], padded[:, h.dof_object]
+    if _uniform(h):
+        mass = h.powers.body_mass
+        law = np.stack([-mass, -(mass + 2)], axis=-1)
+        turning = np.array([_turns(m, d) for d in range(m.nv)], bool)
+        own = mass[m.dof_bodyid] if m.nv else np.zeros(0)
+        return {
+            "body_invweight0": m.body_invweight0 * body[..., None] ** law,
+            "dof_invweight0": m.dof_invweight0 * dof ** -(own + 2 * turning),
+        }
+    bodies, dofs = _tables(scene)
+    return {
+        "body_invweight0": _between(bodies, jnp.log(body)[..., None]),
+        "dof_invweight0": _between(dofs, jnp.log(dof)),
+    }
+
+
+def subtree_mass(host: Host, body_mass: Any) -> Any:
+    """Sum body masses [pop, nbody] over the subtrees of bodies."""
+    m = host.mjm
+    below = np.eye(m.nbody)
+    for b in range(m.nbody - 1, 0, -1):
+        below[m.body_parentid[b]] += below[b]
+    return jnp.sum(body_mass[:, None, :] * below, axis=-1)
+
+
+def static_geoms(host: Host, body_pos: Any, body_quat: Any, geom_pos: Any) -> tuple[Any, Any]:
+    """World poses of the geoms that are welded to the world; the others' entries are zero.
+
+    Args:
+        host: the scene.
+        body_pos: [pop, nbody, 3] in parent frames [m].
+        body_quat: [pop, nbody, 4].
+        geom_pos: [pop, ngeom, 3] in body frames [m].
+
+    Returns:
+        Positions [pop, ngeom, 3] and rotations [pop, ngeom, 3, 3].
+    """
+    m = host.mjm
+    pop = body_pos.shape[0]
+    pos, quat = {0: body_pos[:, 0] * 0}, {0: jnp.broadcast_to(jnp.array([1.0, 0, 0, 0]), (pop, 4))}
+    for b in range(1, m.nbody):
+        if m.body_weldid[b] == 0:
+            p = int(m.body_parentid[b])
+            pos[b] = pos[p] + _rotated(quat[p], body_pos[:, b])
+            quat[b] = quat_mul(quat[p], body_quat[:, b])
+    xpos = jnp.zeros((pop, m.ngeom, 3))
+    xmat = jnp.zeros((pop, m.ngeom, 3, 3))
+    for g in range(m.ngeom):
+        b = int(m.geom_bodyid[g])
+        if b in pos:
+            xpos = xpos.at[:, g].set(pos[b] + _rotated(quat[b], geom_pos[:, g]))
+            own = jnp.broadcast_to(jnp.asarray(m.geom_quat[g], jnp.float32), (pop, 4))
+            xmat = xmat.at[:, g].set(rotation(quat_mul(quat[b], own)))
+    return xpos, xmat
+
+
+def _rotated(quat: Any, v: Any) -> Any:
+    return jnp.sum(rotation(quat) * v[:, None, :], axis=-1)
+
+
+def _turns(m: mujoco.MjModel, dof: int) -> bool:
+    joint = m.dof_jntid[dof]
+    if m.jnt_type[joint] == FREE:
+        return dof - m.jnt_dofadr[joint] >= 3
+    return m.jnt_type[joint] != SLIDE
+
+
+@functools.lru_cache(maxsize=64)
+def _uniform(host: Host) -> bool:
+    for item in range(len(host.names)):
+        if len(set(host.powers.body_mass[host.body_object == item].tolist())) > 1:
+            return False
+    return True
+
+
+_measured: dict[Host, tuple[np.ndarray, np.ndarray]] = {}
+
+
+def _tables(scene: SceneModel) -> tuple[np.ndarray, np.ndarray]:
+    """Logarithms of body_invweight0 [knot, nbody, 2] and dof_invweight0 [knot, nv]; -inf for 0."""
+    if scene.host not in _measured:
+        count = len(scene.host.names)
+        log = np.broadcast_to(np.linspace(-SPAN, SPAN, KNOTS)[:, None], (KNOTS, count))
+        layouts = Layout(np.zeros((KNOTS, count, 2)), np.zeros((KNOTS, count)), log)
+        arrangement = scene.host.arrangement
+        height = np.broadcast_to(arrangement.z, (KNOTS, count))
+        poses = compose_poses(arrangement, layouts, height, np)
+        batch = open_batch(scene, layouts, poses)
+        models = [batch.get_model(k) for k in range(KNOTS)]
+        with np.errstate(divide="ignore"):
+            found = tuple(
+                np.log(np.stack([getattr(model, name) for model in models]))
+                for name in ("body_invweight0", "dof_invweight0")
+            )
+        if len(_measured) >= 64:
+            _measured.clear()
+        _measured[scene.host] = (found[0], found[1])
+    return _measured[scene.host]
+
+
+def _between(table: np.ndarray, log: Any) -> Any:
+    """Interpolate exp(table) [knot, *item] at log scales [pop, *item], by Catmull-Rom cubics.
+
+    Beyond the table's ends its last slope goes on.
+    """
+    none = ~np.isfinite(table[0])
+    known = np.where(none, 0.0, table)
+    slope = np.gradient(known, axis=0)
+    at = (log + SPAN) / (2 * SPAN) * (KNOTS - 1)
+    at = jnp.broadcast_to(at, (log.shape[0], *table.shape[1:]))
+    k = jnp.clip(jnp.floor(at), 0, KNOTS - 2).astype(int)
+    u = at - k
+    pick = lambda values, i: jnp.take_along_axis(jnp.asarray(values, jnp.float32), i, axis=0)
+    y0, y1, m0, m1 = pick(known, k), pick(known, k + 1), pick(slope, k), pick(slope, k + 1)
+    t = jnp.clip(u, 0.0, 1.0)
+    inside = (
+        y0 * (1 + 2 * t) * (1 - t) ** 2
+        + y1 * t**2 * (3 - 2 * t)
+        + m0 * t * (1 - t) ** 2
+        - m1 * t**2 * (1 - t)
+    )
+    outside = jnp.where(u < 0, m0 * u, 0.0) + jnp.where(u > 1, m1 * (u - 1), 0.0)
+    return jnp.where(none, 0.0, jnp.exp(inside + outside))

@@ -1,0 +1,280 @@
+"""Rollouts on NVIDIA GPUs with MuJoCo Warp, called directly, a world a candidate.
+
+Every candidate has its own values of the model's batched fields. A convex piece's corners are not
+such a field, so the corners of all candidates are laid out behind each other, and each world's
+`geom_dataid` points at its own: scales are exact, no lattice of scales is needed.
+"""
+
+import ctypes
+import functools
+import importlib.util
+import sys
+import weakref
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..errors import EngineError
+from .derived import invweights, static_geoms, subtree_mass
+from .engine import EarlyStop, Rollout, RolloutStatus, record_steps, unplaceable
+from .layout import Layout, Poses
+from .model import Host, SceneModel, leaves, mesh_object
+from .native import NativeEngine
+from .progress import Progress
+
+if TYPE_CHECKING:
+    from .warp_worlds import Worlds
+
+WORLDS = 8192
+"""Most candidates simulated at once."""
+
+GROWTHS = 3
+"""How often a pool of contacts that overflowed is doubled before candidates go to `native`."""
+
+BUCKETS = 8
+"""Worlds are launched in eighths of the population, so that few graphs are captured."""
+
+_NOT_FIELDS = ("qpos", "site_pos")
+
+
+class Counts(NamedTuple):
+    """What happened in an engine's rollouts so far."""
+
+    candidates: int = 0
+    truncated: int = 0
+    """Candidates whose contacts or constraints did not fit, rolled out again by `native`."""
+    grown: int = 0
+    """Populations that were rolled out again with more room for contacts."""
+
+
+class WarpEngine:
+    """MuJoCo Warp on an NVIDIA GPU. The first rollout of a scene compiles and captures graphs."""
+
+    name = "warp"
+
+    def __init__(self, device: str | None = None):
+        """Use a warp device, such as "cuda:1"; None takes the current NVIDIA GPU.
+
+        Raises:
+            EngineError: warp is not installed, or there is no NVIDIA GPU and no device is named.
+        """
+        self.device = warp_device(device)
+        self.counts = Counts()
+        self._worlds: "weakref.WeakKeyDictionary[Host, Worlds]" = weakref.WeakKeyDictionary()
+
+    def rollout(
+        self,
+        scene: SceneModel,
+        layouts: Layout,
+        *,
+        duration: float = 1.0,
+        record_every: float = 0.1,
+        early_stop: EarlyStop | None = None,
+    ) -> Rollout:
+        """Simulate every candidate; see `Engine.rollout`.
+
+        Results vary in the last bits between runs, since a GPU sums in any order.
+
+        Raises:
+            EngineError: the scene has something that MuJoCo Warp cannot simulate.
+        """
+        records, every = record_steps(scene.host.mjm.opt.timestep, duration, record_every)
+        run = functools.partial(self._chunk, scene, records=records, every=every, rule=early_stop)
+        pop = layouts.yaw.shape[0]
+        layouts = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), layouts)
+        size = self._chunk_size(scene, pop, layouts)
+        parts = [run(layouts[first : first + size]) for first in range(0, pop, size)]
+        found, truncated = parts[0][0], np.concatenate([part[1] for part in parts])
+        if len(parts) > 1:
+            joined = jax.tree.map(lambda *rows: jnp.concatenate(rows), *(part[0] for part in parts))
+            found = eqx.tree_at(lambda r: r.time, joined, found.time)
+        again = np.flatnonzero(truncated)
+        c = self.counts
+        self.counts = c._replace(candidates=c.candidates + pop, truncated=c.truncated + len(again))
+        if not len(again):
+            return found
+        redone = NativeEngine().rollout(
+            scene,
+            layouts[again],
+            duration=duration,
+            record_every=record_every,
+            early_stop=early_stop,
+        )
+        return eqx.tree_at(
+            lambda r: (r.pos, r.quat, r.status, r.steps),
+            found,
+            tuple(
+                getattr(found, name).at[again].set(getattr(redone, name))
+                for name in ("pos", "quat", "status", "steps")
+            ),
+        )
+
+    def worlds(self, scene: SceneModel, pop: int, layouts: Layout) -> "Worlds":
+        """Return device memory and compiled steps for at least `pop` candidates of a scene."""
+        from .warp_worlds import Worlds, probe
+
+        known = self._worlds.get(scene.host)
+        if known is None or known.capacity.worlds < pop:
+            room = known.capacity if known else probe(scene, layouts)
+            # A power of two: kernels are compiled for the batch sizes of the model's fields.
+            room = room._replace(worlds=max(64, 1 << (pop - 1).bit_length()))
+            self._worlds[scene.host] = known = Worlds(scene.host, room, self.device)
+        return known
+
+    def _chunk_size(self, scene: SceneModel, pop: int, layouts: Layout) -> int:
+        if scene.host.mjm.nv == 0:
+            return pop
+        return min(pop, WORLDS, self.worlds(scene, 1, layouts).room())
+
+    def _chunk(
+        self,
+        scene: SceneModel,
+        layouts: Layout,
+        *,
+        records: int,
+        every: int,
+        rule: EarlyStop | None,
+    ) -> tuple[Rollout, np.ndarray]:
+        """Roll candidates out at once; return them and a mask of those whose contacts did not fit."""
+        pop = layouts.yaw.shape[0]
+        poses, fields, start, broken = _prepare(scene, layouts)
+        broken = np.asarray(broken)
+        if broken.any():
+            # A world that starts as NaN would only fill buffers that all worlds share.
+            calm = jax.tree.map(
+                lambda leaf: jnp.where(broken.reshape(-1, *(1,) * (leaf.ndim - 1)), 0.0, leaf),
+                layouts,
+            )
+            _, fields, start, _ = _prepare(scene, calm)
+        if scene.host.mjm.nv == 0:
+            still = Progress(scene.host, poses, records, every, rule)
+            still.drop(broken, RolloutStatus.FAILED)
+            return still.rollout(poses), np.zeros(pop, bool)
+        for attempt in range(GROWTHS + 1):
+            worlds = self.worlds(scene, pop, layouts)
+            worlds.load(fields, np.asarray(start))
+            progress = Progress(scene.host, poses, records, every, rule)
+            progress.drop(broken, RolloutStatus.FAILED)
+            truncated, full = _advance(worlds, progress, records, broken)
+            if not full or attempt == GROWTHS:
+                break
+            self._worlds[scene.host] = worlds.grown()
+            self.counts = self.counts._replace(grown=self.counts.grown + 1)
+        if full:
+            truncated = ~broken
+        progress.status[truncated] = int(RolloutStatus.TRUNCATED)
+        return progress.rollout(poses), truncated
+
+
+def _advance(
+    worlds: "Worlds", progress: Progress, records: int, broken: np.ndarray
+) -> tuple[np.ndarray, bool]:
+    """Run segments until all candidates have stopped or the time is over.
+
+    Returns:
+        A mask [pop] of candidates that ran out of constraints, and whether a pool that all worlds
+        share was full, which spoils them all.
+    """
+    pop = len(progress.status)
+    truncated = np.zeros(pop, bool)
+    rows = np.arange(pop)
+    bucket = max(1, -(-pop // BUCKETS))
+    for time in range(records):
+        worlds.step(progress.every)
+        qpos, qvel, qacc, overflow = worlds.read()
+        if (overflow & worlds.SHARED).any():
+            return truncated, True
+        mine = np.searchsorted(rows, progress.active)
+        qpos, qvel, qacc, overflow = (x[mine] for x in (qpos, qvel, qacc, overflow))
+        short = (overflow & worlds.OWN) != 0
+        truncated[progress.active[short]] = True
+        failed = not np.isfinite(qpos).all()
+        on = progress.record(time, qpos, qvel, qacc)
+        on &= ~short
+        progress.active = progress.active[~truncated[progress.active]]
+        left = len(progress.active)
+        if left == 0:
+            break
+        launched = -(-left // bucket) * bucket
+        if launched < len(rows) or failed:
+            # Candidates that run on move to the front; what is beyond them in their last bucket
+            # repeats the first of them.
+            fill = np.zeros(max(min(launched, len(rows)) - left, 0), int)
+            keep = np.flatnonzero(on)
+            keep = np.concatenate([keep, keep[fill]])
+            worlds.compact(mine[keep], qpos[keep], qvel[keep], qacc[keep], scrub=failed)
+            rows = np.concatenate([progress.active, np.full(len(fill), np.iinfo(int).max)])
+    return truncated, False
+
+
+@eqx.filter_jit
+def _prepare(scene: SceneModel, layouts: Layout) -> tuple[Poses, dict[str, Any], Any, Any]:
+    """Place candidates; return poses, model fields as [pop, n], start states, who has no place."""
+    host = scene.host
+    poses = scene.place(layouts)
+    found = leaves(scene, layouts, poses) | invweights(scene, layouts, poses)
+    start = found["qpos"]
+    fields = {name: value for name, value in found.items() if name not in _NOT_FIELDS}
+    fields["body_subtreemass"] = subtree_mass(host, fields["body_mass"])
+    xpos, xmat = static_geoms(host, fields["body_pos"], fields["body_quat"], fields["geom_pos"])
+    fields |= {"geom_xpos": xpos, "geom_xmat": xmat}
+    if host.mjm.nmesh:
+        padded = jnp.concatenate([poses.scale, jnp.ones_like(poses.scale[:, :1])], axis=1)
+        owner = np.repeat(mesh_object(scene), host.mjm.mesh_vertnum)
+        fields["mesh_vert"] = host.mjm.mesh_vert * padded[:, owner, None]
+    flat = {
+        name: jnp.asarray(value, jnp.float32).reshape(len(value), -1)
+        for name, value in fields.items()
+    }
+    return poses, flat, start, unplaceable(poses, jnp)
+
+
+def warp_device(device: str | None = None) -> Any:
+    """Return the warp device to run on.
+
+    Raises:
+        EngineError: warp or MuJoCo Warp is not installed; or no device is named and there is no
+            NVIDIA GPU.
+    """
+    missing = [name for name in ("warp", "mujoco_warp") if importlib.util.find_spec(name) is None]
+    if missing:
+        raise EngineError(
+            f"engine warp needs its extra ({missing[0]} is missing): pip install "
+            "'neoworld-mjx[warp]', or take --engine native"
+        )
+    if device is None and not _driver():
+        raise EngineError(
+            "engine warp needs an NVIDIA GPU and its driver, and finds none here: take --engine "
+            "native, or mjx on another accelerator"
+        )
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_ERROR
+    wp.init()
+    return wp.get_preferred_device() if device is None else wp.get_device(device)
+
+
+def _driver() -> bool:
+    """Whether NVIDIA's driver loads and sees a GPU; much faster than asking warp."""
+    try:
+        cuda = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+    except OSError:
+        return False
+    count = ctypes.c_int(0)
+    return (
+        cuda.cuInit(0) == 0 and cuda.cuDeviceGetCount(ctypes.byref(count)) == 0 and count.value > 0
+    )
+
+
+def warp_ready() -> bool:
+    """Whether `WarpEngine()` can run here."""
+    try:
+        return bool(warp_device().is_cuda)
+    except EngineError:
+        return False
+
+
+__all__ = ["Counts", "WarpEngine", "warp_device", "warp_ready"]

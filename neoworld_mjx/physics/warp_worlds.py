@@ -1,0 +1,297 @@
+"""A scene's worlds on a GPU: one MuJoCo Warp model and data, loaded with a population at a time.
+
+Kernels are launched over the first `count` worlds only, so that stopped candidates cost nothing once
+the others have moved to the front.
+"""
+
+import copy
+import math
+from typing import Any, NamedTuple, Self
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+
+from ..errors import EngineError
+from .layout import Layout
+from .model import MESH, Host, SceneModel
+from .native import exact_poses, open_batch
+
+PROBED, PROBE_STEPS, PROBE_EVERY = 24, 75, 5
+"""Candidates and steps that contacts are counted over before a scene's first rollout."""
+
+MEMORY_SHARE = 0.4
+"""Of a device's free memory, how much one scene's worlds may take."""
+
+ITERATIONS = 100
+"""Most iterations of the constraint solver. All worlds wait for the slowest."""
+
+
+class Capacity(NamedTuple):
+    """How much device memory is set aside."""
+
+    worlds: int
+    contacts: int
+    """Contacts a world on average; the pool is shared."""
+    constraints: int
+    """Constraints of one world."""
+
+
+def probe(scene: SceneModel, layouts: Layout) -> Capacity:
+    """Count contacts and constraints of a few candidates with C MuJoCo; leave room for double.
+
+    Args:
+        scene: the compiled scene.
+        layouts: the candidates; a few are taken evenly.
+    """
+    pick = np.unique(np.linspace(0, len(layouts.yaw) - 1, PROBED).astype(int))
+    few = Layout(
+        *(np.asarray(x, float)[pick] for x in (layouts.xy, layouts.yaw, layouts.log_scale))
+    )
+    batch = open_batch(scene, few, exact_poses(scene, few))
+    contacts, constraints = [0], [0]
+    for k in range(len(pick)):
+        model = batch.get_model(k)
+        data = mujoco.MjData(model)
+        data.qpos[:] = batch.bind("qpos")[k]
+        for _ in range(PROBE_STEPS // PROBE_EVERY):
+            mujoco.mj_step(model, data, PROBE_EVERY)
+            contacts.append(data.ncon)
+            constraints.append(data.nefc)
+    # MuJoCo Warp may find more points of one contact than C MuJoCo, and the pool of contacts also
+    # holds the pairs that the first, coarse test lets through.
+    pool = 2 * max(contacts) + 32
+    rows = 2 * max(max(constraints), 4 * max(contacts)) + 32
+    return Capacity(worlds=0, contacts=-(-pool // 16) * 16, constraints=-(-rows // 32) * 32)
+
+
+class Worlds:
+    """Model, data and captured steps of one scene for up to `capacity.worlds` candidates."""
+
+    SHARED = int(mjw.OverflowType.BROADPHASE | mjw.OverflowType.NARROWPHASE | mjw.OverflowType.CCD)
+    """Overflows that take contacts from any world."""
+    OWN = int(mjw.OverflowType.NEFC | mjw.OverflowType.NJMAX_NNZ | mjw.OverflowType.EPA_HORIZON)
+    """Overflows of one world alone."""
+
+    def __init__(self, host: Host, capacity: Capacity, device: Any) -> None:
+        """Allocate.
+
+        Args:
+            host: the scene.
+            capacity: for how much.
+            device: a warp device.
+
+        Raises:
+            EngineError: MuJoCo Warp cannot simulate the scene.
+        """
+        self.host, self.capacity, self.device = host, capacity, device
+        mjm = copy.copy(host.mjm)
+        # Warp never resets a diverged world, and does not know the flag that says so.
+        mjm.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        mjm.opt.iterations = min(mjm.opt.iterations, ITERATIONS)
+        self.count = n = capacity.worlds
+        self._graphs: dict[int, Any] = {}
+        self._source: dict[str, wp.array] = {}
+        with wp.ScopedDevice(device):
+            try:
+                batched = dict.fromkeys((*_BATCHED, "geom_dataid"), n) if n else {}
+                self.model = mjw.put_model(mjm, batch_sizes=batched)
+                self.data = mjw.make_data(
+                    mjm,
+                    nworld=max(n, 1),
+                    naconmax=max(n, 1) * capacity.contacts,
+                    njmax=capacity.constraints,
+                )
+            except (NotImplementedError, ValueError) as error:
+                raise EngineError(
+                    f"engine warp cannot carry scene {host.spec.name}: {error}; take --engine native"
+                ) from None
+            self.model.opt.warn_overflow = 0
+            if host.mjm.nmesh and n:
+                self._own_meshes()
+
+    def grown(self) -> Self:
+        """Return empty worlds with room for twice the contacts."""
+        room = self.capacity._replace(contacts=2 * self.capacity.contacts)
+        return type(self)(self.host, room, self.device)
+
+    def load(self, fields: dict[str, Any], qpos: np.ndarray) -> None:
+        """Put candidates into the first worlds, at rest.
+
+        Args:
+            fields: values of model fields, [pop, n] in single precision, JAX arrays; and of
+                "geom_xpos", "geom_xmat" of the data and "mesh_vert".
+            qpos: start states [pop, nq].
+        """
+        with wp.ScopedDevice(self.device):
+            self._source = {name: _words(_on_device(v, self.device)) for name, v in fields.items()}
+            if "mesh_vert" in self._source:
+                into = self.model.mesh_vert
+                wp.copy(_words(into), self._source.pop("mesh_vert").flatten())
+            still = np.zeros((len(qpos), self.host.mjm.nv), np.float32)
+            self.data.overflow.zero_()
+            self.data.time.zero_()
+            self._scrub()
+            self._place(np.arange(len(qpos)), qpos, still, still)
+
+    def compact(
+        self,
+        rows: np.ndarray,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        qacc: np.ndarray,
+        *,
+        scrub: bool = False,
+    ) -> None:
+        """Go on with some of the worlds alone.
+
+        Args:
+            rows: which of the present worlds [count]; a world may be repeated.
+            qpos: their coordinates.
+            qvel: their velocities.
+            qacc: their accelerations, the solver's next first guess.
+            scrub: whether values that are not numbers may have been left in the memory of others.
+        """
+        with wp.ScopedDevice(self.device):
+            if scrub:
+                self._scrub()
+            self._place(self._rows[rows], qpos, qvel, qacc)
+
+    def step(self, steps: int) -> None:
+        """Step the worlds in use."""
+        with wp.ScopedDevice(self.device):
+            if not self.device.is_cuda:
+                for _ in range(steps):
+                    mjw.step(self.model, self.data)
+                return
+            if self.count not in self._graphs:
+                self._capture()
+            for _ in range(steps):
+                wp.capture_launch(self._graphs[self.count])
+
+    def read(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Fetch qpos, qvel, qacc and the overflow flags of the worlds in use."""
+        d, n = self.data, self.count
+        return tuple(x[:n].numpy() for x in (d.qpos, d.qvel, d.qacc_warmstart, d.overflow))
+
+    def room(self) -> int:
+        """Return how many worlds fit into the device's free memory."""
+        if not self.device.is_cuda:
+            return 1 << 16
+        each = sum(_bytes(x) for x in (self.model, self.data)) / max(self.capacity.worlds, 1)
+        free = self.device.free_memory + each * self.capacity.worlds
+        fit = int(MEMORY_SHARE * free / (2 * each))
+        return max(64, 1 << (fit.bit_length() - 1))
+
+    def _own_meshes(self) -> None:
+        """Give every world meshes of its own, numbered world * nmesh + mesh."""
+        m, base, n = self.model, self.host.mjm, self.capacity.worlds
+        shift = np.arange(n)[:, None]
+        number = np.where(
+            base.geom_type == MESH, base.geom_dataid + shift * base.nmesh, base.geom_dataid
+        )
+        m.geom_dataid.assign(number.astype(np.int32))
+        m.mesh_vertadr = _ints((base.mesh_vertadr + shift * base.nmeshvert).ravel())
+        m.mesh_vert = wp.array(np.tile(base.mesh_vert, (n, 1)), dtype=wp.vec3)
+        # Addresses into tables of topology and normals, which no scale changes.
+        for name in ("mesh_vertnum", "mesh_graphadr", "mesh_polynum", "mesh_polyadr"):
+            setattr(m, name, _ints(np.tile(getattr(base, name), n)))
+        for name in ("mesh_polymapadr", "mesh_polymapnum"):
+            setattr(m, name, _ints(np.tile(getattr(base, name), n)))
+
+    def _place(
+        self, rows: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray
+    ) -> None:
+        """Fill the first worlds with candidates `rows` of what was loaded."""
+        m, d, count = self.model, self.data, len(rows)
+        self._rows = rows
+        self.count = d.nworld = count
+        d.naconmax = d.naccdmax = count * self.capacity.contacts
+        index = _ints(rows)
+        for name, source in self._source.items():
+            into = _words(getattr(d if name in _DATA else m, name))
+            wp.launch(_gather, dim=(count, source.shape[1]), inputs=[index, source, into])
+        if self.host.mjm.nmesh:
+            base = self.host.mjm
+            number = base.geom_dataid + rows[:, None] * base.nmesh
+            number = np.where(base.geom_type == MESH, number, base.geom_dataid).astype(np.int32)
+            wp.copy(m.geom_dataid[:count], wp.array(number, dtype=int))
+        for into, values in ((d.qpos, qpos), (d.qvel, qvel), (d.qacc_warmstart, qacc)):
+            if values.size:
+                wp.copy(into[:count], wp.array(np.ascontiguousarray(values, np.float32)))
+
+    def _scrub(self) -> None:
+        """Zero what a world that diverged may have left; zero times not-a-number is no number."""
+        for part in (self.data.efc, self.data.contact):
+            for value in vars(part).values():
+                if isinstance(value, wp.array) and value.dtype == wp.float32:
+                    value.zero_()
+
+    def _capture(self) -> None:
+        # Kernels are compiled and loaded outside of a capture; the step that this takes is undone.
+        d = self.data
+        state = (d.qpos, d.qvel, d.qacc_warmstart, d.time, d.overflow)
+        if not self._graphs:
+            saved = [wp.clone(x) for x in state]
+            mjw.step(self.model, d)
+            for into, values in zip(state, saved, strict=True):
+                wp.copy(into, values)
+        with wp.ScopedCapture(self.device) as capture:
+            mjw.step(self.model, d)
+        self._graphs[self.count] = capture.graph
+
+
+_BATCHED = (
+    *("body_pos", "body_quat", "body_ipos", "body_mass", "body_inertia", "body_subtreemass"),
+    *("body_invweight0", "dof_invweight0", "geom_pos", "geom_size", "geom_rbound", "geom_aabb"),
+    *("jnt_pos", "jnt_range", "jnt_stiffness", "jnt_actfrcrange", "dof_armature", "dof_damping"),
+    *("dof_frictionloss", "qpos0", "qpos_spring", "eq_data"),
+)
+_DATA = ("geom_xpos", "geom_xmat")
+
+
+@wp.kernel
+def _gather(
+    index: wp.array(dtype=wp.int32),
+    source: wp.array2d(dtype=wp.uint32),
+    into: wp.array2d(dtype=wp.uint32),
+):
+    i, j = wp.tid()
+    into[i, j] = source[index[i], j]
+
+
+def _words(array: wp.array) -> wp.array:
+    """View a contiguous array of 32-bit numbers, vectors or matrices as [rows, words]."""
+    rows = array.shape[0]
+    words = array.size * wp.types.type_size_in_bytes(array.dtype) // 4
+    view = wp.array(
+        ptr=array.ptr,
+        shape=(rows, words // max(rows, 1)),
+        dtype=wp.uint32,
+        device=array.device,
+    )
+    view._keep = array  # the view does not own the memory
+    return view
+
+
+def _ints(values: np.ndarray) -> wp.array:
+    return wp.array(np.ascontiguousarray(values, np.int32), dtype=int)
+
+
+def _on_device(value: Any, device: Any) -> wp.array:
+    """Hand a JAX array to warp, without a copy where both use one GPU."""
+    where = next(iter(value.devices()))
+    if device.is_cuda and where.platform == "gpu" and where.local_hardware_id == device.ordinal:
+        return wp.from_jax(value.block_until_ready())
+    return wp.array(np.asarray(value), dtype=float, device=device)
+
+
+def _bytes(part: Any) -> int:
+    total = 0
+    for value in vars(part).values():
+        if isinstance(value, wp.array):
+            total += math.prod(value.shape) * wp.types.type_size_in_bytes(value.dtype)
+        elif hasattr(value, "__dataclass_fields__"):
+            total += _bytes(value)
+    return total
