@@ -77,6 +77,8 @@ class ParseOptions(Options):
     critic_rounds: int = Field(default=1, ge=0)
     max_side_px: int = Field(default=1568, ge=64)
     """Longer side of the picture that the model is shown."""
+    fit: bool = True
+    """Fit camera and 3D boxes to the 2D boxes by least squares, where that brings them closer."""
 
 
 class ProgramOptions(Options):

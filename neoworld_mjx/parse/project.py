@@ -1,9 +1,17 @@
-"""Seeing 3D boxes through the parsed camera: outlines and what of them the picture holds."""
+"""Seeing 3D boxes through the parsed camera: outlines and what of them the picture holds.
+
+A tight box around a cup is smaller than the one around the corners of the cup's 3D box. So what an
+object fills of its 3D box is told by its label: all corners, an upright cylinder, a ball, or halfway
+between box and cylinder where nothing is known.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..spec import Camera
+from ..spec import Box3D, Camera, TreeNode
+from ..spec.object import Quat
+from ..spec.pose import IDENTITY, from_yaw, rotate
+from .kinds import Outline, kind_of
 
 NEAR_M = 0.02
 """What is nearer to the camera than this along the view is cut off."""
@@ -11,6 +19,86 @@ NEAR_M = 0.02
 # Corners of Box3D.corners are in the order of (x, y, z) counted in binary, x slowest.
 _EDGES = [(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit]
 _FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
+
+
+_TURNS = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
+_RIM = np.column_stack([np.cos(_TURNS) / 2, np.sin(_TURNS) / 2])
+BOX_POINTS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
+_WIDE = np.column_stack([_RIM, np.ones(len(_RIM))])
+ROUND_POINTS = np.concatenate([_WIDE, _WIDE * [1, 1, 0]])
+TAPERED_POINTS = np.concatenate([_WIDE, _WIDE * [0.65, 0.65, 0]])
+BALL_POINTS = np.array(
+    [
+        [x * np.cos(up), y * np.cos(up), 0.5 + np.sin(up) / 2]
+        for up in np.linspace(-np.pi / 2, np.pi / 2, 13)
+        for x, y in _RIM
+    ]
+)
+_HANDLE = np.array([[0.5, y, z] for y in (-0.08, 0.08) for z in (0.35, 0.8)])
+_TAIL = np.array([[-0.5, y, z] for y in (-0.15, 0.15) for z in (0.5, 1.0)])
+_LEAST_HANDLE = 1.1
+"""Length over width from which a thing that may have a handle has one."""
+
+
+def outline_of(node: TreeNode) -> Outline:
+    """Return how a node fills its box, by its label; "loose" if unknown."""
+    kind = kind_of(node.label)
+    return "loose" if kind is None else kind.outline
+
+
+def outline_points(node: TreeNode) -> tuple[NDArray, float]:
+    """Return points [n, 3] on what a node fills of its box, and the weight of the box's own corners.
+
+    The points lie in a box of size 1, in the frame of `Box3D`. An extent is the weighted mean of those
+    of the corners and of the points.
+    """
+    outline = outline_of(node)
+    length, width, _ = node.box3d.size
+    share = min(width / length, 1.0)
+    if outline == "handled" and length > _LEAST_HANDLE * width:
+        body = TAPERED_POINTS * [share, 1, 1] - [(1 - share) / 2, 0, 0]
+        return np.concatenate([body, _HANDLE]), 0.0
+    if outline == "spoon" and length > 2 * width:
+        bowl = ROUND_POINTS * [1.4 * share, 1, 0.5] + [0.5 - 0.7 * share, 0, 0]
+        return np.concatenate([bowl, _TAIL]), 0.0
+    if outline == "box":
+        return BOX_POINTS, 1.0
+    points = {
+        "ball": BALL_POINTS,
+        "round": ROUND_POINTS,
+        "loose": ROUND_POINTS,
+        "spoon": ROUND_POINTS,
+    }
+    return points.get(outline, TAPERED_POINTS), 0.5 if outline in ("loose", "spoon") else 0.0
+
+
+def expected_box(camera: Camera, node: TreeNode) -> NDArray | None:
+    """Return the box [4] in pixels that the picture should show of a node, were nothing before it.
+
+    Returns:
+        None if nothing of it is in the picture.
+    """
+    box = node.box3d
+    whole = seen_box(camera, box.corners(node.base_tilt))
+    points, weight = outline_points(node)
+    if whole is None or weight == 1 or node.environment:
+        return whole
+    pixels, depth = camera.project(placed(points, box, node.base_tilt))
+    if depth.min() < NEAR_M:
+        return whole
+    low, high = pixels.min(axis=0), pixels.max(axis=0)
+    inner = np.clip(np.concatenate([low, high]), 0, [camera.width, camera.height_px] * 2)
+    if inner[0] >= inner[2] or inner[1] >= inner[3]:
+        return whole
+    return weight * whole + (1 - weight) * inner
+
+
+def placed(points: NDArray, box: Box3D, tilt: Quat = IDENTITY) -> NDArray:
+    """Put points [n, 3] of a box of size 1 into the world, as `Box3D.corners` puts its corners."""
+    local = rotate(tilt, points * np.array(box.size))
+    lowest = rotate(tilt, BOX_POINTS * np.array(box.size))[:, 2].min()
+    local[:, 2] -= lowest
+    return rotate(from_yaw(box.yaw), local) + np.array(box.position)
 
 
 def edges_in_view(camera: Camera, corners: NDArray) -> list[tuple[NDArray, NDArray]]:

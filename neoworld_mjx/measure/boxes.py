@@ -1,0 +1,102 @@
+"""Overlap of boxes: upright in pictures, and in space turned about the vertical."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..spec import Box2D, Box3D, TreeNode
+
+
+def iou_2d(a: Box2D | ArrayLike, b: Box2D | ArrayLike) -> float:
+    """Return the intersection over union of two boxes in pixels (x0, y0, x1, y1)."""
+    one, two = _four(a), _four(b)
+    common = shared_2d(one, two)
+    union = _area(one) + _area(two) - common
+    return common / union if union > 0 else 0.0
+
+
+def shared_2d(a: Box2D | ArrayLike, b: Box2D | ArrayLike) -> float:
+    """Return the area [px^2] that two boxes in pixels have in common."""
+    one, two = _four(a), _four(b)
+    sides = np.minimum(one[2:], two[2:]) - np.maximum(one[:2], two[:2])
+    return float(np.prod(np.maximum(sides, 0.0)))
+
+
+def footprint(box: Box3D) -> NDArray:
+    """Return the corners [4, 2] m of an upright box's footprint, anticlockwise."""
+    half = np.array(box.size[:2]) / 2
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    c, s = np.cos(box.yaw), np.sin(box.yaw)
+    return signs * half @ np.array([[c, s], [-s, c]]) + np.array(box.position[:2])
+
+
+def polygon_area(corners: NDArray) -> float:
+    """Return the area [m^2] of a polygon [n, 2] m, positive if its corners run anticlockwise."""
+    if len(corners) < 3:
+        return 0.0
+    x, y = corners[:, 0], corners[:, 1]
+    return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
+
+
+def shared_footprint(a: NDArray, b: NDArray) -> float:
+    """Return the area [m^2] that two convex polygons [n, 2] m, anticlockwise, have in common."""
+    kept = a
+    for start, end in zip(b, np.roll(b, -1, axis=0), strict=True):
+        if len(kept) == 0:
+            return 0.0
+        edge = end - start
+        inward = np.array([-edge[1], edge[0]])
+        height = (kept - start) @ inward
+        points = []
+        for k in range(len(kept)):
+            j = (k + 1) % len(kept)
+            if height[k] >= 0:
+                points.append(kept[k])
+            if (height[k] >= 0) != (height[j] >= 0):
+                points.append(kept[k] + height[k] / (height[k] - height[j]) * (kept[j] - kept[k]))
+        kept = np.array(points).reshape(-1, 2)
+    return max(polygon_area(kept), 0.0)
+
+
+def shared_3d(a: Box3D, b: Box3D) -> float:
+    """Return the volume [m^3] that two upright boxes have in common."""
+    low = max(a.position[2], b.position[2])
+    high = min(a.position[2] + a.size[2], b.position[2] + b.size[2])
+    if high <= low:
+        return 0.0
+    return shared_footprint(footprint(a), footprint(b)) * (high - low)
+
+
+def iou_3d(a: Box3D, b: Box3D) -> float:
+    """Return the intersection over union of two upright boxes, each turned by its yaw."""
+    common = shared_3d(a, b)
+    union = float(np.prod(a.size) + np.prod(b.size)) - common
+    return common / union
+
+
+def upright(node: TreeNode) -> Box3D:
+    """Return the upright box that holds a node's box as it leans or lies, along the same yaw."""
+    box = node.box3d
+    if abs(node.base_tilt[0]) > 1 - 1e-12:
+        return box
+    local = Box3D(position=(0, 0, 0), size=box.size, yaw=0).corners(node.base_tilt)
+    low, high = local.min(axis=0), local.max(axis=0)
+    middle = (low + high)[:2] / 2
+    c, s = np.cos(box.yaw), np.sin(box.yaw)
+    x, y, z = box.position
+    return Box3D(
+        position=(
+            float(x + c * middle[0] - s * middle[1]),
+            float(y + s * middle[0] + c * middle[1]),
+            z,
+        ),
+        size=tuple((high - low).tolist()),
+        yaw=box.yaw,
+    )
+
+
+def _four(box: Box2D | ArrayLike) -> NDArray:
+    return np.asarray(box.as_tuple() if isinstance(box, Box2D) else box, float)
+
+
+def _area(box: NDArray) -> float:
+    return float(max(box[2] - box[0], 0.0) * max(box[3] - box[1], 0.0))

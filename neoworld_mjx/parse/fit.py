@@ -1,0 +1,358 @@
+"""Reconciling camera and 3D boxes with the 2D boxes by robust least squares.
+
+A model sees well where things are in the picture and knows how large such things are, but distances
+and angles it can only estimate. So the camera (pitch, height, field of view, a little roll) and the
+boxes (place, size, yaw) are moved until the boxes project onto the 2D boxes, held by priors: sizes,
+yaws and camera as answered, bottoms on what carries them, places relative to their carrier. Sides of
+a 2D box that something hides only hold from inside.
+
+The fit is taken only if the boxes then agree with the photo better than before; how far it moved
+everything is reported. Environment supports stay where they are.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from ..spec import Box3D, Camera, SceneTree, TreeNode
+from ..spec.pose import rotate
+from .checks import agreement, check_tree, hidden_sides
+from .project import BOX_POINTS, NEAR_M, outline_points
+
+PIXELS = 0.006
+"""Standard error of a 2D side, over the picture's longer side; at least SIDE of its own box."""
+SIDE = 0.04
+LOG_SIZE, LOG_ASPECT = 0.15, 0.08
+"""Of an object's size as a whole, and of its edges against each other, in log."""
+YAW, PITCH, ROLL = math.radians(12), math.radians(6), math.radians(1.5)
+LOG_HEIGHT, LOG_FOCAL = 0.35, 0.15
+PLACE = 0.35
+"""Of a place relative to its carrier, over the carrier's size; on the environment over distance."""
+CONTACT_M, CONTACT = 0.002, 0.05
+"""Of an object's height over its carrier: metres plus a share of its own height."""
+GAIN = 0.01
+"""Least gain in mean agreement for which a parse is moved."""
+LOSS = 0.1
+"""Most that any one object's agreement may fall."""
+STEPS = 60
+
+
+@dataclass(frozen=True)
+class Moved:
+    """How far the fit moved one object, or would have."""
+
+    distance_m: float
+    size_ratio: tuple[float, float, float]
+    """New over old size along x, y, z."""
+    yaw_deg: float
+    agreement_before: float
+    agreement_after: float
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """What the fit did."""
+
+    applied: bool
+    reason: str
+    """Why it was taken or left."""
+    agreement_before: float
+    """Mean over objects of how well 3D boxes project onto 2D boxes, 0 to 1."""
+    agreement_after: float
+    """Of the fitted tree, taken or not."""
+    pitch_deg: float = 0.0
+    """Changes of the camera."""
+    height_m: float = 0.0
+    fovy_deg: float = 0.0
+    roll_deg: float = 0.0
+    objects: dict[str, Moved] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain data, numbers rounded to four decimals."""
+        return {
+            **{
+                name: round(value, 4) if isinstance(value, float) else value
+                for name, value in vars(self).items()
+                if name != "objects"
+            },
+            "objects": {
+                name: {
+                    key: [round(v, 4) for v in value]
+                    if isinstance(value, tuple)
+                    else round(value, 4)
+                    for key, value in vars(moved).items()
+                }
+                for name, moved in self.objects.items()
+            },
+        }
+
+
+def fit_tree(tree: SceneTree) -> tuple[SceneTree, FitReport]:
+    """Fit camera and 3D boxes to the 2D boxes.
+
+    Returns:
+        The fitted tree, or the very tree given if fitting does not help, and the report.
+    """
+    things = [node for node in tree.top_down() if not node.environment]
+    if not things:
+        return tree, FitReport(False, "there is no object to fit", 0.0, 0.0)
+    before = {node.name: agreement(tree, node) for node in things}
+    mean = float(np.mean(list(before.values())))
+    problem = _Problem(tree, things)
+    try:
+        found = [_solved(problem, start) for start in problem.starts()]
+    except (ValueError, np.linalg.LinAlgError) as error:
+        return tree, FitReport(False, f"the solver failed: {error}", mean, mean)
+    # Rounded, so that of two equal ends the same one is taken on every machine.
+    fitted = problem.tree(min(found, key=lambda result: float(f"{result.cost:.4g}")).x)
+    after = {node.name: agreement(fitted, fitted.node(node.name)) for node in things}
+    gain = float(np.mean(list(after.values()))) - mean
+    worst = min(things, key=lambda node: after[node.name] - before[node.name]).name
+    errors = [sum(f.severity == "error" for f in check_tree(t)) for t in (tree, fitted)]
+    applied, reason = True, f"mean agreement rises by {gain:.3f}"
+    if gain < GAIN:
+        applied, reason = False, f"mean agreement would change by {gain:.3f}, under {GAIN:g}"
+    elif after[worst] < before[worst] - LOSS:
+        drop = before[worst] - after[worst]
+        applied, reason = False, f"the agreement of {worst} would fall by {drop:.2f}"
+    elif errors[1] > errors[0]:
+        applied, reason = False, f"checks would find {errors[1]} errors in place of {errors[0]}"
+    report = _report(tree, fitted, before, after, applied, reason)
+    return (fitted if applied else tree), report
+
+
+class _Problem:
+    """The unknowns of a tree and their residuals.
+
+    Unknowns: camera (pitch [rad], log height, log focal, roll [rad]), each over its standard
+    deviation, then per object (x, y [m], z [m], log length, width, height, yaw [rad]).
+    """
+
+    def __init__(self, tree: SceneTree, things: list[TreeNode]) -> None:
+        self.given, self.things = tree, things
+        camera = tree.camera
+        names = [node.name for node in things]
+        self.sizes = np.array([node.box3d.size for node in things])
+        self.places = np.array([node.box3d.position for node in things])
+        self.yaws = np.array([node.box3d.yaw for node in things])
+        self.tilts = np.array([node.base_tilt for node in things])
+        self.seen = np.array([node.box2d.as_tuple() for node in things])
+        self.hidden = np.array([hidden_sides(tree, node) for node in things])
+        self.outward = np.array([-1.0, -1.0, 1.0, 1.0])
+        sides = np.tile(self.seen[:, 2:] - self.seen[:, :2], 2)
+        self.error = np.maximum(PIXELS * max(camera.width, camera.height_px), SIDE * sides)
+        outlines = [outline_points(node) for node in things]
+        longest = max(len(points) for points, _ in outlines)
+        # Shorter point sets are filled up by repeating points, which changes no extent.
+        self.inner = np.array([np.resize(points, (longest, 3)) for points, _ in outlines])
+        self.corners = np.array([weight for _, weight in outlines])[:, None]
+        self.parents = np.array(
+            [names.index(n.parent) if n.parent in names else -1 for n in things]
+        )
+        zero = np.zeros_like(self.sizes)
+        self.answered = np.concatenate([self.places, zero, self.yaws[:, None]], axis=1)
+        self._frame_places()
+        at, _ = self.carriers(self.answered)
+        self.offsets = self.places[:, :2] - at
+
+    def _frame_places(self) -> None:
+        """Fix what priors compare with: offsets from carriers, and how far those may vary."""
+        n = len(self.things)
+        self.base_height = np.zeros(n)
+        self.reach = np.zeros(n)
+        self.rests = np.zeros(n)
+        for i, node in enumerate(self.things):
+            parent = None if node.parent is None else self.given.node(node.parent)
+            distance = float(np.linalg.norm(self.places[i] - self.given.camera.position()))
+            self.reach[i] = PLACE * distance
+            if parent is None:
+                self.rests[i] = self.places[i, 2]
+                continue
+            if self.parents[i] < 0:
+                self.base_height[i] = parent.box3d.position[2] + parent.box3d.size[2]
+            else:
+                self.reach[i] = PLACE * max(parent.box3d.size[:2])
+            top = parent.box3d.position[2] + parent.box3d.size[2]
+            self.rests[i] = _rest(node, parent, self.places[i, 2] - top)
+
+    def carriers(self, values: NDArray) -> tuple[NDArray, NDArray]:
+        """Return where the carriers' middles [n, 2] and tops [n] are; the world for environment."""
+        at = np.where(self.parents[:, None] >= 0, values[self.parents, :2], 0.0)
+        grown = np.exp(values[self.parents, 5]) * self.sizes[self.parents, 2]
+        top = np.where(self.parents >= 0, values[self.parents, 2] + grown, self.base_height)
+        return at, top
+
+    def unpacked(self, x: NDArray) -> tuple[Camera, NDArray]:
+        """Return camera and per-object unknowns [n, 7]."""
+        camera = self.given.camera
+        focal = camera.focal * math.exp(np.clip(x[2] * LOG_FOCAL, -2, 2))
+        moved = camera.model_copy(
+            update={
+                "pitch": float(np.clip(camera.pitch + x[0] * PITCH, -1.55, 1.55)),
+                "height": camera.height * math.exp(np.clip(x[1] * LOG_HEIGHT, -2, 2)),
+                "fovy": 2 * math.atan(camera.height_px / 2 / focal),
+                "roll": float(camera.roll + x[3] * ROLL),
+            }
+        )
+        return moved, x[4:].reshape(len(self.things), 7)
+
+    def extents(self, camera: Camera, values: NDArray) -> NDArray:
+        """Return the projected outlines' boxes [n, 4] in pixels, not cut at the picture's edge."""
+        sizes = self.sizes * np.exp(np.clip(values[:, 3:6], -3, 3))
+        found = []
+        for points in (np.broadcast_to(BOX_POINTS, (len(sizes), 8, 3)), self.inner):
+            local = rotate(self.tilts[:, None], points * sizes[:, None])
+            low = rotate(self.tilts[:, None], BOX_POINTS * sizes[:, None])[..., 2].min(axis=1)
+            local[..., 2] -= low[:, None]
+            c, s = np.cos(values[:, 6])[:, None], np.sin(values[:, 6])[:, None]
+            turned = np.stack(
+                [c * local[..., 0] - s * local[..., 1], s * local[..., 0] + c * local[..., 1]], -1
+            )
+            world = np.concatenate([turned, local[..., 2:]], axis=-1) + values[:, None, :3]
+            view = (world - camera.position()) @ camera.axes()
+            depth = np.maximum(view[..., 2:], NEAR_M)
+            pixels = view[..., :2] / depth * camera.focal
+            pixels = pixels + np.array([camera.width, camera.height_px]) / 2
+            found.append(np.concatenate([pixels.min(axis=1), pixels.max(axis=1)], axis=1))
+        return self.corners * found[0] + (1 - self.corners) * found[1]
+
+    def residuals(self, x: NDArray) -> NDArray:
+        """Return all residuals, each over its standard deviation."""
+        camera, values = self.unpacked(x)
+        off = (self.extents(camera, values) - self.seen) / self.error
+        # A hidden side may lie anywhere outside what is seen.
+        off = np.where(self.hidden & (off * self.outward > 0), 0.0, off)
+        at, top = self.carriers(values)
+        place = values[:, :2] - at - self.offsets
+        log_size = values[:, 3:6]
+        whole = log_size.mean(axis=1, keepdims=True)
+        soft = CONTACT_M + CONTACT * self.sizes[:, 2]
+        return np.concatenate(
+            [
+                off.ravel(),
+                x[:4],
+                (place / self.reach[:, None]).ravel(),
+                (values[:, 2] - top - self.rests) / soft,
+                (whole / LOG_SIZE).ravel(),
+                ((log_size - whole) / LOG_ASPECT).ravel(),
+                (values[:, 6] - self.yaws) / YAW,
+            ]
+        )
+
+    def starts(self) -> list[NDArray]:
+        """Return where to begin: as answered, and with objects put where their 2D boxes are."""
+        placed = self.answered.copy()
+        camera = self.given.camera
+        for i in range(len(self.things)):
+            _, top = self.carriers(placed)
+            placed[i, 2] = top[i] + self.rests[i]
+            placed[i, :2] = self._under(camera, placed, i)
+        return [np.concatenate([np.zeros(4), v.ravel()]) for v in (self.answered, placed)]
+
+    def _under(self, camera: Camera, values: NDArray, i: int) -> NDArray:
+        """Return the place [2] on its level at which an object projects to the middle of its box."""
+        aim = (self.seen[i, :2] + self.seen[i, 2:]) / 2
+        trial = values.copy()
+        for _ in range(4):
+            drawn = self.extents(camera, trial)[i]
+            middle = (drawn[:2] + drawn[2:]) / 2
+            feet, depth = camera.project(trial[i, :3])
+            if depth < NEAR_M:
+                break
+            ray = camera.rays(feet + aim - middle)
+            if ray[2] > -1e-3:
+                break
+            t = (trial[i, 2] - camera.height) / ray[2]
+            if not 0 < t < 20 * max(camera.height, 0.1):
+                break
+            trial[i, :2] = ray[:2] * t
+        return trial[i, :2]
+
+    def tree(self, x: NDArray) -> SceneTree:
+        """Write unknowns into a tree; lengths to 10 um, angles to 1e-5 rad."""
+        camera, values = self.unpacked(x)
+        sizes = self.sizes * np.exp(values[:, 3:6])
+        boxes = {
+            node.name: Box3D(
+                position=tuple(np.round(values[i, :3], 5).tolist()),
+                size=tuple(np.maximum(np.round(sizes[i], 5), 1e-5).tolist()),
+                yaw=round(math.remainder(values[i, 6], 2 * math.pi), 5),
+            )
+            for i, node in enumerate(self.things)
+        }
+        return SceneTree(
+            camera=camera.model_copy(
+                update={
+                    name: round(getattr(camera, name), 5)
+                    for name in ("pitch", "height", "fovy", "roll")
+                }
+            ),
+            nodes=tuple(
+                node.model_copy(update={"box3d": boxes[node.name]}) if node.name in boxes else node
+                for node in self.given.nodes
+            ),
+        )
+
+
+def _rest(node: TreeNode, parent: TreeNode, gap: float) -> float:
+    """Return how high over its carrier's top a thing should stand [m], answered as `gap`.
+
+    On a slab of the environment that is the top. Elsewhere it may be any depth within the carrier,
+    since hollows are not known; hanging things keep their height.
+    """
+    if node.relation == "attached":
+        return gap
+    if parent.environment and node.relation == "on":
+        height, width = parent.box3d.size[2], min(parent.box3d.size[:2])
+        if height < 0.2 * width:
+            return 0.0
+    return float(np.clip(gap, -parent.box3d.size[2], 0.0))
+
+
+def _solved(problem: _Problem, start: NDArray) -> Any:
+    return least_squares(
+        problem.residuals,
+        start,
+        loss="soft_l1",
+        max_nfev=STEPS,
+        x_scale="jac",
+        ftol=1e-11,
+        xtol=1e-11,
+    )
+
+
+def _report(
+    given: SceneTree,
+    fitted: SceneTree,
+    before: dict[str, float],
+    after: dict[str, float],
+    applied: bool,
+    reason: str,
+) -> FitReport:
+    old, new = given.camera, fitted.camera
+    objects = {}
+    for name, was in before.items():
+        a, b = given.node(name).box3d, fitted.node(name).box3d
+        ratio = np.array(b.size) / np.array(a.size)
+        objects[name] = Moved(
+            float(np.linalg.norm(np.array(b.position) - np.array(a.position))),
+            tuple(ratio.tolist()),
+            math.degrees(math.remainder(b.yaw - a.yaw, 2 * math.pi)),
+            was,
+            after[name],
+        )
+    return FitReport(
+        applied,
+        reason,
+        float(np.mean(list(before.values()))),
+        float(np.mean(list(after.values()))),
+        math.degrees(new.pitch - old.pitch),
+        new.height - old.height,
+        math.degrees(new.fovy - old.fovy),
+        math.degrees(new.roll - old.roll),
+        objects,
+    )
