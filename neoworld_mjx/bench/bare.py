@@ -1,0 +1,34 @@
+"""The least that any JAX engine can do: `jax.vmap` over `mjx.step` in a scan, and nothing else."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+
+from ..physics import mjx_engine
+from ..physics.layout import Layout
+from ..physics.model import SceneModel
+
+
+def bare_scan(
+    scene: SceneModel, layouts: Layout, steps: int, chunk: int = mjx_engine.CHUNK
+) -> Callable[[], Any]:
+    """Prepare candidates as engine mjx does; return a call that steps them to the end.
+
+    Placing candidates and writing their model fields is done here, once, and costs the call
+    nothing; it returns coordinates [pop, 1, nq], in chunks.
+
+    Args:
+        scene: the compiled scene.
+        layouts: the candidates.
+        steps: of each candidate.
+        chunk: candidates simulated at once.
+    """
+    model, carried = mjx_engine._on_device(scene)
+    pop = layouts.yaw.shape[0]
+    parts = []
+    for first in range(0, pop, chunk):
+        few = jax.tree.map(lambda leaf, at=first: leaf[at : at + chunk], layouts)
+        parts.append(mjx_engine._prepare(model, carried, few)[:2])
+    jax.block_until_ready(parts)
+    return lambda: [mjx_engine.bare_scan(model, fields, qpos, 1, steps) for fields, qpos in parts]

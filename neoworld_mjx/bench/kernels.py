@@ -1,0 +1,154 @@
+"""How long the implementations of the penetration term take, and how far they are from the reference.
+
+One row an implementation: what runs everywhere is timed everywhere, the others say why they do not.
+"""
+
+import inspect
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import neoworld_kernels
+import numpy as np
+from jaxtyping import Array, Float
+from neoworld_kernels import Solids, pair_depth_reference
+from pydantic import BaseModel, ConfigDict
+
+from ..physics.layout import Poses, rotation
+from ..physics.model import SceneModel, compile_scene
+from .scenes import Noise, crowded, noisy_layouts
+
+REPEATS = 7
+TOLERANCE = 1e-5
+"""Largest difference from the reference [m] that a row may have and still give its time."""
+
+Depth = Callable[..., Float[Array, "pop object object"]]
+
+
+class KernelRow(BaseModel):
+    """One implementation at one size; None where it cannot run."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    implementation: str
+    objects: int
+    """The table among them."""
+    population: int
+    samples: int
+    pieces: int
+    """Convex pieces of all objects."""
+    compile_s: float | None = None
+    """First call less a steady one."""
+    ms: float | None = None
+    """Median of a population."""
+    gradient_ms: float | None = None
+    """Median of the summed depth with its gradient by positions."""
+    distances_per_s: float | None = None
+    """Signed distances of one sample and one piece; culled ones count as done."""
+    over_reference: float | None = None
+    """Time of the reference over this one's."""
+    max_error_m: float | None = None
+    status: str = "ok"
+
+
+def implementations() -> dict[str, Depth]:
+    """Return every `pair_depth*` of neoworld_kernels that takes the reference's arguments."""
+    wanted = list(inspect.signature(pair_depth_reference).parameters)
+    found = {"pair_depth_reference": pair_depth_reference}
+    for name in sorted(neoworld_kernels.__all__):
+        value = getattr(neoworld_kernels, name)
+        if not (name.startswith("pair_depth") and callable(value)):
+            continue
+        if list(inspect.signature(value).parameters)[: len(wanted)] == wanted:
+            found.setdefault(name, value)
+    return found
+
+
+def kernels(
+    objects: Sequence[int] = (3, 10, 40),
+    populations: Sequence[int] = (256, 4096),
+    *,
+    samples: int = 256,
+    seed: int = 0,
+    budget: float = 60.0,
+) -> Iterator[KernelRow]:
+    """Time every implementation of `pair_depth`.
+
+    Args:
+        objects: numbers of objects on the table.
+        populations: numbers of candidates.
+        samples: surface samples of each object.
+        seed: of scenes and layouts.
+        budget: time that the calls of a row may take [s]; a call that is running is not ended.
+    """
+    for count in objects:
+        scene = compile_scene(crowded(count, seed=seed), samples=samples)
+        for population in populations:
+            layouts = noisy_layouts(scene, population, seed=seed, noise=Noise(xy=0.3))
+            poses = jax.block_until_ready(jax.jit(scene.place)(layouts))
+            reference: tuple[Array, float] | None = None
+            for name, depth in implementations().items():
+                row, found = _row(name, depth, scene, poses, samples, reference, budget)
+                if name == "pair_depth_reference" and found is not None and row.ms is not None:
+                    reference = (found, row.ms)
+                yield row
+
+
+def _row(
+    name: str,
+    depth: Depth,
+    scene: SceneModel,
+    poses: Poses,
+    samples: int,
+    reference: tuple[Array, float] | None,
+    budget: float,
+) -> tuple[KernelRow, Array | None]:
+    solids: Solids = scene.solids
+    pieces = sum(len(group.owner) for group in solids)
+    pop, objects = poses.scale.shape
+    row = KernelRow(
+        implementation=name, objects=objects, population=pop, samples=samples, pieces=pieces
+    )
+
+    def total(pos: Array, rot: Array, scale: Array) -> Array:
+        return jnp.sum(depth(pos, rot, scale, scene.samples, solids))
+
+    where = (poses.pos, rotation(poses.quat), poses.scale)
+    call = jax.jit(lambda pos, rot, scale: depth(pos, rot, scale, scene.samples, solids))
+    try:
+        found, first, ms = _timed(call, where, budget / 2)
+        _, _, gradient = _timed(jax.jit(jax.value_and_grad(total)), where, budget / 2)
+    except Exception as error:  # a kernel that this device cannot compile raises what it likes
+        text = str(error).splitlines()[0][:160] if str(error) else ""
+        return row.model_copy(update={"status": f"skipped: {type(error).__name__}: {text}"}), None
+    gap = 0.0 if reference is None else float(np.abs(np.asarray(found - reference[0])).max())
+    if not np.isfinite(np.asarray(found)).all() or gap > TOLERANCE:
+        return row.model_copy(
+            update={"max_error_m": gap, "status": "invalid: differs from the reference"}
+        ), found
+    return row.model_copy(
+        update={
+            "compile_s": first,
+            "ms": ms,
+            "gradient_ms": gradient,
+            "distances_per_s": pop * (objects - 1) * samples * pieces / (ms / 1e3),
+            "over_reference": None if reference is None else reference[1] / ms,
+            "max_error_m": gap,
+        }
+    ), found
+
+
+def _timed(call: Any, where: tuple[Array, ...], budget: float) -> tuple[Any, float, float]:
+    """Return the result, the seconds that the first call took more, and the median call [ms]."""
+    began = time.perf_counter()
+    found = jax.block_until_ready(call(*where))
+    first = time.perf_counter() - began
+    times: list[float] = []
+    while len(times) < REPEATS and (not times or time.perf_counter() - began < budget):
+        t0 = time.perf_counter()
+        jax.block_until_ready(call(*where))
+        times.append(time.perf_counter() - t0)
+    steady = float(np.median(times))
+    return found, max(first - steady, 0.0), 1e3 * steady

@@ -1,0 +1,303 @@
+"""How many candidates a second each engine rolls out, beside the loops that it has to beat.
+
+Every row runs in a process of its own: its peak memory is its own, and a row that would take longer
+than its budget is ended and called skipped. What a row ends in is held against the naive loop
+before any of its numbers are given.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import jax
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..errors import EngineError
+from ..physics.engine import EarlyStop, Rollout, RolloutStatus, open_engine
+from ..physics.layout import Layout
+from ..physics.model import SceneModel, compile_scene
+from ..physics.native import exact_poses
+from .bare import bare_scan
+from .machine import peak_mib
+from .scenes import COUNTS, crowded, noisy_layouts
+from .verdicts import Loop, compare, motion, naive_loop
+
+ENGINES = ("native", "mjx", "warp")
+POPULATIONS = (64, 256, 1024, 4096, 16384)
+NAIVE_CANDIDATES = 128
+"""Candidates that the naive loop is timed on, and that verdicts are held against."""
+REPEATS = 5
+"""Rollouts that a steady rate is the median of; fewer, but one at least, when time is short."""
+SANE_AGREEMENT, SANE_FAILED = 0.9, 0.01
+"""A row whose verdicts agree less, or whose share of failed candidates is larger, has no rate."""
+_START_S = 30.0
+"""Time granted to a row's process to start and to compile the scene [s]."""
+
+
+class Task(BaseModel):
+    """What one row measures."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    engine: Literal["native", "mjx", "warp"]
+    objects: int = Field(ge=1)
+    population: int = Field(ge=1)
+    early_stop: bool = False
+    duration_s: float = 1.0
+    seed: int = 0
+    budget_s: float = 60.0
+
+
+class PhysicsRow(BaseModel):
+    """What was measured; None where a column does not apply or was not reached."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    engine: str
+    objects: int
+    population: int
+    steps: int
+    """Of a candidate that runs to its end."""
+    early_stop: bool
+    candidates_per_s: float | None = None
+    naive_candidates_per_s: float | None = None
+    bare_scan_candidates_per_s: float | None = None
+    """Of `jax.vmap` over `mjx.step` with the same leaves and nothing else; engine mjx only."""
+    compile_s: float | None = None
+    """First rollout less a steady one: tracing, compiling, filling caches."""
+    first_s: float | None = None
+    steady_s: float | None = None
+    """Median of `repeats` rollouts."""
+    repeats: int = 0
+    steps_per_s: float | None = None
+    """Simulated steps, those of stopped candidates left out."""
+    mean_steps: float | None = None
+    single_thread_steps_per_s: float | None = None
+    """Of mj_step in the naive loop."""
+    peak_mib: float | None = None
+    """Largest resident memory of the row's process, imports included."""
+    device_peak_mib: float | None = None
+    verdict_agreement: float | None = None
+    """With the naive loop, over `compared` layouts, those near a bound included."""
+    verdict_agreement_clear: float | None = None
+    """The same without the layouts that move 0.5 to 2 times a bound."""
+    compared: int = 0
+    stable_share: float | None = None
+    failed_share: float | None = None
+    status: str = "ok"
+    """ok, or `skipped:` or `invalid:` with the reason."""
+
+
+class Measured(BaseModel):
+    """What a row's process hands back."""
+
+    model_config = ConfigDict(extra="forbid", ser_json_inf_nan="strings")
+
+    first_s: float
+    steady_s: list[float]
+    bare_scan_s: list[float] = []
+    mean_steps: float
+    failed_share: float
+    stable_share: float
+    motion: list[float]
+    """Of the first candidates, in units of the bounds."""
+    peak_mib: float
+    device_peak_mib: float | None
+
+
+class _Naive(NamedTuple):
+    loop: Loop
+    seed: int
+
+
+def physics(
+    objects: Sequence[int] = COUNTS,
+    populations: Sequence[int] = (1024,),
+    engines: Sequence[str] = ENGINES,
+    *,
+    early_stop: Sequence[bool] = (False, True),
+    duration: float = 1.0,
+    budget: float = 60.0,
+    seed: int = 0,
+    apart: bool = True,
+) -> Iterator[PhysicsRow]:
+    """Measure engines, one row as soon as it is known.
+
+    Args:
+        objects: numbers of objects on the table.
+        populations: numbers of candidates.
+        engines: native, mjx or warp.
+        early_stop: whether candidates may stop early.
+        duration: simulated time [s].
+        budget: time that a row may take, and that the naive loop may take for a scene [s].
+        seed: of scenes and layouts.
+        apart: measure in processes of their own; otherwise here, without an end to a long row.
+    """
+    for count in objects:
+        scene = compile_scene(crowded(count, seed=seed))
+        pop = min(max(populations), NAIVE_CANDIDATES)
+        layouts = noisy_layouts(scene, pop, seed=seed)
+        poses = exact_poses(scene, layouts)
+        naive = naive_loop(scene, layouts, poses, duration=duration, budget=budget)
+        for engine in engines:
+            for population in populations:
+                for stop in early_stop:
+                    task = Task.model_validate(
+                        {
+                            "engine": engine,
+                            "objects": count,
+                            "population": population,
+                            "early_stop": stop,
+                            "duration_s": duration,
+                            "seed": seed,
+                            "budget_s": budget,
+                        }
+                    )
+                    yield _row(task, naive, apart=apart)
+
+
+def _row(task: Task, naive: Loop, *, apart: bool) -> PhysicsRow:
+    row = PhysicsRow(
+        engine=task.engine,
+        objects=task.objects,
+        population=task.population,
+        steps=naive.steps,
+        early_stop=task.early_stop,
+        naive_candidates_per_s=naive.candidates_per_s,
+        single_thread_steps_per_s=naive.steps_per_s,
+    )
+    found = _in_a_process(task) if apart else measure(task)
+    if isinstance(found, str):
+        return row.model_copy(update={"status": found})
+    some = min(len(naive.motion), task.population)
+    told = compare(naive.motion[:some], np.array(found.motion[:some]))
+    checked = {
+        "verdict_agreement": float(told.same.mean()),
+        "verdict_agreement_clear": told.share(near=False),
+        "compared": some,
+        "stable_share": found.stable_share,
+        "failed_share": found.failed_share,
+        "peak_mib": found.peak_mib,
+        "device_peak_mib": found.device_peak_mib,
+    }
+    clear = checked["verdict_agreement_clear"]
+    if found.failed_share > SANE_FAILED or (clear is not None and clear < SANE_AGREEMENT):
+        why = f"invalid: {found.failed_share:.1%} failed, verdicts agree in {clear or 0:.1%}"
+        return row.model_copy(update={**checked, "status": why})
+    if not found.steady_s:
+        late = {"first_s": found.first_s, "status": "skipped: budget"}
+        return row.model_copy(update={**checked, **late})
+    steady = float(np.median(found.steady_s))
+    bare = float(np.median(found.bare_scan_s)) if found.bare_scan_s else None
+    rates = {
+        "candidates_per_s": task.population / steady,
+        "bare_scan_candidates_per_s": None if bare is None else task.population / bare,
+        "compile_s": max(found.first_s - steady, 0.0),
+        "first_s": found.first_s,
+        "steady_s": steady,
+        "repeats": len(found.steady_s),
+        "steps_per_s": found.mean_steps * task.population / steady,
+        "mean_steps": found.mean_steps,
+    }
+    return row.model_copy(update={**checked, **rates})
+
+
+def _in_a_process(task: Task) -> Measured | str:
+    """Measure in a new process; return why not when it is ended or fails."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "row.json"
+        command = [sys.executable, "-m", __name__, task.model_dump_json(), str(out)]
+        try:
+            done = subprocess.run(
+                command, capture_output=True, text=True, timeout=task.budget_s + _START_S
+            )
+        except subprocess.TimeoutExpired:
+            return "skipped: budget"
+        if not out.exists():
+            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+            return f"skipped: process ended with {done.returncode}: {last[:200]}"
+        found = json.loads(out.read_text(encoding="utf-8"))
+    return found if isinstance(found, str) else Measured.model_validate(found)
+
+
+def measure(task: Task) -> Measured | str:
+    """Time one engine on one population, in this process.
+
+    Returns:
+        What was measured, or why it was skipped.
+    """
+    began = time.perf_counter()
+    try:
+        engine = open_engine(task.engine)
+    except EngineError as error:
+        return f"skipped: {error}"
+    scene = compile_scene(crowded(task.objects, seed=task.seed))
+    layouts = jax.device_put(noisy_layouts(scene, task.population, seed=task.seed))
+    rule = EarlyStop() if task.early_stop else None
+
+    def once() -> Rollout:
+        found = engine.rollout(scene, layouts, duration=task.duration_s, early_stop=rule)
+        return jax.block_until_ready(found)
+
+    try:
+        t0 = time.perf_counter()
+        rollout = once()
+        first = time.perf_counter() - t0
+    except EngineError as error:
+        return f"skipped: {error}"
+    steady: list[float] = []
+    left = lambda: task.budget_s - (time.perf_counter() - began)
+    while len(steady) < REPEATS and left() > (steady[-1] if steady else 0.0):
+        t0 = time.perf_counter()
+        rollout = once()
+        steady.append(time.perf_counter() - t0)
+    moved = motion(scene, rollout)
+    host, device = peak_mib()
+    bare = []
+    if task.engine == "mjx" and not task.early_stop:
+        bare = _time_bare(scene, layouts, rollout, task, left())
+    return Measured(
+        first_s=first,
+        steady_s=steady,
+        bare_scan_s=bare,
+        mean_steps=float(np.mean(rollout.steps)),
+        failed_share=float(np.mean(np.asarray(rollout.status) == RolloutStatus.FAILED)),
+        stable_share=float(np.mean(moved < 1.0)),
+        motion=[float(x) for x in moved[:NAIVE_CANDIDATES]],
+        peak_mib=host,
+        device_peak_mib=device,
+    )
+
+
+def _time_bare(
+    scene: SceneModel, layouts: Layout, rollout: Rollout, task: Task, left: float
+) -> list[float]:
+    """Time the bare scan as often as there is time for; not at all when a rollout took too long."""
+    ends = time.perf_counter() + left
+    steps = round(task.duration_s / scene.host.mjm.opt.timestep)
+    once = bare_scan(scene, layouts, steps)
+    jax.block_until_ready(once())
+    found: list[float] = []
+    while len(found) < REPEATS and time.perf_counter() + (found[-1] if found else 0.0) < ends:
+        t0 = time.perf_counter()
+        jax.block_until_ready(once())
+        found.append(time.perf_counter() - t0)
+    return found
+
+
+def main() -> None:
+    """Measure the task given as JSON and write what was found to the file given."""
+    task = Task.model_validate_json(sys.argv[1])
+    found = measure(task)
+    text = json.dumps(found) if isinstance(found, str) else found.model_dump_json()
+    Path(sys.argv[2]).write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
