@@ -16,8 +16,8 @@ STANDS_OFF_M = 0.0005
 """Air between a door and the front that it stands before."""
 LIFTS_M = 0.0005
 """Air under a drawer's tray."""
-SWING = {"left": 1.7, "right": 1.7, "bottom": 1.5, "top": 1.5}
-"""How far a door opens [rad]; a flap that went further would meet what is below or above it."""
+SWING = {"left": 1.57, "right": 1.57, "bottom": 1.5, "top": 1.5}
+"""How far a door opens [rad]: further, its face would enter the frame beside its hinge."""
 TRAVEL = 0.75
 """Of a drawer, over its depth."""
 

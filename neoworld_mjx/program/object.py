@@ -184,7 +184,7 @@ class Object:
             hinge: the edge it turns about: "left" (+y), "right" (-y), "top" or "bottom".
             thickness: along x.
             gap: left free at all four edges.
-            opens: angle when fully open [rad]; by default 1.7 at the sides, 1.5 above and below.
+            opens: angle when fully open [rad]; by default 1.57 at the sides, 1.5 above and below.
             material: the parent's by default.
         """
         self._own(parent, "door: parent")

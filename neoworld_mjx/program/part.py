@@ -34,6 +34,7 @@ class Part:
     def __init__(self, owner: Any, name: str, material: str | None, mass: float | None):
         self._owner, self._material, self._mass = owner, material, mass
         self._geoms: list[Geom] = []
+        self._named: set[str] = set()
         self._line = here()
         self.name = name
 
@@ -60,7 +61,8 @@ class Part:
             material: name of a material; the part's own by default.
             rgb: colour in 0 to 1 that overrides the material's.
             role: "both", or "visual" (seen only, no mass), or "collision".
-            name: unique in the object; numbered by default.
+            name: unique in the part; numbered by default. Where another part has the name
+                already, this part's name is put before it.
         """
         what = f"part {self.name!r}, add"
         if not isinstance(shape, Shape):
@@ -102,14 +104,23 @@ class Part:
 
     def _geom_name(self, given: str | None, what: str) -> str:
         taken = self._owner._geom_names
-        if given is None:
-            count = len(self._geoms)
-            while (given := f"{self.name[:40]}_{count}") in taken:
-                count += 1
-        elif take.name(given, f"{what}: name") in taken:
-            raise ValueError(f"{what}: the name {given!r} is taken by another shape")
-        taken.add(given)
-        return given
+        if given is not None:
+            if take.name(given, f"{what}: name") in self._named:
+                raise ValueError(
+                    f"{what}: the name {given!r} is taken by another shape of the part"
+                )
+            self._named.add(given)
+            if given not in taken:
+                taken.add(given)
+                return given
+            # Programs make several parts in one loop: each may have its "knob".
+            given = f"{self.name[:20]}_{given[:20]}"
+        label, count = given, len(self._geoms)
+        while label is None or label in taken:
+            label = f"{(given or self.name)[:40]}_{count}"
+            count += 1
+        taken.add(label)
+        return label
 
 
 class Joint:

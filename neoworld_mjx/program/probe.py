@@ -48,12 +48,12 @@ class Probe:
 
     Args:
         spec: the object.
-        seconds: of work after which measuring gives up.
+        seconds: of processor time after which measuring gives up.
     """
 
     def __init__(self, spec: ObjectSpec, seconds: float = float("inf")) -> None:
         self.spec = spec
-        self._until = time.monotonic() + seconds
+        self._until = time.thread_time() + seconds
         self.names = [part.name for part in spec.parts]
         world = mujoco.MjSpec()
         owner: list[int] = []
@@ -88,7 +88,7 @@ class Probe:
         Raises:
             OutOfTime: it is.
         """
-        if time.monotonic() > self._until:
+        if time.thread_time() > self._until:
             raise OutOfTime
 
     def place(self, joint_state: Mapping[str, float]) -> None:

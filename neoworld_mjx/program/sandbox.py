@@ -6,6 +6,8 @@ trusts. The same text gives the same object, to the byte.
 
 import time
 from dataclasses import dataclass, field
+from functools import cache
+from importlib import import_module
 
 from ..config import ProgramOptions
 from ..spec import ObjectSpec
@@ -45,6 +47,7 @@ def run(text: str, options: ProgramOptions | None = None) -> Built:
         options: which sandbox, and its limits.
     """
     options = options or ProgramOptions()
+    _load_shapes()
     start = time.monotonic()
     session = Session(
         max_seconds=options.timeout_s,
@@ -81,6 +84,13 @@ def run(text: str, options: ProgramOptions | None = None) -> Built:
         tuple(session.objects[0]._allowances) if session.objects else (),
         time.monotonic() - start,
     )
+
+
+@cache
+def _load_shapes() -> None:
+    """Import what shapes are made with, so that this is on no program's account."""
+    for name in ("scipy.spatial", "manifold3d"):
+        import_module(name)
 
 
 def _unfit(text: str, options: ProgramOptions) -> list[Signal]:

@@ -1,3 +1,5 @@
+import time
+
 import pytest
 
 from neoworld_mjx.config import ProgramOptions
@@ -111,3 +113,32 @@ def test_losses_follow_from_the_child_where_none_are_given():
     assert given is not None
     hinge = next(joint for joint in given.joints if joint.name == "hinge")
     assert (hinge.damping, hinge.friction) == (0, 0.25)
+
+
+def test_parts_made_in_one_loop_may_each_have_a_shape_of_the_same_name():
+    text = (
+        HEAD
+        + """
+stove = Object("stove")
+body = stove.part("body", material="steel")
+body.add(box((0.2, 0.3, 0.1)), at=(0, 0, 0.05), name="cap")
+for i in range(2):
+    knob = stove.part(f"knob_{i}", material="abs")
+    knob.add(cylinder(0.01, 0.02), at=(0.1, i * 0.1, 0.05), rpy=(0, 1.57, 0), by="back", name="cap")
+    stove.continuous(f"turn_{i}", body, knob, at=(0.1, i * 0.1, 0.05), axis=(1, 0, 0))
+"""
+    )
+    built = run(text)
+    assert built.spec is not None, built.signals
+    names = [geom.name for part in built.spec.parts for geom in part.geoms]
+    assert names == ["cap", "knob_0_cap", "knob_1_cap"]
+    twice = run(text.replace("for i in", "body.add(sphere(0.02), name='cap')\nfor i in"))
+    assert "taken by another shape of the part" in twice.signals[0].message
+
+
+def test_a_busy_machine_does_not_use_up_a_programs_time(monkeypatch):
+    # As if every call had to wait for others: wall time passes, this thread's own does not.
+    clock = iter(range(0, 1_000_000, 10))
+    monkeypatch.setattr(time, "monotonic", lambda: float(next(clock)))
+    assert run(CUP, ProgramOptions(sandbox="cpython")).spec is not None
+    assert run(CUP).spec is not None

@@ -1,0 +1,119 @@
+"""Runs that are killed and gone on with end in the same files as one that is left alone."""
+
+import contextlib
+import json
+import random
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+PHOTO = Path(__file__).parents[1] / "examples" / "coffee.png"
+SMALL = (
+    *("refine.cem.population=16", "refine.cem.iterations=2", "refine.rollout.duration_s=0.3"),
+    *("render.width=96", "render.supersample=1", "verify.duration_s=0.5"),
+)
+TIMED = {"run.json", "report.html", ".lock"}
+"""What may differ between two runs, as it carries times or process numbers."""
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> tuple[Path, float]:
+    """An undisturbed run, and how long one takes once everything is compiled [s]."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    _finish(out)
+    begun = time.perf_counter()
+    _finish(out.with_name("again"))
+    seconds = time.perf_counter() - begun
+    assert _contents(out) == _contents(out.with_name("again"))
+    return out, seconds
+
+
+def test_a_run_killed_three_times_ends_like_one_left_alone(whole, tmp_path):
+    undisturbed, seconds = whole
+    draw = random.Random(3)
+    out = tmp_path / "out"
+    for _ in range(3):
+        # Starting takes a good part of so small a run: a kill is to hit the steps.
+        _kill(out, draw.uniform(0.3, 0.8) * seconds)
+        done = _steps(out)
+    _go_on(out, done)
+    assert _contents(out) == _contents(undisturbed)
+
+
+@pytest.mark.slow
+def test_runs_killed_at_twenty_moments_end_like_one_left_alone(whole, tmp_path):
+    undisturbed, seconds = whole
+    draw = random.Random(20)
+    expected = _contents(undisturbed)
+    at = []
+    for i in range(20):
+        out = tmp_path / f"out{i}"
+        moment = draw.uniform(0, seconds)
+        _kill(out, moment)
+        done = _steps(out)
+        at.append(f"killed after {moment:.1f} s with {len(done)} parts of steps done")
+        _go_on(out, done)
+        assert _contents(out) == expected, at[-1]
+    print(*at, sep="\n")
+    # The moments fall on all of the run, not only on its start.
+    assert len({text.split(" with ")[1] for text in at}) >= 5
+
+
+def _start(out: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "neoworld_mjx.cli", "reconstruct", str(PHOTO)]
+    options = [word for setting in SMALL for word in ("--set", setting)]
+    return subprocess.Popen(
+        [*command, "--out", str(out), "--resume", "--json", *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def _finish(out: Path) -> str:
+    """Run to the end and return what was told of the progress."""
+    answer, log = _start(out).communicate()
+    assert "scene" in json.loads(answer), log
+    return log
+
+
+def _kill(out: Path, after: float) -> None:
+    process = _start(out)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.communicate(timeout=after)
+    process.kill()
+    process.communicate()
+
+
+def _go_on(out: Path, done: dict[str, dict[str, int]]) -> None:
+    """Resume, and see that what was done is neither begun again nor written again."""
+    log = _finish(out).splitlines()
+    for name, written in done.items():
+        assert f"{name}: begun" not in log
+        assert {path: (out / path).stat().st_mtime_ns for path in written} == written, name
+    data = json.loads((out / "run.json").read_text())
+    assert data["status"] == "finished"
+    assert set(done) <= set(data["steps"])
+
+
+def _steps(out: Path) -> dict[str, dict[str, int]]:
+    """Return the finished steps, each with when its files were written; all of them are there."""
+    path = out / "run.json"
+    steps = json.loads(path.read_text())["steps"] if path.exists() else {}
+    return {
+        name: {file: (out / file).stat().st_mtime_ns for file in entry["outputs"]}
+        for name, entry in steps.items()
+    }
+
+
+def _contents(out: Path) -> dict[str, bytes]:
+    files = [path for path in out.rglob("*") if path.is_file()]
+    found = {str(p.relative_to(out)): p.read_bytes() for p in files if p.name not in TIMED}
+    assert {"scene.xml", "scene.usda", "scene.json", "tree.json", "refine/history.npz"} <= set(
+        found
+    )
+    assert "objects/cup/object.usda" in found
+    return found
