@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import Positional, UseAppendAction, arg, subcommand
+from tyro.conf import OmitSubcommandPrefixes, Positional, UseAppendAction, arg, subcommand
 
 Step = Literal["parse", "program", "verify", "compose", "refine", "export"]
 
@@ -119,6 +119,99 @@ class Doctor(Common):
     """Say what is installed here and what can run."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class BenchPhysics(Common):
+    """Time rollouts of noisy layouts, beside the naive loop and a bare scan of MJX."""
+
+    objects: tuple[int, ...] = (3, 6, 10, 20, 40)
+    """Numbers of objects on the table."""
+    population: tuple[int, ...] = (1024,)
+    """Numbers of candidates."""
+    engine: tuple[Literal["native", "mjx", "warp"], ...] = ("native", "mjx", "warp")
+    """Engines; one that cannot run here is a row that says why."""
+    duration: float = 1.0
+    """Simulated time [s], in steps of 4 ms."""
+    budget: float = 60.0
+    """Time that a row may take [s]; one that needs longer is skipped."""
+    seed: int = 0
+    """Of scenes and layouts."""
+    chart: Path | None = None
+    """SVG file to draw the growth of cost into."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchKernels(Common):
+    """Time the implementations of the penetration term."""
+
+    objects: tuple[int, ...] = (3, 10, 40)
+    """Numbers of objects on the table."""
+    population: tuple[int, ...] = (256, 4096)
+    """Numbers of candidates."""
+    samples: int = 256
+    """Surface samples of each object."""
+    budget: float = 60.0
+    """Time that the calls of a row may take [s]."""
+    seed: int = 0
+    """Of scenes and layouts."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchAgreement(Common):
+    """Compare engines with MuJoCo on recompiled scenes: fields, bits, first steps, verdicts."""
+
+    scene: tuple[str, ...] = ()
+    """Of stack, cluttered, cabinet, container, leaning and mixed; none takes all six."""
+    engine: tuple[Literal["native", "mjx", "warp"], ...] = ("native",)
+    """Engines whose verdicts are compared."""
+    layouts: int = 64
+    """Candidates of each scene."""
+    seed: int = 0
+    """Of the layouts."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchChart(Common):
+    """Draw the growth of cost from the JSON that `bench run physics` printed."""
+
+    rows: Positional[Path]
+    """File with what `bench run physics --json` printed."""
+    out: Path
+    """SVG file to write."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchRun:
+    """Run a benchmark."""
+
+    suite: (
+        Annotated[BenchPhysics, subcommand("physics")]
+        | Annotated[BenchKernels, subcommand("kernels")]
+        | Annotated[BenchAgreement, subcommand("agreement")]
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench:
+    """Measure speed and agreement of engines."""
+
+    task: Annotated[BenchRun, subcommand("run")] | Annotated[BenchChart, subcommand("chart")]
+
+    @property
+    def inner(self) -> BenchPhysics | BenchKernels | BenchAgreement | BenchChart:
+        """What was asked for, at the end of the nested commands."""
+        return self.task.suite if isinstance(self.task, BenchRun) else self.task
+
+    @property
+    def json(self) -> bool:
+        """See Common."""
+        return self.inner.json
+
+    @property
+    def quiet(self) -> bool:
+        """See Common."""
+        return self.inner.quiet
+
+
 Command = (
     Annotated[Reconstruct, subcommand("reconstruct")]
     | Annotated[Refine, subcommand("refine")]
@@ -127,4 +220,5 @@ Command = (
     | Annotated[Render, subcommand("render")]
     | Annotated[Report, subcommand("report")]
     | Annotated[Doctor, subcommand("doctor")]
+    | OmitSubcommandPrefixes[Annotated[Bench, subcommand("bench")]]
 )

@@ -7,7 +7,21 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .arguments import Build, Check, Configured, Doctor, Reconstruct, Refine, Render, Report
+from .arguments import (
+    Bench,
+    BenchAgreement,
+    BenchChart,
+    BenchKernels,
+    BenchPhysics,
+    Build,
+    Check,
+    Configured,
+    Doctor,
+    Reconstruct,
+    Refine,
+    Render,
+    Report,
+)
 from .errors import ConfigError, NeoWorldError, RunError, SpecError
 
 if TYPE_CHECKING:
@@ -166,6 +180,21 @@ def doctor(_: Doctor) -> Answer:
     }
 
 
+def bench(command: Bench) -> Answer:
+    """Measure speed or agreement of engines."""
+    from .bench import command as benchmarks
+    from .cache import keep_compilations
+
+    keep_compilations()
+    answers = {
+        BenchPhysics: benchmarks.physics_answer,
+        BenchKernels: benchmarks.kernels_answer,
+        BenchAgreement: benchmarks.agreement_answer,
+        BenchChart: benchmarks.chart_answer,
+    }
+    return answers[type(command.inner)](command.inner)
+
+
 _KEYS = ("ANTHROPIC_API_KEY", "OPENAI_API_KEY")
 COMMANDS: dict[type, Any] = {
     Reconstruct: reconstruct,
@@ -175,6 +204,7 @@ COMMANDS: dict[type, Any] = {
     Render: render,
     Report: report,
     Doctor: doctor,
+    Bench: bench,
 }
 
 

@@ -291,6 +291,8 @@ def _refine(run: RunFolder, config: Config) -> None:
             "winner": list(found.winner),
             "finalists_tried": found.finalists_tried,
             "mean_log_scale": found.mean_log_scale,
+            "mean_shift_m": found.mean_shift_m,
+            "mean_turn_deg": found.mean_turn_deg,
             "layout": {
                 name: np.asarray(getattr(found.layout, name)[0]).tolist()
                 for name in ("xy", "yaw", "log_scale")
@@ -331,6 +333,8 @@ def _report(run: RunFolder) -> None:
             "metrics",
             **told["after"],
             mean_log_scale=told["mean_log_scale"],
+            mean_shift_m=told["mean_shift_m"],
+            mean_turn_deg=told["mean_turn_deg"],
             iterations=told["iterations"],
             engine=told["engine"],
             before=told["before"],

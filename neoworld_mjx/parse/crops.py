@@ -93,7 +93,24 @@ def _note(tree: SceneTree, node: TreeNode) -> str:
     ]
     said = []
     if node.occluded_by:
-        said.append(f"partly hidden by {', '.join(node.occluded_by)}")
+        hidden = [f"{name}{_where(tree.node(name), node)}" for name in node.occluded_by]
+        said.append(f"partly hidden by {', '.join(hidden)}")
+    elif node.occluded and not cut:
+        said.append("partly hidden")
     if cut:
         said.append(f"cut off by the picture's {' and '.join(cut)} edge")
     return "; ".join(said)
+
+
+def _where(other: TreeNode, node: TreeNode) -> str:
+    """Say which part of a node's box the box of another covers, in ninths of it."""
+    mine, over = np.array(node.box2d.as_tuple()), np.array(other.box2d.as_tuple())
+    low, high = np.maximum(mine[:2], over[:2]), np.minimum(mine[2:], over[2:])
+    if (low >= high).any():
+        return ""
+    sides = mine[2:] - mine[:2]
+    share = float(np.prod((high - low) / sides))
+    across, down = np.floor(((low + high) / 2 - mine[:2]) / sides * 3).astype(int).tolist()
+    words = [("upper", "", "lower")[min(down, 2)], ("left", "", "right")[min(across, 2)]]
+    place = " ".join(word for word in words if word) or "middle"
+    return f" (its box covers {share:.0%} of this one's, {place})"

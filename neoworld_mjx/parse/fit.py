@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from ..spec import Box3D, Camera, SceneTree, TreeNode
@@ -39,6 +39,8 @@ GAIN = 0.01
 LOSS = 0.1
 """Most that any one object's agreement may fall."""
 STEPS = 60
+STEP = 1e-7
+"""Of finite differences, in m, log or rad."""
 
 
 @dataclass(frozen=True)
@@ -153,6 +155,10 @@ class _Problem:
         self.parents = np.array(
             [names.index(n.parent) if n.parent in names else -1 for n in things]
         )
+        # Carriers come first in `things`.
+        self.levels = np.zeros(len(things), int)
+        for i, parent in enumerate(self.parents):
+            self.levels[i] = self.levels[parent] + 1 if parent >= 0 else 0
         zero = np.zeros_like(self.sizes)
         self.answered = np.concatenate([self.places, zero, self.yaws[:, None]], axis=1)
         self._frame_places()
@@ -243,6 +249,47 @@ class _Problem:
             ]
         )
 
+    def jacobian(self, x: NDArray) -> NDArray:
+        """Return the derivative of the residuals by forward differences.
+
+        An object's residuals depend on its own unknowns, its carrier's and the camera's. So objects
+        whose depths in the tree are both even or both odd are stepped at once.
+        """
+        n, here = len(self.things), self.residuals(x)
+        found = np.zeros((len(here), len(x)))
+        for k in range(4):
+            found[:, k] = self._difference(x, here, [k])
+        index = np.arange(n)
+        owners = np.concatenate(
+            [
+                index.repeat(4),
+                np.full(4, -1),
+                index.repeat(2),
+                index,
+                index,
+                index.repeat(3),
+                index,
+            ]
+        )
+        carriers = np.where(owners >= 0, self.parents[owners], -1)
+        for parity in (0, 1):
+            group = self.levels % 2 == parity
+            moved = np.where(
+                (owners >= 0) & group[owners],
+                owners,
+                np.where((carriers >= 0) & group[carriers], carriers, -1),
+            )
+            rows = np.flatnonzero(moved >= 0)
+            for k in range(7):
+                change = self._difference(x, here, 4 + 7 * index[group] + k)
+                found[rows, 4 + 7 * moved[rows] + k] = change[rows]
+        return found
+
+    def _difference(self, x: NDArray, here: NDArray, columns: ArrayLike) -> NDArray:
+        ahead = x.copy()
+        ahead[columns] += STEP
+        return (self.residuals(ahead) - here) / STEP
+
     def starts(self) -> list[NDArray]:
         """Return where to begin: as answered, and with objects put where their 2D boxes are."""
         placed = self.answered.copy()
@@ -317,9 +364,10 @@ def _solved(problem: _Problem, start: NDArray) -> Any:
     return least_squares(
         problem.residuals,
         start,
+        jac=problem.jacobian,
         loss="soft_l1",
-        max_nfev=STEPS,
         x_scale="jac",
+        max_nfev=STEPS,
         ftol=1e-11,
         xtol=1e-11,
     )

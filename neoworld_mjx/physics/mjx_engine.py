@@ -6,36 +6,62 @@ pieces are scaled in the model's vertex arrays (`ConvexMesh.vert` and `.face` bo
 
 import functools
 import weakref
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array, Bool, Float
 from mujoco import mjx
 
 from ..errors import EngineError
-from .engine import EarlyStop, Rollout, RolloutStatus, record_steps
+from .derived import invweights
+from .engine import EarlyStop, Rollout, RolloutStatus, record_steps, unplaceable
 from .layout import Layout, Poses
-from .model import FREE, SLIDE, Host, SceneModel, leaves, mesh_object
-from .native import exact_poses, open_batch
+from .lowering import lowered
+from .model import FREE, Host, SceneModel, leaves, mesh_object
+from .progress import DIVERGED, Progress
 
-CHUNK = 2048
-"""Candidates simulated at once; bounds the memory of a large population."""
+__all__ = ["MjxEngine", "bare_scan", "invweights", "object_poses"]
+
+CHUNK = 8192
+"""Most candidates simulated at once."""
+
+MEMORY_SHARE, CPU_MEMORY = 0.4, 1 << 30
+"""Of an accelerator's memory, and bytes on a CPU, that one chunk may take."""
+
+COMPACTED = 512
+"""From this many candidates on a shrinking population moves into smaller programs, each of which
+compiles once; below it a program that runs half empty costs less than another compilation."""
 
 _MODEL_FIELDS = (
     *("body_pos", "body_quat", "body_ipos", "body_mass", "body_inertia", "geom_pos", "geom_size"),
     *("geom_rbound", "geom_aabb", "jnt_pos", "jnt_range", "jnt_stiffness", "jnt_actfrcrange"),
     *("dof_armature", "dof_damping", "dof_frictionloss", "qpos0", "qpos_spring", "eq_data"),
+    *("body_invweight0", "dof_invweight0"),
 )
+
+Fields = dict[str, Any]
+"""Per-candidate values of model fields, leading axis [pop]; "vert" and "face" list the meshes'."""
 
 
 class MjxEngine:
-    """MJX on any JAX device. The first rollout of a scene compiles."""
+    """MJX on any JAX device, or several of one kind. The first rollout of a scene compiles.
+
+    Colliders that MJX cannot collide are replaced by polyhedra; see `lowering`.
+    """
 
     name = "mjx"
+
+    def __init__(self, devices: Sequence[jax.Device] | None = None):
+        """Split populations over `devices`; None takes all of JAX's default kind."""
+        self.devices = tuple(jax.devices() if devices is None else devices)
+        self._scenes: weakref.WeakKeyDictionary[Host, tuple[mjx.Model, SceneModel]] = (
+            weakref.WeakKeyDictionary()
+        )
 
     def rollout(
         self,
@@ -48,92 +74,230 @@ class MjxEngine:
     ) -> Rollout:
         """Simulate every candidate; see `Engine.rollout`.
 
-        Candidates run to the end whatever `early_stop` says: under `vmap` a stopped one costs as
-        much as a running one.
-
         Raises:
-            EngineError: the scene has colliders that MJX cannot collide.
+            EngineError: the scene has something that MJX cannot simulate.
         """
-        model = _on_device(scene.host)
-        timestep = scene.host.mjm.opt.timestep
-        records, every = record_steps(timestep, duration, record_every)
-        poses = scene.place(layouts)
-        derived = invweights(scene, layouts, poses)
+        records, every = record_steps(scene.host.mjm.opt.timestep, duration, record_every)
+        model, scene = self._carried(scene)
         pop = layouts.yaw.shape[0]
-        chunk = min(CHUNK, pop)
-        qpos = []
-        for first in range(0, pop, chunk):
+        size = self._chunk(model, pop)
+        parts = []
+        for first in range(0, pop, size):
             # The last chunk is filled up, so that all have one shape and one compilation.
-            index = jnp.minimum(jnp.arange(first, first + chunk), pop - 1)
-            few, at, more = jax.tree.map(lambda leaf, i=index: leaf[i], (layouts, poses, derived))
-            qpos.append(_simulate(model, scene, few, at, more, records, every)[: pop - first])
-        found = jnp.concatenate(qpos)
-        pos, quat = object_poses(scene, poses, found)
-        failed = ~jnp.all(jnp.isfinite(found), axis=(1, 2))
-        status = jnp.where(failed, int(RolloutStatus.FAILED), int(RolloutStatus.OK))
-        return Rollout(
-            time=jnp.arange(1, records + 1) * every * timestep,
-            pos=pos,
-            quat=quat,
-            status=status.astype(jnp.int32),
-            start=poses,
-            steps=jnp.full(pop, records * every, jnp.int32),
-        )
+            index = np.minimum(np.arange(first, first + size), pop - 1)
+            few = self._spread(jax.tree.map(lambda x, i=index: jnp.asarray(x)[i], layouts))
+            run = self._segments if early_stop is not None and scene.host.mjm.nv else self._whole
+            parts.append(run(model, scene, few, records, every, early_stop))
+        if len(parts) == 1:
+            whole = parts[0]
+        else:
+            whole = jax.tree.map(lambda *rows: jnp.concatenate(rows), *parts)
+            whole = eqx.tree_at(lambda r: r.time, whole, parts[0].time)
+        if size * len(parts) == pop:
+            return whole
+        cut = jax.tree.map(lambda x: x[:pop], whole)
+        return eqx.tree_at(lambda r: r.time, cut, whole.time)
+
+    def _whole(
+        self,
+        model: mjx.Model,
+        scene: SceneModel,
+        layouts: Layout,
+        records: int,
+        every: int,
+        rule: EarlyStop | None,
+    ) -> Rollout:
+        fields, qpos, poses, bad = _prepare(model, scene, layouts)
+        found = bare_scan(model, fields, qpos, records, every)
+        return _rollout(scene, poses, found, bad, records, every)
+
+    def _segments(
+        self,
+        model: mjx.Model,
+        scene: SceneModel,
+        layouts: Layout,
+        records: int,
+        every: int,
+        rule: EarlyStop | None,
+    ) -> Rollout:
+        """Run record by record; candidates that have stopped leave once a smaller program fits."""
+        fields, qpos, poses, bad = _prepare(model, scene, layouts)
+        data = _begin(model, fields, qpos)
+        progress = Progress(scene.host, poses, records, every, rule)
+        progress.drop(np.asarray(bad), RolloutStatus.FAILED)
+        rows = np.arange(len(progress.status))
+        sizes = [len(rows) // k for k in (8, 4, 2)] if len(rows) >= COMPACTED else []
+        for time in range(records):
+            if not len(progress.active):
+                break
+            data = _advance(model, fields, data, every)
+            mine = np.searchsorted(rows, progress.active)
+            state = (np.asarray(x)[mine] for x in (data.qpos, data.qvel, data.qacc))
+            on = progress.record(time, *state)
+            fits = [s for s in sizes if len(progress.active) <= s < len(rows)]
+            if fits and len(progress.active):
+                keep = mine[on]
+                fill = np.full(fits[0] - len(keep), keep[0])
+                index = jnp.asarray(np.concatenate([keep, fill]))
+                fields, data = self._spread(_take((fields, data), index))
+                rows = np.concatenate([progress.active, fill * 0 + np.iinfo(int).max])
+        return progress.rollout(poses)
+
+    def _chunk(self, model: mjx.Model, pop: int) -> int:
+        shapes = jax.eval_shape(lambda m: mjx.make_data(m), model)
+        # The state before and after a step, and about as much again for what lies between.
+        each = 4 * sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(shapes))
+        device, count = self.devices[0], len(self.devices)
+        stats = (device.memory_stats() or {}) if device.platform != "cpu" else {}
+        budget = int(MEMORY_SHARE * stats.get("bytes_limit", CPU_MEMORY / MEMORY_SHARE)) * count
+        fit = max(64, 1 << (max(budget // max(each, 1), 1).bit_length() - 1))
+        chunk = min(pop, CHUNK, fit)
+        return -(-chunk // count) * count
+
+    def _spread(self, tree: Any, axis: str | None = "pop") -> Any:
+        """Split the leading axis of all leaves over the devices, or copy them to each."""
+        if len(self.devices) == 1:
+            return jax.device_put(tree, self.devices[0])
+        mesh = Mesh(np.array(self.devices), ("pop",))
+        spec = PartitionSpec() if axis is None else PartitionSpec(axis)
+        return jax.device_put(tree, NamedSharding(mesh, spec))
+
+    def _carried(self, scene: SceneModel) -> tuple[mjx.Model, SceneModel]:
+        """Return MJX's model and the scene whose colliders it holds, on the engine's devices."""
+        if scene.host not in self._scenes:
+            model, carried = _on_device(scene)
+            arrays, rest = eqx.partition(carried, eqx.is_array)
+            model, arrays = self._spread((model, arrays), None)
+            self._scenes[scene.host] = model, eqx.combine(arrays, rest)
+        return self._scenes[scene.host]
 
 
-_models: "weakref.WeakKeyDictionary[Host, mjx.Model]" = weakref.WeakKeyDictionary()
+_models: "weakref.WeakKeyDictionary[Host, tuple[mjx.Model, SceneModel]]" = (
+    weakref.WeakKeyDictionary()
+)
 
 
-def _on_device(host: Host) -> mjx.Model:
-    if host not in _models:
+def _on_device(scene: SceneModel) -> tuple[mjx.Model, SceneModel]:
+    """Return MJX's model and the scene whose colliders it holds."""
+    if scene.host not in _models:
         try:
-            _models[host] = mjx.put_model(host.mjm, impl="jax")
+            try:
+                _models[scene.host] = mjx.put_model(scene.host.mjm, impl="jax"), scene
+            except NotImplementedError:
+                scene_ = lowered(scene)
+                _models[scene.host] = mjx.put_model(scene_.host.mjm, impl="jax"), scene_
         except NotImplementedError as error:
             raise EngineError(
                 f"engine mjx cannot carry this scene: {error}; take --engine native"
             ) from None
-    return _models[host]
+    return _models[scene.host]
 
 
 @eqx.filter_jit
-def _simulate(
-    model: mjx.Model,
-    scene: SceneModel,
-    layouts: Layout,
-    poses: Poses,
-    derived: dict[str, Array],
-    records: int,
-    every: int,
-) -> Float[Array, "pop time nq"]:
-    fields = leaves(scene, layouts, poses) | derived
-    qpos = fields.pop("qpos")
-    changed = {name: fields[name] for name in (*_MODEL_FIELDS, *derived) if name in fields}
-    axes = jax.tree.map(lambda _: None, model)
-    many, axes = model.replace(**changed), axes.replace(**dict.fromkeys(changed, 0))
+def _prepare(
+    model: mjx.Model, scene: SceneModel, layouts: Layout
+) -> tuple[Fields, Float[Array, "pop nq"], Poses, Bool[Array, " pop"]]:
+    """Place candidates: their model fields, start states, poses, and which have no place."""
+    poses = scene.place(layouts)
+    found = leaves(scene, layouts, poses) | invweights(scene, layouts, poses)
+    fields: Fields = {name: found[name] for name in _MODEL_FIELDS if name in found}
     owner = mesh_object(scene)
     if np.any(owner >= 0):
-        size = poses.scale[:, owner, None, None]
-        meshes = tuple(
-            c.replace(vert=c.vert * size[:, k], face=c.face * size[:, k, :, :, None])
-            for k, c in enumerate(model._impl.mesh_convex)  # pyright: ignore[reportAttributeAccessIssue]
-        )
-        flat = tuple(
-            jax.tree.map(lambda _: None, c).replace(vert=0, face=0)
-            for c in model._impl.mesh_convex  # pyright: ignore[reportAttributeAccessIssue]
-        )
-        many = many.replace(_impl=many._impl.replace(mesh_convex=meshes))  # pyright: ignore[reportAttributeAccessIssue]
-        axes = axes.replace(_impl=axes._impl.replace(mesh_convex=flat))  # pyright: ignore[reportAttributeAccessIssue]
+        meshes = model._impl.mesh_convex  # pyright: ignore[reportAttributeAccessIssue]
+        padded = jnp.concatenate([poses.scale, jnp.ones_like(poses.scale[:, :1])], axis=1)
+        size = padded[:, owner, None, None]
+        fields["vert"] = [c.vert * size[:, k] for k, c in enumerate(meshes)]
+        fields["face"] = [c.face * size[:, k, :, :, None] for k, c in enumerate(meshes)]
+    return fields, found["qpos"], poses, unplaceable(poses, jnp)
 
-    def one(m: mjx.Model, start: Float[Array, " nq"]) -> Float[Array, "time nq"]:
-        data = mjx.make_data(m).replace(qpos=start)
+
+def _with_fields(model: mjx.Model, fields: Fields) -> mjx.Model:
+    """Put one candidate's fields into the model."""
+    flat = {name: v for name, v in fields.items() if name not in ("vert", "face")}
+    model = model.replace(**flat)
+    if "vert" not in fields:
+        return model
+    meshes = tuple(
+        c.replace(vert=vert, face=face)
+        for c, vert, face in zip(
+            model._impl.mesh_convex,  # pyright: ignore[reportAttributeAccessIssue]
+            fields["vert"],
+            fields["face"],
+            strict=True,
+        )
+    )
+    return model.replace(_impl=model._impl.replace(mesh_convex=meshes))  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _steps(m: mjx.Model, data: mjx.Data, every: int) -> mjx.Data:
+    # Ampere and later GPUs multiply single-precision matrices in TF32 unless told not to.
+    with jax.default_matmul_precision("highest"):
+        return jax.lax.fori_loop(0, every, lambda _, d: mjx.step(m, d), data)
+
+
+@functools.partial(jax.jit, static_argnames=("records", "every"))
+def bare_scan(
+    model: mjx.Model, fields: Fields, qpos: Float[Array, "pop nq"], records: int, every: int
+) -> Float[Array, "pop time nq"]:
+    """A vmapped scan of `mjx.step` over all candidates, and nothing else.
+
+    Args:
+        model: the scene's model.
+        fields: per-candidate values of its fields.
+        qpos: start states.
+        records: how many states are returned.
+        every: steps between them.
+    """
+
+    def one(own: Fields, start: Float[Array, " nq"]) -> Float[Array, "time nq"]:
+        m = _with_fields(model, own)
 
         def record(d: mjx.Data, _: None) -> tuple[mjx.Data, Array]:
-            d = jax.lax.fori_loop(0, every, lambda _, d: mjx.step(m, d), d)
+            d = _steps(m, d, every)
             return d, d.qpos
 
-        return jax.lax.scan(record, data, None, length=records)[1]
+        return jax.lax.scan(record, mjx.make_data(m).replace(qpos=start), None, length=records)[1]
 
-    return jax.vmap(one, in_axes=(axes, 0))(many, qpos)
+    return jax.vmap(one)(fields, qpos)
+
+
+@jax.jit
+def _begin(model: mjx.Model, fields: Fields, qpos: Float[Array, "pop nq"]) -> mjx.Data:
+    make = lambda own, start: mjx.make_data(_with_fields(model, own)).replace(qpos=start)
+    return jax.vmap(make)(fields, qpos)
+
+
+@functools.partial(jax.jit, static_argnames=("every",), donate_argnames=("data",))
+def _advance(model: mjx.Model, fields: Fields, data: mjx.Data, every: int) -> mjx.Data:
+    return jax.vmap(lambda own, d: _steps(_with_fields(model, own), d, every))(fields, data)
+
+
+@jax.jit
+def _take(tree: Any, index: Any) -> Any:
+    return jax.tree.map(lambda leaf: leaf[index], tree)
+
+
+@eqx.filter_jit
+def _rollout(
+    scene: SceneModel,
+    poses: Poses,
+    qpos: Float[Array, "pop time nq"],
+    bad: Bool[Array, " pop"],
+    records: int,
+    every: int,
+) -> Rollout:
+    pop = qpos.shape[0]
+    pos, quat = object_poses(scene, poses, qpos)
+    failed = bad | ~jnp.all(jnp.abs(qpos) < DIVERGED, axis=(1, 2))
+    status = jnp.where(failed, int(RolloutStatus.FAILED), int(RolloutStatus.OK))
+    return Rollout(
+        time=jnp.arange(1, records + 1) * every * scene.host.mjm.opt.timestep,
+        pos=pos,
+        quat=quat,
+        status=status.astype(jnp.int32),
+        start=poses,
+        steps=jnp.full(pop, records * every, jnp.int32),
+    )
 
 
 def object_poses(
@@ -151,46 +315,3 @@ def object_poses(
     owner, adr = scene.host.jnt_object[free], m.jnt_qposadr[free]
     pos = pos.at[:, :, owner].set(qpos[:, :, adr[:, None] + np.arange(3)])
     return pos, quat.at[:, :, owner].set(qpos[:, :, adr[:, None] + np.arange(3, 7)])
-
-
-def invweights(scene: SceneModel, layouts: Layout, poses: Poses) -> dict[str, Any]:
-    """Compute body_invweight0 and dof_invweight0 of every candidate, leading axis [pop].
-
-    Inverse masses go with s^-m and inverse inertias with s^-(m + 2) as long as all parts of an
-    object have the same mass exponent m; other scenes are left to MuJoCo's mj_setConst.
-    """
-    h, m = scene.host, scene.host.mjm
-    if not _uniform(h):
-        exact = exact_poses(scene, layouts)
-        host = Layout(*(np.asarray(x, float) for x in (layouts.xy, layouts.yaw, layouts.log_scale)))
-        batch = open_batch(scene, host, exact)
-        models = [batch.get_model(k) for k in range(batch.nsim)]
-        names = ("body_invweight0", "dof_invweight0")
-        return {
-            n: jnp.asarray(np.stack([getattr(x, n) for x in models]), jnp.float32) for n in names
-        }
-    padded = jnp.concatenate([poses.scale, jnp.ones_like(poses.scale[:, :1])], axis=1)
-    body, dof = padded[:, h.body_object], padded[:, h.dof_object]
-    mass = h.powers.body_mass
-    law = np.stack([-mass, -(mass + 2)], axis=-1)
-    turning = np.array([_turns(m, d) for d in range(m.nv)], bool)
-    own = mass[m.dof_bodyid] if m.nv else np.zeros(0)
-    return {
-        "body_invweight0": m.body_invweight0 * body[..., None] ** law,
-        "dof_invweight0": m.dof_invweight0 * dof ** -(own + 2 * turning),
-    }
-
-
-def _turns(m: mujoco.MjModel, dof: int) -> bool:
-    joint = m.dof_jntid[dof]
-    if m.jnt_type[joint] == FREE:
-        return dof - m.jnt_dofadr[joint] >= 3
-    return m.jnt_type[joint] != SLIDE
-
-
-@functools.lru_cache(maxsize=64)
-def _uniform(host: Host) -> bool:
-    for item in range(len(host.names)):
-        if len(set(host.powers.body_mass[host.body_object == item].tolist())) > 1:
-            return False
-    return True

@@ -19,7 +19,11 @@ from .engine import EarlyStop, Rollout, RolloutStatus, record_steps, unplaceable
 from .layout import Either, Layout, Poses, compose_poses, heights
 from .model import FREE, MESH, Host, SceneModel, leaves, mesh_object
 
-CHUNK, MESH_CHUNK = 1024, 256
+CHUNK = 1024
+"""Most candidates simulated at once."""
+RING_BYTES = 128 << 20
+"""Memory that the copies of a model with meshes may take; it bounds the chunk, and is kept for the
+next rollout of the same scene."""
 
 
 class NativeEngine:
@@ -45,7 +49,7 @@ class NativeEngine:
         bad = unplaceable(poses)
         runs, layouts = _replaced(scene, poses, _on_host(layouts), bad)
         records, every = record_steps(scene.host.mjm.opt.timestep, duration, record_every)
-        pop, size = poses.scale.shape[0], MESH_CHUNK if has_meshes(scene) else CHUNK
+        pop, size = poses.scale.shape[0], _chunk(scene)
         parts = []
         # Taken out while in use, so that a rollout in another thread makes copies of its own.
         ring = _rings.pop(scene.host, [])
@@ -78,6 +82,12 @@ def exact_poses(scene: SceneModel, layouts: Layout) -> Poses:
     height = np.asarray(_heights(scene, layouts), float)
     with np.errstate(invalid="ignore", over="ignore"):  # such candidates fail; see unplaceable
         return compose_poses(scene.host.arrangement, _on_host(layouts), height, np)
+
+
+def _chunk(scene: SceneModel) -> int:
+    if not has_meshes(scene):
+        return CHUNK
+    return min(CHUNK, max(32, RING_BYTES // int(mujoco.mj_sizeModel(scene.host.mjm))))
 
 
 @eqx.filter_jit

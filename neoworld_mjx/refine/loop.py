@@ -39,6 +39,10 @@ class Refined:
     finalists_tried: int
     mean_log_scale: float
     """Over optimised objects, of the winner."""
+    mean_shift_m: float
+    """Mean distance of optimised objects from the composed layout, in their parents' frames."""
+    mean_turn_deg: float
+    """Mean angle of yaw between the winner and the composed layout."""
     passed: bool
     """Whether the winner holds in the final check."""
     seconds: dict[str, float] = field(default_factory=dict)
@@ -206,6 +210,8 @@ def _finish(
     layout = rounds[t][0][k : k + 1] if t >= 0 else Layout.zero(1, count)
     moves = np.asarray(model.optimised)
     logs = np.asarray(layout.log_scale[0])[moves]
+    shift = np.linalg.norm(np.asarray(layout.xy[0])[moves], axis=-1)
+    turn = np.degrees(np.abs(np.asarray(layout.yaw[0])[moves]))
     fallbacks = []
     if not chosen.passed:
         fallbacks.append(
@@ -222,6 +228,8 @@ def _finish(
         winner=chosen.index,
         finalists_tried=chosen.tried,
         mean_log_scale=float(logs.mean()) if len(logs) else 0.0,
+        mean_shift_m=float(shift.mean()) if len(shift) else 0.0,
+        mean_turn_deg=float(turn.mean()) if len(turn) else 0.0,
         passed=chosen.passed,
         seconds=clock,
         fallbacks=tuple(fallbacks),

@@ -133,6 +133,8 @@ def _numbers(run: dict[str, Any]) -> Html:
     scale = number("mean_log_scale")
     percent = f"mean size {100 * math.expm1(scale):+.1f} %" if math.isfinite(scale) else ""
     add("mean_log_scale", "mean log scale", f"{scale:+.4f}", percent)
+    moved = f"{number('mean_shift_m') * 1000:.1f} mm, {number('mean_turn_deg'):.1f}°"
+    add("mean_shift_m", "moved from the parse", moved, "mean of optimised objects")
     total = sum(entry["seconds"] for entry in run["steps"].values())
     cards.append(card("all steps", f"{total:.1f} s"))
     return section("Numbers", f'<div class="cards">{"".join(cards)}</div>')

@@ -46,7 +46,7 @@ def test_models_written_anew_equal_fresh_copies(monkeypatch):
     assert len(native._rings[scene.host]) == 6
     again = NativeEngine().rollout(scene, second, duration=0.1)
     native._rings.clear()
-    monkeypatch.setattr(native, "MESH_CHUNK", 3)
+    monkeypatch.setattr(native, "CHUNK", 3)
     fresh = NativeEngine().rollout(scene, second, duration=0.1)
     assert len(native._rings[scene.host]) == 3
     for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(fresh), strict=True):
