@@ -1,0 +1,108 @@
+"""The benchmarks as `neoworld bench` runs them: options in, one answer out, rows told as they come."""
+
+import json
+import logging
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from ..errors import ConfigError
+from ..files import write_atomic
+from . import agreement as comparing
+from .growth import growth, growth_svg
+from .kernels import kernels
+from .machine import machine
+from .physics import PhysicsRow, physics
+
+log = logging.getLogger(__name__)
+
+Row = TypeVar("Row", bound=BaseModel)
+
+
+def physics_answer(o: Any) -> dict[str, Any]:
+    """Time engines; options are those of `arguments.BenchPhysics`."""
+    about = machine()
+    rows = _told(
+        physics(
+            o.objects,
+            o.population,
+            o.engine,
+            duration=o.duration,
+            budget=o.budget,
+            seed=o.seed,
+        )
+    )
+    if o.chart is not None:
+        _write(o.chart, growth_svg(growth(rows)))
+    return {"machine": about, "rows": _plain(rows), "growth": _exponents(rows)}
+
+
+def kernels_answer(o: Any) -> dict[str, Any]:
+    """Time penetration terms; options are those of `arguments.BenchKernels`."""
+    about = machine()
+    rows = kernels(o.objects, o.population, samples=o.samples, seed=o.seed, budget=o.budget)
+    return {"machine": about, "rows": _plain(_told(rows))}
+
+
+def agreement_answer(o: Any) -> dict[str, Any]:
+    """Compare engines; options are those of `arguments.BenchAgreement`."""
+    rows = _told(comparing.agreement(o.scene, o.engine, layouts=o.layouts, seed=o.seed))
+    return {
+        **comparing.agreed(rows),
+        "machine": machine(),
+        "models": _plain([row for row in rows if isinstance(row, comparing.ModelRow)]),
+        "verdicts": _plain([row for row in rows if isinstance(row, comparing.VerdictRow)]),
+    }
+
+
+def chart_answer(o: Any) -> dict[str, Any]:
+    """Draw stored rows; options are those of `arguments.BenchChart`."""
+    try:
+        found = json.loads(o.rows.read_text(encoding="utf-8"))
+        rows = [PhysicsRow.model_validate(row) for row in found["rows"]]
+    except OSError as error:
+        raise ConfigError(f"cannot read {o.rows}: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError, ValidationError):
+        raise ConfigError(f"{o.rows} is not what bench run physics --json prints") from None
+    _write(o.out, growth_svg(growth(rows)))
+    return {"chart": str(o.out), "growth": _exponents(rows)}
+
+
+def _told(rows: Iterable[Row]) -> list[Row]:
+    """Collect rows, and log each as soon as it is there."""
+    kept = []
+    for row in rows:
+        kept.append(row)
+        shown = {k: v for k, v in row.model_dump().items() if v not in (None, "", [], "ok")}
+        log.info(", ".join(f"{k} {_short(v)}" for k, v in shown.items()))
+    return kept
+
+
+def _short(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _plain(rows: Iterable[BaseModel]) -> list[dict[str, Any]]:
+    return [row.model_dump() for row in rows]
+
+
+def _exponents(rows: Iterable[PhysicsRow]) -> list[dict[str, Any]]:
+    return [
+        {
+            "label": g.label,
+            "objects": g.objects,
+            "cost_ms": g.cost_ms,
+            "exponent": None if math.isnan(g.exponent) else g.exponent,
+        }
+        for g in growth(rows)
+    ]
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        write_atomic(path, text.encode())
+    except OSError as error:
+        raise ConfigError(f"cannot write {path}: {error.strerror}") from None
