@@ -87,7 +87,7 @@ def kernels(
         scene = compile_scene(crowded(count, seed=seed), samples=samples)
         for population in populations:
             layouts = noisy_layouts(scene, population, seed=seed, noise=Noise(xy=0.3))
-            poses = jax.block_until_ready(jax.jit(scene.place)(layouts))
+            poses = jax.block_until_ready(scene.place(layouts))
             reference: tuple[Array, float] | None = None
             for name, depth in implementations().items():
                 row, found = _row(name, depth, scene, poses, samples, reference, budget)
