@@ -1,0 +1,69 @@
+import io
+
+import answers
+import numpy as np
+from PIL import Image
+
+from neoworld_mjx.parse.draw import COLOURS, GREY, _tag, draw_parse
+from neoworld_mjx.parse.schema import SceneSeen, to_tree
+
+
+def pixels(picture):
+    return np.array(Image.open(io.BytesIO(picture.data)))
+
+
+def count(image, colour):
+    return int((image == colour).all(axis=-1).sum())
+
+
+def test_frames_lie_on_the_boxes_in_the_colour_of_the_carrier():
+    tree = answers.exact()
+    image = pixels(draw_parse(answers.photo(), tree))
+    assert image.shape == (600, 800, 3)
+    for name, colour in [("right", COLOURS[0]), ("can", COLOURS[1])]:
+        box = np.rint(tree.node(name).box2d.as_tuple()).astype(int)
+        side = image[(box[1] + box[3]) // 2, box[2] - 1]
+        assert tuple(side) == colour
+    assert tuple(image[300, 0]) == GREY
+    # Nothing is drawn in the middle of a box but frames of others.
+    assert tuple(image[590, 400]) == (128, 128, 128)
+
+
+def test_what_is_hidden_is_dashed():
+    tree = answers.exact()
+    whole = count(pixels(draw_parse(answers.photo(), tree)), COLOURS[1])
+    hidden = answers.with_node(tree, "can", occluded=True)
+    dashed = count(pixels(draw_parse(answers.photo(), hidden)), COLOURS[1])
+    assert 0.4 * whole < dashed < 0.9 * whole
+
+
+def test_the_picture_does_not_depend_on_the_3d_boxes_unless_they_are_asked_for():
+    tree = answers.exact()
+    moved = answers.moved(tree, "can", position=(0.1, 0, 0))
+    assert draw_parse(answers.photo(), tree).data == draw_parse(answers.photo(), moved).data
+    solid = [draw_parse(answers.photo(), t, solid=True).data for t in (tree, moved)]
+    assert solid[0] != solid[1]
+
+
+def test_tags_do_not_cover_each_other():
+    names = [f"thing_{k}" for k in range(12)]
+    data = answers.answer(*(answers.item(name) for name in names))
+    photo, tree = answers.photo(), answers.exact(data)
+    image = pixels(draw_parse(photo, tree))
+    box = np.rint(tree.node(names[0]).box2d.as_tuple()).astype(int)
+    # Away from the frames, which all coincide, every pixel that changed belongs to a tag.
+    changed = (image != photo.rgb).any(axis=-1)
+    near = np.zeros_like(changed)
+    near[box[1] - 1 : box[3] + 1, box[0] - 1 : box[2] + 1] = True
+    near[box[1] + 4 : box[3] - 4, box[0] + 4 : box[2] - 4] = False
+    near[[0, -1]] = near[:, [0, -1]] = True
+    tags = sum(_tag(name, 1).size for name in names)
+    assert int((changed & ~near).sum()) > 0.7 * tags
+
+
+def test_a_box_of_one_pixel_at_the_corner_can_be_drawn():
+    data = answers.answer(answers.item("dot"))
+    data["objects"][1]["box"] = {"left": 799.4, "top": 599.5, "right": 803, "bottom": 603}
+    tree = to_tree(SceneSeen.model_validate(data), answers.photo())
+    image = pixels(draw_parse(answers.photo(), tree))
+    assert tuple(image[599, 799]) in ((0, 0, 0), COLOURS[0])

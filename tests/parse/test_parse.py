@@ -1,0 +1,160 @@
+import asyncio
+import copy
+import json
+
+import answers
+import pytest
+
+from neoworld_mjx.config import ParseOptions
+from neoworld_mjx.errors import ModelError
+from neoworld_mjx.mllm import Answer, Usage
+from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
+from neoworld_mjx.parse import parse
+from neoworld_mjx.parse.prompts import Verdict
+
+GOOD = {"faults": [], "boxes": 10, "completeness": 9, "hierarchy": 9.5}
+BAD = {
+    "faults": [
+        {"node": None, "kind": "missing", "what": "A pen at the edge.", "correction": "Add pen."}
+    ],
+    "boxes": 9,
+    "completeness": 6,
+    "hierarchy": 9,
+}
+
+
+def consistent(data=None):
+    """An answer whose 2D boxes are those of its 3D boxes."""
+    data = copy.deepcopy(data or answers.desk())
+    tree = answers.exact(data)
+    for item in data["objects"]:
+        box = tree.node(item["name"]).box2d.as_tuple()
+        item["box"] = dict(zip(("left", "top", "right", "bottom"), box, strict=True))
+    return data
+
+
+class Scripted:
+    """Answers in the order given, and keeps what was asked."""
+
+    def __init__(self, *texts):
+        self.texts, self.asked = list(texts), []
+
+    async def ask(self, request):
+        self.asked.append(request)
+        text = self.texts.pop(0)
+        if isinstance(text, Exception):
+            raise text
+        try:
+            value = read_answer(json.dumps(text), request.schema)
+        except InvalidAnswer as error:
+            raise ModelError(str(error)) from None
+        return Answer(value, json.dumps(text), Usage(), "scripted")
+
+
+def run(*texts, photo=None, **options):
+    models = Scripted(*texts)
+    parsed = asyncio.run(parse(photo or answers.photo(), models, ParseOptions(**options)))
+    assert not models.texts
+    return parsed, [request.name for request in models.asked], models.asked
+
+
+def test_an_accepted_answer_takes_two_questions():
+    parsed, names, asked = run(consistent(), GOOD)
+    assert names == ["parse", "parse:judge"]
+    assert [request.role for request in asked] == ["reasoner", "critic"]
+    assert asked[1].pictures[0].pixels == asked[0].pictures[0].pixels
+    assert parsed.checks == ()
+    assert parsed.fit is not None
+    assert not parsed.fit.applied
+    assert parsed.picture.startswith(b"\x89PNG")
+    data = json.loads(parsed.to_json())
+    assert [r["kept"] for r in data["rounds"]] == [True]
+    assert data["rounds"][0]["verdict"]["boxes"] == 10
+
+
+def test_without_critic_rounds_no_critic_is_asked():
+    parsed, names, _ = run(consistent(), critic_rounds=0)
+    assert names == ["parse"]
+    assert len(parsed.rounds) == 1
+
+
+def test_faults_go_back_and_the_better_round_is_kept():
+    better = consistent()
+    better["objects"][1]["description"] = "now with a pen"
+    parsed, names, asked = run(consistent(), BAD, better, GOOD)
+    assert names == ["parse", "parse:judge", "parse:mend", "parse:judge"]
+    assert "A pen at the edge. Add pen." in asked[2].prompt
+    assert parsed.kept == 1
+    assert parsed.tree.node("left").description == "now with a pen"
+
+
+def test_a_round_that_makes_it_worse_is_not_kept():
+    worse = consistent()
+    worse["objects"] = worse["objects"][:2]
+    parsed, _, _ = run(consistent(), BAD, worse, BAD | {"completeness": 2})
+    assert parsed.kept == 0
+    assert len(parsed.tree.nodes) == 4
+
+
+def test_rounds_are_bounded():
+    other = consistent()
+    other["objects"][1]["description"] = "other"
+    _, names, _ = run(consistent(), BAD, other, BAD, consistent(), BAD, critic_rounds=2)
+    assert names.count("parse:mend") == 2
+
+
+def test_the_same_answer_again_ends_the_rounds():
+    _, names, _ = run(consistent(), BAD, consistent(), critic_rounds=3)
+    assert names == ["parse", "parse:judge", "parse:mend"]
+
+
+def test_errors_of_the_checks_go_back_even_if_the_critic_is_content():
+    wrong = consistent()
+    wrong["objects"][3]["parent"] = "right"  # the can, far from it
+    parsed, names, asked = run(wrong, GOOD, consistent(), GOOD)
+    assert names[2] == "parse:mend"
+    assert "can: only 0% of its footprint lies in that of right" in asked[2].prompt
+    assert parsed.kept == 1
+    assert parsed.tree.node("can").parent == "left"
+
+
+def test_a_box_outside_the_picture_goes_back_without_a_critic():
+    outside = consistent()
+    outside["objects"][1]["box"] = {"left": 900, "top": 10, "right": 950, "bottom": 50}
+    parsed, names, asked = run(outside, consistent(), GOOD)
+    assert names == ["parse", "parse:mend", "parse:judge"]
+    assert "lies outside the picture" in asked[1].prompt
+    assert parsed.kept == 1
+
+
+def test_no_usable_answer_is_one_message():
+    outside = consistent()
+    outside["objects"][1]["box"] = {"left": 900, "top": 10, "right": 950, "bottom": 50}
+    other = copy.deepcopy(outside)
+    other["objects"][1]["description"] = "other"
+    with pytest.raises(ModelError, match=r"no answer of 2 gave a scene.*outside the picture"):
+        run(outside, other)
+
+
+def test_a_critic_that_fails_is_a_fallback_not_the_end():
+    parsed, _, _ = run(consistent(), ModelError("the critic is out"))
+    assert parsed.fallbacks == (("no judge round", "the critic is out"),)
+    assert parsed.rounds[0].verdict is None
+
+
+def test_the_fit_moves_the_tree_and_can_be_switched_off():
+    wrong = consistent()
+    wrong["objects"][2]["position"]["y"] += 0.03
+    fitted, _, _ = run(wrong, GOOD)
+    plain, _, _ = run(wrong, GOOD, fit=False)
+    assert fitted.fit.applied
+    assert fitted.fit.objects["right"].distance_m > 0.015
+    assert plain.fit is None
+    assert plain.tree.node("right").box3d.position[1] == pytest.approx(-0.12)
+    assert fitted.tree.node("right").box2d == plain.tree.node("right").box2d
+
+
+def test_a_verdict_is_held_to_its_scale():
+    assert Verdict.model_validate(GOOD | {"boxes": 40, "completeness": -3}).score == (
+        pytest.approx((10 + 0 + 9.5) / 30)
+    )

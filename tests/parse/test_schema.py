@@ -1,0 +1,156 @@
+import json
+import math
+import re
+
+import answers
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
+from neoworld_mjx.parse.checks import agreement, check_tree
+from neoworld_mjx.parse.prompts import Verdict, listing, parse_request, text
+from neoworld_mjx.parse.schema import SceneSeen, TiltSeen, tilt_quat, to_tree
+from neoworld_mjx.spec.pose import rotate
+
+
+def tree(data, photo=None):
+    return to_tree(SceneSeen.model_validate(data), photo or answers.photo())
+
+
+def test_degrees_become_radians_and_shown_pixels_original_ones():
+    small = answers.photo((400, 300), original=(800, 600))
+    data = answers.answer(answers.item("cup", (0.8, 0.1, 0.0), yaw_deg=270))
+    data["objects"][0]["box"] = {"left": 0, "top": 0, "right": 400, "bottom": 300}
+    found = tree(data, small)
+    assert (found.camera.width, found.camera.height_px) == (800, 600)
+    assert found.camera.pitch == pytest.approx(math.radians(35))
+    assert found.node("cup").box2d.as_tuple() == (20, 20, 180, 180)
+    assert found.node("cup").box3d.yaw == pytest.approx(-math.pi / 2)
+    assert found.node("cup").box3d.position == (0.8, 0.1, 0)
+
+
+def test_boxes_are_cut_at_the_picture_and_refused_outside_it():
+    data = answers.answer(answers.item("cup"))
+    data["objects"][1]["box"] = {"left": -20, "top": 550, "right": 90, "bottom": 640}
+    assert tree(data).node("cup").box2d.as_tuple() == (0, 550, 90, 600)
+    data["objects"][1]["box"] = {"left": 810, "top": 550, "right": 900, "bottom": 640}
+    with pytest.raises(SpecError, match=r"cup.*outside the picture.*800 x 600"):
+        tree(data)
+
+
+@pytest.mark.parametrize(
+    ("towards", "top"),
+    [
+        ("forward", (1, 0, 0)),
+        ("backward", (-1, 0, 0)),
+        ("left", (0, 1, 0)),
+        ("right", (0, -1, 0)),
+    ],
+)
+def test_a_tilt_takes_the_top_that_way(towards, top):
+    quat = tilt_quat(TiltSeen(towards=towards, degrees=90))
+    assert rotate(quat, [0, 0, 1]) == pytest.approx(np.array(top), abs=1e-12)
+
+
+@pytest.mark.parametrize("yaw", [0, 50, 180])
+@pytest.mark.parametrize("degrees", [20, 90, 180])
+def test_the_position_of_a_tilted_thing_is_the_middle_of_its_footprint(yaw, degrees):
+    tilt = {"towards": "forward", "degrees": degrees}
+    data = answers.answer(
+        answers.item("bottle", (0.8, 0.1, 0.02), (0.06, 0.08, 0.2), yaw_deg=yaw, tilt=tilt)
+    )
+    node = tree(data).node("bottle")
+    corners = node.box3d.corners(node.base_tilt)
+    assert corners[:, 2].min() == pytest.approx(0.02)
+    c, s = math.cos(math.radians(yaw)), math.sin(math.radians(yaw))
+    along = corners[:, :2] @ np.array([[c, -s], [s, c]])
+    middle = (along.min(axis=0) + along.max(axis=0)) / 2
+    assert middle == pytest.approx(np.array([0.8 * c + 0.1 * s, -0.8 * s + 0.1 * c]))
+
+
+def test_all_that_is_wrong_is_said_at_once():
+    bad = answers.answer(
+        answers.item("cup", parent="tabel"),
+        answers.item("2nd", size=(0.1, 0.0, 0.1)),
+        answers.item("can", occluded_by=["dog"], parent="cup", parent_link="drawer"),
+        fovy_deg=400,
+    )
+    with pytest.raises(ValidationError) as error:
+        SceneSeen.model_validate(bad)
+    said = str(error.value)
+    for part in (
+        "cup: parent 'tabel'",
+        "2nd: a name",
+        "2nd: size.width",
+        "can: occluded_by 'dog'",
+        "can: parent_link 'drawer'",
+        "fovy_deg must lie in",
+    ):
+        assert part in said
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"parent": "cup"}, "cycle"),
+        ({"parent": None}, "cup has no parent"),
+        ({"name": "table"}, "repeated: table"),
+        (
+            {"articulation": [{"part": "lid", "motion": "revolute", "opening": 3}]},
+            "opening",
+        ),
+    ],
+)
+def test_the_tree_is_validated_when_the_answer_is_read(change, said):
+    data = answers.answer(answers.item("cup") | change)
+    with pytest.raises(InvalidAnswer, match=said):
+        read_answer(json.dumps(data), SceneSeen)
+
+
+def test_hidden_by_something_means_hidden():
+    data = answers.answer(answers.item("a", occluded_by=["b", "b"]), answers.item("b"))
+    node = tree(data).node("a")
+    assert node.occluded
+    assert node.occluded_by == ("b",)
+
+
+def test_the_schema_holds_nothing_that_servers_turn_down():
+    for schema in (SceneSeen, Verdict):
+        said = str(schema.model_json_schema())
+        assert "prefixItems" not in said
+        assert "minimum" not in said
+
+
+def test_the_example_of_the_guide_is_a_good_answer():
+    guide = text("reasoner")
+    example = guide[guide.index('    {"observations"') : guide.index("And of a cabinet")]
+    found = to_tree(read_answer(example, SceneSeen), answers.photo())
+    assert all(agreement(found, node) > 0.7 for node in found.nodes)
+    assert check_tree(found) == ()
+
+
+def test_the_guide_names_every_field_that_is_not_self_evident():
+    guide = text("reasoner")
+    for field in ("environment", "fixed_base", "parent_link", "occluded_by", "tilt", "opening"):
+        assert re.search(rf"`{field}`", guide), field
+
+
+def test_a_mend_repeats_the_answer_and_the_findings():
+    seen = SceneSeen.model_validate(answers.desk())
+    first = parse_request(answers.photo())
+    mend = parse_request(answers.photo(), seen, ["can: it floats"])
+    assert mend.parts["system"] == first.parts["system"]
+    assert mend.parts["pictures"] == first.parts["pictures"]
+    assert "- can: it floats" in mend.prompt
+    assert '"name": "can"' in mend.prompt
+
+
+def test_the_listing_tells_the_critic_what_the_picture_cannot():
+    data = answers.desk()
+    data["objects"][1]["articulation"] = [{"part": "lid", "motion": "revolute", "opening": 0.5}]
+    said = listing(SceneSeen.model_validate(data))
+    assert "- can (soda can): on left; box 10 10 90 90" in said
+    assert "lid revolute 50% open" in said
+    assert "no carrier" in said
