@@ -18,6 +18,8 @@ from ..physics.mjcf import VISUAL_GROUP
 from ..spec.surface import corner_normals
 
 FAR = 1e10
+FAR_BOX_M = 1e4
+"""Half an edge of a box that holds everything."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class Caster:
     """A posed model, ready for rays."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, threads: int | None = None):
-        self.model, self.data = model, data
+        self.model, self.data = _without_culling(model), data
         count = threads or min(4, os.cpu_count() or 1)
         self._datas = [data, *(copy.copy(data) for _ in range(count - 1))]
         seen = model.geom_group == VISUAL_GROUP
@@ -111,6 +113,19 @@ class Caster:
             turn = data.geom_xmat[g].reshape(3, 3)
             local = (point[rows] - data.geom_xpos[g]) @ turn
             normal[rows] = self._smooth[mesh].normals(local, normal[rows] @ turn) @ turn.T
+
+
+def _without_culling(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return a copy whose bodies' outermost boxes hold every eye.
+
+    `mj_multiRay` leaves out bodies by the angles under which their boxes' corners are seen, and where
+    a box is not parallel to the world (that of a body with a turned inertial frame) it leaves out too
+    much: legs of tables and corners of cabinets vanish. An eye within the box sees all of it.
+    """
+    model = copy.copy(model)
+    roots = model.body_bvhadr[model.body_bvhadr >= 0]
+    model.bvh_aabb[roots, 3:] = FAR_BOX_M
+    return model
 
 
 @dataclass(frozen=True)

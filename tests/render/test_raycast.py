@@ -8,6 +8,7 @@ from PIL import Image
 
 from neoworld_mjx.physics.mjcf import to_mjspec
 from neoworld_mjx.render import View, render, render_object, render_scene, to_png
+from neoworld_mjx.render.cast import Caster
 from neoworld_mjx.spec import (
     Box,
     Camera,
@@ -205,3 +206,44 @@ def test_everything_in_view_fits():
         v = local[:, 1] / local[:, 2] * view.focal + 40
         assert u.min() > 0 and u.max() < 120 and v.min() > 0 and v.max() < 80
         assert max(np.ptp(u) / 120, np.ptp(v) / 80) > 0.5
+
+
+def test_every_ray_of_a_picture_meets_what_it_meets_alone():
+    # A cabinet's body is heavier on one side, so its inertial frame lies askew in it.
+    boxes = {
+        "top": ((0.35, 0.8, 0.03), (0, 0, 0.785)),
+        "back": ((0.02, 0.8, 0.7), (-0.165, 0, 0.43)),
+        "bottom": ((0.35, 0.8, 0.02), (0, 0, 0.09)),
+        **{
+            f"leg_{i}{j}": ((0.04, 0.04, 0.08), (x, y, 0.04))
+            for i, x in enumerate((-0.15, 0.15))
+            for j, y in enumerate((-0.38, 0.38))
+        },
+    }
+    geoms = [
+        Geom(name=name, shape=Box(size=size), pos=pos, material="paint")
+        for name, (size, pos) in boxes.items()
+    ]
+    cabinet = ObjectSpec(
+        name="cabinet", materials=(PAINT,), parts=(Part(name="body", geoms=tuple(geoms)),)
+    )
+    model = to_mjspec(cabinet, visual=True).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    caster = Caster(model, data)
+    eye = np.array([1.88, 1.03, 0.83])
+    across, up = np.meshgrid(np.linspace(-0.35, 0.35, 60), np.linspace(-0.45, 0.1, 50))
+    away = -eye[:2] / np.linalg.norm(eye[:2])
+    side = np.array([-away[1], away[0]])
+    flat = away + across.reshape(-1, 1) * side
+    rays = np.column_stack([flat, up.ravel()])
+    alone = []
+    groups, met = np.zeros(6, np.uint8), np.zeros(1, np.int32)
+    groups[1] = 1
+    for ray in rays:
+        mujoco.mj_ray(model, data, eye, ray, groups, True, -1, met)
+        alone.append(int(met[0]))
+    found = caster.hits(eye, rays).geom
+    assert np.array_equal(found, alone)
+    legs = [model.geom(g).name for g in set(alone) if g >= 0]
+    assert sum("leg" in name for name in legs) >= 3
