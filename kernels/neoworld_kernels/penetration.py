@@ -28,6 +28,9 @@ Impl = Literal["auto", "jnp", "pallas"]
 MEASURED = json.loads((Path(__file__).parent / "penetration_measured.json").read_text())
 """Where the kernel beats plain XLA, measured; see the file."""
 
+GRANULE = 4
+"""Samples that lie side by side in memory."""
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PairDepthTuning:
@@ -36,18 +39,20 @@ class PairDepthTuning:
     block: int = 256
     """Candidates a program works on; a thread holds block / 128 of them."""
     unroll: int = 8
-    """Samples a loop iteration works on."""
+    """Samples a loop iteration works on; half as many for solids with planes."""
+    fused: bool = True
+    """Whether one kernel takes all kinds of solids, rather than one each."""
 
     def __post_init__(self) -> None:
         """Check the cut.
 
         Raises:
-            ValueError: block is no multiple of 128, or unroll is not positive.
+            ValueError: block is no multiple of 128, or unroll none of 8.
         """
         if self.block < 128 or self.block % 128:
             raise ValueError(f"block must be a positive multiple of 128, got {self.block}")
-        if self.unroll < 1:
-            raise ValueError(f"unroll must be at least 1, got {self.unroll}")
+        if self.unroll < 8 or self.unroll % 8:
+            raise ValueError(f"unroll must be a positive multiple of 8, got {self.unroll}")
 
 
 def pair_depth_reference(
@@ -165,30 +170,34 @@ def pair_depth_kernel(
     pose = jnp.pad(pose, ((0, blocks * t.block - pop), (0, 0), (0, 0)), mode="edge")
     pose = jnp.transpose(pose, (1, 2, 0)).astype(jnp.float32)
     points, sphere = _padded(samples, t.unroll)
-    body = functools.partial(
-        _pair_depth_kernel,
-        kinds=[(g.kind, g.faces) for g in groups],
-        samples=points.shape[2],
-        tuning=t,
-    )
-    inputs = [pose, points, sphere, *(x for g in groups for x in (g.first, g.table))]
     shape = jax.ShapeDtypeStruct((count, count, blocks * t.block), jnp.float32)
     launch = _interpreted if interpret else _on_hopper
-    depth = launch(body, (blocks, count, count), shape)(*inputs)
+    found = []
+    for some in [groups] if t.fused else [[g] for g in groups]:
+        body = functools.partial(
+            _pair_depth_kernel,
+            kinds=[(g.kind, g.faces) for g in some],
+            samples=points.shape[1] * GRANULE,
+            tuning=t,
+        )
+        tables = [x for g in some for x in (g.first, g.table)]
+        found.append(launch(body, (blocks, count, count), shape)(pose, points, sphere, *tables))
+    depth = functools.reduce(jnp.maximum, found)
     return jnp.transpose(depth[..., :pop], (2, 0, 1))
 
 
 def _padded(
     samples: Float[Array, "object sample 3"], unroll: int
-) -> tuple[Float[Array, "object 3 sample"], Float[Array, "object 4"]]:
-    """Samples by components, their number a multiple of `unroll`, and their bounding spheres."""
+) -> tuple[Float[Array, "object granule 3 four"], Float[Array, "object 4"]]:
+    """Samples in granules, their number a multiple of `unroll`, and their bounding spheres."""
     spare = -samples.shape[1] % unroll
     points = jnp.pad(samples, ((0, 0), (0, spare), (0, 0)), mode="edge").astype(jnp.float32)
     centre = (points.min(axis=1) + points.max(axis=1)) / 2
     radius = jnp.sqrt(jnp.max(jnp.sum((points - centre[:, None]) ** 2, axis=-1), axis=1))
     # A hair more, so that rounding never culls what touches.
     sphere = jnp.concatenate([centre, radius[:, None] * 1.00001 + 1e-6], axis=1)
-    return jnp.transpose(points, (0, 2, 1)), sphere
+    points = points.reshape(len(points), -1, GRANULE, 3)
+    return jnp.swapaxes(points, 2, 3), sphere
 
 
 def _interpreted(body: Callable, grid: tuple[int, ...], shape: Any) -> Callable:
@@ -229,7 +238,7 @@ def _pair_depth_kernel(
     i: Array,
     o: Array,
     pose_ref: Any,  # [object, 13, pop]
-    points_ref: Any,  # [object, 3, sample]
+    points_ref: Any,  # [object, sample / 4, 3, 4]
     sphere_ref: Any,  # [object, 4]
     *refs: Any,  # of each kind: first [object + 1], table [piece, column]; last: out [i, o, pop]
     kinds: list[tuple[str, int]],
@@ -284,17 +293,22 @@ def _pair_depth_kernel(
                 near = _bound(kind, at(centre), p[12:15], plane, faces)
 
                 def deepest(depth: Array) -> Array:
+                    # Constant last indices keep address arithmetic out of the loop.
+                    granules = tuning.unroll // GRANULE
+                    granules = max(1, granules // 2) if faces else granules
+
                     def some(s: Array, best: Array) -> Array:
                         local = [
-                            at([points_ref[i, c, s * tuning.unroll + u] for c in range(3)])
-                            for u in range(tuning.unroll)
+                            at([points_ref[i, s * granules + g, c, u] for c in range(3)])
+                            for g in range(granules)
+                            for u in range(GRANULE)
                         ]
                         for value in _depths(kind, local, p[12:15], plane, faces):
                             best = jnp.maximum(best, value)
                         return best
 
                     low = size * 0.0 - 1e6
-                    best = lax.fori_loop(0, samples // tuning.unroll, some, low)
+                    best = lax.fori_loop(0, samples // (granules * GRANULE), some, low)
                     return jnp.maximum(depth, _finished(kind, best, p[12:15]) * size)
 
                 touched = jnp.max(reach - near) > 0.0
@@ -374,33 +388,32 @@ def _finished(kind: str, best: Array, size: list[Array]) -> Array:
     return size[0] - _root(-best) if kind == "capsule" else best
 
 
+def _folded(x: Array, y: Array, times: Array) -> tuple[Array, Array]:
+    """Turn points about z into the sector from 0 to 2 pi / times."""
+    inverse = times * (1 / (2 * math.pi))
+    # Mosaic GPU has no floor; angles are shifted so that cutting off rounds down.
+    index = (_angle(y, x) * inverse + times).astype(jnp.int32).astype(jnp.float32) - times
+    turn = index * (2 * math.pi / times)
+    c, s = jnp.cos(turn), jnp.sin(turn)
+    return c * x + s * y, c * y - s * x
+
+
 def _angle(y: Array, x: Array) -> Array:
-    """Compute atan2 to 1e-7, which Mosaic GPU lacks (Abramowitz and Stegun, 4.4.49)."""
+    """Compute atan2, which Mosaic GPU lacks, to 1e-5 (Abramowitz and Stegun, 4.4.47).
+
+    That is enough to tell sectors apart: both give the same depth where they meet.
+    """
     across, along = jnp.abs(x), jnp.abs(y)
-    ratio = jnp.minimum(across, along) / jnp.maximum(jnp.maximum(across, along), 1e-30)
+    large = jnp.maximum(jnp.maximum(across, along), 1e-15)
+    ratio = jnp.minimum(across, along) * lax.rsqrt(large * large)
     square = ratio * ratio
-    found = jnp.full(x.shape, 0.0028662257, jnp.float32)
-    for factor in _ARCTANGENT:
+    found = square * 0.0208351 - 0.0851330
+    for factor in (0.1801410, -0.3302995, 0.9998660):
         found = found * square + factor
     found = found * ratio
     found = jnp.where(along > across, math.pi / 2 - found, found)
     found = jnp.where(x < 0.0, math.pi - found, found)
     return jnp.where(y < 0.0, -found, found)
-
-
-_ARCTANGENT = (
-    *(-0.0161657367, 0.0429096138, -0.0752896400, 0.1065626393),
-    *(-0.1420889944, 0.1999355085, -0.3333314528, 1.0),
-)
-
-
-def _folded(x: Array, y: Array, times: Array) -> tuple[Array, Array]:
-    """Turn points about z into the sector from 0 to 2 pi / times."""
-    step = 2 * math.pi / times
-    # Mosaic GPU has no floor; angles are shifted so that cutting off rounds down.
-    index = (_angle(y, x) / step + times).astype(jnp.int32).astype(jnp.float32) - times
-    c, s = jnp.cos(index * step), jnp.sin(index * step)
-    return c * x + s * y, c * y - s * x
 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(5, 6))
