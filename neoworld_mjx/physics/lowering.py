@@ -1,0 +1,78 @@
+"""Colliders for an engine that cannot collide cylinders and ellipsoids with boxes and meshes.
+
+They become convex polyhedra, as far inside the true surface as outside of it. Only rollouts use
+these; D_pen and every measure see the canonical colliders.
+"""
+
+import dataclasses
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from .mjcf import to_mjspec
+from .model import SceneModel
+
+SIDES = 12
+"""Of the prism that stands for a cylinder."""
+
+_CYLINDER, _ELLIPSOID = (
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER),
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID),
+)
+
+
+def lowered(scene: SceneModel) -> SceneModel:
+    """Return the scene with its cylinders and ellipsoids as polyhedra; masses stay as they are."""
+    host = scene.host
+    spec = to_mjspec(scene.spec, timestep=float(host.mjm.opt.timestep))
+    for geom in spec.geoms:
+        if int(geom.type) not in (_CYLINDER, _ELLIPSOID):
+            continue
+        mesh = spec.add_mesh(name=f"{geom.name}/lowered")
+        mesh.uservert = polyhedron(int(geom.type), np.array(geom.size)).ravel()
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+        geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, mesh.name
+    mjm = spec.compile()
+    mjm.opt.disableflags = host.mjm.opt.disableflags
+    return dataclasses.replace(scene, host=dataclasses.replace(host, mjm=mjm))
+
+
+def lowering_error(scene: SceneModel) -> float:
+    """Return the largest distance [m] between a lowered collider's surface and the true one's."""
+    m, worst = scene.host.mjm, 0.0
+    for kind, size in zip(m.geom_type, m.geom_size, strict=True):
+        if kind == _CYLINDER:
+            worst = max(worst, float(size[0]) * (_prism_factor() - 1))
+        elif kind == _ELLIPSOID:
+            worst = max(worst, float(max(size)) * (_ball()[1] - 1))
+    return worst
+
+
+def polyhedron(kind: int, size: NDArray) -> NDArray:
+    """Return the corners [n, 3] of the polyhedron that stands for a MuJoCo cylinder or ellipsoid."""
+    if kind == _ELLIPSOID:
+        return _ball()[0] * size
+    turn = 2 * np.pi * np.arange(SIDES) / SIDES
+    ring = size[0] * _prism_factor() * np.column_stack([np.cos(turn), np.sin(turn)])
+    return np.vstack([np.column_stack([ring, np.full(SIDES, z)]) for z in (-size[1], size[1])])
+
+
+def _prism_factor() -> float:
+    # Corners as far outside of the circle as edges are inside of it.
+    return 2 / (1 + np.cos(np.pi / SIDES))
+
+
+def _ball() -> tuple[NDArray, float]:
+    """Return 42 corners around the unit sphere and how far the farthest is from its centre."""
+    g = (1 + 5**0.5) / 2
+    twelve = np.array([[0, a, b * g] for a in (-1.0, 1.0) for b in (-1.0, 1.0)])
+    twelve = np.vstack([np.roll(twelve, k, axis=1) for k in range(3)])
+    gaps = np.linalg.norm(twelve[:, None] - twelve, axis=2)
+    i, j = np.nonzero(np.triu(np.abs(gaps - 2.0) < 1e-6))
+    points = np.vstack([twelve, (twelve[i] + twelve[j]) / 2])
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    inner = float(np.abs(ConvexHull(points).equations[:, 3]).min())
+    factor = 2 / (1 + inner)
+    return points * factor, factor
