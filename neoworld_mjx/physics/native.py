@@ -21,6 +21,8 @@ from .model import FREE, MESH, Host, SceneModel, leaves, mesh_object
 
 CHUNK = 1024
 """Most candidates simulated at once."""
+SNAPPED = 8192
+"""Objects of all candidates that are snapped at once; each takes about 30 KB meanwhile."""
 RING_BYTES = 128 << 20
 """Memory that the copies of a model with meshes may take; it bounds the chunk, and is kept for the
 next rollout of the same scene."""
@@ -79,7 +81,15 @@ _rings: "weakref.WeakKeyDictionary[Host, list[mujoco.MjModel]]" = weakref.WeakKe
 
 def exact_poses(scene: SceneModel, layouts: Layout) -> Poses:
     """Place candidates in double precision (NumPy), at the heights that `place` snaps to."""
-    height = np.asarray(_heights(scene, layouts), float)
+    pop, objects = layouts.yaw.shape
+    size = min(pop, max(1, SNAPPED // objects))
+    parts = []
+    for first in range(0, pop, size):
+        # The last part is filled up, so that all have one shape and one compilation.
+        index = np.minimum(np.arange(first, first + size), pop - 1)
+        few = jax.tree.map(lambda leaf, i=index: leaf[i], layouts)
+        parts.append(np.asarray(_heights(scene, few), float)[: pop - first])
+    height = np.concatenate(parts)
     with np.errstate(invalid="ignore", over="ignore"):  # such candidates fail; see unplaceable
         return compose_poses(scene.host.arrangement, _on_host(layouts), height, np)
 
