@@ -58,6 +58,9 @@ class Host:
     powers: Powers
     start: np.ndarray
     """qpos of the composed scene, shape [nq]."""
+    lever: np.ndarray
+    """What turns a rate of each dof into one in metres, shape [nv]: half the diagonal of the object's
+    bounding box [m] for turning dofs, 1 for sliding ones."""
 
 
 class SceneModel(eqx.Module):
@@ -155,6 +158,7 @@ def compile_scene(
         jnt_object=owner[mjm.jnt_bodyid],
         dof_object=owner[mjm.dof_bodyid] if mjm.nv else np.zeros(0, int),
         powers=_powers(scene, mjm),
+        lever=_levers(scene, mjm, owner),
         start=mjm.key("start").qpos.copy() if mjm.nkey else np.zeros(0),
     )
     boxes = [bounds(item.spec, item.joint_state) for item in scene.objects]
@@ -288,6 +292,18 @@ def _times(field: np.ndarray, factor: Any) -> Any:
 def _owner(body: str, names: tuple[str, ...]) -> int:
     name = body.split("/", maxsplit=1)[0]
     return names.index(name) if name in names else -1
+
+
+def _levers(scene: SceneSpec, m: mujoco.MjModel, owner: np.ndarray) -> np.ndarray:
+    boxes = [bounds(item.spec, item.joint_state) for item in scene.objects]
+    half = np.array([np.linalg.norm(high - low) / 2 for low, high in boxes])
+    lever = np.ones(m.nv)
+    for dof in range(m.nv):
+        joint = m.dof_jntid[dof]
+        first = m.jnt_type[joint] == FREE and dof - m.jnt_dofadr[joint] < 3
+        if not first and m.jnt_type[joint] != SLIDE:
+            lever[dof] = half[owner[m.dof_bodyid[dof]]]
+    return lever
 
 
 def _powers(scene: SceneSpec, m: mujoco.MjModel) -> Powers:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from mujoco.batch import Batch, SimulationError
 
-from .engine import EarlyStop, Rollout, RolloutStatus, record_steps, unplaceable
+from .engine import EarlyStop, Rollout, RolloutStatus, quiet, record_steps, unplaceable
 from .layout import Either, Layout, Poses, compose_poses, heights
 from .model import FREE, MESH, Host, SceneModel, leaves, mesh_object
 
@@ -217,10 +217,8 @@ def _run(
                 quat[active, t:, o] = qpos[active, None, a + 3 : a + 7]
         if rule is None or not len(active):
             continue
-        quiet = (np.abs(qvel[active]).max(axis=1, initial=0) < rule.speed) & (
-            np.abs(qacc[active]).max(axis=1, initial=0) < rule.acceleration
-        )
-        calm[active] = np.where(quiet, calm[active] + 1, 0)
+        still = quiet(rule, scene.host.lever, qvel[active], qacc[active])
+        calm[active] = np.where(still, calm[active] + 1, 0)
         settled = (calm[active] >= 2) & ((t + 1) * every * m.opt.timestep >= rule.after)
         far, turned = drift(pos[active, t], quat[active, t], start.pos[active], start.quat[active])
         drifted = (far.max(axis=1) > rule.drift) | (turned.max(axis=1) > rule.tilt)

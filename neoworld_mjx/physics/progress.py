@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from .engine import EarlyStop, Rollout, RolloutStatus
+from .engine import EarlyStop, Rollout, RolloutStatus, quiet
 from .layout import Poses
 from .model import FREE, Host
 from .native import drift
@@ -30,6 +30,7 @@ class Progress:
         m = host.mjm
         self.every, self.rule, self.timestep = every, rule, float(m.opt.timestep)
         self.start = start
+        self.lever = host.lever
         self.pos0, self.quat0 = (
             np.asarray(start.pos, np.float32),
             np.asarray(start.quat, np.float32),
@@ -73,16 +74,14 @@ class Progress:
             self.pos[rows[:, None], time:, self.owner] = seven[..., :3]
             self.quat[rows[:, None], time:, self.owner] = seven[..., 3:]
         if self.rule is not None and len(rows):
-            self._stop(time, np.abs(qvel[on]), np.abs(qacc[on]))
+            self._stop(time, qvel[on], qacc[on])
         return np.isin(before, self.active, assume_unique=True)
 
-    def _stop(self, time: int, speed: np.ndarray, acceleration: np.ndarray) -> None:
+    def _stop(self, time: int, qvel: np.ndarray, qacc: np.ndarray) -> None:
         rule, rows = self.rule, self.active
         assert rule is not None
-        quiet = (speed.max(axis=1, initial=0) < rule.speed) & (
-            acceleration.max(axis=1, initial=0) < rule.acceleration
-        )
-        self.calm[rows] = np.where(quiet, self.calm[rows] + 1, 0)
+        still = quiet(rule, self.lever, qvel, qacc)
+        self.calm[rows] = np.where(still, self.calm[rows] + 1, 0)
         settled = (self.calm[rows] >= 2) & ((time + 1) * self.every * self.timestep >= rule.after)
         far, turned = drift(
             self.pos[rows, time], self.quat[rows, time], self.pos0[rows], self.quat0[rows]
