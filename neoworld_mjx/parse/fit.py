@@ -24,8 +24,9 @@ from .checks import agreement, check_tree, hidden_sides
 from .project import BOX_POINTS, NEAR_M, outline_points
 
 PIXELS = 0.006
-"""Standard error of a 2D side, over the picture's longer side; at least SIDE of its own box."""
-SIDE = 0.04
+"""Standard error of a 2D side, over the picture's longer side; at least SIDE of its own box, or
+SIDE_LOOSE where the outline is not known."""
+SIDE, SIDE_LOOSE = 0.04, 0.1
 LOG_SIZE, LOG_ASPECT = 0.15, 0.08
 """Of an object's size as a whole, and of its edges against each other, in log."""
 YAW, PITCH, ROLL = math.radians(12), math.radians(6), math.radians(1.5)
@@ -148,12 +149,13 @@ class _Problem:
         self.hidden = np.array([hidden_sides(tree, node) for node in things])
         self.outward = np.array([-1.0, -1.0, 1.0, 1.0])
         sides = np.tile(self.seen[:, 2:] - self.seen[:, :2], 2)
-        self.error = np.maximum(PIXELS * max(camera.width, camera.height_px), SIDE * sides)
         outlines = [outline_points(node) for node in things]
         longest = max(len(points) for points, _ in outlines)
         # Shorter point sets are filled up by repeating points, which changes no extent.
         self.inner = np.array([np.resize(points, (longest, 3)) for points, _ in outlines])
         self.corners = np.array([weight for _, weight in outlines])[:, None]
+        share = np.where((self.corners > 0) & (self.corners < 1), SIDE_LOOSE, SIDE)
+        self.error = np.maximum(PIXELS * max(camera.width, camera.height_px), share * sides)
         self.parents = np.array(
             [names.index(n.parent) if n.parent in names else -1 for n in things]
         )
@@ -229,7 +231,11 @@ class _Problem:
         return self.corners * found[0] + (1 - self.corners) * found[1]
 
     def residuals(self, x: NDArray) -> NDArray:
-        """Return all residuals, each over its standard deviation."""
+        """Return all residuals, each over its standard deviation; all but the camera's softened.
+
+        A box or a size may be plainly wrong, so it must not pull without bound. The camera is one
+        for all: no single object should move it far.
+        """
         camera, values = self.unpacked(x)
         off = (self.extents(camera, values) - self.seen) / self.error
         # A hidden side may lie anywhere outside what is seen.
@@ -241,13 +247,13 @@ class _Problem:
         soft = CONTACT_M + CONTACT * self.sizes[:, 2]
         return np.concatenate(
             [
-                off.ravel(),
+                _soft(off).ravel(),
                 x[:4],
-                (place / self.reach[:, None]).ravel(),
-                (values[:, 2] - top - self.rests) / soft,
-                (whole / LOG_SIZE).ravel(),
-                ((log_size - whole) / LOG_ASPECT).ravel(),
-                (values[:, 6] - self.yaws) / YAW,
+                _soft(place / self.reach[:, None]).ravel(),
+                _soft((values[:, 2] - top - self.rests) / soft),
+                _soft(whole / LOG_SIZE).ravel(),
+                _soft((log_size - whole) / LOG_ASPECT).ravel(),
+                _soft((values[:, 6] - self.yaws) / YAW),
             ]
         )
 
@@ -362,13 +368,17 @@ def _rest(node: TreeNode, parent: TreeNode, gap: float) -> float:
     return float(np.clip(gap, -parent.box3d.size[2], 0.0))
 
 
+def _soft(residual: NDArray) -> NDArray:
+    """Return residuals whose squares grow like r^2 near 0 and like 2 |r| far from it (soft L1)."""
+    return residual * np.sqrt(2.0 / (np.sqrt(1.0 + residual**2) + 1.0))
+
+
 def _solved(problem: _Problem, start: NDArray) -> Any:
     derivative: Any = problem.jacobian  # SciPy's annotations know the names of schemes alone.
     return least_squares(
         problem.residuals,
         start,
         jac=derivative,
-        loss="soft_l1",
         x_scale="jac",
         tr_solver="exact" if len(problem.things) <= EXACT else "lsmr",
         max_nfev=STEPS,
