@@ -4,6 +4,7 @@ import os
 import platform
 import resource
 import sys
+import time
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,32 @@ def peak_mib() -> tuple[float, float | None]:
     stats = jax.devices()[0].memory_stats() or {}
     device = stats.get("peak_bytes_in_use")
     return host, None if device is None else device / 2**20
+
+
+class Others:
+    """How many cores other processes kept busy, on average, between its making and `cores`."""
+
+    def __init__(self) -> None:
+        """Begin to count."""
+        self._began = self._now()
+
+    def cores(self) -> float | None:
+        """Return the count so far; None where the system does not tell."""
+        if self._began is None or (now := self._now()) is None:
+            return None
+        wall, busy, own = (b - a for a, b in zip(self._began, now, strict=True))
+        return max(busy - own, 0.0) / max(wall, 1e-9)
+
+    @staticmethod
+    def _now() -> tuple[float, float, float] | None:
+        try:
+            total = Path("/proc/stat").read_text(encoding="utf-8").split("\n", 1)[0].split()[1:9]
+        except OSError:
+            return None
+        ticks = [int(value) for value in total]
+        # The fourth and fifth count idle time and waiting for disks.
+        busy = (sum(ticks) - ticks[3] - ticks[4]) / os.sysconf("SC_CLK_TCK")
+        return time.perf_counter(), busy, time.process_time()
 
 
 def _processor() -> str:

@@ -12,7 +12,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import jax
 import numpy as np
@@ -24,7 +24,7 @@ from ..physics.layout import Layout
 from ..physics.model import SceneModel, compile_scene
 from ..physics.native import exact_poses
 from .bare import bare_scan
-from .machine import peak_mib
+from .machine import Others, peak_mib
 from .scenes import COUNTS, crowded, noisy_layouts
 from .verdicts import Loop, compare, motion, naive_loop
 
@@ -83,6 +83,8 @@ class PhysicsRow(BaseModel):
     peak_mib: float | None = None
     """Largest resident memory of the row's process, imports included."""
     device_peak_mib: float | None = None
+    others_cores: float | None = None
+    """Cores that other processes kept busy while this row was timed; rates suffer from them."""
     verdict_agreement: float | None = None
     """With the naive loop, over `compared` layouts, those near a bound included."""
     verdict_agreement_clear: float | None = None
@@ -109,11 +111,7 @@ class Measured(BaseModel):
     """Of the first candidates, in units of the bounds."""
     peak_mib: float
     device_peak_mib: float | None
-
-
-class _Naive(NamedTuple):
-    loop: Loop
-    seed: int
+    others_cores: float | None
 
 
 def physics(
@@ -185,6 +183,7 @@ def _row(task: Task, naive: Loop, *, apart: bool) -> PhysicsRow:
         "failed_share": found.failed_share,
         "peak_mib": found.peak_mib,
         "device_peak_mib": found.device_peak_mib,
+        "others_cores": found.others_cores,
     }
     clear = checked["verdict_agreement_clear"]
     if found.failed_share > SANE_FAILED or (clear is not None and clear < SANE_AGREEMENT):
@@ -252,11 +251,13 @@ def measure(task: Task) -> Measured | str:
     except EngineError as error:
         return f"skipped: {error}"
     steady: list[float] = []
+    others = Others()
     left = lambda: task.budget_s - (time.perf_counter() - began)
     while len(steady) < REPEATS and left() > (steady[-1] if steady else 0.0):
         t0 = time.perf_counter()
         rollout = once()
         steady.append(time.perf_counter() - t0)
+    disturbed = others.cores()
     moved = motion(scene, rollout)
     host, device = peak_mib()
     bare = []
@@ -272,6 +273,7 @@ def measure(task: Task) -> Measured | str:
         motion=[float(x) for x in moved[:NAIVE_CANDIDATES]],
         peak_mib=host,
         device_peak_mib=device,
+        others_cores=disturbed,
     )
 
 
