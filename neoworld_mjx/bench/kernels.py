@@ -56,7 +56,7 @@ class KernelRow(BaseModel):
 def implementations() -> dict[str, Depth]:
     """Return every `pair_depth*` of neoworld_kernels that takes the reference's arguments."""
     wanted = list(inspect.signature(pair_depth_reference).parameters)
-    found = {"pair_depth_reference": pair_depth_reference}
+    found: dict[str, Any] = {"pair_depth_reference": pair_depth_reference}
     for name in sorted(neoworld_kernels.__all__):
         value = getattr(neoworld_kernels, name)
         if not (name.startswith("pair_depth") and callable(value)):

@@ -56,7 +56,7 @@ class MjxEngine:
 
     name = "mjx"
 
-    def __init__(self, devices: Sequence[jax.Device] | None = None):
+    def __init__(self, devices: Sequence[Any] | None = None):
         """Split populations over `devices`; None takes all of JAX's default kind."""
         self.devices = tuple(jax.devices() if devices is None else devices)
         self._scenes: weakref.WeakKeyDictionary[Host, tuple[mjx.Model, SceneModel]] = (

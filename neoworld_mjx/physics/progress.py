@@ -63,9 +63,9 @@ class Progress:
         Returns:
             A mask [active] of the rows that run on.
         """
-        on = np.isfinite(qpos).all(axis=1) & (np.abs(qpos) < DIVERGED).all(axis=1)
+        on = np.asarray(np.isfinite(qpos) & (np.abs(qpos) < DIVERGED)).all(axis=1)
         before = self.active
-        self.drop(~on, RolloutStatus.FAILED)
+        self.drop(np.logical_not(on), RolloutStatus.FAILED)
         rows = self.active
         self.steps[rows] += self.every
         if len(self.owner):
