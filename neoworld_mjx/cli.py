@@ -64,7 +64,7 @@ def _show_progress(*, quiet: bool) -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("%(message)s"))
     log = logging.getLogger("neoworld_mjx")
-    log.addHandler(handler)
+    log.handlers = [handler]  # Not added: a second command in one process would say all twice.
     log.setLevel(logging.ERROR if quiet else logging.INFO)
 
 

@@ -10,6 +10,7 @@ import json
 import logging
 import time
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -92,18 +93,28 @@ def reconstruct(
     """
     config = config or Config()
     picture = load_photo(photo, config.parse.max_side_px)
+    asking = partial(
+        open_panel,
+        config.mllm,
+        config.provider,
+        photo=picture.sha256,
+        tapes=tapes,
+        mailbox=mailbox or Path(out) / "mailbox",
+        made=f"recorded from provider {config.provider}",
+    )
+    asking()  # What is wrong with it is told before the folder is touched.
+    another = _of_another_photo(Path(out), picture)
+    if another and (resume or start is not None):
+        raise RunError(
+            f"{out} is a run of another photograph ({another}), not of {photo}: go on with that "
+            "one, replace the run with --overwrite, or name another folder"
+        )
     folder = RunFolder(out, config, resume=resume, start=start, overwrite=overwrite)
     with folder as run:
         run.record("photo", name=Path(photo).name, sha256=picture.sha256)
-        models = open_panel(
-            config.mllm,
-            config.provider,
-            photo=picture.sha256,
-            tapes=tapes,
-            mailbox=mailbox or Path(out) / "mailbox",
-            record=record or Path(out) / ANSWERS,
-            made=f"recorded from provider {config.provider}",
-        )
+        if another:
+            (run.path / ANSWERS).unlink(missing_ok=True)
+        models = asking(record=record or Path(out) / ANSWERS)
         if run.data["mllm"]:
             models.ledger.carry(run.data["mllm"])
         steps = {
@@ -155,6 +166,17 @@ def refine_again(
         run.finish()
         _report(run)
         return _result(run, None)
+
+
+def _of_another_photo(out: Path, photo: Photo) -> str:
+    """Return the name of the photograph that a folder's run is of, if it is another one."""
+    try:
+        if not (out / "run.json").is_file():
+            return ""
+    except OSError:
+        return ""  # Told by the run folder.
+    earlier = read_run(out).get("photo", {})
+    return earlier["name"] if earlier.get("sha256", photo.sha256) != photo.sha256 else ""
 
 
 def _parse(run: RunFolder, photo: Photo, models: Panel, config: Config) -> None:

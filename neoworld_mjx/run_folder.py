@@ -77,8 +77,10 @@ class RunFolder:
         self._kept = STEPS[: STEPS.index(start)] if start else ()
         if self.path.exists() and not self.path.is_dir():
             raise RunError(f"{path} is a file; name a folder that does not exist yet, or a run")
-        self._claimable()
         with self._writing(anything=True):
+            self._claimable()
+            if start is not None and not (self.path / "run.json").exists():
+                raise RunError(f"{path} holds no run to begin from {start}; leave --from out")
             self.path.mkdir(parents=True, exist_ok=True)
             self._lock = _locked(self.path)
         try:
@@ -223,8 +225,6 @@ class RunFolder:
                     "part of it again with --from STEP, replace it with --overwrite, or name "
                     "another folder"
                 )
-        elif start is not None:
-            raise RunError(f"{self.path} holds no run to begin from {start}; leave --from out")
         else:
             self.data = {"steps": {}, "fallbacks": []}
         for name in [*self.data["steps"]]:

@@ -112,7 +112,7 @@ def test_bad_input_is_one_message_and_leaves_no_folder(tmp_path, out_is_a_file):
         out.write_text("precious")
     else:
         photo.write_text("no picture")
-    done = _neoworld("reconstruct", photo, "--out", out, "--json")
+    done = _neoworld("reconstruct", photo, "--out", out, "--json", "--provider", "mailbox")
     _fails(done, str(out if out_is_a_file else photo))
     assert json.loads(done.stdout).keys() == {"error"}
     assert out.exists() == out_is_a_file

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 
 from ..config import ComposeOptions
 from ..errors import SpecError
@@ -22,8 +23,11 @@ from ..spec import (
     scale,
     support_frame,
 )
-from ..spec.object import Joint
-from ..spec.pose import Pose, from_yaw, pose, quat_mul, yaw_of
+from ..spec.object import Joint, Quat
+from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
+from .lying import resting_tilt
+
+NOTED_TURN_DEG = 2.0
 
 
 @dataclass(frozen=True)
@@ -171,6 +175,8 @@ def _place(
             link = found
         frame = support_frame(parent, _parsed_pose(tree.node(node.parent)), link)
     here = frame.inverse().then(_parsed_pose(node, tilted=False))
+    tilt, aside = _lying(node, spec, state, notes)
+    here = here.then(pose(aside))
     fixed = node.fixed_base
     if fixed and node.parent is not None and not placed[node.parent].static:
         notes.append(f"{node.name}: {node.parent} is free to move, so it cannot be fixed to it")
@@ -187,7 +193,7 @@ def _place(
         xy=tuple(here.pos[:2].tolist()),
         z=float(here.pos[2]),
         yaw=yaw_of(here.quat),
-        base_tilt=node.base_tilt,
+        base_tilt=tilt,
         joint_state=state,
         box2d=node.box2d,
         occluded=node.occluded,
@@ -195,6 +201,25 @@ def _place(
         parsed_size=node.box3d.size,
         scale_residual=residual,
     )
+
+
+def _lying(
+    node: TreeNode, spec: ObjectSpec, state: dict[str, float], notes: list[str]
+) -> tuple[Quat, NDArray]:
+    """Return the tilt at which a thing that lies comes to rest, and how far its origin shifts [m]."""
+    seen = node.base_tilt
+    upright = np.allclose(seen, IDENTITY)
+    if upright or node.relation != "on" or node.fixed_base or node.environment:
+        return seen, np.zeros(3)
+    tilt = resting_tilt(spec, state, seen)
+    if tilt is None:
+        notes.append(f"{node.name}: as tilted in the parse it does not rest on any side near that")
+        return seen, np.zeros(3)
+    turned = float(np.degrees(angle_between(seen, tilt)))
+    if turned > NOTED_TURN_DEG:
+        notes.append(f"{node.name}: turned by {turned:.0f} degrees, onto the side it rests on")
+    before, after = (np.mean(bounds(spec, state, quat), axis=0) for quat in (seen, tilt))
+    return tilt, (before - after) * [1.0, 1.0, 0.0]
 
 
 def _parsed_pose(node: TreeNode, *, tilted: bool = True) -> Pose:

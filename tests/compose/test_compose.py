@@ -8,16 +8,23 @@ import scenes
 
 from neoworld_mjx.compose import compose
 from neoworld_mjx.compose.compose import opening_value
+from neoworld_mjx.compose.lying import resting_tilt
 from neoworld_mjx.errors import SpecError
+from neoworld_mjx.measure.scene import scene_measure
 from neoworld_mjx.physics.exact import object_depths, start_state
 from neoworld_mjx.spec import (
     Box,
     Box2D,
     Box3D,
     Camera,
+    Cylinder,
+    Geom,
     HollowBox,
     Joint,
     Lathe,
+    Material,
+    ObjectSpec,
+    Part,
     PartState,
     SceneTree,
     TreeNode,
@@ -25,6 +32,7 @@ from neoworld_mjx.spec import (
     scale,
     world_poses,
 )
+from neoworld_mjx.spec.pose import angle_between, from_axis_angle, from_yaw, rotate
 
 CAMERA = Camera(width=640, height_px=480, fovy=0.8, height=1.0, pitch=0.6)
 PIXELS = Box2D(x0=10, y0=10, x1=100, y1=100)
@@ -207,3 +215,70 @@ def test_opening_goes_from_the_limit_nearest_to_zero_to_the_far_one():
     assert opening_value(joint, 1.0) == -1.5
     shifted = joint.model_copy(update={"lower": 0.2, "upper": 1.2})
     assert opening_value(shifted, 0.5) == pytest.approx(0.7)
+
+
+def mushroom():
+    """A round stem with a thicker, square cap, [0.05, 0.05, 0.09] m."""
+    wood = Material(name="wood", density=500, rgba=(0.6, 0.4, 0.2, 1))
+    stem = Geom(
+        name="stem", shape=Cylinder(radius=0.015, height=0.07), pos=(0, 0, 0.035), material="wood"
+    )
+    cap = Geom(name="cap", shape=Box(size=(0.05, 0.05, 0.02)), pos=(0, 0, 0.08), material="wood")
+    part = Part(name="body", geoms=(stem, cap))
+    return ObjectSpec(name="mushroom", materials=(wood,), parts=(part,))
+
+
+def test_a_thing_that_lies_is_turned_onto_the_side_it_rests_on():
+    forward = tuple(from_axis_angle((0.0, 1.0, 0.0), math.pi / 2).tolist())
+    thing = mushroom()
+    where = node("mushroom", thing, (1.0, 0.0, 0.0), yaw=0.3, base_tilt=forward)
+    made = composed([where], {"mushroom": thing})
+    item = made.scene.objects[1]
+    # From the stem's far edge to the cap's near one: 10 mm over 70 mm.
+    turned = angle_between(item.base_tilt, forward)
+    assert turned == pytest.approx(math.atan(0.010 / 0.07), abs=math.radians(1.0))
+    assert any("mushroom: turned by" in note for note in made.notes)
+    assert scene_measure(made.scene).s_stab
+    # It lies where it was seen: the middle of its box has not moved.
+    seen = bounds(thing, {}, forward)
+    lies = bounds(thing, {}, item.base_tilt)
+    at = world_poses(made.scene)["mushroom"]
+    middle = at.pos[:2] + rotate(from_yaw(0.3), np.mean(lies, axis=0) * [1, 1, 0])[:2]
+    parsed = np.array([1.0, 0.0]) + rotate(from_yaw(0.3), np.mean(seen, axis=0) * [1, 1, 0])[:2]
+    assert np.allclose(middle, parsed, atol=1e-6)
+
+
+def test_what_leans_or_stands_keeps_its_tilt():
+    back = tuple(from_axis_angle((0.0, -1.0, 0.0), 0.2).tolist())
+    thing = mushroom()
+    for more in (
+        {"relation": "leaning", "base_tilt": back},
+        {"fixed_base": True, "base_tilt": back},
+    ):
+        made = composed([node("mushroom", thing, (1.0, 0, 0), **more)], {"mushroom": thing})
+        assert made.scene.objects[1].base_tilt == pytest.approx(back)
+        assert made.notes == ()
+    made = composed([node("mushroom", thing, (1.0, 0, 0))], {"mushroom": thing})
+    assert made.scene.objects[1].base_tilt == (1.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("degrees", [70, 90, 100])
+def test_a_bottle_that_lies_at_some_angle_comes_to_lie_flat(degrees):
+    tilt = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(degrees)).tolist())
+    wood = Material(name="wood", density=500, rgba=(0.6, 0.4, 0.2, 1))
+    rod = Geom(
+        name="rod", shape=Cylinder(radius=0.02, height=0.2), pos=(0, 0, 0.1), material="wood"
+    )
+    bottle = ObjectSpec(name="b", materials=(wood,), parts=(Part(name="body", geoms=(rod,)),))
+    turned = resting_tilt(bottle, {}, tilt)
+    assert turned is not None
+    assert rotate(turned, np.array([0.0, 0.0, 1.0]))[2] == pytest.approx(0.0, abs=1e-3)
+    assert angle_between(turned, tilt) < math.radians(abs(degrees - 90) + 10)
+
+
+def test_a_tilt_far_from_any_rest_is_left_and_told():
+    tilt = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(45)).tolist())
+    wood = Material(name="wood", density=500, rgba=(0.6, 0.4, 0.2, 1))
+    block = Geom(name="b", shape=Box(size=(0.1, 0.1, 0.1)), pos=(0, 0, 0.05), material="wood")
+    cube = ObjectSpec(name="b", materials=(wood,), parts=(Part(name="body", geoms=(block,)),))
+    assert resting_tilt(cube, {}, tilt) is None

@@ -1,0 +1,239 @@
+"""Bad input ends in exit code 2 and one message that names the thing and says what to do.
+
+No traceback, nothing written that looks like a finished run, and a run that is there stays as it is.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from neoworld_mjx import cli
+from neoworld_mjx.config import Config
+from neoworld_mjx.run_folder import RunFolder
+
+PHOTO = Path(__file__).parents[1] / "examples" / "coffee.png"
+
+
+@pytest.fixture
+def refused(capfd):
+    """Run the command in this process; return its one message."""
+
+    def run(*words) -> str:
+        with pytest.raises(SystemExit) as ended:
+            cli.main(["reconstruct", *map(str, words), "--json"])
+        said = capfd.readouterr()
+        assert ended.value.code == 2, said.err
+        assert "Traceback" not in said.err
+        message = json.loads(said.out)["error"]
+        assert said.err.count("error:") == 1
+        assert f"error: {message}" in said.err
+        return message
+
+    return run
+
+
+def picture(path: Path, size=(64, 48)) -> Path:
+    Image.new("RGB", size, "red").save(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def parsed(tmp_path_factory) -> Path:
+    """A run of the example, stopped after its first step."""
+    out = tmp_path_factory.mktemp("parsed") / "out"
+    words = ["reconstruct", str(PHOTO), "--out", str(out), "--until", "parse", "--quiet"]
+    with pytest.raises(SystemExit) as ended:
+        cli.main(words)
+    assert ended.value.code == 0
+    return out
+
+
+def everything(folder: Path) -> dict[str, bytes]:
+    files = [path for path in folder.rglob("*") if path.is_file() and path.name != ".lock"]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+def test_photos_that_are_none(refused, tmp_path):
+    out = tmp_path / "out"
+    text = tmp_path / "text.png"
+    text.write_text("hello")
+    cut = tmp_path / "cut.png"
+    cut.write_bytes(PHOTO.read_bytes()[:20_000])
+    for photo, said in (
+        (tmp_path / "nowhere.png", "no such file; check the path"),
+        (tmp_path, "is a folder; give the file"),
+        (text, "save it as PNG or JPEG"),
+        (cut, "get the file again"),
+        (picture(tmp_path / "one.png", (1, 1)), "1 x 1 pixels is too small; at least 16"),
+    ):
+        message = refused(photo, "--out", out)
+        assert photo.name in message
+        assert said in message
+        assert not out.exists()
+
+
+def test_a_huge_photo_is_refused_without_being_decoded(refused, tmp_path):
+    huge = tmp_path / "huge.png"
+    # One bit a pixel: 50 MB in memory, 50 kB in the file.
+    Image.new("1", (20_000, 20_000)).save(huge)
+    message = refused(huge, "--out", tmp_path / "out")
+    assert "huge.png" in message
+    assert "megapixels" in message
+    assert "save a smaller copy" in message
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("provider", ["auto", "replay", "anthropic", "openai", "gpt"])
+def test_nobody_to_ask_leaves_no_folder(refused, tmp_path, provider):
+    photo = picture(tmp_path / "other.png")
+    message = refused(photo, "--out", tmp_path / "out", "--provider", provider)
+    said = {
+        "auto": "answer yourself: --provider mailbox",
+        "replay": "no tape was recorded for this photo",
+        "anthropic": "set ANTHROPIC_API_KEY",
+        "openai": "set OPENAI_API_KEY",
+        "gpt": "valid are: auto",
+    }
+    assert said[provider] in message
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("more", [("--overwrite",), ("--from", "parse"), ("--resume",)])
+def test_nobody_to_ask_leaves_an_earlier_run_as_it_is(refused, parsed, tmp_path, more):
+    out = shutil.copytree(parsed, tmp_path / "out")
+    before = everything(out)
+    refused(PHOTO, "--out", out, "--provider", "anthropic", *more)
+    assert everything(out) == before
+
+
+@pytest.mark.parametrize("more", [("--from", "refine"), ("--resume",)])
+def test_another_photo_is_no_reason_to_go_on(refused, parsed, tmp_path, more):
+    out = shutil.copytree(parsed, tmp_path / "out")
+    before = everything(out)
+    photo = picture(tmp_path / "other.png")
+    message = refused(photo, "--out", out, "--provider", "mailbox", *more)
+    assert "is a run of another photograph (coffee.png), not of" in message
+    assert "--overwrite" in message
+    assert everything(out) == before
+
+
+def test_a_run_of_another_photo_can_be_overwritten(refused, parsed, tmp_path):
+    out = shutil.copytree(parsed, tmp_path / "out")
+    photo = picture(tmp_path / "other.png")
+    empty = tmp_path / "other.tape.json"
+    tape = json.loads((out / "answers.tape.json").read_text())
+    sha = hashlib.sha256(photo.read_bytes()).hexdigest()
+    empty.write_text(json.dumps({**tape, "photo": sha, "answers": {}}))
+    words = ("--provider", "replay", "--tape", empty, "--overwrite")
+    message = refused(photo, "--out", out, *words)
+    assert "parse" in message  # The tape lacks the answer: it was asked for, so all else is well.
+    assert "another photo" not in message
+    assert not (out / "tree.json").exists()
+
+
+class _Refuses(BaseHTTPRequestHandler):
+    def do_POST(self) -> None:
+        self.rfile.read(int(self.headers.get("content-length", 0)))
+        told = {
+            "type": "error",
+            "error": {"type": "authentication_error", "message": "invalid key"},
+        }
+        body = json.dumps(told).encode()
+        self.send_response(401)
+        self.send_header("content-type", "application/json")
+        self.send_header("content-length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+def test_a_refused_key(refused, monkeypatch, tmp_path):
+    monkeypatch.setenv("ANTHROPIC_API_KEY", "sk-secret-123456")
+    server = ThreadingHTTPServer(("127.0.0.1", 0), _Refuses)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    out = tmp_path / "out"
+    url = f"mllm.base_url=http://127.0.0.1:{server.server_port}"
+    try:
+        message = refused(PHOTO, "--out", out, "--provider", "anthropic", "--set", url)
+    finally:
+        server.shutdown()
+        server.server_close()
+    assert "ANTHROPIC_API_KEY was refused" in message
+    assert "sk-secret" not in message
+    data = json.loads((out / "run.json").read_text())
+    assert (data["status"], data["steps"], data["error"]) == ("failed", {}, message)
+    assert all(b"sk-secret" not in content for content in everything(out).values())
+
+
+def test_folders_that_cannot_be_used(refused, tmp_path):
+    file = tmp_path / "file"
+    file.write_text("precious")
+    assert "is a file; name a folder" in refused(PHOTO, "--out", file)
+    assert file.read_text() == "precious"
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    (photos / "notes.txt").write_text("precious")
+    message = refused(PHOTO, "--out", photos, "--overwrite")
+    assert "not a run folder (it holds notes.txt); name a new or empty folder" in message
+    assert [path.name for path in photos.iterdir()] == ["notes.txt"]
+    assert "holds no run to begin from" in refused(
+        PHOTO, "--out", tmp_path / "no", "--from", "parse"
+    )
+    assert not (tmp_path / "no").exists()
+
+
+def test_a_folder_in_use(refused, tmp_path):
+    out = tmp_path / "out"
+    with RunFolder(out, Config()):
+        before = everything(out)
+        message = refused(PHOTO, "--out", out, "--resume")
+        assert f"is in use by another run (process {os.getpid()}); wait for it" in message
+        assert everything(out) == before
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() != 0, reason="only root can act as another")
+@pytest.mark.parametrize("mode", [0o700, 0o755, 0o711])
+def test_a_folder_of_someone_else(refused, parsed, tmp_path, mode):
+    home = tmp_path
+    while home != home.parent and home.stat().st_mode & 0o005 != 0o005:
+        home.chmod(home.stat().st_mode | 0o055)  # The folders above are open to all.
+        home = home.parent
+    out = shutil.copytree(parsed, tmp_path / "out")
+    photo = shutil.copy(PHOTO, tmp_path / "photo.png")
+    out.chmod(mode)
+    before = everything(out)
+    os.seteuid(65534)
+    try:
+        message = refused(photo, "--out", out, "--resume")
+    finally:
+        os.seteuid(0)
+    assert "Permission denied; name a folder that you may write to" in message
+    assert str(out) in message
+    assert everything(out) == before
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() != 0, reason="only root may mount a small disk")
+def test_a_full_disk(refused, tmp_path):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", str(disk)]
+    if subprocess.run(mount, capture_output=True).returncode != 0:
+        pytest.skip("mounting is not allowed here")
+    try:
+        message = refused(PHOTO, "--out", disk / "out")
+        assert f"no space left on the disk of {disk / 'out'}: free some" in message
+        data = json.loads((disk / "out" / "run.json").read_text())
+        assert data["status"] == "failed"
+        assert not (disk / "out" / "scene.xml").exists()
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
