@@ -173,9 +173,14 @@ def _place(
                 f"{'the whole object' if found is None else found}"
             )
             link = found
-        frame = support_frame(parent, _parsed_pose(tree.node(node.parent)), link)
-    here = frame.inverse().then(_parsed_pose(node, tilted=False))
-    tilt, aside = _lying(node, spec, state, notes)
+        seen = _parsed_pose(tree.node(node.parent))
+        origin = seen.then(_origin_in_box(parent.spec, parent.joint_state))
+        frame = support_frame(parent, origin, link)
+    box = _parsed_pose(node, tilted=False)
+    here = frame.inverse().then(box).then(_origin_in_box(spec, state))
+    # What lies on a dish or a slope is held by it: only on level ground is its rest its own.
+    level = node.parent is not None and tree.node(node.parent).environment
+    tilt, aside = _lying(node, spec, state, notes) if level else (node.base_tilt, np.zeros(3))
     here = here.then(pose(aside))
     fixed = node.fixed_base
     if fixed and node.parent is not None and not placed[node.parent].static:
@@ -226,3 +231,12 @@ def _parsed_pose(node: TreeNode, *, tilted: bool = True) -> Pose:
     yaw = from_yaw(node.box3d.yaw)
     quat = quat_mul(yaw, node.base_tilt) if tilted else yaw
     return pose(node.box3d.position, quat)
+
+
+def _origin_in_box(spec: ObjectSpec, state: dict[str, float]) -> Pose:
+    """Return the object's origin seen from the middle of its box's bottom, as posed.
+
+    At rest they coincide; an open drawer moves the box's middle, not the origin.
+    """
+    low, high = bounds(spec, state)
+    return pose([-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]])
