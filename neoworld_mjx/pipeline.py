@@ -20,7 +20,7 @@ from .config import Config, load_config, merged
 from .errors import ProgramError, RunError, SpecError
 from .mllm import Panel, open_panel
 from .parse.photo import Photo, load_photo
-from .run_folder import RunFolder, read_run
+from .run_folder import STEPS, RunFolder, read_run
 from .spec import ObjectSpec, SceneSpec, SceneTree, TreeNode
 
 _log = logging.getLogger(__name__)
@@ -92,6 +92,11 @@ def reconstruct(
             folder, the models, or a program that did not come to an object.
     """
     config = config or Config()
+    if overwrite and (resume or start is not None):
+        other = "--resume" if resume else "--from"
+        raise RunError(f"--overwrite begins anew and {other} goes on: give one of them")
+    if start in STEPS and until in STEPS and STEPS.index(until) < STEPS.index(start):
+        raise RunError(f"--until {until} comes before --from {start}: nothing would be done")
     picture = load_photo(photo, config.parse.max_side_px)
     asking = partial(
         open_panel,

@@ -113,7 +113,10 @@ class RunFolder:
     def finished(self, name: str, inputs: Mapping[str, object]) -> bool:
         """Tell whether `step` would find this step finished, without beginning it."""
         self._touched.add(name)
-        return self._finished(name, self._hash_inputs(name, inputs))
+        found = self._finished(name, self._hash_inputs(name, inputs))
+        if found:
+            _log.info("%s: kept as it is", name)
+        return found
 
     @contextlib.contextmanager
     def step(

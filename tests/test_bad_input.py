@@ -61,6 +61,23 @@ def everything(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (("--overwrite", "--resume"), "give one of them"),
+        (("--overwrite", "--from", "parse"), "give one of them"),
+        (("--from", "refine", "--until", "compose"), "nothing would be done"),
+    ],
+)
+def test_orders_that_contradict_each_other_leave_the_run_as_it_is(
+    refused, parsed, tmp_path, more, said
+):
+    out = shutil.copytree(parsed, tmp_path / "out")
+    before = everything(out)
+    assert said in refused(PHOTO, "--out", out, *more)
+    assert everything(out) == before
+
+
 def test_photos_that_are_none(refused, tmp_path):
     out = tmp_path / "out"
     text = tmp_path / "text.png"
