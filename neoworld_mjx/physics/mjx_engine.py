@@ -22,8 +22,8 @@ from .derived import invweights
 from .engine import EarlyStop, Rollout, RolloutStatus, record_steps, unplaceable
 from .layout import Layout, Poses
 from .lowering import lowered
-from .model import FREE, Host, SceneModel, leaves, mesh_object
-from .progress import DIVERGED, Progress
+from .model import Host, SceneModel, leaves, mesh_object
+from .progress import DIVERGED, Progress, object_poses
 
 __all__ = ["MjxEngine", "bare_scan", "invweights", "object_poses"]
 
@@ -141,7 +141,7 @@ class MjxEngine:
                 index = jnp.asarray(np.concatenate([keep, fill]))
                 fields, data = self._spread(_take((fields, data), index))
                 rows = np.concatenate([progress.active, fill * 0 + np.iinfo(int).max])
-        return progress.rollout(poses)
+        return progress.rollout(scene)
 
     def _chunk(self, model: mjx.Model, pop: int) -> int:
         shapes = jax.eval_shape(lambda m: mjx.make_data(m), model)
@@ -298,20 +298,3 @@ def _rollout(
         start=poses,
         steps=jnp.full(pop, records * every, jnp.int32),
     )
-
-
-def object_poses(
-    scene: SceneModel, start: Poses, qpos: Float[Array, "pop time nq"]
-) -> tuple[Float[Array, "pop time object 3"], Float[Array, "pop time object 4"]]:
-    """Read object poses out of recorded coordinates; static objects stay where they are."""
-    pop, time, _ = qpos.shape
-    count = start.scale.shape[1]
-    pos = jnp.broadcast_to(start.pos[:, None], (pop, time, count, 3))
-    quat = jnp.broadcast_to(start.quat[:, None], (pop, time, count, 4))
-    m = scene.host.mjm
-    free = np.flatnonzero(m.jnt_type == FREE)
-    if not len(free):
-        return pos, quat
-    owner, adr = scene.host.jnt_object[free], m.jnt_qposadr[free]
-    pos = pos.at[:, :, owner].set(qpos[:, :, adr[:, None] + np.arange(3)])
-    return pos, quat.at[:, :, owner].set(qpos[:, :, adr[:, None] + np.arange(3, 7)])

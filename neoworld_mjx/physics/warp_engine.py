@@ -152,7 +152,7 @@ class WarpEngine:
         if scene.host.mjm.nv == 0:
             still = Progress(scene.host, poses, records, every, rule)
             still.drop(broken, RolloutStatus.FAILED)
-            return still.rollout(poses), np.zeros(pop, bool)
+            return still.rollout(scene), np.zeros(pop, bool)
         for attempt in range(GROWTHS + 1):
             worlds = self.worlds(scene, pop, layouts)
             worlds.load(fields, np.asarray(start))
@@ -166,7 +166,7 @@ class WarpEngine:
         if full:
             truncated = ~broken
         progress.status[truncated] = int(RolloutStatus.TRUNCATED)
-        return progress.rollout(poses), truncated
+        return progress.rollout(scene), truncated
 
 
 def _advance(
@@ -184,22 +184,27 @@ def _advance(
     bucket = max(1, -(-pop // BUCKETS))
     for time in range(records):
         worlds.step(progress.every)
-        qpos, qvel, qacc, overflow = worlds.read()
+        qpos, qvel, qacc, overflow = worlds.read(moving=progress.rule is not None)
         if (overflow & worlds.SHARED).any():
             return truncated, True
         mine = np.searchsorted(rows, progress.active)
-        qpos, qvel, qacc, overflow = (x[mine] for x in (qpos, qvel, qacc, overflow))
+        if len(mine) < len(rows):
+            qpos, qvel, qacc, overflow = (
+                None if x is None else x[mine] for x in (qpos, qvel, qacc, overflow)
+            )
         short = (overflow & worlds.OWN) != 0
         truncated[progress.active[short]] = True
-        failed = not np.isfinite(qpos).all()
-        on = progress.record(time, qpos, qvel, qacc)
-        on &= ~short
+        before = np.count_nonzero(progress.status == RolloutStatus.FAILED)
+        on = progress.record(time, qpos, qvel, qacc) & ~short
+        failed = np.count_nonzero(progress.status == RolloutStatus.FAILED) > before
         progress.active = progress.active[~truncated[progress.active]]
         left = len(progress.active)
-        if left == 0:
+        if left == 0 or time + 1 == records:
             break
         launched = -(-left // bucket) * bucket
         if launched < len(rows) or failed:
+            if qvel is None or qacc is None:
+                _, qvel, qacc, _ = (x[mine] for x in worlds.read())
             # Candidates that run on move to the front; what is beyond them in their last bucket
             # repeats the first of them.
             fill = np.zeros(max(min(launched, len(rows)) - left, 0), int)

@@ -12,6 +12,7 @@ import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from ..errors import EngineError
 from .layout import Layout
@@ -90,6 +91,8 @@ class Worlds:
         # Warp never resets a diverged world, and does not know the flag that says so.
         mjm.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         mjm.opt.iterations = min(mjm.opt.iterations, ITERATIONS)
+        # In MuJoCo Warp this flag means that two boxes meet as in C MuJoCo, by their own algorithm.
+        mjm.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
         self.count = n = capacity.worlds
         self._graphs: dict[int, Any] = {}
         self._source: dict[str, wp.array] = {}
@@ -170,10 +173,17 @@ class Worlds:
             for _ in range(steps):
                 wp.capture_launch(self._graphs[self.count])
 
-    def read(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Fetch qpos, qvel, qacc and the overflow flags of the worlds in use."""
+    def read(
+        self, *, moving: bool = True
+    ) -> tuple[NDArray, NDArray | None, NDArray | None, NDArray]:
+        """Fetch qpos, qvel, qacc and the overflow flags of the worlds in use.
+
+        Args:
+            moving: whether velocities and accelerations are wanted.
+        """
         d, n = self.data, self.count
-        return tuple(x[:n].numpy() for x in (d.qpos, d.qvel, d.qacc_warmstart, d.overflow))
+        qvel, qacc = (x[:n].numpy() if moving else None for x in (d.qvel, d.qacc_warmstart))
+        return d.qpos[:n].numpy(), qvel, qacc, d.overflow[:n].numpy()
 
     def room(self) -> int:
         """Return how many worlds fit into the device's free memory."""
