@@ -218,8 +218,13 @@ def _program(run: RunFolder, photo: Photo, models: Panel, config: Config) -> Non
         for node in tree.nodes
     }
 
+    # Objects are programmed side by side; each is charged the time since the last was done, so that
+    # their sum is the time that passed.
+    mark = time.perf_counter()
+
     async def one(node: TreeNode) -> None:
-        name, begun = f"program/{node.name}", time.perf_counter()
+        nonlocal mark
+        name = f"program/{node.name}"
         if run.finished(name, inputs[node.name]):
             return
         made = await synthesise(
@@ -232,7 +237,7 @@ def _program(run: RunFolder, photo: Photo, models: Panel, config: Config) -> Non
         )
         if made.spec is None:
             raise ProgramError(f"object {node.name}: {made.reason}")
-        with run.step(name, inputs[node.name], begun=begun) as out:
+        with run.step(name, inputs[node.name], begun=mark) as out:
             assert out is not None
             home = out / "objects" / node.name
             home.mkdir(parents=True)
@@ -241,6 +246,7 @@ def _program(run: RunFolder, photo: Photo, models: Panel, config: Config) -> Non
             (home / "program.json").write_text(made.to_json())
             for what, why in made.fallbacks:
                 run.fallback(name, what, why)
+        mark = time.perf_counter()
 
     async def everything() -> None:
         results = await asyncio.gather(*map(one, tree.nodes), return_exceptions=True)
