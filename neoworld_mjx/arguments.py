@@ -177,6 +177,8 @@ class BenchChart(Common):
     """File with what `bench run physics --json` printed."""
     out: Path
     """SVG file to write."""
+    core: bool = False
+    """Draw processor time, which a busy machine does not change."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 from ..errors import ConfigError
 from ..files import write_atomic
 from . import agreement as comparing
-from .growth import growth, growth_svg
+from .growth import Growth, growth, growth_svg
 from .kernels import kernels
 from .machine import machine
 from .physics import PhysicsRow, physics
@@ -37,7 +37,7 @@ def physics_answer(o: Any) -> dict[str, Any]:
     )
     if o.chart is not None:
         _write(o.chart, growth_svg(growth(rows)))
-    return {"machine": about, "rows": _plain(rows), "growth": _exponents(rows)}
+    return {"machine": about, "rows": _plain(rows), "growth": _exponents(growth(rows))}
 
 
 def kernels_answer(o: Any) -> dict[str, Any]:
@@ -67,8 +67,9 @@ def chart_answer(o: Any) -> dict[str, Any]:
         raise ConfigError(f"cannot read {o.rows}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, ValidationError):
         raise ConfigError(f"{o.rows} is not what bench run physics --json prints") from None
-    _write(o.out, growth_svg(growth(rows)))
-    return {"chart": str(o.out), "growth": _exponents(rows)}
+    found = growth(rows, core=o.core)
+    _write(o.out, growth_svg(found, core=o.core))
+    return {"chart": str(o.out), "growth": _exponents(found)}
 
 
 def _told(rows: Iterable[Row]) -> list[Row]:
@@ -89,7 +90,7 @@ def _plain(rows: Iterable[BaseModel]) -> list[dict[str, Any]]:
     return [row.model_dump() for row in rows]
 
 
-def _exponents(rows: Iterable[PhysicsRow]) -> list[dict[str, Any]]:
+def _exponents(found: Iterable[Growth]) -> list[dict[str, Any]]:
     return [
         {
             "label": g.label,
@@ -97,7 +98,7 @@ def _exponents(rows: Iterable[PhysicsRow]) -> list[dict[str, Any]]:
             "cost_ms": g.cost_ms,
             "exponent": None if math.isnan(g.exponent) else g.exponent,
         }
-        for g in growth(rows)
+        for g in found
     ]
 
 

@@ -26,24 +26,38 @@ class Growth(NamedTuple):
     """b of cost = a objects^b, by least squares in the logarithms; nan for a single point."""
 
 
-def growth(rows: Iterable[PhysicsRow]) -> list[Growth]:
+def growth(rows: Iterable[PhysicsRow], *, core: bool = False) -> list[Growth]:
     """Fit a power law to the cost of a candidate, for every engine with and without early stop.
 
-    Of several populations each engine's best rate counts.
+    Of several populations each engine's lowest cost counts.
+
+    Args:
+        rows: of `physics`.
+        core: count processor time in place of time; only `native` and the naive loop have it.
     """
     best: dict[str, dict[int, float]] = {}
     for row in rows:
-        pairs = [(_label(row), row.candidates_per_s), (_LOOP, row.naive_candidates_per_s)]
-        if row.bare_scan_candidates_per_s is not None:
-            pairs.append(("bare scan of mjx.step", row.bare_scan_candidates_per_s))
-        for label, rate in pairs:
-            if rate is not None:
-                costs = best.setdefault(label, {})
-                costs[row.objects] = min(costs.get(row.objects, math.inf), 1e3 / rate)
+        for label, cost in (_core_costs if core else _costs)(row):
+            if cost is not None:
+                known = best.setdefault(label, {})
+                known[row.objects] = min(known.get(row.objects, math.inf), cost)
     return [
         Growth(label, sorted(costs), [costs[n] for n in sorted(costs)], _exponent(costs))
         for label, costs in sorted(best.items())
     ]
+
+
+def _costs(row: PhysicsRow) -> list[tuple[str, float | None]]:
+    cost = lambda rate: None if rate is None else 1e3 / rate
+    return [
+        (_label(row), cost(row.candidates_per_s)),
+        (_LOOP, cost(row.naive_candidates_per_s)),
+        ("bare scan of mjx.step", cost(row.bare_scan_candidates_per_s)),
+    ]
+
+
+def _core_costs(row: PhysicsRow) -> list[tuple[str, float | None]]:
+    return [(_label(row), row.core_ms), (_LOOP, row.naive_core_ms)]
 
 
 def _label(row: PhysicsRow) -> str:
@@ -56,8 +70,13 @@ def _exponent(costs: dict[int, float]) -> float:
     return float(np.polyfit(np.log(list(costs)), np.log(list(costs.values())), 1)[0])
 
 
-def growth_svg(found: Sequence[Growth]) -> str:
-    """Draw cost over objects with both axes logarithmic, as a whole SVG file on white."""
+def growth_svg(found: Sequence[Growth], *, core: bool = False) -> str:
+    """Draw cost over objects with both axes logarithmic, as a whole SVG file on white.
+
+    Args:
+        found: what to draw.
+        core: whether the costs are of processor time.
+    """
     objects = sorted({n for g in found for n in g.objects})
     costs = [c for g in found for c in g.cost_ms]
     parts = [
@@ -77,13 +96,14 @@ def growth_svg(found: Sequence[Growth]) -> str:
             - _BOTTOM
             - (_HEIGHT - _TOP - _BOTTOM) * (math.log10(c) - low) / max(high - low, 1)
         )
-        parts += _axes(objects, low, max(high, low + 1), px, py)
+        what = "processor time" if core else "time"
+        parts += _axes(f"{what} of a candidate [ms]", objects, low, max(high, low + 1), px, py)
         for k, g in enumerate(found):
             parts += _curve(g, _COLOURS[k % len(_COLOURS)], k, px, py)
     return "".join(parts) + "</svg>\n"
 
 
-def _axes(objects: list[int], low: int, high: int, px, py) -> list[str]:
+def _axes(label: str, objects: list[int], low: int, high: int, px, py) -> list[str]:
     parts = []
     for power in range(low, high + 1):
         y = py(10.0**power)
@@ -100,7 +120,7 @@ def _axes(objects: list[int], low: int, high: int, px, py) -> list[str]:
         f'<text x="{(_WIDTH - _RIGHT + _LEFT) / 2}" y="{_HEIGHT - 12}" text-anchor="middle">'
         "objects</text>"
         f'<text transform="translate(18 {middle}) rotate(-90)" text-anchor="middle">'
-        "time of a candidate [ms]</text>"
+        f"{label}</text>"
     )
     return parts
 

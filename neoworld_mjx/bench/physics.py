@@ -69,6 +69,10 @@ class PhysicsRow(BaseModel):
     naive_candidates_per_s: float | None = None
     bare_scan_candidates_per_s: float | None = None
     """Of `jax.vmap` over `mjx.step` with the same leaves and nothing else; engine mjx only."""
+    core_ms: float | None = None
+    """Processor time of a candidate [ms], all threads together; engine native only. Where others use
+    the machine it stays what it is, and the rates do not."""
+    naive_core_ms: float | None = None
     compile_s: float | None = None
     """First rollout less a steady one: tracing, compiling, filling caches."""
     first_s: float | None = None
@@ -103,6 +107,8 @@ class Measured(BaseModel):
 
     first_s: float
     steady_s: list[float]
+    core_s: list[float]
+    """Processor time of each steady rollout."""
     bare_scan_s: list[float] = []
     mean_steps: float
     failed_share: float
@@ -169,6 +175,7 @@ def _row(task: Task, naive: Loop, *, apart: bool) -> PhysicsRow:
         early_stop=task.early_stop,
         naive_candidates_per_s=naive.candidates_per_s,
         single_thread_steps_per_s=naive.steps_per_s,
+        naive_core_ms=1e3 * naive.cpu_s / len(naive.motion),
     )
     found = _in_a_process(task) if apart else measure(task)
     if isinstance(found, str):
@@ -194,7 +201,9 @@ def _row(task: Task, naive: Loop, *, apart: bool) -> PhysicsRow:
         return row.model_copy(update={**checked, **late})
     steady = float(np.median(found.steady_s))
     bare = float(np.median(found.bare_scan_s)) if found.bare_scan_s else None
+    core = 1e3 * float(np.median(found.core_s)) / task.population
     rates = {
+        "core_ms": core if task.engine == "native" else None,
         "candidates_per_s": task.population / steady,
         "bare_scan_candidates_per_s": None if bare is None else task.population / bare,
         "compile_s": max(found.first_s - steady, 0.0),
@@ -251,12 +260,14 @@ def measure(task: Task) -> Measured | str:
     except EngineError as error:
         return f"skipped: {error}"
     steady: list[float] = []
+    core: list[float] = []
     others = Others()
     left = lambda: task.budget_s - (time.perf_counter() - began)
     while len(steady) < REPEATS and left() > (steady[-1] if steady else 0.0):
-        t0 = time.perf_counter()
+        t0, c0 = time.perf_counter(), time.process_time()
         rollout = once()
         steady.append(time.perf_counter() - t0)
+        core.append(time.process_time() - c0)
     disturbed = others.cores()
     moved = motion(scene, rollout)
     host, device = peak_mib()
@@ -266,6 +277,7 @@ def measure(task: Task) -> Measured | str:
     return Measured(
         first_s=first,
         steady_s=steady,
+        core_s=core,
         bare_scan_s=bare,
         mean_steps=float(np.mean(rollout.steps)),
         failed_share=float(np.mean(np.asarray(rollout.status) == RolloutStatus.FAILED)),

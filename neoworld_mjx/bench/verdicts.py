@@ -40,6 +40,8 @@ class Loop(NamedTuple):
     """Time that each candidate took to compile."""
     step_s: Float[np.ndarray, " some"]
     """Time that each took to simulate."""
+    cpu_s: float
+    """Processor time of compiling and simulating all of them."""
     steps: int
     """Simulated steps of one candidate."""
 
@@ -79,20 +81,21 @@ def naive_loop(
     timestep = scene.host.mjm.opt.timestep
     records, every = record_steps(timestep, duration, record_every)
     found: list[float] = []
-    compiling, stepping = [], []
+    compiling, stepping, cpu = [], [], 0.0
     began = time.perf_counter()
     for k in range(poses.scale.shape[0]):
         if found and time.perf_counter() - began > budget:
             break
         spec = to_mjspec(scene.apply(layouts, k, poses), timestep=timestep)
-        t0 = time.perf_counter()
+        t0, c0 = time.perf_counter(), time.thread_time()
         model, data = started(spec)
         t1 = time.perf_counter()
         path = _walk(model, data, records, every)
         stepping.append(time.perf_counter() - t1)
+        cpu += time.thread_time() - c0
         compiling.append(t1 - t0)
         found.append(_farthest(model, path))
-    return Loop(np.array(found), np.array(compiling), np.array(stepping), records * every)
+    return Loop(np.array(found), np.array(compiling), np.array(stepping), cpu, records * every)
 
 
 def started(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
