@@ -39,7 +39,7 @@ class PairDepthTuning:
     block: int = 256
     """Candidates a program works on; a thread holds block / 128 of them."""
     unroll: int = 8
-    """Samples a loop iteration works on; half as many for solids with planes."""
+    """Samples a loop iteration works on."""
     fused: bool = True
     """Whether one kernel takes all kinds of solids, rather than one each."""
 
@@ -115,7 +115,7 @@ class _Pieces(NamedTuple):
     first: Int[Array, " bound"]
     """Index of each object's first piece; one more entry for the end."""
     table: Float[Array, "piece column"]
-    """pos 3, rot 9 by rows, size 3, then 4 a plane."""
+    """pos 3, rot 9 by rows, size 3, 1 spare so that planes are aligned, then 4 a plane."""
     faces: int
 
 
@@ -127,7 +127,8 @@ def _pieces(solids: Solids, count: int) -> list[_Pieces]:
             continue
         order = jnp.argsort(group.owner)
         first = jnp.searchsorted(group.owner[order], jnp.arange(count + 1)).astype(jnp.int32)
-        columns = [group.pos, group.rot.reshape(n, 9), group.size, group.planes.reshape(n, -1)]
+        columns = [group.pos, group.rot.reshape(n, 9), group.size, jnp.zeros((n, 1))]
+        columns.append(group.planes.reshape(n, -1))
         table = jnp.concatenate(columns, axis=1)[order].astype(jnp.float32)
         found.append(_Pieces(kind, first, table, group.planes.shape[1]))
     return found
@@ -229,7 +230,9 @@ def _on_hopper(body: Callable, grid: tuple[int, ...], shape: Any) -> Callable:
         out_type=shape,
         grid=grid,
         grid_names=names,
-        compiler_params=plgpu.CompilerParams(approx_math=True),
+        compiler_params=plgpu.CompilerParams(
+            approx_math=True, lowering_semantics=plgpu.LoweringSemantics.Lane
+        ),
     )
 
 
@@ -278,7 +281,7 @@ def _pair_depth_kernel(
                 table_ref: Any = table_ref,
             ) -> Array:
                 p = [table_ref[k, c] for c in range(15)]
-                plane = lambda f, c: table_ref[k, 15 + 4 * f + c]
+                plane = lambda f, c: table_ref[k, 16 + 4 * f + c]
                 own = [shift[r] - p[r] for r in range(3)]
                 move = [
                     (
@@ -288,14 +291,13 @@ def _pair_depth_kernel(
                     for r in range(3)
                 ]
                 at = lambda x: [
-                    row[0] * x[0] + row[1] * x[1] + row[2] * x[2] + end for row, end in move
+                    ((end + row[0] * x[0]) + row[1] * x[1]) + row[2] * x[2] for row, end in move
                 ]
                 near = _bound(kind, at(centre), p[12:15], plane, faces)
 
                 def deepest(depth: Array) -> Array:
                     # Constant last indices keep address arithmetic out of the loop.
                     granules = tuning.unroll // GRANULE
-                    granules = max(1, granules // 2) if faces else granules
 
                     def some(s: Array, best: Array) -> Array:
                         local = [
@@ -365,7 +367,7 @@ def _depths(
     def one(f: Array, far: tuple[Array, ...]) -> tuple[Array, ...]:
         a, b, c, d = (plane(f, k) for k in range(4))
         return tuple(
-            jnp.minimum(value, d - (a * x + b * y + c * z))
+            jnp.minimum(value, ((d - a * x) - b * y) - c * z)
             for value, (x, y, z) in zip(far, local, strict=True)
         )
 
