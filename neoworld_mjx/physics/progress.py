@@ -1,12 +1,14 @@
 """Book-keeping of a population that is rolled out in segments: what was recorded, who has stopped."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
-from .engine import EarlyStop, Rollout, RolloutStatus
+from .engine import EarlyStop, Rollout, RolloutStatus, quiet
 from .layout import Poses
 from .model import FREE, Host, SceneModel
 from .native import drift
@@ -32,6 +34,7 @@ class Progress:
         """
         m = host.mjm
         self.every, self.rule, self.timestep = every, rule, float(m.opt.timestep)
+        self.lever = host.lever
         self.start = start
         pop = start.scale.shape[0]
         self.qpos = np.zeros((records, pop, m.nq), np.float32)
@@ -68,7 +71,7 @@ class Progress:
             A mask [active] of the rows that run on.
         """
         # Comparisons with NaN are false.
-        sound = (np.abs(qpos) < DIVERGED).all(axis=1)
+        sound: Any = (np.abs(qpos) < DIVERGED).all(axis=1)
         rows = self.active[sound]
         if sound.all():
             self.qpos[time, rows] = qpos
@@ -80,16 +83,14 @@ class Progress:
         if self.rule is None or qvel is None or qacc is None or not len(rows):
             return sound
         on = sound.copy()
-        on[sound] = self._going(time, qpos[sound], np.abs(qvel[sound]), np.abs(qacc[sound]))
+        on[sound] = self._going(time, qpos[sound], qvel[sound], qacc[sound])
         return on
 
-    def _going(self, time: int, qpos: NDArray, speed: NDArray, acceleration: NDArray) -> NDArray:
+    def _going(self, time: int, qpos: NDArray, qvel: NDArray, qacc: NDArray) -> NDArray:
         rule, rows = self.rule, self.active
         assert rule is not None
-        quiet = (speed.max(axis=1, initial=0) < rule.speed) & (
-            acceleration.max(axis=1, initial=0) < rule.acceleration
-        )
-        self.calm[rows] = np.where(quiet, self.calm[rows] + 1, 0)
+        still = quiet(rule, self.lever, qvel, qacc)
+        self.calm[rows] = np.where(still, self.calm[rows] + 1, 0)
         settled = (self.calm[rows] >= 2) & ((time + 1) * self.every * self.timestep >= rule.after)
         seven = qpos[:, self.address]
         far, turned = drift(seven[..., :3], seven[..., 3:], self.pos0[rows], self.quat0[rows])
@@ -102,7 +103,8 @@ class Progress:
 
     def rollout(self, scene: SceneModel) -> Rollout:
         """Return what was recorded; a candidate's last pose stands for the rest of the time."""
-        pos, quat = _poses(scene, self.start, self.qpos, self.last)
+        recorded, last = jnp.asarray(self.qpos), jnp.asarray(self.last)
+        pos, quat = _poses(scene, self.start, recorded, last)
         return Rollout(
             time=jnp.arange(1, len(self.qpos) + 1) * self.every * self.timestep,
             pos=pos,
