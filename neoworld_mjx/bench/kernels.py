@@ -3,24 +3,26 @@
 One row an implementation: what runs everywhere is timed everywhere, the others say why they do not.
 """
 
-import inspect
+import functools
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import neoworld_kernels
 import numpy as np
 from jaxtyping import Array, Float
-from neoworld_kernels import Solids, pair_depth_reference
+from neoworld_kernels import Solids, pair_depth, pair_depth_culled, pair_depth_reference
 from pydantic import BaseModel, ConfigDict
 
+from ..errors import EngineError
 from ..physics.layout import Poses, rotation
 from ..physics.model import SceneModel, compile_scene
 from .scenes import Noise, crowded, noisy_layouts
 
 REPEATS = 7
+CALLS = 10
+"""Calls in a row that one time is taken of, so that a device is not left waiting for the host."""
 TOLERANCE = 1e-5
 """Largest difference from the reference [m] that a row may have and still give its time."""
 
@@ -54,16 +56,40 @@ class KernelRow(BaseModel):
 
 
 def implementations() -> dict[str, Depth]:
-    """Return every `pair_depth*` of neoworld_kernels that takes the reference's arguments."""
-    wanted = list(inspect.signature(pair_depth_reference).parameters)
-    found: dict[str, Any] = {"pair_depth_reference": pair_depth_reference}
-    for name in sorted(neoworld_kernels.__all__):
-        value = getattr(neoworld_kernels, name)
-        if not (name.startswith("pair_depth") and callable(value)):
-            continue
-        if list(inspect.signature(value).parameters)[: len(wanted)] == wanted:
-            found.setdefault(name, value)
-    return found
+    """Return the implementations of `pair_depth`, the reference first, the dispatched one last."""
+    return {
+        "jnp": pair_depth_reference,
+        "culled": pair_depth_culled,
+        "pallas": functools.partial(pair_depth, impl="pallas"),
+        "auto": pair_depth,
+    }
+
+
+def dispatch(rows: Sequence[KernelRow]) -> dict[str, Any]:
+    """Return the entry of `penetration_measured.json` that these rows call for.
+
+    The kernel is taken from the smallest amount of work (candidates times objects times samples
+    times pieces) on from which it was faster in every row, over all objects that were measured.
+
+    Raises:
+        EngineError: no row timed both implementations.
+    """
+    times = {}
+    for row in rows:
+        if row.ms is not None:
+            work = row.population * row.objects * row.samples * row.pieces
+            times.setdefault((work, row.population, row.objects), {})[row.implementation] = row.ms
+    both = [
+        {"objects": objects, "population": population, "work": work, "jnp_ms": t["jnp"]}
+        | {"pallas_ms": t["pallas"]}
+        for (work, population, objects), t in sorted(times.items())
+        if {"jnp", "pallas"} <= t.keys()
+    ]
+    if not both:
+        raise EngineError("no size was timed with both jnp and pallas; run this on an NVIDIA GPU")
+    slower = [row["work"] for row in both if row["pallas_ms"] >= row["jnp_ms"]]
+    faster = [row["work"] for row in both if row["work"] > max(slower, default=0)]
+    return {"pallas_from": min(faster) if faster else None, "jax": jax.__version__, "rows": both}
 
 
 def kernels(
@@ -91,7 +117,7 @@ def kernels(
             reference: tuple[Array, float] | None = None
             for name, depth in implementations().items():
                 row, found = _row(name, depth, scene, poses, samples, reference, budget)
-                if name == "pair_depth_reference" and found is not None and row.ms is not None:
+                if name == "jnp" and found is not None and row.ms is not None:
                     reference = (found, row.ms)
                 yield row
 
@@ -141,14 +167,14 @@ def _row(
 
 
 def _timed(call: Any, where: tuple[Array, ...], budget: float) -> tuple[Any, float, float]:
-    """Return the result, the seconds that the first call took more, and the median call [ms]."""
+    """Return the result, the seconds that the first call took more, and a call's median time [ms]."""
     began = time.perf_counter()
     found = jax.block_until_ready(call(*where))
     first = time.perf_counter() - began
     times: list[float] = []
     while len(times) < REPEATS and (not times or time.perf_counter() - began < budget):
         t0 = time.perf_counter()
-        jax.block_until_ready(call(*where))
-        times.append(time.perf_counter() - t0)
+        jax.block_until_ready([call(*where) for _ in range(CALLS)])
+        times.append((time.perf_counter() - t0) / CALLS)
     steady = float(np.median(times))
     return found, max(first - steady, 0.0), 1e3 * steady

@@ -1,0 +1,254 @@
+"""Deepest penetration as one Pallas kernel, for NVIDIA GPUs from Hopper on."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.experimental import pallas as pl
+from jaxtyping import Array, Float, Int
+
+from .rough import bound, depths, finished
+from .solids import Solids
+
+GRANULE = 4
+"""Samples that lie side by side in memory."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PairDepthTuning:
+    """How the kernel is cut up."""
+
+    block: int = 256
+    """Candidates a program works on; a thread holds block / 128 of them."""
+    unroll: int = 8
+    """Samples a loop iteration works on."""
+    fused: bool = True
+    """Whether one kernel takes all kinds of solids, rather than one each."""
+
+    def __post_init__(self) -> None:
+        """Check the cut.
+
+        Raises:
+            ValueError: block is no multiple of 128, or unroll none of 8.
+        """
+        if self.block < 128 or self.block % 128:
+            raise ValueError(f"block must be a positive multiple of 128, got {self.block}")
+        if self.unroll < 8 or self.unroll % 8:
+            raise ValueError(f"unroll must be a positive multiple of 8, got {self.unroll}")
+
+
+class _Pieces(NamedTuple):
+    """One kind's pieces, in the order of their owners."""
+
+    kind: str
+    first: Int[Array, " bound"]
+    """Index of each object's first piece; one more entry for the end."""
+    table: Float[Array, "piece column"]
+    """pos 3, rot 9 by rows, size 3, 1 spare so that planes are aligned, then 4 a plane."""
+    faces: int
+
+
+def _pieces(solids: Solids, count: int) -> list[_Pieces]:
+    found = []
+    for kind, group in zip(Solids._fields, solids, strict=True):
+        n = group.owner.shape[0]
+        if n == 0:
+            continue
+        order = jnp.argsort(group.owner)
+        first = jnp.searchsorted(group.owner[order], jnp.arange(count + 1)).astype(jnp.int32)
+        columns = [group.pos, group.rot.reshape(n, 9), group.size, jnp.zeros((n, 1))]
+        columns.append(group.planes.reshape(n, -1))
+        table = jnp.concatenate(columns, axis=1)[order].astype(jnp.float32)
+        found.append(_Pieces(kind, first, table, group.planes.shape[1]))
+    return found
+
+
+def pair_depth_kernel(
+    pos: Float[Array, "pop object 3"],
+    rot: Float[Array, "pop object 3 3"],
+    scale: Float[Array, "pop object"],
+    samples: Float[Array, "object sample 3"],
+    solids: Solids,
+    *,
+    tuning: PairDepthTuning | None = None,
+    interpret: bool = False,
+) -> Float[Array, "pop object object"]:
+    """Compute what `pair_depth_reference` does, in one Pallas kernel.
+
+    A program takes a block of candidates, one to a lane, and one ordered pair of objects. It
+    composes the motion from i's frame into each of j's pieces once, culls the piece if i's bounding
+    sphere is outside of it for the whole block, and else runs through the samples, which all lanes
+    share. Nothing but poses is read per candidate and nothing but depths is written.
+
+    Args:
+        pos: object origins in the world [m].
+        rot: object rotations.
+        scale: isotropic scale of each object about its origin.
+        samples: surface points in object frames at scale 1 [m].
+        solids: convex pieces in object frames at scale 1.
+        tuning: how the work is cut up.
+        interpret: run it on any device, slowly; for tests.
+    """
+    t = tuning or PairDepthTuning()
+    pop, count = scale.shape
+    blocks = -(-pop // t.block)
+    groups = _pieces(solids, count)
+    if not groups or pop == 0 or count == 0:
+        return jnp.zeros((pop, count, count), jnp.float32)
+    # A pose is 13 rows: rotation by rows, position, scale.
+    pose = jnp.concatenate([rot.reshape(pop, count, 9), pos, scale[..., None]], axis=-1)
+    pose = jnp.pad(pose, ((0, blocks * t.block - pop), (0, 0), (0, 0)), mode="edge")
+    pose = jnp.transpose(pose, (1, 2, 0)).astype(jnp.float32)
+    points, sphere = _padded(samples, t.unroll)
+    shape = jax.ShapeDtypeStruct((count, count, blocks * t.block), jnp.float32)
+    launch = _interpreted if interpret else _on_hopper
+    found = []
+    for some in [groups] if t.fused else [[g] for g in groups]:
+        body = functools.partial(
+            _pair_depth_kernel,
+            kinds=[(g.kind, g.faces) for g in some],
+            samples=points.shape[1] * GRANULE,
+            tuning=t,
+        )
+        tables = [x for g in some for x in (g.first, g.table)]
+        found.append(launch(body, (blocks, count, count), shape)(pose, points, sphere, *tables))
+    depth = functools.reduce(jnp.maximum, found)
+    return jnp.transpose(depth[..., :pop], (2, 0, 1))
+
+
+def _padded(
+    samples: Float[Array, "object sample 3"], unroll: int
+) -> tuple[Float[Array, "object granule 3 four"], Float[Array, "object 4"]]:
+    """Samples in granules, their number a multiple of `unroll`, and their bounding spheres."""
+    spare = -samples.shape[1] % unroll
+    points = jnp.pad(samples, ((0, 0), (0, spare), (0, 0)), mode="edge").astype(jnp.float32)
+    centre = (points.min(axis=1) + points.max(axis=1)) / 2
+    radius = jnp.sqrt(jnp.max(jnp.sum((points - centre[:, None]) ** 2, axis=-1), axis=1))
+    # A hair more, so that rounding never culls what touches.
+    sphere = jnp.concatenate([centre, radius[:, None] * 1.00001 + 1e-6], axis=1)
+    points = points.reshape(len(points), -1, GRANULE, 3)
+    return jnp.swapaxes(points, 2, 3), sphere
+
+
+def _interpreted(body: Callable, grid: tuple[int, ...], shape: Any) -> Callable:
+    def program(*refs: Any) -> None:
+        body(*(pl.program_id(k) for k in range(3)), *refs)
+
+    whole = pl.BlockSpec(memory_space=pl.ANY)
+    return lambda *inputs: pl.pallas_call(
+        program,
+        grid=grid,
+        in_specs=[whole] * len(inputs),
+        out_specs=whole,
+        out_shape=shape,
+        interpret=True,
+    )(*inputs)
+
+
+def _on_hopper(body: Callable, grid: tuple[int, ...], shape: Any) -> Callable:
+    # Mosaic GPU: the Triton backend of Pallas is deprecated.
+    import jax.experimental.pallas.mosaic_gpu as plgpu
+
+    names = ("block", "of", "into")
+
+    def program(*refs: Any) -> None:
+        body(*(lax.axis_index(name) for name in names), *refs)
+
+    return plgpu.kernel(
+        program,
+        out_type=shape,
+        grid=grid,
+        grid_names=names,
+        compiler_params=plgpu.CompilerParams(
+            approx_math=True, lowering_semantics=plgpu.LoweringSemantics.Lane
+        ),
+    )
+
+
+def _pair_depth_kernel(
+    b: Array,
+    i: Array,
+    o: Array,
+    pose_ref: Any,  # [object, 13, pop]
+    points_ref: Any,  # [object, sample / 4, 3, 4]
+    sphere_ref: Any,  # [object, 4]
+    *refs: Any,  # of each kind: first [object + 1], table [piece, column]; last: out [i, o, pop]
+    kinds: list[tuple[str, int]],
+    samples: int,
+    tuning: PairDepthTuning,
+) -> None:
+    out_ref = refs[-1]
+    here = pl.ds(b * tuning.block, tuning.block)
+    out_ref[i, o, here] = jnp.zeros((tuning.block,), jnp.float32)
+
+    @pl.when(i != o)
+    def _() -> None:
+        load = lambda who, row: pose_ref[who, row, here]
+        ri, ro = ([load(who, r) for r in range(9)] for who in (i, o))
+        gap = [load(i, 9 + r) - load(o, 9 + r) for r in range(3)]
+        size = load(o, 12)
+        shrink = 1.0 / size
+        ratio = load(i, 12) * shrink
+        # From i's frame at scale 1 into o's: x -> turn x + shift.
+        turn = [
+            [ratio * sum(ro[3 * k + r] * ri[3 * k + c] for k in range(3)) for c in range(3)]
+            for r in range(3)
+        ]
+        shift = [shrink * sum(ro[3 * k + r] * gap[k] for k in range(3)) for r in range(3)]
+        centre = [sphere_ref[i, c] for c in range(3)]
+        reach = sphere_ref[i, 3] * ratio
+        # Computed zeros have the layout of what is loaded, which loops must keep.
+        depth = size * 0.0
+        for g, (kind, faces) in enumerate(kinds):
+            first_ref, table_ref = refs[2 * g], refs[2 * g + 1]
+
+            def piece(
+                k: Array,
+                depth: Array,
+                kind: str = kind,
+                faces: int = faces,
+                table_ref: Any = table_ref,
+            ) -> Array:
+                p = [table_ref[k, c] for c in range(15)]
+                plane = lambda f, c: table_ref[k, 16 + 4 * f + c]
+                own = [shift[r] - p[r] for r in range(3)]
+                move = [
+                    (
+                        [sum(p[3 + 3 * m + r] * turn[m][c] for m in range(3)) for c in range(3)],
+                        sum(p[3 + 3 * m + r] * own[m] for m in range(3)),
+                    )
+                    for r in range(3)
+                ]
+                at = lambda x: [
+                    ((end + row[0] * x[0]) + row[1] * x[1]) + row[2] * x[2] for row, end in move
+                ]
+                near = bound(kind, at(centre), p[12:15], plane, faces)
+
+                def deepest(depth: Array) -> Array:
+                    # Constant last indices keep address arithmetic out of the loop.
+                    granules = tuning.unroll // GRANULE
+
+                    def some(s: Array, best: Array) -> Array:
+                        local = [
+                            at([points_ref[i, s * granules + g, c, u] for c in range(3)])
+                            for g in range(granules)
+                            for u in range(GRANULE)
+                        ]
+                        for value in depths(kind, local, p[12:15], plane, faces):
+                            best = jnp.maximum(best, value)
+                        return best
+
+                    low = size * 0.0 - 1e6
+                    best = lax.fori_loop(0, samples // (granules * GRANULE), some, low)
+                    return jnp.maximum(depth, finished(kind, best, p[12:15]) * size)
+
+                # A pose that is not a number counts as touching: its own depth then is none either.
+                touched = jnp.max(jnp.where(near >= reach, 0.0, 1.0)) > 0.0
+                return lax.cond(touched, deepest, lambda depth: depth, depth)
+
+            depth = lax.fori_loop(first_ref[o], first_ref[o + 1], piece, depth)
+        out_ref[i, o, here] = depth

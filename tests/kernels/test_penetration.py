@@ -1,0 +1,238 @@
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from neoworld_kernels import (
+    Group,
+    Solids,
+    culled,
+    pair_depth,
+    pair_depth_culled,
+    pair_depth_reference,
+    penetration,
+)
+from scipy.spatial.transform import Rotation
+
+from neoworld_mjx.bench.penetration import KINDS, accuracy, random_pairs
+from neoworld_mjx.bench.scenes import crowded, noisy_layouts, single
+from neoworld_mjx.physics.layout import rotation
+from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.physics.solids import solids, surface_samples
+from neoworld_mjx.spec import Box, Capsule, Cylinder, Ellipsoid, Lathe, Mesh, SceneObject, Sphere
+
+CORNERS = ((0.0, 0.0, 0.04), (0.03, 0.0, -0.02), (-0.02, 0.03, -0.02), (-0.02, -0.03, -0.02))
+SHAPES = {
+    "box": Box(size=(0.06, 0.05, 0.04)),
+    "capsule": Capsule(radius=0.015, length=0.06),
+    "sphere": Sphere(radius=0.03),
+    "cylinder": Cylinder(radius=0.025, height=0.05),
+    "ellipsoid": Ellipsoid(radii=(0.02, 0.03, 0.04)),
+    "polytope": Mesh(vertices=CORNERS, faces=((0, 1, 2), (0, 2, 3), (0, 3, 1), (1, 3, 2))),
+    "sector": Lathe(profile=((0.0, 0.0), (0.03, 0.0), (0.035, 0.05)), thickness=0.006),
+}
+POP = 70
+
+
+class Mixed(NamedTuple):
+    """One object of each kind of solid, in random poses that overlap."""
+
+    where: tuple[jax.Array, jax.Array, jax.Array]
+    samples: jax.Array
+    solids: Solids
+    run: dict[str, Callable]
+    """Depths, and the gradient of `weight` times them by poses; by `jnp` of some kinds only."""
+    weight: jax.Array
+    truth: np.ndarray
+    """Depths by the reference."""
+
+
+@pytest.fixture(scope="module")
+def mixed():
+    tilted = (0.8, 0.36, 0.48, 0.0)
+    items = tuple(
+        SceneObject(name=kind, spec=single(kind, (shape, (0.005, 0.0, 0.01), tilted)))
+        for kind, shape in SHAPES.items()
+    )
+    samples = jnp.stack([surface_samples(item, 50) for item in items])
+    found = solids(items)
+    assert all(len(group.owner) for group in found), "every kind occurs"
+    rng = np.random.default_rng(0)
+    shape = (POP, len(items))
+    turns = Rotation.from_quat(rng.normal(size=(POP * len(items), 4))).as_matrix()
+    rows = rng.normal(0, 0.035, (*shape, 3)), turns.reshape(*shape, 3, 3)
+    where = [jnp.asarray(x, jnp.float32) for x in (*rows, rng.uniform(0.7, 1.4, shape))]
+    weight = jnp.asarray(rng.uniform(0.5, 1.5, (*shape, len(items))), jnp.float32)
+
+    def run(depth, among):
+        def total(where):
+            told = depth(*where, samples, among)
+            return jnp.sum(weight * told), told
+
+        both = jax.jit(jax.value_and_grad(total, has_aux=True))
+
+        def call(*where):
+            (_, told), grad = both(where)
+            return np.asarray(told), [np.asarray(g) for g in grad]
+
+        return call
+
+    reference = jax.jit(pair_depth_reference)
+    # Reverse mode through the whole reference takes long to compile; solids differ in `distance` only,
+    # which the culled one differentiates of all kinds.
+    some = without(found, "cylinder", "ellipsoid", "polytope", "sector")
+    runs = {"jnp": run(pair_depth_reference, some), "culled": run(pair_depth_culled, found)}
+    truth = np.asarray(reference(*where, samples, found))
+    return Mixed(tuple(where), samples, found, runs, weight, truth)
+
+
+def without(found, *kinds):
+    drop = lambda group: Group(*(x[:0] for x in group))
+    return found._replace(**{kind: drop(getattr(found, kind)) for kind in kinds})
+
+
+@pytest.fixture(scope="module")
+def pairs():
+    return random_pairs(10_000, each=5)
+
+
+def test_deep_overlaps_are_found_and_ranked_as_mujoco_ranks_them(pairs):
+    rows = accuracy(pairs)
+    total = rows[0]
+    assert total.pairs == 10_000 and len(rows) == 1 + len(KINDS) * (len(KINDS) + 1) // 2
+    assert total.touching > 4000 and total.deep > 2500
+    assert total.missed_deep <= 0.02
+    assert total.spearman >= 0.95
+    assert total.false == 0, "nothing that MuJoCo calls apart"
+    for row in rows:
+        assert row.deep > 40 and row.missed_deep <= 0.02, row
+        assert row.spearman >= 0.9, row
+
+
+@pytest.mark.parametrize("impl", ["jnp", "culled"])
+def test_gradient_is_that_of_finite_differences(mixed, impl):
+    pos, rot, scale = mixed.where
+    weight, run = np.asarray(mixed.weight), mixed.run[impl]
+    cost = lambda *where: np.sum(weight * run(*where)[0], axis=(1, 2), dtype=float)
+    _, grad = run(*mixed.where)
+    rng = np.random.default_rng(2)
+    way = rng.normal(size=pos.shape), rng.normal(size=pos.shape), rng.normal(size=scale.shape)
+    way = [
+        w / np.linalg.norm(w.reshape(POP, -1), axis=1).reshape(-1, *(1,) * (w.ndim - 1))
+        for w in way
+    ]
+    # Turning by a small vector adds its cross products with the axes.
+    turned = np.cross(way[1][..., None, :], np.swapaxes(rot, -1, -2))
+    moves = {
+        "pos": (2e-4, (way[0], 0.0 * rot, 0.0 * scale)),
+        "rot": (5e-3, (0.0 * pos, np.swapaxes(turned, -1, -2), 0.0 * scale)),
+        "scale": (5e-3, (0.0 * pos, 0.0 * rot, way[2])),
+    }
+    for name, (step, move) in moves.items():
+        told = sum((g * m).reshape(POP, -1).sum(axis=1) for g, m in zip(grad, move, strict=True))
+        low, mid, high = (
+            cost(*(x + k * step * m for x, m in zip(mixed.where, move, strict=True)))
+            for k in (-1.0, 0.0, 1.0)
+        )
+        size = np.abs(told).max()
+        # A kink is where the differences to both sides do not agree.
+        even = np.abs((high - mid) - (mid - low)) / step < 0.02 * size
+        assert even.mean() > 0.4, name
+        assert np.abs((high - low) / (2 * step) - told)[even].max() < 0.02 * size, name
+        assert (np.abs(told) > 0.05 * size)[even].mean() > 0.5, "most candidates overlap"
+
+
+def test_interpreted_kernel_agrees_with_the_reference(mixed):
+    kernel = jax.jit(lambda *x: pair_depth(*x, impl="pallas", interpret=True))
+    told = np.asarray(kernel(*mixed.where, mixed.samples, mixed.solids))
+    assert np.abs(told - mixed.truth).max() <= 1e-5
+    met = (mixed.truth > 1e-3).mean(axis=0) + np.eye(len(SHAPES))
+    assert met.min() > 0.05, "all meet each other"
+
+
+def test_culled_agrees_with_the_reference_on_all_kinds(mixed):
+    told, _ = mixed.run["culled"](*mixed.where)
+    assert np.abs(told - mixed.truth).max() <= 1e-6
+
+
+def test_culled_agrees_in_slabs_and_small_chunks(mixed, monkeypatch):
+    few = mixed.samples[:, :7]
+    found = without(mixed.solids, "capsule", "cylinder", "ellipsoid", "sector")
+    truth = jax.jit(pair_depth_reference)(*mixed.where, few, found)
+    assert (truth > 0).mean() > 0.02
+    for name, value in (("SLAB", 32), ("CHUNK", 256), ("BLOCK", 3)):
+        monkeypatch.setattr(culled, name, value)
+    told = jax.jit(lambda *x: pair_depth_culled(*x))(*mixed.where, few, found)
+    assert np.abs(np.asarray(told - truth)).max() <= 1e-6
+
+
+def test_culled_agrees_with_the_reference_on_a_crowded_scene():
+    scene = compile_scene(crowded(3))
+    poses = jax.jit(lambda x: scene.place(x))(noisy_layouts(scene, 64))
+    where = (poses.pos, rotation(poses.quat), poses.scale, scene.samples, scene.solids)
+    told = np.asarray(jax.jit(pair_depth_culled)(*where))
+    truth = np.asarray(jax.jit(pair_depth_reference)(*where))
+    assert np.abs(told - truth).max() <= 1e-6
+    assert (truth > 0).sum() > 50
+
+
+def test_a_lost_pose_makes_its_own_depths_nan_and_no_other(mixed):
+    pos, rot, scale = mixed.where
+    depth = mixed.run["culled"]
+    sound, _ = depth(pos, rot, scale)
+    lost, grad = depth(pos.at[2, 1, 0].set(jnp.nan), rot, scale.at[4, 0].set(jnp.inf))
+    hit = np.zeros(lost.shape, bool)
+    hit[2, 1, :] = hit[2, :, 1] = hit[4, 0, :] = hit[4, :, 0] = True
+    assert np.isnan(lost[hit]).all()
+    assert np.array_equal(lost[~hit], sound[~hit])
+    others = np.delete(np.arange(POP), [2, 4])
+    assert all(np.isfinite(g[others]).all() for g in grad)
+
+
+def test_a_gradient_is_a_number_where_there_is_none(mixed):
+    """Concentric solids with parallel axes, where norms and angles have no derivative."""
+    pos, rot, scale = (jnp.asarray(x) for x in mixed.where)
+    told, grad = mixed.run["culled"](
+        0 * pos, jnp.broadcast_to(jnp.eye(3), rot.shape), 0 * scale + 1
+    )
+    assert (told[0] > 0.001).sum() > 30
+    assert all(np.isfinite(g).all() for g in grad)
+
+
+def test_nothing_to_look_at_is_no_depth(mixed):
+    none = without(mixed.solids, *Solids._fields)
+    assert not np.asarray(pair_depth_culled(*mixed.where, mixed.samples, none)).any()
+    nobody = [x[:0] for x in mixed.where]
+    assert pair_depth_culled(*nobody, mixed.samples, mixed.solids).shape == (0, 7, 7)
+
+
+def test_the_fastest_is_chosen_by_device_and_size(mixed, monkeypatch):
+    pieces = sum(len(group.owner) for group in mixed.solids)
+    choose = lambda pop: penetration.choose(pop, 7, 50, mixed.solids)
+    turn = -(-penetration.CULLED_FROM // (7 * 50 * pieces))
+    assert [choose(turn - 1), choose(turn), choose(1)] == ["jnp", "culled", "jnp"]
+
+    class Device:
+        device_kind = "Measured"
+
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(jax, "devices", lambda: [Device()])
+    assert choose(10**6) == "jnp", "a GPU that was not measured"
+    least = {"pallas_from": 8 * 7 * 50 * pieces}
+    monkeypatch.setitem(penetration.MEASURED["devices"], "Measured", least)
+    assert [choose(7), choose(8)] == ["jnp", "pallas"]
+    monkeypatch.setitem(penetration.MEASURED["devices"], "Measured", {"pallas_from": None})
+    assert choose(10**6) == "jnp"
+    monkeypatch.setattr(jax, "default_backend", lambda: "tpu")
+    assert choose(10**6) == "jnp"
+
+
+def test_auto_takes_what_was_chosen(mixed, monkeypatch):
+    taken = []
+    monkeypatch.setattr(penetration, "pair_depth_culled", lambda *_: taken.append("culled"))
+    monkeypatch.setattr(penetration, "pair_depth_reference", lambda *_: taken.append("jnp"))
+    for pop in (1, POP):
+        pair_depth(*(x[:pop] for x in mixed.where), mixed.samples, mixed.solids)
+    assert taken == ["jnp", "culled"]
