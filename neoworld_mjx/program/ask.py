@@ -1,5 +1,6 @@
 """What models are asked about an object: to write its program, to mend it, to judge pictures of it."""
 
+import math
 from collections.abc import Sequence
 from functools import cache
 from importlib import resources
@@ -10,8 +11,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from ..config import ProgramOptions
 from ..mllm import Picture, Request
 from ..spec import TreeNode
+from ..spec.pose import rotate
 from .signals import Signal
 
+LEAST_TILT_DEG = 1.0
 Score = Annotated[float, Field(ge=0, le=10)]
 
 
@@ -56,12 +59,19 @@ ASK = """Write the program of this object.
 name: {name}
 what it is: {label}
 described as: {description}
-measured box at rest, all joints at 0: {x:.3f} m (x, front to back) by {y:.3f} m (y) by {z:.3f} m (z, up)
+measured box{opened}: {x:.3f} m (x, front to back) by {y:.3f} m (y) by {z:.3f} m (z, up)
 moving parts seen: {moving}
-{seen}
+{posed}{seen}
 The picture "crop" is cut out of the photo around the object; grey frames in it mark neighbours, which are
 no part of it.
 """
+OPENED = (
+    ", with {parts} as in the photo (draw it closed, so that opened like that it fills this box)"
+)
+TILTED = (
+    "In the photo it is turned over: {way}. Box and axes are those of the thing as it stands: draw it "
+    "upright.\n"
+)
 HIDDEN = "In the crop it is {note}: complete it as such things are."
 WHOLE = "It is seen whole, without anything in front of it."
 MEND = """{ask}
@@ -83,9 +93,10 @@ Moving parts seen in the photo: {moving}.
 
 The made one measures {x:.3f} by {y:.3f} by {z:.3f} m (front to back, across, up). Its parts: {parts}.
 Its joints: {joints}.
-{scope}
+{posed}{scope}
 Judge it.
 """
+LEANS = "In the crop it is turned over: {way}. The pictures of the made one show it upright.\n"
 NO_ARTICULATION = "Leave `articulation` out of account: give it 10 and list no faults of it.\n"
 NO_GEOMETRY = (
     "Leave `geometry` and `colour` out of account: give them 10, list no faults of them.\n"
@@ -170,6 +181,7 @@ def judge_request(
         description=node.description,
         moving=_moving(node),
         scope=scope,
+        posed=_posed(node, LEANS),
         x=x,
         y=y,
         z=z,
@@ -202,6 +214,8 @@ def _ask(subject: Subject) -> str:
         y=y,
         z=z,
         moving=_moving(node),
+        opened=_opened(node),
+        posed=_posed(node, TILTED),
         seen=HIDDEN.format(note=subject.note) if subject.note else WHOLE,
     )
 
@@ -210,3 +224,20 @@ def _moving(node: TreeNode) -> str:
     if not node.articulation:
         return "none noted"
     return ", ".join(f"{state.part} ({state.type})" for state in node.articulation)
+
+
+def _opened(node: TreeNode) -> str:
+    parts = [f"{part.part} {part.opening:.0%} open" for part in node.articulation if part.opening]
+    return OPENED.format(parts=", ".join(parts)) if parts else ""
+
+
+def _posed(node: TreeNode, words: str) -> str:
+    """Say how a thing that lies or leans is turned; nothing of one that stands."""
+    x, y, z = rotate(node.base_tilt, (0.0, 0.0, 1.0)).tolist()
+    degrees = math.degrees(math.acos(max(-1.0, min(1.0, z))))
+    if degrees < LEAST_TILT_DEG:
+        return ""
+    if degrees > 180 - LEAST_TILT_DEG:
+        return words.format(way="it stands upside down")
+    side = ("front" if x > 0 else "back") if abs(x) >= abs(y) else ("left" if y > 0 else "right")
+    return words.format(way=f"tilted by {degrees:.0f} degrees, its top towards its own {side}")

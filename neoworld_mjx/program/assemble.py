@@ -153,10 +153,14 @@ def _with_losses(joint: S.Joint, authored: dict[str, object], child: Inertial) -
     if joint.type == "prismatic":
         inertia, weight = child.mass, SLIDING_FRICTION * child.mass * GRAVITY
     else:
-        axis = np.array(joint.axis)
         arm = np.array(child.pos) - np.array(joint.pos)
-        arm = arm - (arm @ axis) * axis
-        own = rotate(np.array(child.quat) * [1, -1, -1, -1], axis) ** 2 @ np.array(child.diagonal)
+        if joint.type == "ball":
+            own = max(child.diagonal)  # it turns about any axis: take the slowest
+        else:
+            axis = np.array(joint.axis)
+            arm = arm - (arm @ axis) * axis
+            turned = rotate(np.array(child.quat) * [1, -1, -1, -1], axis)
+            own = turned**2 @ np.array(child.diagonal)
         inertia = float(own) + child.mass * float(arm @ arm)
         # The radius of gyration is the lever, so that a balanced knob holds still too.
         weight = TURNING_FRICTION * child.mass * GRAVITY * math.sqrt(inertia / child.mass)

@@ -158,7 +158,14 @@ def _joints(probe: Probe, options: ProgramOptions) -> list[Signal]:
         child = probe.names.index(joint.child)
         box = probe.extent(child)
         size = float(np.linalg.norm(box[1] - box[0]))
-        if joint.type != "prismatic":
+        if joint.type == "ball":
+            at = np.array(joint.pos)
+            miss = float(np.linalg.norm(np.maximum(np.maximum(box[0] - at, at - box[1]), 0.0)))
+            if miss > AXIS_SLACK * size:
+                hint = "put `at` where the ball sits, on the part that it turns"
+                message = f"the ball lies beside part {joint.child!r}"
+                found.append(_of_joint(joint, "axis_off", message, hint, miss, AXIS_SLACK * size))
+        elif joint.type != "prismatic":
             miss = _line_misses(np.array(joint.pos), np.array(joint.axis), *box)
             if miss > AXIS_SLACK * size:
                 found.append(
@@ -176,7 +183,7 @@ def _joints(probe: Probe, options: ProgramOptions) -> list[Signal]:
 
 
 def _range(joint: Joint, size: float, whole: float) -> list[Signal]:
-    if joint.type == "continuous":
+    if joint.type == "continuous" or (joint.type == "ball" and joint.upper == 0.0):
         return []
     found = []
     width = joint.upper - joint.lower

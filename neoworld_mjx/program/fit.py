@@ -1,11 +1,13 @@
 """Whether a made object is what was asked for: its box, its movable parts, nothing lost on the way."""
 
+import ast
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from ..spec import ObjectSpec, TreeNode, bounds
+from ..spec.opening import parsed_state
 from .signals import Signal
 
 PROPORTION_WARNS, PROPORTION_FAILS = 0.08, 0.25
@@ -16,7 +18,9 @@ SIZE_WARNS, SIZE_FAILS = 0.15, 1.0
 
 def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
     """Yield how an object differs from what the parse asks for."""
-    low, high = bounds(spec)
+    # The parse measures what it sees: parts that stand open stand open in its box, too.
+    state, _ = parsed_state(spec, node)
+    low, high = bounds(spec, state)
     made, given = high - low, np.array(node.box3d.size)
     factor = float(np.exp(np.mean(np.log(given / made))))
     edges = made * factor / given - 1
@@ -27,7 +31,7 @@ def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
         yield Signal(
             severity="error" if abs(edges[worst]) > PROPORTION_FAILS else "warning",
             code="proportions",
-            message=f"the object measures {shown} m, the box in the photo {asked} m; "
+            message=f"the object{_opened(node)} measures {shown} m, the box in the photo {asked} m; "
             f"{'xyz'[worst]} is too {'large' if edges[worst] > 0 else 'small'} for the others",
             value=float(edges[worst]),
             threshold=PROPORTION_WARNS,
@@ -62,6 +66,11 @@ def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
             )
 
 
+def _opened(node: TreeNode) -> str:
+    parts = [f"{part.part} {part.opening:.0%}" for part in node.articulation if part.opening > 0]
+    return f", with {', '.join(parts)} open as in the photo," if parts else ""
+
+
 def losses(before: ObjectSpec, after: ObjectSpec, removed: Sequence[str]) -> Iterator[Signal]:
     """Yield what an earlier round had and this one has not, unless it says so.
 
@@ -91,3 +100,24 @@ def losses(before: ObjectSpec, after: ObjectSpec, removed: Sequence[str]) -> Ite
                 threshold=len(old),
                 hint="put it back, or name it in `removed` if it was wrong",
             )
+
+
+def lost_checks(before: str, after: str, removed: Sequence[str]) -> Iterator[Signal]:
+    """Yield whether a program has fewer `assert` statements than the one before, unless it says so."""
+    old, new = _asserts(before), _asserts(after)
+    if new < old and not any("assert" in said for said in removed):
+        yield Signal(
+            severity="error",
+            code="lost",
+            message=f"the earlier program had {old} assert statements, this one has {new}",
+            value=new,
+            threshold=old,
+            hint="put them back, or say `assert` in `removed` if they were wrong",
+        )
+
+
+def _asserts(program: str) -> int:
+    try:
+        return sum(isinstance(node, ast.Assert) for node in ast.walk(ast.parse(program)))
+    except (SyntaxError, ValueError, RecursionError):
+        return 0

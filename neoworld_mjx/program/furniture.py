@@ -1,4 +1,4 @@
-"""Doors and drawers as furniture has them, with the clearances that let them move."""
+"""Doors, drawers and shelves as furniture has them, with the clearances that let them move."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -104,6 +104,24 @@ def add_drawer(
     out = TRAVEL * long if travel is None else take.length(travel, f"{what}: travel")
     owner.prismatic(f"{name[:40]}_slide", parent, part, axis=(1, 0, 0), range=(0.0, out))
     return part
+
+
+def add_shelf(
+    parent: Any,
+    *,
+    x: Sequence[float],
+    y: Sequence[float],
+    z: float,
+    thickness: float,
+    material: str | None,
+    name: str | None,
+) -> Any:
+    """Add a level board to a part; see `Object.shelf`."""
+    (back, deep), (right, wide) = _span(x, "shelf: x"), _span(y, "shelf: y")
+    top = take.number(z, "shelf: z", take.MAX_COORDINATE_M)
+    board = box((deep, wide, take.length(thickness, "shelf: thickness")))
+    at = (back + deep / 2, right + wide / 2, top)
+    return parent.add(board, at=at, by="top", material=material, name=name)
 
 
 def _span(value: Any, what: str) -> tuple[float, float]:

@@ -7,9 +7,10 @@ from .. import spec as S
 from ..errors import choices
 from . import arguments as take
 from .allowance import Allowance
-from .furniture import add_door, add_drawer
+from .furniture import add_door, add_drawer, add_shelf
+from .joining import joint_fields
 from .materials import MATERIALS
-from .part import MAX_ANGLE_RAD, Joint, Part
+from .part import Geom, Joint, Part
 from .session import current, here
 
 MAX_ALLOWED_M, MIN_REASON = 0.005, 10
@@ -96,8 +97,8 @@ class Object:
         parent: Part,
         child: Part,
         *,
-        at: Sequence[float],
-        axis: Sequence[float],
+        at: Sequence[float] | str,
+        axis: Sequence[float] | str | None = None,
         range: Sequence[float],
         damping: float | None = None,
         friction: float | None = None,
@@ -111,6 +112,8 @@ class Object:
         """Hinge `child` to `parent` at a point, about an axis, between two angles [rad].
 
         Positive opens, by the right-hand rule about `axis`. The shapes are drawn at angle 0.
+        `at` may be an anchor of the child; "left.hinge", the left edge of a flat child, says the
+        axis as well: the one about which positive moves it away from its parent.
         Damping [N m s/rad] and friction [N m] that are not given follow from the child's inertia
         and weight. With `mimic` it follows another joint: multiplier * q + offset.
         """
@@ -123,8 +126,8 @@ class Object:
         parent: Part,
         child: Part,
         *,
-        at: Sequence[float],
-        axis: Sequence[float],
+        at: Sequence[float] | str,
+        axis: Sequence[float] | str,
         damping: float | None = None,
         friction: float | None = None,
         effort: float | None = None,
@@ -137,15 +140,31 @@ class Object:
         given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent", "child")}
         return self._join("continuous", name, parent, child, given)
 
+    def ball(
+        self,
+        name: str,
+        parent: Part,
+        child: Part,
+        *,
+        at: Sequence[float] | str,
+        swing: float | None = None,
+        damping: float | None = None,
+        friction: float | None = None,
+        stiffness: float = 0.0,
+    ) -> Joint:
+        """Let `child` turn about a point in all directions, by up to `swing` [rad] away from rest."""
+        given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent", "child")}
+        return self._join("ball", name, parent, child, given)
+
     def prismatic(
         self,
         name: str,
         parent: Part,
         child: Part,
         *,
-        axis: Sequence[float],
+        axis: Sequence[float] | str,
         range: Sequence[float],
-        at: Sequence[float] | None = None,
+        at: Sequence[float] | str | None = None,
         damping: float | None = None,
         friction: float | None = None,
         stiffness: float = 0.0,
@@ -227,6 +246,22 @@ class Object:
         given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent")}
         return add_drawer(self, name, parent, **given)
 
+    def shelf(
+        self,
+        parent: Part,
+        *,
+        x: Sequence[float],
+        y: Sequence[float],
+        z: float,
+        thickness: float = 0.018,
+        material: str | None = None,
+        name: str | None = None,
+    ) -> Geom:
+        """Add a level board to a part, from x[0] to x[1] and y[0] to y[1], its top at z."""
+        self._own(parent, "shelf: parent")
+        given = {k: v for k, v in locals().items() if k not in ("self", "parent")}
+        return add_shelf(parent, **given)
+
     def site(self, name: str, part: Part, at: Sequence[float]) -> None:
         """Mark a point on a part, such as a grasp point or a spout."""
         label = take.name(name, "site name")
@@ -267,28 +302,12 @@ class Object:
                 f"{what}: part {child.name!r} hangs on joint {other.name!r} already; "
                 f"a part has one parent"
             )
-        fields: dict[str, Any] = {"name": name, "type": kind}
-        fields |= {"parent": parent.name, "child": child.name}
-        if given.get("at") is not None:
-            fields["pos"] = take.vector(given["at"], f"{what}: at")
-        if "axis" in given:
-            fields["axis"] = take.vector(given["axis"], f"{what}: axis")
-        if "range" in given:
-            lower, upper = take.sequence(given["range"], f"{what}: range", 2, 2)
-            fields["lower"] = take.number(lower, f"{what}: range", MAX_ANGLE_RAD)
-            fields["upper"] = take.number(upper, f"{what}: range", MAX_ANGLE_RAD)
-        for key in ("damping", "friction", "stiffness", "effort", "velocity"):
-            if given.get(key) is not None:
-                fields[key] = take.number(given[key], f"{what}: {key}")
         leader = given.get("mimic")
-        if leader is not None:
-            if not isinstance(leader, Joint) or leader not in self._joints:
-                raise TypeError(f"{what}: mimic must be a joint of this object, made before")
-            fields["mimic"] = S.Mimic(
-                joint=leader.name,
-                multiplier=take.number(given["multiplier"], f"{what}: multiplier"),
-                offset=take.number(given["offset"], f"{what}: offset"),
-            )
+        if leader is not None and (not isinstance(leader, Joint) or leader not in self._joints):
+            raise TypeError(f"{what}: mimic must be a joint of this object, made before")
+        if leader is not None and leader._fields["type"] == "ball":
+            raise ValueError(f"{what}: cannot follow {leader.name!r}, a ball")
+        fields = joint_fields(what, name, kind, parent, child, given)
         take.described(S.Joint, what, **fields)
         joint = Joint(fields, here())
         self._joints.append(joint)

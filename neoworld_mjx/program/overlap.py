@@ -12,6 +12,7 @@ from .probe import Near, Probe
 from .signals import Signal
 
 Pair = tuple[int, int]
+State = dict[str, float]
 
 
 def overlaps(
@@ -39,15 +40,17 @@ def overlaps(
     for joint in driven:
         moving = {probe.names.index(name) for name in _carried(spec, joint)}
         pairs = [pair for pair in rest if (pair[0] in moving) != (pair[1] in moving)]
-        pairs += [p for p in rest if p[0] in moving and p[1] in moving and _follows(spec, joint)]
-        worst: dict[Pair, tuple[float, float]] = {}
-        for value in _positions(joint, options.sweep_steps):
-            probe.place({joint.name: value})
-            for pair, near in probe.depths(pairs).items():
-                if near.distance < worst.get(pair, (-limits[pair], 0.0))[0]:
-                    worst[pair] = (near.distance, value)
-        for pair, (distance, value) in worst.items():
-            found.append(_collision(probe, pair, joint, -distance, value, moving, limits[pair]))
+        if _follows(spec, joint):
+            pairs += [pair for pair in rest if pair[0] in moving and pair[1] in moving]
+        tried = np.array(pairs, dtype=int)
+        worst: dict[Pair, tuple[float, State]] = {}
+        for state in _positions(joint, options.sweep_steps):
+            probe.place(state)
+            for pair, near in probe.depths(tried).items():
+                if near.distance < worst.get(pair, (-limits[pair], {}))[0]:
+                    worst[pair] = (near.distance, state)
+        for pair, (distance, state) in worst.items():
+            found.append(_collision(probe, pair, joint, -distance, state, moving, limits[pair]))
         bad |= set(worst)
     rest = [pair for pair in every if pair not in bad]
     if len(driven) > 1:
@@ -66,12 +69,15 @@ def _combinations(
     random = np.random.default_rng(0)
     worst: dict[Pair, tuple[float, str]] = {}
     reach = [_positions(joint, options.sweep_steps) for joint in driven]
+    tried = np.array(rest, dtype=int)
     for k in range(options.sweep_combinations):
         # All open and all closed come first: that is where what swings past each other meets.
         index = [(-1, 0)[k] if k < 2 else random.integers(len(values)) for values in reach]
-        state = {j.name: float(v[i]) for j, v, i in zip(driven, reach, index, strict=True)}
+        state = {}
+        for values, i in zip(reach, index, strict=True):
+            state |= values[i]
         probe.place(state)
-        for pair, near in probe.depths(rest).items():
+        for pair, near in probe.depths(tried).items():
             if near.distance < worst.get(pair, (-limits[pair], ""))[0]:
                 shown = ", ".join(f"{name} at {value:.3g}" for name, value in state.items())
                 worst[pair] = (near.distance, shown)
@@ -90,10 +96,20 @@ def _combinations(
     ]
 
 
-def _positions(joint: Joint, steps: int) -> np.ndarray:
+def _positions(joint: Joint, steps: int) -> list[State]:
+    """List where a joint is tried, closed first and opened last."""
+    if joint.type == "ball":
+        far = joint.upper if joint.upper > 0 else np.pi
+        keys = [f"{joint.name}.{axis}" for axis in "xyz"]
+        # Along each axis and each diagonal, at half and at the whole of its range.
+        signs = [np.array(s, float) for s in itertools.product((-1, 0, 1), repeat=3) if any(s)]
+        turns = [k * far * s / np.linalg.norm(s) for k in (0.5, 1.0) for s in signs]
+        return [dict(zip(keys, map(float, turn), strict=True)) for turn in (np.zeros(3), *turns)]
     if joint.type == "continuous":
-        return np.linspace(0, 2 * np.pi, steps + 3, endpoint=False)
-    return np.linspace(joint.lower, joint.upper, steps)
+        values = np.linspace(0, 2 * np.pi, steps + 3, endpoint=False)
+    else:
+        values = np.linspace(joint.lower, joint.upper, steps)
+    return [{joint.name: float(value)} for value in values]
 
 
 def _carried(spec: ObjectSpec, joint: Joint) -> set[str]:
@@ -152,18 +168,20 @@ def _collision(
     pair: Pair,
     joint: Joint,
     depth: float,
-    value: float,
+    state: State,
     moving: set[int],
     limit: float,
 ) -> Signal:
     a, b = sorted(pair, key=lambda index: index in moving)
     unit = "m" if joint.type == "prismatic" else "rad"
+    at = ", ".join(f"{value:.3g}" for value in state.values())
+    at = f"({at})" if joint.type == "ball" else at
     return Signal(
         severity="error",
         code="overlap_in_motion",
         joint=joint.name,
         part=probe.names[b],
-        message=f"joint {joint.name!r} at {value:.3g} {unit} drives {probe.names[b]!r} into "
+        message=f"joint {joint.name!r} at {at} {unit} drives {probe.names[b]!r} into "
         f"{probe.names[a]!r}",
         value=depth,
         threshold=limit,

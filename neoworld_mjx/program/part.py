@@ -7,12 +7,9 @@ import numpy as np
 
 from .. import spec as S
 from ..errors import choices
-from ..spec.pose import from_rpy, pose
 from . import arguments as take
-from .placing import Bounds, Shape, anchor_of, bounds_of
+from .placing import Bounds, Shape, anchor_of, bounds_at, hinge_of, is_hinge, placed
 from .session import current, here
-
-MAX_ANGLE_RAD = 200.0
 
 
 class Geom:
@@ -68,11 +65,7 @@ class Part:
         if not isinstance(shape, Shape):
             raise TypeError(f"{what}: needs a shape such as box(...), got {take.shown(shape)}")
         label = self._geom_name(name, what)
-        where = np.array(take.vector(at, f"{what}: at"))
-        turned = from_rpy(*take.vector(rpy, f"{what}: rpy", MAX_ANGLE_RAD))
-        bounds = bounds_of(shape, pose((0, 0, 0), turned))
-        if by:
-            where = where - anchor_of(bounds, by, f"{what}: by")
+        where = placed(shape, at, rpy, by, what)
         if role not in ("both", "visual", "collision"):
             given = choices(take.shown(role), ("both", "visual", "collision"))
             raise ValueError(f"{what}: role: {given}")
@@ -81,26 +74,37 @@ class Part:
             f"{what} {label!r}",
             name=label,
             shape=shape._spec,
-            pos=tuple(where.tolist()),
-            quat=tuple(turned.tolist()),
+            pos=tuple(where.pos.tolist()),
+            quat=tuple(where.quat.tolist()),
             material=self._owner._shade(material or self._material, rgb, what),
             role=role,
         )
         account = current()
         account.use("geoms", 1, account.max_geoms)
         account.use("convex pieces", len(shape._spec.pieces()), account.max_pieces)
-        geom = Geom(spec, (bounds[0] + where, bounds[1] + where), here())
+        geom = Geom(spec, bounds_at(shape._spec, where), here())
         self._geoms.append(geom)
         return geom
 
     def anchor(self, where: str) -> tuple[float, float, float]:
-        """Return a named point of the bounding box of what the part has so far."""
-        if not self._geoms:
-            raise ValueError(f"part {self.name!r} has no shapes yet, so it has no anchors")
-        low = np.min([geom._bounds[0] for geom in self._geoms], axis=0)
-        high = np.max([geom._bounds[1] for geom in self._geoms], axis=0)
-        x, y, z = anchor_of((low, high), where, f"anchor of part {self.name!r}").tolist()
+        """Return a named point of the bounding box of what the part has so far.
+
+        "left.hinge" is the point that a flat part, hinged at its left edge, turns about: on that
+        edge, on the face towards the object's other parts.
+        """
+        what = f"anchor of part {self.name!r}"
+        if is_hinge(where):
+            others = [part for part in self._owner._parts if part is not self and part._geoms]
+            x, y, z = hinge_of(self._extent(), extent_of(others), where, what)[0].tolist()
+        else:
+            x, y, z = anchor_of(self._extent(), where, what).tolist()
         return x, y, z
+
+    def _extent(self) -> Bounds:
+        found = extent_of([self])
+        if found is None:
+            raise ValueError(f"part {self.name!r} has no shapes yet, so it has no anchors")
+        return found
 
     def _geom_name(self, given: str | None, what: str) -> str:
         taken = self._owner._geom_names
@@ -121,6 +125,14 @@ class Part:
             count += 1
         taken.add(label)
         return label
+
+
+def extent_of(parts: Sequence[Part]) -> Bounds | None:
+    """Return the bounding box of what parts have so far, None if they have nothing."""
+    boxes = [geom._bounds for part in parts for geom in part._geoms]
+    if not boxes:
+        return None
+    return np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)
 
 
 class Joint:

@@ -40,3 +40,32 @@ def ring(
     first = take.number(start, "ring start", 200.0)
     angles = [first + 2 * math.pi * k / many for k in range(many)]
     return [(x + r * math.cos(a), y + r * math.sin(a), z) for a in angles]
+
+
+def mirror(
+    points: Sequence[float] | Sequence[Sequence[float]], across: str = "y", at: float = 0.0
+) -> list[Point3]:
+    """Return points and their mirror images across a plane.
+
+    Args:
+        points: one point (x, y, z), or a list of them.
+        across: the direction that the plane stands on: "x" (front and back change), "y" (left and
+            right) or "z" (top and bottom).
+        at: where on that axis the plane lies. A point on the plane has no image.
+    """
+    if across not in ("x", "y", "z"):
+        raise ValueError(f"mirror across is 'x', 'y' or 'z', got {take.shown(across)}")
+    k, plane = "xyz".index(across), take.number(at, "mirror at", take.MAX_COORDINATE_M)
+    given = take.sequence(points, "mirror points", 1, MOST)
+    if not isinstance(given[0], list | tuple):
+        given = [given]
+    found: list[Point3] = []
+    for i, item in enumerate(given):
+        point = take.vector(item, f"mirror points[{i}]")
+        image = list(point)
+        image[k] = 2 * plane - image[k]
+        found.append(point)
+        if image[k] != point[k]:
+            x, y, z = image
+            found.append((x, y, z))
+    return found

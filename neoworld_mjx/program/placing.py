@@ -1,5 +1,6 @@
 """A shape in a program's hands, its bounding box, and the named points of boxes."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -7,11 +8,12 @@ from numpy.typing import NDArray
 
 from .. import spec as S
 from ..spec.convex import box_around
-from ..spec.pose import Pose, pose
+from ..spec.pose import IDENTITY, Pose, from_rpy, pose
 from . import arguments as take
 
 Bounds = tuple[NDArray, NDArray]
 """Lowest and highest corner [3] m."""
+MAX_ANGLE_RAD = 200.0
 
 _SIDES = {
     "front": (0, 1),
@@ -27,10 +29,11 @@ _SIDES = {
 class Shape:
     """A solid that a part may be given, with the size of its bounding box."""
 
-    __slots__ = ("_spec",)
+    __slots__ = ("_pose", "_spec")
 
-    def __init__(self, described: Any) -> None:
+    def __init__(self, described: Any, at: Pose | None = None) -> None:
         self._spec: S.Shape = described
+        self._pose = pose() if at is None else at
 
     def __repr__(self) -> str:
         return repr(self._spec)
@@ -42,11 +45,50 @@ class Shape:
         x, y, z = (high - low).tolist()
         return x, y, z
 
+    @property
+    def volume(self) -> float:
+        """Volume of the solid [m^3]."""
+        return S.volume(self._spec)
+
+    def distance(self, point: Sequence[float]) -> float:
+        """Return how far [m] a point lies from the surface, negative inside."""
+        where = self._pose.inverse().apply(take.vector(point, "distance: point"))
+        return float(S.signed_distance(self._spec, where)[0])
+
+    def moved(
+        self,
+        at: Sequence[float] = (0.0, 0.0, 0.0),
+        rpy: Sequence[float] = (0.0, 0.0, 0.0),
+        *,
+        by: str = "",
+    ) -> "Shape":
+        """Return the shape turned by `rpy` and put at `at`, as `Part.add` would put it."""
+        return Shape(self._spec, placed(self, at, rpy, by, "moved"))
+
+
+def placed(shape: Shape, at: Sequence[float], rpy: Sequence[float], by: str, what: str) -> Pose:
+    """Return the pose of a shape's description when its origin, or its point `by`, goes to `at`."""
+    where = np.array(take.vector(at, f"{what}: at"))
+    turned = from_rpy(*take.vector(rpy, f"{what}: rpy", MAX_ANGLE_RAD))
+    if by:
+        bounds = bounds_of(shape, pose((0, 0, 0), turned))
+        where = where - anchor_of(bounds, by, f"{what}: by")
+    found = pose(where, turned)
+    own = shape._pose
+    if tuple(own.quat.tolist()) == IDENTITY and not own.pos.any():
+        return found
+    return found.then(own)
+
 
 def bounds_of(shape: Shape, at: Pose) -> Bounds:
     """Return the bounding box (low [3], high [3]) [m] of a shape at a pose."""
+    return bounds_at(shape._spec, at.then(shape._pose))
+
+
+def bounds_at(described: S.Shape, at: Pose) -> Bounds:
+    """Return the bounding box of a described shape at its pose."""
     boxes = [
-        box_around(piece, at.then(pose(piece.pos, piece.quat))) for piece in shape._spec.pieces()
+        box_around(piece, at.then(pose(piece.pos, piece.quat))) for piece in described.pieces()
     ]
     return np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)
 
@@ -60,18 +102,81 @@ def anchor_of(bounds: Bounds, where: Any, what: str) -> NDArray:
         raise TypeError(f"{what} must be a string such as 'top', got {take.shown(where)}")
     low, high = bounds
     point = (low + high) / 2
-    named: set[int] = set()
-    for word in take.text(where, what).split("."):
+    for axis, sign in _named(take.text(where, what).split("."), what).items():
+        point[axis] = high[axis] if sign > 0 else low[axis]
+    return point
+
+
+def _named(words: list[str], what: str) -> dict[int, int]:
+    """Return the sign of every direction that is named."""
+    found: dict[int, int] = {}
+    for word in words:
         if word == "centre":
             continue
         if word not in _SIDES:
             raise ValueError(
                 f"{what} takes {', '.join(_SIDES)} or centre, joined by dots as in "
-                f"'left.bottom'; got {take.shown(where)}"
+                f"'left.bottom', or 'left.hinge'; got {take.shown('.'.join(words))}"
             )
         axis, sign = _SIDES[word]
-        if axis in named:
-            raise ValueError(f"{what} {where!r} names one direction twice")
-        named.add(axis)
-        point[axis] = high[axis] if sign > 0 else low[axis]
-    return point
+        if axis in found:
+            raise ValueError(f"{what} {take.shown('.'.join(words))} names one direction twice")
+        found[axis] = sign
+    return found
+
+
+def is_hinge(where: Any) -> bool:
+    """Tell whether an anchor names a hinge line, such as "left.hinge"."""
+    return isinstance(where, str) and "hinge" in where.split(".")
+
+
+def hinge_of(
+    bounds: Bounds, others: Bounds | None, where: str, what: str
+) -> tuple[NDArray, NDArray]:
+    """Find the line about which a flat part, a door or a lid, turns at one of its edges.
+
+    The part is thin along one direction and opens to the side that is away from the others; the
+    line runs along the named edge, on the face that is towards them.
+
+    Args:
+        bounds: of the part.
+        others: of what it is hung on; without it, it opens to the front, the left or upwards.
+        where: such as "left.hinge".
+        what: for messages.
+
+    Returns:
+        A point of the line, in the middle of the edge [3] m, and the axis [3] about which positive opens.
+    """
+    words = [word for word in take.text(where, what).split(".") if word != "hinge"]
+    named = _named(words, what)
+    low, high = bounds
+    thin = int(np.argmin(high - low))
+    if len(named) != 1 or thin in named:
+        raise ValueError(
+            f"{what} names one edge of a flat part, such as 'left.hinge'; this part is thinnest from "
+            f"{('back to front', 'right to left', 'bottom to top')[thin]}, got {take.shown(where)}"
+        )
+    middle = (low + high) / 2
+    outward = 1
+    if others is not None and middle[thin] < (others[0][thin] + others[1][thin]) / 2:
+        outward = -1
+    ((edge, side),) = named.items()
+    point = middle.copy()
+    point[edge] = high[edge] if side > 0 else low[edge]
+    point[thin] = low[thin] if outward > 0 else high[thin]
+    # The far edge, opposite to the named one, shall move outwards.
+    axis = np.cross(-side * np.eye(3)[edge], outward * np.eye(3)[thin])
+    return point, axis + 0.0
+
+
+def direction(value: Any, what: str) -> tuple[float, float, float]:
+    """Take an axis: three numbers, or a direction in words such as "front" or "-y"."""
+    if not isinstance(value, str):
+        return take.vector(value, what)
+    if value not in _SIDES:
+        raise ValueError(
+            f"{what} must be (x, y, z) or one of {', '.join(_SIDES)}, got {take.shown(value)}"
+        )
+    axis, sign = _SIDES[value]
+    x, y, z = (sign * np.eye(3)[axis] + 0.0).tolist()
+    return x, y, z

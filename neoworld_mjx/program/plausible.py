@@ -3,15 +3,27 @@
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.spatial import ConvexHull, QhullError
 
-from ..spec import ObjectSpec, bounds, inertial, pieces
+from ..spec import (
+    Extrusion,
+    Lathe,
+    ObjectSpec,
+    Prism,
+    Shape,
+    Sweep,
+    bounds,
+    inertial,
+    pieces,
+)
 from ..spec.convex import extent
+from ..spec.csg import faceted
 from .signals import Signal
 
 SMALLEST_M, LARGEST_M = 0.002, 20.0
 HEAVIEST_KG = 2000.0
 SOLID_KG_M3, DENSE_KG_M3 = 3000.0, 1500.0
-"""Mass over the bounding box's volume: above the first only solid metal comes, above the second few
+"""Mass over the volume of the convex hull: above the first only solid metal comes, above the second few
 things that stand on a table."""
 WEIGHED_KG, LIFTED_KG = 1.0, 8.0
 """Below the first a dense part is a fitting; above the second few hands lift it."""
@@ -28,10 +40,8 @@ def plausibility(spec: ObjectSpec) -> Iterator[Signal]:
     for part in spec.parts:
         mass = inertial(spec, part).mass
         total += mass
-        lowest, highest = _box(spec, part.name)
-        volume = float(np.prod(np.maximum(highest - lowest, 1e-4)))
         if part.mass is None:
-            yield from _density(part.name, mass, volume)
+            yield from _density(part.name, mass, _spanned(spec, part.name))
         yield from _thin(spec, part.name)
     if total > HEAVIEST_KG:
         yield Signal(
@@ -99,9 +109,13 @@ def _density(part: str, mass: float, volume: float) -> Iterator[Signal]:
 
 def _thin(spec: ObjectSpec, name: str) -> Iterator[Signal]:
     thinnest, where = np.inf, ""
+    for geom in spec.part(name).geoms:
+        wall = _wall(geom.shape)
+        if geom.role != "visual" and wall < thinnest:
+            thinnest, where = wall, geom.name
     for geom, piece, _ in pieces(spec.part(name)):
         if piece.kind == "mesh":
-            continue  # shells state their thickness
+            continue  # what these are cut from states its thickness
         wide = min(extent(piece, d) + extent(piece, -d) for d in np.eye(3))
         if wide < thinnest:
             thinnest, where = wide, geom.name
@@ -117,7 +131,29 @@ def _thin(spec: ObjectSpec, name: str) -> Iterator[Signal]:
         )
 
 
-def _box(spec: ObjectSpec, name: str) -> tuple[np.ndarray, np.ndarray]:
-    part = spec.part(name)
-    alone = spec.model_copy(update={"parts": (part,), "joints": (), "sites": ()})
-    return bounds(alone)
+def _wall(shape: Shape) -> float:
+    """Return the stated thickness [m] of a shape that becomes meshes, infinite if it states none."""
+    if isinstance(shape, Lathe):
+        return shape.thickness or np.inf
+    if isinstance(shape, Prism | Extrusion):
+        return shape.height
+    if isinstance(shape, Sweep):
+        return min(*shape.width, *shape.thickness)
+    return np.inf
+
+
+def _spanned(spec: ObjectSpec, name: str) -> float:
+    """Return the volume [m^3] of a part's convex hull: with what it encloses, without what it is in."""
+    corners = []
+    for _, piece, at in pieces(spec.part(name)):
+        if piece.kind == "box":
+            own = np.array(np.meshgrid(*([-1, 1],) * 3)).reshape(3, -1).T * piece.size
+        elif piece.kind == "mesh":
+            own = np.array(piece.vertices)
+        else:
+            own = faceted(piece, 16)
+        corners.append(at.apply(own))
+    try:
+        return float(ConvexHull(np.vstack(corners)).volume)
+    except QhullError:  # flatter than numbers can tell
+        return 1e-12

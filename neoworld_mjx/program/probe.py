@@ -76,6 +76,7 @@ class Probe:
         self._data = mujoco.MjData(self._model)
         mujoco.mj_kinematics(self._model, self._data)
         self.owner, self.geom = np.array(owner), np.array(geom)
+        self._first = np.searchsorted(self.owner, np.arange(len(spec.parts)))
         self.geom_names = order
         self._rest_pos = self._data.geom_xpos.copy()
         self._rest_mat = self._data.geom_xmat.reshape(-1, 3, 3).copy()
@@ -93,6 +94,7 @@ class Probe:
 
     def place(self, joint_state: Mapping[str, float]) -> None:
         """Put every piece where the joints carry it; joints not named stand at 0."""
+        self.check_time()
         moved = link_poses(self.spec, dict(joint_state))
         quats = np.array([moved[name].quat for name in self.names])
         turn = rotate(quats[:, None], np.eye(3)).swapaxes(1, 2)[self.owner]
@@ -147,19 +149,26 @@ class Probe:
         return np.flatnonzero(self.owner == part)
 
     def depths(
-        self, pairs: Iterable[tuple[int, int]], reach: float = 1e-6
+        self, pairs: NDArray | Iterable[tuple[int, int]], reach: float = 1e-6
     ) -> dict[tuple[int, int], Near]:
-        """Return the deepest pair of pieces of every two parts that touch or overlap."""
+        """Return the deepest pair of pieces of every two parts that touch or overlap.
+
+        Args:
+            pairs: of parts, [n, 2].
+            reach: distance [m] that counts as touching.
+        """
+        self.check_time()
+        given = np.array(pairs if isinstance(pairs, np.ndarray) else list(pairs), dtype=int)
+        if not len(given):
+            return {}
+        # Pieces are in the order of their parts.
+        low = np.minimum.reduceat(self.low, self._first) - reach
+        high = np.maximum.reduceat(self.high, self._first)
+        one, two = given.T
+        near_by = np.all((low[one] <= high[two]) & (low[two] <= high[one]), axis=1)
         found = {}
-        boxes = {}
-        for pair in pairs:
-            for part in pair:
-                if part not in boxes:
-                    boxes[part] = self.extent(part)
-            (low_1, high_1), (low_2, high_2) = boxes[pair[0]], boxes[pair[1]]
-            if np.any(low_1 > high_2 + reach) or np.any(low_2 > high_1 + reach):
-                continue
-            near = self.nearest(self.of_part(pair[0]), self.of_part(pair[1]), reach)
+        for a, b in given[near_by].tolist():
+            near = self.nearest(self.of_part(a), self.of_part(b), reach)
             if near is not None:
-                found[pair] = near
+                found[a, b] = near
         return found

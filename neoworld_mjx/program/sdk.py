@@ -10,23 +10,28 @@ are type-checked against.
 
 from .object import Object
 from .part import Geom, Joint, Part
-from .patterns import grid, ring
+from .patterns import grid, mirror, ring
 from .placing import Shape
 from .solids import (
+    bail,
     box,
     capsule,
     cylinder,
+    difference,
     ellipsoid,
     extrusion,
     frustum,
     hollow_box,
+    intersection,
     lathe,
+    panel,
     prism,
     rounded_box,
     sphere,
     sweep,
     torus,
     tube,
+    union,
 )
 
 __all__ = [
@@ -35,15 +40,20 @@ __all__ = [
     "Object",
     "Part",
     "Shape",
+    "bail",
     "box",
     "capsule",
     "cylinder",
+    "difference",
     "ellipsoid",
     "extrusion",
     "frustum",
     "grid",
     "hollow_box",
+    "intersection",
     "lathe",
+    "mirror",
+    "panel",
     "prism",
     "ring",
     "rounded_box",
@@ -51,4 +61,5 @@ __all__ = [
     "sweep",
     "torus",
     "tube",
+    "union",
 ]

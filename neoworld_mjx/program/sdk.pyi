@@ -8,6 +8,12 @@ Face = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 class Shape:
     @property
     def size(self) -> tuple[float, float, float]: ...
+    @property
+    def volume(self) -> float: ...
+    def distance(self, point: Vec3) -> float: ...
+    def moved(
+        self, at: Vec3 = (0.0, 0.0, 0.0), rpy: Vec3 = (0.0, 0.0, 0.0), *, by: str = ""
+    ) -> Shape: ...
 
 class Geom:
     name: str
@@ -54,8 +60,8 @@ class Object:
         parent: Part,
         child: Part,
         *,
-        at: Vec3,
-        axis: Vec3,
+        at: Vec3 | str,
+        axis: Vec3 | str | None = None,
         range: Point2,
         damping: float | None = None,
         friction: float | None = None,
@@ -72,8 +78,8 @@ class Object:
         parent: Part,
         child: Part,
         *,
-        at: Vec3,
-        axis: Vec3,
+        at: Vec3 | str,
+        axis: Vec3 | str,
         damping: float | None = None,
         friction: float | None = None,
         effort: float | None = None,
@@ -88,9 +94,9 @@ class Object:
         parent: Part,
         child: Part,
         *,
-        axis: Vec3,
+        axis: Vec3 | str,
         range: Point2,
-        at: Vec3 | None = None,
+        at: Vec3 | str | None = None,
         damping: float | None = None,
         friction: float | None = None,
         stiffness: float = 0.0,
@@ -99,6 +105,18 @@ class Object:
         mimic: Joint | None = None,
         multiplier: float = 1.0,
         offset: float = 0.0,
+    ) -> Joint: ...
+    def ball(
+        self,
+        name: str,
+        parent: Part,
+        child: Part,
+        *,
+        at: Vec3 | str,
+        swing: float | None = None,
+        damping: float | None = None,
+        friction: float | None = None,
+        stiffness: float = 0.0,
     ) -> Joint: ...
     def door(
         self,
@@ -130,6 +148,17 @@ class Object:
         travel: float | None = None,
         material: str | None = None,
     ) -> Part: ...
+    def shelf(
+        self,
+        parent: Part,
+        *,
+        x: Point2,
+        y: Point2,
+        z: float,
+        thickness: float = 0.018,
+        material: str | None = None,
+        name: str | None = None,
+    ) -> Geom: ...
     def allow_overlap(self, first: Part, second: Part, depth: float, reason: str) -> None: ...
     def site(self, name: str, part: Part, at: Vec3) -> None: ...
 
@@ -163,9 +192,19 @@ def torus(radius: float, tube: float, arc: float = ..., sectors: int = 8) -> Sha
 def extrusion(
     outline: Sequence[Point2], height: float, holes: Sequence[Sequence[Point2]] = ()
 ) -> Shape: ...
+def bail(width: float, height: float, radius: float) -> Shape: ...
+def panel(
+    size: Point2, thickness: float, holes: Sequence[Sequence[float]] = (), sectors: int = 16
+) -> Shape: ...
+def union(first: Shape, *others: Shape, sectors: int = 16) -> Shape: ...
+def difference(first: Shape, *others: Shape, sectors: int = 16) -> Shape: ...
+def intersection(first: Shape, *others: Shape, sectors: int = 16) -> Shape: ...
 def grid(
     counts: tuple[int, int], steps: Point2, centre: Vec3 = (0.0, 0.0, 0.0)
 ) -> list[tuple[float, float, float]]: ...
 def ring(
     count: int, radius: float, centre: Vec3 = (0.0, 0.0, 0.0), start: float = 0.0
+) -> list[tuple[float, float, float]]: ...
+def mirror(
+    points: Vec3 | Sequence[Vec3], across: Literal["x", "y", "z"] = "y", at: float = 0.0
 ) -> list[tuple[float, float, float]]: ...

@@ -223,6 +223,92 @@ def extrusion(
     return _made(S.Extrusion, pieces, outline=border, holes=loops, height=depth)
 
 
+def bail(width: float, height: float, radius: float) -> Shape:
+    """Make a loop handle: a round bar that rises along z from y = -width/2 and comes down at +width/2.
+
+    `height` goes to the middle of the bar at its top; the origin lies between its two feet.
+    """
+    wide, high = take.length(width, "bail width"), take.length(height, "bail height")
+    bar = take.length(radius, "bail radius")
+    bend = min(high, wide / 2)
+    legs = [(0.0, -wide / 2, 0.0)] if high > bend * 1.02 else []
+    turn = [math.pi * k / 12 for k in range(13)]
+    arch = [
+        (0.0, round(-wide / 2 * math.cos(a), 9), round(high - bend + bend * math.sin(a), 9))
+        for a in turn
+    ]
+    track = (*legs, *arch, *((x, -y, z) for x, y, z in legs))
+    return _made(
+        S.Sweep, len(track), path=track, width=(2 * bar,), thickness=(2 * bar,), closed=False
+    )
+
+
+def panel(
+    size: Sequence[float],
+    thickness: float,
+    holes: Sequence[Sequence[float]] = (),
+    sectors: int = 16,
+) -> Shape:
+    """Make a flat board of `size` (x, y), along z, centred, with holes through it.
+
+    A hole is (x, y, radius), or (x, y, width, depth) of a rectangle; both at its middle.
+    """
+    x, y = (take.length(v, "panel size") for v in take.sequence(size, "panel size", 2, 2))
+    facets = take.whole(sectors, "panel sectors", MIN_SECTORS, MAX_SECTORS)
+    loops = []
+    for i, hole in enumerate(take.sequence(holes, "panel holes", 0, MAX_POINTS)):
+        what = f"panel holes[{i}]"
+        at = [take.number(v, what, take.MAX_COORDINATE_M) for v in take.sequence(hole, what, 3, 4)]
+        if len(at) == 3:
+            r = take.length(at[2], f"{what} radius")
+            angles = [2 * math.pi * (k + 0.5) / facets for k in range(facets)]
+            corners = [(r * math.cos(a), r * math.sin(a)) for a in angles]
+        else:
+            w, d = (take.length(v, f"{what} size") / 2 for v in at[2:])
+            corners = [(-w, -d), (w, -d), (w, d), (-w, d)]
+        loops.append([(round(at[0] + a, 9), round(at[1] + b, 9)) for a, b in corners])
+    outline = [(-x / 2, -y / 2), (x / 2, -y / 2), (x / 2, y / 2), (-x / 2, y / 2)]
+    return extrusion(outline, thickness, loops)
+
+
+def union(first: Shape, *others: Shape, sectors: int = 16) -> Shape:
+    """Melt shapes into one solid, in the frame that they are placed in by `moved`."""
+    return _combined("union", (first, *others), sectors)
+
+
+def difference(first: Shape, *others: Shape, sectors: int = 16) -> Shape:
+    """Take other shapes away from the first one: bored holes, pockets, cut corners.
+
+    What is taken away is really open. `sectors` counts the facets of round operands.
+    """
+    return _combined("difference", (first, *others), sectors)
+
+
+def intersection(first: Shape, *others: Shape, sectors: int = 16) -> Shape:
+    """Keep what all shapes share."""
+    return _combined("intersection", (first, *others), sectors)
+
+
+def _combined(operation: str, shapes: tuple[Any, ...], sectors: int) -> Shape:
+    if not 2 <= len(shapes) <= MAX_POINTS:
+        raise ValueError(f"{operation} takes 2 to {MAX_POINTS} shapes, got {len(shapes)}")
+    for shape in shapes:
+        if not isinstance(shape, Shape):
+            raise TypeError(f"{operation} takes shapes such as box(...), got {take.shown(shape)}")
+    operands = tuple(
+        S.Placed(
+            shape=shape._spec,
+            pos=tuple((np.round(shape._pose.pos, 9) + 0.0).tolist()),
+            quat=tuple((np.round(shape._pose.quat, 12) + 0.0).tolist()),
+        )
+        for shape in shapes
+    )
+    count = take.whole(sectors, f"{operation} sectors", MIN_SECTORS, MAX_SECTORS)
+    made = take.described(S.CSG, operation, operation=operation, operands=operands, sectors=count)
+    current().use("pieces built", len(made.pieces()), 4 * current().max_pieces)
+    return Shape(made)
+
+
 def _curved(track: tuple[Point3, ...], steps: int, closed: bool) -> tuple[Point3, ...]:
     """Divide every stretch by a Catmull-Rom curve through the points."""
     if steps == 1:

@@ -28,7 +28,7 @@ from .ask import (
     revise_request,
     text,
 )
-from .fit import fit, losses
+from .fit import fit, losses, lost_checks
 from .make import build
 from .sandbox import Built, run
 from .signals import Signal, deduplicated, has_errors
@@ -188,8 +188,7 @@ async def synthesise(
         )
         if revised is None:
             break
-        before = current.built.spec
-        current = await _debugged(work, await _tried(work, "revise", revised, before))
+        current = await _debugged(work, await _tried(work, "revise", revised, current))
     else:
         if options.critic_rounds:
             await _judged(work, current)
@@ -219,14 +218,15 @@ def _accepted(verdict: Verdict, options: ProgramOptions) -> bool:
     return content or not verdict.faults
 
 
-async def _tried(work: _Work, stage: str, written: Written, before: ObjectSpec | None) -> Attempt:
-    """Build a program, hold it against what was asked, and keep it among the attempts."""
+async def _tried(work: _Work, stage: str, written: Written, before: Attempt | None) -> Attempt:
+    """Build a program, hold it against what was asked and had, and keep it among the attempts."""
     program = unfenced(written.program)
     built = await asyncio.to_thread(build, program, work.options)
     if built.spec is not None:
         more = list(fit(built.spec, work.subject.node))
-        if before is not None:
-            more += losses(before, built.spec, written.removed)
+        if before is not None and before.built.spec is not None:
+            more += losses(before.built.spec, built.spec, written.removed)
+            more += lost_checks(before.text, program, written.removed)
         built = replace(built, signals=deduplicated((*built.signals, *more)))
     attempt = Attempt(stage, program, built, written.notes)
     work.attempts.append(attempt)
@@ -244,8 +244,8 @@ async def _debugged(work: _Work, attempt: Attempt) -> Attempt:
         written = await _asked(work, "debug", request)
         if written is None:
             break
-        earlier, before = signals, best.built.spec
-        attempt = await _tried(work, "debug", written, before)
+        earlier = signals
+        attempt = await _tried(work, "debug", written, best)
         best = max(best, attempt, key=lambda one: one.rank)
     return best
 

@@ -79,6 +79,10 @@ def opened_state(spec: ObjectSpec) -> dict[str, float]:
     for joint in spec.joints:
         if joint.type == "fixed" or joint.mimic is not None:
             continue
+        if joint.type == "ball":
+            # Nodding towards the front shows best that it moves.
+            state[f"{joint.name}.y"] = OPENED * min(joint.upper or 1.0, 1.0)
+            continue
         turns = joint.type == "continuous"
         far = joint.upper if abs(joint.upper) >= abs(joint.lower) else joint.lower
         state[joint.name] = 0.8 if turns else OPENED * far

@@ -36,8 +36,10 @@ _METHODS: dict[type, frozenset[str]] = {
             "revolute",
             "continuous",
             "prismatic",
+            "ball",
             "door",
             "drawer",
+            "shelf",
             "site",
             "allow_overlap",
         }
@@ -45,7 +47,7 @@ _METHODS: dict[type, frozenset[str]] = {
     Part: frozenset({"add", "anchor"}),
     Geom: frozenset({"anchor"}),
     Joint: frozenset(),
-    Shape: frozenset(),
+    Shape: frozenset({"moved", "distance"}),
 }
 _FIELDS: dict[type, tuple[str, ...]] = {
     Object: ("name", "label"),
@@ -80,7 +82,7 @@ def _handed(value: Any, session: Session) -> Any:
     handle = _Handle(
         value,
         eager_attrs=_FIELDS[kind],
-        lazy_attrs=("size",) if kind is Shape else None,
+        lazy_attrs=("size", "volume") if kind is Shape else None,
         allowed_methods=_METHODS[kind],
     )
     handle.session = session

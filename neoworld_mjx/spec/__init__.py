@@ -2,7 +2,9 @@
 
 from .camera import Camera
 from .object import (
+    AuthoredInertia,
     Geom,
+    Intent,
     Joint,
     Material,
     Mimic,
@@ -18,6 +20,7 @@ from .object import (
 from .scale import scale
 from .scene import SceneObject, SceneSpec, read_scene, rearranged, support_frame, world_poses
 from .shapes import (
+    CSG,
     Box,
     Capsule,
     Cylinder,
@@ -25,15 +28,20 @@ from .shapes import (
     Extrusion,
     HollowBox,
     Lathe,
+    Mesh,
+    Placed,
     Prism,
     RoundedBox,
     Shape,
     Sphere,
     Sweep,
 )
+from .solid import signed_distance, volume
 from .tree import Box2D, Box3D, PartState, SceneTree, TreeNode
 
 __all__ = [
+    "CSG",
+    "AuthoredInertia",
     "Box",
     "Box2D",
     "Box3D",
@@ -44,13 +52,16 @@ __all__ = [
     "Extrusion",
     "Geom",
     "HollowBox",
+    "Intent",
     "Joint",
     "Lathe",
     "Material",
+    "Mesh",
     "Mimic",
     "ObjectSpec",
     "Part",
     "PartState",
+    "Placed",
     "Prism",
     "RoundedBox",
     "SceneObject",
@@ -69,6 +80,8 @@ __all__ = [
     "rearranged",
     "recentred",
     "scale",
+    "signed_distance",
     "support_frame",
+    "volume",
     "world_poses",
 ]

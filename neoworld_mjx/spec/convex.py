@@ -78,8 +78,10 @@ def planes(piece: Piece) -> NDArray:
     area = np.linalg.norm(n, axis=1)
     n, first = n / area[:, None], v[faces[:, 0]]
     keep: list[int] = []
+    kept = np.zeros_like(n)
     for i in np.argsort(-area, kind="stable"):
-        if all(n[i] @ n[k] < 1 - 1e-9 for k in keep):
+        if not np.any(kept[: len(keep)] @ n[i] >= 1 - 1e-9):
+            kept[len(keep)] = n[i]
             keep.append(int(i))
     keep.sort()
     n = n[keep]

@@ -6,6 +6,7 @@ one frame, so a reader needs no chain of transforms.
 """
 
 import math
+from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -17,9 +18,11 @@ from .pose import IDENTITY, Pose, from_axis_angle, pose, quat_mul, rotate
 from .shapes import Number, Shape
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=48)]
+JointKey = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*(\.[xyz])?$", max_length=50)]
+"""A joint's name, or that of one of a ball's three values."""
 Vec3 = tuple[Number, Number, Number]
 Quat = tuple[Number, Number, Number, Number]
-JointType = Literal["fixed", "revolute", "continuous", "prismatic"]
+JointType = Literal["fixed", "revolute", "continuous", "prismatic", "ball"]
 Role = Literal["both", "visual", "collision"]
 
 
@@ -27,6 +30,10 @@ class Spec(BaseModel):
     """Base of all host-side descriptions: frozen, closed against unknown keys, JSON both ways."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def _is_none(value: object) -> bool:
+    return value is None
 
 
 class Material(Spec):
@@ -66,6 +73,25 @@ class Geom(Spec):
         return pose(self.pos, self.quat)
 
 
+class AuthoredInertia(Spec):
+    """Where a part's mass is and how it is spread, where that is known better than by volume.
+
+    Nothing is asked of the numbers here: whether a body can have them is for the checks to say.
+    """
+
+    pos: Vec3
+    """Centre of mass in the object's frame at rest [m]."""
+    moments: Vec3
+    """ixx, iyy, izz about it, along the object's axes [kg m^2]."""
+    products: Vec3 = (0.0, 0.0, 0.0)
+    """ixy, ixz, iyz [kg m^2]."""
+
+    def tensor(self) -> NDArray:
+        """Return the inertia about the centre of mass [3, 3] kg m^2."""
+        (a, b, c), (d, e, f) = self.moments, self.products
+        return np.array([[a, d, e], [d, b, f], [e, f, c]])
+
+
 class Part(Spec):
     """A rigid link."""
 
@@ -73,6 +99,14 @@ class Part(Spec):
     geoms: tuple[Geom, ...] = Field(min_length=1)
     mass: Annotated[float, Field(gt=0)] | None = None
     """Authored mass [kg]; None derives it from volume and density. It survives rescaling."""
+    inertia: AuthoredInertia | None = Field(default=None, exclude_if=_is_none)
+    """Authored centre of mass and inertia, with an authored mass; None derives them from volume."""
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if self.inertia is not None and self.mass is None:
+            raise ValueError(f"part {self.name}: an authored inertia needs an authored mass")
+        return self
 
 
 class Mimic(Spec):
@@ -83,11 +117,25 @@ class Mimic(Spec):
     offset: Number = 0.0
 
 
+class Intent(Spec):
+    """What a joint is meant to do, for checks to hold it against; physics does not heed it."""
+
+    type: JointType | None = None
+    opens: Vec3 | None = None
+    """Direction in which the child sets out when the joint leaves 0 in the positive sense."""
+    travel: Annotated[float, Field(gt=0)] | None = None
+    """Least range that it must have to be of use [rad or m]."""
+
+
 class Joint(Spec):
     """A joint from `parent` to `child`, with anchor and axis in the object's frame at rest.
 
     Units are rad, N m for turning joints and m, N for sliding ones. Positive motion turns or moves
     the child by the right-hand rule about, or along, `axis`; by convention positive opens.
+
+    A ball joint turns about `pos` in any direction, by at most `upper` away from rest; 0 is no limit.
+    Its axis, lower limit, effort, velocity and mimic mean nothing. Where it stands is a rotation
+    vector in the object's axes, told as three values named `<joint>.x`, `.y` and `.z` [rad].
     """
 
     name: Name
@@ -106,6 +154,7 @@ class Joint(Spec):
     effort: Annotated[float, Field(gt=0)] | None = None
     velocity: Annotated[float, Field(gt=0)] | None = None
     mimic: Mimic | None = None
+    intent: Intent | None = Field(default=None, exclude_if=_is_none)
 
     @field_validator("axis")
     @classmethod
@@ -118,6 +167,14 @@ class Joint(Spec):
             raise ValueError(
                 f"joint {self.name}: lower {self.lower} must be below upper {self.upper}"
             )
+        if self.type == "ball":
+            if self.lower != 0.0 or not 0.0 <= self.upper <= math.pi:
+                raise ValueError(
+                    f"joint {self.name}: a ball turns from 0 to at most pi (upper 0: no limit), got "
+                    f"{self.lower} to {self.upper}"
+                )
+            if (self.mimic, self.effort, self.velocity) != (None, None, None):
+                raise ValueError(f"joint {self.name}: a ball has no mimic, effort or velocity")
         return self
 
 
@@ -161,6 +218,10 @@ class ObjectSpec(Spec):
             parents[joint.child] = joint.parent
             if joint.mimic is not None:
                 _known(f"joint {joint.name}: mimic", joint.mimic.joint, joints)
+                if any(o.name == joint.mimic.joint and o.type == "ball" for o in self.joints):
+                    raise ValueError(
+                        f"joint {joint.name}: cannot follow {joint.mimic.joint}, a ball"
+                    )
         for site in self.sites:
             _known(f"site {site.name}: part", site.part, parts)
         roots = [part.name for part in self.parts if part.name not in parents]
@@ -237,7 +298,15 @@ class Inertial(Spec):
 
 
 def inertial(spec: ObjectSpec, part: Part) -> Inertial:
-    """Sum a part's mass properties over its colliding pieces (MuJoCo's body inertial)."""
+    """Sum a part's mass properties over its colliding pieces (MuJoCo's body inertial).
+
+    What is authored is taken as it is.
+    """
+    if part.inertia is not None and part.mass is not None:
+        diagonal, quat = _principal(part.inertia.tensor())
+        return Inertial(
+            mass=part.mass, pos=part.inertia.pos, quat=quat, diagonal=tuple(diagonal.tolist())
+        )
     mass, moment = 0.0, np.zeros(3)
     bodies = []
     for geom, piece, _ in pieces(part):
@@ -264,7 +333,7 @@ def inertial(spec: ObjectSpec, part: Part) -> Inertial:
 def _principal(tensor: NDArray) -> tuple[NDArray, Quat]:
     from .pose import from_matrix
 
-    size = np.trace(tensor)
+    size = float(np.trace(tensor)) or 1.0
     # Rounded, so that a scaled copy of the object gets the very same axes although its tensor
     # differs in the last bits; symmetric objects would otherwise get arbitrary ones.
     unit = np.round(tensor / size, 10)
@@ -279,19 +348,24 @@ def _principal(tensor: NDArray) -> tuple[NDArray, Quat]:
     return np.diag(axes.T @ tensor @ axes).copy(), tuple(quat.tolist())
 
 
+_AT_REST = pose()
+
+
 def link_poses(spec: ObjectSpec, joint_state: dict[str, float]) -> dict[str, Pose]:
     """Return how each part is displaced from rest when joints stand at `joint_state` [rad or m].
 
     A joint not named stands at 0; a mimic joint follows its leader. The result maps the object's
     frame at rest to the object's frame as posed.
     """
-    values = {joint.name: joint_value(spec, joint, joint_state) for joint in spec.joints}
+    values = {joint.name: joint_position(spec, joint, joint_state) for joint in spec.joints}
     moved: dict[str, Pose] = {}
     for part, joint in spec.ordered:
         if joint is None:
             moved[part.name] = pose()
             continue
-        moved[part.name] = moved[joint.parent].then(joint_motion(joint, values[joint.name]))
+        motion = joint_motion(joint, values[joint.name])
+        above = moved[joint.parent]
+        moved[part.name] = above if motion is _AT_REST else above.then(motion)
     return moved
 
 
@@ -308,13 +382,31 @@ def joint_value(spec: ObjectSpec, joint: Joint, joint_state: dict[str, float]) -
     return scale * joint_state.get(joint.name, 0.0) + offset
 
 
-def joint_motion(joint: Joint, value: float) -> Pose:
+def ball_vector(joint: Joint, joint_state: Mapping[str, float]) -> Vec3:
+    """Return the rotation vector [rad] of a ball joint."""
+    x, y, z = (joint_state.get(f"{joint.name}.{axis}", 0.0) for axis in "xyz")
+    return x, y, z
+
+
+def joint_position(spec: ObjectSpec, joint: Joint, joint_state: dict[str, float]) -> float | Vec3:
+    """Return where a joint stands, following mimics: one value, or a ball's rotation vector."""
+    if joint.type == "ball":
+        return ball_vector(joint, joint_state)
+    return joint_value(spec, joint, joint_state)
+
+
+def joint_motion(joint: Joint, value: float | Vec3) -> Pose:
     """Return the displacement of the child by a joint at `value`, in the object's rest frame."""
-    if joint.type == "fixed" or value == 0.0:
-        return pose()
-    if joint.type == "prismatic":
+    if isinstance(value, tuple):
+        angle = float(np.linalg.norm(value))
+        turn = from_axis_angle(value, angle) if angle > 0.0 else None
+    elif joint.type == "prismatic":
         return pose(np.array(joint.axis) * value)
-    turn = from_axis_angle(joint.axis, value)
+    else:
+        moves = joint.type != "fixed" and value != 0.0
+        turn = from_axis_angle(joint.axis, value) if moves else None
+    if turn is None:
+        return _AT_REST
     anchor = np.array(joint.pos)
     return pose(anchor - rotate(turn, anchor), turn)
 
@@ -356,7 +448,9 @@ def translated(spec: ObjectSpec, offset: NDArray) -> ObjectSpec:
                     update={
                         "geoms": tuple(
                             geom.model_copy(update={"pos": move(geom.pos)}) for geom in part.geoms
-                        )
+                        ),
+                        "inertia": part.inertia
+                        and part.inertia.model_copy(update={"pos": move(part.inertia.pos)}),
                     }
                 )
                 for part in spec.parts
@@ -397,8 +491,10 @@ def _known(what: str, name: str, valid: set[str]) -> None:
 
 
 __all__ = [
+    "AuthoredInertia",
     "Geom",
     "Inertial",
+    "Intent",
     "Joint",
     "Material",
     "Mimic",
@@ -406,9 +502,11 @@ __all__ = [
     "Part",
     "Site",
     "Spec",
+    "ball_vector",
     "bounds",
     "inertial",
     "joint_motion",
+    "joint_position",
     "link_poses",
     "pieces",
     "quat_mul",

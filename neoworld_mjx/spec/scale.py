@@ -15,7 +15,7 @@ where torque = mass g length and force = mass g. Lengths go with s, inertia with
 takes the mass exponent of its child part.
 """
 
-from .object import Joint, Mimic, ObjectSpec, Part
+from .object import AuthoredInertia, Joint, Mimic, ObjectSpec, Part
 
 LENGTH = 1.0
 DERIVED_MASS, AUTHORED_MASS = 3.0, 0.0
@@ -82,7 +82,8 @@ def scale(spec: ObjectSpec, s: float) -> ObjectSpec:
                         }
                     )
                     for geom in part.geoms
-                )
+                ),
+                "inertia": part.inertia and _scale_inertia(part.inertia, s),
             }
         )
         for part in spec.parts
@@ -99,6 +100,16 @@ def scale(spec: ObjectSpec, s: float) -> ObjectSpec:
     )
 
 
+def _scale_inertia(inertia: AuthoredInertia, s: float) -> AuthoredInertia:
+    """Spread the same mass over the new size."""
+    times = lambda values, factor: tuple(v * factor for v in values)
+    return AuthoredInertia(
+        pos=times(inertia.pos, s),
+        moments=times(inertia.moments, s**2),
+        products=times(inertia.products, s**2),
+    )
+
+
 def _scale_joint(spec: ObjectSpec, joint: Joint, joints: dict[str, Joint], s: float) -> Joint:
     update: dict[str, object] = {"pos": tuple(v * s for v in joint.pos)}
     for name, power in joint_exponents(joint, spec.part(joint.child)).items():
@@ -111,4 +122,7 @@ def _scale_joint(spec: ObjectSpec, joint: Joint, joints: dict[str, Joint], s: fl
             multiplier=joint.mimic.multiplier * s**multiplier,
             offset=joint.mimic.offset * s**offset,
         )
+    if joint.intent is not None and joint.intent.travel is not None and joint.type == "prismatic":
+        travel = joint.intent.travel * s
+        update["intent"] = joint.intent.model_copy(update={"travel": travel})
     return joint.model_copy(update=update)

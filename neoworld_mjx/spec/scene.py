@@ -13,7 +13,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from ..errors import SpecError
 from .camera import Camera
-from .object import Name, Number, ObjectSpec, Quat, Spec, Vec3, link_poses
+from .object import JointKey, Name, Number, ObjectSpec, Quat, Spec, Vec3, link_poses
 from .pose import IDENTITY, Pose, from_yaw, pose, quat_mul, rotate, yaw_of
 from .scale import scale
 from .tree import Box2D, Relation
@@ -37,8 +37,8 @@ class SceneObject(Spec):
     yaw: Number = 0.0
     """In the parent's frame [rad]."""
     base_tilt: Quat = IDENTITY
-    joint_state: dict[Name, Number] = {}
-    """Joint values [rad or m]; joints not named stand at 0."""
+    joint_state: dict[JointKey, Number] = {}
+    """Joint values [rad or m]; joints not named stand at 0. A ball has three: name.x, name.y, name.z."""
     box2d: Box2D | None = None
     """Where the photograph shows it."""
     occluded: bool = False
@@ -84,7 +84,15 @@ class SceneSpec(Spec):
                         f"object {item.name} is fixed to {item.parent}, which is free to move; "
                         "make it one of that object's parts"
                     )
-            joints = [joint.name for joint in item.spec.joints]
+            joints = [
+                key
+                for joint in item.spec.joints
+                for key in (
+                    [f"{joint.name}.{axis}" for axis in "xyz"]
+                    if joint.type == "ball"
+                    else [joint.name]
+                )
+            ]
             for name in item.joint_state:
                 if name not in joints:
                     raise ValueError(
@@ -191,7 +199,8 @@ def rearranged(
             joints = {joint.name: joint for joint in item.spec.joints}
             update["spec"] = scale(item.spec, float(size[i]))
             update["joint_state"] = {
-                name: value * (size[i] if joints[name].type == "prismatic" else 1.0)
+                name: value
+                * (size[i] if joints[name.partition(".")[0]].type == "prismatic" else 1.0)
                 for name, value in item.joint_state.items()
             }
         objects.append(item.model_copy(update=update))

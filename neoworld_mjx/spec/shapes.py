@@ -12,7 +12,9 @@ from pydantic import Field, model_validator
 
 from .base_shape import MAX_SECTORS, MIN_SECTORS, BaseShape, Face, Length, Number, Point2
 from .convex import Piece, polytope
+from .csg import CSG, Placed
 from .extruded import Extrusion, RoundedBox
+from .mesh import Mesh
 from .swept import Sweep
 
 
@@ -292,11 +294,17 @@ Shape = Annotated[
     | Lathe
     | Sweep
     | Extrusion
-    | RoundedBox,
+    | RoundedBox
+    | CSG
+    | Mesh,
     Field(discriminator="type"),
 ]
 
+Placed.model_rebuild(_types_namespace={"Shape": Shape})
+CSG.model_rebuild(_types_namespace={"Placed": Placed})
+
 __all__ = [
+    "CSG",
     "MAX_SECTORS",
     "MIN_SECTORS",
     "Box",
@@ -308,7 +316,9 @@ __all__ = [
     "HollowBox",
     "Lathe",
     "Length",
+    "Mesh",
     "Number",
+    "Placed",
     "Prism",
     "RoundedBox",
     "Shape",

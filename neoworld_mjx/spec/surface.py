@@ -10,7 +10,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from .csg import CSG
 from .extruded import Extrusion, RoundedBox
+from .mesh import Mesh
 from .shapes import Box, Capsule, Cylinder, Ellipsoid, HollowBox, Lathe, Prism, Shape, Sphere
 from .swept import Sweep
 
@@ -74,7 +76,7 @@ def corner_normals(vertices: NDArray, faces: NDArray, crease: float = CREASE) ->
 
 
 def _build(shape: Shape) -> tuple[NDArray, NDArray]:
-    if isinstance(shape, Sweep | Extrusion | RoundedBox):
+    if isinstance(shape, Sweep | Extrusion | RoundedBox | CSG | Mesh):
         return shape.surface()
     if isinstance(shape, Box):
         return _prism(_rectangle(shape.size[0], shape.size[1]), shape.size[2])
@@ -166,6 +168,19 @@ def _hollow_box(shape: HollowBox) -> tuple[NDArray, NDArray]:
 def _lathe(shape: Lathe) -> tuple[NDArray, NDArray]:
     # A multiple of the colliders' sectors, so that their corners are corners of the surface too.
     sectors = shape.sectors * math.ceil(SECTORS / shape.sectors)
+    return _revolve(section(shape), sectors, closed=ring_section(shape))
+
+
+def ring_section(shape: Lathe) -> bool:
+    """Tell whether a lathe's section is a loop that stays off the axis."""
+    return shape.thickness is not None and shape.profile[0][0] > 0
+
+
+def section(shape: Lathe) -> NDArray:
+    """Return the chain of (r, z) corners [n, 2] m that bounds a lathe's section.
+
+    It begins and ends on the axis, unless it is a ring's: then it is a loop.
+    """
     profile = np.array(shape.profile)
     if shape.thickness is None:
         # Radii that change at one height bound no volume at the ends and only once in between.
@@ -182,13 +197,12 @@ def _lathe(shape: Lathe) -> tuple[NDArray, NDArray]:
         p = profile[keep]
         foot = [[0.0, p[0, 1]]] if p[0, 0] > 0 else []
         head = [[0.0, p[-1, 1]]] if p[-1, 0] > 0 else []
-        return _revolve(np.array([*foot, *p.tolist(), *head]), sectors)
+        return np.array([*foot, *p.tolist(), *head])
     outer, floor = profile, shape.floor()
     if floor is not None and np.linalg.norm(profile - floor, axis=1).min() > 1e-9:
         # The colliders are cut at the inner floor; their corners there belong to the surface, too.
         outer = np.insert(profile, np.flatnonzero(profile[:, 1] >= floor[1])[0], floor, axis=0)
-    section = np.vstack([outer, shape.inner()[::-1]])
-    return _revolve(section, sectors, closed=bool(profile[0, 0] > 0))
+    return np.vstack([outer, shape.inner()[::-1]])
 
 
 def _meridian(radius: float, half_length: float) -> NDArray:
@@ -204,12 +218,12 @@ def _meridian(radius: float, half_length: float) -> NDArray:
     return np.vstack([low, high])
 
 
-def _revolve(section: NDArray, sectors: int, *, closed: bool = False) -> tuple[NDArray, NDArray]:
+def _revolve(chain: NDArray, sectors: int, *, closed: bool = False) -> tuple[NDArray, NDArray]:
     """Turn a chain of (r, z) corners [n, 2] about z; points on the axis become one vertex."""
     angle = 2 * np.pi * np.arange(sectors) / sectors
     points, rings = [], []
     total = 0
-    for r, z in section:
+    for r, z in chain:
         if r == 0:
             points.append(np.array([[0.0, 0.0, z]]))
             rings.append(np.full(sectors, total))
@@ -218,9 +232,9 @@ def _revolve(section: NDArray, sectors: int, *, closed: bool = False) -> tuple[N
             points.append(ring)
             rings.append(total + np.arange(sectors))
         total += len(points[-1])
-    chain = [*rings, rings[0]] if closed else rings
+    loop = [*rings, rings[0]] if closed else rings
     faces = []
-    for a, b in zip(chain[:-1], chain[1:], strict=True):
+    for a, b in zip(loop[:-1], loop[1:], strict=True):
         a1, b1 = np.roll(a, -1), np.roll(b, -1)
         if a[0] != a1[0]:
             faces.append(np.column_stack([a, a1, b]))
@@ -235,4 +249,4 @@ def _revolve(section: NDArray, sectors: int, *, closed: bool = False) -> tuple[N
     return vertices, np.ascontiguousarray(triangles)
 
 
-__all__ = ["CREASE", "corner_normals", "surface"]
+__all__ = ["CREASE", "corner_normals", "ring_section", "section", "surface"]

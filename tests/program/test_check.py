@@ -55,6 +55,12 @@ def test_a_sound_door_has_no_signals():
         (HEAD + "body.add(box((30, 1, 1)))", "size"),
         (HEAD + "body.add(box((0.001, 0.001, 0.001)))", "size"),
         (HEAD + "body.add(box((0.1, 0.1, 0.0002)))", "thin"),
+        (HEAD + "body.add(lathe([(0, 0), (0.03, 0), (0.04, 0.1)], 0.0002))", "thin"),
+        (
+            HEAD + "body.add(lathe([(0, 0), (0.03, 0), (0.04, 0.1)], 0.003))\n"
+            "body.add(box((0.01, 0.01, 0.0001)))",
+            "thin",
+        ),
         (HEAD + "body.add(box((0.5, 0.5, 0.5)), material='stone')", "heavy"),
     ],
 )
@@ -132,3 +138,20 @@ def test_distance_of_a_line_from_a_box(point, axis, miss):
     unit = np.ones(3)
     found = _line_misses(np.array(point, float), np.array(axis, float), -unit, unit)
     assert found == pytest.approx(miss, abs=1e-6)
+
+
+LID = HEAD + "steel = o.material('lid_steel', like='stainless_steel')\n"
+KNOB = "body.add(cylinder(0.015, 0.03), at=(0, 0, {z}), by='bottom', material=steel)\n"
+
+
+def test_a_pot_lid_of_17_kg_is_an_error_and_a_shell_is_none():
+    solid = LID + "body.add(lathe([(0.145, 0), (0.145, 0.02), (0.10, 0.04)]), material=steel)\n"
+    found = build(solid + KNOB.format(z=0.035)).signals
+    (heavy,) = [signal for signal in found if signal.code == "too_heavy"]
+    assert "weighs 17" in heavy.message
+    assert heavy.severity == "error" and "shell" in heavy.hint and heavy.line == 3
+    shell = LID + (
+        "body.add(lathe([(0.15, 0), (0.15, 0.02), (0.10, 0.04), (0.012, 0.045)], 0.001), "
+        "material=steel)\n"
+    )
+    assert codes(shell + KNOB.format(z=0.043)) == set()

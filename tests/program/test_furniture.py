@@ -43,6 +43,10 @@ def test_drawers_run_free(overlay: float):
         "o.door('d', body, x=0, y=(0, 1), z=(0, 1), hinge='front')",
         "o.door('d', body, x=0, y=(0, 0.1), z=(0, 1), hinge='left', gap=0.06)",
         "o.drawer('d', body, x=0, y=(0, 0.01), z=(0, 1), depth=0.3, wall=0.01)",
+        "o.shelf(body, x=(0, 1), y=(1, 0), z=0)",
+        "bail(0.1, 0, 0.01)",
+        "panel((0.1, 0.1), 0.01, holes=[(0.06, 0, 0.02)])",
+        "panel((0.1, 0.1), 0.01, holes=[(0, 0)])",
         "grid((1000, 1000), (1, 1))",
         "ring(0, 1)",
     ],
@@ -50,8 +54,31 @@ def test_drawers_run_free(overlay: float):
 def test_wrong_furniture_is_refused(call: str):
     from neoworld_mjx.config import ProgramOptions
 
-    (signal,) = build(HEAD + call, ProgramOptions(type_check=False)).signals
+    head = HEAD.replace("grid,", "bail, panel, grid,")
+    (signal,) = build(head + call, ProgramOptions(type_check=False)).signals
     assert signal.code == "value"
+
+
+def test_shelves_bails_and_panels():
+    text = HEAD.replace("grid,", "bail, panel, grid,") + (
+        "s = o.shelf(body, x=(-0.18, 0.2), y=(-0.28, 0.28), z=0.3, name='shelf')\n"
+        "print([round(v, 9) for v in s.anchor('front.left.top')])\n"
+        "h = bail(0.1, 0.06, 0.004)\n"
+        "print([round(v, 3) for v in h.size])\n"
+        "body.add(h, at=body.anchor('top'))\n"
+        "flat = bail(0.1, 0.02, 0.004)\n"
+        "body.add(flat, at=(0.1, 0, 0.6))\n"
+        "f = panel((0.1, 0.1), 0.01, holes=[(0.02, 0.02, 0.015), (-0.02, -0.02, 0.03, 0.02)])\n"
+        "print(round(f.volume * 1e6, 2), f.distance((0.02, 0.02, 0)) > 0.014)\n"
+        "body.add(f, at=body.anchor('back.top'), by='front.top', rpy=(0, 1.5708, 0))\n"
+    )
+    built = build(text)
+    assert built.ok and built.spec is not None, [signal.phrase() for signal in built.signals]
+    anchor, size, hole = built.printed.splitlines()
+    assert anchor == "[0.2, 0.28, 0.3]"
+    assert size == "[0.007, 0.107, 0.064]"  # the bar has eight facets
+    round_hole = 0.5 * 16 * 0.015**2 * np.sin(2 * np.pi / 16)
+    assert hole == f"{1e6 * (0.01 - round_hole - 0.0006) * 0.01:.2f} True"
 
 
 OVERLAP = HEAD + (

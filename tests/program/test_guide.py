@@ -1,5 +1,6 @@
 import re
 from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,6 +27,13 @@ def test_every_block_builds_cleanly_and_alike(text: str):
         low, high = bounds(built.spec)
         wanted = np.array([float(v) for v in given.groups()])
         assert np.abs((high - low) / wanted - 1).max() < 0.03
+
+
+def test_the_page_of_the_docs_builds_too():
+    page = Path(__file__).parents[2].joinpath("docs/programs.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    built = build(block)
+    assert built.ok and built.signals == ()
 
 
 def test_all_five_examples_state_their_box():

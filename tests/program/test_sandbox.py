@@ -1,8 +1,12 @@
+import hashlib
+import subprocess
+import sys
 import time
 
 import pytest
 
 from neoworld_mjx.config import ProgramOptions
+from neoworld_mjx.export import object_files
 from neoworld_mjx.program.sandbox import run
 
 HEAD = "from neoworld_mjx.program.sdk import *\n".replace(
@@ -142,3 +146,37 @@ def test_a_busy_machine_does_not_use_up_a_programs_time(monkeypatch):
     monkeypatch.setattr(time, "monotonic", lambda: float(next(clock)))
     assert run(CUP, ProgramOptions(sandbox="cpython")).spec is not None
     assert run(CUP).spec is not None
+
+
+COMBINED = """
+from neoworld_mjx.program.sdk import Object, box, cylinder, difference, mirror, sphere, union
+o = Object("thing")
+p = o.part("body", material="oak")
+holes = [cylinder(0.013, 0.3).moved(at, rpy=(0.3, 0.2, 0)) for at in mirror((0.05, 0.03, 0), "x")]
+p.add(union(difference(box((0.2, 0.1, 0.06)), *holes), sphere(0.04).moved((0, 0, 0.03))), by="bottom")
+q = o.part("knob", material="steel")
+q.add(sphere(0.01), at=p.anchor("top"), by="bottom")
+o.ball("neck", p, q, at="centre", swing=0.4)
+"""
+
+
+def test_csg_and_balls_have_the_same_bytes_everywhere():
+    built, trusted = run(COMBINED), run(COMBINED, ProgramOptions(sandbox="cpython"))
+    assert built.spec is not None and trusted.spec is not None, built.signals
+    assert built.spec.to_json() == trusted.spec.to_json()
+    tell = (
+        "import hashlib, sys\n"
+        "from neoworld_mjx.export import object_files\n"
+        "from neoworld_mjx.spec import ObjectSpec\n"
+        "spec = ObjectSpec.model_validate_json(sys.stdin.read())\n"
+        "print(hashlib.sha256(repr(sorted(object_files(spec).items())).encode()).hexdigest())\n"
+    )
+    other = subprocess.run(
+        [sys.executable, "-c", tell],
+        input=built.spec.to_json(),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    files = repr(sorted(object_files(built.spec).items()))
+    assert other.stdout.strip() == hashlib.sha256(files.encode()).hexdigest()

@@ -9,10 +9,18 @@ from PIL import Image
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import MissingAnswerError, ModelError
 from neoworld_mjx.mllm import Answer, Picture, Request, Usage
-from neoworld_mjx.program.ask import Fault, Verdict, Written
+from neoworld_mjx.program.ask import (
+    Fault,
+    Subject,
+    Verdict,
+    Written,
+    judge_request,
+    program_request,
+)
 from neoworld_mjx.program.synthesise import Programmed, synthesise, unfenced
 from neoworld_mjx.program.views import draw, opened_state, view_from
-from neoworld_mjx.spec import Box2D, Box3D, Camera, PartState, TreeNode
+from neoworld_mjx.spec import Box2D, Box3D, Camera, PartState, TreeNode, bounds
+from neoworld_mjx.spec.pose import from_axis_angle
 
 HEAD = "from neoworld_mjx.program.sdk import Object, box, hollow_box\n"
 BODY = (
@@ -35,6 +43,7 @@ BROKEN = BODY + "door.add(box((1, 1, 1)))\n"
 DOORLESS = BODY.replace("0.38", "0.4")
 
 OPTIONS = ProgramOptions(debug_rounds=1, critic_rounds=1)
+UNJUDGED = ProgramOptions(debug_rounds=1, critic_rounds=0)
 
 
 def node(**more: Any) -> TreeNode:
@@ -44,7 +53,7 @@ def node(**more: Any) -> TreeNode:
         "parent": "floor",
         "box2d": Box2D(x0=0, y0=0, x1=64, y1=64),
         "box3d": Box3D(position=(2, 0.3, 0), size=(0.4, 0.6, 0.6), yaw=3.0),
-        "articulation": (PartState(part="door", type="revolute", opening=0.2),),
+        "articulation": (PartState(part="door", type="revolute"),),
     }
     return TreeNode(**(given | more))
 
@@ -136,6 +145,74 @@ def test_a_part_that_the_photo_shows_moving_is_asked_for():
     assert "missing_joint" in script.asked[1].prompt
 
 
+def test_checks_of_the_program_itself_may_not_go():
+    checked = GOOD + "assert door.anchor('front')[0] < 0.3\n"
+    script = Script(written(checked), verdict(6), written(GOOD), written(checked), verdict(6.5))
+    outcome = made(script)
+    assert [a.stage for a in outcome.rounds] == ["program", "revise", "debug"]
+    assert [s.code for s in outcome.rounds[1].built.signals] == ["lost"]
+    assert "1 assert statements, this one has 0" in script.asked[3].prompt
+    assert outcome.text.strip() == checked.strip()
+    said = Script(written(checked), verdict(6), written(GOOD, "assert"), verdict(7))
+    assert made(said).text.strip() == GOOD.strip()
+
+
+def test_no_hinge_is_forced_on_what_has_none():
+    script = Script(written(DOORLESS))
+    outcome = made(script, UNJUDGED, articulation=())
+    assert outcome.spec is not None and outcome.spec.joints == () and outcome.signals == ()
+    assert "moving parts seen: none noted" in script.asked[0].prompt
+    assert "a thing without moving\nparts has none" in script.asked[0].system
+
+
+def test_what_the_crop_hides_is_asked_for():
+    class Half:
+        data, note = crop(), "cut off at the left; the vase hides its foot"
+
+    script = Script(written(GOOD))
+    asyncio.run(synthesise(node(), Half(), script, UNJUDGED))
+    assert "the vase hides its foot: complete it as such things are" in script.asked[0].prompt
+    assert "Draw also what cannot be seen but must be there" in script.asked[0].system
+
+
+def test_a_box_that_was_seen_open_is_told_and_measured_so():
+    # The door stands open by half of 1.6 rad in the photo, so the box is deeper than the closed thing.
+    spec = made(Script(written(GOOD), verdict(9, accept=True))).spec
+    assert spec is not None
+    low, high = bounds(spec, {"hinge": 0.8})
+    part = PartState(part="door", type="revolute", opening=0.5)
+    box = Box3D(position=(2, 0.3, 0), size=tuple((high - low).tolist()), yaw=3.0)
+    script = Script(written(GOOD), verdict(9, accept=True))
+    outcome = made(script, UNJUDGED, box3d=box, articulation=(part,))
+    assert outcome.signals == ()
+    assert "with door 50% open as in the photo (draw it closed" in script.asked[0].prompt
+    closed = Script(written(GOOD), written(GOOD))
+    wrong = made(closed, UNJUDGED, box3d=box)
+    assert {signal.code for signal in wrong.signals} == {"proportions", "wrong_size"}
+    assert "measured box: " in closed.asked[0].prompt
+
+
+@pytest.mark.parametrize(
+    ("axis", "degrees", "words"),
+    [
+        ((0, 1, 0), 90, "tilted by 90 degrees, its top towards its own front"),
+        ((0, 1, 0), -12, "tilted by 12 degrees, its top towards its own back"),
+        ((1, 0, 0), -90, "tilted by 90 degrees, its top towards its own left"),
+        ((1, 0, 0), 180, "it stands upside down"),
+        ((0, 0, 1), 40, ""),
+    ],
+)
+def test_how_a_thing_lies_is_told_to_programmer_and_critic(axis, degrees, words):
+    tilt = tuple(from_axis_angle(axis, np.radians(degrees)).tolist())
+    seen = node(base_tilt=tilt)
+    asked = program_request(Subject(seen, Picture("crop", crop())))
+    judged = judge_request(seen, [], {"parts": "-", "joints": "-"}, (1, 1, 1), OPTIONS)
+    for request in (asked, judged):
+        assert ("turned over" in request.prompt) == bool(words)
+        assert words in request.prompt
+    assert ("draw it upright" in asked.prompt) == bool(words)
+
+
 def test_the_best_is_kept_not_the_last():
     worse = GOOD.replace("material='oak'", "material='steel', mass=3")
     script = Script(written(GOOD), verdict(7), written(worse), verdict(4))
@@ -191,8 +268,6 @@ def test_supports_need_no_model(label: str, size: tuple[float, float, float], ge
     outcome = made(Script(), environment=True, parent=None, label=label, box3d=box, articulation=())
     assert outcome.spec is not None and len(outcome.spec.parts[0].geoms) == geoms
     assert outcome.spec.materials[0].rgba[:3] == pytest.approx((0.784, 0.392, 0.196))
-    from neoworld_mjx.spec import bounds
-
     low, high = bounds(outcome.spec)
     assert np.allclose(high - low, size)
 

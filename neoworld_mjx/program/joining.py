@@ -1,0 +1,63 @@
+"""What a program says of a joint, checked and made plain: anchors and directions may be words."""
+
+import math
+from typing import Any
+
+from .. import spec as S
+from . import arguments as take
+from .part import Part, extent_of
+from .placing import MAX_ANGLE_RAD, anchor_of, direction, hinge_of, is_hinge
+
+
+def joint_fields(
+    what: str, name: str, kind: str, parent: Part, child: Part, given: dict[str, Any]
+) -> dict[str, Any]:
+    """Return the fields of a `spec.Joint` that a program gives.
+
+    Args:
+        what: for messages.
+        name: of the joint.
+        kind: its type.
+        parent: what it hangs on.
+        child: what it moves.
+        given: the arguments of the call.
+    """
+    fields: dict[str, Any] = {"name": name, "type": kind}
+    fields |= {"parent": parent.name, "child": child.name}
+    at: Any = given.get("at")
+    axis = given.get("axis")
+    if is_hinge(at):
+        point, along = hinge_of(child._extent(), extent_of([parent]), at, f"{what}: at")
+        fields["pos"] = tuple(point.tolist())
+        fields["axis"] = tuple(along.tolist())
+    elif isinstance(at, str):
+        fields["pos"] = tuple(anchor_of(child._extent(), at, f"{what}: at").tolist())
+    elif at is not None:
+        fields["pos"] = take.vector(at, f"{what}: at")
+    if axis is not None:
+        fields["axis"] = direction(axis, f"{what}: axis")
+    elif kind == "revolute" and "axis" not in fields:
+        raise ValueError(f"{what}: needs axis=, unless at= names a hinge such as 'left.hinge'")
+    if "range" in given:
+        lower, upper = take.sequence(given["range"], f"{what}: range", 2, 2)
+        fields["lower"] = take.number(lower, f"{what}: range", MAX_ANGLE_RAD)
+        fields["upper"] = take.number(upper, f"{what}: range", MAX_ANGLE_RAD)
+    if given.get("swing") is not None:
+        swing = take.number(given["swing"], f"{what}: swing")
+        if not 0 < swing <= math.pi:
+            raise ValueError(f"{what}: swing must lie above 0 and up to pi, got {swing!r}")
+        fields["upper"] = swing
+    for key in ("damping", "friction", "stiffness", "effort", "velocity"):
+        if given.get(key) is not None:
+            fields[key] = take.number(given[key], f"{what}: {key}")
+    leader = given.get("mimic")
+    if leader is not None:
+        fields["mimic"] = S.Mimic(
+            joint=leader.name,
+            multiplier=take.number(given["multiplier"], f"{what}: multiplier"),
+            offset=take.number(given["offset"], f"{what}: offset"),
+        )
+    return fields
+
+
+__all__ = ["joint_fields"]

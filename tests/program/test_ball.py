@@ -1,0 +1,125 @@
+"""Ball joints from the program to every format, and through the physics."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from neoworld_mjx.export import export_object, mechanism, read_mjcf, read_urdf, read_usd
+from neoworld_mjx.physics.mjcf import START, to_mjspec
+from neoworld_mjx.program import build
+from neoworld_mjx.spec import Joint, SceneObject, SceneSpec, link_poses, scale
+from neoworld_mjx.spec.pose import angle_between, from_axis_angle, quat_mul, rotate
+
+LAMP = """
+from neoworld_mjx.program.sdk import Object, cylinder, frustum, sphere
+lamp = Object("lamp")
+foot = lamp.part("foot", material="steel")
+foot.add(cylinder(0.06, 0.02), by="bottom")
+foot.add(cylinder(0.006, 0.3), at=(0, 0, 0.02), by="bottom")
+head = lamp.part("head", material="plastic")
+knuckle = head.add(sphere(0.012), at=(0, 0, 0.32), by="bottom")
+head.add(frustum(0.01, 0.04, 0.08), at=(0, 0, 0.34), by="bottom")
+lamp.ball("neck", foot, head, at=knuckle.anchor("centre"), swing={swing})
+"""
+STATE = {"neck.x": 0.2, "neck.y": -0.3, "neck.z": 0.4}
+
+
+@pytest.fixture(scope="module")
+def lamp():
+    built = build(LAMP.format(swing=0.3))
+    assert built.spec is not None and not built.signals, [s.phrase() for s in built.signals]
+    return built.spec
+
+
+def test_it_turns_about_its_point_by_a_rotation_vector(lamp):
+    moved = link_poses(lamp, STATE)["head"]
+    vector = np.array(list(STATE.values()))
+    turn = from_axis_angle(vector, float(np.linalg.norm(vector)))
+    assert angle_between(moved.quat, turn) < 1e-9
+    assert np.allclose(moved.apply([0, 0, 0.332]), [0, 0, 0.332])
+    assert link_poses(lamp, {})["head"].quat[0] == 1
+
+
+@pytest.mark.parametrize(
+    ("swing", "codes"), [("0.3", set()), ("2.5", {"overlap_in_motion"}), ("4", {"value"})]
+)
+def test_its_whole_cone_is_swept(swing: str, codes: set[str]):
+    assert {signal.code for signal in build(LAMP.format(swing=swing)).signals} == codes
+
+
+def test_a_ball_beside_its_part_is_told():
+    text = LAMP.format(swing=0.3).replace('knuckle.anchor("centre")', "(0.2, 0, 0.332)")
+    assert "axis_off" in {signal.code for signal in build(text).signals}
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"upper": 4.0}, "at most pi"),
+        ({"lower": -0.1, "upper": 1.0}, "at most pi"),
+        ({"effort": 1.0}, "no mimic, effort"),
+    ],
+)
+def test_what_a_ball_cannot_have(more, words):
+    with pytest.raises(ValueError, match=words):
+        Joint(name="b", type="ball", parent="p", child="q", **more)
+
+
+def test_all_formats_hold_it(lamp, tmp_path):
+    export_object(lamp, tmp_path)
+    want = mechanism(lamp)
+    for read in (read_usd(tmp_path / "object.usda"), read_mjcf(tmp_path / "object.xml", lamp)):
+        joint = read.joints["neck"]
+        assert joint.type == "ball" and joint.upper == pytest.approx(0.3, rel=1e-6)
+        assert np.allclose(joint.pos, want.joints["neck"].pos, atol=1e-6)
+        for field in ("damping", "friction", "stiffness", "armature"):
+            assert getattr(joint, field) == pytest.approx(
+                getattr(want.joints["neck"], field), rel=1e-6
+            )
+        one, other = (m.poses(STATE)["head"] for m in (want, read))
+        assert angle_between(one.quat, other.quat) < 1e-6
+
+
+def test_urdf_has_three_hinges_through_one_point(lamp, tmp_path):
+    export_object(lamp, tmp_path)
+    read = read_urdf(tmp_path / "object.urdf")
+    assert [read.joints[f"neck_{a}"].type for a in "xyz"] == ["revolute"] * 3
+    values = {"neck_x": 0.1, "neck_y": -0.2, "neck_z": 0.25}
+    turn = np.array([1.0, 0, 0, 0])
+    for axis, value in zip(np.eye(3), values.values(), strict=True):
+        turn = quat_mul(turn, from_axis_angle(axis, value))
+    found = read.poses(values)["head"]
+    assert angle_between(found.quat, turn) < 1e-6
+    assert np.allclose(found.apply([0, 0, 0.332]), [0, 0, 0.332], atol=1e-6)
+    mass = sum(link.mass for link in read.links.values())
+    assert mass == pytest.approx(
+        sum(link.mass for link in mechanism(lamp).links.values()), rel=1e-5
+    )
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "object.urdf")).njnt == 3
+
+
+def test_physics_begins_where_the_state_says_and_stays_in_the_cone(lamp):
+    item = SceneObject(name="lamp", spec=lamp, fixed_base=True, joint_state={"neck.x": 0.2})
+    model = to_mjspec(SceneSpec(objects=(item,))).compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.key(START).qpos
+    mujoco.mj_kinematics(model, data)
+    want = link_poses(lamp, item.joint_state)["head"].apply([0, 0, 0.4])
+    head = data.body("lamp/head")
+    assert np.allclose(head.xpos + rotate(head.xquat, [0, 0, 0.068]), want, atol=1e-9)
+    model.opt.gravity[:] = (9, 3, -3)
+    for _ in range(2000):
+        mujoco.mj_step(model, data)
+    angle = 2 * np.arccos(np.clip(abs(data.joint("lamp/neck").qpos[0]), 0, 1))
+    assert 0.2 < angle < 0.33
+
+
+def test_the_scale_law_holds_for_it(lamp):
+    big = scale(lamp, 2.0).joints[0]
+    assert big.upper == 0.3 and big.pos[2] == pytest.approx(0.664)
+    assert big.damping == pytest.approx(lamp.joints[0].damping * 2**4.5)
+
+
+def test_a_scene_names_its_three_values(lamp):
+    with pytest.raises(ValueError, match=r"joints are neck\.x, neck\.y, neck\.z"):
+        SceneSpec(objects=(SceneObject(name="lamp", spec=lamp, joint_state={"neck": 0.1}),))

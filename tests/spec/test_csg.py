@@ -1,0 +1,160 @@
+"""CSG: an exact decomposition that never overlaps, against manifold3d's own boolean."""
+
+import manifold3d
+import mujoco
+import numpy as np
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from neoworld_mjx.spec import CSG, Box, Cylinder, HollowBox, Lathe, Placed, Shape, Sphere
+from neoworld_mjx.spec.convex import mass_properties, planes
+from neoworld_mjx.spec.csg import _tools
+from neoworld_mjx.spec.surface import corner_normals, surface
+
+LYING = (1.0, 1.0, 0.0, 0.0)
+BLOCK = Box(size=(0.2, 0.2, 0.1))
+
+
+def made(operation, *operands, **more) -> CSG:
+    placed = tuple(
+        Placed(shape=o[0], pos=o[1], quat=(*o, LYING)[2] if len(o) > 2 else (1, 0, 0, 0))
+        for o in operands
+    )
+    return CSG(operation=operation, operands=placed, **more)
+
+
+CASES = {
+    "pocket": made("difference", (BLOCK, (0, 0, 0)), (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0.05))),
+    "bored": made("difference", (BLOCK, (0, 0, 0)), (Cylinder(radius=0.05, height=0.3), (0, 0, 0))),
+    "bored_twice": made(
+        "difference",
+        (BLOCK, (0, 0, 0)),
+        (Cylinder(radius=0.05, height=0.3), (0, 0, 0)),
+        (Cylinder(radius=0.03, height=0.3), (0, 0, 0), LYING),
+    ),
+    "dish": made(
+        "difference", (BLOCK, (0, 0, 0)), (Sphere(radius=0.06), (0, 0, 0.05)), sectors=12
+    ),
+    "cross": made(
+        "union",
+        (Cylinder(radius=0.05, height=0.3), (0, 0, 0)),
+        (Cylinder(radius=0.03, height=0.3), (0, 0, 0), LYING),
+    ),
+    "row": made("union", *((Box(size=(0.1, 0.1, 0.1)), (0.1 * k, 0, 0)) for k in range(5))),
+    "dice": made("intersection", (Box(size=(0.1,) * 3), (0, 0, 0)), (Sphere(radius=0.07), (0, 0, 0))),
+    "notched_cup": made(
+        "difference",
+        (Lathe(profile=((0, 0), (0.04, 0), (0.05, 0.1)), thickness=0.004), (0, 0, 0)),
+        (Box(size=(0.03, 0.2, 0.05)), (0, 0, 0.1)),
+    ),
+    "crate_with_grips": made(
+        "difference",
+        (HollowBox(size=(0.3, 0.2, 0.2), wall=0.01), (0, 0, 0)),
+        (Cylinder(radius=0.02, height=0.4), (-0.04, 0, 0.05), LYING),
+        (Box(size=(0.08, 0.4, 0.04)), (0, 0, 0.05)),
+        (Cylinder(radius=0.02, height=0.4), (0.04, 0, 0.05), LYING),
+    ),
+}  # fmt: skip
+
+
+def solid(shape) -> float:
+    return sum(mass_properties(piece)[0] for piece in shape.pieces())
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_pieces_fill_exactly_what_manifold_says(name: str):
+    shape = CASES[name]
+    meshes = []
+    for operand in shape.operands:
+        hulls = [
+            manifold3d.Manifold.hull_points(np.ascontiguousarray(body.solid.corners))
+            for body, _ in _tools(operand, shape.sectors)
+        ]
+        meshes.append(manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add))
+    kinds = {"union": "Add", "difference": "Subtract", "intersection": "Intersect"}
+    kind = getattr(manifold3d.OpType, kinds[shape.operation])
+    truth = manifold3d.Manifold.batch_boolean(meshes, kind).volume()
+    assert solid(shape) == pytest.approx(truth, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_pieces_do_not_overlap_and_mujoco_takes_them(name: str):
+    shape = CASES[name]
+    random = np.random.default_rng(0)
+    corners = np.vstack([np.array(piece.vertices) for piece in shape.pieces()])
+    points = random.uniform(corners.min(axis=0), corners.max(axis=0), (4000, 3))
+    half = [planes(piece) for piece in shape.pieces()]
+    depth = np.array([(p[:, 3] - points @ p[:, :3].T).min(axis=1) for p in half])
+    assert np.sum(depth > 1e-9, axis=0).max() <= 1 and np.sum(depth > 1e-9) > 100
+    model = mujoco.MjSpec()
+    for k, piece in enumerate(shape.pieces()):
+        mesh = model.add_mesh(name=f"m{k}")
+        mesh.uservert = np.array(piece.vertices).ravel()
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+        model.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"m{k}")
+    assert model.compile().ngeom == len(shape.pieces())
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_surface_is_closed_and_has_normals(name: str):
+    vertices, faces = surface(CASES[name])
+    edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    codes = edges[:, 0] * len(vertices) + edges[:, 1]
+    assert set(codes) == set(edges[:, 1] * len(vertices) + edges[:, 0])
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    volume = np.sum(a * np.cross(b, c)) / 6
+    assert volume == pytest.approx(solid(CASES[name]), rel=0.06)
+    assert np.allclose(np.linalg.norm(corner_normals(vertices, faces), axis=2), 1)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_json_both_ways_to_the_byte(name: str):
+    shape, adapter = CASES[name], TypeAdapter(Shape)
+    text = adapter.dump_json(shape)
+    again = adapter.validate_json(text)
+    assert again == shape and adapter.dump_json(again) == text
+    assert again.pieces() == shape.pieces()
+    assert all(np.array_equal(*pair) for pair in zip(surface(again), surface(shape), strict=True))
+
+
+def test_a_scaled_copy_is_cut_in_the_same_way():
+    shape = CASES["bored_twice"]
+    big = shape.scaled(1.7).scaled(0.5)
+    assert len(big.pieces()) == len(shape.pieces())
+    for one, other in zip(shape.pieces(), big.pieces(), strict=True):
+        assert np.allclose(np.array(one.vertices) * 0.85, other.vertices, rtol=1e-14, atol=0)
+    assert np.allclose(surface(shape)[0] * 0.85, surface(big)[0], rtol=1e-14, atol=0)
+
+
+def test_shapes_may_lie_in_each_other():
+    inner = CASES["pocket"]
+    outer = made("difference", (inner, (0, 0, 0)), (Box(size=(0.3, 0.02, 0.3)), (0.1, 0, 0.1)))
+    again = TypeAdapter(Shape).validate_json(outer.model_dump_json())
+    assert again == outer and solid(outer) < solid(inner)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: made("difference", (Box(size=(0.1,) * 3), (0, 0, 0)), (BLOCK, (0, 0, 0))), "nothing"),
+        (lambda: made("intersection", (BLOCK, (0, 0, 0)), (BLOCK, (1, 0, 0))), "nothing"),
+        (lambda: made("union", (BLOCK, (0, 0, 0)), (BLOCK, (1, 0, 0))), "falls into 2 solids"),
+        (
+            lambda: made("difference", (BLOCK, (0, 0, 0)), (Box(size=(0.02, 1, 1)), (0, 0, 0))),
+            "falls into 2 solids",
+        ),
+        (
+            lambda: made(
+                "difference",
+                (Box(size=(2, 2, 0.1)), (0, 0, 0)),
+                *((Sphere(radius=0.06), (0.15 * i - 1, 0.15 * k - 1, 0)) for i in range(8) for k in range(7)),
+                sectors=48,
+            ),
+            "convex pieces",
+        ),
+        (lambda: made("union", (BLOCK, (0, 0, 0))), "at least 2"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_says_why(make, words: str):
+    with pytest.raises(ValidationError, match=words):
+        make()
