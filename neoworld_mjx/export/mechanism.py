@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..errors import ExportError, choices
 from ..physics.mjcf import body_name
 from ..spec import ObjectSpec, inertial
-from ..spec.object import Joint, JointType, Mimic, joint_motion
+from ..spec.object import Joint, JointType, Mimic, ball_vector, joint_motion
 from ..spec.pose import Pose, matrix, pose, rotate
 
 
@@ -52,7 +52,8 @@ class Mechanism:
                     "links hang on nothing: " + ", ".join(sorted(j.child for j in waiting))
                 )
             for joint in ready:
-                value = self._value(joint, values)
+                ball = joint.type == "ball"
+                value = ball_vector(joint, values) if ball else self._value(joint, values)
                 moved[joint.child] = moved[joint.parent].then(joint_motion(joint, value))
             waiting = [
                 joint for joint in waiting if joint.parent not in moved or joint not in ready
@@ -211,13 +212,15 @@ def read_mjcf(path: Path, spec: ObjectSpec, name: str | None = None) -> Mechanis
             continue
         j = find(mujoco.mjtObj.mjOBJ_JOINT, f"{owner}/{joint.name}")
         slide = model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE
+        ball = model.jnt_type[j] == mujoco.mjtJoint.mjJNT_BALL
         limited = bool(model.jnt_limited[j])
         dof = model.jnt_dofadr[j]
+        hinge = "revolute" if limited else "continuous"
         joints[joint.name] = Joint(
             **common,
-            type="prismatic" if slide else "revolute" if limited else "continuous",
+            type="ball" if ball else "prismatic" if slide else hinge,
             pos=triple(base.apply(rest.xanchor[j])),
-            axis=triple(rotate(base.quat, rest.xaxis[j])),
+            axis=(0, 0, 1) if ball else triple(rotate(base.quat, rest.xaxis[j])),
             lower=float(model.jnt_range[j, 0]) if limited else 0.0,
             upper=float(model.jnt_range[j, 1]) if limited else 0.0,
             damping=float(model.dof_damping[dof]),

@@ -86,6 +86,18 @@ def _usd_joint(prim: Usd.Prim, anchor: Pose, parent: str, child: str) -> Joint:
     }
     if prim.IsA(UsdPhysics.FixedJoint):
         return Joint(**common, type="fixed")
+    if prim.IsA(UsdPhysics.SphericalJoint):
+        cone = UsdPhysics.SphericalJoint(prim).GetConeAngle0LimitAttr().Get()
+        kept: dict[str, Any] = {
+            name: prim.GetAttribute(f"{space}:{name}").Get() or 0.0
+            for name, space in (
+                ("damping", "neoworld"),
+                ("stiffness", "neoworld"),
+                ("armature", "newton"),
+                ("friction", "newton"),
+            )
+        }
+        return Joint(**common, **kept, type="ball", upper=math.radians(max(cone, 0.0)))
     slide = prim.IsA(UsdPhysics.PrismaticJoint)
     typed = UsdPhysics.PrismaticJoint(prim) if slide else UsdPhysics.RevoluteJoint(prim)
     unit = 1.0 if slide else math.radians(1.0)

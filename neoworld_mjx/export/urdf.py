@@ -2,7 +2,9 @@
 
 A link's frame has its origin at its joint's anchor and the object's orientation, so origins are
 plain offsets. What URDF has no place for is left out: joint stiffness and armature, friction of
-surfaces, sites. Capsules become a cylinder and two balls, ellipsoids meshes.
+surfaces, sites. Capsules become a cylinder and two balls, ellipsoids meshes. URDF knows no ball
+joint: it becomes three hinges <joint>_x, _y, _z through one point, with two links of next to no mass
+between them; each turns as far as the ball, the middle one at most a quarter turn.
 """
 
 import xml.etree.ElementTree as ET
@@ -17,6 +19,8 @@ from .meshes import collision_file, number, numbers, piece_mesh, visual_file
 
 UNLIMITED_EFFORT, UNLIMITED_VELOCITY = 1000.0, 100.0
 """URDF demands both of a limited joint; these stand for "not stated"."""
+BALL_LINK = 1e-6
+"""Mass and inertia of the links within a ball joint, over its child's."""
 
 
 def urdf_text(spec: ObjectSpec) -> str:
@@ -38,7 +42,9 @@ def urdf_text(spec: ObjectSpec) -> str:
     for part, _ in spec.ordered:
         _add_link(robot, spec, part, origins[part.name])
     for _, joint in spec.ordered:
-        if joint is not None:
+        if joint is not None and joint.type == "ball":
+            _add_ball(robot, spec, joint, origins[joint.parent])
+        elif joint is not None:
             _add_joint(robot, joint, origins[joint.parent])
     ET.indent(robot, " ")
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
@@ -134,6 +140,36 @@ def _add_joint(robot: ET.Element, joint: Joint, parent_origin: NDArray) -> None:
             multiplier=number(joint.mimic.multiplier),
             offset=number(joint.mimic.offset),
         )
+
+
+def _add_ball(robot: ET.Element, spec: ObjectSpec, joint: Joint, parent_origin: NDArray) -> None:
+    mass = inertial(spec, spec.part(joint.child))
+    parent, origin = joint.parent, parent_origin
+    for axis in "xyz":
+        name = f"{joint.name}_{axis}"
+        child = joint.child if axis == "z" else f"{name}_link"
+        if axis != "z":
+            link = ET.SubElement(ET.SubElement(robot, "link", name=child), "inertial")
+            _origin(link, pose())
+            # Nothing at all would be refused by simulators.
+            ET.SubElement(link, "mass", value=number(BALL_LINK * mass.mass))
+            tensor = {f"i{a}{b}": "0" for a, b in ("xy", "xz", "yz")}
+            tensor |= {f"i{a}{a}": number(BALL_LINK * max(mass.diagonal)) for a in "xyz"}
+            ET.SubElement(link, "inertia", tensor)
+        most = min(joint.upper, np.pi / 2) if axis == "y" else joint.upper
+        hinge = joint.model_copy(
+            update={
+                "name": name,
+                "type": "revolute" if joint.upper > 0 else "continuous",
+                "parent": parent,
+                "child": child,
+                "axis": tuple(float(axis == a) for a in "xyz"),
+                "lower": -most,
+                "upper": most,
+            }
+        )
+        _add_joint(robot, hinge, origin)
+        parent, origin = child, np.array(joint.pos)
 
 
 def _origin(element: ET.Element, at: Pose) -> None:

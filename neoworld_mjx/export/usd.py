@@ -8,7 +8,8 @@
 A joint's axis lies in its local rotations unless it is +X, +Y or +Z: whoever reads only the axis
 token loses it. UsdPhysics counts angles in degrees: limits, and per degree stiffness and damping
 of drives. Armature, dry friction, velocity limits and mimics are Newton's attributes
-(newton-usd-schemas), with angles in degrees too; other readers pass over them.
+(newton-usd-schemas), with angles in degrees too; other readers pass over them. A ball is a
+spherical joint with a cone; its damping and stiffness are our own attributes, in radians.
 """
 
 import math
@@ -240,17 +241,24 @@ def _add_joint(
 ) -> None:
     path = base.AppendChild("joints").AppendChild(joint.name)
     turning = joint.type != "prismatic"
-    kind = {"fixed": UsdPhysics.FixedJoint, "prismatic": UsdPhysics.PrismaticJoint}
+    kind = {
+        "fixed": UsdPhysics.FixedJoint,
+        "prismatic": UsdPhysics.PrismaticJoint,
+        "ball": UsdPhysics.SphericalJoint,
+    }
     made = kind.get(joint.type, UsdPhysics.RevoluteJoint).Define(stage, path)
     links = base.AppendChild("links")
     made.CreateBody0Rel().SetTargets([links.AppendChild(joint.parent)])
     made.CreateBody1Rel().SetTargets([links.AppendChild(joint.child)])
-    token, turn = axis_frame(joint.axis) if joint.type != "fixed" else ("X", IDENTITY)
+    token, turn = ("X", IDENTITY) if joint.type in ("fixed", "ball") else axis_frame(joint.axis)
     made.CreateLocalPos0Attr(Gf.Vec3f(*(np.array(joint.pos) - parent_origin).tolist()))
     made.CreateLocalPos1Attr(Gf.Vec3f(0.0))
     made.CreateLocalRot0Attr(quatf(turn))
     made.CreateLocalRot1Attr(quatf(turn))
     if joint.type == "fixed":
+        return
+    if joint.type == "ball":
+        _add_ball(made, joint)
         return
     unit = math.degrees(1.0) if turning else 1.0
     made.CreateAxisAttr(token)
@@ -286,6 +294,22 @@ def _add_joint(
         prim.CreateAttribute("newton:mimicEnabled", Sdf.ValueTypeNames.Bool, custom=True).Set(
             enabled
         )
+
+
+def _add_ball(made: UsdPhysics.SphericalJoint, joint: Joint) -> None:
+    """Write the cone that a ball stays in; its twist about +X is not limited in USD."""
+    made.CreateAxisAttr("X")
+    cone = math.degrees(joint.upper) if joint.upper > 0 else -1.0
+    made.CreateConeAngle0LimitAttr(cone)
+    made.CreateConeAngle1LimitAttr(cone)
+    prim = made.GetPrim()
+    for name in ("armature", "friction"):
+        if getattr(joint, name):
+            _attribute(prim, f"newton:{name}", getattr(joint, name))
+    # Spherical joints have no drive in UsdPhysics; these are of no one else's schema [N m, rad].
+    for name in ("damping", "stiffness"):
+        if getattr(joint, name):
+            _attribute(prim, f"neoworld:{name}", getattr(joint, name))
 
 
 def _attribute(prim: Usd.Prim, name: str, value: float) -> None:

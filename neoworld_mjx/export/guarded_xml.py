@@ -1,0 +1,85 @@
+"""XML of files from elsewhere, looked through before any library gets it."""
+
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..errors import SpecError
+
+MAX_BYTES, MAX_DEPTH, MAX_ELEMENTS = 64 << 20, 100, 200_000
+_DECLARED = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
+_WORDS = ("name", "file", "filename", "class", "childclass", "mesh", "material", "texture", "joint")
+_NONE = re.compile(r"^[+-]?(nan|inf|infinity|1\.?#.*)$", re.IGNORECASE)
+
+
+def read_xml(path: Path) -> ET.Element:
+    """Read an XML file that may be hostile or broken.
+
+    Raises:
+        SpecError: it cannot be read, is cut off, declares entities, is nested absurdly deep, or
+            holds a number that is none.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SpecError(f"cannot read {path}: {error.strerror}") from None
+    if len(data) > MAX_BYTES:
+        raise SpecError(f"{path} has {len(data) >> 20} MB; at most {MAX_BYTES >> 20} are read")
+    for text in (data, data[:4096].replace(b"\0", b"")):  # UTF-16 hides it behind zeros.
+        if _DECLARED.search(text):
+            raise SpecError(f"{path} declares a document type or entities, which are not read")
+    parser, depth, count = ET.XMLPullParser(("start", "end")), 0, 0
+    root: ET.Element | None = None
+    try:
+        for first in range(0, len(data), 1 << 16):
+            parser.feed(data[first : first + (1 << 16)])
+            for event, element in _elements(parser):
+                depth += 1 if event == "start" else -1
+                count += event == "start"
+                root = element if root is None else root
+                if depth > MAX_DEPTH:
+                    raise SpecError(f"{path} is nested more than {MAX_DEPTH} elements deep")
+                if count > MAX_ELEMENTS:
+                    raise SpecError(f"{path} holds more than {MAX_ELEMENTS} elements")
+        parser.close()
+    except (ET.ParseError, ValueError, LookupError) as error:
+        raise SpecError(f"{path} is not whole XML: {error}") from None
+    if root is None:
+        raise SpecError(f"{path} is empty")
+    for element in root.iter():
+        for key, value in element.attrib.items():
+            if key in _WORDS:
+                continue
+            if any(_NONE.match(word) for word in value.split()):
+                what = element.get("name") or element.tag
+                raise SpecError(f"{path}: {element.tag} {what!r}: {key}={value!r} is no number")
+    return root
+
+
+def _elements(parser: ET.XMLPullParser) -> Iterator[tuple[str, ET.Element]]:
+    # Only starts and ends were asked for.
+    yield from parser.read_events()  # pyright: ignore[reportReturnType]
+
+
+def inside(path: Path, named: str, below: str = "") -> Path:
+    """Return the file that `named` means in the XML file `path`, below a folder of its own.
+
+    Raises:
+        SpecError: it lies outside the file's folder, or is not there.
+    """
+    home = path.resolve().parent
+    plain = re.sub(r"^(package|model|file)://", "", named.strip())
+    if plain != named.strip() and named.strip().startswith(("package://", "model://")):
+        # The package's name is no folder here, unless it is.
+        rest = plain.split("/", 1)[-1]
+        plain = plain if (home / plain).exists() else rest
+    target = (home / below / plain).resolve()
+    if not target.is_relative_to(home):
+        raise SpecError(f"{path} names {named!r}, which lies outside its folder {home}")
+    if not target.is_file():
+        raise SpecError(f"{path} names {named!r}, and there is no such file")
+    return target
+
+
+__all__ = ["MAX_DEPTH", "inside", "read_xml"]

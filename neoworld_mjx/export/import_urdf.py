@@ -1,0 +1,200 @@
+"""URDF from elsewhere to an ObjectSpec, through yourdfpy."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SpecError
+from ..spec import Box, Cylinder, Joint, Sphere
+from .guarded_xml import inside, read_xml
+from .imported import Imported, Link, Solid, assemble, check_tree, follow, foreign
+from .mechanism import triple
+from .mesh_files import load_mesh
+
+LOST = {
+    "transmission": "transmissions",
+    "gazebo": "Gazebo's extensions",
+    "sensor": "sensors",
+    "safety_controller": "safety controllers",
+    "calibration": "calibration",
+}
+
+
+def import_urdf(path: Path) -> Imported:
+    """Read a URDF file and the meshes beside it.
+
+    Raises:
+        SpecError: the file is broken or hostile, names a mesh that is not there or lies outside its
+            folder, or is no tree.
+    """
+    import yourdfpy
+
+    path = Path(path)
+    root = read_xml(path)
+    if root.tag != "robot":
+        raise SpecError(f"{path}: a URDF begins with <robot>, this with <{root.tag}>")
+    _check(path, root)
+    for mesh in root.iter("mesh"):
+        inside(path, mesh.get("filename") or "")
+    try:
+        robot = yourdfpy.URDF.load(
+            str(path), load_meshes=False, build_collision_scene_graph=False
+        ).robot
+    except Exception as error:  # a library's border
+        raise SpecError(f"{path} is no URDF: {type(error).__name__}: {error}"[:300]) from None
+    notes = [
+        f"{what} are not carried"
+        for tag, what in LOST.items()
+        if root.find(f".//{tag}") is not None
+    ]
+    frames = _frames(robot, check_tree(
+        path, [link.name for link in robot.links],
+        [(joint.name, joint.parent, joint.child) for joint in robot.joints],
+    ))  # fmt: skip
+    colours = {m.name: m.color.rgba for m in robot.materials if m.color is not None and m.name}
+    links = [_link(path, link, frames[link.name], colours, notes) for link in robot.links]
+    joints = [_joint(path, joint, frames[joint.child], notes) for joint in robot.joints]
+    return assemble(robot.name or path.stem, links, joints, notes)
+
+
+def _check(path: Path, root: Any) -> None:
+    """Look for what yourdfpy would stumble over."""
+    for joint in root.findall("joint"):
+        for end in ("parent", "child"):
+            found = joint.find(end)
+            if found is None or not found.get("link"):
+                raise SpecError(f"{path}: joint {joint.get('name')!r} has no {end} link")
+    for element in (*root.findall("link"), *root.findall("joint")):
+        if not element.get("name"):
+            raise SpecError(f"{path}: a {element.tag} has no name")
+    if root.find("link") is None:
+        raise SpecError(f"{path} has no links")
+
+
+def _frames(robot: Any, root: str) -> dict[str, NDArray]:
+    frames = {root: np.eye(4)}
+    waiting = list(robot.joints)
+    while waiting:
+        joint = next(joint for joint in waiting if joint.parent in frames)
+        waiting.remove(joint)
+        local = np.eye(4) if joint.origin is None else joint.origin
+        frames[joint.child] = frames[joint.parent] @ local
+    return frames
+
+
+def _link(path: Path, link: Any, at: NDArray, colours: dict[str, Any], notes: list[str]) -> Link:
+    made = Link(link.name)
+    for items, role in ((link.visuals, "visual"), (link.collisions, "collision")):
+        for item in items:
+            place = at if item.origin is None else at @ item.origin
+            rgba = _colour(getattr(item, "material", None), colours)
+            for shape, local in _shapes(path, item.geometry, link.name, notes):
+                made.solids.append(Solid(shape, place @ local, role, rgba))
+    own = link.inertial
+    if own is not None and own.mass is not None:
+        place = at if own.origin is None else at @ own.origin
+        made.mass, made.com = float(own.mass), place[:3, 3]
+        if own.inertia is not None:
+            turn = place[:3, :3]
+            made.inertia = turn @ np.asarray(own.inertia, float) @ turn.T
+    return made
+
+
+def _colour(material: Any, colours: dict[str, Any]) -> tuple[float, float, float, float]:
+    if material is None:
+        return (0.7, 0.7, 0.7, 1.0)
+    found = material.color.rgba if material.color is not None else colours.get(material.name)
+    if found is None:
+        return (0.7, 0.7, 0.7, 1.0)
+    r, g, b, a = (float(v) for v in found)
+    return r, g, b, a
+
+
+def _shapes(path: Path, geometry: Any, link: str, notes: list[str]) -> list[tuple[Any, NDArray]]:
+    """Return shapes with their places in the element's frame."""
+    here = np.eye(4)
+    try:
+        if geometry.box is not None:
+            return [(Box(size=triple(np.asarray(geometry.box.size, float))), here)]
+        if geometry.sphere is not None:
+            return [(Sphere(radius=float(geometry.sphere.radius)), here)]
+        if geometry.cylinder is not None:
+            c = geometry.cylinder
+            return [(Cylinder(radius=float(c.radius), height=float(c.length)), here)]
+    except ValueError:
+        raise SpecError(f"{path}: link {link} has a shape whose size is not positive") from None
+    if geometry.mesh is not None:
+        scale = (
+            np.ones(3) if geometry.mesh.scale is None else np.asarray(geometry.mesh.scale, float)
+        )
+        vertices, faces = load_mesh(inside(path, geometry.mesh.filename))
+        return [((vertices * scale, faces if np.prod(scale) > 0 else faces[:, ::-1]), here)]
+    notes.append(f"link {link}: a geometry that is no box, sphere, cylinder or mesh is left out")
+    return []
+
+
+def _joint(path: Path, joint: Any, at: NDArray, notes: list[str]) -> Joint:
+    kind, limit, dynamics, mimic = joint.type, joint.limit, joint.dynamics, joint.mimic
+    lower = upper = 0.0
+    if kind not in ("fixed", "revolute", "continuous", "prismatic"):
+        notes.append(f"joint {joint.name} is {kind}: carried as fixed")
+        kind = "fixed"
+    if kind in ("revolute", "prismatic"):
+        if limit is None or limit.lower is None or limit.upper is None:
+            if kind == "prismatic":
+                raise SpecError(f"{path}: joint {joint.name} is prismatic and states no limits")
+            notes.append(f"joint {joint.name} states no limits: carried as continuous")
+            kind = "continuous"
+        else:
+            lower, upper = float(limit.lower), float(limit.upper)
+            if lower > upper:
+                raise SpecError(
+                    f"{path}: joint {joint.name}: lower {lower:g} is above upper {upper:g}"
+                )
+            if lower == upper:
+                notes.append(f"joint {joint.name} has no range: carried as fixed")
+                kind = "fixed"
+    axis = at[:3, :3] @ np.asarray(joint.axis if joint.axis is not None else (1, 0, 0), float)
+    if kind != "fixed" and np.linalg.norm(axis) < 1e-9:
+        raise SpecError(f"{path}: joint {joint.name} has no axis")
+    free = kind == "fixed"
+    return foreign(
+        name=joint.name,
+        type=kind,
+        parent=joint.parent,
+        child=joint.child,
+        pos=triple(at[:3, 3]),
+        axis=(0, 0, 1) if free else triple(axis / np.linalg.norm(axis)),
+        lower=0.0 if free or kind == "continuous" else lower,
+        upper=0.0 if free or kind == "continuous" else upper,
+        damping=_positive(dynamics, "damping", joint.name, notes),
+        friction=_positive(dynamics, "friction", joint.name, notes),
+        # Some files write 0 for "none", which would mean a joint that cannot be driven.
+        effort=_stated(limit, "effort"),
+        velocity=_stated(limit, "velocity"),
+        mimic=None
+        if mimic is None or free
+        else follow(
+            mimic.joint,
+            1.0 if mimic.multiplier is None else float(mimic.multiplier),
+            float(mimic.offset or 0.0),
+        ),
+    )
+
+
+def _positive(source: Any, name: str, joint: str, notes: list[str]) -> float:
+    value = float(getattr(source, name, None) or 0.0)
+    if value < 0:
+        notes.append(f"joint {joint}: a {name} of {value:g} is carried as none")
+    return max(value, 0.0)
+
+
+def _stated(source: Any, name: str) -> float | None:
+    value = getattr(source, name, None)
+    return float(value) if value and value > 0 and math.isfinite(value) else None
+
+
+__all__ = ["import_urdf"]

@@ -1,0 +1,144 @@
+"""`neoworld check` of an object: a program, a URDF or an MJCF file, whoever wrote it."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+from ..config import Config
+from ..errors import SpecError
+from ..export import export_object
+from ..export.guarded_xml import read_xml
+from ..export.import_mjcf import import_mjcf
+from ..export.import_urdf import import_urdf
+from ..export.imported import Imported
+from ..program import build
+from ..spec import ObjectSpec
+from .battery import VERSION
+from .patch import apply, overlay_path, read_overlay, write_overlay
+from .ranges import Allowed
+from .sound import Sound, make_sound
+from .verdict import Check, Verdict
+
+OBJECTS = (".py", ".urdf", ".xml", ".mjcf")
+"""Suffixes of files that hold an object."""
+
+
+def import_object(path: Path) -> Imported:
+    """Read a URDF or MJCF file, told apart by what it begins with.
+
+    Raises:
+        SpecError: it is neither, broken, or hostile.
+    """
+    root = read_xml(path)
+    if root.tag == "robot":
+        return import_urdf(path)
+    if root.tag == "mujoco":
+        return import_mjcf(path)
+    raise SpecError(f"{path} begins with <{root.tag}>: a URDF with <robot>, an MJCF with <mujoco>")
+
+
+def check_object(
+    path: Path,
+    config: Config,
+    *,
+    fixed_base: bool = False,
+    mend: bool = False,
+    out: Path | None = None,
+) -> dict[str, Any]:
+    """Try the object of a file, and mend it if asked to.
+
+    Args:
+        path: a program (.py), URDF or MJCF.
+        config: of programs and of the battery.
+        fixed_base: whether the base stays fastened.
+        mend: whether direct repairs are tried; the patch of a program is kept beside it.
+        out: folder for the mended object in every format; None writes none.
+
+    Returns:
+        What `neoworld check --json` prints.
+
+    Raises:
+        SpecError: the file cannot be used.
+        ExportError: the mended object cannot be written.
+    """
+    if out is not None and not mend:
+        raise SpecError("--out takes the mended object: give --repair with it")
+    answer: dict[str, Any] = {"target": str(path)}
+    spec: ObjectSpec
+    allowed: Allowed = {}
+    if path.suffix == ".py":
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise SpecError(f"cannot read {path}: {error}") from None
+        built = build(text, config.program)
+        signals = [{"code": s.code, **s.model_dump(exclude_defaults=True)} for s in built.signals]
+        answer["signals"] = signals
+        if built.spec is None:
+            return {**answer, "passed": False, "checks": []}
+        spec = built.spec
+        allowed = {frozenset((a.first, a.second)): a.depth for a in built.allowances}
+        overlay = read_overlay(path)
+        if overlay is not None:
+            spec, stale = apply(overlay, spec)
+            answer["overlay"] = {"file": str(overlay_path(path)), "stale": list(stale)}
+    else:
+        found = import_object(path)
+        spec, answer["notes"] = found.spec, list(found.notes)
+    start = time.perf_counter()
+    options = config.verify if mend else config.verify.model_copy(update={"rounds": 0})
+    result = make_sound(spec, options, fixed_base=fixed_base, allowed=allowed)
+    answer |= told(result)
+    answer["seconds"] = round(time.perf_counter() - start, 3)
+    if path.suffix == ".py" and any(s.get("severity") == "error" for s in answer["signals"]):
+        # What the program's own checks hold against it counts as well, unless a patch cured it.
+        answer["passed"] = answer["passed"] and not result.patch.empty
+    if mend and not result.patch.empty:
+        if path.suffix == ".py":
+            kept = read_overlay(path)
+            patch = result.patch if kept is None else kept.joined(result.patch)
+            answer["patch"] = str(write_overlay(path, patch))
+        if out is not None:
+            export_object(result.applied(spec), out)
+            answer["folder"] = str(out)
+    return answer
+
+
+def told(result: Sound) -> dict[str, Any]:
+    """Return what a result says, for people and programs."""
+    verdict = result.verdict
+    answer: dict[str, Any] = {
+        "object": verdict.object,
+        "passed": verdict.passed,
+        "cause": verdict.cause,
+        "faults": list(verdict.faults),
+        "score": round(verdict.score, 3),
+        "mass_kg": verdict.mass_kg,
+        "battery": VERSION,
+        "counts": counts(verdict),
+        "checks": [c.model_dump(mode="json", exclude_none=True) for c in _worst_first(verdict)],
+    }
+    if result.tried:
+        before = result.before or verdict
+        answer["repair"] = {
+            "before": list(before.faults),
+            "changes": list(result.changes),
+            "tried": list(result.tried),
+        }
+    return answer
+
+
+def _worst_first(verdict: Verdict) -> list[Check]:
+    order = ("FAIL", "TOOL_FAILURE", "PASS", "SKIP")
+    return sorted(verdict.checks, key=lambda check: order.index(check.outcome))
+
+
+def counts(verdict: Verdict) -> dict[str, int]:
+    """Return how many checks came out how."""
+    outcomes = [check.outcome for check in verdict.checks]
+    return {
+        outcome: outcomes.count(outcome) for outcome in ("PASS", "FAIL", "SKIP", "TOOL_FAILURE")
+    }
+
+
+__all__ = ["OBJECTS", "check_object", "import_object", "told"]

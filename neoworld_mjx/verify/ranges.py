@@ -1,0 +1,435 @@
+"""What can be said of an object by posing it: overlaps over every range, gaps, pivots, intents.
+
+Depths are exact (`mj_geomDistance`), parent and child included. What a joint does is no separation:
+parts are held to belong together where the object is drawn, at rest.
+"""
+
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config import VerifyOptions
+from ..physics.mjcf import welded
+from ..program.probe import Probe
+from ..spec import Joint, ObjectSpec, bounds
+from ..spec.mesh import HELPER
+from ..spec.object import joint_motion
+from .scenarios import SINGLE
+from .solid import part_bounds
+from .verdict import Check, Fault, Limit, judged, skipped
+
+Pair = tuple[int, int]
+Allowed = Mapping[frozenset[str], float]
+AT_ONCE = 0.25
+"""A joint that is free over less than this share of its range runs into something at once."""
+
+
+@dataclass
+class Ranges:
+    """What the sweep found, for checks and for repairs."""
+
+    checks: list[Check] = field(default_factory=list)
+    free: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Of each joint that runs into something: the part of its range around rest that is free."""
+    overlapping: list[tuple[str, str, float]] = field(default_factory=list)
+    """Parts that enter each other at rest, and how deep [m]."""
+
+
+def ranges(spec: ObjectSpec, options: VerifyOptions, allowed: Allowed | None = None) -> Ranges:
+    """Measure overlaps at rest, over each joint's range and in combinations, then gaps and pivots.
+
+    Args:
+        spec: the object.
+        options: thresholds and how finely ranges are swept.
+        allowed: overlaps [m] that a program asks for, by the names of two parts.
+    """
+    probe = Probe(spec)
+    found = Ranges()
+    rigid = welded(spec)
+    names = probe.names
+    limits = {
+        (a, b): max(options.max_depth_m, (allowed or {}).get(frozenset((names[a], names[b])), 0.0))
+        for a, b in itertools.combinations(range(len(names)), 2)
+        if rigid[names[a]] != rigid[names[b]]
+    }
+    bad = _at_rest(probe, limits, found, options)
+    driven = [j for j in spec.joints if j.type in SINGLE and j.mimic is None]
+    for joint in driven:
+        bad |= _over_range(probe, joint, limits, bad, found, options)
+    if len(driven) > 1:
+        _combined(probe, driven, limits, bad, found, options)
+    probe.place({})
+    found.checks += _gaps(probe, options)
+    for joint in spec.joints:
+        if joint.type in ("revolute", "continuous") and not _helper(spec, joint.child):
+            found.checks.append(_pivot(probe, joint, options))
+    found.checks += intents(spec)
+    return found
+
+
+def _at_rest(
+    probe: Probe, limits: dict[Pair, float], found: Ranges, options: VerifyOptions
+) -> set[Pair]:
+    bad: set[Pair] = set()
+    worst, between = 0.0, ""
+    for pair, near in probe.depths(limits).items():
+        depth = -near.distance
+        first, second = (probe.names[k] for k in pair)
+        if depth > limits[pair]:
+            bad.add(pair)
+            found.overlapping.append((first, second, depth))
+            limit = Limit(threshold=limits[pair], unit="m", fault=Fault.PARTS_OVERLAP)
+            name = f"part_depth:{first}:{second}"
+            found.checks.append(
+                judged("static", name, depth, limit, part=second, evidence=f"{first} and {second}")
+            )
+        elif depth > worst:
+            worst, between = depth, f"{first} and {second}"
+    if not bad:
+        limit = Limit(threshold=options.max_depth_m, unit="m", fault=Fault.PARTS_OVERLAP)
+        # What is granted deeper has been held against its own limit.
+        shown = min(worst, options.max_depth_m)
+        found.checks.append(judged("static", "part_depth", shown, limit, evidence=between))
+    return bad
+
+
+def _over_range(
+    probe: Probe,
+    joint: Joint,
+    limits: dict[Pair, float],
+    bad: set[Pair],
+    found: Ranges,
+    options: VerifyOptions,
+) -> set[Pair]:
+    """Sweep one joint; a failure says how much of its range around rest is free."""
+    moving = {probe.names.index(name) for name in carried(probe.spec, joint)}
+    pairs = [p for p in limits if p not in bad and (p[0] in moving) != (p[1] in moving)]
+    if any(j.mimic is not None for j in probe.spec.joints):
+        pairs += [p for p in limits if p not in bad and p[0] in moving and p[1] in moving]
+    values = positions(joint, options.sweep_steps)
+    over = np.zeros(len(values))
+    worst: dict[Pair, tuple[float, float]] = {}
+    for k, value in enumerate(values):
+        probe.place({joint.name: float(value)})
+        for pair, near in probe.depths(pairs).items():
+            over[k] = max(over[k], -near.distance / limits[pair])
+            if -near.distance > worst.get(pair, (0.0, 0.0))[0]:
+                worst[pair] = (-near.distance, float(value))
+    deepest = max(worst.items(), key=lambda item: item[1][0], default=None)
+    depth, at = (0.0, 0.0) if deepest is None else deepest[1]
+    other = ""
+    if deepest is not None:
+        other = probe.names[next((k for k in deepest[0] if k not in moving), deepest[0][0])]
+    colliding = {p for p, (d, _) in worst.items() if d > limits[p]}
+    fault = Fault.LIMIT_INTO_PART
+    if colliding:
+        free = _free(probe, joint, values, over <= 1.0, pairs, limits)
+        found.free[joint.name] = free
+        width = float(values[-1] - values[0])
+        if free[1] - free[0] < AT_ONCE * width:
+            fault = Fault.JOINT_INTO_PART
+        if joint.type == "revolute" and _better_pivot(probe, joint, pairs, limits, options):
+            fault = Fault.PIVOT_OFF
+    limit = Limit(
+        threshold=max([limits[p] for p in colliding], default=options.max_depth_m),
+        unit="m",
+        fault=fault,
+    )
+    shown = depth if colliding else min(depth, options.max_depth_m)
+    unit = "m" if joint.type == "prismatic" else "rad"
+    found.checks.append(
+        judged(
+            "joint_range",
+            f"depth:{joint.name}",
+            shown,
+            limit,
+            part=joint.child,
+            joint=joint.name,
+            at=at,
+            evidence=f"{joint.child} in {other} with {joint.name} at {at:.3g} {unit}",
+        )
+    )
+    return colliding
+
+
+def _free(
+    probe: Probe,
+    joint: Joint,
+    values: NDArray,
+    good: NDArray,
+    pairs: list[Pair],
+    limits: dict[Pair, float],
+) -> tuple[float, float]:
+    """Return the range around rest in which nothing collides, to a thousandth of the whole."""
+
+    def clear(value: float) -> bool:
+        probe.place({joint.name: value})
+        return all(-near.distance <= limits[p] for p, near in probe.depths(pairs).items())
+
+    rest = float(np.clip(0.0, values[0], values[-1]))
+    if not clear(rest):
+        return rest, rest
+    ends = []
+    for side in (values[values < rest][::-1], values[values > rest]):
+        inside, outside = rest, None
+        for value in side:
+            if not good[int(np.argmin(np.abs(values - value)))]:
+                outside = float(value)
+                break
+            inside = float(value)
+        while outside is not None and abs(outside - inside) > 1e-3 * (values[-1] - values[0]):
+            middle = (inside + outside) / 2
+            inside, outside = (middle, outside) if clear(middle) else (inside, middle)
+        ends.append(inside)
+    return ends[0], ends[1]
+
+
+def _better_pivot(
+    probe: Probe,
+    joint: Joint,
+    pairs: list[Pair],
+    limits: dict[Pair, float],
+    options: VerifyOptions,
+) -> bool:
+    """Tell whether a pivot within the part, on none of its edges, collides where an edge would not.
+
+    A hinge sits on an edge of what it turns. One that does not, and whose range would be free if it
+    did, is in the wrong place; one that sits on an edge has another fault.
+    """
+    spec = probe.spec
+    low, high = part_bounds(spec, spec.part(joint.child))
+    edges = pivot_edges(joint, low, high)
+    if not len(edges) or on_edge(joint, low, high):
+        return False
+    for edge in edges:
+        moved = joint.model_copy(update={"pos": tuple(edge.tolist())})
+        other = Probe(with_joint(spec, moved))
+        for value in positions(joint, options.sweep_steps):
+            other.place({joint.name: float(value)})
+            if any(-near.distance > limits[p] for p, near in other.depths(pairs).items()):
+                break
+        else:
+            return True
+    return False
+
+
+def on_edge(joint: Joint, low: NDArray, high: NDArray) -> bool:
+    """Tell whether a joint's axis runs along an edge of a box, to a tenth of the box's width."""
+    axis = np.array(joint.axis)
+    off = pivot_edges(joint, low, high) - np.array(joint.pos)
+    wide = (high - low) * (np.abs(axis) < 0.99)
+    if not len(off):
+        return False
+    return float(np.linalg.norm(off - np.outer(off @ axis, axis), axis=1).min()) < 0.1 * float(
+        np.linalg.norm(wide)
+    )
+
+
+def pivot_edges(joint: Joint, low: NDArray, high: NDArray) -> NDArray:
+    """Return points on the four edges of a box along a joint's axis [4, 3] m; none if it is askew."""
+    along = int(np.argmax(np.abs(joint.axis)))
+    if abs(joint.axis[along]) < 0.99:
+        return np.zeros((0, 3))
+    one, two = (k for k in range(3) if k != along)
+    edges = np.tile((low + high) / 2, (4, 1))
+    edges[:, one] = [low[one], low[one], high[one], high[one]]
+    edges[:, two] = [low[two], high[two], low[two], high[two]]
+    return edges
+
+
+def _combined(
+    probe: Probe,
+    driven: list[Joint],
+    limits: dict[Pair, float],
+    bad: set[Pair],
+    found: Ranges,
+    options: VerifyOptions,
+) -> None:
+    random = np.random.default_rng(0)
+    rest = [pair for pair in limits if pair not in bad]
+    ends = {j.name: positions(j, options.sweep_steps) for j in driven}
+    free = {j.name: found.free.get(j.name) for j in driven}
+    worst, shown, limit_at = 0.0, "", options.max_depth_m
+    for k in range(options.sweep_combinations):
+        # All open and all closed come first: that is where what swings past each other meets.
+        state = {
+            name: float(values[(-1, 0)[k] if k < 2 else random.integers(len(values))])
+            for name, values in ends.items()
+        }
+        for name, span in free.items():
+            if span is not None:
+                state[name] = float(np.clip(state[name], *span))
+        probe.place(state)
+        for pair, near in probe.depths(rest).items():
+            if -near.distance > max(worst, limits[pair]):
+                worst, limit_at = -near.distance, limits[pair]
+                told = ", ".join(f"{name} at {value:.3g}" for name, value in state.items())
+                shown = f"{probe.names[pair[0]]} in {probe.names[pair[1]]} with {told}"[:300]
+    limit = Limit(threshold=limit_at, unit="m", fault=Fault.RANGE_CONFLICT)
+    found.checks.append(judged("joint_range", "depth:together", worst, limit, evidence=shown))
+
+
+def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
+    """Yield how much air there is at rest between each part and what it hangs on."""
+    low, high = bounds(probe.spec)
+    slack = max(options.touch_gap_m, 0.01 * float(np.linalg.norm(high - low)))
+    reach = 20 * slack
+    limit = Limit(threshold=slack, unit="m", fault=Fault.PART_DETACHED)
+    for joint in probe.spec.joints:
+        if _helper(probe.spec, joint.child) or _helper(probe.spec, joint.parent):
+            continue
+        one, two = (probe.of_part(probe.names.index(name)) for name in (joint.parent, joint.child))
+        near = probe.nearest(one, two, reach)
+        gap = reach if near is None else max(near.distance, 0.0)
+        told = f"{joint.child} hangs in the air beside {joint.parent}"
+        yield judged(
+            "static", f"gap:{joint.name}", gap, limit, part=joint.child, joint=joint.name,
+            evidence=told,
+        )  # fmt: skip
+
+
+def _pivot(probe: Probe, joint: Joint, options: VerifyOptions) -> Check:
+    """Measure how far the axis of a turning joint passes beside the two parts that it joins."""
+    low, high = probe.extent(probe.names.index(joint.child))
+    size = float(np.linalg.norm(high - low))
+    point, axis = np.array(joint.pos), np.array(joint.axis)
+    off = line_misses(point, axis, low, high)
+    if not _helper(probe.spec, joint.parent):
+        # The parent's frame need not reach all the way to the axis, as a hinge has its own size.
+        off = max(off, line_misses(point, axis, *probe.extent(probe.names.index(joint.parent))) / 2)
+    limit = Limit(
+        threshold=max(options.max_pivot_off * size, 0.004), unit="m", fault=Fault.PIVOT_OFF
+    )
+    return judged(
+        "static", f"pivot:{joint.name}", off, limit, part=joint.child, joint=joint.name,
+        evidence=f"the axis of {joint.name} passes beside {joint.child} or {joint.parent}",
+    )  # fmt: skip
+
+
+def line_misses(point: NDArray, axis: NDArray, low: NDArray, high: NDArray) -> float:
+    """Return how far [m] a box must grow on all sides to be met by a line."""
+    least, most = 0.0, float(np.abs(np.concatenate([low - point, high - point])).max()) + 1.0
+    for _ in range(40):
+        grow = (least + most) / 2
+        a, b = low - grow - point, high + grow - point
+        inside = np.where((a <= 0) & (b >= 0), np.inf, -np.inf)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            near = np.where(axis == 0, -inside, np.minimum(a / axis, b / axis))
+            far = np.where(axis == 0, inside, np.maximum(a / axis, b / axis))
+        if near.max() <= far.min():
+            most = grow
+        else:
+            least = grow
+    return most if most > 1e-9 else 0.0
+
+
+def intents(spec: ObjectSpec) -> Iterator[Check]:
+    """Yield whether joints do what they are declared to do."""
+    for joint in spec.joints:
+        intent = joint.intent
+        if intent is None:
+            if joint.type in SINGLE:
+                yield skipped("intent", joint.name, "no intent is declared", joint.name)
+            continue
+        if intent.type is not None:
+            wrong = 0.0 if intent.type == joint.type else 1.0
+            limit = Limit(threshold=0.0, unit="", fault=Fault.JOINT_TYPE)
+            told = f"{joint.name} is {joint.type} and meant to be {intent.type}"
+            yield judged(
+                "intent", f"type:{joint.name}", wrong, limit, part=joint.child, joint=joint.name,
+                evidence=told,
+            )  # fmt: skip
+            if wrong:
+                continue
+        if intent.opens is not None and joint.type in SINGLE:
+            limit = Limit(threshold=0.3, unit="cosine", fault=Fault.AXIS_REVERSED, least=True)
+            cosine = opening(spec, joint)
+            if cosine is None:
+                why = "its middle hardly moves, so it opens no way"
+                yield skipped("intent", f"opens:{joint.name}", why, joint.name)
+                continue
+            yield judged(
+                "intent", f"opens:{joint.name}", cosine, limit, part=joint.child,
+                joint=joint.name, evidence=f"{joint.child} sets out the wrong way",
+            )  # fmt: skip
+        if intent.travel is not None and joint.type in ("revolute", "prismatic"):
+            limit = Limit(
+                threshold=0.9 * intent.travel,
+                unit="m" if joint.type == "prismatic" else "rad",
+                fault=Fault.LIMITS_NARROW,
+                least=True,
+            )
+            width = joint.upper - joint.lower
+            yield judged(
+                "intent", f"travel:{joint.name}", width, limit, part=joint.child, joint=joint.name
+            )
+
+
+def opening(spec: ObjectSpec, joint: Joint) -> float | None:
+    """Return the cosine between a child's way out of rest and the direction it is meant to take.
+
+    The way is that of the middle of its bounding box over the first tenth of its range; None where the
+    axis runs through that middle.
+    """
+    low, high = part_bounds(spec, spec.part(joint.child))
+    width = 2 * np.pi if joint.type == "continuous" else joint.upper - joint.lower
+    middle = (low + high) / 2
+    # A tenth of the way is still straight, yet more than rounding.
+    way = joint_motion(joint, 0.1 * min(width, 1.0)).apply(middle) - middle
+    length = float(np.linalg.norm(way))
+    if joint.type != "prismatic":
+        reach = 0.1 * min(width, 1.0) * float(np.linalg.norm(high - low)) / 2
+        if length < 0.15 * reach:
+            return None
+    goal = np.array(joint.intent.opens if joint.intent and joint.intent.opens else (0, 0, 0), float)
+    return float(way @ goal / max(length * float(np.linalg.norm(goal)), 1e-12))
+
+
+def positions(joint: Joint, steps: int) -> NDArray:
+    """Return values that cover a joint's range."""
+    if joint.type == "continuous":
+        return np.linspace(0, 2 * np.pi, steps + 3, endpoint=False)
+    values = np.linspace(joint.lower, joint.upper, steps)
+    # The first and last bit of a range are where it meets what stops it.
+    edge = 0.02 * (joint.upper - joint.lower)
+    return np.unique(np.concatenate([values, [joint.lower + edge, joint.upper - edge]]))
+
+
+def carried(spec: ObjectSpec, joint: Joint) -> set[str]:
+    """Return the parts that a joint moves, those of its followers included."""
+    led = {joint.name}
+    for _ in spec.joints:
+        led |= {j.name for j in spec.joints if j.mimic is not None and j.mimic.joint in led}
+    moved: set[str] = set()
+    for part, carrier in spec.ordered:
+        if carrier is not None and (carrier.name in led or carrier.parent in moved):
+            moved.add(part.name)
+    return moved
+
+
+def with_joint(spec: ObjectSpec, joint: Joint) -> ObjectSpec:
+    """Return the object with a joint in place of its namesake."""
+    joints = tuple(joint if j.name == joint.name else j for j in spec.joints)
+    return spec.model_copy(update={"joints": joints})
+
+
+def _helper(spec: ObjectSpec, part: str) -> bool:
+    """Tell whether a part is a bead that stands for a link without geometry: it touches nothing."""
+    return all(geom.material.startswith(HELPER) for geom in spec.part(part).geoms)
+
+
+__all__ = [
+    "Ranges",
+    "carried",
+    "intents",
+    "line_misses",
+    "on_edge",
+    "opening",
+    "pivot_edges",
+    "positions",
+    "ranges",
+    "with_joint",
+]

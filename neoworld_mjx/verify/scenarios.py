@@ -1,0 +1,193 @@
+"""What is done to an object: falls, pushes, releases, drives and a slope, as numbers.
+
+A scenario says how the object starts and which forces act on it when; `trial` runs all scenarios of an
+object in one batch. The paper's two standard scenarios (Section 3.2, Step 3) are presets by name.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config import VerifyOptions
+from .verdict import Scenario as Kind
+
+World = Literal["free", "gripping", "held", "weightless"]
+"""Free on the floor; the same with contacts that do not creep; its base held fast, without floor; held,
+and without gravity too."""
+SINGLE = ("revolute", "continuous", "prismatic")
+"""Types of joints with one value; what has three is posed and pushed, but not driven."""
+STILL_S = 0.1
+"""How long a joint is left alone before it is driven."""
+TILT_FROM_S, STEEPEST_DEG = 0.3, 70.0
+"""When the slope begins to rise, and how steep it is at the end."""
+DIRECTIONS = {
+    "+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1),
+    "-z": (0, 0, -1),
+}  # fmt: skip
+
+
+_DRIVES: tuple[tuple[str, World], ...] = (("drive", "weightless"), ("drive_loaded", "held"))
+
+
+@dataclass(frozen=True)
+class Run:
+    """One scenario of an object."""
+
+    kind: Kind
+    name: str
+    world: World
+    height: float = 0.0
+    """Of its lowest point above the floor at the start [m]."""
+    tilt: tuple[float, float] = (0.0, 0.0)
+    """Turn at the start about x and about y, on top of how it rests [rad]."""
+    joints: dict[str, float] = field(default_factory=dict)
+    """Where joints start [rad or m]."""
+    speeds: dict[str, float] = field(default_factory=dict)
+    """How fast they start."""
+    part: str | None = None
+    """What is pushed."""
+    impulse: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Over the mass pushed [m/s]."""
+    twist: float = 0.0
+    """Turn about the vertical that the push gives the pushed mass, alone [rad/s]."""
+    joint: str | None = None
+    """What is released or driven."""
+    driven: bool = False
+    slope: bool = False
+
+
+@dataclass(frozen=True)
+class Moving:
+    """What scenarios need to know of a joint that moves by itself."""
+
+    name: str
+    child: str
+    low: float
+    high: float
+    """Its range [rad or m]; one turn for a continuous joint."""
+    sprung: bool = False
+
+    @property
+    def middle(self) -> float:
+        """The middle of its range."""
+        return (self.low + self.high) / 2
+
+
+def scenarios(
+    parts: list[str], joints: list[Moving], options: VerifyOptions, *, fixed_base: bool
+) -> list[Run]:
+    """List what is done to an object.
+
+    Args:
+        parts: one of each group of parts that move together, the root first.
+        joints: those that move by themselves.
+        options: heights, impulses.
+        fixed_base: whether the base stays fastened; then only joints are tried.
+    """
+    runs = [] if fixed_base else [*falls(options), *pushes(parts, options), slope()]
+    for joint in joints:
+        runs += releases(joint)
+        runs += drives(joint)
+    return runs
+
+
+def falls(options: VerifyOptions) -> list[Run]:
+    """Free fall from a small height, a higher one, and tilted about either axis."""
+    lean = np.radians(options.drop_tilt_deg)
+    low, high = options.drop_height_m, options.high_drop_m
+    return [
+        Run("free_fall", "fall", "free", height=low),
+        Run("free_fall", "fall_high", "free", height=high),
+        Run("free_fall", "fall_tilted_x", "free", height=low, tilt=(float(lean), 0.0)),
+        Run("free_fall", "fall_tilted_y", "free", height=low, tilt=(0.0, float(lean))),
+    ]
+
+
+def pushes(parts: list[str], options: VerifyOptions) -> list[Run]:
+    """Force perturbation: six directions and a twist on each part."""
+    speed = options.impulse_ns_per_kg
+    runs = []
+    for part in parts:
+        for name, direction in DIRECTIONS.items():
+            x, y, z = (speed * d for d in direction)
+            runs.append(
+                Run(
+                    "force_perturbation", f"push:{part}:{name}", "free", height=1e-4, part=part,
+                    impulse=(x, y, z),
+                )
+            )  # fmt: skip
+        name = f"push:{part}:twist"
+        runs.append(
+            Run("force_perturbation", name, "free", height=1e-4, part=part, twist=3 * speed)
+        )
+    return runs
+
+
+def releases(joint: Moving) -> list[Run]:
+    """Let a joint go from low, middle and high, leave it alone without weight, and let it coast."""
+    runs = [
+        Run(
+            "joint_release", f"release:{joint.name}:{where}", "held", joints={joint.name: value},
+            joint=joint.name,
+        )
+        for where, value in (("low", joint.low), ("middle", joint.middle), ("high", joint.high))
+    ]  # fmt: skip
+    middle = {joint.name: joint.middle}
+    runs.append(
+        Run("joint_release", f"still:{joint.name}", "weightless", joints=middle, joint=joint.name)
+    )
+    # Without losses it would take a second to the end of its range.
+    speed = {joint.name: (joint.high - joint.low) / 2}
+    runs.append(
+        Run(
+            "joint_release", f"coast:{joint.name}", "weightless", joints=middle, speeds=speed,
+            joint=joint.name,
+        )
+    )  # fmt: skip
+    return runs
+
+
+def drives(joint: Moving) -> list[Run]:
+    """Drive a joint up its range and down again, with and without gravity."""
+    return [
+        Run(
+            "joint_drive", f"{name}:{joint.name}", world, joints={joint.name: joint.low},
+            joint=joint.name, driven=True,
+        )
+        for name, world in _DRIVES
+    ]  # fmt: skip
+
+
+def slope() -> Run:
+    """Tilt the ground until the object slides."""
+    return Run("tilt_until_slide", "slope", "gripping", height=1e-4, slope=True)
+
+
+def slope_at(time: NDArray, duration: float) -> NDArray:
+    """Return the angle of the ground at times [t] s, in rad."""
+    share = np.clip((time - TILT_FROM_S) / (duration - TILT_FROM_S), 0.0, 1.0)
+    return np.radians(STEEPEST_DEG) * share
+
+
+PRESETS: dict[str, tuple[str, ...]] = {
+    "free_fall": ("fall",),
+    "force_perturbation": tuple(f"push:*:{name}" for name in (*DIRECTIONS, "twist")),
+}
+"""The paper's standard scenarios by the runs that they stand for; * is any part."""
+
+__all__ = [
+    "PRESETS",
+    "SINGLE",
+    "Moving",
+    "Run",
+    "World",
+    "drives",
+    "falls",
+    "pushes",
+    "releases",
+    "scenarios",
+    "slope",
+    "slope_at",
+]

@@ -1,0 +1,189 @@
+"""What can be said of an object's mass, inertia and colliders without moving it."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config import VerifyOptions
+from ..spec import ObjectSpec, Part, bounds, inertial, pieces
+from ..spec.convex import Piece, mass_properties, planes
+from ..spec.mesh import UNKNOWN
+from ..spec.pose import Pose
+from ..spec.surface import surface
+from .verdict import Check, Fault, Limit, judged
+
+MASS_RATIO = 10.0
+"""How much heavier, and ten times that how much lighter, an authored mass may be than by density."""
+DENSEST, LIGHTEST = 22000.0, 0.5
+"""Mass over the colliders' volume [kg/m^3]: osmium, and less than any foam."""
+HEAVIEST_KG = 2000.0
+GYRATION = 30.0
+"""How many times smaller than by volume an authored inertia may be; a third of it, how much larger."""
+COVER_SAMPLES = 240
+MISSING_SHARE = 0.2
+"""Share of what is seen of a part that may be without a collider."""
+PROUD_SHARE = 0.04
+"""How far colliders may stand out of what is seen, over the part's diagonal."""
+
+
+def inertias(spec: ObjectSpec) -> Iterator[Check]:
+    """Yield whether authored inertias are those of real bodies.
+
+    Principal moments are positive and obey the triangle inequality, the centre of mass lies within
+    the part, and the mass is spread about as widely as the part is.
+    """
+    for part in spec.parts:
+        if part.inertia is None or part.mass is None:
+            continue
+        tensor = part.inertia.tensor()
+        moments = np.sort(np.linalg.eigvalsh(tensor))
+        lack = float(max(-moments[0], moments[2] - moments[0] - moments[1]))
+        size = max(abs(float(moments[2])), 1e-30)
+        limit = Limit(threshold=0.02, unit="", fault=Fault.INERTIA_IMPOSSIBLE)
+        good = moments[0] > 0
+        yield judged(
+            "static",
+            f"moments:{part.name}",
+            max(lack, 0.0) / size if good else np.inf,
+            limit,
+            part=part.name,
+        )
+        own = inertial(spec, part.model_copy(update={"inertia": None}))
+        ratio = max(own.diagonal) / size if good else np.inf
+        limit = Limit(threshold=GYRATION, unit="times", fault=Fault.INERTIA_IMPOSSIBLE)
+        yield judged("static", f"spread:{part.name}", max(ratio, 3 / ratio), limit, part=part.name)
+        low, high = part_bounds(spec, part)
+        out = np.maximum(low - part.inertia.pos, part.inertia.pos - high).max()
+        limit = Limit(
+            threshold=0.05 * float(np.linalg.norm(high - low)),
+            unit="m",
+            fault=Fault.INERTIA_IMPOSSIBLE,
+        )
+        yield judged("static", f"centre:{part.name}", max(float(out), 0.0), limit, part=part.name)
+
+
+def masses(spec: ObjectSpec) -> Iterator[Check]:
+    """Yield whether parts weigh what such bodies weigh."""
+    total = 0.0
+    for part in spec.parts:
+        mass = part.mass if part.mass is not None else inertial(spec, part).mass
+        total += mass
+        if part.mass is None:
+            continue
+        volume = derived = 0.0
+        known = True
+        for geom, piece, _ in pieces(part):
+            v = mass_properties(piece)[0]
+            volume += v
+            derived += v * spec.material(geom.material).density
+            known = known and not geom.material.startswith(UNKNOWN)
+        if known:
+            ratio, what = mass / derived, MASS_RATIO
+            limit = Limit(threshold=what, unit="times", fault=Fault.MASS_IMPLAUSIBLE)
+            value = max(ratio, 1 / ratio / MASS_RATIO)
+        else:
+            limit = Limit(threshold=DENSEST, unit="kg/m^3", fault=Fault.MASS_IMPLAUSIBLE)
+            density = mass / volume
+            value = density if density > LIGHTEST else np.inf
+        yield judged("static", f"mass:{part.name}", value, limit, part=part.name)
+    limit = Limit(threshold=HEAVIEST_KG, unit="kg", fault=Fault.MASS_IMPLAUSIBLE)
+    yield judged("static", "mass", total, limit)
+
+
+def colliders(spec: ObjectSpec) -> Iterator[Check]:
+    """Yield whether what is seen of each part also collides, and not much more than that."""
+    for part in spec.parts:
+        if all(geom.role == "both" for geom in part.geoms):
+            continue
+        if all(geom.role == "collision" for geom in part.geoms):
+            continue
+        points = seen_points(part)
+        low, high = points.min(axis=0), points.max(axis=0)
+        size = float(np.linalg.norm(high - low))
+        solid = [(piece, at) for _, piece, at in pieces(part)]
+        lowest, highest = part_bounds(spec, part)
+        proud = float(np.maximum(low - lowest, highest - high).max())
+        slack = max(0.003, PROUD_SHARE * size)
+        limit = Limit(threshold=slack, unit="m", fault=Fault.COLLIDER_LARGE)
+        yield judged("static", f"colliders_out:{part.name}", max(proud, 0.0), limit, part=part.name)
+        bare = float(np.mean(distance_out(points, solid) > max(0.003, 0.03 * size)))
+        limit = Limit(threshold=MISSING_SHARE, unit="of it", fault=Fault.COLLIDER_MISSING)
+        yield judged("static", f"colliders_missing:{part.name}", bare, limit, part=part.name)
+
+
+def seen_points(part: Part, count: int = COVER_SAMPLES) -> NDArray:
+    """Return points [n, 3] m spread evenly over what is seen of a part, in the object's frame."""
+    corners = []
+    for geom in part.geoms:
+        if geom.role != "collision":
+            vertices, faces = surface(geom.shape)
+            corners.append(geom.pose().apply(vertices)[faces])
+    triangles = np.concatenate(corners)
+    a, b, c = triangles.transpose(1, 0, 2)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    random = np.random.default_rng(0)
+    chosen = random.choice(len(area), count, p=area / area.sum())
+    u, v = np.sort(random.random((2, count)), axis=0)[..., None]
+    inner = u * a[chosen] + (v - u) * b[chosen] + (1 - v) * c[chosen]
+    # The extremes belong to it, or the extent would come out too small.
+    flat = triangles.reshape(-1, 3)
+    return np.concatenate([inner, flat[flat.argmin(axis=0)], flat[flat.argmax(axis=0)]])
+
+
+def distance_out(points: NDArray, solids: list[tuple[Piece, Pose]]) -> NDArray:
+    """Return how far points [n, 3] lie outside the nearest of some convex pieces [n] m, at least.
+
+    For pieces with faces it is the distance to the furthest face's plane, which is never more than
+    the true one.
+    """
+    nearest = np.full(len(points), np.inf)
+    for piece, at in solids:
+        local = at.inverse().apply(points)
+        s = np.array(piece.size)
+        if piece.kind in ("box", "mesh"):
+            faces = planes(piece)
+            out = (local @ faces[:, :3].T - faces[:, 3]).max(axis=1)
+        elif piece.kind == "sphere":
+            out = np.linalg.norm(local, axis=1) - s[0]
+        elif piece.kind == "ellipsoid":
+            out = (np.linalg.norm(local / s, axis=1) - 1.0) * s.min()
+        elif piece.kind == "capsule":
+            axial = local.copy()
+            axial[:, 2] -= np.clip(local[:, 2], -s[1], s[1])
+            out = np.linalg.norm(axial, axis=1) - s[0]
+        else:
+            out = np.maximum(np.hypot(local[:, 0], local[:, 1]) - s[0], np.abs(local[:, 2]) - s[1])
+        nearest = np.minimum(nearest, out)
+    return nearest
+
+
+def part_bounds(spec: ObjectSpec, part: Part) -> tuple[NDArray, NDArray]:
+    """Return the bounds (low [3], high [3]) [m] of a part's colliders at rest."""
+    alone = spec.model_copy(update={"parts": (part,), "joints": (), "sites": ()})
+    return bounds(alone)
+
+
+def without_bad_inertia(spec: ObjectSpec, checks: list[Check]) -> ObjectSpec:
+    """Return the object with impossible inertias recomputed, so that the rest can be tried."""
+    bad = {c.part for c in checks if c.outcome == "FAIL" and c.fault is Fault.INERTIA_IMPOSSIBLE}
+    if not bad:
+        return spec
+    parts = tuple(
+        p.model_copy(update={"inertia": None}) if p.name in bad else p for p in spec.parts
+    )
+    return spec.model_copy(update={"parts": parts})
+
+
+def statics(spec: ObjectSpec, options: VerifyOptions) -> list[Check]:
+    """Return all checks of this module."""
+    return [*inertias(spec), *masses(spec), *colliders(spec)]
+
+
+__all__ = [
+    "distance_out",
+    "part_bounds",
+    "seen_points",
+    "statics",
+    "without_bad_inertia",
+]

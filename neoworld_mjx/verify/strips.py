@@ -1,0 +1,147 @@
+"""Key frames of what failed or is doubtful, as labelled strips for the critic to look at."""
+
+import hashlib
+import io
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image, ImageDraw
+from scipy.spatial.transform import Rotation
+
+from ..mllm import Picture
+from ..render import View, render_scene, to_png
+from ..render.picture import corners
+from ..spec import SceneObject, SceneSpec
+from .battery import Battery
+from .scenarios import SINGLE
+from .trial import Trace
+from .verdict import Check
+
+WIDTH, HEIGHT, BAND = 220, 200, 16
+FRAMES, MOST = 4, 3
+DOUBT = 0.2
+"""A check that passes within this share of its threshold is doubtful."""
+
+
+@dataclass(frozen=True)
+class Strip(Picture):
+    """A strip that is known by what it shows, not by pixels that differ between processors."""
+
+    shows: str = ""
+
+    @property
+    def pixels(self) -> str:
+        """The sha256 of what is shown."""
+        return hashlib.sha256(self.shows.encode()).hexdigest()
+
+
+def doubtful(check: Check) -> bool:
+    """Tell whether a check failed, or passed only just."""
+    if check.outcome == "FAIL":
+        return True
+    if check.outcome != "PASS" or check.value is None or not check.threshold:
+        return False
+    return abs(check.value - check.threshold) < DOUBT * abs(check.threshold)
+
+
+def strips(battery: Battery) -> list[Strip]:
+    """Draw the runs and poses that failed or doubtful checks speak of, the worst first.
+
+    Returns:
+        At most three strips of four frames, each frame labelled with its time or joint value.
+    """
+    order = {"FAIL": 0, "PASS": 1}
+    checks = sorted(
+        filter(doubtful, battery.verdict.checks), key=lambda c: (order[c.outcome], -c.margin)
+    )
+    by_name = {trace.run.name: trace for trace in battery.traces}
+    found: list[Strip] = []
+    shown: set[str] = set()
+    for check in checks:
+        if len(found) == MOST:
+            break
+        trace = by_name.get(check.evidence.removeprefix("run ")) if check.evidence else None
+        key = trace.run.name if trace is not None else f"{check.joint}:{check.at}"
+        if key in shown or (trace is None and check.joint is None):
+            continue
+        shown.add(key)
+        label = f"{check.scenario} {check.name}"
+        found.append(
+            _of_run(battery, trace, label)
+            if trace is not None
+            else _of_joint(battery, check, label)
+        )
+    return found
+
+
+def _of_run(battery: Battery, trace: Trace, label: str) -> Strip:
+    """Draw four moments of a run, on the floor or held."""
+    trial = battery.trial
+    assert trial is not None
+    steps = np.linspace(0, len(trace.time) - 1, FRAMES).astype(int)
+    items, titles = [], []
+    for k in steps:
+        q = trace.qpos[k]
+        state = {
+            j.name: float(q[trial.address(j.name)[0]])
+            for j in battery.spec.joints
+            if j.type in SINGLE
+        }
+        items.append(_posed(battery, state, q[:3], q[3:7]))
+        titles.append(f"{label[:24]} t={trace.time[k]:.2f} s")
+    return _strip(label, items, titles)
+
+
+def _of_joint(battery: Battery, check: Check, label: str) -> Strip:
+    """Draw a joint from rest to where it was worst."""
+    worst = check.at if check.at is not None else 0.0
+    joint = next(j for j in battery.spec.joints if j.name == check.joint)
+    if check.at is None and joint.type in ("revolute", "prismatic"):
+        worst = joint.upper
+    values = [worst * k / (FRAMES - 1) for k in range(FRAMES)]
+    state = lambda value: {joint.name: value} if joint.type in SINGLE else {}
+    items = [_posed(battery, state(v), np.zeros(3), np.array([1.0, 0, 0, 0])) for v in values]
+    return _strip(label, items, [f"{joint.name[:20]} = {v:.3g}" for v in values])
+
+
+def _posed(
+    battery: Battery, state: dict[str, float], pos: np.ndarray, quat: np.ndarray
+) -> SceneObject:
+    return SceneObject(
+        name=battery.spec.name,
+        spec=battery.spec,
+        xy=(float(pos[0]), float(pos[1])),
+        z=float(pos[2]),
+        base_tilt=tuple((quat / np.linalg.norm(quat)).tolist()),
+        joint_state=state,
+    )
+
+
+def _strip(label: str, items: list[SceneObject], titles: list[str]) -> Strip:
+    """Put frames side by side, all seen from one place."""
+    points = []
+    for item in items:
+        turn = Rotation.from_quat(np.roll(item.base_tilt, -1))
+        own = turn.apply(corners(item.spec, item.joint_state)) + [*item.xy, item.z]
+        points.append(own)
+    view = View.framing(np.vstack(points), width=WIDTH, height=HEIGHT)
+    sheet = Image.new("RGB", (WIDTH * len(items), HEIGHT + BAND), "white")
+    draw = ImageDraw.Draw(sheet)
+    for k, (item, title) in enumerate(zip(items, titles, strict=True)):
+        scene = SceneSpec(name=item.name, objects=(item,))
+        shot = to_png(render_scene(scene, view, width=WIDTH, height=HEIGHT, supersample=1))
+        sheet.paste(Image.open(io.BytesIO(shot)).convert("RGB"), (k * WIDTH, BAND))
+        draw.text((k * WIDTH + 3, 2), title, fill="black")
+    buffer = io.BytesIO()
+    sheet.save(buffer, "PNG", compress_level=6)
+    states = [
+        [
+            np.round([*i.xy, i.z, *i.base_tilt], 3).tolist(),
+            {n: round(v, 3) for n, v in i.joint_state.items()},
+        ]
+        for i in items
+    ]
+    return Strip(label, buffer.getvalue(), f"{label}{items[0].spec.to_json()}{states}{titles}")
+
+
+__all__ = ["Strip", "doubtful", "strips"]

@@ -1,0 +1,295 @@
+"""The ground of the trial: one model for all scenarios of an object, rolled out as one batch.
+
+The models of a batch differ in numbers alone, so the same object can be free, held or weightless: it is
+held by a base as heavy as a mountain. The floor itself has no friction; as MuJoCo takes the larger of
+two, what then holds is the object's own.
+"""
+
+import contextlib
+import copy
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+from numpy.typing import NDArray
+
+from ..config import VerifyOptions
+from ..physics.mjcf import START, body_name, to_mjspec, welded
+from ..spec import ObjectSpec, bounds
+from ..spec.object import Quat, joint_value
+from ..spec.pose import IDENTITY, from_axis_angle, quat_mul
+from .scenarios import SINGLE, STILL_S, Moving, Run, World, slope_at
+
+FLOOR = "floor_of_the_trial"
+MOUNTAIN = 1e6
+"""How many times heavier than the object the base is that holds it."""
+CONTROL_BYTES = 64 << 20
+"""Most memory for the forces of a batch; more scenarios than that are rolled out in turns."""
+G = 9.81
+_FORCES = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED) | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
+_STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
+
+
+@dataclass
+class Trace:
+    """What happened in one run; times in steps."""
+
+    run: Run
+    time: NDArray
+    """[t] s; short of the end where the simulation broke down."""
+    qpos: NDArray
+    """[t, nq]"""
+    qvel: NDArray
+    """[t, nv]"""
+    energy: NDArray
+    """[t] J."""
+    broke: bool
+    """Whether the simulation broke down."""
+
+
+class Trial:
+    """An object on trial.
+
+    Args:
+        spec: the object.
+        options: time step and duration.
+        tilt: how it rests, before it is tilted for a scenario.
+        joint_state: how its joints stand where a scenario does not say [rad or m].
+    """
+
+    def __init__(
+        self,
+        spec: ObjectSpec,
+        options: VerifyOptions,
+        tilt: Quat = IDENTITY,
+        joint_state: dict[str, float] | None = None,
+    ) -> None:
+        self.spec, self.options, self.tilt = spec, options, np.array(tilt)
+        self.state = dict(joint_state or {})
+        made = to_mjspec(spec, timestep=options.timestep_s)
+        floor = made.worldbody.add_geom(name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE)
+        floor.size, floor.friction, floor.condim = [0, 0, 1.0], [0.0, 0.0, 0.0], 3
+        for kind in (mujoco.mjtSensor.mjSENS_E_POTENTIAL, mujoco.mjtSensor.mjSENS_E_KINETIC):
+            made.add_sensor(name=kind.name, type=kind)
+        free = made.compile()
+        free.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        # Dry friction of joints would creep too, and a joint that is stuck would seem to move.
+        free.dof_solimp[:, :2] = 0.9999
+        self.models: dict[World, mujoco.MjModel] = {"free": free}
+        self.data = mujoco.MjData(free)
+        self.root = free.body(spec.name).id
+        self.floor = free.geom(FLOOR).id
+        self.mass = float(free.body_subtreemass[self.root])
+        low, high = bounds(spec, self.state, tilt)
+        self.size = high - low
+        held = copy.copy(free)
+        held.geom_contype[self.floor] = held.geom_conaffinity[self.floor] = 0
+        heavy = np.repeat([1.0, float(self.size @ self.size)], 3) * self.mass * MOUNTAIN
+        held.dof_armature[:6] = heavy
+        mujoco.mj_setConst(held, mujoco.MjData(held))
+        self.models["held"] = held
+        # MuJoCo's contacts creep under a steady pull; on the slope they must hold until they slide.
+        gripping = copy.copy(free)
+        gripping.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        gripping.opt.impratio = 100.0
+        self.models["gripping"] = gripping
+        weightless = copy.copy(held)
+        weightless.opt.gravity[:] = 0.0
+        self.models["weightless"] = weightless
+        self.joints = [
+            self._moving(j.name) for j in spec.joints if j.type in SINGLE and not j.mimic
+        ]
+        group = welded(spec)
+        self.groups = [p.name for p, _ in spec.ordered if group[p.name] == p.name]
+
+    def _moving(self, name: str) -> Moving:
+        joint = next(j for j in self.spec.joints if j.name == name)
+        turns = joint.type == "continuous"
+        low, high = (-np.pi, np.pi) if turns else (joint.lower, joint.upper)
+        return Moving(name, joint.child, float(low), float(high), joint.stiffness > 0)
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The model in which the object is free."""
+        return self.models["free"]
+
+    def address(self, joint: str) -> tuple[int, int]:
+        """Return where a joint's coordinate and velocity are in qpos and qvel."""
+        found = self.model.joint(f"{self.spec.name}/{joint}")
+        return int(found.qposadr[0]), int(found.dofadr[0])
+
+    def start(self, run: Run) -> NDArray:
+        """Return the state in which a run begins, as MuJoCo lays it out."""
+        model, data = self.models[run.world], self.data
+        mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
+        quat = quat_mul(
+            quat_mul(
+                from_axis_angle((1, 0, 0), run.tilt[0]), from_axis_angle((0, 1, 0), run.tilt[1])
+            ),
+            self.tilt,
+        )
+        state = {**self.state, **run.joints}
+        low, _ = bounds(self.spec, state, tuple(quat.tolist()))
+        data.qpos[:3] = [0.0, 0.0, run.height - low[2]]
+        data.qpos[3:7] = quat
+        for joint in self.spec.joints:
+            if joint.type not in SINGLE:
+                continue
+            at, dof = self.address(joint.name)
+            value = joint_value(self.spec, joint, state)
+            if joint.type != "continuous" and joint.mimic is None:
+                # Where things are drawn beyond a limit the joint would start with a jerk.
+                value = float(np.clip(value, joint.lower, joint.upper))
+            data.qpos[at] = value
+            led = joint_value(self.spec, joint, run.speeds) if run.speeds else 0.0
+            data.qvel[dof] = led - (joint_value(self.spec, joint, {}) if run.speeds else 0.0)
+        found = np.zeros(mujoco.mj_stateSize(model, _STATE))
+        mujoco.mj_getState(model, data, found, _STATE)
+        return found
+
+    def forces(self, run: Run, start: NDArray) -> NDArray:
+        """Return the forces of a run [t, nv + 6 nbody]: on joints, then on bodies in the world."""
+        model, data, o = self.models[run.world], self.data, self.options
+        steps = round(o.duration_s / o.timestep_s)
+        time = np.arange(steps) * o.timestep_s
+        joint = np.zeros((steps, model.nv))
+        body = np.zeros((steps, model.nbody, 6))
+        if run.part is not None or run.driven:
+            mujoco.mj_setState(model, data, start, _STATE)
+            mujoco.mj_forward(model, data)
+        if run.part is not None:
+            b = model.body(body_name(self.spec, run.part)).id
+            mass = float(model.body_subtreemass[b])
+            pushed = time < o.push_duration_s
+            body[pushed, b, :3] = np.array(run.impulse) * mass / o.push_duration_s
+            if run.twist:
+                inertia = self._about_vertical(b)
+                body[pushed, b, 5] = run.twist * inertia / o.push_duration_s
+        if run.driven and run.joint is not None:
+            _, dof = self.address(run.joint)
+            half = STILL_S + (o.duration_s - STILL_S) / 2
+            joint[(time >= STILL_S) & (time < half), dof] = self.drive_force(run)
+            joint[time >= half, dof] = -self.drive_force(run)
+        if run.slope:
+            angle = slope_at(time, o.duration_s)
+            pull = np.zeros((steps, 3))
+            pull[:, 1], pull[:, 2] = G * np.sin(angle), G * (1 - np.cos(angle))
+            body[:, self.root :, :3] = pull[:, None] * model.body_mass[self.root :, None]
+        return np.concatenate([joint, body.reshape(steps, -1)], axis=1)
+
+    def _about_vertical(self, body: int) -> float:
+        """Return the inertia [kg m^2] of a body and what hangs on it about the vertical."""
+        model, data, total = self.model, self.data, 0.0
+        centre = data.subtree_com[body]
+        below = {body}
+        for b in range(body, model.nbody):
+            if b == body or int(model.body_parentid[b]) in below:
+                below.add(b)
+                arm = data.xipos[b] - centre
+                turn = data.ximat[b].reshape(3, 3)
+                own = float((turn[2] ** 2) @ model.body_inertia[b])
+                total += own + float(model.body_mass[b]) * float(arm[:2] @ arm[:2])
+        return total
+
+    def drive_force(self, run: Run) -> float:
+        """Return the force or torque that a hand would drive a joint with.
+
+        Enough to cross the range in the given time, losses and weight included, but no more than a
+        hand has at the child's far end.
+        """
+        assert run.joint is not None
+        model, o = self.models[run.world], self.options
+        at, dof = self.address(run.joint)
+        moving = next(j for j in self.joints if j.name == run.joint)
+        data = mujoco.MjData(model)
+        load, inertia = 0.0, 0.0
+        for value in np.linspace(moving.low, moving.high, 5):
+            data.qpos[:] = model.key_qpos[0]
+            data.qpos[at] = value
+            mujoco.mj_forward(model, data)
+            full = np.zeros((model.nv, model.nv))
+            mujoco.mj_fullM(model, data, full)
+            inertia = max(inertia, float(full[dof, dof]))
+            load = max(load, abs(float(data.qfrc_bias[dof])))
+        span = moving.high - moving.low
+        need = 2 * inertia * span / o.joint_push_s**2 + 2 * float(model.dof_frictionloss[dof])
+        need += float(model.dof_damping[dof].sum()) * span / o.joint_push_s + 1.5 * load
+        # What has springs or pushes against others needs more than it would alone.
+        need = max(2 * need, 1e-9)
+        child = model.body(body_name(self.spec, moving.child)).id
+        weight = G * float(model.body_subtreemass[child])
+        return min(need, self.lever(moving) * (o.hand_force_n + 0.5 * weight) + load)
+
+    def lever(self, moving: Moving) -> float:
+        """Return the distance [m] of a child's far end from its joint's axis; 1 for sliding ones."""
+        joint = next(j for j in self.spec.joints if j.name == moving.name)
+        if joint.type == "prismatic":
+            return 1.0
+        alone = self.spec.model_copy(
+            update={"parts": (self.spec.part(joint.child),), "joints": (), "sites": ()}
+        )
+        low, high = bounds(alone)
+        corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1])
+                            for z in (low[2], high[2])])  # fmt: skip
+        arm = corners - np.array(joint.pos)
+        arm -= np.outer(arm @ np.array(joint.axis), joint.axis)
+        return max(float(np.linalg.norm(arm, axis=1).max()), 0.01)
+
+    def run(self, runs: Sequence[Run], threads: int = 0) -> list[Trace]:
+        """Roll all runs out, in one batch unless their forces would take too much memory."""
+        threads = threads or os.cpu_count() or 1
+        steps = round(self.options.duration_s / self.options.timestep_s)
+        one = 8 * steps * (self.model.nv + 6 * self.model.nbody)
+        chunk = max(1, CONTROL_BYTES // one)
+        traces: list[Trace] = []
+        data = [mujoco.MjData(self.model) for _ in range(threads)]
+        with _unwarned(), rollout.Rollout(nthread=threads) as pool:
+            for first in range(0, len(runs), chunk):
+                few = runs[first : first + chunk]
+                starts = np.array([self.start(run) for run in few])
+                forces = np.array(
+                    [self.forces(run, start) for run, start in zip(few, starts, strict=True)]
+                )
+                models = [self.models[run.world] for run in few]
+                states, sensed = pool.rollout(
+                    models, data, starts, forces, control_spec=_FORCES, nstep=steps
+                )
+                traces += [
+                    self._trace(run, *found)
+                    for run, *found in zip(few, np.array(states), np.array(sensed), strict=True)
+                ]
+        return traces
+
+    def _trace(self, run: Run, state: NDArray, sensed: NDArray) -> Trace:
+        nq, nv = self.model.nq, self.model.nv
+        time = state[:, 0]
+        good = np.asarray(np.isfinite(state).all(axis=1) & np.isfinite(sensed).all(axis=1))
+        # What broke down is filled up with its last state: its clock stands still.
+        good[1:] &= np.diff(time) > 0
+        good = np.logical_and.accumulate(good)
+        n = int(good.sum())
+        return Trace(
+            run,
+            time[:n],
+            state[:n, 1 : 1 + nq],
+            state[:n, 1 + nq : 1 + nq + nv],
+            sensed[:n].sum(axis=1),
+            n < len(time),
+        )
+
+
+@contextlib.contextmanager
+def _unwarned() -> Iterator[None]:
+    """Keep MuJoCo from writing its warnings anywhere: what broke down is a check of its own."""
+    kept = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(kept)
+
+
+__all__ = ["FLOOR", "G", "Trace", "Trial"]

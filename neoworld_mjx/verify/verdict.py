@@ -1,0 +1,213 @@
+"""What the battery says: checks with numbers, a closed list of faults, one verdict an object."""
+
+from enum import StrEnum
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from ..spec.object import Spec
+
+Outcome = Literal["PASS", "FAIL", "SKIP", "TOOL_FAILURE"]
+Scenario = Literal[
+    "static",
+    "joint_range",
+    "intent",
+    "free_fall",
+    "force_perturbation",
+    "joint_release",
+    "joint_drive",
+    "tilt_until_slide",
+]
+
+
+class Fault(StrEnum):
+    """All that the battery can find wrong with an object; likely causes before mere symptoms."""
+
+    COLLIDER_LARGE = "collider_large"
+    COLLIDER_MISSING = "collider_missing"
+    INERTIA_IMPOSSIBLE = "inertia_impossible"
+    MASS_IMPLAUSIBLE = "mass_implausible"
+    JOINT_TYPE = "joint_type"
+    AXIS_REVERSED = "axis_reversed"
+    PART_DETACHED = "part_detached"
+    PARTS_OVERLAP = "parts_overlap"
+    PIVOT_OFF = "pivot_off"
+    JOINT_INTO_PART = "joint_into_part"
+    LIMIT_INTO_PART = "limit_into_part"
+    RANGE_CONFLICT = "range_conflict"
+    LIMITS_NARROW = "limits_narrow"
+    OFF_BALANCE = "off_balance"
+    FRICTION_IMPLAUSIBLE = "friction_implausible"
+    JOINT_UNDAMPED = "joint_undamped"
+    JOINT_STUCK = "joint_stuck"
+    JOINT_MOVES_ITSELF = "joint_moves_itself"
+    LIMIT_SOFT = "limit_soft"
+    DIVERGES = "diverges"
+    GAINS_ENERGY = "gains_energy"
+    SINKS_IN = "sinks_in"
+    TOPPLES = "topples"
+    DRIFTS = "drifts"
+    RESTLESS = "restless"
+
+
+RANK = {fault: place for place, fault in enumerate(Fault)}
+"""The order in which one fault explains another: the first is told as the cause."""
+
+HINTS: dict[Fault, str] = {
+    Fault.INERTIA_IMPOSSIBLE: "recompute the inertia from volume and density",
+    Fault.MASS_IMPLAUSIBLE: "leave the mass to volume and density, or make the part hollow",
+    Fault.JOINT_TYPE: "give the joint the type that it is meant to have",
+    Fault.AXIS_REVERSED: "reverse the axis: positive opens",
+    Fault.COLLIDER_MISSING: "let what is seen collide as well",
+    Fault.COLLIDER_LARGE: "shrink the colliders to what is seen",
+    Fault.PART_DETACHED: "move the part to what its joint attaches it to",
+    Fault.PARTS_OVERLAP: "move the parts apart, or shrink their colliders",
+    Fault.PIVOT_OFF: "put the pivot on the edge that both parts share",
+    Fault.JOINT_INTO_PART: "check axis and sign; it runs into another part at once",
+    Fault.LIMIT_INTO_PART: "cut the limits to the range that is free",
+    Fault.RANGE_CONFLICT: "leave room for several joints that are open at once",
+    Fault.LIMITS_NARROW: "widen the limits to the range that the thing has",
+    Fault.OFF_BALANCE: "bring the centre of mass over the base, or widen the base",
+    Fault.FRICTION_IMPLAUSIBLE: "give the surface the friction of its material, 0.1 to 1.2",
+    Fault.JOINT_UNDAMPED: "give the joint damping or dry friction",
+    Fault.JOINT_STUCK: "lower friction, damping or stiffness, or free the joint's way",
+    Fault.JOINT_MOVES_ITSELF: "colliders press on it: leave them air",
+    Fault.LIMIT_SOFT: "lower mass or speed, or widen the limits",
+    Fault.DIVERGES: "check masses, inertias and overlapping colliders",
+    Fault.GAINS_ENERGY: "colliders overlap or joints fight",
+    Fault.SINKS_IN: "check mass and colliders",
+    Fault.TOPPLES: "lower the centre of mass or widen the base",
+    Fault.DRIFTS: "widen or flatten the base",
+    Fault.RESTLESS: "add damping; look for colliders that fight",
+}
+
+
+class Check(Spec):
+    """One verdict with its number."""
+
+    scenario: Scenario
+    name: str
+    outcome: Outcome
+    fault: Fault | None = None
+    """What is wrong, where it failed."""
+    value: float | None = None
+    threshold: float | None = None
+    unit: str = ""
+    part: str | None = None
+    joint: str | None = None
+    time: float | None = None
+    """When it was worst [s]."""
+    at: float | None = None
+    """Where the joint stood when it was worst [rad or m]."""
+    evidence: str = ""
+    """The run that shows it, in words; key frames of it can be drawn."""
+    hint: str = ""
+
+    @property
+    def margin(self) -> float:
+        """How far beyond its threshold a failed check is: 0 just there, at most 9."""
+        if self.outcome == "TOOL_FAILURE":
+            return 9.0
+        if self.outcome != "FAIL":
+            return 0.0
+        if self.value is None or not self.threshold:
+            return 1.0
+        ratio = abs(self.value - self.threshold) / abs(self.threshold)
+        return float(min(ratio, 9.0))
+
+
+class Verdict(Spec):
+    """All verdicts on one object."""
+
+    object: str
+    passed: bool
+    """No check failed, and none could not be made."""
+    mass_kg: float
+    battery: str = ""
+    """Version of the battery that said so."""
+    checks: tuple[Check, ...]
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """What was found, each fault once, causes first."""
+        found = {check.fault for check in self.checks if check.fault is not None}
+        return tuple(sorted(found, key=RANK.__getitem__))
+
+    @property
+    def cause(self) -> Fault | None:
+        """The fault that likely explains the others."""
+        return self.faults[0] if self.faults else None
+
+    @property
+    def score(self) -> float:
+        """The fault score: 0 is sound; each failed check counts 1 and how far it is beyond."""
+        bad = [check for check in self.checks if check.outcome in ("FAIL", "TOOL_FAILURE")]
+        return sum(1.0 + 0.1 * check.margin for check in bad)
+
+    def to_json(self) -> str:
+        """Serialise, the same bytes for the same verdict."""
+        return self.model_dump_json(indent=1) + "\n"
+
+
+class Limit(BaseModel):
+    """What a number is held against."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    threshold: float
+    unit: str
+    fault: Fault
+    least: bool = False
+    """Whether the number must reach the threshold, rather than stay under it."""
+
+
+def judged(
+    scenario: Scenario,
+    name: str,
+    value: float,
+    limit: Limit,
+    *,
+    part: str | None = None,
+    joint: str | None = None,
+    time: float | None = None,
+    at: float | None = None,
+    evidence: str = "",
+) -> Check:
+    """Hold a number against its limit; a number that is none fails."""
+    finite = bool(np.isfinite(value))
+    good = finite and (value >= limit.threshold if limit.least else value <= limit.threshold)
+    return Check(
+        scenario=scenario,
+        name=name,
+        outcome="PASS" if good else "FAIL",
+        fault=None if good else limit.fault,
+        value=float(value) if finite else None,
+        threshold=limit.threshold,
+        unit=limit.unit,
+        part=part,
+        joint=joint,
+        time=None if good or time is None else float(time),
+        at=None if good or at is None else float(at),
+        evidence="" if good else evidence,
+        hint="" if good else HINTS[limit.fault],
+    )
+
+
+def skipped(scenario: Scenario, name: str, why: str, joint: str | None = None) -> Check:
+    """Say why something was not tried."""
+    return Check(scenario=scenario, name=name, outcome="SKIP", joint=joint, hint=why)
+
+
+__all__ = [
+    "HINTS",
+    "RANK",
+    "Check",
+    "Fault",
+    "Limit",
+    "Outcome",
+    "Scenario",
+    "Verdict",
+    "judged",
+    "skipped",
+]

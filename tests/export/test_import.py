@@ -1,0 +1,165 @@
+"""URDF and MJCF from elsewhere: what comes back, what is assumed, what is told as lost."""
+
+import numpy as np
+import pytest
+import scenes
+
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.export import decompose, export_object, mechanism
+from neoworld_mjx.export.import_mjcf import import_mjcf
+from neoworld_mjx.export.import_urdf import import_urdf
+from neoworld_mjx.spec import Mesh, bounds
+from neoworld_mjx.spec.surface import surface
+
+READERS = {"object.urdf": import_urdf, "object.xml": import_mjcf}
+U = (
+    "v 0 0 0\nv 3 0 0\nv 3 0 2\nv 2 0 2\nv 2 0 1\nv 1 0 1\nv 1 0 2\nv 0 0 2\n"
+    "v 0 1 0\nv 3 1 0\nv 3 1 2\nv 2 1 2\nv 2 1 1\nv 1 1 1\nv 1 1 2\nv 0 1 2\n"
+    "f 1 2 5\nf 1 5 6\nf 2 3 4\nf 2 4 5\nf 1 6 7\nf 1 7 8\n"
+    "f 9 13 10\nf 9 14 13\nf 10 12 11\nf 10 13 12\nf 9 15 14\nf 9 16 15\n"
+    + "".join(
+        f"f {a} {a + 8} {b + 8}\nf {a} {b + 8} {b}\n"
+        for a, b in [(1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (6, 7), (7, 8), (8, 1)]
+    )
+)
+"""A block with a slot, as OBJ."""
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.mark.parametrize("file", READERS)
+@pytest.mark.parametrize("make", [scenes.cabinet, scenes.cup, scenes.spoon])
+def test_what_we_export_comes_back(tmp_path, file, make):
+    spec = make()
+    export_object(spec, tmp_path)
+    found = READERS[file](tmp_path / file)
+    one, other = mechanism(spec), mechanism(found.spec)
+    low, high = bounds(spec)
+    lower, upper = bounds(found.spec)
+    np.testing.assert_allclose([lower, upper], [low, high], atol=2e-4)
+    assert len(found.spec.parts) == len(spec.parts)
+    for part in spec.parts:
+        twin = part.name if file == "object.urdf" or part.name != spec.root else spec.name
+        twin = (
+            twin if file == "object.urdf" or part.name == spec.root else f"{spec.name}_{part.name}"
+        )
+        a, b = one.links[part.name], other.links[twin]
+        assert b.mass == pytest.approx(a.mass, rel=1e-6)
+        np.testing.assert_allclose(b.com, a.com, atol=2e-4)
+        np.testing.assert_allclose(b.inertia, a.inertia, rtol=1e-4, atol=1e-9)
+    for joint in spec.joints:
+        name = joint.name if file == "object.urdf" else f"{spec.name}_{joint.name}"
+        twin = other.joints[name]
+        assert twin.type == joint.type
+        assert (twin.lower, twin.upper) == pytest.approx((joint.lower, joint.upper))
+        np.testing.assert_allclose(twin.axis, joint.axis, atol=1e-6)
+        np.testing.assert_allclose(twin.pos, joint.pos, atol=2e-4)
+        assert (twin.damping, twin.friction) == pytest.approx((joint.damping, joint.friction))
+        assert (twin.mimic is None) == (joint.mimic is None)
+
+
+def urdf(*content):
+    return f'<robot name="r-2 d2">{"".join(content)}</robot>'
+
+
+BOX = "<collision><geometry><box size='0.2 0.2 0.2'/></geometry></collision>"
+
+
+def test_what_could_not_be_carried_is_told(tmp_path):
+    path = tmp_path / "r.urdf"
+    path.write_text(
+        urdf(
+            "<link name='world'/>",
+            f"<link name='base-link'>{BOX}</link>",
+            f"<link name='1arm'>{BOX}</link>",
+            "<link name='tip'/>",
+            "<joint name='w' type='fixed'><parent link='world'/><child link='base-link'/>"
+            "<origin xyz='0 0 1'/></joint>",
+            "<joint name='j' type='floating'><parent link='base-link'/><child link='1arm'/></joint>",
+            "<joint name='k' type='revolute'><parent link='1arm'/><child link='tip'/><axis xyz='0 0 1'/>"
+            "<limit lower='0' upper='1' effort='1' velocity='1'/></joint>",
+            "<transmission name='t'/>",
+        )
+    )
+    found = import_urdf(path)
+    # The world has no geometry and is the base; the tip moves by itself and gets a bead.
+    assert [p.name for p in found.spec.parts] == ["base_link", "p_1arm", "tip"]
+    assert found.spec.root == "base_link"
+    told = " / ".join(found.notes)
+    for said in ("transmissions", "floating: carried as fixed", "no mass", "tip has no geometry"):
+        assert said in told
+
+
+def test_meshes_without_colliders_are_decomposed_and_kept(tmp_path, monkeypatch):
+    pytest.importorskip("coacd")
+    (tmp_path / "u.obj").write_text(U)
+    path = tmp_path / "u.urdf"
+    path.write_text(
+        urdf("<link name='u'><visual><geometry><mesh filename='u.obj'/></geometry></visual></link>")
+    )
+    found = import_urdf(path)
+    (geom,) = found.spec.parts[0].geoms
+    assert isinstance(geom.shape, Mesh)
+    assert geom.role == "both"
+    assert len(geom.shape.hulls) >= 3  # two posts and what joins them
+    assert len(surface(geom.shape)[1]) == 28
+    assert any("no colliders" in note for note in found.notes)
+    monkeypatch.setattr(decompose, "_coacd", lambda *_: pytest.fail("it was kept"))
+    assert import_urdf(path).spec == found.spec
+
+
+def test_without_coacd_the_hull_stands_for_the_mesh_and_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(decompose, "installed", lambda: False)
+    monkeypatch.setattr("neoworld_mjx.export.imported.installed", lambda: False)
+    (tmp_path / "u.obj").write_text(U)
+    path = tmp_path / "u.urdf"
+    path.write_text(
+        urdf("<link name='u'><visual><geometry><mesh filename='u.obj'/></geometry></visual></link>")
+    )
+    found = import_urdf(path)
+    assert len(found.spec.parts[0].geoms[0].shape.hulls) == 1
+    assert any("CoACD is not installed" in note for note in found.notes)
+
+
+def test_flat_sheets_get_a_thickness(tmp_path):
+    (tmp_path / "s.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n")
+    path = tmp_path / "s.urdf"
+    path.write_text(
+        urdf("<link name='s'><visual><geometry><mesh filename='s.obj'/></geometry></visual></link>")
+    )
+    low, high = bounds(import_urdf(path).spec)
+    np.testing.assert_allclose(high - low, [1, 1, decompose.THINNEST_M], atol=1e-6)
+
+
+def test_impossible_inertias_are_carried_for_the_checks_to_see(tmp_path):
+    text = (
+        "<mujoco><worldbody><body name='a'><freejoint/><geom size='0.1 0.1 0.1' type='box'/>"
+        "<inertial pos='0 0 0' mass='1' diaginertia='{}'/></body></worldbody></mujoco>"
+    )
+    path = tmp_path / "a.xml"
+    path.write_text(text.format("0.001 0.001 0.1"))
+    found = import_mjcf(path)
+    assert found.spec.parts[0].inertia.moments == pytest.approx((0.001, 0.001, 0.1))
+    assert any("refuses it as it is" in note for note in found.notes)
+
+
+def test_a_file_of_several_objects_is_told_apart(tmp_path):
+    path = tmp_path / "two.xml"
+    body = "<body name='{}'><geom size='0.1'/></body>"
+    path.write_text(f"<mujoco><worldbody>{body.format('a')}{body.format('b')}</worldbody></mujoco>")
+    with pytest.raises(SpecError, match="a, b"):
+        import_mjcf(path)
+
+
+def test_joints_drawn_away_from_zero_keep_their_ends(tmp_path):
+    path = tmp_path / "ref.xml"
+    path.write_text(
+        "<mujoco><compiler angle='radian'/><worldbody><body name='a'><geom size='0.1'/>"
+        "<body name='b' pos='0.2 0 0'><joint name='j' axis='0 0 1' range='0.5 2' ref='1'/>"
+        "<geom size='0.1'/></body></body></worldbody></mujoco>"
+    )
+    (joint,) = import_mjcf(path).spec.joints
+    assert (joint.lower, joint.upper) == pytest.approx((-0.5, 1.0))

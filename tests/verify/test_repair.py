@@ -1,0 +1,166 @@
+"""Patches say only what Step 3 may say; repairs are kept only where they help."""
+
+import json
+
+import furniture as objects
+import pytest
+from pydantic import ValidationError
+
+from neoworld_mjx.config import VerifyOptions
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.spec.object import AuthoredInertia
+from neoworld_mjx.spec.surface import surface
+from neoworld_mjx.verify import Battery, Fault, Patch, apply, make_sound, repair
+from neoworld_mjx.verify import sound as sounds
+
+
+def seen(spec):
+    """What is seen of an object, part by part, apart from where parts are."""
+    return {
+        part.name: [surface(g.shape)[0].tobytes() for g in part.geoms if g.role != "collision"]
+        for part in spec.parts
+    }
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        {"parts": {"door": {"geoms": []}}},
+        {"parts": {"door": {"name": "x"}}},
+        {"joints": {"hinge": {"axis": [0, 0, -1]}}},
+        {"joints": {"hinge": {"type": "fixed"}}},
+        {"joints": {"hinge": {"parent": "door"}}},
+        {"joints": {"hinge": {"intent": None}}},
+        {"geoms": {"leaf": {"shape": {"type": "box", "size": [1, 1, 1]}}}},
+        {"geoms": {"leaf": {"role": "visual"}}},
+        {"geoms": {"leaf": {"shrink": 0.1}}},
+        {"remove": ["door"]},
+        {"joints": {"hinge": {"damping": float("inf")}}},
+        {"parts": {"door": {"mass": -1}}},
+    ],
+)
+def test_topology_and_what_is_seen_cannot_be_said(edit):
+    with pytest.raises(ValidationError):
+        Patch.model_validate(edit)
+
+
+def test_no_patch_changes_tree_types_axes_or_pictures():
+    spec = objects.cupboard()
+    patch = Patch.model_validate(
+        {
+            "parts": {
+                "door": {"mass": 3.0, "shift": (0.01, 0, 0)},
+                "carcass": {"inertia": "derived"},
+            },
+            "joints": {"hinge": {"lower": -0.1, "upper": 1.0, "origin": (0.1, 0.2, 0.3)}},
+            "geoms": {"leaf": {"shrink": 0.9}, "back": {"shrink": 0.95}},
+        }
+    )
+    made, stale = apply(patch, spec)
+    assert stale == ()
+    assert seen(made) == seen(spec)
+    assert [p.name for p in made.parts] == [p.name for p in spec.parts]
+    for new, old in zip(made.joints, spec.joints, strict=True):
+        assert (new.type, new.axis, new.parent, new.child) == (
+            old.type, old.axis, old.parent, old.child,
+        )  # fmt: skip
+    assert made.part("door").mass == 3.0
+    assert len(patch.changes()) == 8
+
+
+def test_what_is_gone_from_the_program_is_told_not_fatal():
+    patch = Patch.model_validate({"joints": {"gone": {"damping": 1.0}}})
+    made, stale = apply(patch, objects.cupboard())
+    assert made == objects.cupboard()
+    assert stale == ("joint gone",)
+
+
+def test_edits_that_contradict_each_other_are_refused():
+    patch = Patch.model_validate({"joints": {"hinge": {"lower": 1.0, "upper": 0.5}}})
+    with pytest.raises(SpecError, match="must be below"):
+        apply(patch, objects.cupboard())
+
+
+def test_patches_join_and_survive_json():
+    one = Patch.model_validate({"parts": {"door": {"shift": (0.1, 0, 0)}}})
+    two = Patch.model_validate({"parts": {"door": {"shift": (0.2, 0, 0), "mass": "derived"}}})
+    both = one.joined(two)
+    assert both.parts["door"].shift == pytest.approx((0.3, 0, 0))
+    assert Patch.model_validate_json(both.to_json()) == both
+    assert "joints" not in json.loads(both.to_json())
+
+
+@pytest.mark.parametrize(
+    ("spec", "fault"),
+    [
+        (objects.cupboard(lower=-0.4), Fault.LIMIT_INTO_PART),
+        (objects.cupboard(damping=0.0, friction=0.0), Fault.JOINT_UNDAMPED),
+        (objects.cupboard(pos=(0.1505, 0.32, 0.25)), Fault.PIVOT_OFF),
+        (objects.cupboard(friction=500.0), Fault.JOINT_STUCK),
+        (objects.cupboard(upper=0.4, intent={"travel": 1.3}), Fault.LIMITS_NARROW),
+    ],
+)
+def test_numbers_mend_what_numbers_can_tell(spec, fault):
+    made = repair(spec, Battery)
+    assert made.before.cause is fault
+    assert made.after.passed, made.tried
+    assert made.changes
+    assert seen(made.spec) == seen(spec)
+    assert apply(made.patch, spec)[0] == made.spec
+
+
+def test_an_authored_inertia_is_recomputed():
+    spec = objects.cupboard()
+    odd = AuthoredInertia(pos=(0.16, 0, 0.25), moments=(-1.0, 1.0, 1.0))
+    parts = tuple(
+        p.model_copy(update={"mass": 2.0, "inertia": odd}) if p.name == "door" else p
+        for p in spec.parts
+    )
+    made = repair(spec.model_copy(update={"parts": parts}), Battery)
+    assert made.after.passed
+    assert made.patch.parts["door"].inertia == "derived"
+
+
+def test_what_no_edit_can_mend_is_left_as_it_is():
+    intent = {"opens": (1, 0, 0)}
+    spec = objects.cupboard(axis=(0, 0, -1), intent=intent)
+    made = repair(spec, Battery, rounds=3)
+    assert made.before.cause is Fault.AXIS_REVERSED
+    assert not made.after.passed
+    assert made.after.score <= made.before.score
+    assert made.spec.joints[0].axis == spec.joints[0].axis
+
+
+def test_a_patch_that_does_not_help_is_dropped(monkeypatch):
+    useless = Patch.model_validate({"joints": {"hinge": {"damping": 0.0}}})
+    monkeypatch.setattr("neoworld_mjx.verify.repairs.proposals", lambda *_: iter([useless]))
+    spec = objects.cupboard(damping=0.0, friction=0.0)
+    made = repair(spec, Battery, rounds=2)
+    assert made.patch.empty
+    assert made.after == made.before
+    assert made.tried
+
+
+def test_results_are_kept_by_content_and_version(tmp_path, monkeypatch):
+    monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path))
+    spec = objects.cupboard(damping=0.0, friction=0.0)
+    first = make_sound(spec)
+    assert first.verdict.passed
+    assert first.before is not None
+    monkeypatch.setattr(sounds, "Battery", lambda *_, **__: pytest.fail("it was there already"))
+    assert make_sound(spec) == first
+    with pytest.raises(pytest.fail.Exception):
+        make_sound(spec, VerifyOptions(drop_height_m=0.006))
+    with pytest.raises(pytest.fail.Exception):
+        make_sound(objects.cupboard())
+    monkeypatch.setattr(sounds, "VERSION", "another")
+    with pytest.raises(pytest.fail.Exception):
+        make_sound(spec)
+
+
+def test_with_no_rounds_nothing_is_changed(tmp_path, monkeypatch):
+    monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path))
+    result = make_sound(objects.cupboard(damping=0.0, friction=0.0), VerifyOptions(rounds=0))
+    assert result.patch.empty
+    assert result.tried == ()
+    assert not result.verdict.passed
