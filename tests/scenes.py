@@ -6,6 +6,7 @@ import numpy as np
 
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.spec import (
+    CSG,
     Box,
     Camera,
     Capsule,
@@ -19,6 +20,7 @@ from neoworld_mjx.spec import (
     Mimic,
     ObjectSpec,
     Part,
+    Placed,
     Prism,
     SceneObject,
     SceneSpec,
@@ -208,6 +210,46 @@ def furnished():
         (board, (-0.24, 0.1), 0.0, {"relation": "leaning", "base_tilt": lean}),
         name="furnished",
     )
+
+
+def lamp():
+    """A drilled foot with a head on a ball, its base free and the head turned."""
+    drilled = CSG(
+        operation="difference",
+        operands=(
+            Placed(shape=Box(size=(0.1, 0.12, 0.04))),
+            Placed(shape=Cylinder(radius=0.02, height=0.2), pos=(0.01, 0, 0)),
+        ),
+        sectors=8,
+    )
+    make = lambda name, shape, z: Geom(name=name, shape=shape, pos=(0, 0, z), material="wood")
+    pole = Geom(
+        name="pole", shape=Box(size=(0.02, 0.02, 0.2)), pos=(-0.035, 0, 0.14), material="wood"
+    )
+    spec = ObjectSpec(
+        name="lamp",
+        materials=(WOOD,),
+        parts=(
+            Part(name="foot", geoms=(make("foot", drilled, 0.02), pole)),
+            Part(name="head", geoms=(make("head", Box(size=(0.06, 0.04, 0.03)), 0.27),)),
+        ),
+        joints=(
+            Joint(
+                name="neck",
+                type="ball",
+                parent="foot",
+                child="head",
+                pos=(-0.035, 0, 0.25),
+                upper=0.9,
+                damping=0.002,
+                friction=0.001,
+                stiffness=0.02,
+                armature=1e-5,
+            ),
+        ),
+    )
+    state = {"neck.x": 0.2, "neck.y": 0.3, "neck.z": -0.1}
+    return on_table((recentred(spec), (0, 0), 0.3, {"joint_state": state}), name="lit")
 
 
 def random_layout(scene, pop, seed=0, spread=0.3):

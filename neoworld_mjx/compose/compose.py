@@ -23,7 +23,8 @@ from ..spec import (
     scale,
     support_frame,
 )
-from ..spec.object import Joint, Quat
+from ..spec.object import Quat
+from ..spec.opening import joint_meant, parsed_state
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
 from .lying import resting_tilt
 
@@ -116,41 +117,15 @@ def rescaled(
 
 
 def _joint_state(node: TreeNode, spec: ObjectSpec, notes: list[str]) -> dict[str, float]:
-    state = {}
-    for part in node.articulation:
-        joint = _joint_named(spec, part.part, part.type)
-        if joint is None:
-            if part.opening > 0:
-                names = ", ".join(j.name for j in spec.joints) or "none"
-                notes.append(
-                    f"{node.name}: the parse shows {part.part} open by {part.opening:.0%}, but no "
-                    f"joint of the program fits it (joints: {names}); left closed"
-                )
-            continue
-        state[joint.name] = opening_value(joint, part.opening)
+    state, left = parsed_state(spec, node)
+    names = ", ".join(j.name for j in spec.joints) or "none"
+    for part in left:
+        if part.opening > 0:
+            notes.append(
+                f"{node.name}: the parse shows {part.part} open by {part.opening:.0%}, but no "
+                f"joint of the program fits it (joints: {names}); left closed"
+            )
     return state
-
-
-def _joint_named(spec: ObjectSpec, part: str, kind: str) -> Joint | None:
-    moving = [joint for joint in spec.joints if joint.type != "fixed" and joint.mimic is None]
-    for joint in moving:
-        if part in (joint.name, joint.child):
-            return joint
-    same = [joint for joint in moving if joint.type == kind]
-    return same[0] if len(same) == 1 else None
-
-
-def opening_value(joint: Joint, opening: float) -> float:
-    """Return where a joint stands when opened by a share of its range [rad or m].
-
-    Closed is 0, or the limit nearest to it; open is the limit furthest from that, by convention the
-    positive one. A continuous joint turns once.
-    """
-    if joint.type == "continuous":
-        return float(2 * np.pi * opening)
-    closed = float(np.clip(0.0, joint.lower, joint.upper))
-    far = joint.upper if joint.upper - closed >= closed - joint.lower else joint.lower
-    return closed + opening * (far - closed)
 
 
 def _place(
@@ -166,7 +141,7 @@ def _place(
     if node.parent is not None:
         parent = placed[node.parent]
         if link is not None and link not in [part.name for part in parent.spec.parts]:
-            joint = _joint_named(parent.spec, link, "prismatic")
+            joint = joint_meant(parent.spec, link, "prismatic")
             found = None if joint is None else joint.child
             notes.append(
                 f"{node.name}: {node.parent} has no part {link!r}; placed on "

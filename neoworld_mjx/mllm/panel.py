@@ -85,6 +85,10 @@ class Panel:
         """
         return await asyncio.wrap_future(self._submit(self._shared(request)))
 
+    def ask_soon(self, request: Request[T]) -> "concurrent.futures.Future[Answer[T]]":
+        """As `ask`, from any thread: returns at once; cancelling gives up the waiting alone."""
+        return self._submit(self._shared(request))
+
     def ask_sync(self, request: Request[T]) -> Answer[T]:
         """As `ask`, for code without an event loop."""
         return self._wait(self._shared(request))

@@ -8,6 +8,7 @@ import json
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import httpx2
 from PIL import Image
@@ -71,8 +72,12 @@ def with_headers(line: Line, defaults: Mapping[str, str]) -> dict[str, str]:
     return {n: v for n, v in defaults.items() if n.lower() not in given} | line.headers
 
 
+@lru_cache(maxsize=4)
 def as_sent(picture: Picture) -> tuple[str, str]:
-    """Return a picture's media type and base64 text; one that is too big goes as JPEG."""
+    """Return a picture's media type and base64 text; one that is too big goes as JPEG.
+
+    A few are kept, as a photograph is sent with many requests.
+    """
     data, kind = picture.data, picture.media_type
     if len(data) > _MOST_BYTES:
         kind = "image/jpeg"

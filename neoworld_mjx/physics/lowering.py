@@ -65,14 +65,17 @@ def _prism_factor() -> float:
 
 
 def _ball() -> tuple[NDArray, float]:
-    """Return 42 corners around the unit sphere and how far the farthest is from its centre."""
-    g = (1 + 5**0.5) / 2
-    twelve = np.array([[0, a, b * g] for a in (-1.0, 1.0) for b in (-1.0, 1.0)])
-    twelve = np.vstack([np.roll(twelve, k, axis=1) for k in range(3)])
-    gaps = np.linalg.norm(twelve[:, None] - twelve, axis=2)
-    i, j = np.nonzero(np.triu(np.abs(gaps - 2.0) < 1e-6))
-    points = np.vstack([twelve, (twelve[i] + twelve[j]) / 2])
+    """Return 56 corners around the unit sphere and how far the farthest is from its centre.
+
+    A flat side faces each way of each axis: an ellipsoid that lies on a pole would tip over on a
+    corner there.
+    """
+    ticks = np.tan(np.pi / 4 * np.array([-1.0, -1 / 3, 1 / 3, 1.0]))
+    u, v = (axis.ravel() for axis in np.meshgrid(ticks, ticks))
+    cap = np.column_stack([u, v, np.ones_like(u)])
+    points = np.vstack([np.roll(side * cap, k, axis=1) for k in range(3) for side in (-1.0, 1.0)])
     points /= np.linalg.norm(points, axis=1, keepdims=True)
+    points = np.unique(points.round(12), axis=0)
     inner = float(np.abs(ConvexHull(points).equations[:, 3]).min())
     factor = 2 / (1 + inner)
     return points * factor, factor

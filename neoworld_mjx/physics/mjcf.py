@@ -35,7 +35,7 @@ from ..spec import (
     world_poses,
 )
 from ..spec.convex import Piece
-from ..spec.object import joint_value
+from ..spec.object import joint_motion, joint_position
 from ..spec.pose import Pose, pose
 from ..spec.surface import surface
 
@@ -148,7 +148,7 @@ def _add_object(model: mujoco.MjSpec, item: SceneObject, at: Pose, visual: bool)
             )
             if joint.type != "fixed":
                 _add_joint(body, item.name, joint)
-                start.append(joint_value(spec, joint, item.joint_state))
+                start += _coordinates(spec, joint, item.joint_state)
         bodies[part.name], origins[part.name] = body, origin
         mass = inertial(spec, part)
         body.mass = mass.mass
@@ -165,12 +165,25 @@ def _add_object(model: mujoco.MjSpec, item: SceneObject, at: Pose, visual: bool)
     return [float(v) for v in start]
 
 
+def _coordinates(spec: ObjectSpec, joint: Joint, joint_state: dict[str, float]) -> list[float]:
+    """Return a joint's part of qpos: one value, or a ball's quaternion."""
+    value = joint_position(spec, joint, joint_state)
+    return joint_motion(joint, value).quat.tolist() if isinstance(value, tuple) else [value]
+
+
+_JOINTS = {
+    "prismatic": mujoco.mjtJoint.mjJNT_SLIDE,
+    "ball": mujoco.mjtJoint.mjJNT_BALL,
+    "revolute": mujoco.mjtJoint.mjJNT_HINGE,
+    "continuous": mujoco.mjtJoint.mjJNT_HINGE,
+}
+
+
 def _add_joint(body: mujoco.MjsBody, owner: str, joint: Joint) -> None:
-    slide = joint.type == "prismatic"
-    limited = joint.type != "continuous"
+    limited = joint.type in ("revolute", "prismatic") or (joint.type == "ball" and joint.upper > 0)
     made = body.add_joint(
         name=f"{owner}/{joint.name}",
-        type=mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE,
+        type=_JOINTS[joint.type],
         axis=joint.axis,
         limited=int(limited),
         damping=joint.damping,

@@ -191,7 +191,9 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
 
     It stands on the highest surface under its footprint, unless it was seen inside: below pieces
     that leave it the room to stand, as a can on the lower shelf. Of the two places the one nearer to
-    the composed height is taken.
+    the composed height is taken. What is in something never stands on its rim: surfaces higher than
+    half the object above its composed place do not lift it, so that walls are entered instead, which
+    D_pen sees and can be followed out of.
 
     Args:
         scene: the composed scene.
@@ -223,6 +225,9 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     z_out, z_in = (float(np.max(h[cells] - own[:, 2])) for h in (outside, inside))
     fits = z_in > NOTHING / 2 and np.min(ceiling[cells]) > z_in + top - 1e-3
     heights = inside if fits and abs(z_in - item.z) <= abs(z_out - item.z) else outside
+    if item.relation == "in":
+        rim = item.z + own[:, 2].min() + (top - own[:, 2].min()) / 2
+        heights = np.where(heights > rim, NOTHING, heights)
     return Support(
         jnp.asarray(heights.reshape(GRID, GRID), jnp.float32),
         jnp.asarray(origin, jnp.float32),

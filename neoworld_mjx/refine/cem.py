@@ -14,6 +14,16 @@ from ..config import CEMOptions
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
 
+TRACED = (
+    "cem.sigma_xy",
+    "cem.sigma_yaw_deg",
+    "cem.sigma_log_scale",
+    "cem.sigma_floor",
+    "cem.smoothing",
+    "cem.stop_gain",
+)
+"""Options under `refine` that end in `CEMParams`: other values compile nothing anew."""
+
 
 class CEMParams(eqx.Module):
     """Traced hyperparameters."""
@@ -46,11 +56,15 @@ class CEM(eqx.Module):
     elites: int = eqx.field(static=True)
     zero_candidate: bool = eqx.field(static=True, default=True)
 
-    def init(self, scene: SceneModel, params: CEMParams) -> CEMState:
-        """Start at the composed scene with the initial deviations."""
+    def init(self, scene: SceneModel, params: CEMParams, mean: Layout | None = None) -> CEMState:
+        """Start at the composed scene, or at `mean`, with the initial deviations."""
         zero = jax.tree.map(jnp.zeros_like, params.sigma)
         return CEMState(
-            zero, params.sigma, jnp.asarray(0), jnp.asarray(-jnp.inf), jnp.asarray(jnp.inf)
+            zero if mean is None else mean,
+            params.sigma,
+            jnp.asarray(0),
+            jnp.asarray(-jnp.inf),
+            jnp.asarray(jnp.inf),
         )
 
     def ask(self, key: Key[Array, ""], state: CEMState, params: CEMParams) -> Layout:
@@ -79,6 +93,7 @@ class CEM(eqx.Module):
         reward: Float[Array, " pop"],
         absolute: Float[Array, " pop"],
         params: CEMParams,
+        credit: Float[Array, "pop object"] | None = None,
     ) -> CEMState:
         """Fit the Gaussian to the top-K candidates.
 
@@ -89,6 +104,8 @@ class CEM(eqx.Module):
                 K candidates are finite only those count.
             absolute: the reward by which iterations are compared.
             params: hyperparameters.
+            credit: the reward by objects; given, each object's numbers are fitted to the K
+                candidates that are best for it.
         """
         reward = jnp.where(jnp.isfinite(reward), reward, -jnp.inf)
         # A stable sort, so that equal rewards are taken in the order of the population.
@@ -97,11 +114,18 @@ class CEM(eqx.Module):
         total = jnp.maximum(jnp.sum(weight), 1.0)
         any_finite = jnp.sum(weight) > 0
 
+        count = layouts.yaw.shape[1]
+        rows, mine = jnp.repeat(best[:, None], count, 1), jnp.repeat(weight[:, None], count, 1)
+        if credit is not None:
+            credit = jnp.where(jnp.isfinite(reward)[:, None], credit, -jnp.inf)
+            rows = jnp.argsort(-credit, axis=0, stable=True)[: self.elites]
+            mine = jnp.isfinite(reward)[rows].astype(jnp.float32)
+
         def fit(
-            leaf: Float[Array, "pop ..."], old: Array, old_std: Array, sigma: Array
+            leaf: Float[Array, "pop object ..."], old: Array, old_std: Array, sigma: Array
         ) -> tuple[Array, Array]:
-            chosen = leaf[best]
-            w = weight.reshape(-1, *(1,) * (leaf.ndim - 1)) / total
+            chosen = leaf[rows, jnp.arange(count)]
+            w = (mine / total).reshape(*mine.shape, *(1,) * (leaf.ndim - 2))
             mean = jnp.sum(chosen * w, axis=0, keepdims=True)
             std = jnp.sqrt(jnp.sum((chosen - mean) ** 2 * w, axis=0, keepdims=True))
             keep = params.smoothing

@@ -1,123 +1,352 @@
-"""Refining a composed scene: the loop of Algorithm 1, its history, and the choice of the winner."""
+"""Refining a composed scene: the loop of Algorithm 1 with what makes it faster, each an option."""
 
+import dataclasses
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from pathlib import Path
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..config import RefineOptions
-from ..measure import SceneMeasure, scene_measure
-from ..physics.engine import EarlyStop, Engine, open_engine
-from ..physics.exact import snap_exactly
+from ..errors import ConfigError
+from ..mllm import Panel, Picture
+from ..physics.engine import EarlyStop, Engine, Rollout, open_engine
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel, compile_scene
 from ..spec import SceneSpec
-from .cem import CEMState, open_cem
-from .rewards import Scores, score, user_terms, weights
-
-
-@dataclass(frozen=True)
-class Refined:
-    """The outcome of a refinement."""
-
-    scene: SceneSpec
-    """The winner, snapped exactly."""
-    measure: SceneMeasure
-    """Of the winner."""
-    before: SceneMeasure
-    """Of the composed scene, snapped exactly."""
-    layout: Layout
-    """The winner's layout, pop axis of length 1."""
-    history: dict[str, np.ndarray]
-    """Every candidate, leading axes [iteration, pop]; named as in `Scores` and `Layout`."""
-    engine: str
-    iterations: int
-    winner: tuple[int, int]
-    """(iteration, candidate)."""
-    finalists_tried: int
-    mean_log_scale: float
-    """Over optimised objects, of the winner."""
-    mean_shift_m: float
-    """Mean distance of optimised objects from the composed layout, in their parents' frames."""
-    mean_turn_deg: float
-    """Mean angle of yaw between the winner and the composed layout."""
-    passed: bool
-    """Whether the winner holds in the final check."""
-    seconds: dict[str, float] = field(default_factory=dict)
-    fallbacks: tuple[str, ...] = ()
+from .cem import CEM, CEMParams, CEMState, open_cem
+from .credit import partners, shared
+from .descent import descend
+from .outcome import Refined, Round, choose, outcome, ranked, stacked
+from .prune import score_elites
+from .rewards import Placed, Scores, Term, Weights, bound, placed, score, user_terms, weights
+from .scorer import Mark, SemanticScorer
 
 
 def refine(
-    scene: SceneSpec,
+    scene: SceneSpec | SceneModel,
     options: RefineOptions | None = None,
     *,
     seed: int = 0,
+    start: Layout | None = None,
     engine: Engine | None = None,
+    photo: Picture | None = None,
+    panel: Panel | None = None,
+    scores: Path | None = None,
+    recorded: Path | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Refined:
     """Refine a composed scene by CEM (paper Section 3.3, Step 5).
 
     Stops after T iterations, or when the elites have gained less than `stop_gain` for `patience`
-    iterations and a valid candidate has been seen. The winner is the best valid candidate by absolute reward that also passes an
-    exact check; when none does, the best one that was tried is returned with `passed` False.
+    iterations and a valid candidate has been seen. The winner is the best valid candidate by
+    absolute reward that also passes an exact check; when none does, the best one that was tried is
+    returned with `passed` False.
 
     Args:
-        scene: the composed scene.
+        scene: the composed scene; one that is compiled already saves that time again.
         options: of the search, the rewards, the rollouts and the check.
         seed: of the population draws.
+        start: the layout that the search starts at, pop axis of length 1; zero by default.
         engine: what rolls candidates out; opened from the options by default.
+        photo: the photograph, for semantic scores by a model.
+        panel: who gives them.
+        scores: file to log them in.
+        recorded: log of an earlier run whose scores, and their order of arrival, are followed.
         progress: called with one line an iteration.
+
+    Raises:
+        ConfigError: options that exclude each other, or scores by a model without a photograph.
+        EngineError: the engine cannot run here.
     """
     o = options or RefineOptions()
-    engine = engine or open_engine(o.rollout.engine)
-    clock = {"compile": 0.0, "rollout": 0.0, "score": 0.0, "check": 0.0}
+    clock: dict[str, float] = dict.fromkeys(
+        ("compile", "descent", "rollout", "score", "wait", "check"), 0.0
+    )
     began = time.perf_counter()
-    model = compile_scene(
+    model = scene if isinstance(scene, SceneModel) else compiled(scene, o)
+    search = Search(model, o, engine or open_engine(o.rollout.engine), clock, start)
+    clock["compile"] = time.perf_counter() - began
+    scorer = None
+    if o.semantic.scorer == "mllm":
+        scorer = SemanticScorer(
+            model, photo, panel, o.semantic, cem=o.cem, log=scores, recorded=recorded
+        )
+    rounds: list[Round] = []
+    marks: list[np.ndarray] = []
+    key = jax.random.key(seed)
+    try:
+        for t in range(o.cem.iterations):
+            layouts = search.ask(jax.random.fold_in(key, t), t)
+            found, poses, how = search.judge(t, layouts, scorer)
+            search.tell(t, layouts, found)
+            rounds.append((layouts, poses, found))
+            marks.append(how)
+            if progress is not None:
+                progress(_line(t, o.cem.iterations, found, search.state))
+            if search.enough(bool(np.any(found.valid)), float(search.state.gain)):
+                break
+        clock["search"] = time.perf_counter() - search.began
+        began = time.perf_counter()
+        if scorer is not None:
+            finalists = [index for index, _ in ranked(rounds)][: o.finalists]
+            scorer.await_for(finalists)
+            for t, (layouts, poses, found) in enumerate(rounds):
+                rounds[t] = layouts, poses, _with_late(scorer, t, found, marks[t], o)
+        clock["wait"] += time.perf_counter() - began
+    finally:
+        if scorer is not None:
+            scorer.close()
+    began = time.perf_counter()
+    chosen = choose(model, rounds, o, start)
+    clock["check"] = time.perf_counter() - began
+    return outcome(
+        model,
+        rounds,
+        chosen,
+        o,
+        start=start,
+        engine=search.engine.name,
+        clock=clock | {"to_valid": search.first_valid_s},
+        semantic=None if scorer is None else stacked(marks, 0),
+        scoring=None if scorer is None else scorer.summary(),
+        fallbacks=() if scorer is None else scorer.fallbacks,
+    )
+
+
+def compiled(scene: SceneSpec, o: RefineOptions) -> SceneModel:
+    """Compile a scene as a refinement with these options needs it."""
+    return compile_scene(
         scene,
         timestep=o.rollout.timestep_s,
         samples=o.rollout.samples_per_object,
         reach=max(1 / 3, 6.7 * o.cem.sigma_xy),
     )
-    cem, params = open_cem(model, o.cem)
-    w, terms = weights(o), user_terms(o.reward)
-    state = cem.init(model, params)
-    clock["compile"] = time.perf_counter() - began
-    key = jax.random.key(seed)
-    rule = _early_stop(o) if o.rollout.early_stop else None
-    rounds: list[tuple[Layout, Poses, Scores]] = []
-    stalled = 0
-    for t in range(o.cem.iterations):
-        layouts = cem.ask(jax.random.fold_in(key, t), state, params)
+
+
+class Search:
+    """One refinement's state: the method, its weights, and how candidates are judged."""
+
+    def __init__(
+        self,
+        model: SceneModel,
+        o: RefineOptions,
+        engine: Engine,
+        clock: dict[str, float],
+        start: Layout | None = None,
+        mean: Layout | None = None,
+    ) -> None:
+        """Start at a layout, the composed scene by default, or where descent from it leads.
+
+        Args:
+            model: the compiled scene.
+            o: of the search, the rewards and the rollouts.
+            engine: what rolls candidates out.
+            clock: seconds spent, by step; added to.
+            start: the layout to start at, pop axis of length 1.
+            mean: where descent leads from there, if that is known already.
+
+        Raises:
+            ConfigError: options that exclude each other.
+        """
+        _compatible(o)
+        self.model, self.o, self.engine, self.clock = model, o, engine, clock
+        self.cem, self.params = open_cem(model, o.cem)
+        self.w: Weights = weights(o)
+        self.terms: tuple[Term, ...] = user_terms(o.reward)
+        by_object = o.cem.credit != "scene" and not self.terms and o.semantic.scorer != "mllm"
+        self.partners = partners(model, o.cem) if by_object else None
+        self.prunes = o.cem.prune and self.w.normalisation == "fixed"
+        """A user's own terms have no known bound, and credit by objects has other elites."""
+        self.prunes &= not self.terms and o.cem.credit in ("auto", "scene")
+        self.began = time.perf_counter()
+        self.first_valid_s = float("nan")
+        self._seen_valid, self._stalled = False, 0
+        if mean is None:
+            leaves = jax.tree.leaves(self.params.sigma if start is None else start)
+            scale = 0.0 if start is None else 1.0
+            begin = Layout(*(scale * jnp.asarray(x, jnp.float32) for x in leaves))
+            steps = o.descent.warm_steps
+            mean = self._descend(begin, steps, photo=True) if steps else begin
+        self.w = eqx.tree_at(lambda w: w.origin, self.w, mean, is_leaf=lambda x: x is None)
+        self.state: CEMState = self.cem.init(model, self.params, mean)
+
+    def ask(self, key: jax.Array, t: int) -> Layout:
+        """Draw iteration t's population, and move it out of interpenetration."""
+        return self.project(_ask(self.method(t), key, self.state, self.params), t)
+
+    def project(self, drawn: Layout, t: int) -> Layout:
+        """Move iteration t's candidates out of interpenetration, if the options say so."""
+        d = self.o.descent
+        needed = d.project == "needed" and t > 0 and not self._seen_valid
+        if d.project == "always" or needed:
+            return self._descend(drawn, d.project_steps, photo=False)
+        return drawn
+
+    def judge(
+        self, t: int, layouts: Layout, scorer: SemanticScorer | None
+    ) -> tuple[Scores, Poses, np.ndarray]:
+        """Score a population.
+
+        Returns:
+            Scores, where candidates were placed, and how each S_sem came about (scorer.Mark).
+        """
+        marks = np.zeros(layouts.yaw.shape[0], np.int8)
+        if self.prunes and scorer is None:
+            began, rolled = time.perf_counter(), self.clock["rollout"]
+            found, start = score_elites(
+                self.model,
+                layouts,
+                self.rollout,
+                self.w,
+                elites=self.method(t).elites,
+                batch=self.o.cem.batch,
+                until_valid=self.o.cem.credit == "auto" and not self._seen_valid,
+                done=self.note,
+            )
+            rolled = self.clock["rollout"] - rolled
+            self.clock["score"] += time.perf_counter() - began - rolled
+            return found, start, marks
         began = time.perf_counter()
-        rollout = engine.rollout(
-            model,
+        before = jax.block_until_ready(placed(self.model, layouts, self.w))
+        self.clock["score"] += time.perf_counter() - began
+        if scorer is not None:
+            upper = bound(before, self.w)
+            scorer.submit(t, scorer.best(np.asarray(upper)), layouts, before.start)
+        rollout = self.rollout(layouts)
+        if scorer is not None:
+            began = time.perf_counter()
+            scorer.collect(t)
+            self.clock["wait"] += time.perf_counter() - began
+            values, marks = scorer.fill(t, layouts, np.asarray(before.s_sem))
+            before = with_semantic(before, values)
+        found = score(self.model, layouts, rollout, self.w, self.terms, before)
+        self.note(jax.block_until_ready(found))
+        return found, before.start, marks
+
+    def tell(self, t: int, layouts: Layout, found: Scores) -> None:
+        """Fit the Gaussian to the elites."""
+        credit = None
+        if self.partners is not None:
+            by_object = self.o.cem.credit != "auto" or not (
+                self._seen_valid or bool(np.any(found.valid))
+            )
+            credit = shared(found, self.partners, by_object)
+        self.state = _tell(self.method(t), self.state, layouts, found, self.params, credit)
+
+    def enough(self, valid: bool, gain: float) -> bool:
+        """Tell whether to stop after an iteration.
+
+        Args:
+            valid: whether it had a valid candidate.
+            gain: of the elites, over those before.
+        """
+        self._seen_valid |= valid
+        self._stalled = self._stalled + 1 if gain < self.o.cem.stop_gain else 0
+        return self._seen_valid and self._stalled >= self.o.cem.patience
+
+    def method(self, t: int) -> CEM:
+        """Return the method with the population of iteration t."""
+        first, population = self.o.cem.first, self.cem.population
+        if t == 0 and first:
+            population = min(first, population)
+        return dataclasses.replace(self.cem, population=population, elites=self._elites(population))
+
+    def _elites(self, population: int) -> int:
+        return max(1, round(self.o.cem.elite_ratio * population))
+
+    def _descend(self, layouts: Layout, steps: int, *, photo: bool) -> Layout:
+        began = time.perf_counter()
+        d = self.o.descent
+        moved = descend(
+            self.model,
             layouts,
-            duration=o.rollout.duration_s,
-            record_every=o.rollout.record_every_s,
-            early_stop=rule,
+            self.params.sigma,
+            steps=steps,
+            rate=d.rate,
+            samples=d.samples,
+            photo=photo,
         )
-        jax.block_until_ready(rollout)
-        clock["rollout"] += time.perf_counter() - began
+        self.clock["descent"] += time.perf_counter() - began
+        return jax.block_until_ready(moved)
+
+    def rollout(self, layouts: Layout) -> Rollout:
+        """Roll candidates out as the options say."""
         began = time.perf_counter()
-        scores = jax.block_until_ready(score(model, layouts, rollout, w, terms))
-        state = cem.tell(state, layouts, scores.reward, scores.absolute, params)
-        rounds.append((layouts, rollout.start, scores))
-        clock["score"] += time.perf_counter() - began
-        if progress is not None:
-            progress(_line(t, o.cem.iterations, scores, state))
-        seen_valid = any(bool(np.any(s.valid)) for _, _, s in rounds)
-        stalled = stalled + 1 if float(state.gain) < o.cem.stop_gain else 0
-        if seen_valid and stalled >= o.cem.patience:
-            break
-    began = time.perf_counter()
-    chosen = _choose(model, rounds, o)
-    clock["check"] = time.perf_counter() - began
-    return _finish(model, rounds, chosen, o, engine, clock)
+        r = self.o.rollout
+        found = self.engine.rollout(
+            self.model,
+            layouts,
+            duration=r.duration_s,
+            record_every=r.record_every_s,
+            early_stop=early_stop_rule(self.o) if r.early_stop else None,
+        )
+        jax.block_until_ready(found)
+        self.clock["rollout"] += time.perf_counter() - began
+        return found
+
+    def note(self, found: Scores) -> None:
+        """Note when the first valid candidate is known, at the end of its batch."""
+        if np.isnan(self.first_valid_s) and bool(np.any(found.valid)):
+            self.first_valid_s = time.perf_counter() - self.began
 
 
-def _early_stop(o: RefineOptions) -> EarlyStop:
+@eqx.filter_jit
+def _ask(cem: CEM, key: jax.Array, state: CEMState, params: CEMParams) -> Layout:
+    return cem.ask(key, state, params)
+
+
+@eqx.filter_jit
+def _tell(
+    cem: CEM,
+    state: CEMState,
+    layouts: Layout,
+    found: Scores,
+    params: CEMParams,
+    credit: jax.Array | None,
+) -> CEMState:
+    return cem.tell(state, layouts, found.reward, found.absolute, params, credit)
+
+
+def with_semantic(before: Placed, values: np.ndarray) -> Placed:
+    """Put a model's scores in the place of geometric ones."""
+    s_sem = jnp.asarray(values, jnp.float32)
+    return eqx.tree_at(lambda b: b.s_sem, before, s_sem)
+
+
+def _with_late(
+    scorer: SemanticScorer, t: int, found: Scores, marks: np.ndarray, o: RefineOptions
+) -> Scores:
+    """Enter an iteration's scores that came after its elites were taken."""
+    change = np.zeros(len(marks), np.float32)
+    for k in range(len(marks)):
+        late = scorer.known((t, k))
+        if late is not None and late.value is not None:
+            change[k] = late.value - float(found.s_sem[k])
+            marks[k] = Mark.SCORED
+    gain = o.reward.w_sem * change
+    more = (found.s_sem + change, found.reward + gain, found.absolute + gain)
+    return eqx.tree_at(lambda f: (f.s_sem, f.reward, f.absolute), found, more)
+
+
+def _compatible(o: RefineOptions) -> None:
+    if o.cem.credit in ("auto", "scene"):
+        return
+    if o.reward.terms:
+        raise ConfigError(
+            "refine.cem.credit: a user's own terms are of the whole scene; choose auto or scene"
+        )
+    if o.semantic.scorer == "mllm":
+        raise ConfigError(
+            "refine.cem.credit: a model scores the whole scene; choose auto or scene, or scorer geometric"
+        )
+
+
+def early_stop_rule(o: RefineOptions) -> EarlyStop:
+    """Return when rollouts may end early: past what the reward tells apart."""
     return EarlyStop(
         drift=o.reward.d_drift_cap * o.reward.drift_scale_m,
         tilt=float(np.radians(o.reward.d_drift_cap * o.reward.tilt_scale_deg)),
@@ -125,127 +354,11 @@ def _early_stop(o: RefineOptions) -> EarlyStop:
 
 
 def _line(t: int, most: int, scores: Scores, state: CEMState) -> str:
-    absolute = np.asarray(scores.absolute)
-    best = float(absolute.max())
-    share = float(np.mean(np.asarray(scores.valid)))
+    rolled = np.isfinite(np.asarray(scores.d_drift))
+    best = float(np.asarray(scores.absolute).max())
+    share = float(np.asarray(scores.valid)[rolled].mean()) if rolled.any() else 0.0
+    pruned = "" if rolled.all() else f", {1 - rolled.mean():.0%} pruned"
     return (
         f"iteration {t + 1}/{most}: best {best:.3f}, elites {float(state.elite_mean):.3f}, "
-        f"{share:.0%} valid"
+        f"{share:.0%} valid{pruned}"
     )
-
-
-@dataclass(frozen=True)
-class _Chosen:
-    index: tuple[int, int]
-    scene: SceneSpec
-    measure: SceneMeasure
-    tried: int
-    passed: bool
-
-
-def passes(measure: SceneMeasure, o: RefineOptions) -> bool:
-    """Whether a scene holds: no pair too deep, before or after settling, and nothing moved."""
-    deep = max(measure.max_depth_m, measure.settled_depth_m) > o.max_depth_m
-    return not deep and not measure.diverged and measure.s_stab is not False
-
-
-def _choose(
-    model: SceneModel, rounds: list[tuple[Layout, Poses, Scores]], o: RefineOptions
-) -> _Chosen:
-    valid = np.stack([np.asarray(s.valid) for _, _, s in rounds])
-    absolute = np.stack([np.asarray(s.absolute) for _, _, s in rounds])
-    order = np.lexsort((-absolute.ravel(), ~valid.ravel()))
-    fallback: _Chosen | None = None
-    for tried, flat in enumerate(order[: o.finalists], start=1):
-        t, k = divmod(int(flat), valid.shape[1])
-        if not np.isfinite(absolute[t, k]):
-            break
-        layouts, poses, _ = rounds[t]
-        scene = snap_exactly(model.apply(layouts, k, poses))
-        found = _measure(scene, o)
-        chosen = _Chosen((t, k), scene, found, tried, passes(found, o))
-        if chosen.passed:
-            return chosen
-        if fallback is None or _badness(found, o) < _badness(fallback.measure, o):
-            fallback = chosen
-    if fallback is None:
-        # Every candidate failed in physics: the composed scene is all there is.
-        scene = snap_exactly(model.spec)
-        found = _measure(scene, o)
-        return _Chosen((-1, -1), scene, found, o.finalists, passes(found, o))
-    return _Chosen(
-        fallback.index, fallback.scene, fallback.measure, min(o.finalists, order.size), False
-    )
-
-
-def _measure(scene: SceneSpec, o: RefineOptions) -> SceneMeasure:
-    return scene_measure(
-        scene,
-        duration=o.check_duration_s,
-        timestep=o.check_timestep_s,
-        max_depth=o.max_depth_m,
-        max_drift=o.max_drift_m,
-        max_tilt=o.max_tilt_deg,
-    )
-
-
-def _badness(m: SceneMeasure, o: RefineOptions) -> float:
-    return (
-        max(m.max_depth_m, m.settled_depth_m) / o.max_depth_m
-        + m.max_drift_m / o.max_drift_m
-        + m.max_tilt_deg / o.max_tilt_deg
-    )
-
-
-def _finish(
-    model: SceneModel,
-    rounds: list[tuple[Layout, Poses, Scores]],
-    chosen: _Chosen,
-    o: RefineOptions,
-    engine: Engine,
-    clock: dict[str, float],
-) -> Refined:
-    t, k = chosen.index
-    count = len(model.names)
-    layout = rounds[t][0][k : k + 1] if t >= 0 else Layout.zero(1, count)
-    moves = np.asarray(model.optimised)
-    logs = np.asarray(layout.log_scale[0])[moves]
-    shift = np.linalg.norm(np.asarray(layout.xy[0])[moves], axis=-1)
-    turn = np.degrees(np.abs(np.asarray(layout.yaw[0])[moves]))
-    fallbacks = []
-    if not chosen.passed:
-        fallbacks.append(
-            f"no candidate passed the final check in {chosen.tried} tries; the least bad is kept"
-        )
-    return Refined(
-        scene=chosen.scene,
-        measure=chosen.measure,
-        before=_measure(snap_exactly(model.spec), o),
-        layout=layout,
-        history=_history(model, rounds),
-        engine=engine.name,
-        iterations=len(rounds),
-        winner=chosen.index,
-        finalists_tried=chosen.tried,
-        mean_log_scale=float(logs.mean()) if len(logs) else 0.0,
-        mean_shift_m=float(shift.mean()) if len(shift) else 0.0,
-        mean_turn_deg=float(turn.mean()) if len(turn) else 0.0,
-        passed=chosen.passed,
-        seconds=clock,
-        fallbacks=tuple(fallbacks),
-    )
-
-
-def _history(
-    model: SceneModel, rounds: list[tuple[Layout, Poses, Scores]]
-) -> dict[str, np.ndarray]:
-    layouts = [layout for layout, _, _ in rounds]
-    scores = [s for _, _, s in rounds]
-    names = ("reward", "absolute", "d_pen", "d_drift", "s_sem", "prior", "status", "valid")
-    history = {name: np.stack([np.asarray(getattr(s, name)) for s in scores]) for name in names}
-    history |= {
-        name: np.stack([np.asarray(getattr(layout, name)) for layout in layouts])
-        for name in ("xy", "yaw", "log_scale")
-    }
-    history["object_names"] = np.array(model.names)
-    return history

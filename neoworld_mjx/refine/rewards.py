@@ -8,6 +8,7 @@ import importlib
 from collections.abc import Callable
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -18,23 +19,26 @@ from ..errors import ConfigError
 from ..physics.engine import Rollout, RolloutStatus
 from ..physics.layout import Layout, Poses, rotation
 from ..physics.model import SceneModel
-from .semantic import semantic_score
+from .semantic import Semantic, semantic_score
 
 FIVE_DEGREES = float(np.radians(5.0))
 
 Term = Callable[[SceneModel, Layout, Rollout], Float[Array, " pop"]]
 
 __all__ = [
+    "Placed",
     "Scores",
     "Term",
     "Weights",
     "absolute_reward",
+    "bound",
     "compose",
     "d_drift",
     "d_pen",
     "departure",
     "depths",
     "drifts",
+    "placed",
     "s_sem",
     "score",
     "user_terms",
@@ -42,12 +46,20 @@ __all__ = [
 ]
 
 
-def depths(scene: SceneModel, poses: Poses) -> Float[Array, "pop object object"]:
+def depths(
+    scene: SceneModel, poses: Poses, samples: int | None = None
+) -> Float[Array, "pop object object"]:
     """Sampled penetration depth [m] of i's surface samples in j's colliders, at [candidate, i, j].
 
     Measured on the canonical colliders at the placed poses; zero between environment supports.
+
+    Args:
+        scene: the compiled scene.
+        poses: where the candidates' objects are placed.
+        samples: how many of an object's surface samples to look at, corners first; all by default.
     """
-    found = pair_depth(poses.pos, rotation(poses.quat), poses.scale, scene.samples, scene.solids)
+    points = scene.samples[:, :samples]
+    found = pair_depth(poses.pos, rotation(poses.quat), poses.scale, points, scene.solids)
     return jnp.where(scene.pair_mask, found, 0.0)
 
 
@@ -94,9 +106,17 @@ def d_drift(
     An object counts the larger of its translation over `distance` [m] and its rotation over
     `angle` [rad], so 1 is an object just at the bound.
     """
+    return jnp.sum(_drift_each(scene, rollout, distance, angle), axis=1)
+
+
+def _drift_each(
+    scene: SceneModel,
+    rollout: Rollout,
+    distance: Float[Array, ""] | float,
+    angle: Float[Array, ""] | float,
+) -> Float[Array, "pop object"]:
     far, turned = drifts(scene, rollout)
-    each = jnp.maximum(far / distance, turned / angle)
-    return jnp.sum(jnp.where(scene.movable, each, 0.0), axis=1)
+    return jnp.where(scene.movable, jnp.maximum(far / distance, turned / angle), 0.0)
 
 
 def s_sem(
@@ -104,13 +124,16 @@ def s_sem(
 ) -> Float[Array, " pop"]:
     """S_sem in [0, 1] by the geometric scorer, of the composed pose; see `semantic`."""
     poses = scene.place(layouts)
-    return semantic_score(scene, poses, depths(scene, poses))
+    return semantic_score(scene, poses, depths(scene, poses)).total
 
 
 def departure(
-    scene: SceneModel, layouts: Layout, sigma: Float[Array, " 3"]
-) -> Float[Array, " pop"]:
-    """Mean of (z / sigma)^2 over optimised objects and their four numbers; 1 for a typical draw.
+    scene: SceneModel,
+    layouts: Layout,
+    sigma: Float[Array, " 3"],
+    origin: Layout | None = None,
+) -> Float[Array, "pop object"]:
+    """Mean of (z / sigma)^2 over an optimised object's four numbers; 1 for a typical draw.
 
     It keeps what physics leaves open near the parse: without it elites wander, and shrinking
     everything would lower D_pen.
@@ -119,12 +142,35 @@ def departure(
         scene: the compiled scene.
         layouts: the candidates.
         sigma: deviations of xy (over each object's diagonal), yaw [rad] and log scale.
+        origin: what departures are counted from, pop axis of length 1; None is the composed scene.
     """
     safe = jnp.maximum(sigma, 1e-6)
+    if origin is not None:
+        layouts = jax.tree.map(jnp.subtract, layouts, origin)
     xy = jnp.sum((layouts.xy / (safe[0] * scene.diagonal[:, None])) ** 2, axis=-1)
     each = (xy + (layouts.yaw / safe[1]) ** 2 + (layouts.log_scale / safe[2]) ** 2) / 4
-    free = jnp.maximum(jnp.sum(scene.optimised), 1)
-    return jnp.sum(jnp.where(scene.optimised, each, 0.0), axis=1) / free
+    return jnp.where(scene.optimised, each, 0.0)
+
+
+TRACED = (
+    "cem.sigma_xy",
+    "cem.sigma_yaw_deg",
+    "cem.sigma_log_scale",
+    "reward.w_sem",
+    "reward.w_pen",
+    "reward.w_drift",
+    "reward.w_prior",
+    "reward.d_pen_cap_m",
+    "reward.d_drift_cap",
+    "reward.drift_free",
+    "reward.pen_scale_m",
+    "reward.drift_scale_m",
+    "reward.tilt_scale_deg",
+    "reward.terms",
+    "max_depth_m",
+)
+"""Options under `refine` that end in `Weights`: other values compile nothing anew. Of `reward.terms`
+the weights do; which terms there are is static."""
 
 
 class Weights(eqx.Module):
@@ -137,6 +183,8 @@ class Weights(eqx.Module):
     d_pen_cap: Float[Array, ""]
     """[m]"""
     d_drift_cap: Float[Array, ""]
+    drift_free: Float[Array, ""]
+    """Drift of an object that costs nothing, in units of the stability bounds."""
     pen_scale: Float[Array, ""]
     """[m]"""
     distance: Float[Array, ""]
@@ -148,6 +196,8 @@ class Weights(eqx.Module):
     sigma: Float[Array, " 3"]
     """Initial deviations of xy (over the diagonal), yaw [rad] and log scale."""
     user: Float[Array, " term"]
+    origin: Layout | None
+    """What the prior counts from, pop axis of length 1; None is the composed scene."""
     normalisation: str = eqx.field(static=True)
 
 
@@ -162,6 +212,7 @@ def weights(options: RefineOptions) -> Weights:
         w_prior=f(r.w_prior),
         d_pen_cap=f(r.d_pen_cap_m),
         d_drift_cap=f(r.d_drift_cap),
+        drift_free=f(r.drift_free),
         pen_scale=f(r.pen_scale_m),
         distance=f(r.drift_scale_m),
         angle=f(np.radians(r.tilt_scale_deg)),
@@ -174,8 +225,25 @@ def weights(options: RefineOptions) -> Weights:
             ]
         ),
         user=f(list(r.terms.values())).reshape(-1),
+        origin=None,
         normalisation=r.normalisation,
     )
+
+
+class Placed(eqx.Module):
+    """What candidates are judged by before anything moves."""
+
+    start: Poses
+    d_pen: Float[Array, " pop"]
+    """[m]"""
+    deepest: Float[Array, " pop"]
+    """Depth of the deepest pair [m]."""
+    s_sem: Float[Array, " pop"]
+    prior: Float[Array, " pop"]
+    pen_each: Float[Array, "pop object"]
+    """Sum of the depths of an object's pairs [m]."""
+    sem_each: Float[Array, "pop object"]
+    prior_each: Float[Array, "pop object"]
 
 
 class Scores(eqx.Module):
@@ -184,6 +252,7 @@ class Scores(eqx.Module):
     d_pen: Float[Array, " pop"]
     """[m]"""
     d_drift: Float[Array, " pop"]
+    """NaN for candidates that were pruned, that is not rolled out."""
     s_sem: Float[Array, " pop"]
     """In [0, 1]."""
     prior: Float[Array, " pop"]
@@ -194,9 +263,40 @@ class Scores(eqx.Module):
     """No sampled pair deeper than max_depth_m, no object past the stability bounds."""
     status: Float[Array, " pop"]
     reward: Float[Array, " pop"]
-    """As Algorithm 1 ranks; -inf for failed candidates."""
+    """As Algorithm 1 ranks; -inf for failed and pruned candidates."""
     absolute: Float[Array, " pop"]
-    """With fixed scales, comparable between iterations; -inf for failed candidates."""
+    """With fixed scales, comparable between iterations; -inf for failed and pruned candidates."""
+    credit: Float[Array, "pop object"]
+    """The reward by objects, with fixed normalisation; see `shares`."""
+
+
+@eqx.filter_jit
+def placed(scene: SceneModel, layouts: Layout, w: Weights, samples: int | None = None) -> Placed:
+    """Evaluate what needs no physics: D_pen, S_sem and the prior.
+
+    Args:
+        scene: the compiled scene.
+        layouts: the candidates.
+        w: weights and scales.
+        samples: how many of an object's surface samples to look at; fewer see less penetration, so
+            that no reward comes out lower than with all of them.
+    """
+    start = scene.place(layouts)
+    found = depths(scene, start, samples)
+    pair = jnp.maximum(found, jnp.swapaxes(found, 1, 2))
+    semantic: Semantic = semantic_score(scene, start, found)
+    prior = departure(scene, layouts, w.sigma, w.origin)
+    free = jnp.maximum(jnp.sum(scene.optimised), 1)
+    return Placed(
+        start=start,
+        d_pen=jnp.sum(jnp.triu(pair, 1), axis=(1, 2)),
+        deepest=jnp.max(pair, axis=(1, 2)),
+        s_sem=semantic.total,
+        prior=jnp.sum(prior, axis=1) / free,
+        pen_each=jnp.sum(pair, axis=2),
+        sem_each=semantic.each,
+        prior_each=prior,
+    )
 
 
 @eqx.filter_jit
@@ -206,6 +306,7 @@ def score(
     rollout: Rollout,
     w: Weights,
     terms: tuple[Term, ...] = (),
+    before: Placed | None = None,
 ) -> Scores:
     """Evaluate every term and compose the reward.
 
@@ -215,33 +316,48 @@ def score(
         rollout: their free fall.
         w: weights, normalisation and scales.
         terms: a user's own terms, in the order of `w.user`.
+        before: of `placed`, where it is known already.
     """
-    found = depths(scene, rollout.start)
-    pair = jnp.maximum(found, jnp.swapaxes(found, 1, 2))
-    pen = jnp.sum(jnp.triu(pair, 1), axis=(1, 2))
-    moved = d_drift(scene, layouts, rollout, distance=w.distance, angle=w.angle)
-    far, turned = drifts(scene, rollout)
-    steady = jnp.all((far < w.distance) & (turned < w.angle) | ~scene.movable, axis=1)
+    b = placed(scene, layouts, w) if before is None else before
+    drift_each = _drift_each(scene, rollout, w.distance, w.angle)
+    moved = jnp.sum(drift_each, axis=1)
+    charged_each = jnp.maximum(drift_each - w.drift_free, 0.0)
+    charged = jnp.sum(charged_each, axis=1)
     alive = ~jnp.isin(
         rollout.status, jnp.array([int(RolloutStatus.FAILED), int(RolloutStatus.TRUNCATED)])
     )
-    prior = departure(scene, layouts, w.sigma)
     own = [jnp.asarray(term(scene, layouts, rollout), jnp.float32) for term in terms]
-    user = jnp.stack(own) if own else jnp.zeros((0, pen.shape[0]))
-    semantic = semantic_score(scene, rollout.start, found)
-    rest = w.w_sem * semantic - w.w_prior * prior + jnp.sum(w.user[:, None] * user, axis=0)
-    alive &= jnp.isfinite(pen + moved + rest)
-    return Scores(
-        d_pen=pen,
-        d_drift=moved,
-        s_sem=semantic,
-        prior=prior,
-        user=user,
-        valid=steady & (jnp.max(pair, axis=(1, 2)) < w.max_depth) & alive,
-        status=rollout.status,
-        reward=compose(pen, moved, rest, alive, w),
-        absolute=absolute_reward(pen, moved, rest, alive, w),
+    user = jnp.stack(own) if own else jnp.zeros((0, b.d_pen.shape[0]))
+    rest = w.w_sem * b.s_sem - w.w_prior * b.prior + jnp.sum(w.user[:, None] * user, axis=0)
+    alive &= jnp.isfinite(b.d_pen + moved + rest)
+    credit = (
+        w.w_sem * b.sem_each
+        - w.w_prior * b.prior_each
+        - w.w_pen * jnp.minimum(b.pen_each / w.d_pen_cap, 1.0)
+        - w.w_drift * jnp.minimum(charged_each / w.d_drift_cap, 1.0)
     )
+    return Scores(
+        d_pen=b.d_pen,
+        d_drift=moved,
+        s_sem=b.s_sem,
+        prior=b.prior,
+        user=user,
+        valid=jnp.all(drift_each < 1.0, axis=1) & (b.deepest < w.max_depth) & alive,
+        status=rollout.status,
+        reward=compose(b.d_pen, charged, rest, alive, w),
+        absolute=absolute_reward(b.d_pen, charged, rest, alive, w),
+        credit=jnp.where(alive[:, None], credit, -jnp.inf),
+    )
+
+
+def bound(before: Placed, w: Weights) -> Float[Array, " pop"]:
+    """Upper bound of the reward under `fixed` normalisation, before anything moves.
+
+    The reward of a candidate that does not drift at all; a user's own terms are not bounded.
+    """
+    rest = w.w_sem * before.s_sem - w.w_prior * before.prior
+    upper = rest - w.w_pen * jnp.minimum(before.d_pen, w.d_pen_cap) / w.d_pen_cap
+    return jnp.where(jnp.isfinite(upper), upper, -jnp.inf)
 
 
 def compose(

@@ -1,28 +1,38 @@
 """S_sem by geometry: how well the composed poses agree with the photograph's relations.
 
-The paper's four criteria (Appendix B), each scored per pair of objects in five steps, averaged over
-pairs, and the mean of the four taken. The photograph's side is the parsed 2D boxes and depths, seen
-through the parsed camera; pixel alignment and viewpoint are not judged.
+The paper's four criteria (Appendix B), each in steps, the mean of the four taken. The photograph's
+side is the parsed 2D boxes and depths, seen through the parsed camera; a candidate's side is where
+its surface samples are projected. Relations are scored by pairs of objects; orientation also by how
+each object fills its own box, since that is all that a box says about a heading.
 """
 
 from typing import NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..physics.layout import Poses, rotation
 from ..physics.model import SceneModel
-from ..spec import Camera, SceneSpec, bounds, world_poses
+from ..physics.solids import surface_samples
+from ..spec import Camera, SceneSpec, world_poses
 
-LEVELS = 4
-"""Steps of a discrete score: 0, 1/4, ... 1."""
+SAMPLES = 256
+"""Surface samples that an object's 2D box is taken from where none was parsed."""
+LEVELS = 20
+"""Steps of a score: 0, 1/20, ... 1."""
 SIZE_TOLERANCE = 0.4
 """Difference of log size ratios at which the relative-size score is zero."""
 TURN_TOLERANCE = np.radians(45.0)
-"""Difference of direction at which the relative-orientation score is zero."""
+"""Difference of direction at which a pair's orientation score is zero."""
+BOX_TOLERANCE = 0.25
+"""Mean distance of box edges, over the box's size, at which a box's score is zero."""
 SEEN_DEPTH = 0.01
 """Penetration [m] at which an intersection is certainly visible."""
+BOX_NOISE_PX, BOX_NOISE = 2.0, 0.02
+"""What a parsed box edge may be off by: pixels, and a share of the box's size."""
 
 
 class View(NamedTuple):
@@ -31,10 +41,8 @@ class View(NamedTuple):
     axes: np.ndarray
     position: np.ndarray
     focal: float
-    centre: np.ndarray
-    """Middle of each 2D box, relative to the middle of the picture [px], shape [object, 2]."""
-    size: np.ndarray
-    """Square root of each 2D box's area [px]."""
+    boxes: np.ndarray
+    """2D boxes (left, top, right, bottom) relative to the middle of the picture [px], [object, 4]."""
     depth: np.ndarray
     """Distance along the view [m]."""
     judged: np.ndarray
@@ -42,36 +50,42 @@ class View(NamedTuple):
     whole: np.ndarray
     """Objects whose 2D box shows all of them."""
 
+    @property
+    def centre(self) -> np.ndarray:
+        """Middles of the boxes [object, 2]."""
+        return (self.boxes[:, :2] + self.boxes[:, 2:]) / 2
 
-def view(scene: SceneSpec) -> View:
+    @property
+    def size(self) -> np.ndarray:
+        """Square roots of the boxes' areas [px]."""
+        return np.sqrt(np.prod(self.boxes[:, 2:] - self.boxes[:, :2], axis=-1))
+
+
+def view(spec: SceneSpec) -> View:
     """Collect the photograph's side; what was not parsed is taken from the composed scene."""
-    camera = scene.camera or _camera_for(scene)
-    middle = np.array([camera.width / 2, camera.height_px / 2])
-    poses = world_poses(scene)
-    centre, size, depth = [], [], []
-    for item in scene.objects:
-        low, high = bounds(item.spec, item.joint_state)
-        corners = low + (high - low) * _UNIT
-        px, away = camera.project(poses[item.name].apply(corners))
-        box = [*px.min(axis=0), *px.max(axis=0)]
-        if item.box2d is not None:
-            box = item.box2d.as_tuple()
-        centre.append([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2] - middle)
-        size.append(np.sqrt((box[2] - box[0]) * (box[3] - box[1])))
-        depth.append(away.mean() if item.depth is None else item.depth)
+    camera = spec.camera or _camera_for(spec)
+    middle = np.tile([camera.width / 2, camera.height_px / 2], 2)
+    poses = world_poses(spec)
+    boxes, depth = [], []
+    for item in spec.objects:
+        box, far = item.box2d and item.box2d.as_tuple(), item.depth
+        if box is None or far is None:
+            with jax.ensure_compile_time_eval():
+                points = np.asarray(surface_samples(item, SAMPLES), float)
+            px, away = camera.project(poses[item.name].apply(points))
+            box = [*px.min(axis=0), *px.max(axis=0)] if box is None else box
+            far = away.mean() if far is None else far
+        boxes.append(np.array(box) - middle)
+        depth.append(far)
     return View(
         camera.axes(),
         camera.position(),
         camera.focal,
-        np.array(centre),
-        np.array(size),
+        np.array(boxes),
         np.array(depth),
-        np.array([not item.environment for item in scene.objects]),
-        np.array([not item.occluded for item in scene.objects]),
+        np.array([not item.environment for item in spec.objects]),
+        np.array([not item.occluded for item in spec.objects]),
     )
-
-
-_UNIT = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
 
 
 def _camera_for(scene: SceneSpec) -> Camera:
@@ -79,10 +93,30 @@ def _camera_for(scene: SceneSpec) -> Camera:
     return Camera(width=600, height_px=400, fovy=0.8, height=1.0 + far, pitch=0.6)
 
 
+def projected(
+    scene: SceneModel, v: View, poses: Poses
+) -> tuple[Float[Array, "pop object 4"], Float[Array, "pop object"]]:
+    """Project candidates' surface samples: 2D boxes as in `View.boxes` [px], and depths [m]."""
+    points = scene.samples * poses.scale[..., None, None]
+    world = jnp.einsum("poij,posj->posi", rotation(poses.quat), points) + poses.pos[:, :, None]
+    local = (world - v.position) @ v.axes
+    away = jnp.maximum(local[..., 2], 1e-3)
+    px = local[..., :2] / away[..., None] * v.focal
+    return jnp.concatenate([jnp.min(px, axis=2), jnp.max(px, axis=2)], axis=-1), away.mean(axis=2)
+
+
+class Semantic(eqx.Module):
+    """S_sem of candidates, in [0, 1]."""
+
+    total: Float[Array, " pop"]
+    each: Float[Array, "pop object"]
+    """By the criteria that an object takes part in; 1 for those that are not judged."""
+
+
 def semantic_score(
     scene: SceneModel, poses: Poses, depths: Float[Array, "pop object object"]
-) -> Float[Array, " pop"]:
-    """Score candidates in [0, 1]; a scene without two movable objects scores 1.
+) -> Semantic:
+    """Score candidates in [0, 1]; a scene in which nothing is judged scores 1.
 
     Args:
         scene: the compiled scene.
@@ -90,25 +124,27 @@ def semantic_score(
         depths: their pairwise penetration [m].
     """
     v = view(scene.spec)
-    first, second = np.triu_indices(len(v.depth), 1)
+    count = len(v.depth)
+    boxes, depth = projected(scene, v, poses)
+    own = jnp.mean(jnp.abs(boxes - v.boxes), axis=-1) / v.size
+    filled = jnp.where(v.whole & v.judged, _steps(1.0 - own / BOX_TOLERANCE), 1.0)
+    first, second = np.triu_indices(count, 1)
     both = v.judged[first] & v.judged[second]
     first, second = first[both], second[both]
+    judged = max(int(v.judged.sum()), 1)
+    fits = jnp.sum(jnp.where(v.judged, filled, 0.0), axis=1) / judged
+    if not v.judged.any():
+        return Semantic(jnp.ones(depth.shape[0]), jnp.ones_like(depth))
     if not len(first):
-        return jnp.ones(poses.scale.shape[0])
-    corners = scene.corners * poses.scale[..., None, None]
-    world = jnp.einsum("poij,pocj->poci", rotation(poses.quat), corners) + poses.pos[:, :, None]
-    local = (world - v.position) @ v.axes
-    away = jnp.maximum(local[..., 2], 1e-3)
-    px = local[..., :2] / away[..., None] * v.focal
-    low, high = jnp.min(px, axis=2), jnp.max(px, axis=2)
-    centre, size = (low + high) / 2, jnp.sqrt(jnp.prod(high - low, axis=-1) + 1e-9)
-    depth = jnp.mean(away, axis=2)
+        return Semantic(fits, filled)
+    centre = (boxes[..., :2] + boxes[..., 2:]) / 2
+    size = jnp.sqrt(jnp.prod(boxes[..., 2:] - boxes[..., :2], axis=-1) + 1e-9)
 
     # Depth ordering: the parsed difference of depth must keep its sign, and near ties may be either.
     told = v.depth[first] - v.depth[second]
     seen = depth[:, first] - depth[:, second]
     slack = 0.02 * (v.depth[first] + v.depth[second]) / 2
-    order = jnp.clip(0.5 + 0.5 * (np.sign(told) * seen + slack) / slack, 0.0, 1.0)
+    order = 0.5 + 0.5 * (np.sign(told) * seen + slack) / slack
     order = jnp.where(np.abs(told) < slack, 1.0, order)
 
     # Relative size: log ratio of projected sizes; where one is partly hidden, of depths and scales.
@@ -131,9 +167,27 @@ def semantic_score(
     hidden = jnp.maximum(depths[:, first, second], depths[:, second, first])
     apart = 1.0 - hidden / SEEN_DEPTH
 
-    criteria = [jnp.mean(_discrete(x), axis=1) for x in (order, relative, turn, apart)]
-    return jnp.mean(jnp.stack(criteria), axis=0)
+    # Half of orientation is told by pairs and half by boxes.
+    pairs = (_steps(order) + _steps(relative) + _steps(turn) / 2 + _steps(apart)) / 4
+    member = np.zeros((len(first), count))
+    member[np.arange(len(first)), first] = member[np.arange(len(first)), second] = 1.0
+    partners = np.maximum(member.sum(axis=0), 1.0)
+    each = jnp.where(v.judged, (pairs @ member) / partners + filled / 8, 1.0)
+    return Semantic(jnp.mean(pairs, axis=1) + fits / 8, each)
 
 
-def _discrete(x: Float[Array, "pop pair"]) -> Float[Array, "pop pair"]:
+def _steps(x: Float[Array, "pop column"]) -> Float[Array, "pop column"]:
     return jnp.round(jnp.clip(x, 0.0, 1.0) * LEVELS) / LEVELS
+
+
+def misfit(scene: SceneModel, poses: Poses) -> Float[Array, " pop"]:
+    """Squared distance of projected boxes from the photograph's, in units of its noise.
+
+    Differentiable; beyond three units it grows linearly (Huber), as a parsed box may be plainly
+    wrong. Only objects whose box shows all of them count.
+    """
+    v = view(scene.spec)
+    boxes, _ = projected(scene, v, poses)
+    off = (boxes - v.boxes) / (BOX_NOISE_PX + BOX_NOISE * v.size[:, None])
+    huber = jnp.where(jnp.abs(off) < 3.0, off**2 / 2, 3.0 * (jnp.abs(off) - 1.5))
+    return jnp.sum(jnp.where((v.whole & v.judged)[:, None], huber, 0.0), axis=(1, 2))

@@ -50,12 +50,13 @@ class Caster:
         self._groups[np.unique(model.geom_group[self.shown])] = 1
         self._smooth: dict[int, _Smooth] = {}
 
-    def hits(self, eye: NDArray, directions: NDArray) -> Hits:
-        """Cast rays [n, 3] from one point [3] m."""
+    def hits(self, eye: NDArray, directions: NDArray, *, smooth: bool = True) -> Hits:
+        """Cast rays [n, 3] from one point [3] m; without `smooth` meshes show their facets."""
         geom, distance, normal = self._cast(eye, directions, normals=True)
         point = eye + directions * np.where(geom >= 0, distance, 0.0)[:, None]
         assert normal is not None
-        self._smoothen(geom, point, normal)
+        if smooth:
+            self._smoothen(geom, point, normal)
         normal[geom < 0] = 0.0
         return Hits(geom, np.where(geom >= 0, distance, np.inf), point, normal)
 

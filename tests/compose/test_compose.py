@@ -7,7 +7,6 @@ import pytest
 import scenes
 
 from neoworld_mjx.compose import compose
-from neoworld_mjx.compose.compose import opening_value
 from neoworld_mjx.compose.lying import resting_tilt
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.measure.scene import scene_measure
@@ -32,6 +31,7 @@ from neoworld_mjx.spec import (
     scale,
     world_poses,
 )
+from neoworld_mjx.spec.opening import opening_value
 from neoworld_mjx.spec.pose import angle_between, from_axis_angle, from_yaw, rotate
 
 CAMERA = Camera(width=640, height_px=480, fovy=0.8, height=1.0, pitch=0.6)

@@ -9,6 +9,7 @@ from scenes import random_layout
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus, open_engine
 from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.lowering import lowered
 from neoworld_mjx.physics.mjx_engine import MjxEngine, invweights
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine, exact_poses, open_batch
@@ -110,3 +111,17 @@ def test_a_scene_with_nothing_movable():
 def test_an_unknown_engine_names_the_valid_ones():
     with pytest.raises(EngineError, match="native"):
         open_engine("isaac")
+
+
+def test_a_lowered_ellipsoid_lies_flat_where_the_true_one_does():
+    flat = scenes.single("egg", (scenes.Ellipsoid(radii=(0.03, 0.03, 0.015)), (0, 0, 0)))
+    table = scenes.SceneObject(name="t", spec=scenes.table(), environment=True, z=-0.04)
+    egg = scenes.SceneObject(name="egg", spec=flat, parent="t", z=0.04)
+    carried = lowered(compile_scene(scenes.SceneSpec(name="s", objects=(table, egg))))
+    model = carried.host.mjm
+    assert mujoco.mjtGeom.mjGEOM_ELLIPSOID not in model.geom_type
+    data = mujoco.MjData(model)
+    data.qpos[:] = carried.host.start
+    for _ in range(250):
+        mujoco.mj_step(model, data)
+    assert abs(data.qpos[3]) > np.cos(np.radians(0.5) / 2)

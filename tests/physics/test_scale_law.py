@@ -56,7 +56,7 @@ def field_errors(ours, theirs):
     return errors
 
 
-@pytest.mark.parametrize("make", [scenes.blocks, scenes.coffee, scenes.furnished])
+@pytest.mark.parametrize("make", [scenes.blocks, scenes.coffee, scenes.furnished, scenes.lamp])
 def test_leaves_equal_a_recompiled_scene(make):
     scene = compile_scene(make())
     layouts = random_layout(scene, 4)
@@ -73,8 +73,9 @@ def test_leaves_equal_a_recompiled_scene(make):
         assert np.allclose(batch.bind("qpos")[k], again.host.start, atol=1e-12)
 
 
-def test_one_step_equals_mj_step_on_the_recompiled_model():
-    scene = compile_scene(scenes.furnished())
+@pytest.mark.parametrize("make", [scenes.furnished, scenes.lamp])
+def test_one_step_equals_mj_step_on_the_recompiled_model(make):
+    scene = compile_scene(make())
     layouts = random_layout(scene, 4)
     poses = exact_poses(scene, layouts)
     batch = open_batch(scene, layouts, poses)

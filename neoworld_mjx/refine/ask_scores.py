@@ -1,0 +1,102 @@
+"""What a model is asked about a candidate: four criteria against the photograph (Appendix B).
+
+The system text and the photograph come first and are the same for every candidate of a run, so that a
+server that caches prompts is paid for them once.
+"""
+
+from functools import cache
+from importlib import resources
+from typing import Any, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from ..mllm import Picture, Request
+from ..spec import SceneSpec
+
+Level = Literal[0, 1, 2, 3, 4]
+MOST = max(get_args(Level))
+CRITERIA = ("depth_ordering", "relative_size", "relative_orientation", "intersections")
+
+ASK = (
+    "The objects, and what carries them:\n\n{listing}\n\n"
+    "Judge how they stand to one another in the candidate against the photograph."
+)
+
+
+class Judged(BaseModel):
+    """One criterion; the reason comes first, so that the level follows from it."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    reason: str = Field(description="What agrees and what does not, in one or two sentences.")
+    level: Level = Field(description="0 (most pairs disagree) to 4 (all agree).")
+
+    @field_validator("level", mode="before")
+    @classmethod
+    def _a_number(cls, value: Any) -> Any:
+        if isinstance(value, bool):
+            raise ValueError("a level is a number from 0 to 4, not true or false")
+        return value
+
+
+class Judgement(BaseModel):
+    """The critic's answer about one candidate."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    depth_ordering: Judged
+    relative_size: Judged
+    relative_orientation: Judged
+    intersections: Judged
+
+    @property
+    def levels(self) -> dict[str, int]:
+        """The level of each criterion, 0 to 4."""
+        return {name: getattr(self, name).level for name in CRITERIA}
+
+    @property
+    def reasons(self) -> dict[str, str]:
+        """What was said of each criterion."""
+        return {name: getattr(self, name).reason for name in CRITERIA}
+
+    @property
+    def value(self) -> float:
+        """S_sem: the sum of the levels over the most it can be, in [0, 1]."""
+        return sum(self.levels.values()) / (MOST * len(CRITERIA))
+
+
+@cache
+def system_text() -> str:
+    """Read the text that tells the critic what to judge."""
+    return resources.files("neoworld_mjx.refine").joinpath("scorer.md").read_text("utf-8")
+
+
+def score_request(photo: Picture, candidate: Picture, scene: SceneSpec) -> Request[Judgement]:
+    """Ask about one candidate.
+
+    Args:
+        photo: the photograph, the same object for all candidates.
+        candidate: the rendering, labelled "candidate".
+        scene: any candidate of the scene; its names and hierarchy are told.
+    """
+    return Request(
+        role="critic",
+        name="score",
+        system=system_text(),
+        prompt=ASK.format(listing=listing(scene)),
+        schema=Judgement,
+        pictures=[photo, candidate],
+    )
+
+
+def listing(scene: SceneSpec) -> str:
+    """List a scene's objects with what carries them, one a line."""
+    lines = []
+    for item in scene.objects:
+        place = "the environment" if item.environment else "stands by itself"
+        if item.parent is not None:
+            place = f"{item.relation} {item.parent}"
+            if item.parent_link is not None:
+                place += f" ({item.parent_link})"
+        lines.append(f"- {item.name}: {place}")
+    return "\n".join(lines)

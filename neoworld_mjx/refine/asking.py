@@ -1,0 +1,288 @@
+"""Asking a model about candidates while physics runs.
+
+Each worker takes the most urgent candidate, draws it, asks, and books the answer under the candidate's
+identity, which it has held all the time: in whatever order answers come, none can go to another
+candidate. Pictures that are equal pixel by pixel are asked about once.
+"""
+
+import heapq
+import threading
+import time
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import CancelledError, Future
+from datetime import UTC, datetime
+from typing import Any
+
+import mujoco
+from jaxtyping import UInt8
+from numpy import ndarray
+
+from ..config import SemanticOptions
+from ..errors import BudgetError, ConfigError, ModelError, NeoWorldError
+from ..mllm import Answer, Panel, Picture, Request
+from ..mllm.ledger import price_of
+from ..mllm.model import digest
+from ..render import render_plain, render_scene
+from ..spec import SceneSpec
+from .ask_scores import Judgement, score_request
+from .score_log import Identity, Job, Score, Stage
+
+Draw = Callable[[SceneSpec], UInt8[ndarray, "height width 3"]]
+
+AHEAD = 2
+"""Candidates drawn beyond those that may be asked at once, so that a free place is taken at once."""
+_DROPPED = "not waited for: the search had ended"
+
+
+def drawer(options: SemanticOptions) -> Draw:
+    """Return what draws a candidate as composed, through the parsed camera."""
+
+    def draw(scene: SceneSpec) -> UInt8[ndarray, "height width 3"]:
+        assert scene.camera is not None
+        if options.shadows:
+            return render_scene(scene, width=options.picture_px).color
+        return render_plain(scene, scene.camera, width=options.picture_px)
+
+    return draw
+
+
+class Asking:
+    """The scores of a running model.
+
+    Args:
+        panel: who is asked, as critic.
+        photo: the photograph.
+        options: time limit, when to give up, and the cost from which no more is asked.
+        draw: draws a candidate; called by one thread at a time.
+
+    Raises:
+        ConfigError: costs are bounded, and the critic's model has no price.
+    """
+
+    def __init__(
+        self, panel: Panel, photo: Picture, options: SemanticOptions, draw: Draw | None = None
+    ) -> None:
+        self.stopped: str | None = None
+        """Why no more is asked, if so."""
+        self.drawing_s = 0.0
+        self._panel, self._photo, self._options = panel, photo, options
+        self._draw = draw or drawer(options)
+        self._price = price_of(panel.options.critic.model, panel.ledger.prices)
+        if options.max_cost_usd is not None and self._price is None and panel.provider.online:
+            raise ConfigError(
+                f"refine.semantic.max_cost_usd is set but {panel.options.critic.model!r} has no "
+                f"price: add its price to a YAML file and name that in mllm.prices"
+            )
+        self._spent_before = panel.ledger.spent_usd
+        self._changed = threading.Condition()
+        self._drawing = threading.Lock()
+        self._queue: list[tuple[tuple[bool, int, int, int], Job]] = []
+        """A heap: what is waited for first, then by iteration, rank and order of coming."""
+        self._count = 0
+        self._out: dict[Identity, Job] = {}
+        """Asked about or about to be, without an outcome."""
+        self._came: dict[Identity, Score] = {}
+        """Outcomes that were not taken yet."""
+        self._pictures: dict[str, Score | list[tuple[Job, float]]] = {}
+        """By digest: the score, or the other candidates that wait for it."""
+        self._asked: set[Future[Answer[Judgement]]] = set()
+        self._failed_in_row = 0
+        self._dead = self._closed = False
+        self._crash: BaseException | None = None
+        self._threads: list[threading.Thread] = []
+
+    @property
+    def cost_usd(self) -> float:
+        """What asking has cost so far, as far as prices are known; failed calls included."""
+        return self._panel.ledger.spent_usd - self._spent_before
+
+    def put(self, jobs: Sequence[Job]) -> None:
+        """Have candidates scored; returns at once."""
+        with self._changed:
+            for job in jobs:
+                self._out[job.identity] = job
+                if self.stopped is not None:
+                    self._finish(job.score(error=f"not asked: {self.stopped}"))
+                else:
+                    self._count += 1
+                    key = (True, job.identity[0], job.rank, self._count)
+                    heapq.heappush(self._queue, (key, job))
+            while len(self._threads) < self._panel.options.concurrency + AHEAD:
+                thread = threading.Thread(
+                    target=self._work, name=f"neoworld-score-{len(self._threads)}", daemon=True
+                )
+                self._threads.append(thread)
+                thread.start()
+            self._changed.notify_all()
+
+    def take(self, stage: Stage, must: Collection[Identity], *, rest: bool) -> list[Score]:
+        """Wait for outcomes and return them, ordered by identity, each once.
+
+        Args:
+            stage: plays no part here; a record needs it.
+            must: what is waited for, before all else that is still to be asked. Once the server is
+                given up only what has come counts.
+            rest: whether to return also what else has come.
+        """
+        must = set(must)
+        with self._changed:
+            self._queue = [((job.identity not in must, *key[1:]), job) for key, job in self._queue]
+            heapq.heapify(self._queue)
+            self._changed.wait_for(lambda: self._crash or self._dead or must.isdisjoint(self._out))
+            if self._crash is not None:
+                raise self._crash
+            ready = [key for key in self._came if rest or key in must]
+            return [self._came.pop(key).model_copy(update={"used": stage}) for key in sorted(ready)]
+
+    def close(self) -> list[Score]:
+        """Ask nothing more and return what was not taken, ordered by identity."""
+        with self._changed:
+            self._closed = True
+            self._queue.clear()
+            asked = list(self._asked)
+            self._changed.notify_all()
+        for future in asked:
+            future.cancel()
+        for thread in self._threads:
+            thread.join()
+        with self._changed:
+            for job in list(self._out.values()):
+                self._finish(job.score(error=_DROPPED))
+            left, self._came = self._came, {}
+        return [left[key] for key in sorted(left)]
+
+    # What follows runs in the workers.
+
+    def _work(self) -> None:
+        while (job := self._next()) is not None:
+            try:
+                self._serve(job)
+            except BaseException as error:  # A worker that died in silence would be waited for.
+                with self._changed:
+                    self._crash = error
+                    self._changed.notify_all()
+                return
+
+    def _next(self) -> Job | None:
+        bound = self._options.max_cost_usd
+        with self._changed:
+            while True:
+                self._changed.wait_for(lambda: self._queue or self._closed)
+                if self._closed:
+                    return None
+                if bound is None or self.cost_usd < bound:
+                    return heapq.heappop(self._queue)[1]
+                self._stop(f"refine.semantic.max_cost_usd of {bound:g} USD is reached")
+
+    def _serve(self, job: Job) -> None:
+        assert job.scene is not None
+        try:
+            with self._drawing:
+                began = time.perf_counter()
+                rgb = self._draw(job.scene)
+                took = time.perf_counter() - began
+                self.drawing_s += took
+        except (NeoWorldError, ValueError, mujoco.FatalError) as error:
+            with self._changed:
+                self._finish(job.score(error=f"cannot be drawn: {error}"))
+            return
+        key = digest(f"{rgb.shape}".encode() + rgb.tobytes())
+        with self._changed:
+            known = self._pictures.get(key)
+            if isinstance(known, Score):
+                self._finish(_same(job, took, known))
+                return
+            if known is not None:
+                known.append((job, took))
+                return
+            if self.stopped is not None or self._closed:
+                self._finish(job.score(error=f"not asked: {self.stopped or _DROPPED}"))
+                return
+            self._pictures[key] = []
+        request = score_request(self._photo, Picture.of("candidate", rgb), job.scene)
+        told = {"picture": key[:16], "drawn_s": round(took, 4), "asked": _now()}
+        told |= self._answer(request)
+        self._book(key, job.score(**told, answered=_now()))
+
+    def _answer(self, request: Request[Judgement]) -> dict[str, Any]:
+        """Ask, and return what a Score says of the answer."""
+        # A person who answers takes as long as it takes.
+        longest = self._options.timeout_s if self._panel.provider.online else None
+        future = self._panel.ask_soon(request)
+        with self._changed:
+            self._asked.add(future)
+            if self._closed:
+                future.cancel()
+        try:
+            answer = future.result(longest)
+        except TimeoutError:
+            future.cancel()
+            return {"error": f"no answer in {longest:g} s; see refine.semantic.timeout_s"}
+        except CancelledError:
+            return {"error": _DROPPED}
+        except BudgetError as error:
+            with self._changed:
+                self._stop(str(error))
+            return {"error": str(error)}
+        except ModelError as error:
+            return {"error": str(error)}
+        finally:
+            with self._changed:
+                self._asked.discard(future)
+        if not self._panel.provider.online:
+            cost = 0.0
+        else:
+            cost = None if self._price is None else round(self._price.cost(answer.usage), 6)
+        said = answer.value
+        return {
+            "value": said.value,
+            "levels": said.levels,
+            "reasons": said.reasons,
+            "model": answer.model,
+            "cost_usd": cost,
+        }
+
+    def _book(self, key: str, score: Score) -> None:
+        """Keep a score for its candidate and for those that wait for the same picture."""
+        with self._changed:
+            others = self._pictures.pop(key)
+            if score.value is not None:
+                self._pictures[key] = score
+            self._finish(score)
+            assert not isinstance(others, Score)
+            for job, took in others:
+                self._finish(_same(job, took, score))
+            if score.value is not None:
+                self._failed_in_row = 0
+            elif not self._closed:
+                self._failed_in_row += 1
+                if self._failed_in_row >= self._options.give_up_after and self.stopped is None:
+                    self._dead = True
+                    self._stop(
+                        f"{self._failed_in_row} scores failed one after the other; "
+                        f"the last: {score.error}"
+                    )
+
+    # With the lock held.
+
+    def _finish(self, score: Score) -> None:
+        if self._out.pop(score.identity, None) is not None:
+            self._came[score.identity] = score
+            self._changed.notify_all()
+
+    def _stop(self, why: str) -> None:
+        self.stopped = self.stopped or why
+        queue, self._queue = self._queue, []
+        for _, job in queue:
+            self._finish(job.score(error=f"not asked: {self.stopped}"))
+        self._changed.notify_all()
+
+
+def _same(job: Job, took: float, score: Score) -> Score:
+    """Give a candidate the score of another with the very same picture."""
+    kept = score.model_dump(exclude={"iteration", "candidate", "rank", "layout"})
+    return job.score(**kept | {"drawn_s": round(took, 4), "cached": True, "cost_usd": 0.0})
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds")

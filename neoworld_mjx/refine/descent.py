@@ -1,0 +1,77 @@
+"""Adam on the differentiable terms: out of interpenetration, and towards the photograph's boxes.
+
+Physics tells good layouts from bad ones but not which way to go; penetration and projected boxes do.
+A few steps on them cost less than one rollout.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float
+from neoworld_kernels import pair_depth_reference
+
+from ..physics.layout import Layout, rotation
+from ..physics.model import SceneModel
+from .semantic import misfit
+
+PEN_SCALE = (0.001, 0.0001)
+"""Penetration [m] that costs as much as a box off by its noise, at the first step and at the last: at
+first objects may pass through each other, at the end they must not."""
+
+
+@eqx.filter_jit
+def descend(
+    scene: SceneModel,
+    layouts: Layout,
+    sigma: Layout,
+    *,
+    steps: int,
+    rate: float,
+    samples: int,
+    photo: bool,
+) -> Layout:
+    """Move candidates down D_pen, staying near where they are.
+
+    Minimises, for each candidate by itself, the sum of pair depths over PEN_SCALE, plus half the
+    squared departure from where it was drawn in units of `sigma`, plus, with `photo`, `misfit`.
+
+    Args:
+        scene: the compiled scene.
+        layouts: the candidates.
+        sigma: standard deviations, pop axis of length 1; objects with none stay where they are.
+        steps: of Adam.
+        rate: length of a step in units of `sigma`; it falls to a tenth over the steps.
+        samples: surface samples of an object that are looked at, corners first.
+        photo: whether to follow the photograph's boxes too.
+    """
+    free = jax.tree.map(lambda s: (s > 0).astype(jnp.float32), sigma)
+    start = jax.tree.map(lambda z, s: z / jnp.maximum(s, 1e-9), layouts, sigma)
+    few = scene.samples[:, :samples]
+
+    def loss(unit: Layout, i: Array) -> Float[Array, ""]:
+        moved = jax.tree.map(
+            lambda u, s, z, f: jnp.where(f > 0, u * s, z), unit, sigma, layouts, free
+        )
+        poses = scene.place(moved)
+        found = pair_depth_reference(
+            poses.pos, rotation(poses.quat), poses.scale, few, scene.solids
+        )
+        found = jnp.where(scene.pair_mask, found, 0.0)
+        hard = (1 / PEN_SCALE[0]) * (PEN_SCALE[0] / PEN_SCALE[1]) ** (i / max(steps - 1, 1))
+        cost = jnp.sum(jnp.maximum(found, jnp.swapaxes(found, 1, 2)), axis=(1, 2)) / 2 * hard
+        away = jax.tree.map(lambda u, z, f: jnp.sum(f * (u - z) ** 2) / 2, unit, start, free)
+        cost = jnp.sum(cost) + sum(jax.tree.leaves(away))
+        return cost + jnp.sum(misfit(scene, poses)) if photo else cost
+
+    adam = optax.adam(optax.cosine_decay_schedule(rate, steps, alpha=0.1), b1=0.8)
+
+    def step(i: Array, carry: tuple[Layout, optax.OptState]) -> tuple[Layout, optax.OptState]:
+        unit, state = carry
+        grad = jax.grad(loss)(unit, i)
+        grad = jax.tree.map(lambda g, f: jnp.where(jnp.isfinite(g), g, 0.0) * f, grad, free)
+        change, state = adam.update(grad, state)
+        return jax.tree.map(jnp.add, unit, change), state
+
+    unit, _ = jax.lax.fori_loop(0, steps, step, (start, adam.init(start)))
+    return jax.tree.map(lambda u, s, z, f: jnp.where(f > 0, u * s, z), unit, sigma, layouts, free)

@@ -1,0 +1,231 @@
+"""What a search ends in: the winner, checked exactly, and everything that was tried."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..config import RefineOptions
+from ..measure import SceneMeasure, scene_measure
+from ..physics.exact import snap_exactly
+from ..physics.layout import Layout, Poses
+from ..physics.model import SceneModel
+from ..spec import SceneSpec
+from .prune import PRUNED
+from .rewards import Scores
+
+Round = tuple[Layout, Poses, Scores]
+"""An iteration: its population, where it was placed, and how it scored."""
+
+
+@dataclass(frozen=True)
+class Refined:
+    """The outcome of a refinement."""
+
+    scene: SceneSpec
+    """The winner, snapped exactly."""
+    measure: SceneMeasure
+    """Of the winner."""
+    before: SceneMeasure
+    """Of the composed scene, snapped exactly."""
+    layout: Layout
+    """The winner's layout, pop axis of length 1."""
+    history: dict[str, np.ndarray]
+    """Every candidate, leading axes [iteration, pop]; named as in `Scores` and `Layout`."""
+    engine: str
+    iterations: int
+    winner: tuple[int, int]
+    """(iteration, candidate)."""
+    finalists_tried: int
+    mean_log_scale: float
+    """Over optimised objects, of the winner."""
+    mean_shift_m: float
+    """Mean distance of optimised objects from the composed layout, in their parents' frames."""
+    mean_turn_deg: float
+    """Mean angle of yaw between the winner and the composed layout."""
+    passed: bool
+    """Whether the winner holds in the final check."""
+    seconds: dict[str, float] = field(default_factory=dict)
+    fallbacks: tuple[str, ...] = ()
+    scoring: dict[str, Any] = field(default_factory=dict)
+    """What the semantic scorer says of itself: calls, failures, cost; empty without one."""
+
+    @property
+    def rollouts(self) -> int:
+        """Candidates that were rolled out."""
+        return int(np.sum(~np.isin(self.history["status"], (PRUNED, NOT_DRAWN))))
+
+    @property
+    def pruned(self) -> int:
+        """Candidates that were decided without being rolled out."""
+        return int(np.sum(self.history["status"] == PRUNED))
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A winner."""
+
+    index: tuple[int, int]
+    scene: SceneSpec
+    measure: SceneMeasure
+    tried: int
+    passed: bool
+
+
+def passes(measure: SceneMeasure, o: RefineOptions) -> bool:
+    """Whether a scene holds: no pair too deep, before or after settling, and nothing moved."""
+    deep = max(measure.max_depth_m, measure.settled_depth_m) > o.max_depth_m
+    return not deep and not measure.diverged and measure.s_stab is not False
+
+
+def choose(
+    model: SceneModel, rounds: list[Round], o: RefineOptions, start: Layout | None = None
+) -> Chosen:
+    """Take the best valid candidate by absolute reward that also holds in an exact check.
+
+    When none of the first `finalists` does, the least bad of them is taken.
+    """
+    fallback: Chosen | None = None
+    order = ranked(rounds)
+    for tried, ((t, k), absolute) in enumerate(order[: o.finalists], start=1):
+        if not np.isfinite(absolute):
+            break
+        layouts, poses, _ = rounds[t]
+        scene = snap_exactly(model.apply(layouts, k, poses))
+        found = measured(scene, o)
+        chosen = Chosen((t, k), scene, found, tried, passes(found, o))
+        if chosen.passed:
+            return chosen
+        if fallback is None or _badness(found, o) < _badness(fallback.measure, o):
+            fallback = chosen
+    if fallback is None:
+        # Every candidate failed in physics: the start is all there is.
+        scene = snap_exactly(model.spec if start is None else model.apply(start, 0))
+        found = measured(scene, o)
+        return Chosen((-1, -1), scene, found, o.finalists, passes(found, o))
+    return Chosen(
+        fallback.index, fallback.scene, fallback.measure, min(o.finalists, len(order)), False
+    )
+
+
+def ranked(rounds: list[Round]) -> list[tuple[tuple[int, int], float]]:
+    """Order all candidates: valid ones first, then by absolute reward.
+
+    Returns:
+        ((iteration, candidate), absolute reward) of each.
+    """
+    valid = stacked([s.valid for _, _, s in rounds], False)
+    absolute = stacked([s.absolute for _, _, s in rounds], -np.inf)
+    order = np.lexsort((-absolute.ravel(), ~valid.ravel()))
+    pop = valid.shape[1]
+    return [(divmod(int(k), pop), float(absolute.flat[k])) for k in order]
+
+
+def measured(scene: SceneSpec, o: RefineOptions) -> SceneMeasure:
+    """Measure a scene as the final check does."""
+    return scene_measure(
+        scene,
+        duration=o.check_duration_s,
+        timestep=o.check_timestep_s,
+        max_depth=o.max_depth_m,
+        max_drift=o.max_drift_m,
+        max_tilt=o.max_tilt_deg,
+    )
+
+
+def _badness(m: SceneMeasure, o: RefineOptions) -> float:
+    return (
+        max(m.max_depth_m, m.settled_depth_m) / o.max_depth_m
+        + m.max_drift_m / o.max_drift_m
+        + m.max_tilt_deg / o.max_tilt_deg
+    )
+
+
+def outcome(
+    model: SceneModel,
+    rounds: list[Round],
+    chosen: Chosen,
+    o: RefineOptions,
+    *,
+    start: Layout | None = None,
+    engine: str,
+    clock: dict[str, float],
+    semantic: np.ndarray | None = None,
+    scoring: dict[str, Any] | None = None,
+    fallbacks: tuple[str, ...] = (),
+) -> Refined:
+    """Put the outcome together.
+
+    Args:
+        model: the compiled scene.
+        rounds: all iterations.
+        chosen: the winner.
+        o: options of the check.
+        start: where the search started; None is the composed scene.
+        engine: name of what rolled candidates out.
+        clock: seconds spent, by step.
+        semantic: how each candidate's S_sem came about [iteration, pop], as in `scorer.Mark`.
+        scoring: what the semantic scorer says of itself.
+        fallbacks: what had to be done without so far.
+    """
+    t, k = chosen.index
+    began = model.spec if start is None else model.apply(start, 0)
+    count = len(model.names)
+    layout = rounds[t][0][k : k + 1] if t >= 0 else start or Layout.zero(1, count)
+    moves = np.asarray(model.optimised)
+    logs = np.asarray(layout.log_scale[0])[moves]
+    shift = np.linalg.norm(np.asarray(layout.xy[0])[moves], axis=-1)
+    turn = np.degrees(np.abs(np.asarray(layout.yaw[0])[moves]))
+    if not chosen.passed:
+        fallbacks += (
+            f"no candidate passed the final check in {chosen.tried} tries; the least bad is kept",
+        )
+    history = _history(model, rounds)
+    if semantic is not None:
+        history["s_sem_from"] = semantic
+    return Refined(
+        scene=chosen.scene,
+        measure=chosen.measure,
+        before=measured(snap_exactly(began), o),
+        layout=layout,
+        history=history,
+        engine=engine,
+        iterations=len(rounds),
+        winner=chosen.index,
+        finalists_tried=chosen.tried,
+        mean_log_scale=float(logs.mean()) if len(logs) else 0.0,
+        mean_shift_m=float(shift.mean()) if len(shift) else 0.0,
+        mean_turn_deg=float(turn.mean()) if len(turn) else 0.0,
+        passed=chosen.passed,
+        seconds=clock,
+        fallbacks=fallbacks,
+        scoring=scoring or {},
+    )
+
+
+NOT_DRAWN = -1
+"""Status, in the history, of places that an iteration with fewer candidates leaves empty."""
+
+
+def stacked(rows: list[Any], fill: Any) -> np.ndarray:
+    """Stack iterations, the shorter ones filled up to the largest population."""
+    full = np.asarray(max(rows, key=len))
+    stacked = np.full((len(rows), *full.shape), fill, full.dtype)
+    for t, row in enumerate(rows):
+        stacked[t, : len(row)] = row
+    return stacked
+
+
+def _history(model: SceneModel, rounds: list[Round]) -> dict[str, np.ndarray]:
+    fill = {"reward": -np.inf, "absolute": -np.inf, "status": NOT_DRAWN, "valid": False}
+    names = ("reward", "absolute", "d_pen", "d_drift", "s_sem", "prior", "status", "valid")
+    history = {
+        name: stacked([getattr(s, name) for _, _, s in rounds], fill.get(name, np.nan))
+        for name in names
+    }
+    history |= {
+        name: stacked([getattr(layout, name) for layout, _, _ in rounds], np.nan)
+        for name in ("xy", "yaw", "log_scale")
+    }
+    history["object_names"] = np.array(model.names)
+    return history

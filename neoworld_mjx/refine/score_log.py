@@ -1,0 +1,194 @@
+"""Semantic scores as they are kept: one line of scores.jsonl each, and a run that follows them.
+
+A line tells which candidate was scored, what the model said, when it was asked and when it answered,
+and in which iteration the score was first used. When scores need not be waited for, that iteration
+depends on the server; a run that follows a record uses each score where the recorded run did.
+"""
+
+import hashlib
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from ..config import describe
+from ..errors import ModelError
+from ..physics.layout import Layout
+from ..spec import SceneSpec
+
+Identity = tuple[int, int]
+"""(iteration, candidate)."""
+Stage = int | Literal["final"]
+"""The iteration whose elites were taken with a score; "final": the choice of the winner."""
+
+
+class Score(BaseModel):
+    """What became of asking about one candidate."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    iteration: int
+    candidate: int
+    rank: int
+    """Place among the candidates asked about with it, 0 first."""
+    layout: str
+    """Digest of the candidate's layout."""
+    value: float | None = None
+    """S_sem in [0, 1]; None when no score could be had."""
+    levels: dict[str, int] | None = None
+    """Of each criterion, 0 to 4."""
+    reasons: dict[str, str] | None = None
+    picture: str | None = None
+    """Digest of the candidate's pixels."""
+    drawn_s: float | None = None
+    """Seconds that the picture took."""
+    model: str = ""
+    asked: str | None = None
+    """UTC."""
+    answered: str | None = None
+    cached: bool = False
+    """Taken from another candidate with the very same picture."""
+    cost_usd: float | None = None
+    """None where it is unknown."""
+    error: str | None = None
+    used: Stage | None = None
+    """Where it was first used; None if it never was."""
+
+    @property
+    def identity(self) -> Identity:
+        """(iteration, candidate)."""
+        return self.iteration, self.candidate
+
+
+@dataclass(frozen=True)
+class Job:
+    """One candidate to be scored."""
+
+    identity: Identity
+    rank: int
+    layout: str
+    layouts: Layout
+    """The candidate alone, NumPy, pop axis of length 1."""
+    scene: SceneSpec | None = None
+    """The candidate's scene; None where nothing will be drawn."""
+
+    def score(self, **given: object) -> Score:
+        """Make the score of this candidate."""
+        iteration, candidate = self.identity
+        return Score.model_validate(
+            {
+                "iteration": iteration,
+                "candidate": candidate,
+                "rank": self.rank,
+                "layout": self.layout,
+                **given,
+            }
+        )
+
+
+def layout_digest(layout: Layout) -> str:
+    """Return 16 hex digits that change with any number of a single candidate's layout."""
+    parts = (layout.xy, layout.yaw, layout.log_scale)
+    data = b"".join(np.ascontiguousarray(part, np.float32).tobytes() for part in parts)
+    return hashlib.sha256(data).hexdigest()[:16]
+
+
+class ScoreLog:
+    """Writes scores.jsonl, whole lines at a time.
+
+    Args:
+        path: the file, begun anew; None keeps nothing.
+
+    Raises:
+        ModelError: the file cannot be written.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        if path is not None:
+            self._write("", "w")
+
+    def add(self, scores: Iterable[Score]) -> None:
+        """Append scores in the order given."""
+        text = "".join(score.model_dump_json() + "\n" for score in scores)
+        if self._path is not None and text:
+            self._write(text, "a")
+
+    def _write(self, text: str, mode: Literal["w", "a"]) -> None:
+        assert self._path is not None
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            with self._path.open(mode, encoding="utf-8") as file:
+                file.write(text)
+        except OSError as error:
+            raise ModelError(f"cannot write {self._path}: {error.strerror}") from None
+
+
+def read_scores(path: Path) -> list[Score]:
+    """Read a scores.jsonl.
+
+    Raises:
+        ModelError: the file cannot be read, or a line is no score.
+    """
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except OSError as error:
+        raise ModelError(f"cannot read scores {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ModelError(f"{path} holds no scores: it is not text") from None
+    scores = []
+    for number, line in enumerate(lines, start=1):
+        try:
+            scores.append(Score.model_validate_json(line))
+        except ValidationError as error:
+            raise ModelError(f"{path}, line {number}: {describe(error, Score)}") from None
+    return scores
+
+
+class Recorded:
+    """Gives the scores of an earlier run, each where that run first used it.
+
+    Args:
+        path: its scores.jsonl.
+
+    Raises:
+        ModelError: the file cannot be read.
+    """
+
+    stopped: str | None = None
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._scores = {score.identity: score for score in read_scores(path)}
+        self._put: list[Score] = []
+
+    def put(self, jobs: Sequence[Job]) -> None:
+        """Look candidates up.
+
+        Raises:
+            ModelError: the record does not hold one of them, or for another layout.
+        """
+        for job in jobs:
+            score = self._scores.get(job.identity)
+            iteration, candidate = job.identity
+            if score is None or score.layout != job.layout:
+                what = "no score" if score is None else "the score of another layout"
+                raise ModelError(
+                    f"{self._path} has {what} for candidate {candidate} of iteration {iteration}: "
+                    f"it follows only the run it was recorded in (same scene, options, seed, engine)"
+                )
+            self._put.append(score)
+
+    def take(self, stage: Stage, must: Collection[Identity], *, rest: bool) -> list[Score]:
+        """Return what the recorded run used at a stage, ordered by identity."""
+        return sorted(
+            (s for s in self._put if s.used == stage and (rest or s.identity in must)),
+            key=lambda score: score.identity,
+        )
+
+    def close(self) -> list[Score]:
+        """Return what was never used."""
+        return sorted((s for s in self._put if s.used is None), key=lambda s: s.identity)

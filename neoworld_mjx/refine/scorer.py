@@ -1,0 +1,272 @@
+"""S_sem by a model that looks: scores of the best candidates, which come while physics runs.
+
+    with SemanticScorer(model, photo, panel, options, log=path) as scorer:
+        scorer.submit(t, scorer.best(reward), layouts, poses)     # returns at once
+        ...                                                       # the rollout
+        scorer.collect(t)                                         # waits as options.wait says
+        s_sem, marks = scorer.fill(t, layouts, geometric)         # of every candidate
+
+Before the winner is chosen, `await_for` waits for the finalists' scores, and `fill` gives what is
+then known of any iteration.
+"""
+
+import time
+from collections.abc import Iterable, Sequence
+from enum import IntEnum
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from jaxtyping import ArrayLike, Float, Int8
+
+from ..config import CEMOptions, SemanticOptions
+from ..errors import ConfigError
+from ..mllm import Panel, Picture
+from ..physics.layout import Layout, Poses
+from ..physics.model import SceneModel
+from .asking import Asking, Draw
+from .estimate import estimate
+from .score_log import Identity, Job, Recorded, Score, ScoreLog, Stage, layout_digest
+
+
+class Mark(IntEnum):
+    """Where a candidate's S_sem comes from."""
+
+    GEOMETRIC = 0
+    ESTIMATED = 1
+    SCORED = 2
+
+
+class SemanticScorer:
+    """Scores candidates by a model, and estimates those that it has not scored.
+
+    Args:
+        model: the compiled scene.
+        photo: the photograph; not needed to follow a record.
+        panel: who is asked, as critic; not needed to follow a record.
+        options: how many are asked about, and what is waited for.
+        cem: whose deviations layouts are measured in for the estimates.
+        log: scores.jsonl, begun anew.
+        recorded: scores.jsonl of an earlier run. Its scores are used, each where it was used there;
+            nothing is drawn and nobody asked.
+        draw: draws a candidate's scene as RGB bytes [height, width, 3]; default: as composed, through
+            the parsed camera.
+
+    Raises:
+        ConfigError: nobody can be asked, the scene has no camera, or costs cannot be bounded.
+        ModelError: a file cannot be read or written.
+    """
+
+    def __init__(
+        self,
+        model: SceneModel,
+        photo: Picture | None,
+        panel: Panel | None,
+        options: SemanticOptions | None = None,
+        *,
+        cem: CEMOptions | None = None,
+        log: Path | None = None,
+        recorded: Path | None = None,
+        draw: Draw | None = None,
+    ) -> None:
+        self.options = options or SemanticOptions(scorer="mllm")
+        self.waited_s = 0.0
+        self._model = model
+        self._sigma = cem or CEMOptions()
+        self._moves = np.asarray(model.optimised)
+        self._source: Asking | Recorded
+        if recorded is not None:
+            # Read before the log is begun, which may be the same file.
+            self._source = Recorded(recorded)
+        elif photo is None or panel is None:
+            raise ConfigError(
+                "refine.semantic.scorer: mllm needs the photograph and somebody to ask; "
+                "choose geometric where there are none"
+            )
+        elif draw is None and model.spec.camera is None:
+            raise ConfigError(
+                "refine.semantic.scorer: mllm needs the parsed camera, and the scene has none; "
+                "add it to the scene, or choose geometric"
+            )
+        else:
+            self._source = Asking(panel, photo, self.options, draw)
+        self._log = ScoreLog(log)
+        self._jobs: dict[Identity, Job] = {}
+        self._geometric: dict[Identity, float] = {}
+        self._known: dict[Identity, Score] = {}
+        """Everything taken so far, failures included."""
+        self._left: list[Score] = []
+        self._closed = False
+
+    def best(self, reward: Float[ArrayLike, " pop"], top: int | None = None) -> list[int]:
+        """Return the candidates to ask about, best first; what is not finite never is one.
+
+        Args:
+            reward: what they are ranked by; equal ones in the order of the population.
+            top: how many; default: as the options say.
+        """
+        given = np.asarray(reward, float)
+        order = np.argsort(-np.where(np.isfinite(given), given, -np.inf), kind="stable")
+        return [int(k) for k in order[: top or self.options.top] if np.isfinite(given[k])]
+
+    def submit(
+        self, iteration: int, candidates: Sequence[int], layouts: Layout, poses: Poses
+    ) -> None:
+        """Have candidates scored; returns at once, and passes over those that are already.
+
+        Args:
+            iteration: that they belong to.
+            candidates: their places in the population, the most urgent first.
+            layouts: the whole population.
+            poses: where `SceneModel.place` or a rollout put it, for the heights.
+
+        Raises:
+            ModelError: a record is followed, and this run is not the one that was recorded.
+        """
+        host = Layout(*(np.asarray(x) for x in (layouts.xy, layouts.yaw, layouts.log_scale)))
+        placed = Poses(*(np.asarray(x) for x in (poses.pos, poses.quat, poses.scale, poses.height)))
+        jobs = []
+        for rank, k in enumerate(candidates):
+            if (iteration, k) in self._jobs:
+                continue
+            alone = Layout(*(x[k : k + 1] for x in (host.xy, host.yaw, host.log_scale)))
+            drawn = isinstance(self._source, Asking)
+            scene = self._model.apply(host, k, placed) if drawn else None
+            job = Job((iteration, k), rank, layout_digest(alone), alone, scene)
+            jobs.append(job)
+            self._jobs[job.identity] = job
+        self._source.put(jobs)
+
+    def collect(self, iteration: int) -> list[Score]:
+        """Take in scores before an iteration's elites are fitted, and return the new ones.
+
+        With `wait: all` everything that was submitted is waited for, so that what comes out does
+        not depend on the order in which answers come. With `bounded` what was submitted `late`
+        iterations ago or earlier is waited for, with `none` nothing; what else has come is taken too.
+        """
+        wait, late = self.options.wait, self.options.late
+        newest = {"all": iteration, "bounded": iteration - late, "none": -1}[wait]
+        must = [key for key in self._jobs if key[0] <= newest and key not in self._known]
+        return self._take(iteration, must, rest=True)
+
+    def await_for(self, identities: Iterable[Identity]) -> list[Score]:
+        """Wait for scores that are still out, before all others, and return those that are new.
+
+        Args:
+            identities: (iteration, candidate); what was never submitted is passed over.
+        """
+        must = [key for key in identities if key in self._jobs and key not in self._known]
+        return self._take("final", must, rest=False)
+
+    def known(self, identity: Identity) -> Score | None:
+        """Return the score of a candidate, if it has come and did not fail."""
+        score = self._known.get(identity)
+        return score if score is not None and score.value is not None else None
+
+    def fill(
+        self, iteration: int, layouts: Layout, geometric: Float[ArrayLike, " pop"]
+    ) -> tuple[Float[np.ndarray, " pop"], Int8[np.ndarray, " pop"]]:
+        """Return S_sem of a whole population by what is known now.
+
+        Args:
+            iteration: of the population.
+            layouts: the population.
+            geometric: its geometric scores.
+
+        Returns:
+            S_sem in [0, 1], float32, and for each candidate a `Mark`: scored by the model, estimated
+            from scored candidates, or geometric as long as none is scored.
+        """
+        base = np.asarray(geometric, float)
+        for key in self._jobs:
+            if key[0] == iteration:
+                self._geometric[key] = float(base[key[1]])
+        scored = sorted(key for key in self._geometric if self.known(key) is not None)
+        marks = np.full(len(base), Mark.ESTIMATED if scored else Mark.GEOMETRIC, np.int8)
+        values = base
+        if scored:
+            rows = [self._numbers(self._jobs[key].layouts) for key in scored]
+            told = [self._geometric[key] for key in scored]
+            said = [self._known[key].value for key in scored]
+            values = estimate(
+                self._numbers(layouts), base, np.concatenate(rows), np.array(told), np.array(said)
+            )
+        for key in scored:
+            if key[0] == iteration:
+                values[key[1]], marks[key[1]] = self._known[key].value, Mark.SCORED
+        return np.asarray(values, np.float32), marks
+
+    @property
+    def stopped(self) -> str | None:
+        """Why no more is asked, if so."""
+        return self._source.stopped
+
+    @property
+    def fallbacks(self) -> tuple[str, ...]:
+        """What had to be done without, in sentences."""
+        everyone = list(self._known.values())
+        failed = [score for score in everyone if score.error is not None]
+        if self.stopped is not None:
+            by = "geometry alone" if len(failed) == len(everyone) else "estimates"
+            unasked = sum(score.asked is None for score in failed)
+            return (
+                f"S_sem by {by}, as {unasked} of {len(self._jobs)} candidates were not asked about: "
+                f"{self.stopped}",
+            )
+        if failed:
+            return (
+                f"S_sem by estimates for {len(failed)} of {len(everyone)} candidates whose scores "
+                f"failed; the first: {failed[0].error}",
+            )
+        return ()
+
+    def summary(self) -> dict[str, Any]:
+        """Return the figures for run.json; complete once closed."""
+        everyone = [*self._known.values(), *self._left]
+        live = self._source if isinstance(self._source, Asking) else None
+        return {
+            "scorer": "recorded" if live is None else "mllm",
+            "submitted": len(self._jobs),
+            "scored": sum(s.value is not None for s in self._known.values()),
+            "equal_pictures": sum(s.cached for s in everyone),
+            "failed": sum(s.error is not None for s in self._known.values()),
+            "unused": len(self._left),
+            "stopped": self.stopped,
+            "cost_usd": None if live is None else round(live.cost_usd, 6),
+            "drawing_s": None if live is None else round(live.drawing_s, 3),
+            "waited_s": round(self.waited_s, 3),
+        }
+
+    def close(self) -> None:
+        """Ask nothing more; what is still out is dropped and said so in the log."""
+        if not self._closed:
+            self._closed = True
+            self._left = self._source.close()
+            self._log.add(self._left)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _take(self, stage: Stage, must: Sequence[Identity], *, rest: bool) -> list[Score]:
+        began = time.perf_counter()
+        scores = self._source.take(stage, must, rest=rest)
+        self.waited_s += time.perf_counter() - began
+        self._known |= {score.identity: score for score in scores}
+        self._log.add(scores)
+        return scores
+
+    def _numbers(self, layouts: Layout) -> np.ndarray:
+        """Standardise layouts: the four numbers of optimised objects over their first deviations."""
+        o, moves = self._sigma, self._moves
+        diagonal = np.asarray(self._model.diagonal, float)[moves]
+        xy = np.asarray(layouts.xy, float)[:, moves] / (_some(o.sigma_xy) * diagonal[:, None])
+        yaw = np.asarray(layouts.yaw, float)[:, moves] / _some(np.radians(o.sigma_yaw_deg))
+        log = np.asarray(layouts.log_scale, float)[:, moves] / _some(o.sigma_log_scale)
+        return np.concatenate([xy.reshape(len(xy), -1), yaw, log], axis=1)
+
+
+def _some(sigma: float) -> float:
+    return max(float(sigma), 1e-6)
