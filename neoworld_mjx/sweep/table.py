@@ -1,0 +1,121 @@
+"""Tables of a sweep: each point over its scenes and seeds, with n and 95 % intervals."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from .plan import BASE
+from .rows import Row
+from .stats import Estimate, mean, rate, rate_difference
+
+
+class Shown(NamedTuple):
+    """A column of the table."""
+
+    name: str
+    title: str
+    factor: float = 1.0
+    digits: int = 3
+
+
+SHOWN = (
+    Shown("passed", "passed", 100.0, 1),
+    Shown("valid", "valid", 100.0, 1),
+    Shown("reward", "reward"),
+    Shown("d_pen_m", "D_pen, mm", 1e3),
+    Shown("d_drift", "D_drift"),
+    Shown("s_sem", "S_sem"),
+    Shown("mean_log_scale", "mean log scale"),
+    Shown("xy_error_m", "xy error, mm", 1e3, 1),
+    Shown("yaw_error_deg", "yaw error, deg", 1.0, 2),
+    Shown("scale_error", "log scale error"),
+    Shown("iterations", "iterations", 1.0, 2),
+    Shown("rollouts", "rollouts", 1.0, 1),
+    Shown("to_valid_s", "time to valid, s"),
+    Shown("seconds", "search, s"),
+)
+RATES = ("passed", "valid")
+
+
+def summary(rows: Sequence[Row], points: Sequence[str]) -> list[dict[str, Any]]:
+    """Sum up each point over scenes and seeds: n, and mean, low and high of each column."""
+    return [
+        {"point": point, "n": len(mine), **_estimates(lambda n, mine=mine: _estimate(mine, n))}
+        for point in points
+        for mine in [[row for row in rows if row["point"] == point]]
+    ]
+
+
+def differences(rows: Sequence[Row], points: Sequence[str]) -> list[dict[str, Any]]:
+    """Sum up each point's differences from the base, paired over scenes and seeds."""
+    by = {(row["scene"], row["point"], row["seed"]): row for row in rows}
+    found = []
+    for point in points:
+        if point == BASE:
+            continue
+        pairs = [
+            (row, by[scene, BASE, seed])
+            for (scene, at, seed), row in by.items()
+            if at == point and (scene, BASE, seed) in by
+        ]
+        estimates = _estimates(lambda name, pairs=pairs: _difference(pairs, name))
+        found.append({"point": point, "n": len(pairs), **estimates})
+    return found
+
+
+def _estimates(of: Callable[[str], Estimate]) -> dict[str, Any]:
+    found = {shown.name: of(shown.name) for shown in SHOWN}
+    return {name: e._asdict() for name, e in found.items() if e.n}
+
+
+def _estimate(rows: Sequence[Row], name: str) -> Estimate:
+    values = [row[name] for row in rows if _known(row.get(name))]
+    return rate(values) if name in RATES else mean(values)
+
+
+def _difference(pairs: Sequence[tuple[Row, Row]], name: str) -> Estimate:
+    both = [(a[name], b[name]) for a, b in pairs if _known(a.get(name)) and _known(b.get(name))]
+    if name in RATES:
+        return rate_difference([a for a, _ in both], [b for _, b in both])
+    return mean([a - b for a, b in both])
+
+
+def _known(value: Any) -> bool:
+    return value is not None and math.isfinite(value)
+
+
+def markdown(
+    title: str, summed: Sequence[dict[str, Any]], against: Sequence[dict[str, Any]], notes: str
+) -> str:
+    """Write tables as Markdown: points, and differences from the base where there are any."""
+    text = f"# {title}\n\n{notes}\n\n{_table(summed, signed=False)}"
+    if against:
+        text += "\n## Differences from the base\n\n"
+        text += "Paired over scenes and seeds; positive is more than the base.\n\n"
+        text += _table(against, signed=True)
+    return text
+
+
+def _table(rows: Sequence[dict[str, Any]], *, signed: bool) -> str:
+    used = [shown for shown in SHOWN if any(shown.name in row for row in rows)]
+    titles = [f"{shown.title}, %" if shown.name in RATES else shown.title for shown in used]
+    lines = [["point", "n", *titles]]
+    lines += [
+        [row["point"].replace("|", "\\|"), str(row["n"])]
+        + [_cell(row.get(shown.name), shown, row["n"], signed) for shown in used]
+        for row in rows
+    ]
+    head = ["---"] + ["---:"] * (len(used) + 1)
+    return "".join(f"| {' | '.join(line)} |\n" for line in [lines[0], head, *lines[1:]])
+
+
+def _cell(found: dict[str, Any] | None, shown: Shown, n: int, signed: bool) -> str:
+    if found is None:
+        return ""
+    sign = "+" if signed else ""
+    number = lambda x, s="": f"{x * shown.factor:{s}.{shown.digits}f}"
+    text = number(found["mean"], sign)
+    if math.isfinite(found["low"]):
+        text += f" [{number(found['low'], sign)}, {number(found['high'], sign)}]"
+    # Fewer than all runs have this figure, such as a time to valid where none was.
+    return text if found["n"] == n else f"{text} (n {found['n']})"

@@ -1,0 +1,146 @@
+import jax
+import numpy as np
+import pytest
+
+from neoworld_mjx.bench.refine_scenes import START
+from neoworld_mjx.bench.scenes import crowded, noisy_layouts
+from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.physics.native import NativeEngine
+from neoworld_mjx.refine.loop import compiled, refine
+from neoworld_mjx.refine.outcome import choose
+from neoworld_mjx.sweep import fold
+from neoworld_mjx.sweep.compiles import compilations
+
+ENGINE = NativeEngine()
+
+
+def options(w_drift=1.0, *, population=24, iterations=4, **more):
+    cem = {
+        "population": population,
+        "first": 0,
+        "iterations": iterations,
+        "elite_ratio": 0.25,
+        "prune": False,
+    } | more.pop("cem", {})
+    return RefineOptions.model_validate(
+        {
+            "cem": cem,
+            "descent": {"warm_steps": 0, "project": "never"} | more.pop("descent", {}),
+            "reward": {"w_drift": w_drift, **more},
+            "rollout": {"engine": "native", "duration_s": 0.2, "samples_per_object": 32},
+            "check_duration_s": 0.2,
+            "finalists": 3,
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def model():
+    return compiled(crowded(3), options())
+
+
+def started(model, settings, seeds):
+    starts = {seed: noisy_layouts(model, 1, seed=seed, noise=START) for seed in seeds}
+    return [fold.Run(o, seed, starts[seed]) for o in settings for seed in seeds]
+
+
+def same_as_alone(model, runs):
+    """Compare with separate refinements; return those."""
+    found, _ = fold.search_folded(model, runs, ENGINE)
+    alone = []
+    for run, mine in zip(runs, found, strict=True):
+        one = refine(model, run.options, seed=run.seed, start=run.start, engine=ENGINE)
+        chosen = choose(model, mine.rounds, run.options, run.start)
+        t, k = chosen.index
+        layouts, _, scores = mine.rounds[t]
+        assert (mine.iterations, mine.rollouts) == (one.iterations, one.rollouts)
+        told = (t, chosen.tried, chosen.passed)
+        assert told == (one.winner[0], one.finalists_tried, one.passed)
+        mine_z = jax.tree.map(lambda x, k=k: x[k : k + 1], layouts)
+        for a, b in zip(jax.tree.leaves(mine_z), jax.tree.leaves(one.layout), strict=True):
+            np.testing.assert_array_equal(a, b)
+        assert chosen.measure == one.measure
+        for name in ("d_pen", "d_drift", "s_sem", "reward", "absolute"):
+            assert getattr(scores, name)[k] == one.history[name][one.winner]
+        alone.append(one)
+    return alone
+
+
+def test_two_points_and_two_seeds_are_as_alone(model):
+    runs = started(model, [options(0.25), options(4.0, cem={"sigma_xy": 0.03})], (0, 1))
+    alone = same_as_alone(model, runs)
+    # Else there would be nothing to confuse.
+    assert len({np.asarray(one.layout.xy).tobytes() for one in alone}) == 4
+    assert any(one.winner[0] > 0 for one in alone)
+
+
+def test_runs_that_stop_leave_the_others_alone(model):
+    settings = [
+        options(cem={"stop_gain": 1e3, "patience": 1}),
+        options(cem={"iterations": 2}),
+        options(cem={"stop_gain": 0.0}, w_prior=0.0),
+    ]
+    alone = same_as_alone(model, started(model, settings, (0, 1)))
+    assert len({one.iterations for one in alone}) > 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"cem": {"credit": "object", "zero_candidate": False, "smoothing": 0.3}},
+        {"cem": {"credit": "island", "sigma_xy": 0.08}},
+        {"normalisation": "iteration", "w_prior": 0.0},
+        {"cem": {"first": 8}, "descent": {"warm_steps": 5, "project": "always"}},
+    ],
+    ids=["object", "island", "iteration", "descent"],
+)
+def test_other_programs_are_as_alone_too(model, more):
+    runs = started(model, [options(0.5, **more), options(2.0, **more)], (0, 1))
+    same_as_alone(model, runs)
+
+
+def test_a_vmap_over_tiles_comes_to_the_same_but_for_rounding(model):
+    runs = started(model, [options(0.5), options(2.0)], (0, 1, 2))
+    searches = fold._opened(model, runs[:5], ENGINE, {"descent": 0.0, "rollout": 0.0})
+    every = fold._stacked(searches, runs[:5])
+    # Four of five runs, out of order, in tiles of two; the sixth row is a filling.
+    order, count, t = np.array([4, 1, 0, 3, 0, 0]), np.asarray(4), np.asarray(0)
+    found = {}
+    for tile in (1, 2):
+        cem = searches[0].method(0)
+        layouts = fold._draw(cem, every, order, count, t, tile)
+        rollout = fold._rolled(searches[0], layouts, 4)
+        after = fold._judge(model, cem, (), every, layouts, rollout, order, count, tile, True)
+        live = jax.tree.map(lambda x: np.asarray(x)[:4], (layouts, *after[1:]))
+        found[tile] = (live, after[0].state)
+        assert np.asarray(after[0].state.iteration).tolist() == [1, 1, 0, 1, 1]
+    pairs = zip(jax.tree.leaves(found[1]), jax.tree.leaves(found[2]), strict=True)
+    for a, b in pairs:
+        np.testing.assert_allclose(a, b, atol=2e-6)
+
+
+def counted(model, runs):
+    jax.clear_caches()
+    before = compilations()
+    fold.search_folded(model, runs, ENGINE)
+    return compilations() - before
+
+
+def test_more_points_compile_nothing_more(model):
+    count = [
+        counted(model, started(model, [options(0.5 + k, iterations=2) for k in range(n)], seeds))
+        for n, seeds in ((2, (0,)), (5, (0, 1)))
+    ]
+    assert count[0] == count[1] > 0
+
+
+@pytest.mark.slow
+def test_32_points_and_4_seeds_compile_once_and_are_as_alone(model):
+    axes = [(a, b) for a in np.linspace(0.25, 4, 8) for b in (0.02, 0.04, 0.06, 0.08)]
+    settings = [options(a, cem={"sigma_xy": b}) for a, b in axes]
+    runs = started(model, settings, (0, 1, 2, 3))
+    assert len(runs) == 128
+    few = counted(model, [runs[0], runs[-1]])
+    assert counted(model, runs) == few
+    same_as_alone(model, runs)

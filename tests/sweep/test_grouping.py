@@ -1,0 +1,106 @@
+import jax
+import numpy as np
+import pytest
+import scenes
+
+from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.refine.cem import open_cem
+from neoworld_mjx.refine.rewards import weights
+from neoworld_mjx.sweep.grouping import (
+    HOST,
+    RULE,
+    STATIC,
+    TRACED,
+    UNUSED,
+    grouped,
+    leaves,
+    reasons,
+)
+
+MODEL = compile_scene(scenes.blocks(), samples=16)
+
+
+def put(path, value):
+    tree: dict = {}
+    at = tree
+    *heads, last = path.split(".")
+    for name in heads:
+        at = at.setdefault(name, {})
+    at[last] = value
+    return RefineOptions.model_validate(tree)
+
+
+def traced(options):
+    return weights(options), open_cem(MODEL, options.cem)[1]
+
+
+def test_every_option_is_classified_once():
+    every = [name for name in leaves(RefineOptions()) if not name.startswith(UNUSED)]
+    assert sorted([*TRACED, *HOST, *STATIC]) == sorted(every)
+    assert set(RULE) <= set(TRACED)
+
+
+@pytest.mark.parametrize("name", [name for name in TRACED if name != "reward.terms"])
+def test_a_traced_option_is_a_leaf_and_nothing_else(name):
+    default = leaves(RefineOptions())[name]
+    before, after = traced(RefineOptions()), traced(put(name, default * 0.75 + 0.01))
+    assert jax.tree.structure(before) == jax.tree.structure(after)
+    pairs = zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True)
+    assert any(not np.array_equal(a, b) for a, b in pairs)
+
+
+def test_weights_of_terms_are_traced_and_their_names_are_not():
+    one, two, three = (
+        put("reward.terms", terms) for terms in ({"math:ceil": 1}, {"math:ceil": 2}, {})
+    )
+    assert jax.tree.structure(traced(one)) == jax.tree.structure(traced(two))
+    assert float(traced(two)[0].user[0]) == 2
+    assert [group.members for group in grouped([one, two, three])] == [(0, 1), (2,)]
+
+
+OTHERS = {
+    "cem.population": 8,
+    "cem.elite_ratio": 0.5,
+    "cem.first": 7,
+    "cem.zero_candidate": False,
+    "cem.credit": "object",
+    "reward.normalisation": "iteration",
+    "descent.project": "always",
+    "rollout.engine": "native",
+    "rollout.early_stop": False,
+    "cem.prune": False,
+}
+"""Of options without a number to change a little."""
+
+
+@pytest.mark.parametrize("name", [*STATIC, *HOST])
+def test_other_options_are_no_leaf(name):
+    default = leaves(RefineOptions())[name]
+    other = OTHERS[name] if name in OTHERS else type(default)(default * 1.5 + 0.01)
+    changed = put(name, other)
+    assert changed != RefineOptions()
+    pairs = zip(*(jax.tree.leaves(traced(o)) for o in (RefineOptions(), changed)), strict=True)
+    assert all(np.array_equal(a, b) for a, b in pairs)
+    split = len(grouped([RefineOptions(), changed])) == 2
+    assert split == (name in STATIC)
+    assert any(name in line for line in reasons([RefineOptions(), changed])) == split
+
+
+def test_what_ends_rollouts_is_shared_while_they_end_early():
+    early = [RefineOptions(), put("reward.d_drift_cap", 5.0)]
+    assert len(grouped(early)) == 2
+    assert "refine.reward.d_drift_cap = 3.0, 5.0 (ends rollouts early)" in reasons(early)[0]
+    late = [
+        o.model_copy(update={"rollout": o.rollout.model_copy(update={"early_stop": False})})
+        for o in early
+    ]
+    assert len(grouped(late)) == 1
+    assert reasons(late) == []
+
+
+def test_one_compiled_scene_reaches_as_far_as_the_widest_point():
+    points = [put("cem.sigma_xy", 0.03), put("cem.sigma_xy", 0.2)]
+    (group,) = grouped(points)
+    assert group.reach.cem.sigma_xy == 0.2
+    assert [g.reach.cem.sigma_xy for g in grouped(points, fold=False)] == [0.2, 0.2]

@@ -1,0 +1,132 @@
+from pathlib import Path
+
+import pytest
+import yaml
+
+from neoworld_mjx.bench.named import named
+from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.errors import ConfigError, SpecError
+from neoworld_mjx.sweep.cases import Case, case
+from neoworld_mjx.sweep.plan import Ablation, Plan, points, read
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+def grid(**axes):
+    return points(Plan(axes={name.replace("__", "."): values for name, values in axes.items()}))
+
+
+def test_a_grid_is_every_combination_in_order():
+    found = grid(refine__cem__sigma_xy=[0.03, 0.05], refine__reward__w_pen=[1, 2, 3])
+    assert len(found) == 6
+    assert found[0].label == "cem.sigma_xy 0.03, reward.w_pen 1"
+    assert found[-1].values == {"refine.cem.sigma_xy": 0.05, "refine.reward.w_pen": 3.0}
+    assert found[-1].options.cem.sigma_xy == 0.05
+    assert found[-1].options.reward.w_pen == 3
+
+
+def test_points_lie_over_the_file_and_the_base():
+    plan = Plan(
+        config=CONFIGS / "paper.yaml",
+        base={"refine": {"cem": {"population": 12}}},
+        axes={"refine.reward.w_pen": [2]},
+    )
+    (found,) = points(plan)
+    assert found.options.reward.normalisation == "iteration"
+    assert (found.options.cem.population, found.options.reward.w_pen) == (12, 2)
+
+
+def test_terms_of_ones_own_are_values_as_a_whole():
+    terms = [{}, {"math:floor": 0.5}]
+    found = points(Plan(base={"refine": {"reward": {"terms": {"math:ceil": 1}}}},
+                        axes={"refine.reward.terms": terms}))  # fmt: skip
+    assert [point.options.reward.terms for point in found] == terms
+
+
+@pytest.mark.parametrize(
+    ("axes", "said"),
+    [
+        ({"refine.cem.sigma_x": [1]}, "did you mean 'sigma_xy'"),
+        ({"refine.cm.sigma_xy": [1]}, "did you mean 'cem'"),
+        ({"refine.cem.sigma_xy.deep": [1]}, "nothing lies under refine.cem.sigma_xy"),
+        ({"refine.cem": [{}]}, "refine.cem is a group of options: name one of refine.cem.pop"),
+        ({"render.width": [100]}, "paths begin with refine."),
+        ({"refine.cem.sigma_xy": []}, "refine.cem.sigma_xy has no values"),
+        ({"refine.cem.sigma_xy": ["wide"]}, "refine.cem.sigma_xy: Input should be a valid number"),
+        ({"refine.cem.sigma_xy": [0.1, -1]}, "greater than or equal to 0, got -1"),
+        ({"refine.cem.sigma_xy": [1, 1.0]}, "comes twice"),
+        ({"refine.cem.credit": ["nobody"]}, "refine.cem.credit: Input should be"),
+        ({"refine.semantic.scorer": ["mllm"]}, "sweeps score by geometry"),
+    ],
+)
+def test_axes_that_are_wrong(axes, said):
+    with pytest.raises(ConfigError, match="axes: ") as error:
+        points(Plan(axes=axes))
+    assert said in str(error.value)
+
+
+def test_variants_are_changes_of_the_base():
+    plan = Ablation(variants={"free": {"refine.reward.w_drift": 0}})
+    base, free = points(plan)
+    assert base.options == RefineOptions()
+    assert (free.label, free.options.reward.w_drift) == ("free", 0)
+    for variants, said in (
+        ({}, "name at least one"),
+        ({"nothing": {}}, "changes nothing"),
+        ({"same": {"refine.reward.w_drift": 1}}, "what the base has already"),
+        ({"base": {"refine.reward.w_drift": 0}}, "name of the options without changes"),
+        ({"typo": {"refine.reward.w_drft": 0}}, "did you mean 'w_drift'"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            points(Ablation(variants=variants))
+
+
+def test_plans_that_are_wrong(tmp_path):
+    path = tmp_path / "plan.yaml"
+    for text, said in (
+        ("[1]", "must be a mapping"),
+        ("a: [", "not valid YAML"),
+        ("axis: {}", "unknown key axis: got 'axis', valid are: .*; did you mean 'axes'"),
+        ("seeds: []", "seeds: Tuple should have at least 1 item"),
+        ("seeds: [0, 0]", "seeds must be different"),
+        ("seeds: [-1]", "not negative"),
+    ):
+        path.write_text(text)
+        with pytest.raises(ConfigError, match=said):
+            read(path, Plan)
+    with pytest.raises(ConfigError, match="cannot read"):
+        read(tmp_path / "none.yaml", Plan)
+
+
+def test_scenes_that_are_not_there():
+    sources = {kind: lambda name, make=make: Case(**make(name)) for kind, make in named().items()}
+    for name, said in (
+        ("bench:towr", "did you mean 'tower'"),
+        ("crowded:many", "number of objects"),
+        ("nowhere", "no such file or folder, nor is it one of bench:NAME, crowded:NAME"),
+        ("bensh:tower", "did you mean 'bench'"),
+    ):
+        with pytest.raises(SpecError, match=said):
+            case(name, sources)
+    assert case("bench:tower", sources).scene.camera is not None
+
+
+def test_a_run_folder_gives_its_composed_scene(tmp_path):
+    scene = Case(**named()["crowded"]("2")).scene
+    moved = scene.model_copy(update={"name": "refined"})
+    (tmp_path / "scene.json").write_text(moved.model_dump_json())
+    assert case(str(tmp_path), {}).scene.name == "refined"
+    (tmp_path / "compose").mkdir()
+    (tmp_path / "compose" / "scene.json").write_text(scene.model_dump_json())
+    assert case(str(tmp_path), {}).scene == scene
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*/*.yaml")), ids=lambda path: path.name)
+def test_plans_in_the_repository_are_good_and_need_no_files(path):
+    kind = Ablation if path.parent.name == "ablations" else Plan
+    plan = read(path, kind)
+    assert len(points(plan)) > 1
+    assert set(yaml.safe_load(path.read_text())) <= set(kind.model_fields)
+    for name in plan.scenes:
+        kind, _, inner = name.partition(":")
+        assert named()[kind](inner)["name"] == name

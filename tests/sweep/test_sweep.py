@@ -1,0 +1,199 @@
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+import neoworld_mjx
+from neoworld_mjx.bench.scenes import crowded
+from neoworld_mjx.errors import ConfigError, NeoWorldError, RunError
+from neoworld_mjx.physics.native import NativeEngine
+from neoworld_mjx.sweep import Case, ablate, run, sweep
+from neoworld_mjx.sweep.rows import COLUMNS, read_parquet
+
+SCENE = Case("two", crowded(2))
+BASE = {
+    "refine": {
+        "cem": {"population": 8, "first": 0, "iterations": 2, "elite_ratio": 0.25},
+        "descent": {"warm_steps": 0, "project": "never"},
+        "rollout": {"engine": "native", "duration_s": 0.2, "samples_per_object": 16},
+        "check_duration_s": 0.2,
+        "finalists": 2,
+    }
+}
+DRIFT, SIGMA = "refine.reward.w_drift", "refine.cem.sigma_yaw_deg"
+
+
+def plan(seeds=(0, 1), **axes):
+    named = {"drift": DRIFT, "sigma": SIGMA, "static": "refine.rollout.duration_s"}
+    return {
+        "base": BASE,
+        "seeds": list(seeds),
+        "axes": {named[name]: values for name, values in axes.items()},
+    }
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled_once():
+    """Most of the time of a small sweep is compiling its scene, which these tests share."""
+    kept, made = run.compiled, {}
+
+    def compiled(scene, o):
+        key = (scene.model_dump_json(), o.cem.sigma_xy, o.rollout.timestep_s)
+        if key not in made:
+            made[key] = kept(scene, o)
+        return made[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "compiled", compiled)
+        yield
+
+
+def without_times(rows):
+    return [{k: v for k, v in row.items() if not k.endswith("_s") and k != "seconds"}
+            for row in rows]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    out = tmp_path_factory.mktemp("sweep") / "new"
+    return out, sweep(plan(drift=[1, 2], sigma=[5, 10]), out, cases=[SCENE])
+
+
+def test_the_public_name_is_a_function():
+    assert neoworld_mjx.sweep.sweep is sweep
+    assert callable(neoworld_mjx.sweep)
+
+
+def test_a_row_is_a_run(swept):
+    out, found = swept
+    rows = read_parquet(out / "results.parquet")
+    assert [(row[DRIFT], row[SIGMA], row["seed"]) for row in rows] == [
+        (w, s, k) for w in (1.0, 2.0) for s in (5.0, 10.0) for k in (0, 1)
+    ]
+    assert list(rows[0]) == ["scene", "point", "seed", DRIFT, SIGMA, *COLUMNS]
+    assert len({row["fingerprint"] for row in rows}) == 8
+    for row, mine in zip(rows, found.rows, strict=True):
+        assert {name: mine.get(name) for name in row} == row
+        assert row["rollouts"] == 16
+        assert row["xy_error_m"] is None
+        assert np.isfinite(
+            [row[n] for n in ("reward", "d_pen_m", "d_drift", "s_sem", "seconds")]
+        ).all()
+
+
+def test_the_table_sums_points_up(swept):
+    out, found = swept
+    text = (out / "table.md").read_text()
+    assert text.count("\n| reward.w_drift ") == 4
+    point = found.points[0]
+    mine = [row for row in found.rows if row["point"] == point["point"]]
+    assert point["n"] == 2
+    assert point["reward"]["mean"] == pytest.approx(np.mean([row["reward"] for row in mine]))
+    assert 0 <= point["passed"]["low"] <= point["passed"]["mean"] <= point["passed"]["high"] <= 1
+    about = json.loads((out / "sweep.json").read_text())
+    assert about["finished"]
+    assert about["static"] == []
+    assert [group["runs"] for group in about["groups"]] == [8]
+    assert about["compilations"] > 0
+
+
+def test_a_sweep_is_not_lost(swept, tmp_path):
+    out, _ = swept
+    before = (out / "results.parquet").read_bytes()
+    with pytest.raises(RunError, match="holds a sweep: go on with --resume, begin anew"):
+        sweep(plan(drift=[1]), out, cases=[SCENE])
+    with pytest.raises(RunError, match=r"has 4 rows that are not asked for now.*--overwrite"):
+        sweep(plan(drift=[1], sigma=[5, 10]), out, cases=[SCENE], resume=True)
+    with pytest.raises(RunError, match="holds another kind of run, sweep"):
+        variants = {"free": {DRIFT: 0}}
+        ablate({"base": BASE, "variants": variants}, out, cases=[SCENE], overwrite=True)
+    assert (out / "results.parquet").read_bytes() == before
+    assert json.loads((out / "sweep.json").read_text())["finished"]
+    (tmp_path / "mine.txt").write_text("")
+    for more in ({}, {"overwrite": True}, {"resume": True}):
+        with pytest.raises(RunError, match="not empty and holds no sweep"):
+            sweep(plan(drift=[1]), tmp_path, cases=[SCENE], **more)
+
+
+class Failing(NativeEngine):
+    """An engine that stops the sweep."""
+
+    def rollout(self, *args, duration, **more):
+        if duration > 0.25:
+            raise KeyboardInterrupt
+        return super().rollout(*args, duration=duration, **more)
+
+
+def test_what_is_done_stays_and_is_not_done_again(tmp_path, monkeypatch):
+    asked = plan(seeds=[0], static=[0.2, 0.3])
+    with pytest.raises(KeyboardInterrupt):
+        sweep(asked, tmp_path, cases=[SCENE], engine=Failing())
+    (row,) = read_parquet(tmp_path / "results.parquet")
+    assert row["refine.rollout.duration_s"] == 0.2
+    about = json.loads((tmp_path / "sweep.json").read_text())
+    assert (about["finished"], len(about["groups"])) == (False, 1)
+    done = []
+    kept = run.search_folded
+    monkeypatch.setattr(run, "search_folded", lambda m, r, e: done.append(len(r)) or kept(m, r, e))
+    found = sweep(asked, tmp_path, cases=[SCENE], engine=NativeEngine(), resume=True)
+    assert done == [1]
+    assert len(found.about["groups"]) == 2
+    assert found.about["static"][0].startswith("refine.rollout.duration_s = 0.2, 0.3 (all cand")
+    assert without_times(found.rows)[0] == without_times([row])[0]
+    # Other options are other runs, whatever their labels.
+    other = asked | {"base": {"refine": BASE["refine"] | {"finalists": 3}}}
+    sweep(other, tmp_path, cases=[SCENE], engine=NativeEngine(), resume=True)
+    assert done == [1, 1, 1]
+
+
+def test_an_ablation_tells_differences(tmp_path):
+    variants = {"not pruned": {"refine.cem.prune": False}, "elsewhere": {SIGMA: 60}}
+    asked = {"base": BASE, "seeds": [0, 1], "variants": variants}
+    found = ablate(asked, tmp_path / "a", cases=[SCENE])
+    rows = read_parquet(tmp_path / "a" / "results.parquet")
+    assert [row["variant"] for row in rows[::2]] == ["base", "not pruned", "elsewhere"]
+    same, other = found.differences
+    assert (same["point"], same["n"]) == ("not pruned", 2)
+    assert same["reward"]["mean"] == 0
+    assert other["reward"]["mean"] == pytest.approx(
+        np.mean([rows[4 + k]["reward"] - rows[k]["reward"] for k in (0, 1)])
+    )
+    assert other["reward"]["mean"] != 0
+    assert "## Differences from the base" in (tmp_path / "a" / "table.md").read_text()
+    # As one computation it comes to the same.
+    folded = ablate(asked | {"fold": True}, cases=[SCENE])
+    for a, b in zip(folded.rows, rows, strict=True):
+        assert a["iterations"] == b["iterations"]
+        assert (a["reward"], a["mean_log_scale"]) == (b["reward"], b["mean_log_scale"])
+
+
+def test_scenes_must_be_there_and_different():
+    with pytest.raises(ConfigError, match="scenes: name at least one"):
+        sweep(plan(drift=[1]))
+    with pytest.raises(ConfigError, match="two comes twice"):
+        sweep(plan(drift=[1]), cases=[SCENE, SCENE])
+
+
+def test_the_commands(tmp_path, capfd):
+    from neoworld_mjx.arguments import Ablate, Sweep
+    from neoworld_mjx.cli import run as command
+
+    path = tmp_path / "plan.yaml"
+    path.write_text(yaml.safe_dump(plan(seeds=[0], drift=[1]) | {"scenes": ["crowded:2"]}))
+    assert command(Sweep(plan=path, out=tmp_path / "out", json=True)) == 0
+    told = json.loads(capfd.readouterr().out)
+    assert (told["runs"], told["points"][0]["n"]) == (1, 1)
+    assert told["points"][0]["reward_low"] is None  # one run has no interval
+    assert command(Sweep(plan=path, out=tmp_path / "out", json=True)) == 2
+    assert "--resume" in json.loads(capfd.readouterr().out)["error"]
+    assert command(Ablate(plan=path, out=tmp_path / "b", json=True)) == 2
+    assert "unknown key axes" in json.loads(capfd.readouterr().out)["error"]
+    assert not (tmp_path / "b").exists()
+
+
+def test_a_broken_table_is_told(tmp_path):
+    (tmp_path / "sweep.json").write_text('{"format": "neoworld-sweep/1", "kind": "sweep"}')
+    (tmp_path / "results.parquet").write_bytes(b"half")
+    with pytest.raises(NeoWorldError, match="is not a Parquet file"):
+        sweep(plan(drift=[1]), tmp_path, cases=[SCENE], resume=True)
