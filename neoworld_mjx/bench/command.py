@@ -7,13 +7,15 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
+import jax
 from pydantic import BaseModel, ValidationError
 
+from ..config import RefineOptions
 from ..errors import ConfigError
 from ..files import write_atomic
 from . import agreement as comparing
 from .growth import Growth, growth, growth_svg
-from .kernels import kernels
+from .kernels import dispatch, kernels
 from .machine import machine
 from .physics import PhysicsRow, physics
 
@@ -43,8 +45,10 @@ def physics_answer(o: Any) -> dict[str, Any]:
 def kernels_answer(o: Any) -> dict[str, Any]:
     """Time penetration terms; options are those of `arguments.BenchKernels`."""
     about = machine()
-    rows = kernels(o.objects, o.population, samples=o.samples, seed=o.seed, budget=o.budget)
-    return {"machine": about, "rows": _plain(_told(rows))}
+    rows = _told(kernels(o.objects, o.population, samples=o.samples, seed=o.seed, budget=o.budget))
+    if o.table is not None:
+        _enter(o.table, dispatch(rows))
+    return {"machine": about, "rows": _plain(rows)}
 
 
 def agreement_answer(o: Any) -> dict[str, Any]:
@@ -56,6 +60,38 @@ def agreement_answer(o: Any) -> dict[str, Any]:
         "models": _plain([row for row in rows if isinstance(row, comparing.ModelRow)]),
         "verdicts": _plain([row for row in rows if isinstance(row, comparing.VerdictRow)]),
     }
+
+
+def programs_answer(o: Any) -> dict[str, Any]:
+    """Test the sandbox and time a cabinet; options are those of `arguments.BenchPrograms`."""
+    from .programs import programs
+
+    return programs(hostile=not o.no_hostile, mutations=o.mutations, repeats=o.repeats, seed=o.seed)
+
+
+def refine_answer(o: Any, options: RefineOptions) -> dict[str, Any]:
+    """Refine from noisy starts; options are those of `arguments.BenchRefine`."""
+    from .refine import refinements, summary
+
+    rows = _told(
+        refinements(
+            o.scene,
+            seeds=o.seeds,
+            baseline_seeds=o.baseline_seeds,
+            baselines=o.baseline,
+            options=options,
+            engine=o.engine,
+        )
+    )
+    return {**summary(rows), "machine": machine(), "rows": _plain(rows)}
+
+
+def verify_answer(o: Any) -> dict[str, Any]:
+    """Put faults into sound objects; options are those of `arguments.BenchVerify`."""
+    from .verify import summary, verify_matrix
+
+    rows = _told(verify_matrix(o.objects, o.kind, mend=not o.no_repair, workers=o.workers))
+    return {**summary(rows), "machine": machine()}
 
 
 def chart_answer(o: Any) -> dict[str, Any]:
@@ -100,6 +136,16 @@ def _exponents(found: Iterable[Growth]) -> list[dict[str, Any]]:
         }
         for g in found
     ]
+
+
+def _enter(path: Path, entry: dict[str, Any]) -> None:
+    """Add or replace this device's entry in a table of measured devices."""
+    try:
+        table = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"devices": {}}
+        table["devices"][jax.devices()[0].device_kind] = entry
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{path} is no table of measured devices: {error}") from None
+    _write(path, json.dumps(table, indent=1) + "\n")
 
 
 def _write(path: Path, text: str) -> None:

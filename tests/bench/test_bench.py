@@ -10,7 +10,7 @@ from neoworld_mjx import arguments, cli
 from neoworld_mjx.bench import physics as timing
 from neoworld_mjx.bench.agreement import ModelRow, VerdictRow, agreed, agreement
 from neoworld_mjx.bench.growth import growth, growth_svg
-from neoworld_mjx.bench.kernels import kernels
+from neoworld_mjx.bench.kernels import KernelRow, dispatch, kernels
 from neoworld_mjx.bench.physics import PhysicsRow, Task, measure, physics
 from neoworld_mjx.bench.scenes import COUNTS, Noise, crowded, noisy_layouts
 from neoworld_mjx.bench.six import AGREEMENT
@@ -203,10 +203,26 @@ def test_growth_recovers_a_power_law():
 
 def test_kernels_are_timed_and_held_against_the_reference():
     rows = list(kernels((3,), (16,), samples=32, budget=5.0))
-    assert rows[0].implementation == "pair_depth_reference" and rows[0].max_error_m == 0
+    assert [row.implementation for row in rows] == ["jnp", "culled", "pallas", "auto"]
+    assert rows[0].max_error_m == 0
     for row in rows:
         assert row.status != "ok" or (row.ms > 0 and row.max_error_m <= 1e-5)
-    assert {row.implementation for row in rows if row.status == "ok"} >= {"pair_depth"}
+    assert {row.implementation for row in rows if row.status == "ok"} >= {"jnp", "culled", "auto"}
+
+
+def test_the_kernel_is_taken_from_where_it_was_faster_for_good():
+    def rows(population, jnp_ms, pallas_ms):
+        sizes = {"objects": 4, "population": population, "samples": 10, "pieces": 5}
+        return [
+            KernelRow(implementation="jnp", ms=jnp_ms, **sizes),
+            KernelRow(implementation="pallas", ms=pallas_ms, **sizes),
+        ]
+
+    some = [*rows(8, 1.0, 0.9), *rows(16, 1.0, 1.1), *rows(32, 2.0, 1.5), *rows(64, 4.0, 2.0)]
+    assert dispatch(some)["pallas_from"] == 32 * 4 * 10 * 5
+    assert dispatch([*some, *rows(128, 5.0, 6.0)])["pallas_from"] is None
+    with pytest.raises(EngineError, match="both jnp and pallas"):
+        dispatch(some[:1])
 
 
 def test_the_command_prints_rows(capfd, tmp_path, monkeypatch):

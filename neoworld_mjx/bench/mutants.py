@@ -1,0 +1,60 @@
+"""Mutants of valid programs: tokens dropped, swapped, doubled or reversed, numbers changed."""
+
+import random
+import re
+from collections.abc import Sequence
+
+from ..config import ProgramOptions
+from ..program import build
+from ..program.synthesise import guide
+
+_TOKEN = re.compile(r"\s+|\w+|[^\w\s]")
+_NUMBERS = ("0", "-1", "1e9", "1e-9", "100", "0.5", "1000000", "3", "64", "1e400")
+
+
+def programs() -> list[str]:
+    """Return the programs of the guide, all valid."""
+    return re.findall(r"```python\n(.*?)```", guide(), re.DOTALL)
+
+
+def mutate(text: str, source: random.Random) -> str:
+    """Drop, swap, double or reverse tokens of a program, and change its numbers."""
+    tokens = _TOKEN.findall(text)
+    for _ in range(source.choice((1, 1, 1, 2, 3, 5))):
+        at, other = source.randrange(len(tokens)), source.randrange(len(tokens))
+        numbers = [k for k, token in enumerate(tokens) if token[0].isdigit()]
+        kind = source.randrange(6)
+        if kind == 0:
+            del tokens[at]
+        elif kind == 1:
+            tokens[at], tokens[other] = tokens[other], tokens[at]
+        elif kind == 2:
+            tokens.insert(at, tokens[other])
+        elif kind == 3:
+            tokens[source.choice(numbers)] = source.choice(_NUMBERS)
+        elif kind == 4:
+            one, two = source.choice(numbers), source.choice(numbers)
+            tokens[one], tokens[two] = tokens[two], tokens[one]
+        else:
+            tokens[at] = tokens[at][::-1]
+    return "".join(tokens)
+
+
+def crashed(seed: int, count: int, valid: Sequence[str] | None = None) -> list[str]:
+    """Return mutants that ended in anything but an object or a signal about the program.
+
+    Args:
+        seed: of the mutations.
+        count: how many mutants are run.
+        valid: what they are made of; by default the guide's programs.
+    """
+    source, bad = random.Random(seed), []
+    originals = list(valid or programs())
+    for k in range(count):
+        text = mutate(source.choice(originals), source)
+        # Unchecked mutants get further; some go the usual way.
+        built = build(text, ProgramOptions(type_check=k % 4 == 0))
+        told = {signal.code for signal in built.signals}
+        if told & {"internal", "crashed", "busy"} or (built.spec is None and not told):
+            bad.append(text)
+    return bad

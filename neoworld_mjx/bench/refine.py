@@ -1,0 +1,213 @@
+"""How soon refinement reaches a valid scene, how near the truth it ends, and what others reach.
+
+Every method is timed warm, on the second of two runs of a scene; the first, with compiling, stands
+beside it. Time to valid ends with the batch that holds the first valid candidate.
+"""
+
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from ..config import RefineOptions
+from ..errors import EngineError, choices
+from ..physics.engine import Engine, open_engine
+from ..physics.exact import snap_exactly
+from ..physics.model import SceneModel
+from ..refine.loop import compiled, refine
+from ..refine.outcome import measured, passes
+from .baselines import OneByOne, Searched, algorithm1, cma_es, random_search
+from .refine_scenes import LARGE, SCENES, errors, photographed, start
+
+BASELINES = ("algorithm1", "random", "cma_es")
+
+
+class RefineRow(BaseModel):
+    """One method on one scene from one start."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    scene: str
+    objects: int
+    seed: int
+    method: str
+    """ours, algorithm1, random or cma_es; `/plain` without descent."""
+    open_loop_valid: bool
+    """Whether the start holds, snapped exactly."""
+    valid: bool
+    """Whether the end holds."""
+    time_to_valid_s: float | None
+    """None where no candidate was valid."""
+    time_total_s: float
+    """Without the exact check of the winner."""
+    cold_s: float | None = None
+    """Of the first run of this scene, with compiling."""
+    reward: float
+    """Highest absolute reward."""
+    rollouts: int
+    pruned: int = 0
+    iterations: int | None = None
+    xy_error_start_m: float
+    xy_error_end_m: float
+    yaw_error_start_deg: float
+    yaw_error_end_deg: float
+    scale_error_start: float
+    scale_error_end: float
+    mean_log_scale: float
+    """Of the end against the truth, over the objects that move."""
+
+
+def refinements(
+    scenes: Sequence[str] = (),
+    *,
+    seeds: int = 5,
+    baseline_seeds: int = 1,
+    baselines: Sequence[str] = BASELINES,
+    options: RefineOptions | None = None,
+    engine: str = "native",
+) -> Iterator[RefineRow]:
+    """Refine scenes from noisy starts, one row as soon as it is known.
+
+    Args:
+        scenes: names in SCENES or LARGE; none takes all of SCENES.
+        seeds: starts of each scene.
+        baseline_seeds: how many of them the baselines are run from.
+        baselines: which.
+        options: of the refinement.
+        engine: that rolls candidates out; `algorithm1` has its own.
+
+    Raises:
+        EngineError: there is no such scene, or the engine cannot run here.
+    """
+    o = options or RefineOptions()
+    plain = o.model_copy(
+        update={"descent": o.descent.model_copy(update={"warm_steps": 0, "project": "never"})}
+    )
+    every = SCENES | LARGE
+    for name in scenes or SCENES:
+        if name not in every:
+            raise EngineError(f"scene: {choices(name, list(every))}")
+        model = compiled(photographed(name), o)
+        runner = open_engine(engine)  # pyright: ignore[reportArgumentType]
+        cold: float | None = None
+        for seed in range(seeds):
+            case = _Case(name, model, seed, o)
+            if seed == 0:
+                cold = _ours(case, "ours", o, runner)[1]
+            row, _ = _ours(case, "ours", o, runner)
+            yield row.model_copy(update={"cold_s": cold if seed == 0 else None})
+            if seed >= baseline_seeds:
+                continue
+            if "algorithm1" in baselines:
+                # Nothing but scoring is compiled here: a run of a few candidates warms it up.
+                yield _ours(case, "algorithm1", algorithm1(o), OneByOne())[0]
+            if not {"random", "cma_es"} & set(baselines):
+                continue
+            _ours(case, "ours/plain", plain, runner)
+            other, _ = _ours(case, "ours/plain", plain, runner)
+            yield other
+            for method, search in (("random", random_search), ("cma_es", cma_es)):
+                if method in baselines:
+                    for label, how, most in (("", o, row), ("/plain", plain, other)):
+                        at = (model, how, runner, case.start)
+                        search(*at, rollouts=o.cem.batch, seed=seed)  # compiles
+                        found = search(*at, rollouts=max(most.rollouts, 1), seed=seed)
+                        yield case.row(method + label, found)
+
+
+class _Case:
+    """A scene and one start of it."""
+
+    def __init__(self, name: str, model: SceneModel, seed: int, o: RefineOptions) -> None:
+        self.name, self.model, self.seed, self.o = name, model, seed, o
+        self.start = start(model, seed)
+        self.open_loop = passes(measured(snap_exactly(model.apply(self.start, 0)), o), o)
+
+    def row(self, method: str, found: Searched, **more: Any) -> RefineRow:
+        """Put what a method found into a row."""
+        before, after = errors(self.model, self.start), errors(self.model, found.layout)
+        moves = np.asarray(self.model.optimised)
+        return RefineRow(
+            scene=self.name,
+            objects=int(moves.sum()),
+            seed=self.seed,
+            method=method,
+            open_loop_valid=self.open_loop,
+            valid=found.passed,
+            time_to_valid_s=None if np.isnan(found.to_valid_s) else found.to_valid_s,
+            time_total_s=found.total_s,
+            reward=found.best,
+            rollouts=found.rollouts,
+            xy_error_start_m=before["xy_m"],
+            xy_error_end_m=after["xy_m"],
+            yaw_error_start_deg=before["yaw_deg"],
+            yaw_error_end_deg=after["yaw_deg"],
+            scale_error_start=before["scale"],
+            scale_error_end=after["scale"],
+            mean_log_scale=float(np.mean(np.asarray(found.layout.log_scale[0])[moves])),
+            **more,
+        )
+
+
+def _ours(case: _Case, method: str, o: RefineOptions, engine: Engine) -> tuple[RefineRow, float]:
+    """Refine; return the row and the seconds that the whole call took."""
+    began = time.perf_counter()
+    found = refine(case.model, o, seed=case.seed, start=case.start, engine=engine)
+    spent = time.perf_counter() - began
+    as_searched = Searched(
+        best=float(found.history["absolute"].max()),
+        passed=found.passed,
+        layout=found.layout,
+        to_valid_s=found.seconds["to_valid"],
+        total_s=found.seconds["search"],
+        rollouts=found.rollouts,
+    )
+    row = case.row(method, as_searched, pruned=found.pruned, iterations=found.iterations)
+    return row, spent
+
+
+def summary(rows: Sequence[RefineRow]) -> dict[str, Any]:
+    """Sum rows up: ours on top, the other methods under `baselines`, and rewards compared."""
+    by = {method: [r for r in rows if r.method == method] for method in {r.method for r in rows}}
+    answer = _figures(by.get("ours", []))
+    answer["baselines"] = {
+        method: _figures(by[method]) for method in sorted(by) if method != "ours"
+    }
+    answer["reward_higher_on"] = {
+        f"{method}{how}": _wins(by.get(f"ours{how}", []), by[f"{method}{how}"])
+        for method in ("algorithm1", "random", "cma_es")
+        for how in ("", "/plain")
+        if f"{method}{how}" in by
+    }
+    return answer
+
+
+def _figures(rows: Sequence[RefineRow]) -> dict[str, Any]:
+    median = lambda xs: float(np.median(xs)) if len(xs) else None
+    mean = lambda xs: float(np.mean(xs)) if len(xs) else None
+    names = ("xy_error_start_m", "xy_error_end_m", "yaw_error_start_deg", "yaw_error_end_deg")
+    names += ("scale_error_start", "scale_error_end", "mean_log_scale", "reward", "rollouts")
+    return {
+        "n": len(rows),
+        "valid_rate": mean([r.valid for r in rows]),
+        "open_loop_valid_rate": mean([r.open_loop_valid for r in rows]),
+        "time_to_valid_s": median([r.time_to_valid_s for r in rows if r.time_to_valid_s]),
+        "never_valid": sum(r.time_to_valid_s is None for r in rows),
+        "time_total_s": median([r.time_total_s for r in rows]),
+        "cold_s": median([r.cold_s for r in rows if r.cold_s is not None]),
+        "pruned": mean([r.pruned for r in rows]),
+        **{name: mean([getattr(r, name) for r in rows]) for name in names},
+    }
+
+
+def _wins(ours: Sequence[RefineRow], others: Sequence[RefineRow]) -> dict[str, Any]:
+    """On how many scenes our mean absolute reward is the higher one, over the seeds both ran."""
+    gains: dict[str, list[float]] = {}
+    mine = {(r.scene, r.seed): r.reward for r in ours}
+    for r in others:
+        if (r.scene, r.seed) in mine:
+            gains.setdefault(r.scene, []).append(mine[r.scene, r.seed] - r.reward)
+    ahead = [scene for scene, gain in gains.items() if np.mean(gain) > 0]
+    return {"scenes": len(ahead), "of": len(gains), "behind": sorted(set(gains) - set(ahead))}

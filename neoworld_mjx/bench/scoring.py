@@ -1,0 +1,209 @@
+"""How well scoring by a model hides behind physics: either alone, both together, and a dead server.
+
+A server on this machine answers as slowly and unreliably as a real one. Physics is either a pause of
+a given length, which leaves the processor to drawing, or real rollouts on all cores, which do not.
+"""
+
+import math
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from ..config import CEMOptions, MLLMOptions, SemanticOptions
+from ..mllm import Panel, Picture
+from ..mllm.anthropic import Anthropic
+from ..physics.layout import Layout
+from ..physics.model import SceneModel, compile_scene
+from ..physics.native import NativeEngine
+from ..refine.asking import drawer
+from ..refine.scorer import SemanticScorer
+from ..spec import Camera, SceneSpec
+from .messages import MessagesServer, levels_of
+from .scenes import Noise, crowded, noisy_layouts
+
+Physics = Callable[[Layout], object]
+
+
+class ScoringRow(BaseModel):
+    """One way of waiting; wall times of all iterations [s]."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    wait: str
+    physics: str
+    """"pause" or "native"."""
+    objects: int
+    iterations: int
+    top: int
+    delay_s: float
+    failing: float
+    physics_s: float
+    """Physics alone."""
+    scoring_s: float
+    """Scoring alone: drawing, asking, waiting."""
+    both_s: float
+    ratio: float
+    """`both_s` over the larger of the two alone."""
+    submitted: int
+    scored: int
+    """Until the end, finalists awaited."""
+    misplaced: int
+    """Scores that are not the server's for their candidate's own picture."""
+    calls: int
+    failed_calls: int
+    drawing_s: float
+    """Of both together, in one thread beside physics."""
+    dead_server_s: float
+    """Both together when nobody listens."""
+    dead_stopped: str | None
+    """What is said then."""
+
+
+def scoring(
+    wait: str = "all",
+    *,
+    objects: int = 6,
+    iterations: int = 6,
+    top: int = 8,
+    delay_s: float = 3.0,
+    at_once: int = 8,
+    failing: float = 0.1,
+    physics_s: float = 3.0,
+    real: bool = False,
+    population: int = 64,
+    backoff_s: float = 0.5,
+    late: int = 1,
+    seed: int = 0,
+    options: SemanticOptions | None = None,
+) -> ScoringRow:
+    """Time physics alone, scoring alone, and both.
+
+    Args:
+        wait: all, bounded or none.
+        objects: on the table.
+        iterations: of the search.
+        top: candidates of an iteration that are scored.
+        delay_s: how long the server takes for a call.
+        at_once: calls that it answers at once.
+        failing: share of its calls that fail.
+        physics_s: physics of one iteration alone.
+        real: whether physics is rollouts on all cores, repeated until `physics_s` are filled;
+            otherwise it is a pause.
+        population: candidates of an iteration.
+        backoff_s: first wait after a failed call.
+        late: with bounded, iterations.
+        seed: of layouts and failures.
+        options: what else scoring is told.
+    """
+    o = (options or SemanticOptions()).model_copy(
+        update={"scorer": "mllm", "top": top, "wait": wait, "late": late}
+    )
+    model = compile_scene(_seen(crowded(objects)), samples=32)
+    # As wide as the search draws.
+    draws = [
+        noisy_layouts(model, population, seed=seed + t, noise=Noise(xy=0.05))
+        for t in range(iterations)
+    ]
+    rounds = [(layouts, model.place(layouts)) for layouts in draws]
+    physics = _physics(model, draws[0], physics_s, real)
+    geometric = np.random.default_rng(seed).uniform(0.4, 0.9, population)
+    photo = Picture.of("photo", drawer(o)(model.spec))
+
+    alone = _timed(lambda: [physics(layouts) for layouts in draws])
+
+    def search(url: str, work: Physics) -> tuple[float, SemanticScorer, Panel]:
+        with _panel(url, at_once, backoff_s) as panel:
+            scorer = SemanticScorer(model, photo, panel, o, cem=CEMOptions())
+
+            def run() -> None:
+                for t, (layouts, poses) in enumerate(rounds):
+                    scorer.submit(t, scorer.best(geometric), layouts, poses)
+                    work(layouts)
+                    scorer.collect(t)
+                    scorer.fill(t, layouts, geometric)
+                scorer.await_for([(t, k) for t in range(iterations) for k in range(population)])
+
+            with scorer:
+                took = _timed(run)
+        return took, scorer, panel
+
+    given = {"delay_s": delay_s, "at_once": at_once, "failing": failing, "seed": seed}
+    with MessagesServer(**given) as server:
+        scored_alone, _, _ = search(server.url, lambda _: None)
+    with MessagesServer(**given) as server:
+        both, scorer, panel = search(server.url, physics)
+    draw = drawer(o)
+    told = scorer.summary()
+    misplaced = 0
+    for t, (layouts, poses) in enumerate(rounds):
+        for k in scorer.best(geometric):
+            score = scorer.known((t, k))
+            own = levels_of(draw(model.apply(layouts, k, poses)))
+            misplaced += score is not None and score.levels != own
+    dead, silent, _ = search(_nobody(), physics)
+    return ScoringRow(
+        wait=wait,
+        physics="native" if real else "pause",
+        objects=objects,
+        iterations=iterations,
+        top=top,
+        delay_s=delay_s,
+        failing=failing,
+        physics_s=round(alone, 3),
+        scoring_s=round(scored_alone, 3),
+        both_s=round(both, 3),
+        ratio=round(both / max(alone, scored_alone), 3),
+        submitted=told["submitted"],
+        scored=told["scored"],
+        misplaced=misplaced,
+        calls=panel.ledger.to_json()["calls"],
+        failed_calls=sum(server.failures.values()),
+        drawing_s=told["drawing_s"],
+        dead_server_s=round(dead, 3),
+        dead_stopped=silent.stopped,
+    )
+
+
+def _timed(run: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    run()
+    return time.perf_counter() - began
+
+
+def _physics(model: SceneModel, layouts: Layout, seconds: float, real: bool) -> Physics:
+    if not real:
+        return lambda _: time.sleep(seconds)
+    engine = NativeEngine()
+    engine.rollout(model, layouts)
+    took = float(np.median([_timed(lambda: engine.rollout(model, layouts)) for _ in range(3)]))
+    times = max(1, round(seconds / took))
+    # The same work whatever stands beside it, not the same time.
+    return lambda population: [engine.rollout(model, population) for _ in range(times)]
+
+
+@contextmanager
+def _panel(url: str, at_once: int, backoff_s: float) -> Iterator[Panel]:
+    asked = MLLMOptions(base_url=url, concurrency=at_once)
+    with Panel(Anthropic(asked), asked, backoff_s=backoff_s) as panel:
+        yield panel
+
+
+def _nobody() -> str:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"http://127.0.0.1:{free.getsockname()[1]}"
+
+
+def _seen(scene: SceneSpec) -> SceneSpec:
+    """Set a scene down before a camera that sees all of it."""
+    away = 1.3 * max(math.hypot(*item.xy) for item in scene.objects) + 0.5
+    camera = Camera(width=600, height_px=400, fovy=0.6, height=0.75 * away, pitch=0.62)
+    objects = tuple(
+        item if item.parent is not None else item.model_copy(update={"xy": (away, 0.0)})
+        for item in scene.objects
+    )
+    return scene.model_copy(update={"camera": camera, "objects": objects})

@@ -1,0 +1,155 @@
+"""Vessels: what is hollow in life is hollow in the colliders, and a ball dropped in stays in."""
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from ..physics.mjcf import to_mjspec
+from ..program.sandbox import run
+from ..spec import ObjectSpec, bounds, volume
+from ..spec.convex import mass_properties
+
+_HEAD = (
+    "import math\n"
+    "from neoworld_mjx.program.sdk import Object, box, cylinder, difference, extrusion, hollow_box\n"
+    "from neoworld_mjx.program.sdk import intersection, lathe, sphere, sweep, torus, tube, union\n"
+    "o = Object('vessel')\n"
+    "p = o.part('p', material='ceramic')\n"
+)
+_FLOOR = "p.add(box((0.2, 0.2, 0.01)), at=(0, 0, 0), by='top')\n"
+VESSELS: dict[str, str] = {
+    "cup": ("p.add(lathe([(0, 0), (0.03, 0), (0.04, 0.08)], thickness=0.004))\n"),
+    "straight_cup": (
+        "p.add(lathe([(0, 0), (0.04, 0), (0.04, 0.08)], thickness=0.004, sectors=64))\n"
+    ),
+    "bowl": ("p.add(lathe([(0, 0), (0.03, 0), (0.07, 0.03), (0.08, 0.06)], thickness=0.004))\n"),
+    "deep_plate": ("p.add(lathe([(0, 0), (0.05, 0), (0.06, 0.02), (0.1, 0.025)], 0.004))\n"),
+    "oval_dish": ("p.add(lathe([(0, 0), (0.05, 0), (0.07, 0.05)], 0.004, oval=0.7))\n"),
+    "coarse_cup": ("p.add(lathe([(0, 0), (0.04, 0), (0.04, 0.08)], 0.004, sectors=8))\n"),
+    "bottle": (
+        "p.add(lathe([(0, 0), (0.04, 0), (0.04, 0.06), (0.03, 0.08), (0.03, 0.1)], 0.003))\n"
+    ),
+    "ring_vase": ("p.add(lathe([(0.02, 0), (0.04, 0.01), (0.04, 0.09)], 0.004))\n") + _FLOOR,
+    "tube": ("p.add(tube(0.04, 0.004, 0.1), by='bottom')\n") + _FLOOR,
+    "thin_tube": ("p.add(tube(0.04, 0.002, 0.1, sectors=32), by='bottom')\n") + _FLOOR,
+    "tray": ("p.add(hollow_box((0.2, 0.12, 0.05), 0.006), by='bottom')\n"),
+    "bin": ("p.add(hollow_box((0.1, 0.1, 0.2), 0.004), by='bottom')\n"),
+    "pipe": ("p.add(hollow_box((0.1, 0.1, 0.2), 0.004, open=['+z', '-z']), by='bottom')\n")
+    + _FLOOR,
+    "shelf": (
+        "p.add(hollow_box((0.1, 0.1, 0.1), 0.004, open=['+z', '+x']), by='bottom')\n"
+        "p.add(box((0.004, 0.1, 0.03)), at=(0.05, 0, 0), by='front.bottom')\n"
+    ),
+    "torus": ("p.add(torus(0.05, 0.012), by='bottom')\n") + _FLOOR,
+    "rope": (
+        "p.add(sweep([(0.05 * math.cos(a / 2), 0.05 * math.sin(a / 2), 0.012) for a in range(12)], radius=0.012, closed=True))\n"
+    )
+    + _FLOOR,
+    "horseshoe": ("p.add(torus(0.05, 0.015, arc=5.8), by='bottom')\n") + _FLOOR,
+    "panel": (
+        "s = [(-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1)]\n"
+        "h = [(0.3 * x, 0.3 * y) for x, y in s]\n"
+        "p.add(extrusion(s, 0.03, holes=[h]), by='bottom')\n"
+    )
+    + _FLOOR,
+    "comb": (
+        "p.add(extrusion([(-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (0.04, 0.1), (0.04, -0.04), (-0.04, -0.04), (-0.04, 0.1), (-0.1, 0.1)], 0.04), by='bottom')\n"
+        "p.add(box((0.08, 0.02, 0.04)), at=(0, 0.09, 0), by='bottom')\n"
+    )
+    + _FLOOR,
+    "round_hole": (
+        "h = [(0.03 * math.cos(a * 0.3927), 0.03 * math.sin(a * 0.3927)) for a in range(16)]\n"
+        "p.add(extrusion([(-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1)], 0.03, holes=[h]), by='bottom')\n"
+    )
+    + _FLOOR,
+    "pocket": (
+        "p.add(difference(box((0.2, 0.2, 0.06)), box((0.1, 0.12, 0.06)).moved((0, 0, 0.01))), by='bottom')\n"
+    ),
+    "bored_block": (
+        "p.add(difference(box((0.12, 0.12, 0.06)), cylinder(0.04, 0.06).moved((0, 0, 0.01))), by='bottom')\n"
+    ),
+    "hollowed_ball": (
+        "half = intersection(sphere(0.06), box((0.2, 0.2, 0.06)).moved((0, 0, -0.03)))\n"
+        "p.add(difference(half, sphere(0.05)), by='bottom')\n"
+        "p.add(box((0.02, 0.02, 0.002)), by='top')\n"
+    ),
+    "cross_of_pipes": (
+        "bar = union(box((0.2, 0.1, 0.08)), box((0.1, 0.2, 0.08)))\n"
+        "p.add(difference(bar, union(box((0.18, 0.08, 0.08)), box((0.08, 0.18, 0.08))).moved((0, 0, 0.01))), by='bottom')\n"
+    ),
+    "mortar": (
+        "p.add(difference(cylinder(0.05, 0.07), sphere(0.04).moved((0, 0, 0.035))), by='bottom')\n"
+    ),
+}
+"""Programs' bodies, each of one part that a ball can fall into."""
+BALL_M = 0.012
+INNER_M = {
+    **dict.fromkeys(["ring_vase", "tube", "thin_tube"], 0.036),
+    **dict.fromkeys(["pipe", "torus", "rope", "horseshoe", "comb"], 0.05),
+    **dict.fromkeys(["panel", "round_hole"], 0.03),
+    "pocket": 0.06,
+    "cross_of_pipes": 0.09,
+    **dict.fromkeys(["bored_block", "mortar"], 0.04),
+}
+"""Half width of cavities in what is wider than they are."""
+
+
+class Held(NamedTuple):
+    """One vessel: its volumes, and what became of the ball."""
+
+    name: str
+    pieces: int
+    colliders_cm3: float
+    solid_cm3: float
+    """Of the shapes as they are drawn; where two of them overlap, both count, as above."""
+    holds: bool
+    """Whether the ball, dropped from above, lies in the cavity after 1.5 s."""
+
+    @property
+    def ratio(self) -> float:
+        """Colliders' volume over the solid's."""
+        return self.colliders_cm3 / self.solid_cm3
+
+
+def vessel(name: str) -> ObjectSpec:
+    """Build one of `VESSELS`."""
+    made = run(_HEAD + VESSELS[name])
+    assert made.spec is not None, made.signals
+    return made.spec
+
+
+def held(name: str) -> Held:
+    """Measure one of `VESSELS` and drop a ball of 12 mm radius into it."""
+    spec = vessel(name)
+    shapes = [geom.shape for geom in spec.parts[0].geoms]
+    pieces = [piece for shape in shapes for piece in shape.pieces()]
+    return Held(
+        name,
+        len(pieces),
+        1e6 * sum(mass_properties(piece)[0] for piece in pieces),
+        1e6 * sum(volume(shape) for shape in shapes),
+        _holds(name, spec),
+    )
+
+
+def _holds(name: str, spec: ObjectSpec) -> bool:
+    low, high = bounds(spec)
+    model = to_mjspec(spec, timestep=0.0005)
+    start = [0.005, 0.003, high[2] + BALL_M + 0.005]
+    ball = model.worldbody.add_body(name="ball", pos=start)
+    ball.add_freejoint()
+    hard = ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[BALL_M, 0, 0])
+    # At MuJoCo's default softness a ball at 1 m/s sinks in deeper than such walls are thick.
+    hard.solref, hard.priority = [0.002, 1.0], 1
+    ball.mass, ball.explicitinertial = 0.01, True
+    ball.inertia = [0.4 * 0.01 * BALL_M**2] * 3
+    model.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1], pos=[0, 0, 0])
+    compiled = model.compile()
+    data = mujoco.MjData(compiled)
+    for _ in range(3000):
+        mujoco.mj_step(compiled, data)
+    at = data.body("ball").xpos - data.body(spec.name).xpos
+    reach = INNER_M.get(name, float(min((high - low)[:2])) / 2)
+    # Neither below the floor nor on the rim.
+    return bool(0.9 * BALL_M < at[2] < high[2] + 0.9 * BALL_M and np.hypot(at[0], at[1]) < reach)

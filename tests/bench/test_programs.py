@@ -1,0 +1,42 @@
+from neoworld_mjx.bench import hostile
+from neoworld_mjx.bench.mutants import crashed, programs
+from neoworld_mjx.bench.programs import CABINET, cabinet_times
+from neoworld_mjx.bench.programs import programs as bench
+from neoworld_mjx.program import build
+
+
+def test_the_cabinet_is_what_it_is_called_and_sound():
+    built = build(CABINET)
+    assert built.spec is not None and built.signals == ()
+    assert len(built.spec.parts) == 30
+    assert sum(joint.type != "fixed" for joint in built.spec.joints) == 8
+
+
+def test_times_are_told():
+    found = cabinet_times(1)
+    assert (found["parts"], found["joints"], found["signals"]) == (30, 8, [])
+    assert all(found[key] > 0 for key in ("warm_build_ms", "checks_ms", "export_ms"))
+
+
+def test_what_is_not_contained_is_told(monkeypatch):
+    monkeypatch.setitem(hostile.HOSTILE, "harmless", (hostile.FINE, {"value"}))
+    assert "no signal" in hostile.contain("harmless").why
+    monkeypatch.setitem(hostile.HOSTILE, "other", ("1 / 0", {"timeout"}))
+    assert hostile.contain("other").why == "signals runtime"
+
+
+def test_a_crash_of_a_mutant_is_seen(monkeypatch):
+    monkeypatch.setattr("neoworld_mjx.program.sandbox.assemble", lambda made: 1 / 0)
+    assert crashed(seed=0, count=20)
+    assert len(programs()) >= 8
+
+
+def test_the_answer_has_what_is_promised(monkeypatch):
+    few = dict(list(hostile.HOSTILE.items())[:2])
+    monkeypatch.setattr("neoworld_mjx.bench.programs.HOSTILE", few)
+    monkeypatch.setattr("neoworld_mjx.bench.programs.VESSELS", ["tray", "mortar"])
+    found = bench(mutations=10, repeats=1)
+    assert found["cavities_total"] == found["cavities_that_hold"] == 2
+    assert found["hostile_total"] == found["hostile_contained"] == 2
+    assert (found["mutations_total"], found["mutation_crashes"]) == (10, 0)
+    assert {"warm_build_ms", "checks_ms", "export_ms", "machine"} <= set(found)

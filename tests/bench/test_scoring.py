@@ -1,0 +1,29 @@
+"""The benchmark of scoring beside physics counts what it says it counts."""
+
+import pytest
+
+from neoworld_mjx.bench.scoring import scoring
+from neoworld_mjx.config import SemanticOptions
+
+
+def test_every_score_comes_to_its_own_candidate():
+    row = scoring(
+        "bounded",
+        objects=3,
+        iterations=3,
+        top=6,
+        delay_s=0.05,
+        failing=0.25,
+        physics_s=0.05,
+        real=True,
+        population=16,
+        backoff_s=0.01,
+        options=SemanticOptions(picture_px=64),
+    )
+    assert (row.submitted, row.scored, row.misplaced) == (18, 18, 0)
+    assert row.failed_calls > 0
+    assert row.calls == 18 + row.failed_calls
+    assert row.physics_s > 0.1
+    assert row.both_s >= 3 * 0.05
+    assert row.ratio == pytest.approx(row.both_s / max(row.physics_s, row.scoring_s), abs=0.01)
+    assert "scores failed one after the other" in row.dead_stopped

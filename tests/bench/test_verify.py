@@ -1,0 +1,59 @@
+"""The fault matrix on a few objects; the whole of it is `neoworld bench run verify`."""
+
+import pytest
+
+from neoworld_mjx.bench.injected import KINDS
+from neoworld_mjx.bench.sound import FAMILIES, sound_objects
+from neoworld_mjx.bench.verify import FaultRow, SoundRow, summary, verify_matrix
+from neoworld_mjx.errors import ConfigError
+from neoworld_mjx.verify import Fault
+
+
+def test_there_are_enough_objects_and_kinds():
+    assert sum(len(family.sizes) for family in FAMILIES.values()) >= 30
+    assert len(KINDS) >= 12
+    assert all(len(kind.magnitudes) == 3 for kind in KINDS)
+    assert {fault for kind in KINDS for fault in kind.means} <= set(Fault)
+
+
+def test_sound_objects_are_made_the_same_way_each_time():
+    one, two = list(sound_objects(4)), list(sound_objects(4))
+    assert one == two
+    assert len({spec.name for spec in one}) == 4
+
+
+def test_a_row_of_the_matrix():
+    rows = list(verify_matrix(2, ("no_damping", "limits_into_carcass"), workers=1))
+    found = summary(rows)
+    assert found["objects"] == 2
+    assert found["false_alarms"] == 0
+    assert found["faults"] == found["detected"] == found["named"] == 12
+    assert found["repairable"] == found["repaired"] == 12
+    assert found["made_worse"] == 0
+    assert found["battery_s"] > 0
+    (line, _) = found["matrix"]
+    faint = next(point for point in line["curve"] if not point["counts"])
+    assert faint["n"] == 2
+    assert sum(isinstance(row, SoundRow) for row in rows) == 2
+
+
+def test_what_is_missed_is_counted_as_missed():
+    rows = [
+        SoundRow(object="a", joints=1, passed=False, battery_s=1.0),
+        FaultRow(object="a", kind="mass", magnitude=20.0, counts=True, detected=True, named=False,
+                 repairable=True, repaired=False, worse=True),
+        FaultRow(object="a", kind="mass", magnitude=100.0, counts=True, detected=False, named=False,
+                 repairable=True),
+        FaultRow(object="a", kind="mass", magnitude=3.0, counts=False, detected=False, named=False),
+    ]  # fmt: skip
+    found = summary(rows)
+    assert (found["faults"], found["detected"], found["named"]) == (2, 1, 0)
+    assert (found["false_alarms"], found["made_worse"]) == (1, 1)
+    # What was not found was not mended either, and stays in the denominator.
+    assert (found["repairable"], found["repaired"], found["repaired_share"]) == (2, 0, 0.0)
+    assert len(found["missed"]) == 2
+
+
+def test_unknown_kinds_are_refused():
+    with pytest.raises(ConfigError, match="no_damping"):
+        list(verify_matrix(1, ("no_dampin",)))
