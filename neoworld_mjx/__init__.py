@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from . import measure as measure
     from . import refine as refine
+    from . import sweep as sweep
     from .physics.engine import rollout as rollout
     from .physics.layout import Layout as Layout
     from .physics.model import SceneModel as SceneModel
@@ -26,7 +27,12 @@ _HOMES = {
     "reconstruct": "pipeline",
     "rollout": "physics.engine",
 }
-_MODULES = {"measure": "measure", "refine": "refine", "rewards": "refine.rewards"}
+_MODULES = {
+    "measure": "measure",
+    "refine": "refine",
+    "rewards": "refine.rewards",
+    "sweep": "sweep",
+}
 
 __all__ = [
     "CEM",
@@ -38,6 +44,7 @@ __all__ = [
     "refine",
     "rewards",
     "rollout",
+    "sweep",
 ]
 
 

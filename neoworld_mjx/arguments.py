@@ -76,15 +76,21 @@ class Refine(Configured):
 
 @dataclass(frozen=True, kw_only=True)
 class Check(Configured):
-    """Check a scene, or an object's program: every verdict with its number and threshold."""
+    """Check a scene or an object, wherever it comes from: every verdict with its number and threshold."""
 
     target: Positional[Path]
-    """A run folder, a scene.json, or a program (.py)."""
+    """A run folder, a scene.json, a program (.py), a URDF or an MJCF file."""
+    fixed_base: bool = False
+    """The object stays fastened where it is: try only its joints."""
+    repair: bool = False
+    """Mend what numbers tell how to mend; of a program the patch is kept beside it."""
+    out: Path | None = None
+    """With --repair: folder to write the mended object into, in every format."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Build(Configured):
-    """Turn an object's program into URDF, USD and MJCF."""
+    """Turn an object's program into URDF, USD, MJCF and pictures."""
 
     program: Positional[Path]
     """The program (.py)."""
@@ -92,6 +98,8 @@ class Build(Configured):
     """Folder to write; a new or empty one."""
     overwrite: bool = False
     """Write into a folder that is not empty."""
+    watch: bool = False
+    """Build again whenever the program is saved, until Ctrl-C; a line tells of each time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,6 +120,34 @@ class Report(Common):
 
     folder: Positional[Path]
     """The run folder."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sweep(Common):
+    """Refine scenes with every combination of some options' values, with several seeds."""
+
+    plan: Positional[Path]
+    """YAML that names scenes, base options, axes and seeds."""
+    out: Path
+    """Folder to write results.parquet, table.md and sweep.json into; a new or empty one."""
+    resume: bool = False
+    """Go on with the sweep in --out: keep the runs that are there."""
+    overwrite: bool = False
+    """Replace the sweep in --out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ablate(Common):
+    """Refine scenes with a base and named changes of it, and tell their differences."""
+
+    plan: Positional[Path]
+    """YAML that names scenes, base options, variants and seeds."""
+    out: Path
+    """Folder to write results.parquet, table.md and sweep.json into; a new or empty one."""
+    resume: bool = False
+    """Go on with the ablation in --out: keep the runs that are there."""
+    overwrite: bool = False
+    """Replace the ablation in --out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,6 +189,8 @@ class BenchKernels(Common):
     """Time that the calls of a row may take [s]."""
     seed: int = 0
     """Of scenes and layouts."""
+    table: Path | None = None
+    """JSON file of measured devices to enter this one into: what `pair_depth` chooses by."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,6 +205,54 @@ class BenchAgreement(Common):
     """Candidates of each scene."""
     seed: int = 0
     """Of the layouts."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchPrograms(Common):
+    """Run hostile programs and mutants in the sandbox, and time a cabinet of 30 parts and 8 joints."""
+
+    mutations: int = 5000
+    """Mutants of the guide's programs; some 20 ms each."""
+    repeats: int = 9
+    """Of each timing; medians are told."""
+    no_hostile: bool = False
+    """Leave the hostile programs out; they take a minute."""
+    seed: int = 0
+    """Of the mutations."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchRefine(Configured):
+    """Refine scenes with known truth from noisy starts, beside Algorithm 1, random search and CMA-ES."""
+
+    scene: tuple[str, ...] = ()
+    """Names of scenes; none takes all twelve. crowd_20 and crowd_40 are there too."""
+    seeds: int = 5
+    """Starts of each scene."""
+    baseline_seeds: int = 1
+    """How many of the starts the baselines take; Algorithm 1 takes half a minute each."""
+    baseline: tuple[Literal["algorithm1", "random", "cma_es"], ...] = (
+        "algorithm1",
+        "random",
+        "cma_es",
+    )
+    """Baselines to run; none with `--baseline` and nothing after it."""
+    engine: Literal["auto", "native", "mjx", "warp"] = "native"
+    """Engine that rolls candidates out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchVerify(Common):
+    """Put faults into sound objects: what the battery finds, names and mends."""
+
+    objects: int | None = None
+    """How many sound objects; by default all."""
+    kind: tuple[str, ...] = ()
+    """Kinds of faults; none takes all."""
+    no_repair: bool = False
+    """Find and name only."""
+    workers: int = 0
+    """Processes; 0 takes all cores."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,6 +275,9 @@ class BenchRun:
         Annotated[BenchPhysics, subcommand("physics")]
         | Annotated[BenchKernels, subcommand("kernels")]
         | Annotated[BenchAgreement, subcommand("agreement")]
+        | Annotated[BenchRefine, subcommand("refine")]
+        | Annotated[BenchVerify, subcommand("verify")]
+        | Annotated[BenchPrograms, subcommand("programs")]
     )
 
 
@@ -199,7 +288,17 @@ class Bench:
     task: Annotated[BenchRun, subcommand("run")] | Annotated[BenchChart, subcommand("chart")]
 
     @property
-    def inner(self) -> BenchPhysics | BenchKernels | BenchAgreement | BenchChart:
+    def inner(
+        self,
+    ) -> (
+        BenchPhysics
+        | BenchKernels
+        | BenchAgreement
+        | BenchRefine
+        | BenchVerify
+        | BenchPrograms
+        | BenchChart
+    ):
         """What was asked for, at the end of the nested commands."""
         return self.task.suite if isinstance(self.task, BenchRun) else self.task
 
@@ -221,6 +320,8 @@ Command = (
     | Annotated[Build, subcommand("build")]
     | Annotated[Render, subcommand("render")]
     | Annotated[Report, subcommand("report")]
+    | Annotated[Sweep, subcommand("sweep")]
+    | Annotated[Ablate, subcommand("ablate")]
     | Annotated[Doctor, subcommand("doctor")]
     | OmitSubcommandPrefixes[Annotated[Bench, subcommand("bench")]]
 )

@@ -91,12 +91,36 @@ def _print(answer: Answer, indent: str = "") -> None:
         if isinstance(value, dict):
             print(f"{indent}{key}:")
             _print(value, indent + "  ")
+        elif key in _TABLES and isinstance(value, list) and value:
+            print(f"{indent}{key}:")
+            _table(value, _TABLES[key], indent + "  ")
         elif isinstance(value, list) and value and isinstance(value[0], dict):
             print(f"{indent}{key}:")
             for item in value:
                 print(f"{indent}  - " + ", ".join(f"{k} {_plain(v)}" for k, v in item.items()))
         else:
             print(f"{indent}{key}: {_plain(value)}")
+
+
+_TABLES = {
+    "checks": ("outcome", "scenario", "name", "value", "threshold", "unit", "fault", "hint"),
+    "points": ("point", "n", "passed", "reward", "d_drift", "s_sem", "rollouts", "seconds"),
+    "differences": ("point", "n", "passed", "reward", "d_drift", "s_sem", "rollouts", "seconds"),
+    "matrix": ("kind", "n", "detected", "named", "repaired"),
+}
+"""Lists that are shown as a table, and their columns; those that no row has are left out."""
+
+
+def _table(rows: list[Answer], columns: Sequence[str], indent: str) -> None:
+    """Print rows in columns."""
+    used = [name for name in columns if any(name in row for row in rows)]
+    if not used:
+        used = list(rows[0])
+    cells = [used] + [[_plain(row[n]) if n in row else "" for n in used] for row in rows]
+    widths = [max(len(line[k]) for line in cells) for k in range(len(used))]
+    for line in cells:
+        shown = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
+        print((indent + "  ".join(shown)).rstrip())
 
 
 def _plain(value: Any) -> str:

@@ -4,15 +4,20 @@ Whatever is heavy is imported inside the functions, so that `--help` is quick.
 """
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .arguments import (
+    Ablate,
     Bench,
     BenchAgreement,
     BenchChart,
     BenchKernels,
     BenchPhysics,
+    BenchPrograms,
+    BenchRefine,
+    BenchVerify,
     Build,
     Check,
     Configured,
@@ -21,6 +26,7 @@ from .arguments import (
     Refine,
     Render,
     Report,
+    Sweep,
 )
 from .errors import ConfigError, NeoWorldError, RunError, SpecError
 
@@ -72,14 +78,23 @@ def refine(command: Refine) -> Answer:
 
 
 def check(command: Check) -> Answer:
-    """Measure a scene, or build a program and say what is wrong with it."""
+    """Measure a scene, or try an object by itself and say what is wrong with it."""
     config = _config(command)
-    if command.target.suffix == ".py":
-        from .program import build as make
+    suffix = command.target.suffix.lower()
+    if suffix in (".usd", ".usda", ".usdc", ".usdz"):
+        raise SpecError(f"{command.target}: USD is not read yet; check the URDF or MJCF beside it")
+    if suffix in (".py", ".urdf", ".xml", ".mjcf"):
+        from .verify.checking import check_object
 
-        built = make(_read(command.target), config.program)
-        answer = {"target": str(command.target), "passed": built.ok, "signals": _signals(built)}
-        return answer
+        return check_object(
+            command.target,
+            config,
+            fixed_base=command.fixed_base,
+            mend=command.repair,
+            out=command.out,
+        )
+    if command.repair or command.fixed_base or command.out is not None:
+        raise SpecError(f"{command.target}: a scene is measured as it is; refine mends scenes")
     from .measure.scene import scene_measure
     from .spec import read_scene
 
@@ -110,8 +125,9 @@ def check(command: Check) -> Answer:
 
 def build(command: Build) -> Answer:
     """Build a program and write its object in every format."""
-    from .export import export_object
     from .program import build as make
+    from .program.watch import watch, write_built
+    from .verify.patch import apply, read_overlay, write_overlay
 
     out = command.out
     if out.exists() and not out.is_dir():
@@ -119,14 +135,23 @@ def build(command: Build) -> Answer:
     if out.is_dir() and any(out.iterdir()) and not command.overwrite:
         raise RunError(f"{out} is not empty: name a new folder, or use --overwrite")
     text = _read(command.program)
+    if command.watch:
+        return {"folder": str(out), "builds": watch(command.program, out, _config(command).program)}
     built = make(text, _config(command).program)
     answer: Answer = {"passed": built.ok, "signals": _signals(built)}
     if built.spec is None or not built.ok:
         return answer
-    export_object(built.spec, out)
-    (out / "program.py").write_text(text, encoding="utf-8")
-    (out / "spec.json").write_text(built.spec.to_json(), encoding="utf-8")
-    return {"object": built.spec.name, "folder": str(out), **answer}
+    name = built.spec.name
+    overlay = read_overlay(command.program)
+    if overlay is not None:
+        # What Step 3 changed is laid over whatever the program makes now.
+        spec, stale = apply(overlay, built.spec)
+        built = replace(built, spec=spec)
+        answer["overlay"] = {"changes": list(overlay.changes()), "stale": list(stale)}
+    write_built(built, text, out)
+    if overlay is not None:
+        write_overlay(out / "program.py", overlay)
+    return {"object": name, "folder": str(out), **answer}
 
 
 def render(command: Render) -> Answer:
@@ -154,6 +179,25 @@ def report(command: Report) -> Answer:
     from .view.report import write_report
 
     return {"report": str(write_report(command.folder))}
+
+
+def sweep(command: Sweep | Ablate) -> Answer:
+    """Run a sweep or an ablation."""
+    from .bench.named import named
+    from .cache import keep_compilations
+    from .sweep import Case, ablate, answer, sweep
+
+    keep_compilations()
+    sources = {kind: lambda name, make=make: Case(**make(name)) for kind, make in named().items()}
+    search = ablate if isinstance(command, Ablate) else sweep
+    found = search(
+        command.plan,
+        command.out,
+        sources=sources,
+        resume=command.resume,
+        overwrite=command.overwrite,
+    )
+    return answer(found, command.out)
 
 
 def doctor(_: Doctor) -> Answer:
@@ -190,9 +234,18 @@ def bench(command: Bench) -> Answer:
         BenchPhysics: benchmarks.physics_answer,
         BenchKernels: benchmarks.kernels_answer,
         BenchAgreement: benchmarks.agreement_answer,
+        BenchRefine: _bench_refine,
+        BenchVerify: benchmarks.verify_answer,
+        BenchPrograms: benchmarks.programs_answer,
         BenchChart: benchmarks.chart_answer,
     }
     return answers[type(command.inner)](command.inner)
+
+
+def _bench_refine(command: BenchRefine) -> Answer:
+    from .bench.command import refine_answer
+
+    return refine_answer(command, _config(command).refine)
 
 
 _KEYS = ("ANTHROPIC_API_KEY", "OPENAI_API_KEY")
@@ -203,6 +256,8 @@ COMMANDS: dict[type, Any] = {
     Build: build,
     Render: render,
     Report: report,
+    Sweep: sweep,
+    Ablate: sweep,
     Doctor: doctor,
     Bench: bench,
 }

@@ -136,13 +136,36 @@ class VerifyOptions(Options):
     max_rest_speed: float = Field(default=0.01, gt=0)
     """Speed [m/s] at the end of the free fall."""
     max_energy_gain: float = Field(default=0.02, gt=0)
-    """Rise of mechanical energy with no force acting, over the object's weight times its height."""
+    """Rise of mechanical energy with no force acting, over the object's weight times its extent."""
     max_overshoot: float = Field(default=0.05, gt=0)
     """Travel beyond a joint limit, over the joint's range."""
     joint_push_s: float = Field(default=0.5, gt=0)
     """Time in which a free joint is pushed across its range."""
     min_mobility: float = Field(default=0.9, gt=0, le=1)
-    """What a joint covers when pushed both ways from its middle, over its range."""
+    """What a joint covers when it is driven both ways, over its range."""
+    hand_force_n: float = Field(default=100.0, gt=0)
+    """Most that drives a joint, at its far end; what weighs more gets half its weight on top."""
+    high_drop_m: float = Field(default=0.02, ge=0)
+    """Height of the second, higher fall."""
+    drop_tilt_deg: float = Field(default=3.0, ge=0, lt=45)
+    """Tilt of the falls that start tilted."""
+    min_loss: float = Field(default=0.05, ge=0, lt=1)
+    """Share of its speed that a joint left to itself must lose in half a second."""
+    min_slide_deg: float = Field(default=5.0, ge=0)
+    max_slide_deg: float = Field(default=60.0, gt=0, le=65)
+    """Slopes between which an object must begin to slide."""
+    touch_gap_m: float = Field(default=0.004, ge=0)
+    """Most air between a part and what it hangs on; 1 % of the object's size where that is more."""
+    max_pivot_off: float = Field(default=0.05, ge=0)
+    """How far a hinge may pass beside the parts it joins, over the child's diagonal."""
+    sweep_steps: int = Field(default=13, ge=3)
+    """Positions of each joint at which the depth between parts is measured."""
+    sweep_combinations: int = Field(default=12, ge=0)
+    """Positions of all joints at once, besides."""
+    rounds: int = Field(default=6, ge=0)
+    """How many repairs of an object may be tried; 0 leaves objects as they are."""
+    critic: bool = False
+    """Whether the critic looks at key frames of what failed, and its edits are tried too."""
 
 
 class ComposeOptions(Options):
@@ -157,7 +180,7 @@ class CEMOptions(Options):
 
     population: int = Field(default=256, ge=2)
     iterations: int = Field(default=8, ge=1)
-    elite_ratio: float = Field(default=0.125, gt=0, le=1)
+    elite_ratio: float = Field(default=0.05, gt=0, le=1)
     sigma_xy: float = Field(default=0.05, ge=0)
     """Of the object's horizontal bounding-box diagonal."""
     sigma_yaw_deg: float = Field(default=15.0, ge=0)
@@ -168,6 +191,18 @@ class CEMOptions(Options):
     """Weight of the old mean and deviation in the update; 0 is Algorithm 1."""
     zero_candidate: bool = True
     """Always try the mean itself as a candidate; at first that is the composed layout."""
+    first: int = Field(default=32, ge=0)
+    """Population of the first iteration, where it is the smaller one: it mostly finds out where the
+    start fails; 0 is that of the others."""
+    credit: Literal["auto", "scene", "object", "island"] = "auto"
+    """Whose reward chooses elites: the scene's, or for each object that of what it takes part in, or of
+    all that it may come to touch. auto: the scene's from the first valid candidate on, by object
+    before."""
+    prune: bool = True
+    """Do not roll out what cannot become an elite; changes no elite. Only with `normalisation: fixed`,
+    and neither with a user's own terms nor with scores by a model, which have no known bound."""
+    batch: int = Field(default=16, ge=1)
+    """Candidates rolled out at once while pruning."""
     stop_gain: float = Field(default=0.02, ge=0)
     """Stop when the elites' mean absolute reward gains less than this in an iteration."""
     patience: int = Field(default=2, ge=1)
@@ -183,11 +218,14 @@ class RewardOptions(Options):
     w_prior: float = Field(default=0.3, ge=0)
     """Weight of the prior that holds layouts near the composed one, and sizes near the parsed ones:
     the mean of (z / sigma)^2 over objects and their four numbers, sigma being the initial one."""
-    normalisation: Literal["iteration", "fixed"] = "iteration"
+    normalisation: Literal["iteration", "fixed"] = "fixed"
     d_pen_cap_m: float = Field(default=0.005, gt=0)
     d_drift_cap: float = Field(default=3.0, gt=0)
     """In units of the drift scales below: 3 is 3 cm or 15 degrees. A small cap keeps the difference
     between a valid candidate and one that just fails from drowning in that between two bad ones."""
+    drift_free: float = Field(default=0.1, ge=0)
+    """Drift of an object that costs nothing, in units of the drift scales: 0.1 is the millimetre and half
+    degree that things settle by when they are set down."""
     pen_scale_m: float = Field(default=0.001, gt=0)
     drift_scale_m: float = Field(default=0.01, gt=0)
     tilt_scale_deg: float = Field(default=5.0, gt=0)
@@ -208,12 +246,56 @@ class RolloutOptions(Options):
     """Surface samples of an object for D_pen."""
 
 
+class DescentOptions(Options):
+    """Adam on the differentiable terms, before physics."""
+
+    warm_steps: int = Field(default=60, ge=0)
+    """Steps that the start of the search takes towards the photograph's boxes and out of
+    interpenetration; 0 starts at the composed scene."""
+    project: Literal["never", "needed", "always"] = "needed"
+    """Move candidates out of interpenetration: none, all, or those of iterations before which none was
+    valid."""
+    project_steps: int = Field(default=6, ge=1)
+    """Steps that a candidate takes then."""
+    rate: float = Field(default=0.2, gt=0)
+    """Length of a step, in initial standard deviations."""
+    samples: int = Field(default=64, ge=8)
+    """Surface samples of an object that a step looks at."""
+
+
+class SemanticOptions(Options):
+    """S_sem of Step 5: who scores how candidates agree with the photograph."""
+
+    scorer: Literal["geometric", "mllm"] = "geometric"
+    """mllm shows the critic a picture of the best candidates, while physics runs; needs a photo."""
+    top: int = Field(default=8, ge=1)
+    """How many candidates of an iteration are shown to the model; the others are estimated."""
+    wait: Literal["all", "bounded", "none"] = "all"
+    """Before elites are taken: for every score asked for, for those that are `late` iterations old,
+    or for none."""
+    late: int = Field(default=1, ge=0)
+    """With `bounded`: how many iterations late a score may come; 0 is `all`."""
+    picture_px: int = Field(default=320, ge=64)
+    """Width of a candidate's picture; drawing it takes time from physics on the same CPU."""
+    shadows: bool = False
+    """Draw shadows and grain instead of flat colours with outlines, at five times the cost."""
+    timeout_s: float = Field(default=90.0, gt=0)
+    """The longest that one score may take with all its retries, once sent."""
+    give_up_after: int = Field(default=5, ge=1)
+    """Scores that fail one after the other until no more are asked for."""
+    max_cost_usd: float | None = Field(default=None, gt=0)
+    """No more scores are asked for once they have cost so much; those under way still come.
+    `mllm.max_cost_usd` is the cap that no call may exceed."""
+
+
 class RefineOptions(Options):
     """Step 5 as a whole: search, rewards, rollouts and the final check."""
 
     cem: CEMOptions = CEMOptions()
+    descent: DescentOptions = DescentOptions()
     reward: RewardOptions = RewardOptions()
     rollout: RolloutOptions = RolloutOptions()
+    semantic: SemanticOptions = SemanticOptions()
     check_duration_s: float = Field(default=2.0, gt=0)
     check_timestep_s: float = Field(default=0.002, gt=0)
     max_drift_m: float = Field(default=0.01, gt=0)

@@ -9,6 +9,7 @@ import hashlib
 import json
 import logging
 import time
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -18,7 +19,7 @@ import numpy as np
 
 from .config import Config, load_config, merged
 from .errors import ProgramError, RunError, SpecError
-from .mllm import Panel, open_panel
+from .mllm import Panel, Picture, open_panel
 from .parse.photo import Photo, load_photo
 from .run_folder import STEPS, RunFolder, read_run
 from .spec import ObjectSpec, SceneSpec, SceneTree, TreeNode
@@ -27,6 +28,8 @@ _log = logging.getLogger(__name__)
 
 TREE, COMPOSED, SCENE = "tree.json", "compose/scene.json", "scene.json"
 ANSWERS = "answers.tape.json"
+VERIFIED = "verified.json"
+"""The object as Step 3 hands it on, where that changed it."""
 
 
 @dataclass(frozen=True)
@@ -125,9 +128,9 @@ def reconstruct(
         steps = {
             "parse": lambda: _parse(run, picture, models, config),
             "program": lambda: _program(run, picture, models, config),
-            "verify": lambda: _verify(run, config),
+            "verify": lambda: _verify(run, models, config),
             "compose": lambda: _compose(run, config),
-            "refine": lambda: _refine(run, config),
+            "refine": lambda: _refine(run, config, models),
             "export": lambda: _export(run, config),
         }
         with models:
@@ -165,8 +168,18 @@ def refine_again(
         # Header values are not written into run.json, and no model is asked here.
         data["mllm"]["headers"] = {}
         config = load_config(None, merged(data, over or {}))
-    with RunFolder(folder, config, start="refine") as run:
-        _refine(run, config)
+    models = None
+    if config.refine.semantic.scorer == "mllm":
+        models = open_panel(
+            config.mllm,
+            config.provider,
+            photo=earlier["photo"]["sha256"],
+            mailbox=folder / "mailbox",
+            record=folder / ANSWERS,
+            made=f"recorded from provider {config.provider}",
+        )
+    with RunFolder(folder, config, start="refine") as run, models or nullcontext():
+        _refine(run, config, models)
         _export(run, config)
         run.finish()
         _report(run)
@@ -257,22 +270,34 @@ def _program(run: RunFolder, photo: Photo, models: Panel, config: Config) -> Non
     asyncio.run(everything())
 
 
-def _verify(run: RunFolder, config: Config) -> None:
-    from .verify import verify
+def _verify(run: RunFolder, models: Panel, config: Config) -> None:
+    from .compose.lying import resting_tilt
+    from .spec.pose import IDENTITY
+    from .verify import make_sound, write_overlay
 
     for node in _tree(run).nodes:
         name = f"verify/{node.name}"
         spec = run.path / "objects" / node.name / "spec.json"
-        fixed = node.environment or node.fixed_base
-        inputs = {"spec": spec, "options": config.verify, "fixed": fixed}
+        # What leans or hangs is held by what it leans on; by itself it would only fall.
+        fixed = node.environment or node.fixed_base or node.relation in ("leaning", "attached")
+        inputs = {"spec": spec, "options": config.verify, "fixed": fixed, "tilt": node.base_tilt}
         with run.step(name, inputs) as out:
             if out is None:
                 continue
-            verdict = verify(_object(spec), config.verify, fixed_base=fixed)
+            made = _object(spec)
+            tilt = node.base_tilt
+            if not np.allclose(tilt, IDENTITY):
+                tilt = resting_tilt(made, {}, tilt) or IDENTITY
+            asked = models if config.verify.critic else None
+            result = make_sound(made, config.verify, fixed_base=fixed, tilt=tilt, models=asked)
             home = out / "objects" / node.name
             home.mkdir(parents=True)
-            (home / "verify.json").write_text(verdict.to_json())
-            for check in verdict.checks:
+            (home / "verify.json").write_text(result.verdict.to_json())
+            if not result.patch.empty:
+                write_overlay(home / "program.py", result.patch)
+                (home / VERIFIED).write_text(result.applied(made).to_json())
+                run.fallback(name, f"{node.name} with edits", "; ".join(result.changes))
+            for check in result.verdict.checks:
                 if check.outcome in ("FAIL", "TOOL_FAILURE"):
                     what = f"{node.name} as it is, though {check.scenario}/{check.name} failed"
                     run.fallback(
@@ -285,7 +310,11 @@ def _compose(run: RunFolder, config: Config) -> None:
     from .render import render_scene, to_png
 
     tree = _tree(run)
-    specs = {node.name: run.path / "objects" / node.name / "spec.json" for node in tree.nodes}
+    specs = {}
+    for node in tree.nodes:
+        home = run.path / "objects" / node.name
+        mended = home / VERIFIED
+        specs[node.name] = mended if mended.is_file() else home / "spec.json"
     inputs = {"tree": run.path / TREE, "options": config.compose, "render": config.render, **specs}
     with run.step("compose", inputs) as out:
         if out is None:
@@ -303,18 +332,27 @@ def _compose(run: RunFolder, config: Config) -> None:
             run.fallback("compose", "a composition without it", note)
 
 
-def _refine(run: RunFolder, config: Config) -> None:
+def _refine(run: RunFolder, config: Config, models: Panel | None) -> None:
     from .refine import refine
+
+    asked = config.refine.semantic.scorer == "mllm"
+    photo = Picture.of("photo", load_photo(run.path / "photo.png").rgb) if asked else None
 
     inputs = {"scene": run.path / COMPOSED, "options": config.refine, "seed": config.seed}
     with run.step("refine", inputs) as out:
         if out is None:
             return
         scene = SceneSpec.model_validate_json((run.path / COMPOSED).read_text())
-        found = refine(
-            scene, config.refine, seed=config.seed, progress=lambda s: _log.info("  %s", s)
-        )
         (out / "refine").mkdir()
+        found = refine(
+            scene,
+            config.refine,
+            seed=config.seed,
+            photo=photo,
+            panel=models,
+            scores=out / "refine" / "scores.jsonl" if asked else None,
+            progress=lambda s: _log.info("  %s", s),
+        )
         np.savez_compressed(out / "refine" / "history.npz", allow_pickle=False, **found.history)
         (out / SCENE).write_text(found.scene.to_json())
         told = {
@@ -326,6 +364,9 @@ def _refine(run: RunFolder, config: Config) -> None:
             "mean_log_scale": found.mean_log_scale,
             "mean_shift_m": found.mean_shift_m,
             "mean_turn_deg": found.mean_turn_deg,
+            "rollouts": found.rollouts,
+            "pruned": found.pruned,
+            "scoring": found.scoring,
             "layout": {
                 name: np.asarray(getattr(found.layout, name)[0]).tolist()
                 for name in ("xy", "yaw", "log_scale")

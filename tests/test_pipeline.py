@@ -119,7 +119,9 @@ def test_the_folder_holds_what_is_promised(example):
     with np.load(out / "refine" / "history.npz") as history:
         iterations = answer["iterations"]
         assert history["xy"].shape == (iterations, 256, 4, 2)
-        assert not history["xy"][0, 0].any()  # the composed layout is the first candidate
+        # The first iteration is small; its first candidate is the start, near the composed layout.
+        assert np.abs(history["xy"][0, 0]).max() < 0.05
+        assert (history["status"][0, 32:] == -1).all()
         assert history["valid"].any()
     report = (out / "report.html").read_text()
     assert "http://" not in report.replace("http://www.w3.org", "")

@@ -36,6 +36,9 @@ def convergence(path: Path) -> Html:
     return section(title, body, _table(history))
 
 
+PRUNED, NOT_DRAWN = 5, -1
+"""Statuses in the history of what was not rolled out, and of places that stayed empty."""
+
 _TERMS = (
     ("d_pen", "D_pen (sum over pairs), mm"),
     ("d_drift", "D_drift (sum), stability bounds"),
@@ -76,10 +79,25 @@ def _rewards(absolute: NDArray) -> str:
 def _valid(history: dict[str, NDArray]) -> str:
     if "valid" not in history:
         return str(missing("history.npz does not say which candidates are valid."))
-    share = 100.0 * np.mean(history["valid"].astype(float), axis=1)
-    return charts.line_chart(
-        [Line("valid candidates", share, "var(--c3)")], y_label="valid, %", limits=(0.0, 100.0)
-    )
+    drawn, pruned = _counts(history)
+    rolled = np.maximum(drawn - pruned, 1)
+    lines = [
+        Line("valid of those rolled out", 100.0 * history["valid"].sum(1) / rolled, "var(--c3)")
+    ]
+    if pruned.any():
+        lines.append(
+            Line("pruned", 100.0 * pruned / np.maximum(drawn, 1), "var(--c2)", dashed=True)
+        )
+    return charts.line_chart(lines, y_label="candidates, %", limits=(0.0, 100.0))
+
+
+def _counts(history: dict[str, NDArray]) -> tuple[NDArray, NDArray]:
+    """Return how many candidates of each iteration were drawn, and how many of them pruned."""
+    status = history.get("status")
+    if status is None:
+        iterations, population = history["absolute"].shape
+        return np.full(iterations, population), np.zeros(iterations, int)
+    return np.sum(status != NOT_DRAWN, axis=1), np.sum(status == PRUNED, axis=1)
 
 
 def _term(history: dict[str, NDArray], key: str, label: str) -> str:
@@ -98,11 +116,16 @@ def _term(history: dict[str, NDArray], key: str, label: str) -> str:
 def _table(history: dict[str, NDArray]) -> Html:
     absolute = history["absolute"]
     best, mean = _over(absolute, np.max), _over(absolute, np.mean)
-    failed = np.sum(~np.isfinite(absolute), axis=1)
-    heads = ["#iteration", "#best", "#mean", "#valid", "#without reward", "#mean log scale"]
+    drawn, pruned = _counts(history)
+    failed = drawn - pruned - np.sum(np.isfinite(absolute), axis=1)
+    heads = ["#iteration", "#best", "#mean", "#drawn", "#pruned", "#valid", "#failed"]
+    heads.append("#mean log scale")
     rows = []
     for i in range(len(absolute)):
         valid = f"{int(np.sum(history['valid'][i]))}" if "valid" in history else ""
-        scale = f"{float(np.mean(history['log_scale'][i])):+.4f}" if "log_scale" in history else ""
-        rows.append([i + 1, f"{best[i]:.4f}", f"{mean[i]:.4f}", valid, failed[i], scale])
+        scale = ""
+        if "log_scale" in history:
+            scale = f"{float(np.nanmean(history['log_scale'][i])):+.4f}"
+        counts = [drawn[i], pruned[i], valid, failed[i]]
+        rows.append([i + 1, f"{best[i]:.4f}", f"{mean[i]:.4f}", *counts, scale])
     return table(heads, rows)

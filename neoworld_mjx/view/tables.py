@@ -66,6 +66,7 @@ def verdicts(folder: Path) -> Html:
         if any(path.is_file() for path, _ in shots):
             thumbs = "".join(picture(path, caption) for path, caption in shots)
             parts.append(f'<div class="thumbs">{thumbs}</div>')
+        parts.append(_signals(read_json(home / "program.json") or {}))
         if found is None:
             parts.append(missing("No verify.json yet."))
             continue
@@ -81,6 +82,21 @@ def verdicts(folder: Path) -> Html:
         ]
         parts.append(table(["check", "#value", "#threshold", "verdict", "note"], rows))
     return section("Objects and their verdicts", *parts)
+
+
+def _signals(program: dict[str, Any]) -> Html:
+    """List what is left to say of an object's program, allowed overlaps with their reasons among it."""
+    rows = [
+        [
+            signal["code"].replace("_", " "),
+            signal["message"],
+            _value(signal.get("value"), ""),
+            _value(signal.get("threshold"), ""),
+        ]
+        for signal in program.get("signals", [])
+    ]
+    heads = ["of the program", "", "#value, SI", "#threshold, SI"]
+    return table(heads, rows) if rows else Html("")
 
 
 def placed(scene: dict[str, Any]) -> Html:
@@ -124,15 +140,20 @@ def joints(folder: Path, scene: dict[str, Any]) -> Html:
                 continue
             unit, factor = ("mm", 1000.0) if joint["type"] == "prismatic" else ("°", 180 / math.pi)
             span = f"{factor * joint['lower']:.0f} to {factor * joint['upper']:.0f} {unit}"
+            ball = joint["type"] == "ball"
+            axis = "(" + ", ".join(f"{v:.2f}" for v in joint["axis"]) + ")"
+            free = joint["type"] == "continuous" or (ball and joint["upper"] == 0)
+            keys = [f"{joint['name']}.{k}" for k in "xyz"] if ball else [joint["name"]]
+            now = [state.get(key, 0.0) for key in keys]
             rows.append(
                 [
                     name,
                     joint["name"],
                     joint["type"],
                     f"{joint['parent']} → {joint['child']}",
-                    "(" + ", ".join(f"{v:.2f}" for v in joint["axis"]) + ")",
-                    "unlimited" if joint["type"] == "continuous" else span,
-                    f"{factor * state.get(joint['name'], 0.0):.0f} {unit}",
+                    "any" if ball else axis,
+                    "unlimited" if free else span,
+                    f"{factor * (math.hypot(*now) if ball else now[0]):.0f} {unit}",
                     f"{joint['damping']:.2g}",
                 ]
             )

@@ -9,8 +9,10 @@ from PIL import Image
 
 from neoworld_mjx.config import Config, load_config
 from neoworld_mjx.errors import RunError
+from neoworld_mjx.refine import outcome, prune
 from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.verify import Verdict
+from neoworld_mjx.view import convergence
 from neoworld_mjx.view.charts import Line, bars, line_chart, nice_ticks
 from neoworld_mjx.view.report import write_report
 
@@ -148,6 +150,21 @@ def test_failed_numbers_are_shown_as_failed(finished):
     assert 'class="value bad">unknown' in html
 
 
+def test_allowed_overlaps_are_listed_with_their_reason(finished):
+    home = next((finished / "objects").iterdir())
+    signal = {
+        "severity": "warning",
+        "code": "allowed_overlap",
+        "message": "'body' and 'lid' may enter each other: the rebate <of the lid>",
+        "value": 0.004,
+        "threshold": 0.001,
+    }
+    (home / "program.json").write_text(json.dumps({"signals": [signal]}))
+    page = write_report(finished).read_text()
+    assert "allowed overlap" in page and "the rebate &lt;of the lid&gt;" in page
+    assert "0.004" in page
+
+
 def test_text_from_models_is_escaped(finished):
     (finished / "tree.json").write_text(json.dumps(_tree(label=EVIL)))
     (finished / "objects" / "jar" / "verify.json").write_text(
@@ -228,3 +245,24 @@ def test_ticks_are_round_and_cover(low, high):
     assert ticks[-1] >= high - 1e-12
     steps = np.diff(ticks)
     assert np.allclose(steps, steps[0])
+
+
+def test_pruned_candidates_are_told_apart_from_failed_ones(tmp_path):
+    assert (convergence.PRUNED, convergence.NOT_DRAWN) == (prune.PRUNED, outcome.NOT_DRAWN)
+    path = tmp_path / "history.npz"
+    _history(path, iterations=2, population=8)
+    with np.load(path) as data:
+        history = {key: data[key] for key in data.files}
+    history["absolute"][:] = 0.1
+    history["status"] = np.zeros((2, 8), int)
+    history["status"][0, 3:] = outcome.NOT_DRAWN
+    history["status"][1, 6:] = prune.PRUNED
+    history["absolute"][0, 3:] = history["absolute"][1, 6:] = -np.inf
+    history["absolute"][1, 0] = -np.inf
+    np.savez(path, **history)
+    page = str(convergence.convergence(path))
+    rows = re.findall(r"<tr>(.*?)</tr>", page, re.S)
+    cells = [re.findall(r"<td[^>]*>(.*?)</td>", row, re.S) for row in rows]
+    first, second = [c for c in cells if c][-2:]
+    assert first[3:5] == ["3", "0"] and first[6] == "0"
+    assert second[3:5] == ["8", "2"] and second[6] == "1"
