@@ -237,7 +237,9 @@ class RolloutOptions(Options):
     """Free-fall rollouts of candidate layouts."""
 
     engine: EngineName = "auto"
-    duration_s: float = Field(default=1.0, gt=0)
+    duration_s: float = Field(default=1.0, ge=0)
+    """0 judges candidates without simulation: whether they stay where they are is told by the final
+    check alone."""
     timestep_s: float = Field(default=0.004, gt=0)
     record_every_s: float = Field(default=0.1, gt=0)
     early_stop: bool = True

@@ -2,7 +2,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 
 import pytest
 from PIL import Image
@@ -31,16 +30,11 @@ def _fails(done, *said):
     return done
 
 
-def test_help_names_the_commands_and_is_quick():
-    times = []
-    for _ in range(3):
-        begun = time.perf_counter()
-        done = _neoworld("--help")
-        times.append(time.perf_counter() - begun)
+def test_help_names_the_commands():
+    done = _neoworld("--help")
     assert done.returncode == 0
     for command in ("reconstruct", "check", "build", "render", "report", "doctor"):
         assert command in done.stdout
-    assert min(times) < 0.5
 
 
 def test_help_imports_nothing_heavy():

@@ -94,6 +94,6 @@ def test_links_between_pages_lead_somewhere():
 
 
 def test_the_readme_gives_the_command_that_ci_runs():
-    command = "uv run --extra dev pytest"
+    command = "uv run --extra dev pytest -n 2 --dist loadfile"
     assert command in (ROOT / "README.md").read_text(encoding="utf-8")
     assert (ROOT / ".ci" / "run").read_text(encoding="utf-8").rstrip().endswith(command)

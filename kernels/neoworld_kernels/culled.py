@@ -193,13 +193,10 @@ def _inside(
     def some(g: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         best, which = carry
         points = lax.dynamic_slice_in_dim(blocks.points, g * lump, lump)
-        local = [at([x[c][block] for c in range(3)]) for x in points]
-        found = depths(kind, local, size, lambda f, c: planes[f, c], faces)
-        for u, value in enumerate(found):
-            better = value > best
-            best = jnp.where(better, value, best)
-            which = jnp.where(better, g * lump + u, which)
-        return best, which
+        local = at([points[:, c, block] for c in range(3)])
+        (found,) = depths(kind, [local], size, lambda f, c: planes[f, c], faces)
+        top, at_top = jnp.max(found, axis=0), jnp.argmax(found, axis=0).astype(which.dtype)
+        return jnp.maximum(best, top), jnp.where(top > best, g * lump + at_top, which)
 
     low = (jnp.full(block.shape, -1e6), jnp.zeros_like(block))
     best, which = lax.fori_loop(0, number // lump, some, low)

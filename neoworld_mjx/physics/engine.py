@@ -4,6 +4,7 @@ import enum
 from typing import Any, Protocol, get_args
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -77,6 +78,21 @@ class Rollout(eqx.Module):
     """Where the layouts put the objects."""
     steps: Int[Array, " pop"]
     """Steps that were simulated."""
+
+
+@eqx.filter_jit
+def unmoved(scene: SceneModel, layouts: Layout) -> Rollout:
+    """Return rollouts of no duration: every candidate where it was placed, with status OK."""
+    start = scene.place(layouts)
+    pop = layouts.yaw.shape[0]
+    return Rollout(
+        time=jnp.zeros(1),
+        pos=start.pos[:, None],
+        quat=start.quat[:, None],
+        status=jnp.full(pop, int(RolloutStatus.OK), jnp.int32),
+        start=start,
+        steps=jnp.zeros(pop, jnp.int32),
+    )
 
 
 class Engine(Protocol):

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
 from ..spec import SceneObject, SceneSpec, Shape, link_poses
@@ -275,30 +275,28 @@ def height_above(
     """
     c, s = jnp.cos(yaw), jnp.sin(yaw)
     x, y = table.foot[:, 0] * size, table.foot[:, 1] * size
-    at = jnp.stack([xy[0] + c * x - s * y, xy[1] + s * x + c * y], axis=-1) / parent_size
-    grid = (at - table.origin) / table.cell
-    inside = jnp.all((grid >= 0) & (grid <= GRID - 1), axis=-1)
-    low = jnp.clip(jnp.floor(grid), 0, GRID - 2).astype(jnp.int32)
-    f = jnp.clip(grid - low, 0.0, 1.0)
-    i, j = low[:, 0], low[:, 1]
+    i, u, within = _cell(table, 0, (xy[0] + c * x - s * y) / parent_size)
+    j, v, between = _cell(table, 1, (xy[1] + s * x + c * y) / parent_size)
     h = table.heights
-    four = jnp.stack([h[i, j], h[i + 1, j], h[i, j + 1], h[i + 1, j + 1]], axis=-1)
-    weight = jnp.stack(
-        [
-            (1 - f[:, 0]) * (1 - f[:, 1]),
-            f[:, 0] * (1 - f[:, 1]),
-            (1 - f[:, 0]) * f[:, 1],
-            f[:, 0] * f[:, 1],
-        ],
-        axis=-1,
-    )
+    a, b, c, d = h[i, j], h[i + 1, j], h[i, j + 1], h[i + 1, j + 1]
+    blended = (a * (1 - u) + b * u) * (1 - v) + (c * (1 - u) + d * u) * v
     # Beside an edge of the support interpolation would invent a slope: take the nearest corner.
-    smooth = jnp.ptp(four, axis=-1) < 2.0 * table.cell
-    nearest = jnp.take_along_axis(four, jnp.argmax(weight, axis=-1)[:, None], axis=-1)[:, 0]
-    surface = jnp.where(smooth, jnp.sum(four * weight, axis=-1), nearest)
-    surface = jnp.where(inside, surface, NOTHING)
+    lowest = jnp.minimum(jnp.minimum(a, b), jnp.minimum(c, d))
+    highest = jnp.maximum(jnp.maximum(a, b), jnp.maximum(c, d))
+    nearest = jnp.where(v > 0.5, jnp.where(u > 0.5, d, c), jnp.where(u > 0.5, b, a))
+    surface = jnp.where(highest - lowest < 2.0 * table.cell, blended, nearest)
+    surface = jnp.where(within & between, surface, NOTHING)
     gap = surface * parent_size - table.foot[:, 2] * size
     return jnp.max(jnp.where(jnp.isfinite(gap) & (surface > NOTHING / 2), gap, NOTHING))
+
+
+def _cell(
+    table: Support, axis: int, at: Float[Array, " FOOT"]
+) -> tuple[Int[Array, " FOOT"], Float[Array, " FOOT"], Bool[Array, " FOOT"]]:
+    """Find coordinates [m] on a side of the grid: cell, place in it from 0 to 1, whether inside."""
+    grid = (at - table.origin[axis]) / table.cell
+    low = jnp.clip(jnp.floor(grid), 0, GRID - 2).astype(jnp.int32)
+    return low, jnp.clip(grid - low, 0.0, 1.0), (grid >= 0) & (grid <= GRID - 1)
 
 
 __all__ = [

@@ -1,6 +1,7 @@
 """Refining a composed scene: the loop of Algorithm 1 with what makes it faster, each an option."""
 
 import dataclasses
+import functools
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 from ..config import RefineOptions
 from ..errors import ConfigError
 from ..mllm import Panel, Picture
-from ..physics.engine import EarlyStop, Engine, Rollout, open_engine
+from ..physics.engine import EarlyStop, Engine, Rollout, open_engine, unmoved
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel, compile_scene
 from ..spec import SceneSpec
@@ -24,6 +25,9 @@ from .outcome import Refined, Round, choose, outcome, ranked, stacked
 from .prune import score_elites
 from .rewards import Placed, Scores, Term, Weights, bound, placed, score, user_terms, weights
 from .scorer import Mark, SemanticScorer
+
+FILLED = 16
+"""How many times its candidates an iteration may evaluate to spare a compilation."""
 
 
 def refine(
@@ -118,13 +122,16 @@ def refine(
 
 
 def compiled(scene: SceneSpec, o: RefineOptions) -> SceneModel:
-    """Compile a scene as a refinement with these options needs it."""
-    return compile_scene(
-        scene,
-        timestep=o.rollout.timestep_s,
-        samples=o.rollout.samples_per_object,
-        reach=max(1 / 3, 6.7 * o.cem.sigma_xy),
-    )
+    """Compile a scene as a refinement with these options needs it; the same scene again is kept."""
+    reach = max(1 / 3, 6.7 * o.cem.sigma_xy)
+    return _compiled(scene.to_json(), o.rollout.timestep_s, o.rollout.samples_per_object, reach)
+
+
+@functools.lru_cache(maxsize=4)
+def _compiled(scene: str, timestep: float, samples: int, reach: float) -> SceneModel:
+    # JAX compiles anew for another SceneModel, however equal.
+    spec = SceneSpec.model_validate_json(scene)
+    return compile_scene(spec, timestep=timestep, samples=samples, reach=reach)
 
 
 class Search:
@@ -195,11 +202,13 @@ class Search:
             Scores, where candidates were placed, and how each S_sem came about (scorer.Mark).
         """
         marks = np.zeros(layouts.yaw.shape[0], np.int8)
+        began, rolled = time.perf_counter(), self.clock["rollout"]
+        before = self._placed(layouts)
         if self.prunes and scorer is None:
-            began, rolled = time.perf_counter(), self.clock["rollout"]
-            found, start = score_elites(
+            found = score_elites(
                 self.model,
                 layouts,
+                before,
                 self.rollout,
                 self.w,
                 elites=self.method(t).elites,
@@ -209,9 +218,7 @@ class Search:
             )
             rolled = self.clock["rollout"] - rolled
             self.clock["score"] += time.perf_counter() - began - rolled
-            return found, start, marks
-        began = time.perf_counter()
-        before = jax.block_until_ready(placed(self.model, layouts, self.w))
+            return found, before.start, marks
         self.clock["score"] += time.perf_counter() - began
         if scorer is not None:
             upper = bound(before, self.w)
@@ -226,6 +233,15 @@ class Search:
         found = score(self.model, layouts, rollout, self.w, self.terms, before)
         self.note(jax.block_until_ready(found))
         return found, before.start, marks
+
+    def _placed(self, layouts: Layout) -> Placed:
+        """Evaluate what needs no physics; a smaller first population is filled up to compile once."""
+        pop, most = layouts.yaw.shape[0], self.cem.population
+        if pop == most or most > FILLED * pop:
+            return jax.block_until_ready(placed(self.model, layouts, self.w))
+        fill = lambda x: np.resize(np.asarray(x), (most, *x.shape[1:]))
+        found = placed(self.model, jax.tree.map(fill, layouts), self.w)
+        return jax.tree.map(lambda x: jnp.asarray(np.asarray(x)[:pop]), found)
 
     def tell(self, t: int, layouts: Layout, found: Scores) -> None:
         """Fit the Gaussian to the elites."""
@@ -277,13 +293,16 @@ class Search:
         """Roll candidates out as the options say."""
         began = time.perf_counter()
         r = self.o.rollout
-        found = self.engine.rollout(
-            self.model,
-            layouts,
-            duration=r.duration_s,
-            record_every=r.record_every_s,
-            early_stop=early_stop_rule(self.o) if r.early_stop else None,
-        )
+        if r.duration_s:
+            found = self.engine.rollout(
+                self.model,
+                layouts,
+                duration=r.duration_s,
+                record_every=r.record_every_s,
+                early_stop=early_stop_rule(self.o) if r.early_stop else None,
+            )
+        else:
+            found = unmoved(self.model, layouts)
         jax.block_until_ready(found)
         self.clock["rollout"] += time.perf_counter() - began
         return found

@@ -1,9 +1,8 @@
 """Exact pruning: what cannot become an elite is not rolled out.
 
 Under `fixed` normalisation physics can only lower a reward, so D_pen, S_sem and the prior bound it
-from above before anything moves. Some of the surface samples are enough for a bound: more of them can
-only find more penetration. Candidates are rolled out in the order of their bounds, until the next
-bound is below the K-th best reward known: no candidate after that can be among the K best.
+from above before anything moves. Candidates are rolled out in the order of their bounds, until the
+next bound is below the K-th best reward known: no candidate after that can be among the K best.
 """
 
 from collections.abc import Callable
@@ -15,12 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..physics.engine import Rollout, RolloutStatus
-from ..physics.layout import Layout, Poses
+from ..physics.layout import Layout
 from ..physics.model import SceneModel
-from .rewards import Placed, Scores, Weights, bound, placed, score
+from .rewards import Placed, Scores, Weights, bound, score
 
-SAMPLES = 64
-"""Surface samples of an object that bounds are taken from."""
 PRUNED = len(RolloutStatus)
 """Status, in `Scores`, of a candidate that was not rolled out."""
 
@@ -28,6 +25,7 @@ PRUNED = len(RolloutStatus)
 def score_elites(
     scene: SceneModel,
     layouts: Layout,
+    before: Placed,
     rollout: Callable[[Layout], Rollout],
     w: Weights,
     *,
@@ -35,12 +33,13 @@ def score_elites(
     batch: int,
     until_valid: bool = False,
     done: Callable[[Scores], None] | None = None,
-) -> tuple[Scores, Poses]:
+) -> Scores:
     """Score the candidates that may be among the K best; the same K as if all had been rolled out.
 
     Args:
         scene: the compiled scene.
         layouts: the candidates.
+        before: how they are judged before anything moves.
         rollout: rolls some candidates out.
         w: weights, with `fixed` normalisation.
         elites: K.
@@ -50,9 +49,8 @@ def score_elites(
 
     Returns:
         Scores of all candidates, with status PRUNED, reward -inf and d_drift NaN where they were not
-        rolled out and d_pen as few samples see it; and where all are placed.
+        rolled out.
     """
-    before = placed(scene, layouts, w, SAMPLES)
     upper = np.asarray(bound(before, w))
     order = np.argsort(-upper, kind="stable")
     pop = len(upper)
@@ -65,8 +63,8 @@ def score_elites(
         rows = order[first : first + batch]
         # The last batch is filled up, so that all have one shape and one compilation.
         index = jnp.asarray(np.resize(rows, min(batch, pop)))
-        few = _take(layouts, index)
-        scores = jax.block_until_ready(score(scene, few, rollout(few), w))
+        few, known = _take((layouts, before), index)
+        scores = jax.block_until_ready(score(scene, few, rollout(few), w, before=known))
         found.append((rows, scores))
         if done is not None:
             done(scores)
@@ -75,7 +73,7 @@ def score_elites(
         reward = np.asarray(scores.reward)[: len(rows)]
         best = np.sort(np.concatenate([best, reward]))[-elites:]
         first += batch
-    return _scattered(scene, before, found), before.start
+    return _scattered(scene, before, found)
 
 
 @eqx.filter_jit
@@ -86,14 +84,11 @@ def _take(tree: Any, index: Any) -> Any:
 def _scattered(scene: SceneModel, before: Placed, found: list[tuple[np.ndarray, Scores]]) -> Scores:
     pop = before.d_pen.shape[0]
     nothing = np.full(pop, -np.inf, np.float32)
-    pen, seen = np.array(before.d_pen), np.array(before.s_sem)
     moved, reward, absolute = np.full(pop, np.nan, np.float32), nothing, nothing.copy()
     status, valid = np.full(pop, PRUNED, np.int32), np.zeros(pop, bool)
     credit = np.full((pop, len(scene.names)), -np.inf, np.float32)
     for rows, scores in found:
         for whole, part in (
-            (pen, scores.d_pen),
-            (seen, scores.s_sem),
             (moved, scores.d_drift),
             (reward, scores.reward),
             (absolute, scores.absolute),
@@ -103,9 +98,9 @@ def _scattered(scene: SceneModel, before: Placed, found: list[tuple[np.ndarray, 
         ):
             whole[rows] = np.asarray(part)[: len(rows)]
     return Scores(
-        d_pen=jnp.asarray(pen),
+        d_pen=before.d_pen,
         d_drift=jnp.asarray(moved),
-        s_sem=jnp.asarray(seen),
+        s_sem=before.s_sem,
         prior=before.prior,
         user=jnp.zeros((0, pop)),
         valid=jnp.asarray(valid),

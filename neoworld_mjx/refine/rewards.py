@@ -46,9 +46,7 @@ __all__ = [
 ]
 
 
-def depths(
-    scene: SceneModel, poses: Poses, samples: int | None = None
-) -> Float[Array, "pop object object"]:
+def depths(scene: SceneModel, poses: Poses) -> Float[Array, "pop object object"]:
     """Sampled penetration depth [m] of i's surface samples in j's colliders, at [candidate, i, j].
 
     Measured on the canonical colliders at the placed poses; zero between environment supports.
@@ -56,10 +54,9 @@ def depths(
     Args:
         scene: the compiled scene.
         poses: where the candidates' objects are placed.
-        samples: how many of an object's surface samples to look at, corners first; all by default.
     """
-    points = scene.samples[:, :samples]
-    found = pair_depth(poses.pos, rotation(poses.quat), poses.scale, points, scene.solids)
+    turn = rotation(poses.quat)
+    found = pair_depth(poses.pos, turn, poses.scale, scene.samples, scene.solids)
     return jnp.where(scene.pair_mask, found, 0.0)
 
 
@@ -271,18 +268,16 @@ class Scores(eqx.Module):
 
 
 @eqx.filter_jit
-def placed(scene: SceneModel, layouts: Layout, w: Weights, samples: int | None = None) -> Placed:
+def placed(scene: SceneModel, layouts: Layout, w: Weights) -> Placed:
     """Evaluate what needs no physics: D_pen, S_sem and the prior.
 
     Args:
         scene: the compiled scene.
         layouts: the candidates.
         w: weights and scales.
-        samples: how many of an object's surface samples to look at; fewer see less penetration, so
-            that no reward comes out lower than with all of them.
     """
     start = scene.place(layouts)
-    found = depths(scene, start, samples)
+    found = depths(scene, start)
     pair = jnp.maximum(found, jnp.swapaxes(found, 1, 2))
     semantic: Semantic = semantic_score(scene, start, found)
     prior = departure(scene, layouts, w.sigma, w.origin)

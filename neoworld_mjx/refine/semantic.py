@@ -6,7 +6,7 @@ its surface samples are projected. Relations are scored by pairs of objects; ori
 each object fills its own box, since that is all that a box says about a heading.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -97,12 +97,24 @@ def projected(
     scene: SceneModel, v: View, poses: Poses
 ) -> tuple[Float[Array, "pop object 4"], Float[Array, "pop object"]]:
     """Project candidates' surface samples: 2D boxes as in `View.boxes` [px], and depths [m]."""
-    points = scene.samples * poses.scale[..., None, None]
-    world = jnp.einsum("poij,posj->posi", rotation(poses.quat), points) + poses.pos[:, :, None]
-    local = (world - v.position) @ v.axes
-    away = jnp.maximum(local[..., 2], 1e-3)
-    px = local[..., :2] / away[..., None] * v.focal
-    return jnp.concatenate([jnp.min(px, axis=2), jnp.max(px, axis=2)], axis=-1), away.mean(axis=2)
+    # Sums of products, which XLA fuses with the minima; small matrix products are slow on CPUs.
+    turn = rotation(poses.quat) * poses.scale[..., None, None]
+    gap = poses.pos - v.position
+    turn = _dot([axis[:, None] for axis in v.axes], [turn[..., None, i, :] for i in range(3)])
+    shift = _dot(v.axes, [gap[..., None, i] for i in range(3)])
+    points = [scene.samples[..., j] for j in range(3)]
+    x, y, away = (
+        _dot([turn[..., None, k, j] for j in range(3)], points) + shift[..., None, k]
+        for k in range(3)
+    )
+    away = jnp.maximum(away, 1e-3)
+    x, y = (side / away * v.focal for side in (x, y))
+    box = [x.min(axis=2), y.min(axis=2), x.max(axis=2), y.max(axis=2)]
+    return jnp.stack(box, axis=-1), away.mean(axis=2)
+
+
+def _dot(a: Any, b: Any) -> Array:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 class Semantic(eqx.Module):

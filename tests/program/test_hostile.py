@@ -27,7 +27,8 @@ CASES = [*((name, False) for name in HOSTILE), *((name, True) for name in list(H
 @pytest.mark.parametrize(("name", "type_check"), CASES)
 def test_every_hostile_program_ends_in_a_signal(name: str, type_check: bool):
     memory, peak = resident_mb(), peak_mb()
-    end = contain(name, ProgramOptions(type_check=type_check))
+    # On a busy machine the bound of 3 s says nothing; `neoworld bench run programs` holds it.
+    end = contain(name, ProgramOptions(type_check=type_check), within_s=20.0)
     assert end.why == ""
     assert peak_mb() == peak or peak_mb() - memory < MEGABYTES
 

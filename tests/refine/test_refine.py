@@ -94,3 +94,21 @@ def test_a_scene_that_is_valid_already_keeps_its_layout():
     assert math.isfinite(found.measure.max_drift_m)
     assert isinstance(found.layout, Layout)
     assert found.history["valid"][0, 0]
+
+
+def test_without_simulation_only_the_final_check_tells_what_falls():
+    """A plate that overhangs too far does not penetrate; nothing but physics sees that it tips."""
+    low = scenes.single("low", (Box(size=(0.1, 0.1, 0.06)), (0, 0, 0)))
+    plate = scenes.single("plate", (Box(size=(0.1, 0.06, 0.02)), (0, 0, 0)))
+    on_low = {"parent": "low", "z": 0.06}
+    scene = scenes.on_table((low, (0, 0), 0.0, {}), (plate, (0.06, 0.0), 0.0, on_low), name="tips")
+    options = RefineOptions(
+        cem=CEMOptions(population=8, iterations=2, sigma_xy=1e-4, sigma_yaw_deg=0.1),
+        rollout=RolloutOptions(duration_s=0.0),
+        descent=DescentOptions(warm_steps=0),
+    )
+    found = refine(scene, options, seed=0)
+    assert not found.passed and not found.measure.s_stab
+    assert np.nanmax(found.history["d_drift"]) == 0.0
+    simulated = options.model_copy(update={"rollout": RolloutOptions(duration_s=0.5)})
+    assert np.nanmin(refine(scene, simulated, seed=0).history["d_drift"]) > 1.0

@@ -82,7 +82,7 @@ def test_iteration_normalisation_spans_zero_to_one_over_the_living():
     pen = jnp.array([0.0, 0.001, 0.002, jnp.nan])
     moved = jnp.array([1.0, 1.0, 1.0, 1.0])
     alive = jnp.array([True, True, True, False])
-    found = rewards.compose(pen, moved, jnp.zeros(4), alive, weights())
+    found = rewards.compose(pen, moved, jnp.zeros(4), alive, weights(normalisation="iteration"))
     assert found[:3] == pytest.approx(np.array([0.0, -0.5, -1.0]))
     assert float(found[3]) == -np.inf
 
