@@ -242,6 +242,26 @@ class BenchRefine(Configured):
 
 
 @dataclass(frozen=True, kw_only=True)
+class BenchScoring(Common):
+    """Score candidates by a slow, unreliable server on this machine while physics runs."""
+
+    wait: tuple[Literal["all", "bounded", "none"], ...] = ("all", "bounded", "none")
+    """Ways of waiting; a row for each."""
+    physics: tuple[Literal["pause", "native"], ...] = ("pause", "native")
+    """A pause leaves the processor to drawing pictures, rollouts on all cores do not."""
+    iterations: int = 6
+    """Of the search."""
+    physics_s: float = 3.0
+    """Physics of one iteration alone [s]."""
+    delay_s: float = 3.0
+    """How long the server takes for a call [s]; it answers eight at once."""
+    failing: float = 0.1
+    """Share of its calls that fail."""
+    seed: int = 0
+    """Of layouts and failures."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class BenchVerify(Common):
     """Put faults into sound objects: what the battery finds, names and mends."""
 
@@ -276,6 +296,7 @@ class BenchRun:
         | Annotated[BenchKernels, subcommand("kernels")]
         | Annotated[BenchAgreement, subcommand("agreement")]
         | Annotated[BenchRefine, subcommand("refine")]
+        | Annotated[BenchScoring, subcommand("scoring")]
         | Annotated[BenchVerify, subcommand("verify")]
         | Annotated[BenchPrograms, subcommand("programs")]
     )
@@ -295,6 +316,7 @@ class Bench:
         | BenchKernels
         | BenchAgreement
         | BenchRefine
+        | BenchScoring
         | BenchVerify
         | BenchPrograms
         | BenchChart

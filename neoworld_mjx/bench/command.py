@@ -86,6 +86,32 @@ def refine_answer(o: Any, options: RefineOptions) -> dict[str, Any]:
     return {**summary(rows), "machine": machine(), "rows": _plain(rows)}
 
 
+def scoring_answer(o: Any) -> dict[str, Any]:
+    """Score while physics runs; options are those of `arguments.BenchScoring`."""
+    from .scoring import scoring
+
+    rows = _told(
+        scoring(
+            wait,
+            real=physics == "native",
+            iterations=o.iterations,
+            physics_s=o.physics_s,
+            delay_s=o.delay_s,
+            failing=o.failing,
+            seed=o.seed,
+        )
+        for physics in o.physics
+        for wait in o.wait
+    )
+    return {
+        "worst_ratio": max(row.ratio for row in rows),
+        "lost": sum(row.submitted - row.scored for row in rows),
+        "misplaced": sum(row.misplaced for row in rows),
+        "machine": machine(),
+        "rows": _plain(rows),
+    }
+
+
 def verify_answer(o: Any) -> dict[str, Any]:
     """Put faults into sound objects; options are those of `arguments.BenchVerify`."""
     from .verify import summary, verify_matrix
