@@ -78,31 +78,40 @@ def touching(placed: Placed, blocks: Blocks, solids: Solids) -> Bool[Array, "pie
         dot(rot[k], blocks.centre[..., None]) * scale + placed.pos[k][owner] for k in range(3)
     ]
     reach = blocks.radius[:, None] * scale
-    found = []
+    owners = jnp.concatenate([group.owner for group in solids])
+    local = _local(placed, centre, owners, solids)
+    found, first = [], 0
     for kind, group in zip(Solids._fields, solids, strict=True):
-        if len(group.owner):
-            near = _near(kind, placed, centre, group)
-            other = group.owner[:, None] != owner
-            found.append((near < reach) & other[..., None])
-    return jnp.concatenate(found)
+        if number := len(group.owner):
+            here = [x[first : first + number] for x in local]
+            near = _near(kind, here, group) * placed.scale[group.owner][:, None]
+            found.append(near < reach)
+            first += number
+    return jnp.concatenate(found) & (owners[:, None] != owner)[..., None]
 
 
-def _near(
-    kind: str, placed: Placed, centre: list[Array], group: Group
-) -> Float[Array, "piece block pop"]:
-    """Bound the distance [m] of points [block, pop] in the world to each piece from below."""
-    turn, scale = placed.rot[:, :, group.owner], placed.scale[group.owner]
-    own = jnp.transpose(group.rot, (1, 2, 0))[..., None]
-    at = group.pos.T[..., None]
-    origin = [placed.pos[k][group.owner] + scale * dot(turn[k], at) for k in range(3)]
+def _local(
+    placed: Placed,
+    centre: list[Array],
+    owners: Int[Array, " piece"],
+    solids: Solids,
+) -> list[Float[Array, "piece block pop"]]:
+    """Put points [block, pop] in the world into the frame of each piece, of all kinds."""
+    turn, scale = placed.rot[:, :, owners], placed.scale[owners]
+    own = jnp.transpose(jnp.concatenate([group.rot for group in solids]), (1, 2, 0))[..., None]
+    at = jnp.concatenate([group.pos for group in solids]).T[..., None]
+    origin = [placed.pos[k][owners] + scale * dot(turn[k], at) for k in range(3)]
     gap = [centre[k] - origin[k][:, None] for k in range(3)]
     # The pieces' axes in the world, over the owners' scales.
     axes = [[dot(turn[k], own[:, a]) / scale for k in range(3)] for a in range(3)]
-    local = [dot(gap, [part[:, None] for part in axis]) for axis in axes]
+    return [dot(gap, [part[:, None] for part in axis]) for axis in axes]
+
+
+def _near(kind: str, local: list[Array], group: Group) -> Float[Array, "piece block pop"]:
+    """Bound the distance of points in the pieces' frames, at scale 1, to each piece from below."""
     size = [group.size[:, k, None, None] for k in range(3)]
     planes = jnp.transpose(group.planes, (1, 2, 0))[..., None, None]
-    near = bound(kind, local, size, lambda f, c: planes[f, c], group.planes.shape[1])
-    return near * scale[:, None]
+    return bound(kind, local, size, lambda f, c: planes[f, c], group.planes.shape[1])
 
 
 def members(
