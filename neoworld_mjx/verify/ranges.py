@@ -117,20 +117,20 @@ def _over_range(
     values = positions(joint, options.sweep_steps)
     opened = opened_for(probe.spec, joint)
     over = np.zeros(len(values))
-    worst: dict[Pair, tuple[float, float]] = {}
+    worst: dict[Pair, tuple[float, float, dict[str, float]]] = {}
     for k, value in enumerate(values):
         for state in states(joint, float(value)):
             probe.place({**opened, **state})
             for pair, near in probe.depths(pairs).items():
                 over[k] = max(over[k], -near.distance / limits[pair])
-                if -near.distance > worst.get(pair, (0.0, 0.0))[0]:
-                    worst[pair] = (-near.distance, float(value))
+                if -near.distance > worst.get(pair, (0.0,))[0]:
+                    worst[pair] = (-near.distance, float(value), state)
     deepest = max(worst.items(), key=lambda item: item[1][0], default=None)
-    depth, at = (0.0, 0.0) if deepest is None else deepest[1]
+    depth, at, how = (0.0, 0.0, {}) if deepest is None else deepest[1]
     other = ""
     if deepest is not None:
         other = probe.names[next((k for k in deepest[0] if k not in moving), deepest[0][0])]
-    colliding = {p for p, (d, _) in worst.items() if d > limits[p]}
+    colliding = {p for p, (d, *_) in worst.items() if d > limits[p]}
     fault = Fault.LIMIT_INTO_PART
     if colliding:
         free = _free(probe, joint, values, over <= 1.0, pairs, limits)
@@ -147,6 +147,8 @@ def _over_range(
     )
     shown = depth if colliding else min(depth, options.max_depth_m)
     unit = "m" if joint.type == "prismatic" else "rad"
+    told = ", ".join(f"{value:.3g}" for value in how.values())
+    told = f"({told})" if joint.type == "ball" else f"{at:.3g}"
     found.checks.append(
         judged(
             "joint_range",
@@ -156,7 +158,7 @@ def _over_range(
             part=joint.child,
             joint=joint.name,
             at=at,
-            evidence=f"{joint.child} in {other} with {joint.name} at {at:.3g} {unit}"
+            evidence=f"{joint.child} in {other} with {joint.name} at {told} {unit}"
             + "".join(f", {name} open" for name in opened),
         )
     )
@@ -272,7 +274,8 @@ def _combined(
             value = float(values[(-1, 0)[k] if k < 2 else random.integers(len(values))])
             ways = states(joint, float(np.clip(value, *found.free.get(joint.name, (value, value)))))
             state |= ways[0 if len(ways) == 1 else random.integers(len(ways))]
-        probe.place(heeded(spec, state, opening=k % 2 == 0))
+        state = heeded(spec, state, opening=k % 2 == 0)
+        probe.place(state)
         for pair, near in probe.depths(rest).items():
             if -near.distance > max(worst, limits[pair]):
                 worst, limit_at = -near.distance, limits[pair]

@@ -10,6 +10,7 @@ from neoworld_mjx.program.views import opened_state
 from neoworld_mjx.spec import ObjectSpec
 from neoworld_mjx.spec.opening import heeded, opened_for
 from neoworld_mjx.verify import Battery
+from neoworld_mjx.verify.strips import _of_joint
 
 OVEN = """
 from neoworld_mjx.program.sdk import Object, box, hollow_box
@@ -215,3 +216,10 @@ def test_the_way_it_opens_is_held_against_its_axis(changes: dict[str, str], code
 def test_doors_and_drawers_say_which_way_they_open():
     joint = spec_of(oven()).joints[0]
     assert joint.intent is not None and joint.intent.opens == (1.0, 0.0, 0.0)
+
+
+def test_key_frames_show_what_stands_open():
+    battery = Battery(spec_of(oven()))
+    check = next(c for c in battery.verdict.checks if c.name == "depth:slide")
+    shown = _of_joint(battery, check.model_copy(update={"at": 0.25}), "depth").shows
+    assert "'flap_hinge': 1.5" in shown and "'slide': 0.25" in shown
