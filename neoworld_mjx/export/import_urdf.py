@@ -57,7 +57,54 @@ def import_urdf(path: Path) -> Imported:
     colours = {m.name: m.color.rgba for m in robot.materials if m.color is not None and m.name}
     links = [_link(path, link, frames[link.name], colours, notes) for link in robot.links]
     joints = [_joint(path, joint, frames[joint.child], notes) for joint in robot.joints]
+    for mark in root.findall("neoworld/ball"):
+        _fold(mark.get("joint") or "", links, joints, notes)
     return assemble(robot.name or path.stem, links, joints, notes)
+
+
+def _fold(name: str, links: list[Link], joints: list[Joint], notes: list[str]) -> None:
+    """Make the ball joint again that our export wrote as three hinges with two bare links between them."""
+    by_name = {joint.name: joint for joint in joints}
+    hinges = [by_name.get(f"{name}_{axis}") for axis in "xyz"]
+    inner = [f"{name}_{axis}_link" for axis in "xy"]
+    ends = [(joint.parent, joint.child) for joint in joints]
+    bare = {link.name for link in links if not link.solids}
+    first, middle, last = hinges
+    if first is None or middle is None or last is None or not _is_ball(first, middle, last):
+        whole = False
+    else:
+        chain = [(first.parent, inner[0]), (inner[0], inner[1]), (inner[1], last.child)]
+        joined = [end for end in ends if set(end) & set(inner)]
+        whole = joined == chain and bare.issuperset(inner)
+    if not whole:
+        notes.append(f"ball {name} is not as it was written: its hinges are carried as they are")
+        return
+    assert first is not None and last is not None
+    ball = first.model_copy(
+        update={"name": name, "type": "ball", "child": last.child, "axis": (0.0, 0.0, 1.0)}
+        | {"lower": 0.0, "effort": None, "velocity": None}
+    )
+    joints[:] = [ball if j is first else j for j in joints if j is first or j not in hinges]
+    links[:] = [link for link in links if link.name not in inner]
+
+
+def _is_ball(*hinges: Joint) -> bool:
+    """Tell whether three hinges are those of a ball: one point, the three axes, the same losses and limits."""
+    first, middle, _ = hinges
+    same = all(
+        h.type == first.type
+        and h.mimic is None
+        and h.type in ("revolute", "continuous")
+        and np.allclose(h.pos, first.pos, atol=1e-6)
+        and np.allclose(h.axis, axis, atol=1e-6)
+        and np.allclose((h.damping, h.friction), (first.damping, first.friction))
+        and np.isclose(h.lower, -h.upper)
+        for h, axis in zip(hinges, np.eye(3), strict=True)
+    )
+    most = min(first.upper, math.pi / 2)
+    return same and bool(
+        np.isclose(middle.upper, most) and np.isclose(hinges[2].upper, first.upper)
+    )
 
 
 def _check(path: Path, root: Any) -> None:

@@ -4,7 +4,8 @@ A link's frame has its origin at its joint's anchor and the object's orientation
 plain offsets. What URDF has no place for is left out: joint stiffness and armature, friction of
 surfaces, sites. Capsules become a cylinder and two balls, ellipsoids meshes. URDF knows no ball
 joint: it becomes three hinges <joint>_x, _y, _z through one point, with two links of next to no mass
-between them; each turns as far as the ball, the middle one at most a quarter turn.
+between them; each turns as far as the ball, the middle one at most a quarter turn. An element <neoworld>,
+which others pass over, names the balls, so that our import makes them again.
 """
 
 import xml.etree.ElementTree as ET
@@ -34,6 +35,11 @@ def urdf_text(spec: ObjectSpec) -> str:
         fusestatic="false",
         strippath="false",
     )
+    balls = [joint for joint in spec.joints if joint.type == "ball"]
+    if balls:
+        mark = ET.SubElement(robot, "neoworld")
+        for joint in balls:
+            ET.SubElement(mark, "ball", joint=joint.name)
     for material in spec.materials:
         look = ET.SubElement(robot, "material", name=material.name)
         ET.SubElement(look, "color", rgba=numbers(material.rgba))

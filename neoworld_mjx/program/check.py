@@ -13,6 +13,7 @@ import numpy as np
 
 from ..config import ProgramOptions
 from ..spec import Joint, ObjectSpec
+from ..spec.opening import way_opened
 from .allowance import Allowance
 from .overlap import overlaps
 from .plausible import plausibility
@@ -23,6 +24,8 @@ AXIS_SLACK = 0.05
 """How far an axis may pass beside the part it turns, over that part's diagonal."""
 LEAST_TURN_RAD, LEAST_SLIDE = 0.03, 0.01
 """Ranges below these move nothing one would see; a slide counts over the child's diagonal."""
+OPENS_COSINE = 0.3
+"""Least cosine between the way that a part sets out and the way that its joint is declared to open."""
 LONGEST_SLIDE = 1.5
 """Of a slide, over the object's diagonal."""
 
@@ -179,6 +182,8 @@ def _joints(probe: Probe, options: ProgramOptions) -> list[Signal]:
                     )
                 )
         found += _range(joint, size, whole)
+        if joint.intent is not None and joint.intent.opens is not None:
+            found += _opens(probe.spec, joint)
     return found
 
 
@@ -202,6 +207,18 @@ def _range(joint: Joint, size: float, whole: float) -> list[Signal]:
         message = "the range leaves out 0, where the object is drawn"
         found.append(_of_joint(joint, "rest_outside", message, hint, 0.0, nearest))
     return found
+
+
+def _opens(spec: ObjectSpec, joint: Joint) -> list[Signal]:
+    cosine = way_opened(spec, joint)
+    if cosine is None:
+        message = "opens= names a way, but the middle of what it turns hardly moves"
+        return [_of_joint(joint, "opens_no_way", message, "leave opens= out", 0.0, OPENS_COSINE)]
+    if cosine >= OPENS_COSINE:
+        return []
+    message = f"positive does not move {joint.child!r} the way that opens= names"
+    hint = "turn the axis around, or put `at` on the opposite edge (positive opens)"
+    return [_of_joint(joint, "opens_wrong_way", message, hint, cosine, OPENS_COSINE)]
 
 
 def _of_joint(

@@ -34,6 +34,7 @@ def add_door(
     thickness: float,
     gap: float,
     opens: float | None,
+    after: Any,
     material: str | None,
 ) -> Any:
     """Hang a flat door before the plane x; see `Object.door`."""
@@ -54,7 +55,14 @@ def add_door(
     where, axis = _HINGES[hinge]
     wide = SWING[hinge] if opens is None else take.number(opens, f"{what}: opens", 7.0)
     owner.revolute(
-        f"{name[:40]}_hinge", parent, part, at=panel.anchor(where), axis=axis, range=(0.0, wide)
+        f"{name[:40]}_hinge",
+        parent,
+        part,
+        at=panel.anchor(where),
+        axis=axis,
+        range=(0.0, wide),
+        after=after,
+        opens="front",
     )
     return part
 
@@ -73,6 +81,7 @@ def add_drawer(
     overlay: float,
     gap: float,
     travel: float | None,
+    after: Any,
     material: str | None,
 ) -> Any:
     """Put a drawer into an opening whose front lies in the plane x; see `Object.drawer`."""
@@ -102,7 +111,15 @@ def add_drawer(
     foot = low - over if over > 0 else low + LIFTS_M
     part.add(box(face), at=(edge, middle, foot), by="back.bottom", name=f"{name[:40]}_front")
     out = TRAVEL * long if travel is None else take.length(travel, f"{what}: travel")
-    owner.prismatic(f"{name[:40]}_slide", parent, part, axis=(1, 0, 0), range=(0.0, out))
+    owner.prismatic(
+        f"{name[:40]}_slide",
+        parent,
+        part,
+        axis=(1, 0, 0),
+        range=(0.0, out),
+        after=after,
+        opens="front",
+    )
     return part
 
 

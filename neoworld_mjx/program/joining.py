@@ -50,7 +50,11 @@ def joint_fields(
     for key in ("damping", "friction", "stiffness", "effort", "velocity"):
         if given.get(key) is not None:
             fields[key] = take.number(given[key], f"{what}: {key}")
+    if given.get("opens") is not None:
+        fields["intent"] = S.Intent(opens=direction(given["opens"], f"{what}: opens"))
     leader = given.get("mimic")
+    if leader is not None and given.get("after") is not None:
+        raise ValueError(f"{what}: after= belongs to {leader.name!r}, which it follows")
     if leader is not None:
         fields["mimic"] = S.Mimic(
             joint=leader.name,

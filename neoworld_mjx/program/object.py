@@ -14,6 +14,8 @@ from .part import Geom, Joint, Part
 from .session import current, here
 
 MAX_ALLOWED_M, MIN_REASON = 0.005, 10
+After = Part | Joint | Sequence[Part | Joint] | None
+"""What must be open before a joint moves."""
 
 
 class Object:
@@ -108,6 +110,8 @@ class Object:
         mimic: Joint | None = None,
         multiplier: float = 1.0,
         offset: float = 0.0,
+        after: After = None,
+        opens: Sequence[float] | str | None = None,
     ) -> Joint:
         """Hinge `child` to `parent` at a point, about an axis, between two angles [rad].
 
@@ -116,6 +120,8 @@ class Object:
         axis as well: the one about which positive moves it away from its parent.
         Damping [N m s/rad] and friction [N m] that are not given follow from the child's inertia
         and weight. With `mimic` it follows another joint: multiplier * q + offset.
+        `after` names what must be open first, doors or their joints: a rack's is its door. `opens` says
+        which way the child's middle sets out, such as "front"; it is held against the axis.
         """
         given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent", "child")}
         return self._join("revolute", name, parent, child, given)
@@ -135,6 +141,7 @@ class Object:
         mimic: Joint | None = None,
         multiplier: float = 1.0,
         offset: float = 0.0,
+        after: After = None,
     ) -> Joint:
         """Let `child` turn without end about an axis through a point: a wheel, a knob."""
         given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent", "child")}
@@ -151,6 +158,7 @@ class Object:
         damping: float | None = None,
         friction: float | None = None,
         stiffness: float = 0.0,
+        after: After = None,
     ) -> Joint:
         """Let `child` turn about a point in all directions, by up to `swing` [rad] away from rest."""
         given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent", "child")}
@@ -173,6 +181,8 @@ class Object:
         mimic: Joint | None = None,
         multiplier: float = 1.0,
         offset: float = 0.0,
+        after: After = None,
+        opens: Sequence[float] | str | None = None,
     ) -> Joint:
         """Let `child` slide along an axis between two distances [m]; positive pulls it out."""
         given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent", "child")}
@@ -190,6 +200,7 @@ class Object:
         thickness: float = 0.018,
         gap: float = 0.001,
         opens: float | None = None,
+        after: After = None,
         material: str | None = None,
     ) -> Part:
         """Hang a flat door, or a flap, before a front that lies in the plane x.
@@ -204,6 +215,7 @@ class Object:
             thickness: along x.
             gap: left free at all four edges.
             opens: angle when fully open [rad]; by default 1.57 at the sides, 1.5 above and below.
+            after: what must be open first, as for `revolute`.
             material: the parent's by default.
         """
         self._own(parent, "door: parent")
@@ -224,6 +236,7 @@ class Object:
         overlay: float = 0.0,
         gap: float = 0.002,
         travel: float | None = None,
+        after: After = None,
         material: str | None = None,
     ) -> Part:
         """Put a drawer into an opening: a tray behind the plane x and a front before it.
@@ -240,6 +253,7 @@ class Object:
             overlay: how far the front laps over the frame on all sides; 0 leaves a gap instead.
             gap: left free beside and above the tray.
             travel: how far it comes out; three quarters of its depth by default.
+            after: what must be open first, as for `revolute`.
             material: the parent's by default.
         """
         self._own(parent, "drawer: parent")
@@ -308,10 +322,34 @@ class Object:
         if leader is not None and leader._fields["type"] == "ball":
             raise ValueError(f"{what}: cannot follow {leader.name!r}, a ball")
         fields = joint_fields(what, name, kind, parent, child, given)
+        if given.get("after") is not None:
+            fields["after"] = self._openers(given["after"], f"{what}: after")
         take.described(S.Joint, what, **fields)
         joint = Joint(fields, here())
         self._joints.append(joint)
         return joint
+
+    def _openers(self, given: Any, what: str) -> tuple[str, ...]:
+        """Return the names of the joints that open what is given: parts, or joints themselves."""
+        found = []
+        several = given if isinstance(given, list | tuple) else [given]
+        for item in take.sequence(several, what, 1, 8):
+            if isinstance(item, Part):
+                self._own(item, what)
+                joint = next((j for j in self._joints if j._fields["child"] == item.name), None)
+            else:
+                joint = item if item in self._joints else None
+            if joint is None:
+                raise ValueError(
+                    f"{what} must be a part or a joint of this object, or a list of them, whose joint is "
+                    f"made before; got {take.shown(given)}"
+                )
+            if joint._fields["type"] not in ("revolute", "prismatic") or "mimic" in joint._fields:
+                raise ValueError(
+                    f"{what}: {joint.name!r} must be revolute or prismatic and follow no other"
+                )
+            found.append(joint.name)
+        return tuple(dict.fromkeys(found))
 
     def _known_material(self, name: Any, what: str) -> S.Material:
         label = take.name(name, f"{what}: material")

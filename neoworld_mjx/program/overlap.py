@@ -7,6 +7,7 @@ import numpy as np
 
 from ..config import ProgramOptions
 from ..spec import Joint, ObjectSpec
+from ..spec.opening import heeded, opened_for
 from .allowance import Allowance
 from .probe import Near, Probe
 from .signals import Signal
@@ -20,7 +21,9 @@ def overlaps(
 ) -> list[Signal]:
     """Find parts that enter each other at rest, over each joint's range, and in combinations.
 
-    Parts that are fastened to each other may overlap. What is found deepest of a pair is told.
+    A joint that waits for others (`after`) is moved while these stand open, and in combinations only then;
+    they themselves are moved while it is at rest. Parts that are fastened to each other may overlap. What is
+    found deepest of a pair is told.
     """
     spec = probe.spec
     limits = _limits(probe, options, allowances)
@@ -42,20 +45,65 @@ def overlaps(
         pairs = [pair for pair in rest if (pair[0] in moving) != (pair[1] in moving)]
         if _follows(spec, joint):
             pairs += [pair for pair in rest if pair[0] in moving and pair[1] in moving]
-        tried = np.array(pairs, dtype=int)
-        worst: dict[Pair, tuple[float, State]] = {}
-        for state in _positions(joint, options.sweep_steps):
-            probe.place(state)
-            for pair, near in probe.depths(tried).items():
-                if near.distance < worst.get(pair, (-limits[pair], {}))[0]:
-                    worst[pair] = (near.distance, state)
+        opened = opened_for(spec, joint)
+        worst = _swept(probe, joint, opened, pairs, limits, options)
         for pair, (distance, state) in worst.items():
             found.append(_collision(probe, pair, joint, -distance, state, moving, limits[pair]))
         bad |= set(worst)
+        if not bad:
+            found += _needless(probe, joint, opened, pairs, limits, options)
     rest = [pair for pair in every if pair not in bad]
     if len(driven) > 1:
         found += _combinations(probe, driven, rest, limits, options)
     probe.place({})
+    return found
+
+
+def _swept(
+    probe: Probe,
+    joint: Joint,
+    others: State,
+    pairs: list[Pair],
+    limits: dict[Pair, float],
+    options: ProgramOptions,
+) -> dict[Pair, tuple[float, State]]:
+    """Return the pairs that are too deep while a joint moves: distance [m] and the joint's state."""
+    tried = np.array(pairs, dtype=int)
+    worst: dict[Pair, tuple[float, State]] = {}
+    for state in _positions(joint, options.sweep_steps):
+        probe.place({**others, **state})
+        for pair, near in probe.depths(tried).items():
+            if near.distance < worst.get(pair, (-limits[pair], {}))[0]:
+                worst[pair] = (near.distance, state)
+    return worst
+
+
+def _needless(
+    probe: Probe,
+    joint: Joint,
+    opened: State,
+    pairs: list[Pair],
+    limits: dict[Pair, float],
+    options: ProgramOptions,
+) -> list[Signal]:
+    """Refuse to let a joint wait for one that is in nobody's way: it would be tried less for nothing."""
+    found = []
+    for name in joint.after:
+        other = next(j for j in probe.spec.joints if j.name == name)
+        closed = {key: value for key, value in opened.items() if key != name}
+        if _swept(probe, joint, closed, pairs, limits, options):
+            continue
+        found.append(
+            Signal(
+                severity="error",
+                code="after_needless",
+                joint=joint.name,
+                part=joint.child,
+                message=f"joint {joint.name!r} waits for {name!r}, but {other.child!r} is not in its way "
+                "when closed",
+                hint="leave after= out",
+            )
+        )
     return found
 
 
@@ -76,6 +124,7 @@ def _combinations(
         state = {}
         for values, i in zip(reach, index, strict=True):
             state |= values[i]
+        state = heeded(probe.spec, state, opening=k % 2 == 0)
         probe.place(state)
         for pair, near in probe.depths(tried).items():
             if near.distance < worst.get(pair, (-limits[pair], ""))[0]:
@@ -182,8 +231,9 @@ def _collision(
         joint=joint.name,
         part=probe.names[b],
         message=f"joint {joint.name!r} at {at} {unit} drives {probe.names[b]!r} into "
-        f"{probe.names[a]!r}",
+        f"{probe.names[a]!r}" + (f", with {' and '.join(joint.after)} open" if joint.after else ""),
         value=depth,
         threshold=limit,
-        hint="check the sign of the axis (positive opens), the anchor, the range and the clearance",
+        hint="check the sign of the axis (positive opens), the anchor, the range and the clearance; "
+        "what moves only when a door is open says after=",
     )

@@ -25,6 +25,8 @@ _SIDES = {
     **{f"{sign}{axis}": (k, int(sign + "1")) for k, axis in enumerate("xyz") for sign in "+-"},
 }
 
+_WAYS = {**_SIDES, "up": _SIDES["top"], "down": _SIDES["bottom"]}
+
 
 class Shape:
     """A solid that a part may be given, with the size of its bounding box."""
@@ -170,13 +172,13 @@ def hinge_of(
 
 
 def direction(value: Any, what: str) -> tuple[float, float, float]:
-    """Take an axis: three numbers, or a direction in words such as "front" or "-y"."""
+    """Take an axis: three numbers, or a direction in words such as "front", "up" or "-y"."""
     if not isinstance(value, str):
         return take.vector(value, what)
-    if value not in _SIDES:
+    if value not in _WAYS:
         raise ValueError(
-            f"{what} must be (x, y, z) or one of {', '.join(_SIDES)}, got {take.shown(value)}"
+            f"{what} must be (x, y, z) or one of {', '.join(_WAYS)}, got {take.shown(value)}"
         )
-    axis, sign = _SIDES[value]
+    axis, sign = _WAYS[value]
     x, y, z = (sign * np.eye(3)[axis] + 0.0).tolist()
     return x, y, z

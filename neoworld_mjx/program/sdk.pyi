@@ -38,6 +38,8 @@ class Part:
 class Joint:
     name: str
 
+After = Part | Joint | Sequence[Part | Joint] | None
+
 class Object:
     name: str
     label: str
@@ -71,6 +73,8 @@ class Object:
         mimic: Joint | None = None,
         multiplier: float = 1.0,
         offset: float = 0.0,
+        after: After = None,
+        opens: Vec3 | str | None = None,
     ) -> Joint: ...
     def continuous(
         self,
@@ -87,6 +91,7 @@ class Object:
         mimic: Joint | None = None,
         multiplier: float = 1.0,
         offset: float = 0.0,
+        after: After = None,
     ) -> Joint: ...
     def prismatic(
         self,
@@ -105,6 +110,8 @@ class Object:
         mimic: Joint | None = None,
         multiplier: float = 1.0,
         offset: float = 0.0,
+        after: After = None,
+        opens: Vec3 | str | None = None,
     ) -> Joint: ...
     def ball(
         self,
@@ -117,6 +124,7 @@ class Object:
         damping: float | None = None,
         friction: float | None = None,
         stiffness: float = 0.0,
+        after: After = None,
     ) -> Joint: ...
     def door(
         self,
@@ -130,6 +138,7 @@ class Object:
         thickness: float = 0.018,
         gap: float = 0.001,
         opens: float | None = None,
+        after: After = None,
         material: str | None = None,
     ) -> Part: ...
     def drawer(
@@ -146,6 +155,7 @@ class Object:
         overlay: float = 0.0,
         gap: float = 0.002,
         travel: float | None = None,
+        after: After = None,
         material: str | None = None,
     ) -> Part: ...
     def shelf(

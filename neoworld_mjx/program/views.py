@@ -10,6 +10,7 @@ from ..mllm import Picture
 from ..render import View, render_object, to_png
 from ..render.picture import corners
 from ..spec import Camera, ObjectSpec, TreeNode
+from ..spec.opening import heeded
 from ..spec.pose import conjugate, from_yaw, quat_mul, rotate
 
 WIDTH, HEIGHT = 448, 384
@@ -86,4 +87,5 @@ def opened_state(spec: ObjectSpec) -> dict[str, float]:
         turns = joint.type == "continuous"
         far = joint.upper if abs(joint.upper) >= abs(joint.lower) else joint.lower
         state[joint.name] = 0.8 if turns else OPENED * far
-    return state
+    # What a rack waits for stands wide open.
+    return heeded(spec, state, opening=True)

@@ -14,6 +14,7 @@ from .object import (
     bounds,
     inertial,
     link_poses,
+    part_bounds,
     pieces,
     recentred,
 )
@@ -75,6 +76,7 @@ __all__ = [
     "bounds",
     "inertial",
     "link_poses",
+    "part_bounds",
     "pieces",
     "read_scene",
     "rearranged",

@@ -36,6 +36,10 @@ def _is_none(value: object) -> bool:
     return value is None
 
 
+def _is_empty(value: tuple[str, ...]) -> bool:
+    return not value
+
+
 class Material(Spec):
     """What a geom is made of."""
 
@@ -154,6 +158,10 @@ class Joint(Spec):
     effort: Annotated[float, Field(gt=0)] | None = None
     velocity: Annotated[float, Field(gt=0)] | None = None
     mimic: Mimic | None = None
+    after: tuple[Name, ...] = Field(default=(), exclude_if=_is_empty)
+    """Joints that stand at their far end whenever this one is away from 0: a rack's, its door.
+
+    Checks hold it against that; physics does not heed it."""
     intent: Intent | None = Field(default=None, exclude_if=_is_none)
 
     @field_validator("axis")
@@ -216,6 +224,7 @@ class ObjectSpec(Spec):
             if joint.child in parents:
                 raise ValueError(f"part {joint.child} is the child of two joints")
             parents[joint.child] = joint.parent
+            _waits(joint, self.joints)
             if joint.mimic is not None:
                 _known(f"joint {joint.name}: mimic", joint.mimic.joint, joints)
                 if any(o.name == joint.mimic.joint and o.type == "ball" for o in self.joints):
@@ -467,6 +476,33 @@ def recentred(spec: ObjectSpec) -> ObjectSpec:
     return translated(spec, -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]))
 
 
+def part_bounds(spec: ObjectSpec, part: Part) -> tuple[NDArray, NDArray]:
+    """Return the bounds (low [3], high [3]) [m] of a part's colliders at rest."""
+    alone = spec.model_copy(update={"parts": (part,), "joints": (), "sites": ()})
+    return bounds(alone)
+
+
+def _waits(joint: Joint, joints: tuple[Joint, ...]) -> None:
+    """Refuse a joint that waits for what has no far end, for itself, or that is led."""
+    by_name = {other.name: other for other in joints}
+    if joint.after and (joint.type == "fixed" or joint.mimic is not None):
+        raise ValueError(f"joint {joint.name}: what is fixed or follows another cannot wait")
+    waiting, seen = list(joint.after), set()
+    while waiting:
+        name = waiting.pop()
+        _known(f"joint {joint.name}: after", name, set(by_name))
+        if name == joint.name:
+            raise ValueError(f"joint {joint.name}: waits for itself")
+        if by_name[name].type not in ("revolute", "prismatic") or by_name[name].mimic is not None:
+            raise ValueError(
+                f"joint {joint.name}: after takes revolute and prismatic joints that follow no other, "
+                f"got {name}"
+            )
+        if name not in seen:
+            seen.add(name)
+            waiting += by_name[name].after
+
+
 def _normalised(value: tuple[float, ...], what: str) -> tuple:
     length = math.sqrt(sum(v * v for v in value))
     if length < 1e-9:
@@ -508,6 +544,7 @@ __all__ = [
     "joint_motion",
     "joint_position",
     "link_poses",
+    "part_bounds",
     "pieces",
     "quat_mul",
     "recentred",

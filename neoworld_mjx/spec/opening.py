@@ -1,8 +1,8 @@
-"""Which joints the parse means, and where they stand when it shows them open."""
+"""What open means: which joints the parse shows open, which wait for others, and which way they go."""
 
 import numpy as np
 
-from .object import Joint, ObjectSpec
+from .object import Joint, ObjectSpec, joint_motion, part_bounds
 from .tree import PartState, TreeNode
 
 
@@ -52,4 +52,69 @@ def parsed_state(spec: ObjectSpec, node: TreeNode) -> tuple[dict[str, float], li
     return state, left
 
 
-__all__ = ["joint_meant", "opening_value", "parsed_state"]
+def opened_for(spec: ObjectSpec, joint: Joint) -> dict[str, float]:
+    """Return where the joints stand that a joint waits for, and those that these wait for [rad or m]."""
+    by_name = {other.name: other for other in spec.joints}
+    state: dict[str, float] = {}
+    waiting = list(joint.after)
+    while waiting:
+        other = by_name[waiting.pop()]
+        if other.name not in state:
+            state[other.name] = opening_value(other, 1.0)
+            waiting += other.after
+    return state
+
+
+def heeded(spec: ObjectSpec, state: dict[str, float], *, opening: bool) -> dict[str, float]:
+    """Return a state in which no joint is away from 0 without those that it waits for being open.
+
+    Args:
+        spec: the object.
+        state: joint values [rad or m].
+        opening: whether what a joint waits for is opened then; else the joint goes back to 0.
+    """
+    state = dict(state)
+    waiting = [joint for joint in spec.joints if joint.after]
+    for _ in waiting:
+        for joint in waiting:
+            own = [name for name in state if name.partition(".")[0] == joint.name]
+            needed = opened_for(spec, joint)
+            if opening and any(state[name] for name in own):
+                state |= needed
+            elif any(state.get(name, 0.0) != value for name, value in needed.items()):
+                state |= dict.fromkeys(own, 0.0)
+    return state
+
+
+HARDLY = 0.15
+"""A middle that moves less than this share of what the part's size would let it opens no way."""
+
+
+def way_opened(spec: ObjectSpec, joint: Joint) -> float | None:
+    """Return the cosine between a child's way out of rest and the direction it is meant to take.
+
+    The way is that of the middle of its bounding box over the first tenth of its range; None where the
+    axis runs through that middle.
+    """
+    low, high = part_bounds(spec, spec.part(joint.child))
+    width = 2 * np.pi if joint.type == "continuous" else joint.upper - joint.lower
+    middle = (low + high) / 2
+    # A tenth of the way is still straight, yet more than rounding.
+    way = joint_motion(joint, 0.1 * min(width, 1.0)).apply(middle) - middle
+    length = float(np.linalg.norm(way))
+    if joint.type != "prismatic":
+        reach = 0.1 * min(width, 1.0) * float(np.linalg.norm(high - low)) / 2
+        if length < HARDLY * reach:
+            return None
+    goal = np.array(joint.intent.opens if joint.intent and joint.intent.opens else (0, 0, 0), float)
+    return float(way @ goal / max(length * float(np.linalg.norm(goal)), 1e-12))
+
+
+__all__ = [
+    "heeded",
+    "joint_meant",
+    "opened_for",
+    "opening_value",
+    "parsed_state",
+    "way_opened",
+]

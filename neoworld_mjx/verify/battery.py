@@ -20,7 +20,7 @@ from .solid import statics, without_bad_inertia
 from .trial import Trace, Trial
 from .verdict import Check, Fault, Scenario, Verdict
 
-VERSION = "3"
+VERSION = "4"
 """Raised whenever the same object could get another verdict; what is cached goes by it."""
 
 

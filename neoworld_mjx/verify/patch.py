@@ -189,7 +189,10 @@ def _joint(joint: Joint, patch: Patch, shifts: dict[str, np.ndarray]) -> Joint:
     edit = patch.joints.get(joint.name, JointEdit())
     update = edit.model_dump(include={"lower", "upper", "damping", "friction"}, exclude_none=True)
     if joint.type not in ("revolute", "prismatic"):
-        update = {k: v for k, v in update.items() if k not in ("lower", "upper")}
+        # A ball's range begins at 0; the others have none.
+        update = {k: v for k, v in update.items() if k != "lower"}
+        if joint.type != "ball":
+            update.pop("upper", None)
     pos = joint.pos if edit.origin is None else edit.origin
     update["pos"] = tuple(np.add(pos, shifts[joint.parent]).tolist())
     return joint.model_copy(update=update)

@@ -14,15 +14,20 @@ from numpy.typing import NDArray
 from ..config import VerifyOptions
 from ..physics.mjcf import welded
 from ..program.probe import Probe
-from ..spec import Joint, ObjectSpec, bounds
+from ..spec import Joint, ObjectSpec, bounds, part_bounds
 from ..spec.mesh import HELPER
-from ..spec.object import joint_motion
+from ..spec.opening import heeded, opened_for, way_opened
 from .scenarios import SINGLE
-from .solid import part_bounds
 from .verdict import Check, Fault, Limit, judged, skipped
 
 Pair = tuple[int, int]
 Allowed = Mapping[frozenset[str], float]
+_WAYS = [
+    tuple((np.array(way) / np.linalg.norm(way)).tolist())
+    for way in itertools.product((-1, 0, 1), repeat=3)
+    if any(way)
+]
+"""Along the axes, the edges and the diagonals of a cube."""
 AT_ONCE = 0.25
 """A joint that is free over less than this share of its range runs into something at once."""
 
@@ -56,7 +61,7 @@ def ranges(spec: ObjectSpec, options: VerifyOptions, allowed: Allowed | None = N
         if rigid[names[a]] != rigid[names[b]]
     }
     bad = _at_rest(probe, limits, found, options)
-    driven = [j for j in spec.joints if j.type in SINGLE and j.mimic is None]
+    driven = [j for j in spec.joints if j.type != "fixed" and j.mimic is None]
     for joint in driven:
         bad |= _over_range(probe, joint, limits, bad, found, options)
     if len(driven) > 1:
@@ -104,26 +109,28 @@ def _over_range(
     found: Ranges,
     options: VerifyOptions,
 ) -> set[Pair]:
-    """Sweep one joint; a failure says how much of its range around rest is free."""
+    """Sweep one joint, with those open that it waits for; a failure says how much around rest is free."""
     moving = {probe.names.index(name) for name in carried(probe.spec, joint)}
     pairs = [p for p in limits if p not in bad and (p[0] in moving) != (p[1] in moving)]
     if any(j.mimic is not None for j in probe.spec.joints):
         pairs += [p for p in limits if p not in bad and p[0] in moving and p[1] in moving]
     values = positions(joint, options.sweep_steps)
+    opened = opened_for(probe.spec, joint)
     over = np.zeros(len(values))
-    worst: dict[Pair, tuple[float, float]] = {}
+    worst: dict[Pair, tuple[float, float, dict[str, float]]] = {}
     for k, value in enumerate(values):
-        probe.place({joint.name: float(value)})
-        for pair, near in probe.depths(pairs).items():
-            over[k] = max(over[k], -near.distance / limits[pair])
-            if -near.distance > worst.get(pair, (0.0, 0.0))[0]:
-                worst[pair] = (-near.distance, float(value))
+        for state in states(joint, float(value)):
+            probe.place({**opened, **state})
+            for pair, near in probe.depths(pairs).items():
+                over[k] = max(over[k], -near.distance / limits[pair])
+                if -near.distance > worst.get(pair, (0.0,))[0]:
+                    worst[pair] = (-near.distance, float(value), state)
     deepest = max(worst.items(), key=lambda item: item[1][0], default=None)
-    depth, at = (0.0, 0.0) if deepest is None else deepest[1]
+    depth, at, how = (0.0, 0.0, {}) if deepest is None else deepest[1]
     other = ""
     if deepest is not None:
         other = probe.names[next((k for k in deepest[0] if k not in moving), deepest[0][0])]
-    colliding = {p for p, (d, _) in worst.items() if d > limits[p]}
+    colliding = {p for p, (d, *_) in worst.items() if d > limits[p]}
     fault = Fault.LIMIT_INTO_PART
     if colliding:
         free = _free(probe, joint, values, over <= 1.0, pairs, limits)
@@ -140,6 +147,8 @@ def _over_range(
     )
     shown = depth if colliding else min(depth, options.max_depth_m)
     unit = "m" if joint.type == "prismatic" else "rad"
+    told = ", ".join(f"{value:.3g}" for value in how.values())
+    told = f"({told})" if joint.type == "ball" else f"{at:.3g}"
     found.checks.append(
         judged(
             "joint_range",
@@ -149,7 +158,8 @@ def _over_range(
             part=joint.child,
             joint=joint.name,
             at=at,
-            evidence=f"{joint.child} in {other} with {joint.name} at {at:.3g} {unit}",
+            evidence=f"{joint.child} in {other} with {joint.name} at {told} {unit}"
+            + "".join(f", {name} open" for name in opened),
         )
     )
     return colliding
@@ -164,10 +174,14 @@ def _free(
     limits: dict[Pair, float],
 ) -> tuple[float, float]:
     """Return the range around rest in which nothing collides, to a thousandth of the whole."""
+    opened = opened_for(probe.spec, joint)
 
     def clear(value: float) -> bool:
-        probe.place({joint.name: value})
-        return all(-near.distance <= limits[p] for p, near in probe.depths(pairs).items())
+        for state in states(joint, value):
+            probe.place({**opened, **state})
+            if any(-near.distance > limits[p] for p, near in probe.depths(pairs).items()):
+                return False
+        return True
 
     rest = float(np.clip(0.0, values[0], values[-1]))
     if not clear(rest):
@@ -204,11 +218,12 @@ def _better_pivot(
     edges = pivot_edges(joint, low, high)
     if not len(edges) or on_edge(joint, low, high):
         return False
+    opened = opened_for(spec, joint)
     for edge in edges:
         moved = joint.model_copy(update={"pos": tuple(edge.tolist())})
         other = Probe(with_joint(spec, moved))
         for value in positions(joint, options.sweep_steps):
-            other.place({joint.name: float(value)})
+            other.place({**opened, joint.name: float(value)})
             if any(-near.distance > limits[p] for p, near in other.depths(pairs).items()):
                 break
         else:
@@ -248,20 +263,18 @@ def _combined(
     found: Ranges,
     options: VerifyOptions,
 ) -> None:
-    random = np.random.default_rng(0)
+    random, spec = np.random.default_rng(0), probe.spec
     rest = [pair for pair in limits if pair not in bad]
-    ends = {j.name: positions(j, options.sweep_steps) for j in driven}
-    free = {j.name: found.free.get(j.name) for j in driven}
+    ends = [(joint, positions(joint, options.sweep_steps)) for joint in driven]
     worst, shown, limit_at = 0.0, "", options.max_depth_m
     for k in range(options.sweep_combinations):
         # All open and all closed come first: that is where what swings past each other meets.
-        state = {
-            name: float(values[(-1, 0)[k] if k < 2 else random.integers(len(values))])
-            for name, values in ends.items()
-        }
-        for name, span in free.items():
-            if span is not None:
-                state[name] = float(np.clip(state[name], *span))
+        state: dict[str, float] = {}
+        for joint, values in ends:
+            value = float(values[(-1, 0)[k] if k < 2 else random.integers(len(values))])
+            ways = states(joint, float(np.clip(value, *found.free.get(joint.name, (value, value)))))
+            state |= ways[0 if len(ways) == 1 else random.integers(len(ways))]
+        state = heeded(spec, state, opening=k % 2 == 0)
         probe.place(state)
         for pair, near in probe.depths(rest).items():
             if -near.distance > max(worst, limits[pair]):
@@ -346,7 +359,7 @@ def intents(spec: ObjectSpec) -> Iterator[Check]:
                 continue
         if intent.opens is not None and joint.type in SINGLE:
             limit = Limit(threshold=0.3, unit="cosine", fault=Fault.AXIS_REVERSED, least=True)
-            cosine = opening(spec, joint)
+            cosine = way_opened(spec, joint)
             if cosine is None:
                 why = "its middle hardly moves, so it opens no way"
                 yield skipped("intent", f"opens:{joint.name}", why, joint.name)
@@ -368,34 +381,30 @@ def intents(spec: ObjectSpec) -> Iterator[Check]:
             )
 
 
-def opening(spec: ObjectSpec, joint: Joint) -> float | None:
-    """Return the cosine between a child's way out of rest and the direction it is meant to take.
-
-    The way is that of the middle of its bounding box over the first tenth of its range; None where the
-    axis runs through that middle.
-    """
-    low, high = part_bounds(spec, spec.part(joint.child))
-    width = 2 * np.pi if joint.type == "continuous" else joint.upper - joint.lower
-    middle = (low + high) / 2
-    # A tenth of the way is still straight, yet more than rounding.
-    way = joint_motion(joint, 0.1 * min(width, 1.0)).apply(middle) - middle
-    length = float(np.linalg.norm(way))
-    if joint.type != "prismatic":
-        reach = 0.1 * min(width, 1.0) * float(np.linalg.norm(high - low)) / 2
-        if length < 0.15 * reach:
-            return None
-    goal = np.array(joint.intent.opens if joint.intent and joint.intent.opens else (0, 0, 0), float)
-    return float(way @ goal / max(length * float(np.linalg.norm(goal)), 1e-12))
-
-
 def positions(joint: Joint, steps: int) -> NDArray:
-    """Return values that cover a joint's range."""
+    """Return values that cover a joint's range; of a ball, how far it turns away from rest [rad]."""
     if joint.type == "continuous":
         return np.linspace(0, 2 * np.pi, steps + 3, endpoint=False)
-    values = np.linspace(joint.lower, joint.upper, steps)
+    lower, upper = joint.lower, joint.upper
+    if joint.type == "ball":
+        # Each is tried in many directions, so fewer do.
+        upper, steps = upper or np.pi, max(steps // 2, 3)
+    values = np.linspace(lower, upper, steps)
     # The first and last bit of a range are where it meets what stops it.
-    edge = 0.02 * (joint.upper - joint.lower)
-    return np.unique(np.concatenate([values, [joint.lower + edge, joint.upper - edge]]))
+    edge = 0.02 * (upper - lower)
+    return np.unique(np.concatenate([values, [lower + edge, upper - edge]]))
+
+
+def states(joint: Joint, value: float) -> list[dict[str, float]]:
+    """Return the states in which a joint stands at a value: a ball turned by it in 26 directions."""
+    if joint.type != "ball":
+        return [{joint.name: value}]
+    if value == 0.0:
+        return [{f"{joint.name}.{axis}": 0.0 for axis in "xyz"}]
+    return [
+        {f"{joint.name}.{axis}": value * w for axis, w in zip("xyz", way, strict=True)}
+        for way in _WAYS
+    ]
 
 
 def carried(spec: ObjectSpec, joint: Joint) -> set[str]:
@@ -427,9 +436,9 @@ __all__ = [
     "intents",
     "line_misses",
     "on_edge",
-    "opening",
     "pivot_edges",
     "positions",
     "ranges",
+    "states",
     "with_joint",
 ]

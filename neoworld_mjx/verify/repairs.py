@@ -12,13 +12,12 @@ import mujoco
 import numpy as np
 
 from ..errors import SpecError
-from ..spec import Joint, ObjectSpec, inertial
+from ..spec import Joint, ObjectSpec, inertial, part_bounds
 from ..spec.object import Vec3
 from ..spec.pose import rotate
 from .battery import Battery
 from .patch import GeomEdit, JointEdit, PartEdit, Patch, apply
 from .ranges import on_edge, pivot_edges
-from .solid import part_bounds
 from .verdict import Check, Fault, Verdict
 
 SETTLING_S = 0.4
@@ -143,7 +142,9 @@ def _cut_limits(battery: Battery, check: Check) -> Iterator[Patch]:
     low, high = battery.swept.free[check.joint]
     joint = _joint(battery, check.joint)
     # Rest belongs to the range, and rounding must not take it out.
-    cut = JointEdit(lower=max(low, joint.lower), upper=min(high, joint.upper))
+    # A ball without a limit states 0.
+    upper = high if joint.type == "ball" else min(high, joint.upper)
+    cut = JointEdit(lower=max(low, joint.lower), upper=upper)
     if low < high:
         yield Patch(joints={joint.name: cut})
 

@@ -44,6 +44,8 @@ class Run:
     """Turn at the start about x and about y, on top of how it rests [rad]."""
     joints: dict[str, float] = field(default_factory=dict)
     """Where joints start [rad or m]."""
+    propped: frozenset[str] = frozenset()
+    """Joints that are kept where they start: the door of a rack that is moved."""
     speeds: dict[str, float] = field(default_factory=dict)
     """How fast they start."""
     part: str | None = None
@@ -68,6 +70,8 @@ class Moving:
     high: float
     """Its range [rad or m]; one turn for a continuous joint."""
     sprung: bool = False
+    opened: dict[str, float] = field(default_factory=dict)
+    """Where the joints stand that it waits for [rad or m]."""
 
     @property
     def middle(self) -> float:
@@ -129,21 +133,25 @@ def releases(joint: Moving) -> list[Run]:
     """Let a joint go from low, middle and high, leave it alone without weight, and let it coast."""
     runs = [
         Run(
-            "joint_release", f"release:{joint.name}:{where}", "held", joints={joint.name: value},
-            joint=joint.name,
+            "joint_release", f"release:{joint.name}:{where}", "held", joint=joint.name,
+            joints={**joint.opened, joint.name: value}, propped=frozenset(joint.opened),
         )
         for where, value in (("low", joint.low), ("middle", joint.middle), ("high", joint.high))
     ]  # fmt: skip
-    middle = {joint.name: joint.middle}
+    middle = {**joint.opened, joint.name: joint.middle}
+    propped = frozenset(joint.opened)
     runs.append(
-        Run("joint_release", f"still:{joint.name}", "weightless", joints=middle, joint=joint.name)
-    )
+        Run(
+            "joint_release", f"still:{joint.name}", "weightless", joints=middle, joint=joint.name,
+            propped=propped,
+        )
+    )  # fmt: skip
     # Without losses it would take a second to the end of its range.
     speed = {joint.name: (joint.high - joint.low) / 2}
     runs.append(
         Run(
             "joint_release", f"coast:{joint.name}", "weightless", joints=middle, speeds=speed,
-            joint=joint.name,
+            joint=joint.name, propped=propped,
         )
     )  # fmt: skip
     return runs
@@ -153,8 +161,8 @@ def drives(joint: Moving) -> list[Run]:
     """Drive a joint up its range and down again, with and without gravity."""
     return [
         Run(
-            "joint_drive", f"{name}:{joint.name}", world, joints={joint.name: joint.low},
-            joint=joint.name, driven=True,
+            "joint_drive", f"{name}:{joint.name}", world, joint=joint.name, driven=True,
+            joints={**joint.opened, joint.name: joint.low}, propped=frozenset(joint.opened),
         )
         for name, world in _DRIVES
     ]  # fmt: skip

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..config import VerifyOptions
-from ..spec import ObjectSpec, Part, bounds, inertial, pieces
+from ..spec import ObjectSpec, Part, inertial, part_bounds, pieces
 from ..spec.convex import Piece, mass_properties, planes
 from ..spec.mesh import UNKNOWN
 from ..spec.pose import Pose
@@ -158,12 +158,6 @@ def distance_out(points: NDArray, solids: list[tuple[Piece, Pose]]) -> NDArray:
     return nearest
 
 
-def part_bounds(spec: ObjectSpec, part: Part) -> tuple[NDArray, NDArray]:
-    """Return the bounds (low [3], high [3]) [m] of a part's colliders at rest."""
-    alone = spec.model_copy(update={"parts": (part,), "joints": (), "sites": ()})
-    return bounds(alone)
-
-
 def without_bad_inertia(spec: ObjectSpec, checks: list[Check]) -> ObjectSpec:
     """Return the object with impossible inertias recomputed, so that the rest can be tried."""
     bad = {c.part for c in checks if c.outcome == "FAIL" and c.fault is Fault.INERTIA_IMPOSSIBLE}
@@ -182,7 +176,6 @@ def statics(spec: ObjectSpec, options: VerifyOptions) -> list[Check]:
 
 __all__ = [
     "distance_out",
-    "part_bounds",
     "seen_points",
     "statics",
     "without_bad_inertia",

@@ -12,6 +12,7 @@ from ..mllm import Picture
 from ..render import View, render_scene, to_png
 from ..render.picture import corners
 from ..spec import SceneObject, SceneSpec
+from ..spec.opening import opened_for
 from .battery import Battery
 from .scenarios import SINGLE
 from .trial import Trace
@@ -55,6 +56,8 @@ def strips(battery: Battery) -> list[Strip]:
         filter(doubtful, battery.verdict.checks), key=lambda c: (order[c.outcome], -c.margin)
     )
     by_name = {trace.run.name: trace for trace in battery.traces}
+    # Four frames of one value do not show which way a ball was turned; its evidence says so.
+    balls = {j.name for j in battery.spec.joints if j.type == "ball"}
     found: list[Strip] = []
     shown: set[str] = set()
     for check in checks:
@@ -62,7 +65,7 @@ def strips(battery: Battery) -> list[Strip]:
             break
         trace = by_name.get(check.evidence.removeprefix("run ")) if check.evidence else None
         key = trace.run.name if trace is not None else f"{check.joint}:{check.at}"
-        if key in shown or (trace is None and check.joint is None):
+        if key in shown or (trace is None and check.joint in {None, *balls}):
             continue
         shown.add(key)
         label = f"{check.scenario} {check.name}"
@@ -93,13 +96,14 @@ def _of_run(battery: Battery, trace: Trace, label: str) -> Strip:
 
 
 def _of_joint(battery: Battery, check: Check, label: str) -> Strip:
-    """Draw a joint from rest to where it was worst."""
+    """Draw a joint from rest to where it was worst, with those open that it waits for."""
     worst = check.at if check.at is not None else 0.0
     joint = next(j for j in battery.spec.joints if j.name == check.joint)
     if check.at is None and joint.type in ("revolute", "prismatic"):
         worst = joint.upper
     values = [worst * k / (FRAMES - 1) for k in range(FRAMES)]
-    state = lambda value: {joint.name: value} if joint.type in SINGLE else {}
+    opened = opened_for(battery.spec, joint)
+    state = lambda value: {**opened, joint.name: value} if joint.type in SINGLE else {}
     items = [_posed(battery, state(v), np.zeros(3), np.array([1.0, 0, 0, 0])) for v in values]
     return _strip(label, items, [f"{joint.name[:20]} = {v:.3g}" for v in values])
 

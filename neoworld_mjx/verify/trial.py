@@ -20,6 +20,7 @@ from ..config import VerifyOptions
 from ..physics.mjcf import START, body_name, to_mjspec, welded
 from ..spec import ObjectSpec, bounds
 from ..spec.object import Quat, joint_value
+from ..spec.opening import opened_for
 from ..spec.pose import IDENTITY, from_axis_angle, quat_mul
 from .scenarios import SINGLE, STILL_S, Moving, Run, World, slope_at
 
@@ -79,6 +80,7 @@ class Trial:
         # Dry friction of joints would creep too, and a joint that is stuck would seem to move.
         free.dof_solimp[:, :2] = 0.9999
         self.models: dict[World, mujoco.MjModel] = {"free": free}
+        self._propped: dict[tuple[World, frozenset[str]], mujoco.MjModel] = {}
         self.data = mujoco.MjData(free)
         self.root = free.body(spec.name).id
         self.floor = free.geom(FLOOR).id
@@ -90,6 +92,8 @@ class Trial:
         heavy = np.repeat([1.0, float(self.size @ self.size)], 3) * self.mass * MOUNTAIN
         held.dof_armature[:6] = heavy
         mujoco.mj_setConst(held, mujoco.MjData(held))
+        # At MuJoCo's own a lever of a few grams beside such a base is not solved, and trembles.
+        held.opt.tolerance = 1e-15
         self.models["held"] = held
         # MuJoCo's contacts creep under a steady pull; on the slope they must hold until they slide.
         gripping = copy.copy(free)
@@ -109,12 +113,31 @@ class Trial:
         joint = next(j for j in self.spec.joints if j.name == name)
         turns = joint.type == "continuous"
         low, high = (-np.pi, np.pi) if turns else (joint.lower, joint.upper)
-        return Moving(name, joint.child, float(low), float(high), joint.stiffness > 0)
+        opened = opened_for(self.spec, joint)
+        return Moving(name, joint.child, float(low), float(high), joint.stiffness > 0, opened)
 
     @property
     def model(self) -> mujoco.MjModel:
         """The model in which the object is free."""
         return self.models["free"]
+
+    def model_of(self, run: Run) -> mujoco.MjModel:
+        """Return the model of a run: its world, with what is propped as hard to move as a mountain."""
+        if not run.propped:
+            return self.models[run.world]
+        key = (run.world, run.propped)
+        if key not in self._propped:
+            model = copy.copy(self.models[run.world])
+            data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+            mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
+            mujoco.mj_forward(model, data)
+            mujoco.mj_fullM(model, data, full)
+            for joint in run.propped:
+                _, dof = self.address(joint)
+                model.dof_armature[dof] += MOUNTAIN * full[dof, dof]
+            mujoco.mj_setConst(model, mujoco.MjData(model))
+            self._propped[key] = model
+        return self._propped[key]
 
     def address(self, joint: str) -> tuple[int, int]:
         """Return where a joint's coordinate and velocity are in qpos and qvel."""
@@ -123,7 +146,7 @@ class Trial:
 
     def start(self, run: Run) -> NDArray:
         """Return the state in which a run begins, as MuJoCo lays it out."""
-        model, data = self.models[run.world], self.data
+        model, data = self.model_of(run), self.data
         mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
         quat = quat_mul(
             quat_mul(
@@ -152,7 +175,7 @@ class Trial:
 
     def forces(self, run: Run, start: NDArray) -> NDArray:
         """Return the forces of a run [t, nv + 6 nbody]: on joints, then on bodies in the world."""
-        model, data, o = self.models[run.world], self.data, self.options
+        model, data, o = self.model_of(run), self.data, self.options
         steps = round(o.duration_s / o.timestep_s)
         time = np.arange(steps) * o.timestep_s
         joint = np.zeros((steps, model.nv))
@@ -201,13 +224,15 @@ class Trial:
         hand has at the child's far end.
         """
         assert run.joint is not None
-        model, o = self.models[run.world], self.options
+        model, o = self.model_of(run), self.options
         at, dof = self.address(run.joint)
         moving = next(j for j in self.joints if j.name == run.joint)
         data = mujoco.MjData(model)
         load, inertia = 0.0, 0.0
         for value in np.linspace(moving.low, moving.high, 5):
             data.qpos[:] = model.key_qpos[0]
+            for joint in run.propped:
+                data.qpos[self.address(joint)[0]] = run.joints[joint]
             data.qpos[at] = value
             mujoco.mj_forward(model, data)
             full = np.zeros((model.nv, model.nv))
@@ -253,7 +278,7 @@ class Trial:
                 forces = np.array(
                     [self.forces(run, start) for run, start in zip(few, starts, strict=True)]
                 )
-                models = [self.models[run.world] for run in few]
+                models = [self.model_of(run) for run in few]
                 states, sensed = pool.rollout(
                     models, data, starts, forces, control_spec=_FORCES, nstep=steps
                 )

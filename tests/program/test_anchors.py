@@ -81,7 +81,7 @@ def test_words_for_axes_and_points():
         ("o.revolute('j', body, p, at='left.top.hinge', range=(0, 1))", "one edge of a flat part"),
         ("o.revolute('j', body, p, at='lft.hinge', range=(0, 1))", "got 'lft'"),
         ("o.revolute('j', body, p, at='left', range=(0, 1))", "needs axis="),
-        ("o.revolute('j', body, p, at='left', axis='up', range=(0, 1))", "one of front"),
+        ("o.revolute('j', body, p, at='left', axis='upwards', range=(0, 1))", "one of front"),
         ("mirror((0, 0, 0), 'w')", "across"),
         ("mirror([])", "1 to 1000"),
         ("mirror([(0, 0)])", "3 entries"),

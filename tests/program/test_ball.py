@@ -5,10 +5,13 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.export import export_object, mechanism, read_mjcf, read_urdf, read_usd
+from neoworld_mjx.export.import_urdf import import_urdf
 from neoworld_mjx.physics.mjcf import START, to_mjspec
 from neoworld_mjx.program import build
 from neoworld_mjx.spec import Joint, SceneObject, SceneSpec, link_poses, scale
 from neoworld_mjx.spec.pose import angle_between, from_axis_angle, quat_mul, rotate
+from neoworld_mjx.verify import Battery, verify
+from neoworld_mjx.verify.repairs import repair
 
 LAMP = """
 from neoworld_mjx.program.sdk import Object, cylinder, frustum, sphere
@@ -96,6 +99,51 @@ def test_urdf_has_three_hinges_through_one_point(lamp, tmp_path):
         sum(link.mass for link in mechanism(lamp).links.values()), rel=1e-5
     )
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "object.urdf")).njnt == 3
+
+
+def test_our_urdf_gives_the_ball_again(lamp, tmp_path):
+    export_object(lamp, tmp_path)
+    path = tmp_path / "object.urdf"
+    made = import_urdf(path)
+    (joint,) = made.spec.joints
+    was = lamp.joints[0]
+    assert (joint.name, joint.type, joint.parent, joint.child) == ("neck", "ball", "foot", "head")
+    assert (joint.upper, joint.lower) == (pytest.approx(0.3), 0.0)
+    assert (joint.damping, joint.friction) == pytest.approx((was.damping, was.friction))
+    assert np.allclose(joint.pos, was.pos, atol=1e-6)
+    assert [part.name for part in made.spec.parts] == ["foot", "head"]
+    assert made.notes == ()
+    text = path.read_text()
+    for old, new, notes in (
+        ("neoworld>", "elsewhere>", 0),
+        ('<axis xyz="0 1 0"', '<axis xyz="0 0 1"', 1),
+        ('lower="-0.3"', 'lower="-0.2"', 1),
+        (
+            '<link name="neck_x_link">',
+            '<link name="neck_x_link"><collision><geometry>'
+            '<sphere radius="0.001"/></geometry></collision>',
+            1,
+        ),
+    ):
+        assert old in text
+        path.write_text(text.replace(old, new))
+        hinges = import_urdf(path)
+        assert [j.type for j in hinges.spec.joints] == ["revolute"] * 3
+        said = [note for note in hinges.notes if "ball neck is not as it was written" in note]
+        assert len(said) == notes
+
+
+def test_the_battery_swings_it(lamp):
+    assert verify(lamp).passed
+    far = lamp.joints[0].model_copy(update={"upper": 2.5})
+    spec = lamp.model_copy(update={"joints": (far,)})
+    battery = Battery(spec)
+    check = next(c for c in battery.verdict.checks if c.name == "depth:neck")
+    assert check.outcome == "FAIL" and check.value > 0.001
+    low, high = battery.swept.free["neck"]
+    assert low == 0.0 and 0.3 < high < 2.5
+    mended = repair(spec, Battery, first=battery)
+    assert mended.after.passed and mended.spec.joints[0].upper == pytest.approx(high)
 
 
 def test_physics_begins_where_the_state_says_and_stays_in_the_cone(lamp):

@@ -10,6 +10,7 @@ from neoworld_mjx.program import build
 from neoworld_mjx.program.materials import MATERIALS
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.spec import bounds, link_poses
+from neoworld_mjx.verify import verify
 
 GUIDE = resources.files("neoworld_mjx.program").joinpath("guide.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", GUIDE, re.DOTALL)
@@ -27,6 +28,14 @@ def test_every_block_builds_cleanly_and_alike(text: str):
         low, high = bounds(built.spec)
         wanted = np.array([float(v) for v in given.groups()])
         assert np.abs((high - low) / wanted - 1).max() < 0.03
+
+
+@pytest.mark.parametrize("text", BLOCKS, ids=lambda text: re.search(r'Object\("(\w+)', text)[1])
+def test_every_block_behaves(text: str):
+    spec = build(text).spec
+    assert spec is not None
+    verdict = verify(spec)
+    assert verdict.passed, [(c.name, c.value) for c in verdict.checks if c.outcome == "FAIL"]
 
 
 def test_the_page_of_the_docs_builds_too():

@@ -1,0 +1,225 @@
+"""What a joint is for: what must be open before it moves, and which way it opens."""
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.config import ProgramOptions
+from neoworld_mjx.program import build
+from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.program.views import opened_state
+from neoworld_mjx.spec import ObjectSpec
+from neoworld_mjx.spec.opening import heeded, opened_for
+from neoworld_mjx.verify import Battery
+from neoworld_mjx.verify.strips import _of_joint
+
+OVEN = """
+from neoworld_mjx.program.sdk import Object, box, hollow_box
+o = Object("oven")
+body = o.part("body", material="insulated")
+shell = body.add(hollow_box((0.5, 0.6, 0.5), 0.04, open="+x"), by="bottom")
+x = shell.anchor("front")[0]
+flap = o.door("flap", body, x=x, y=(-0.3, 0.3), z=(0, 0.5), hinge="{hinge}", opens={opens})
+for side in (-1, 1):
+    body.add(box((0.4, 0.02, 0.01)), at=(0, side * 0.25, 0.3))
+tray = o.part("tray", material="steel")
+tray.add(hollow_box((0.4, {wide}, 0.03), 0.002), at=(x - {back}, 0, 0.3055), by="front.bottom")
+slide = o.prismatic("slide", body, tray, axis="front", range=({low}, 0.25){after})
+"""
+GIVEN = {
+    "hinge": "bottom",
+    "opens": "1.5",
+    "wide": "0.516",
+    "back": "0.01",
+    "low": "0",
+    "after": ", after=flap",
+}
+
+
+def oven(**changes: str) -> str:
+    return OVEN.format(**{**GIVEN, **changes})
+
+
+def told(text: str) -> dict[str, str]:
+    return {signal.code: signal.message for signal in build(text).signals}
+
+
+def spec_of(text: str) -> ObjectSpec:
+    built = build(text)
+    assert built.spec is not None and built.signals == (), [s.phrase() for s in built.signals]
+    return built.spec
+
+
+@pytest.mark.parametrize("given", ["flap", "[flap]", "(flap, flap)"])
+def test_a_tray_slides_out_once_its_flap_is_open(given: str):
+    assert "drives 'tray' into 'flap'" in told(oven(after=""))["overlap_in_motion"]
+    text = oven(after=f", after={given}")
+    spec = spec_of(text)
+    joint = spec.joints[1]
+    assert joint.after == ("flap_hinge",)
+    assert opened_for(spec, joint) == {"flap_hinge": 1.5}
+    trusted = run(text, ProgramOptions(sandbox="cpython")).spec
+    assert trusted is not None and trusted.to_json() == spec.to_json()
+    assert ObjectSpec.model_validate_json(spec.to_json()) == spec
+
+
+def test_a_joint_that_waits_for_nothing_is_written_as_before():
+    assert "after" not in spec_of(oven(after="", low="-0.01").replace("0.25)", "0)")).to_json()
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "words"),
+    [
+        # The flap is tried with the tray in.
+        ({"back": "-0.005"}, "overlap_at_rest", "'flap' and 'tray'"),
+        # The tray is tried over its whole range, against all others and the open flap too.
+        ({"wide": "0.53"}, "overlap_at_rest", "'body' and 'tray'"),
+        ({"opens": "0.4"}, "overlap_in_motion", "into 'flap', with flap_hinge open"),
+        ({"low": "-0.08"}, "overlap_in_motion", "'slide' at -0.08 m drives 'tray' into 'body'"),
+    ],
+)
+def test_nothing_is_tried_less(changes: dict[str, str], code: str, words: str):
+    assert words in told(oven(**changes))[code]
+
+
+def test_what_it_waits_for_must_be_in_its_way():
+    text = oven().replace("range=(0, 0.25)", "range=(-0.01, 0)")
+    assert "'flap' is not in its way" in told(text)["after_needless"]
+
+
+def test_combinations_hold_only_what_can_be():
+    text = oven() + (
+        "lid = o.part('lid', material='oak')\n"
+        "lid.add(box((0.2, 0.3, 0.02)), at=shell.anchor('top'), by='bottom')\n"
+        "o.revolute('lift', body, lid, at='back.hinge', range=(0, 1))\n"
+    )
+    spec = spec_of(text)
+    state = {"flap_hinge": 0.7, "slide": 0.1, "lift": 0.3}
+    assert heeded(spec, state, opening=True) == {**state, "flap_hinge": 1.5}
+    assert heeded(spec, state, opening=False) == {**state, "slide": 0.0}
+    closed = {**state, "slide": 0.0}
+    assert heeded(spec, closed, opening=True) == closed
+    assert opened_state(spec)["flap_hinge"] == 1.5
+
+
+def test_what_waits_may_be_waited_for():
+    text = oven(hinge="left", opens="1.57") + (
+        "cup = o.part('cup', material='steel')\n"
+        "cup.add(hollow_box((0.1, 0.1, 0.02), 0.002), at=tray.anchor('centre'))\n"
+        "o.prismatic('lift', tray, cup, axis='up', range=(0, 0.3), after=slide)\n"
+    )
+    spec = run(text).spec
+    assert spec is not None
+    assert opened_for(spec, spec.joints[2]) == {"slide": 0.25, "flap_hinge": 1.57}
+    state = {"lift": 0.1, "slide": 0.25, "flap_hinge": 1.0}
+    assert heeded(spec, state, opening=False) == {"lift": 0.0, "slide": 0.0, "flap_hinge": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("after", "words"),
+    [
+        ("body", "must be a part or a joint"),
+        ("tray", "must be a part or a joint"),
+        ("[]", "after"),
+        ("'flap'", "Part | Joint"),
+        ("3", "Part | Joint"),
+    ],
+)
+def test_what_it_cannot_wait_for(after: str, words: str):
+    messages = " ".join(told(oven(after=f", after={after}")).values())
+    assert words in messages
+
+
+def test_the_description_refuses_it_too():
+    spec = spec_of(oven())
+
+    def joined(**update: object) -> None:
+        joints = [j.model_dump() for j in spec.joints]
+        joints[0] |= update
+        ObjectSpec.model_validate({**spec.model_dump(), "joints": joints})
+
+    joined()
+    for update, words in (
+        ({"after": ("slide",)}, "waits for itself"),
+        ({"after": ("sli",)}, "slide"),
+        ({"after": ("flap_hinge",)}, "waits for itself"),
+        ({"type": "continuous"}, "takes revolute and prismatic"),
+        ({"mimic": {"joint": "slide"}}, "follow no other"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            joined(**update)
+
+
+def test_a_follower_does_not_wait():
+    text = oven(after="") + "knob = o.part('knob', material='steel')\n"
+    text += "knob.add(box((0.02, 0.02, 0.02)), at=shell.anchor('top'), by='bottom')\n"
+    text += "o.prismatic('k', body, knob, axis='up', range=(0, 0.1), mimic=slide, after=flap)\n"
+    assert "belongs to 'slide'" in " ".join(told(text).values())
+
+
+@pytest.mark.parametrize("hinge", ["bottom", "top", "left"])
+def test_the_battery_tries_the_tray_with_its_flap_held_open(hinge: str):
+    spec = spec_of(oven(hinge=hinge, opens="1.57" if hinge == "left" else "1.5"))
+    battery = Battery(spec)
+    assert battery.verdict.passed, [c for c in battery.verdict.checks if c.outcome == "FAIL"]
+    assert battery.trial is not None
+    flap, tray = (battery.trial.address(name)[0] for name in ("flap_hinge", "slide"))
+    seen = 0
+    for trace in battery.traces:
+        if trace.run.joint == "slide":
+            seen += 1
+            # A flap hung above would fall on the tray, were it not held.
+            assert np.abs(trace.qpos[:, flap] - spec.joints[0].upper).max() < 1e-3
+        if trace.run.joint == "flap_hinge":
+            assert abs(trace.qpos[0, tray]) < 1e-9
+    assert seen == 7
+
+
+def test_without_the_word_the_battery_refuses_it():
+    spec = spec_of(oven())
+    joints = tuple(j.model_copy(update={"after": ()}) for j in spec.joints)
+    verdict = Battery(spec.model_copy(update={"joints": joints})).verdict
+    bad = {c.name for c in verdict.checks if c.outcome == "FAIL"}
+    assert "depth:slide" in bad
+
+
+LID = """
+from neoworld_mjx.program.sdk import Object, box, cylinder
+o = Object("chest")
+body = o.part("body", material="oak")
+body.add(box((0.3, 0.4, 0.2)), by="bottom")
+lid = o.part("lid", material="oak")
+lid.add(box((0.3, 0.4, 0.02)), at=body.anchor("top"), by="bottom")
+o.revolute("hinge", body, lid, at={at}, axis={axis}, range={range}, opens={opens})
+"""
+
+
+@pytest.mark.parametrize(
+    ("changes", "codes"),
+    [
+        ({}, set()),
+        ({"opens": "'top'"}, set()),
+        ({"opens": "(0, 0, 2)"}, set()),
+        ({"opens": "'down'"}, {"opens_wrong_way"}),
+        ({"opens": "'left'"}, {"opens_wrong_way"}),
+        # Turned the wrong way it goes through the chest as well.
+        ({"axis": "(0, 1, 0)"}, {"opens_wrong_way", "overlap_in_motion"}),
+        ({"axis": "(0, 1, 0)", "range": "(-1, 0)"}, {"opens_wrong_way"}),
+        ({"at": "'centre'", "axis": "'up'"}, {"opens_no_way"}),
+        ({"opens": "'upwards'"}, {"value"}),
+    ],
+)
+def test_the_way_it_opens_is_held_against_its_axis(changes: dict[str, str], codes: set[str]):
+    given = {"at": "'back.hinge'", "axis": "None", "range": "(0, 1)", "opens": "'up'"} | changes
+    assert set(told(LID.format(**given))) == codes
+
+
+def test_doors_and_drawers_say_which_way_they_open():
+    joint = spec_of(oven()).joints[0]
+    assert joint.intent is not None and joint.intent.opens == (1.0, 0.0, 0.0)
+
+
+def test_key_frames_show_what_stands_open():
+    battery = Battery(spec_of(oven()))
+    check = next(c for c in battery.verdict.checks if c.name == "depth:slide")
+    shown = _of_joint(battery, check.model_copy(update={"at": 0.25}), "depth").shows
+    assert "'flap_hinge': 1.5" in shown and "'slide': 0.25" in shown
