@@ -103,7 +103,17 @@ def _print(answer: Answer, indent: str = "") -> None:
 
 
 _TABLES = {
-    "checks": ("outcome", "scenario", "name", "value", "threshold", "unit", "fault", "hint"),
+    "checks": (
+        "outcome",
+        "doubtful",
+        "scenario",
+        "name",
+        "value",
+        "threshold",
+        "unit",
+        "fault",
+        "hint",
+    ),
     "points": ("point", "n", "passed", "reward", "d_drift", "s_sem", "rollouts", "seconds"),
     "differences": ("point", "n", "passed", "reward", "d_drift", "s_sem", "rollouts", "seconds"),
     "matrix": ("kind", "n", "detected", "named", "repaired"),

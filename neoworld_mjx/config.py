@@ -165,7 +165,8 @@ class VerifyOptions(Options):
     rounds: int = Field(default=6, ge=0)
     """How many repairs of an object may be tried; 0 leaves objects as they are."""
     critic: bool = False
-    """Whether the critic looks at key frames of what failed, and its edits are tried too."""
+    """Whether the critic looks at key frames of what failed or only just passed, and its edits of what
+    failed are tried too."""
 
 
 class ComposeOptions(Options):

@@ -21,6 +21,7 @@ from .config import Config, load_config, merged
 from .errors import ProgramError, RunError, SpecError
 from .mllm import Panel, Picture, open_panel
 from .parse.photo import Photo, load_photo
+from .program.allowance import Allowance
 from .run_folder import STEPS, RunFolder, read_run
 from .spec import ObjectSpec, SceneSpec, SceneTree, TreeNode
 
@@ -271,28 +272,32 @@ def _program(run: RunFolder, photo: Photo, models: Panel, config: Config) -> Non
 
 
 def _verify(run: RunFolder, models: Panel, config: Config) -> None:
-    from .compose.lying import resting_tilt
-    from .spec.pose import IDENTITY
+    from .compose.lying import alone, on_level
     from .verify import make_sound, write_overlay
 
-    for node in _tree(run).nodes:
+    tree = _tree(run)
+    for node in tree.nodes:
         name = f"verify/{node.name}"
-        spec = run.path / "objects" / node.name / "spec.json"
-        # What leans or hangs is held by what it leans on; by itself it would only fall.
-        fixed = node.environment or node.fixed_base or node.relation in ("leaning", "attached")
-        inputs = {"spec": spec, "options": config.verify, "fixed": fixed, "tilt": node.base_tilt}
-        with run.step(name, inputs) as out:
+        home = run.path / "objects" / node.name
+        spec, program = home / "spec.json", home / "program.json"
+        level = on_level(node, tree)
+        inputs = {"spec": spec, "program": program, "options": config.verify}
+        with run.step(name, {**inputs, "node": node, "level": level}) as out:
             if out is None:
                 continue
             made = _object(spec)
-            tilt = node.base_tilt
-            if not np.allclose(tilt, IDENTITY):
-                tilt = resting_tilt(made, {}, tilt) or IDENTITY
-            asked = models if config.verify.critic else None
-            result = make_sound(made, config.verify, fixed_base=fixed, tilt=tilt, models=asked)
+            tilt, held = alone(node, made, level=level)
+            result = make_sound(
+                made,
+                config.verify,
+                fixed_base=held,
+                tilt=tilt,
+                allowed=_allowances(program),
+                models=models if config.verify.critic else None,
+            )
             home = out / "objects" / node.name
             home.mkdir(parents=True)
-            (home / "verify.json").write_text(result.verdict.to_json())
+            (home / "verify.json").write_text(result.to_json())
             if not result.patch.empty:
                 write_overlay(home / "program.py", result.patch)
                 (home / VERIFIED).write_text(result.applied(made).to_json())
@@ -442,6 +447,14 @@ def _object(path: Path) -> ObjectSpec:
         return ObjectSpec.model_validate_json(path.read_text())
     except ValueError as error:
         raise SpecError(f"{path} is not an object: {error}") from None
+
+
+def _allowances(path: Path) -> list[Allowance]:
+    """Return the overlaps that a program declares, from what its step wrote down of it."""
+    try:
+        return [Allowance(**one) for one in json.loads(path.read_text())["allowances"]]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SpecError(f"{path} lists no allowances of the program: {error}") from None
 
 
 def _scene(run: RunFolder) -> SceneSpec:

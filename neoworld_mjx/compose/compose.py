@@ -26,7 +26,7 @@ from ..spec import (
 from ..spec.object import Quat
 from ..spec.opening import joint_meant, parsed_state
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
-from .lying import resting_tilt
+from .lying import on_level, resting_tilt
 
 NOTED_TURN_DEG = 2.0
 
@@ -154,7 +154,7 @@ def _place(
     box = _parsed_pose(node, tilted=False)
     here = frame.inverse().then(box).then(_origin_in_box(spec, state))
     # What lies on a dish or a slope is held by it: only on level ground is its rest its own.
-    level = node.parent is not None and tree.node(node.parent).environment
+    level = on_level(node, tree)
     tilt, aside = _lying(node, spec, state, notes) if level else (node.base_tilt, np.zeros(3))
     here = here.then(pose(aside))
     fixed = node.fixed_base
@@ -189,7 +189,7 @@ def _lying(
     """Return the tilt at which a thing that lies comes to rest, and how far its origin shifts [m]."""
     seen = node.base_tilt
     upright = np.allclose(seen, IDENTITY)
-    if upright or node.relation != "on" or node.fixed_base or node.environment:
+    if upright or node.fixed_base or node.environment:
         return seen, np.zeros(3)
     tilt = resting_tilt(spec, state, seen)
     if tilt is None:

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from ..spec import ObjectSpec, inertial, link_poses, pieces
+from ..spec import ObjectSpec, SceneTree, TreeNode, inertial, link_poses, pieces
 from ..spec.convex import Piece
 from ..spec.object import Quat
-from ..spec.pose import conjugate, from_axis_angle, quat_mul, rotate
+from ..spec.pose import IDENTITY, conjugate, from_axis_angle, quat_mul, rotate
 
 MOST_RAD = np.radians(30.0)
 """Beyond this the thing is held by something else, or was seen wrongly."""
@@ -61,6 +61,35 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
         if down @ seen < np.cos(MOST_RAD):
             return None
     return _turned(tilt, down, seen)
+
+
+def on_level(node: TreeNode, tree: SceneTree) -> bool:
+    """Tell whether a thing lies on level ground, rather than in something, on a dish or on a slope."""
+    carried = node.parent is not None and tree.node(node.parent).environment
+    return carried and node.relation == "on"
+
+
+def alone(node: TreeNode, spec: ObjectSpec, *, level: bool) -> tuple[Quat, bool]:
+    """Return how an object stands when it is tried by itself on level ground, without its scene.
+
+    What lies is tried on the side that it will lie on. What is held by its scene, as it leans, hangs, or
+    is tilted in or on something that is not level, would by itself only fall.
+
+    Args:
+        node: the object, as parsed.
+        spec: the object.
+        level: whether it lies on level ground in its scene.
+
+    Returns:
+        Its tilt, and whether it is held.
+    """
+    seen = node.base_tilt
+    if node.environment or node.fixed_base or node.relation in ("leaning", "attached"):
+        return seen, True
+    if np.allclose(seen, IDENTITY):
+        return seen, False
+    rest = resting_tilt(spec, {}, seen)
+    return (seen, not level) if rest is None else (rest, False)
 
 
 def _beside(down: NDArray, step: float) -> list[NDArray]:

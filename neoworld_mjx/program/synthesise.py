@@ -18,6 +18,7 @@ from ..config import ProgramOptions
 from ..errors import BudgetError, MissingAnswerError, ModelError
 from ..mllm import Model, Picture, Request
 from ..spec import Camera, ObjectSpec, TreeNode, bounds
+from .allowance import Allowance
 from .ask import (
     Subject,
     Verdict,
@@ -97,6 +98,8 @@ class Programmed:
     rounds: tuple[Attempt, ...]
     fallbacks: tuple[tuple[str, str], ...] = ()
     """What had to be done without, and why."""
+    allowances: tuple[Allowance, ...] = ()
+    """Overlaps that the program declares."""
 
     @property
     def reason(self) -> str:
@@ -130,6 +133,7 @@ class Programmed:
                 signal.model_dump(mode="json", exclude_none=True) for signal in self.signals
             ],
             "fallbacks": [list(item) for item in self.fallbacks],
+            "allowances": [one._asdict() for one in self.allowances],
             "rounds": rounds,
         }
         return json.dumps(data, indent=1) + "\n"
@@ -305,6 +309,7 @@ def _finished(work: _Work, best: Attempt) -> Programmed:
         best.score,
         tuple(work.attempts) or (best,),
         tuple(work.fallbacks),
+        best.built.allowances,
     )
 
 

@@ -4,17 +4,18 @@ Static measurements come first, then the sweep over all joints' ranges, then all
 in one batched rollout. An error of the tool is a verdict of its own, never a pass.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
 
 from ..config import VerifyOptions
+from ..program.allowance import Allowance
 from ..spec import ObjectSpec
 from ..spec.object import Quat
 from ..spec.pose import IDENTITY
 from .motion import checks_of
-from .ranges import Allowed, Ranges, ranges
+from .ranges import Ranges, ranges
 from .scenarios import scenarios
 from .solid import statics, without_bad_inertia
 from .trial import Trace, Trial
@@ -33,7 +34,7 @@ class Battery:
         fixed_base: whether its base stays fastened; then only its joints are tried.
         tilt: how it rests, for things that lie.
         joint_state: how its joints stand while it falls and is pushed [rad or m].
-        allowed: overlaps [m] that its program asks for, by the names of two parts.
+        allowed: overlaps that its program asks for.
         threads: for the rollout; 0 takes all cores.
     """
 
@@ -45,7 +46,7 @@ class Battery:
         fixed_base: bool = False,
         tilt: Quat = IDENTITY,
         joint_state: dict[str, float] | None = None,
-        allowed: Allowed | None = None,
+        allowed: Sequence[Allowance] = (),
         threads: int = 0,
     ) -> None:
         self.spec, self.options = spec, options or VerifyOptions()
@@ -100,7 +101,7 @@ def verify(
     fixed_base: bool = False,
     tilt: Quat = IDENTITY,
     joint_state: dict[str, float] | None = None,
-    allowed: Allowed | None = None,
+    allowed: Sequence[Allowance] = (),
     threads: int = 0,
 ) -> Verdict:
     """Try an object by itself on a floor; arguments are those of `Battery`.

@@ -2,6 +2,8 @@
 
 Numbers come first: only an object that direct repairs left with failed or doubtful checks is shown. What
 the reasoner proposes is a `Patch`, tried by the same rule as every repair: it must lower the fault score.
+What the critic thinks is told beside the verdict and changes no outcome. Of an object that only just passes
+it is all that is asked: its fault score is 0, and no edit could lower that.
 """
 
 from typing import Annotated, Any, Literal
@@ -14,7 +16,7 @@ from ..spec import ObjectSpec, inertial
 from .battery import Battery
 from .patch import Patch
 from .repairs import Repaired, Run, tried
-from .strips import doubtful, strips
+from .strips import questionable, strips
 
 
 class Finding(BaseModel):
@@ -78,10 +80,11 @@ def edit(battery: Battery, seen: Seen) -> Request[Edited]:
 
 def _told(battery: Battery) -> str:
     lines = []
-    for check in filter(doubtful, battery.verdict.checks):
+    for check in questionable(battery.verdict):
         value = "none" if check.value is None else f"{check.value:.3g}"
+        outcome = "ONLY JUST PASSED" if check.doubtful else check.outcome
         lines.append(
-            f"- {check.outcome} {check.scenario} {check.name}: {value} against "
+            f"- {outcome} {check.scenario} {check.name}: {value} against "
             f"{check.threshold:.3g} {check.unit} {check.evidence}".rstrip()
         )
     return "Numbers that failed or only just passed:\n" + "\n".join(lines or ["- none"])
@@ -112,13 +115,15 @@ def with_models(
 ) -> list[Seen]:
     """Let the critic look and the reasoner edit, as long as it helps, for at most `rounds` rounds.
 
+    What passes is looked at and not edited; so is everything with `rounds` 0.
+
     Args:
         made: what direct repairs came to; it is carried on.
         now: the battery's run on it.
         models: who answers.
         run: the battery with its options.
         spec: the object as it came.
-        rounds: how often.
+        rounds: how often edits may be tried.
 
     Returns:
         What the critic saw in each round.
@@ -128,20 +133,18 @@ def with_models(
         MissingAnswerError: a tape lacks the answer.
     """
     told: list[Seen] = []
-    for _ in range(rounds):
-        if now.verdict.passed:
-            break
+    for _ in range(max(rounds, 1)):
         seen = _asked(models, shown(now), made)
         if seen is None:
             break
         told.append(seen)
-        if seen.verdict != "edit":
+        if now.verdict.passed or not rounds or seen.verdict != "edit":
             break
         edited = _asked(models, edit(now, seen), made)
         if edited is None or edited.patch.empty:
             break
         found = tried(made, now, [edited.patch], run, spec)
-        if found is None:
+        if found is None or found.verdict.passed:
             break
         now = found
     return told

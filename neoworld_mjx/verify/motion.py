@@ -59,7 +59,8 @@ def falls(trial: Trial, traces: list[Trace]) -> list[Check]:
         # What comes down to the floor before it leans too far holds it as well.
         lean = float(np.tan(np.radians(o.max_tilt_deg)) * np.linalg.norm(trial.size[:2]) / 2)
         width, margin = max((width, margin), stance(trial, lean), key=lambda found: found[1])
-    balance = Limit(threshold=0.0, unit="m", fault=Fault.OFF_BALANCE, least=True)
+    # In the middle of its base there is nothing to doubt.
+    balance = Limit(threshold=0.0, unit="m", fault=Fault.OFF_BALANCE, least=True, best=width / 2)
     low = 0.02 * float(np.linalg.norm(trial.size))
     small = ROUND * float(np.linalg.norm(trial.size))
     rolls = width < small and margin > -small
@@ -88,6 +89,7 @@ def falls(trial: Trial, traces: list[Trace]) -> list[Check]:
                 threshold=o.drop_height_m + max(o.max_depth_m, 0.5 * low),
                 unit="m",
                 fault=Fault.SINKS_IN,
+                best=o.drop_height_m,
             )
             found.append(judged("free_fall", "fall", fall, limit, evidence=_shown(trace)))
         elif rolls:
@@ -210,6 +212,7 @@ def driven(trial: Trial, trace: Trace) -> Check:
         unit="of its range",
         fault=Fault.JOINT_STUCK,
         least=True,
+        best=1.0,
     )
     return judged(
         "joint_drive", run.name, reached, limit, part=moving.child, joint=moving.name,

@@ -5,7 +5,7 @@ parts are held to belong together where the object is drawn, at rest.
 """
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..config import VerifyOptions
 from ..physics.mjcf import welded
+from ..program.allowance import Allowance
 from ..program.probe import Probe
 from ..spec import Joint, ObjectSpec, bounds, part_bounds
 from ..spec.mesh import HELPER
@@ -21,7 +22,6 @@ from .scenarios import SINGLE
 from .verdict import Check, Fault, Limit, judged, skipped
 
 Pair = tuple[int, int]
-Allowed = Mapping[frozenset[str], float]
 _WAYS = [
     tuple((np.array(way) / np.linalg.norm(way)).tolist())
     for way in itertools.product((-1, 0, 1), repeat=3)
@@ -30,6 +30,9 @@ _WAYS = [
 """Along the axes, the edges and the diagonals of a cube."""
 AT_ONCE = 0.25
 """A joint that is free over less than this share of its range runs into something at once."""
+
+CLEAR = 0.5
+"""Share of the depth let pass up to which a range counts as free, where that leaves any."""
 
 
 @dataclass
@@ -43,24 +46,30 @@ class Ranges:
     """Parts that enter each other at rest, and how deep [m]."""
 
 
-def ranges(spec: ObjectSpec, options: VerifyOptions, allowed: Allowed | None = None) -> Ranges:
+def ranges(spec: ObjectSpec, options: VerifyOptions, allowed: Sequence[Allowance] = ()) -> Ranges:
     """Measure overlaps at rest, over each joint's range and in combinations, then gaps and pivots.
 
     Args:
         spec: the object.
         options: thresholds and how finely ranges are swept.
-        allowed: overlaps [m] that a program asks for, by the names of two parts.
+        allowed: overlaps that its program asks for.
     """
     probe = Probe(spec)
     found = Ranges()
     rigid = welded(spec)
     names = probe.names
     limits = {
-        (a, b): max(options.max_depth_m, (allowed or {}).get(frozenset((names[a], names[b])), 0.0))
+        (a, b): options.max_depth_m
         for a, b in itertools.combinations(range(len(names)), 2)
         if rigid[names[a]] != rigid[names[b]]
     }
-    bad = _at_rest(probe, limits, found, options)
+    granted: dict[Pair, str] = {}
+    for one in allowed:
+        if {one.first, one.second} <= set(names):
+            a, b = sorted((names.index(one.first), names.index(one.second)))
+            if one.depth > limits.get((a, b), np.inf):
+                limits[a, b], granted[a, b] = one.depth, one.reason
+    bad = _at_rest(probe, limits, granted, found, options)
     driven = [j for j in spec.joints if j.type != "fixed" and j.mimic is None]
     for joint in driven:
         bad |= _over_range(probe, joint, limits, bad, found, options)
@@ -76,28 +85,34 @@ def ranges(spec: ObjectSpec, options: VerifyOptions, allowed: Allowed | None = N
 
 
 def _at_rest(
-    probe: Probe, limits: dict[Pair, float], found: Ranges, options: VerifyOptions
+    probe: Probe,
+    limits: dict[Pair, float],
+    granted: dict[Pair, str],
+    found: Ranges,
+    options: VerifyOptions,
 ) -> set[Pair]:
     bad: set[Pair] = set()
     worst, between = 0.0, ""
-    for pair, near in probe.depths(limits).items():
-        depth = -near.distance
+    depths = {pair: -near.distance for pair, near in probe.depths(limits).items()}
+    for pair, depth in (dict.fromkeys(granted, 0.0) | depths).items():
         first, second = (probe.names[k] for k in pair)
+        limit = Limit(threshold=limits[pair], unit="m", fault=Fault.PARTS_OVERLAP)
+        told = f"{first} and {second}"
+        name = f"part_depth:{first}:{second}"
         if depth > limits[pair]:
             bad.add(pair)
             found.overlapping.append((first, second, depth))
-            limit = Limit(threshold=limits[pair], unit="m", fault=Fault.PARTS_OVERLAP)
-            name = f"part_depth:{first}:{second}"
-            found.checks.append(
-                judged("static", name, depth, limit, part=second, evidence=f"{first} and {second}")
-            )
+            found.checks.append(judged("static", name, depth, limit, part=second, evidence=told))
+        elif pair in granted:
+            check = judged("static", name, depth, limit, part=second)
+            # It is asked for as deep as it is: no doubt in that.
+            update = {"doubtful": False, "evidence": f"{told}, granted: {granted[pair]}"}
+            found.checks.append(check.model_copy(update=update))
         elif depth > worst:
-            worst, between = depth, f"{first} and {second}"
+            worst, between = depth, told
     if not bad:
         limit = Limit(threshold=options.max_depth_m, unit="m", fault=Fault.PARTS_OVERLAP)
-        # What is granted deeper has been held against its own limit.
-        shown = min(worst, options.max_depth_m)
-        found.checks.append(judged("static", "part_depth", shown, limit, evidence=between))
+        found.checks.append(judged("static", "part_depth", worst, limit, evidence=between))
     return bad
 
 
@@ -125,7 +140,10 @@ def _over_range(
                 over[k] = max(over[k], -near.distance / limits[pair])
                 if -near.distance > worst.get(pair, (0.0,))[0]:
                     worst[pair] = (-near.distance, float(value), state)
-    deepest = max(worst.items(), key=lambda item: item[1][0], default=None)
+    # What is granted deeper, and is no deeper than that, is not held against the joint.
+    usual = options.max_depth_m
+    counts = {p: v for p, v in worst.items() if v[0] > limits[p] or limits[p] <= usual}
+    deepest = max(counts.items(), key=lambda item: item[1][0], default=None)
     depth, at, how = (0.0, 0.0, {}) if deepest is None else deepest[1]
     other = ""
     if deepest is not None:
@@ -133,19 +151,22 @@ def _over_range(
     colliding = {p for p, (d, *_) in worst.items() if d > limits[p]}
     fault = Fault.LIMIT_INTO_PART
     if colliding:
-        free = _free(probe, joint, values, over <= 1.0, pairs, limits)
-        found.free[joint.name] = free
+        # What is cut to a range just at the threshold would be in doubt at once.
         width = float(values[-1] - values[0])
-        if free[1] - free[0] < AT_ONCE * width:
+        for share in (CLEAR, 1.0):
+            free = _free(probe, joint, values, over, pairs, limits, share)
+            if free[1] - free[0] >= AT_ONCE * width:
+                break
+        else:
             fault = Fault.JOINT_INTO_PART
+        found.free[joint.name] = free
         if joint.type == "revolute" and _better_pivot(probe, joint, pairs, limits, options):
             fault = Fault.PIVOT_OFF
     limit = Limit(
-        threshold=max([limits[p] for p in colliding], default=options.max_depth_m),
+        threshold=options.max_depth_m if deepest is None else limits[deepest[0]],
         unit="m",
         fault=fault,
     )
-    shown = depth if colliding else min(depth, options.max_depth_m)
     unit = "m" if joint.type == "prismatic" else "rad"
     told = ", ".join(f"{value:.3g}" for value in how.values())
     told = f"({told})" if joint.type == "ball" else f"{at:.3g}"
@@ -153,7 +174,7 @@ def _over_range(
         judged(
             "joint_range",
             f"depth:{joint.name}",
-            shown,
+            depth,
             limit,
             part=joint.child,
             joint=joint.name,
@@ -169,17 +190,21 @@ def _free(
     probe: Probe,
     joint: Joint,
     values: NDArray,
-    good: NDArray,
+    over: NDArray,
     pairs: list[Pair],
     limits: dict[Pair, float],
+    share: float,
 ) -> tuple[float, float]:
-    """Return the range around rest in which nothing collides, to a thousandth of the whole."""
+    """Return the range around rest in which nothing is deeper than a share of its limit.
+
+    It is right to a thousandth of the whole.
+    """
     opened = opened_for(probe.spec, joint)
 
     def clear(value: float) -> bool:
         for state in states(joint, value):
             probe.place({**opened, **state})
-            if any(-near.distance > limits[p] for p, near in probe.depths(pairs).items()):
+            if any(-near.distance > share * limits[p] for p, near in probe.depths(pairs).items()):
                 return False
         return True
 
@@ -190,7 +215,7 @@ def _free(
     for side in (values[values < rest][::-1], values[values > rest]):
         inside, outside = rest, None
         for value in side:
-            if not good[int(np.argmin(np.abs(values - value)))]:
+            if over[int(np.argmin(np.abs(values - value)))] > share:
                 outside = float(value)
                 break
             inside = float(value)
@@ -374,6 +399,7 @@ def intents(spec: ObjectSpec) -> Iterator[Check]:
                 unit="m" if joint.type == "prismatic" else "rad",
                 fault=Fault.LIMITS_NARROW,
                 least=True,
+                best=intent.travel,
             )
             width = joint.upper - joint.lower
             yield judged(

@@ -1,6 +1,8 @@
 """An object through Step 3: the battery, repairs, and what is kept of both between runs."""
 
+import json
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -9,13 +11,13 @@ from ..cache import cache_folder
 from ..config import VerifyOptions
 from ..files import content_hash, write_atomic
 from ..mllm import Panel
+from ..program.allowance import Allowance
 from ..spec import ObjectSpec
 from ..spec.object import Quat
 from ..spec.pose import IDENTITY
 from .battery import VERSION, Battery
 from .critic import Seen, with_models
 from .patch import Patch, apply
-from .ranges import Allowed
 from .repairs import repair
 from .verdict import Verdict
 
@@ -43,6 +45,12 @@ class Sound(BaseModel):
         """Return the object with its patch."""
         return spec if self.patch.empty else apply(self.patch, spec)[0]
 
+    def to_json(self) -> str:
+        """Write down the verdict, with what was changed, tried and seen on the way to it."""
+        data = self.verdict.model_dump(mode="json")
+        data |= {"changes": self.changes, "tried": self.tried, "seen": self.seen}
+        return json.dumps(data, indent=1) + "\n"
+
 
 def make_sound(
     spec: ObjectSpec,
@@ -50,7 +58,7 @@ def make_sound(
     *,
     fixed_base: bool = False,
     tilt: Quat = IDENTITY,
-    allowed: Allowed | None = None,
+    allowed: Sequence[Allowance] = (),
     models: Panel | None = None,
     keep: bool = True,
 ) -> Sound:
@@ -61,8 +69,9 @@ def make_sound(
         options: of the battery; with `rounds` 0 nothing is changed.
         fixed_base: whether its base stays fastened.
         tilt: how it rests.
-        allowed: overlaps [m] that its program asks for, by the names of two parts.
-        models: critic and reasoner, who look at what numbers did not mend; None asks nobody.
+        allowed: overlaps that its program asks for.
+        models: critic and reasoner, who look at what numbers did not mend or only just passed; None
+            asks nobody.
         keep: whether an earlier result for the same content may stand for this one, and is kept.
     """
     o = options or VerifyOptions()
@@ -75,28 +84,26 @@ def make_sound(
         return Battery(made, o, fixed_base=fixed_base, tilt=tilt, allowed=allowed)
 
     first = run(spec)
-    if first.verdict.passed or o.rounds == 0:
-        result = Sound(verdict=first.verdict)
-    else:
-        made = repair(spec, run, rounds=o.rounds, first=first)
-        seen: list[Seen] = []
-        if models is not None and not made.after.passed:
-            seen = with_models(made, run(made.spec), models, run, spec)
-        result = Sound(
-            verdict=made.after,
-            before=None if made.patch.empty else made.before,
-            patch=made.patch,
-            changes=made.changes,
-            tried=tuple(made.tried),
-            seen=tuple(f"{f.where}: {f.what}" for s in seen for f in s.findings),
-        )
+    made = repair(spec, run, rounds=o.rounds, first=first)
+    seen: list[Seen] = []
+    if models is not None and (not made.after.passed or made.after.doubtful):
+        now = first if made.patch.empty else run(made.spec)
+        seen = with_models(made, now, models, run, spec, rounds=min(2, o.rounds))
+    result = Sound(
+        verdict=made.after,
+        before=None if made.patch.empty else made.before,
+        patch=made.patch,
+        changes=made.changes,
+        tried=tuple(made.tried),
+        seen=tuple(f"{f.where}: {f.what}" for s in seen for f in s.findings),
+    )
     if keep:
         _write(place, result)
     return result
 
 
 def _place(
-    spec: ObjectSpec, o: VerifyOptions, fixed_base: bool, tilt: Quat, allowed: Allowed | None
+    spec: ObjectSpec, o: VerifyOptions, fixed_base: bool, tilt: Quat, allowed: Sequence[Allowance]
 ) -> Path:
     key = content_hash(
         {
@@ -105,7 +112,7 @@ def _place(
             "options": o.model_dump(mode="json"),
             "fixed": fixed_base,
             "tilt": list(tilt),
-            "allowed": sorted([*sorted(pair), depth] for pair, depth in (allowed or {}).items()),
+            "allowed": [list(allowance) for allowance in allowed],
         }
     )
     return cache_folder() / "verify" / f"{key}.json"

@@ -16,12 +16,10 @@ from ..spec.opening import opened_for
 from .battery import Battery
 from .scenarios import SINGLE
 from .trial import Trace
-from .verdict import Check
+from .verdict import Check, Verdict
 
 WIDTH, HEIGHT, BAND = 220, 200, 16
 FRAMES, MOST = 4, 3
-DOUBT = 0.2
-"""A check that passes within this share of its threshold is doubtful."""
 
 
 @dataclass(frozen=True)
@@ -36,13 +34,10 @@ class Strip(Picture):
         return hashlib.sha256(self.shows.encode()).hexdigest()
 
 
-def doubtful(check: Check) -> bool:
-    """Tell whether a check failed, or passed only just."""
-    if check.outcome == "FAIL":
-        return True
-    if check.outcome != "PASS" or check.value is None or not check.threshold:
-        return False
-    return abs(check.value - check.threshold) < DOUBT * abs(check.threshold)
+def questionable(verdict: Verdict) -> list[Check]:
+    """Return the checks that failed, the worst first, then those that only just passed."""
+    checks = [c for c in verdict.checks if c.outcome == "FAIL" or c.doubtful]
+    return sorted(checks, key=lambda c: (c.doubtful, -c.margin))
 
 
 def strips(battery: Battery) -> list[Strip]:
@@ -51,16 +46,12 @@ def strips(battery: Battery) -> list[Strip]:
     Returns:
         At most three strips of four frames, each frame labelled with its time or joint value.
     """
-    order = {"FAIL": 0, "PASS": 1}
-    checks = sorted(
-        filter(doubtful, battery.verdict.checks), key=lambda c: (order[c.outcome], -c.margin)
-    )
     by_name = {trace.run.name: trace for trace in battery.traces}
     # Four frames of one value do not show which way a ball was turned; its evidence says so.
     balls = {j.name for j in battery.spec.joints if j.type == "ball"}
     found: list[Strip] = []
     shown: set[str] = set()
-    for check in checks:
+    for check in questionable(battery.verdict):
         if len(found) == MOST:
             break
         trace = by_name.get(check.evidence.removeprefix("run ")) if check.evidence else None
@@ -148,4 +139,4 @@ def _strip(label: str, items: list[SceneObject], titles: list[str]) -> Strip:
     return Strip(label, buffer.getvalue(), f"{label}{items[0].spec.to_json()}{states}{titles}")
 
 
-__all__ = ["Strip", "doubtful", "strips"]
+__all__ = ["Strip", "questionable", "strips"]

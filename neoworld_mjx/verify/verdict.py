@@ -51,6 +51,9 @@ class Fault(StrEnum):
     RESTLESS = "restless"
 
 
+DOUBT = 0.8
+"""A number that passes is doubtful when it has used up this share of what its threshold allows: another
+time step or processor, or a little more load, moves such numbers by a fifth."""
 RANK = {fault: place for place, fault in enumerate(Fault)}
 """The order in which one fault explains another: the first is told as the cause."""
 
@@ -89,6 +92,8 @@ class Check(Spec):
     scenario: Scenario
     name: str
     outcome: Outcome
+    doubtful: bool = False
+    """Whether it only just passed."""
     fault: Fault | None = None
     """What is wrong, where it failed."""
     value: float | None = None
@@ -135,6 +140,11 @@ class Verdict(Spec):
         return tuple(sorted(found, key=RANK.__getitem__))
 
     @property
+    def doubtful(self) -> tuple[Check, ...]:
+        """The checks that only just passed."""
+        return tuple(check for check in self.checks if check.doubtful)
+
+    @property
     def cause(self) -> Fault | None:
         """The fault that likely explains the others."""
         return self.faults[0] if self.faults else None
@@ -160,6 +170,14 @@ class Limit(BaseModel):
     fault: Fault
     least: bool = False
     """Whether the number must reach the threshold, rather than stay under it."""
+    best: float | None = None
+    """What there is nothing to say against; by default 0, or twice what must be reached."""
+
+    def doubts(self, value: float) -> bool:
+        """Tell whether a number that passes has used up most of what lies between best and threshold."""
+        best = self.best if self.best is not None else 2 * self.threshold * self.least
+        room = self.threshold - best
+        return bool(room) and (value - best) / room >= DOUBT
 
 
 def judged(
@@ -174,22 +192,28 @@ def judged(
     at: float | None = None,
     evidence: str = "",
 ) -> Check:
-    """Hold a number against its limit; a number that is none fails."""
+    """Hold a number against its limit; a number that is none fails.
+
+    Where and when it was worst is kept of what failed or is doubtful.
+    """
     finite = bool(np.isfinite(value))
     good = finite and (value >= limit.threshold if limit.least else value <= limit.threshold)
+    doubtful = good and limit.doubts(value)
+    dull = good and not doubtful
     return Check(
         scenario=scenario,
         name=name,
         outcome="PASS" if good else "FAIL",
+        doubtful=doubtful,
         fault=None if good else limit.fault,
         value=float(value) if finite else None,
         threshold=limit.threshold,
         unit=limit.unit,
         part=part,
         joint=joint,
-        time=None if good or time is None else float(time),
-        at=None if good or at is None else float(at),
-        evidence="" if good else evidence,
+        time=None if dull or time is None else float(time),
+        at=None if dull or at is None else float(at),
+        evidence="" if dull else evidence,
         hint="" if good else HINTS[limit.fault],
     )
 
@@ -200,6 +224,7 @@ def skipped(scenario: Scenario, name: str, why: str, joint: str | None = None) -
 
 
 __all__ = [
+    "DOUBT",
     "HINTS",
     "RANK",
     "Check",

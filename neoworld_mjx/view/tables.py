@@ -75,12 +75,14 @@ def verdicts(folder: Path) -> Html:
                 f"{check.get('scenario', '')} {check.get('name', '')}".replace("_", " ").strip(),
                 _value(check.get("value"), check.get("unit")),
                 _value(check.get("threshold"), check.get("unit")),
-                _outcome(check.get("outcome")),
-                check.get("hint") or "",
+                _outcome(check.get("outcome"), doubtful=bool(check.get("doubtful"))),
+                check.get("hint") or check.get("evidence") or "",
             ]
             for check in found.get("checks", [])
         ]
         parts.append(table(["check", "#value", "#threshold", "verdict", "note"], rows))
+        if seen := found.get("seen"):
+            parts.append(table(["seen by the critic in key frames"], [[what] for what in seen]))
     return section("Objects and their verdicts", *parts)
 
 
@@ -221,7 +223,9 @@ def read_json(path: Path) -> dict[str, Any] | None:
     return data if isinstance(data, dict) else None
 
 
-def _outcome(outcome: Any) -> Html:
+def _outcome(outcome: Any, *, doubtful: bool = False) -> Html:
+    if doubtful:
+        return Html(f"{verdict(passed=True)} only just")
     if outcome in ("PASS", "FAIL"):
         return verdict(outcome == "PASS")
     said = {"SKIP": "skipped", "TOOL_FAILURE": "could not be tested"}.get(outcome, "unknown")

@@ -3,11 +3,13 @@
 import furniture as objects
 import pytest
 
+from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import MissingAnswerError, ModelError
 from neoworld_mjx.mllm import Answer, Usage
 from neoworld_mjx.verify import Battery, Patch, Repaired, make_sound
 from neoworld_mjx.verify.critic import Edited, Finding, Seen, edit, shown, with_models
-from neoworld_mjx.verify.strips import doubtful, strips
+from neoworld_mjx.verify.strips import questionable, strips
+from neoworld_mjx.verify.verdict import Fault, Limit, judged
 
 BAD = objects.cupboard(lower=-0.4)
 MENDS = Patch.model_validate({"joints": {"hinge": {"lower": 0.0}}})
@@ -50,8 +52,9 @@ def test_strips_show_what_failed_with_labels():
 
 def test_nothing_doubtful_is_nothing_to_see():
     battery = Battery(objects.cupboard())
-    assert all(c.outcome == "PASS" for c in filter(doubtful, battery.verdict.checks))
-    assert all("FAIL" not in line for line in shown(battery).prompt.splitlines())
+    assert questionable(battery.verdict) == []
+    assert "- none" in shown(battery).prompt
+    assert strips(battery) == []
 
 
 def test_requests_tell_the_numbers_and_what_may_be_edited():
@@ -63,6 +66,73 @@ def test_requests_tell_the_numbers_and_what_may_be_edited():
     assert asked.role == "reasoner"
     assert "swings in" in asked.prompt
     assert "joint hinge: revolute, door on carcass" in asked.prompt
+
+
+def only_just():
+    """A cupboard whose door reaches 0.9 mm into its carcass, where a millimetre is let pass."""
+    return objects.cupboard(lower=-0.0035)
+
+
+def test_what_only_just_passes_is_doubtful_and_shown():
+    battery = Battery(only_just())
+    assert battery.verdict.passed
+    (check,) = battery.verdict.doubtful
+    assert (check.name, check.outcome, check.fault) == ("depth:hinge", "PASS", None)
+    assert 0.8e-3 <= check.value <= 1e-3
+    assert "ONLY JUST PASSED joint_range depth:hinge" in shown(battery).prompt
+    assert [strip.label for strip in strips(battery)] == ["joint_range depth:hinge"]
+    assert strips(battery)[0].shows.count("hinge") > 4  # Drawn with the door where it is worst.
+
+
+@pytest.mark.parametrize(
+    ("value", "limit", "doubt"),
+    [
+        (0.79, {"threshold": 1.0}, False),
+        (0.81, {"threshold": 1.0}, True),
+        (1.0, {"threshold": 1.0}, True),
+        (1.01, {"threshold": 1.0}, False),  # It fails: there is no doubt about it.
+        (1.21, {"threshold": 1.0, "least": True}, False),
+        (1.19, {"threshold": 1.0, "least": True}, True),
+        (0.99, {"threshold": 0.9, "least": True, "best": 1.0}, False),
+        (0.91, {"threshold": 0.9, "least": True, "best": 1.0}, True),
+        (0.01, {"threshold": 0.0, "least": True, "best": 0.1}, True),
+        (0.03, {"threshold": 0.0, "least": True, "best": 0.1}, False),
+        (0.0, {"threshold": 0.0}, False),
+        (float("nan"), {"threshold": 1.0}, False),
+    ],
+)
+def test_a_number_is_doubtful_near_its_threshold(value, limit, doubt):
+    found = judged("static", "x", value, Limit(unit="m", fault=Fault.PARTS_OVERLAP, **limit))
+    assert found.doubtful is doubt
+
+
+def test_the_critic_sees_what_is_doubtful_and_no_edit_is_asked_for():
+    script = Script(FOUND)
+    result = make_sound(only_just(), models=script)
+    assert [request.role for request in script.asked] == ["critic"]
+    assert result.seen == ("door: swings in",)
+    assert result.verdict.passed
+    assert result.patch.empty
+    script = Script()
+    make_sound(objects.cupboard(), models=script)
+    assert script.asked == []  # Nothing in doubt: nobody is asked.
+
+
+def test_an_opinion_changes_no_outcome():
+    flipped = objects.cupboard(axis=(0, 0, -1))
+    sound = make_sound(flipped, models=Script(Seen(verdict="sound")))
+    assert not sound.verdict.passed
+    assert sound.verdict == Battery(flipped).verdict
+    bad = make_sound(only_just(), models=Script(Seen(verdict="reprogram")))
+    assert bad.verdict == Battery(only_just()).verdict
+
+
+def test_without_rounds_the_critic_looks_and_nothing_is_edited():
+    script = Script(FOUND)
+    result = make_sound(BAD, VerifyOptions(rounds=0), models=script)
+    assert (len(script.asked), result.seen) == (1, ("door: swings in",))
+    assert result.patch.empty
+    assert not result.verdict.passed
 
 
 def test_an_edit_that_helps_is_kept():

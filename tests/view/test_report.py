@@ -165,10 +165,36 @@ def test_allowed_overlaps_are_listed_with_their_reason(finished):
     assert "0.004" in page
 
 
+def test_what_only_just_passes_and_what_the_critic_saw_are_told(finished):
+    check = {"scenario": "static", "name": "part_depth:a:b", "outcome": "PASS", "value": 0.002}
+    told = {
+        "passed": True,
+        "checks": [
+            {**check, "evidence": "a and b, granted: a groove"},
+            {**check, "doubtful": True, "evidence": "run fall"},
+        ],
+        "seen": ["door: rattles"],
+    }
+    (finished / "objects" / "jar" / "verify.json").write_text(json.dumps(told))
+    page = write_report(finished).read_text()
+    assert page.count("only just") == 1
+    assert "a and b, granted: a groove" in page
+    assert "door: rattles" in page
+
+
 def test_text_from_models_is_escaped(finished):
     (finished / "tree.json").write_text(json.dumps(_tree(label=EVIL)))
     (finished / "objects" / "jar" / "verify.json").write_text(
-        json.dumps({"passed": False, "checks": [{"name": EVIL, "value": EVIL, "hint": EVIL}]})
+        json.dumps(
+            {
+                "passed": False,
+                "checks": [
+                    {"name": EVIL, "value": EVIL, "hint": EVIL},
+                    {"name": "x", "outcome": "PASS", "doubtful": True, "evidence": EVIL},
+                ],
+                "seen": [EVIL],
+            }
+        )
     )
     with RunFolder(finished, Config(), resume=True) as run:
         run.fallback(EVIL, EVIL, EVIL)

@@ -1,0 +1,155 @@
+"""Step 3 of a run: what the parse and the program know of an object reaches its trial."""
+
+import json
+import math
+
+import furniture as objects
+import pytest
+
+from neoworld_mjx.config import Config, VerifyOptions
+from neoworld_mjx.pipeline import _verify
+from neoworld_mjx.program.allowance import Allowance
+from neoworld_mjx.run_folder import RunFolder
+from neoworld_mjx.spec import (
+    Box,
+    Box2D,
+    Box3D,
+    Camera,
+    Cylinder,
+    Geom,
+    Joint,
+    Material,
+    ObjectSpec,
+    Part,
+    SceneTree,
+    TreeNode,
+    bounds,
+)
+from neoworld_mjx.spec.pose import from_axis_angle
+from neoworld_mjx.verify import Battery, make_sound
+
+CAMERA = Camera(width=640, height_px=480, fovy=0.8, height=1.0, pitch=0.6)
+PIXELS = Box2D(x0=10, y0=10, x1=100, y1=100)
+STEEL = Material(name="steel", density=2000, friction=0.5)
+GRANT = Allowance("pot", "lid", 0.002, "the lid's rim sits in a groove")
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path / "cache"))
+
+
+def pot(deep=0.0018):
+    """A pot with a lid that slides off, 1.8 mm in it at rest."""
+    body = Geom(name="body", shape=Box(size=(0.2, 0.2, 0.1)), pos=(0, 0, 0.05), material="steel")
+    lid = Geom(name="disc", shape=Box(size=(0.2, 0.2, 0.01)), pos=(0, 0, 0.105 - deep),
+               material="steel")  # fmt: skip
+    slide = {
+        "name": "slide", "type": "prismatic", "parent": "pot", "child": "lid", "axis": (1, 0, 0),
+        "upper": 0.05, "damping": 5.0, "friction": 1.0,
+    }  # fmt: skip
+    return ObjectSpec(
+        name="pot",
+        materials=(STEEL,),
+        parts=(Part(name="pot", geoms=(body,)), Part(name="lid", geoms=(lid,))),
+        joints=(Joint.model_validate(slide),),
+    )
+
+
+def rod():
+    """A rod that stands on its end, [0.02, 0.02, 0.5] m."""
+    shape = Cylinder(radius=0.01, height=0.5)
+    geom = Geom(name="rod", shape=shape, pos=(0, 0, 0.25), material="steel")
+    return ObjectSpec(name="rod", materials=(STEEL,), parts=(Part(name="body", geoms=(geom,)),))
+
+
+def node(name, spec, **more):
+    low, high = bounds(spec)
+    box = Box3D(position=(1.0, 0, 0), size=tuple((high - low).tolist()), yaw=0.0)
+    return TreeNode(name=name, label=name, box2d=PIXELS, box3d=box, **more)
+
+
+def tilted(degrees):
+    return tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(degrees)).tolist())
+
+
+def stepped(tmp_path, spec, allowances=(), **more):
+    """Do step verify for one object on a table or in a cup; return its verify.json and fallbacks."""
+    table, cup = objects.chest(), objects.cupboard()
+    things = {
+        "table": (node("table", table, environment=True), table),
+        "cup": (node("cup", cup, parent="table"), cup),
+        "thing": (node("thing", spec, **{"parent": "table", **more}), spec),
+    }
+    config = Config(verify=VerifyOptions(rounds=0))
+    with RunFolder(tmp_path / "run", config) as run:
+        tree = SceneTree(camera=CAMERA, nodes=tuple(made for made, _ in things.values()))
+        (run.path / "tree.json").write_text(tree.to_json())
+        for name, (_, made) in things.items():
+            home = run.path / "objects" / name
+            home.mkdir(parents=True)
+            (home / "spec.json").write_text(made.to_json())
+            granted = [one._asdict() for one in allowances] if name == "thing" else []
+            (home / "program.json").write_text(json.dumps({"allowances": granted}))
+        _verify(run, None, config)
+        told = [one for one in run.data["fallbacks"] if one["step"] == "verify/thing"]
+        verdict = json.loads((run.path / "objects" / "thing" / "verify.json").read_text())
+    return verdict, told
+
+
+def ran(verdict, scenario):
+    return {c["name"] for c in verdict["checks"] if c["scenario"] == scenario}
+
+
+def test_an_overlap_that_the_program_asks_for_is_granted_and_told(tmp_path):
+    verdict, told = stepped(tmp_path / "plain", pot())
+    assert any(check["fault"] == "parts_overlap" for check in verdict["checks"])
+    assert told
+    verdict, told = stepped(tmp_path / "granted", pot(), [GRANT])
+    assert verdict["passed"], [c for c in verdict["checks"] if c["outcome"] == "FAIL"]
+    assert told == []
+    (check,) = [c for c in verdict["checks"] if c["name"] == "part_depth:pot:lid"]
+    assert (check["outcome"], check["threshold"], check["doubtful"]) == ("PASS", 0.002, False)
+    assert check["value"] == pytest.approx(0.0018, abs=1e-5)
+    assert GRANT.reason in check["evidence"]
+
+
+def test_what_is_deeper_than_granted_or_granted_to_others_fails():
+    deep = Battery(pot(0.0025), allowed=[GRANT]).verdict
+    (check,) = [c for c in deep.checks if c.fault is not None and c.scenario == "static"]
+    assert (check.name, check.threshold) == ("part_depth:pot:lid", 0.002)
+    other = Battery(pot(), allowed=[GRANT._replace(first="spout")]).verdict
+    assert not other.passed
+    # A grant below what is let pass anyway narrows nothing.
+    small = Battery(pot(0.0005), allowed=[GRANT._replace(depth=0.0002)]).verdict
+    assert small.passed
+
+
+def test_a_grant_belongs_to_what_is_kept():
+    assert not make_sound(pot(), VerifyOptions(rounds=0)).verdict.passed
+    assert make_sound(pot(), VerifyOptions(rounds=0), allowed=[GRANT]).verdict.passed
+
+
+def test_what_lies_is_dropped_lying(tmp_path):
+    verdict, told = stepped(tmp_path, rod(), base_tilt=tilted(83))
+    tilts = {c["name"]: c["value"] for c in verdict["checks"] if c["scenario"] == "free_fall"}
+    assert verdict["passed"], told
+    assert tilts["tilt"] < 1.0
+    # Upright it would fall over.
+    assert not Battery(rod()).verdict.passed
+
+
+@pytest.mark.parametrize("relation", ["in", "on"])
+def test_what_is_held_tilted_by_another_thing_is_not_dropped(tmp_path, relation):
+    verdict, told = stepped(tmp_path, rod(), base_tilt=tilted(25), parent="cup", relation=relation)
+    assert ran(verdict, "free_fall") == {"rests"}
+    assert verdict["passed"], told
+
+
+def test_what_is_tilted_on_level_ground_and_rests_on_no_side_falls_as_it_is_seen(tmp_path):
+    verdict, told = stepped(tmp_path, rod(), base_tilt=tilted(45))
+    assert "fall" in ran(verdict, "free_fall")
+    failed = {c["name"]: c["value"] for c in verdict["checks"] if c["outcome"] == "FAIL"}
+    # It comes down from 45 degrees, where upright it would have to fall by 90.
+    assert 40 < failed["tilt"] < 50
+    assert told
