@@ -4,8 +4,6 @@ Whatever is heavy is imported inside the functions, so that `--help` is quick.
 """
 
 import os
-from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .arguments import (
@@ -126,33 +124,30 @@ def check(command: Check) -> Answer:
 
 def build(command: Build) -> Answer:
     """Build a program and write its object in every format."""
-    from .program import build as make
     from .program.watch import watch, write_built
-    from .verify.patch import apply, read_overlay, write_overlay
+    from .verify.overlaid import overlaid, read_program
+    from .verify.patch import overlay_path
 
     out = command.out
     if out.exists() and not out.is_dir():
         raise RunError(f"{out} is a file; name a folder")
     if out.is_dir() and any(out.iterdir()) and not command.overwrite:
         raise RunError(f"{out} is not empty: name a new folder, or use --overwrite")
-    text = _read(command.program)
+    options = _config(command).program
     if command.watch:
-        return {"folder": str(out), "builds": watch(command.program, out, _config(command).program)}
-    built = make(text, _config(command).program)
+        read_program(command.program)  # What is not there at all is told at once.
+        beside = (overlay_path(command.program),)
+        make = lambda program: overlaid(program, options)
+        return {"folder": str(out), "builds": watch(command.program, out, make, beside)}
+    made = overlaid(command.program, options)
+    built = made.built
     answer: Answer = {"passed": built.ok, "signals": _signals(built)}
     if built.spec is None or not built.ok:
         return answer
-    name = built.spec.name
-    overlay = read_overlay(command.program)
-    if overlay is not None:
-        # What Step 3 changed is laid over whatever the program makes now.
-        spec, stale = apply(overlay, built.spec)
-        built = replace(built, spec=spec)
-        answer["overlay"] = {"changes": list(overlay.changes()), "stale": list(stale)}
-    write_built(built, text, out)
-    if overlay is not None:
-        write_overlay(out / "program.py", overlay)
-    return {"object": name, "folder": str(out), **answer}
+    if made.patch is not None:
+        answer["overlay"] = {"changes": list(made.patch.changes()), "stale": list(made.stale)}
+    write_built(made, out)
+    return {"object": built.spec.name, "folder": str(out), **answer}
 
 
 def render(command: Render) -> Answer:
@@ -313,12 +308,3 @@ def _put(tree: dict[str, Any], key: str, value: Any) -> None:
             raise ConfigError(f"--set {key}: {name} is set to a value already")
         tree = inner
     tree[last] = value
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise SpecError(f"cannot read {path}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise SpecError(f"{path} is not a text file") from None

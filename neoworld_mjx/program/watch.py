@@ -2,14 +2,13 @@
 
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..config import ProgramOptions
-from ..errors import ExportError
+from ..errors import ExportError, SpecError
 from ..export import object_files
 from ..render import render_object, to_png
-from .make import build
 from .sandbox import Built
 from .views import opened_state
 
@@ -19,29 +18,47 @@ POLL_S = 0.2
 """How often a watched program's file is looked at."""
 
 
-def built_files(built: Built, text: str) -> Mapping[str, bytes]:
+@dataclass(frozen=True)
+class Made:
+    """A program's text and what became of it."""
+
+    text: str
+    built: Built
+    beside: Mapping[str, str] = field(default_factory=dict)
+    """Further files that go with the program, by name."""
+    notes: tuple[str, ...] = ()
+    """What else is to be said of it."""
+
+
+Make = Callable[[Path], Made]
+"""Reads and builds the program in a file."""
+
+
+def built_files(made: Made) -> Mapping[str, bytes]:
     """Return the files of a built object: its formats, program, description and pictures.
 
     render.png shows it at rest, opened.png, where joints move, with all of them opened.
     """
-    assert built.spec is not None
-    files = {path: content.encode() for path, content in object_files(built.spec).items()}
-    files["program.py"] = text.encode()
-    files["spec.json"] = built.spec.to_json().encode()
-    files["render.png"] = to_png(render_object(built.spec))
-    state = opened_state(built.spec)
+    spec = made.built.spec
+    assert spec is not None
+    files = {path: content.encode() for path, content in object_files(spec).items()}
+    files["program.py"] = made.text.encode()
+    files |= {name: content.encode() for name, content in made.beside.items()}
+    files["spec.json"] = spec.to_json().encode()
+    files["render.png"] = to_png(render_object(spec))
+    state = opened_state(spec)
     if state:
-        files["opened.png"] = to_png(render_object(built.spec, state))
+        files["opened.png"] = to_png(render_object(spec, state))
     return files
 
 
-def write_built(built: Built, text: str, out: Path) -> frozenset[str]:
+def write_built(made: Made, out: Path) -> frozenset[str]:
     """Write a built object into a folder and return the paths written, relative to it.
 
     Raises:
         ExportError: a file cannot be written.
     """
-    files = built_files(built, text)
+    files = built_files(made)
     for path, content in files.items():
         part = out / f"{path}.part"
         try:
@@ -54,8 +71,8 @@ def write_built(built: Built, text: str, out: Path) -> frozenset[str]:
     return frozenset(files)
 
 
-def watch(program: Path, out: Path, options: ProgramOptions) -> int:
-    """Build a program now and after every change of its file, until interrupted.
+def watch(program: Path, out: Path, make: Make, beside: tuple[Path, ...] = ()) -> int:
+    """Build a program now and after every change of its files, until interrupted.
 
     Each time is told in one line of the log, and every signal in one of its own. What a program with
     errors would have replaced stays as it was; so does the folder while the file is away.
@@ -63,20 +80,21 @@ def watch(program: Path, out: Path, options: ProgramOptions) -> int:
     Args:
         program: the file.
         out: folder to write into.
-        options: sandbox, limits and thresholds.
+        make: how it is built.
+        beside: other files that what it makes depends on; they need not be there.
 
     Returns:
         How many times it was built, after Ctrl-C.
     """
-    count, seen = 0, None
+    count, seen = 0, ()
     written: frozenset[str] = frozenset()
     try:
         while True:
-            now = _stamp(program)
+            now = _stamp(program), *map(_stamp, beside)
             if now != seen:
                 seen = now
-                count += now is not None
-                written = _again(program, out, options, count, written)
+                count += now[0] is not None
+                written = _again(program, out, make, count, written)
             time.sleep(POLL_S)
     except KeyboardInterrupt:
         return count
@@ -91,29 +109,29 @@ def _stamp(program: Path) -> tuple[int, int] | None:
 
 
 def _again(
-    program: Path, out: Path, options: ProgramOptions, count: int, written: frozenset[str]
+    program: Path, out: Path, make: Make, count: int, written: frozenset[str]
 ) -> frozenset[str]:
     start = time.monotonic()
     try:
-        text = program.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        log.warning(f"{program}: cannot be read ({error}); waiting")
+        made = make(program)
+    except SpecError as error:
+        log.warning(f"{error}; waiting")
         return written
-    built = build(text, options)
+    built = made.built
     if built.spec is None or not built.ok:
         end, fresh = "has errors, the files stay as they were", written
     else:
         try:
-            fresh = write_built(built, text, out)
+            fresh = write_built(made, out)
             end = f"{len(built.spec.parts)} parts, {len(built.spec.joints)} joints"
             for path in written - fresh:
                 (out / path).unlink(missing_ok=True)
         except ExportError as error:
             end, fresh = str(error), written
     log.info(f"build {count} in {time.monotonic() - start:.2f} s: {end}")
-    for signal in built.signals:
-        log.info(f"  {signal.phrase()}")
+    for line in (*(signal.phrase() for signal in built.signals), *made.notes):
+        log.info(f"  {line}")
     return fresh
 
 
-__all__ = ["built_files", "watch", "write_built"]
+__all__ = ["Made", "Make", "built_files", "watch", "write_built"]

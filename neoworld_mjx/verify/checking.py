@@ -11,11 +11,11 @@ from ..export.guarded_xml import read_xml
 from ..export.import_mjcf import import_mjcf
 from ..export.import_urdf import import_urdf
 from ..export.imported import Imported
-from ..program import build
+from ..program.allowance import Allowance
 from ..spec import ObjectSpec
 from .battery import VERSION
-from .patch import apply, overlay_path, read_overlay, write_overlay
-from .ranges import Allowed
+from .overlaid import overlaid
+from .patch import overlay_path, read_overlay, write_overlay
 from .sound import Sound, make_sound
 from .verdict import Check, Verdict
 
@@ -65,23 +65,18 @@ def check_object(
         raise SpecError("--out takes the mended object: give --repair with it")
     answer: dict[str, Any] = {"target": str(path)}
     spec: ObjectSpec
-    allowed: Allowed = {}
+    allowed: tuple[Allowance, ...] = ()
     if path.suffix == ".py":
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise SpecError(f"cannot read {path}: {error}") from None
-        built = build(text, config.program)
+        made = overlaid(path, config.program)
+        built = made.built
         signals = [{"code": s.code, **s.model_dump(exclude_defaults=True)} for s in built.signals]
         answer["signals"] = signals
         if built.spec is None:
             return {**answer, "passed": False, "checks": []}
         spec = built.spec
-        allowed = {frozenset((a.first, a.second)): a.depth for a in built.allowances}
-        overlay = read_overlay(path)
-        if overlay is not None:
-            spec, stale = apply(overlay, spec)
-            answer["overlay"] = {"file": str(overlay_path(path)), "stale": list(stale)}
+        allowed = built.allowances
+        if made.patch is not None:
+            answer["overlay"] = {"file": str(overlay_path(path)), "stale": list(made.stale)}
     else:
         found = import_object(path)
         spec, answer["notes"] = found.spec, list(found.notes)
@@ -116,7 +111,7 @@ def told(result: Sound) -> dict[str, Any]:
         "mass_kg": verdict.mass_kg,
         "battery": VERSION,
         "counts": counts(verdict),
-        "checks": [c.model_dump(mode="json", exclude_none=True) for c in _worst_first(verdict)],
+        "checks": [c.model_dump(mode="json", exclude_defaults=True) for c in _worst_first(verdict)],
     }
     if result.tried:
         before = result.before or verdict
@@ -130,15 +125,15 @@ def told(result: Sound) -> dict[str, Any]:
 
 def _worst_first(verdict: Verdict) -> list[Check]:
     order = ("FAIL", "TOOL_FAILURE", "PASS", "SKIP")
-    return sorted(verdict.checks, key=lambda check: order.index(check.outcome))
+    place = lambda check: (order.index(check.outcome), not check.doubtful)
+    return sorted(verdict.checks, key=place)
 
 
 def counts(verdict: Verdict) -> dict[str, int]:
-    """Return how many checks came out how."""
+    """Return how many checks came out how, and how many of those that passed are doubtful."""
     outcomes = [check.outcome for check in verdict.checks]
-    return {
-        outcome: outcomes.count(outcome) for outcome in ("PASS", "FAIL", "SKIP", "TOOL_FAILURE")
-    }
+    found = {name: outcomes.count(name) for name in ("PASS", "FAIL", "SKIP", "TOOL_FAILURE")}
+    return found | {"doubtful": len(verdict.doubtful)}
 
 
 __all__ = ["OBJECTS", "check_object", "import_object", "told"]

@@ -1,3 +1,5 @@
+import contextlib
+import json
 import logging
 import signal
 import subprocess
@@ -7,8 +9,11 @@ import time
 
 import pytest
 
+from neoworld_mjx import cli
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program.watch import watch
+from neoworld_mjx.verify import Patch, overlay_path, write_overlay
+from neoworld_mjx.verify.overlaid import overlaid
 
 CUP = """
 from neoworld_mjx.program.sdk import Object, box, sphere
@@ -29,10 +34,14 @@ def saved(tmp_path):
     return program, save
 
 
-def test_every_save_builds_again_and_errors_leave_what_was_there(
-    saved, tmp_path, monkeypatch, caplog
-):
-    program, save = saved
+def plain(program):
+    return overlaid(program, ProgramOptions())
+
+
+@pytest.fixture
+def watching(saved, tmp_path, monkeypatch, caplog):
+    """Watch the program into a folder in a thread: the folder, and what tells of a build."""
+    program, _ = saved
     out, stop = tmp_path / "out", threading.Event()
 
     def sleep(_: float) -> None:
@@ -43,9 +52,25 @@ def test_every_save_builds_again_and_errors_leave_what_was_there(
     caplog.set_level(logging.INFO, "neoworld_mjx")
     told = lambda count: any(r.message.startswith(f"build {count} in") for r in caplog.records)
     builds: list[int] = []
-    thread = threading.Thread(target=lambda: builds.append(watch(program, out, ProgramOptions())))
-    thread.start()
-    try:
+    beside = (overlay_path(program),)
+    thread = threading.Thread(target=lambda: builds.append(watch(program, out, plain, beside)))
+
+    @contextlib.contextmanager
+    def running():
+        thread.start()
+        try:
+            yield out, told
+        finally:
+            stop.set()
+            thread.join(20)
+
+    return running, builds
+
+
+def test_every_save_builds_again_and_errors_leave_what_was_there(saved, watching, caplog):
+    program, save = saved
+    running, builds = watching
+    with running() as (out, told):
         wait_for(lambda: told(1))
         first = (out / "render.png").read_bytes()
         save("1 / 0")
@@ -53,16 +78,51 @@ def test_every_save_builds_again_and_errors_leave_what_was_there(
         assert (out / "render.png").read_bytes() == first
         assert any("ZeroDivisionError" in r.message for r in caplog.records)
         program.unlink()
-        wait_for(lambda: any("cannot be read" in r.message for r in caplog.records))
+        wait_for(lambda: any("cannot read" in r.message for r in caplog.records))
         save(CUP.format(shape="sphere(0.1), name='ball'"))
         wait_for(lambda: told(3))
         assert (out / "render.png").read_bytes() != first
         assert "sphere" in (out / "program.py").read_text()
         assert '"ball"' in (out / "spec.json").read_text()
-    finally:
-        stop.set()
-        thread.join(20)
     assert builds == [3]
+
+
+def test_the_patch_beside_a_program_is_laid_over_every_build(saved, watching, caplog):
+    program, _ = saved
+    heavy = lambda mass: Patch.model_validate({"parts": {"body": {"mass": mass}}})
+    weighs = lambda out: json.loads((out / "spec.json").read_text())["parts"][0]["mass"]
+    write_overlay(program, heavy(3.0))
+    running, builds = watching
+    with running() as (out, told):
+        wait_for(lambda: told(1))
+        assert weighs(out) == 3.0
+        assert any("patch: part body: mass = 3" in r.message for r in caplog.records)
+        # The patch is a reason to build, and goes with the program.
+        write_overlay(program, heavy(4.0))
+        wait_for(lambda: told(2))
+        assert weighs(out) == 4.0
+        assert (out / "program.patch.json").read_text() == heavy(4.0).to_json()
+        overlay_path(program).write_text("{")
+        wait_for(lambda: any("waiting" in r.message for r in caplog.records))
+        assert weighs(out) == 4.0
+        overlay_path(program).unlink()
+        wait_for(lambda: told(4))
+        assert weighs(out) is None
+        assert not (out / "program.patch.json").exists()
+    assert builds == [4]
+
+
+def test_plain_and_watched_builds_write_the_same_files(saved, watching, tmp_path):
+    program, _ = saved
+    write_overlay(program, Patch.model_validate({"parts": {"body": {"mass": 3.0}}}))
+    with pytest.raises(SystemExit):
+        cli.main(["build", str(program), "--out", str(tmp_path / "plain"), "--json"])
+    running, _ = watching
+    with running() as (out, told):
+        wait_for(lambda: told(1))
+    files = lambda folder: {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()}
+    assert files(out) == files(tmp_path / "plain")
+    assert "program.patch.json" in files(out)
 
 
 def wait_for(found) -> None:
