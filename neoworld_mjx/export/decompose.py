@@ -4,6 +4,7 @@ import hashlib
 import importlib.util
 import logging
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +13,11 @@ from ..cache import cache_folder
 from ..files import write_atomic
 
 _log = logging.getLogger(__name__)
-THRESHOLD, MAX_HULLS, MAX_CORNERS = 0.08, 16, 48
-"""Concavity that is left, over the mesh's size; and how many pieces and corners there may be."""
-VERSION = "2"
+CLOSED, OPEN = (0.02, 96), (0.08, 16)
+"""Concavity that is left, over the mesh's size, and how many pieces there may be: of meshes that are closed,
+and of others: those are wrapped first, and finer pieces of that would cost a minute and still be too thick."""
+MAX_CORNERS = 48
+VERSION = "3"
 THINNEST_M = 0.002
 """Flat sheets are given this thickness, or they would be no bodies."""
 CONVEX = 0.97
@@ -40,7 +43,7 @@ def convex_pieces(vertices: NDArray, faces: NDArray) -> list[NDArray]:
     if flat(vertices) or is_convex(vertices, faces) or not installed():
         return whole
     key = hashlib.sha256()
-    for value in (f"{VERSION}:{THRESHOLD}:{MAX_HULLS}:{MAX_CORNERS}", vertices, faces):
+    for value in (f"{VERSION}:{CLOSED}:{OPEN}:{MAX_CORNERS}", vertices, faces):
         key.update(value.encode() if isinstance(value, str) else value.tobytes())
     kept = cache_folder() / "coacd" / f"{key.hexdigest()}.npz"
     try:
@@ -63,13 +66,17 @@ def flat(vertices: NDArray) -> bool:
 
 def is_convex(vertices: NDArray, faces: NDArray) -> bool:
     """Tell whether a mesh fills its convex hull; one that is not closed is never known to."""
-    import trimesh
-
-    mesh = trimesh.Trimesh(vertices, faces, process=True)
+    mesh = _merged(vertices, faces)
     if not mesh.is_watertight:
         return False
     full = volume_of_hull(vertices)
     return full > 0 and abs(float(mesh.volume)) > CONVEX * full
+
+
+def _merged(vertices: NDArray, faces: NDArray) -> Any:
+    import trimesh
+
+    return trimesh.Trimesh(vertices, faces, process=True)
 
 
 def volume_of_hull(vertices: NDArray) -> float:
@@ -126,11 +133,16 @@ def _coacd(vertices: NDArray, faces: NDArray) -> list[NDArray]:
     import coacd
 
     coacd.set_log_level("error")
+    mesh = _merged(vertices, faces)
+    # Wrapping makes walls thicker by a fiftieth of the size: what is closed needs none.
+    closed = bool(mesh.is_watertight)
+    concavity, most = CLOSED if closed else OPEN
     try:
         found = coacd.run_coacd(
-            coacd.Mesh(vertices, faces),
-            threshold=THRESHOLD,
-            max_convex_hull=MAX_HULLS,
+            coacd.Mesh(mesh.vertices, mesh.faces) if closed else coacd.Mesh(vertices, faces),
+            threshold=concavity,
+            max_convex_hull=most,
+            preprocess_mode="off" if closed else "auto",
             preprocess_resolution=50,
             mcts_iterations=20,
             mcts_nodes=10,

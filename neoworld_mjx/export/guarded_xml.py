@@ -3,6 +3,7 @@
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from math import inf
 from pathlib import Path
 
 from ..errors import SpecError
@@ -11,6 +12,11 @@ MAX_BYTES, MAX_DEPTH, MAX_ELEMENTS = 64 << 20, 100, 200_000
 _DECLARED = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
 _WORDS = ("name", "file", "filename", "class", "childclass", "mesh", "material", "texture", "joint")
 _NONE = re.compile(r"^[+-]?(nan|inf|infinity|1\.?#.*)$", re.IGNORECASE)
+MOST = {"count": 1000, "width": 16384, "height": 16384, "nrow": 4096, "ncol": 4096} | {
+    f"nuser_{kind}": 1000
+    for kind in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
+}
+"""What one number can make a reader build a great many of, and how many are read."""
 
 
 def read_xml(path: Path) -> ET.Element:
@@ -51,10 +57,28 @@ def read_xml(path: Path) -> ET.Element:
         for key, value in element.attrib.items():
             if key in _WORDS:
                 continue
-            if any(_NONE.match(word) for word in value.split()):
-                what = element.get("name") or element.tag
-                raise SpecError(f"{path}: {element.tag} {what!r}: {key}={value!r} is no number")
+            what = f"{path}: {element.tag} {element.get('name') or element.tag!r}: {key}={value!r}"
+            if any(_NONE.match(word) or abs(_number(word)) == inf for word in value.split()):
+                raise SpecError(f"{what} is no number")
+            if any(abs(_number(word)) > MOST.get(key, inf) for word in value.split()):
+                raise SpecError(f"{what}: at most {MOST[key]} are read")
+    if _repeated(root) > MAX_ELEMENTS:
+        raise SpecError(f"{path} repeats to more than {MAX_ELEMENTS} elements")
     return root
+
+
+def _number(word: str) -> float:
+    """Return a word's value; 0 for one that is no number."""
+    try:
+        return float(word)
+    except ValueError:
+        return 0.0
+
+
+def _repeated(element: ET.Element) -> float:
+    """Return how many elements there are once all are repeated as often as they say."""
+    times = _number(element.get("count") or "1") if element.tag == "replicate" else 1.0
+    return max(times, 1.0) * (1 + sum(map(_repeated, element)))
 
 
 def _elements(parser: ET.XMLPullParser) -> Iterator[tuple[str, ET.Element]]:

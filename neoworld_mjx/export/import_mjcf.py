@@ -39,7 +39,7 @@ def import_mjcf(path: Path) -> Imported:
     for tag in LOST:
         if any(root.find(tag) is not None for root in found):
             notes.append(f"{tag} is not carried")
-    model, stated = _compiled(path, notes)
+    model, stated, massless = _compiled(path, notes)
     data = mujoco.MjData(model)
     data.qpos[:] = model.qpos0
     mujoco.mj_kinematics(model, data)
@@ -54,7 +54,7 @@ def import_mjcf(path: Path) -> Imported:
     for b in range(full[0] + 1, model.nbody):
         if int(model.body_parentid[b]) in bodies:
             bodies.append(b)
-    links = [_link(model, data, b, stated, notes) for b in bodies]
+    links = [_link(model, data, b, stated, massless, notes) for b in bodies]
     joints, beads = _joints(path, model, data, bodies, notes)
     links += beads
     check_tree(path, [link.name for link in links], [(j.name, j.parent, j.child) for j in joints])
@@ -97,8 +97,13 @@ def _model_name(root: Any) -> str:
 
 def _compiled(
     path: Path, notes: list[str]
-) -> tuple[mujoco.MjModel, dict[str, tuple[float, NDArray]]]:
-    """Compile a file; where its inertias are impossible, with others, and return those stated."""
+) -> tuple[mujoco.MjModel, dict[str, tuple[float, NDArray]], set[str]]:
+    """Compile a file; where its inertias are impossible, with others, and return those stated.
+
+    Returns:
+        The model, masses and moments by body, and the bodies that have no mass but what the compiler
+        gives every body at least.
+    """
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except (ValueError, mujoco.FatalError) as error:
@@ -106,7 +111,11 @@ def _compiled(
     spec.compiler.discardvisual = False
     spec.compiler.fusestatic = False
     try:
-        return spec.compile(), {}
+        model = spec.compile()
+        least = float(spec.compiler.boundmass)
+        light = {b.name for b in spec.bodies if not b.explicitinertial}
+        light &= {model.body(b).name for b in range(model.nbody) if model.body_mass[b] <= least}
+        return model, {}, light
     except (ValueError, mujoco.FatalError) as error:
         if "inertia" not in str(error) and "mass" not in str(error):
             raise SpecError(f"{path} is refused by MuJoCo: {_line(error)}") from None
@@ -124,7 +133,7 @@ def _compiled(
     except (ValueError, mujoco.FatalError) as error:
         raise SpecError(f"{path} is refused by MuJoCo: {_line(error)}") from None
     notes.append(f"MuJoCo refuses it as it is: {why}")
-    return model, stated
+    return model, stated, set()
 
 
 def _line(error: Exception) -> str:
@@ -136,6 +145,7 @@ def _link(
     data: mujoco.MjData,
     b: int,
     stated: dict[str, tuple[float, NDArray]],
+    massless: set[str],
     notes: list[str],
 ) -> Link:
     link = Link(_name(model, b))
@@ -143,7 +153,10 @@ def _link(
         solid = _solid(model, data, int(g), link.name, notes)
         if solid is not None:
             link.solids.append(solid)
-    if model.body_mass[b] > 0:
+    seen = all(solid.role == "visual" for solid in link.solids)
+    if link.name in massless and seen and not model.body_jntnum[b]:
+        link.decoration = True
+    elif model.body_mass[b] > 0:
         turn = data.ximat[b].reshape(3, 3)
         mass, moments = float(model.body_mass[b]), model.body_inertia[b]
         if link.name in stated:

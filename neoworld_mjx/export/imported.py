@@ -57,6 +57,8 @@ class Link:
     com: NDArray | None = None
     inertia: NDArray | None = None
     """About the centre of mass, along the root frame's axes [3, 3]."""
+    decoration: bool = False
+    """Whether it is there to be seen only, without mass or colliders."""
 
 
 def assemble(
@@ -64,8 +66,8 @@ def assemble(
 ) -> Imported:
     """Make an object of links and joints.
 
-    Links without geometry are joined with what they are fixed to; one that moves on its own becomes a
-    bead. Names are made such as the spec takes them.
+    Links without geometry, or that are only seen, are joined with what they are fixed to; a link without
+    geometry that moves on its own becomes a bead. Names are made such as the spec takes them.
 
     Args:
         name: of the object.
@@ -84,8 +86,12 @@ def assemble(
     materials: dict[tuple, Material] = {}
     parts = []
     for link in by_name.values():
-        parts.append(_part(link, names, materials, notes))
+        try:
+            parts.append(_part(link, names, materials, notes))
+        except ValidationError as error:
+            raise SpecError(f"link {link.name} of {name}: {describe(error, Part)}") from None
     labels = {link.name: part.name for link, part in zip(by_name.values(), parts, strict=True)}
+    _check_follow(kept)
     titles = {joint.name: names.take(joint.name, "joint") for joint in kept}
     made = []
     for joint in kept:
@@ -123,9 +129,9 @@ def _without_empty(links: dict[str, Link], joints: list[Joint], notes: list[str]
             if joint.type != "fixed":
                 continue
             parent, child = links[joint.parent], links[joint.child]
-            if _solid(child) and _solid(parent):
+            if _solid(child) and _solid(parent) and not child.decoration:
                 continue
-            # The one without geometry goes; its mass is the other's.
+            # The one without geometry goes; its mass is the other's. So does what is only seen.
             stays, goes = (child, parent) if not _solid(parent) else (parent, child)
             _merge(stays, goes)
             del links[goes.name]
@@ -300,6 +306,17 @@ def check_tree(path: Any, links: Sequence[str], joints: Sequence[tuple[str, str,
             f"{path}: an object has one root link, this has {', '.join(roots) or 'none'}"
         )
     return roots[0]
+
+
+def _check_follow(joints: Sequence[Joint]) -> None:
+    leaders = {joint.name: joint.mimic.joint for joint in joints if joint.mimic is not None}
+    for start in leaders:
+        at, seen = start, set()
+        while at in leaders:
+            if at in seen:
+                raise SpecError(f"joint {at!r} follows itself in a circle")
+            seen.add(at)
+            at = leaders[at]
 
 
 def follow(joint: str, multiplier: float, offset: float) -> Mimic:

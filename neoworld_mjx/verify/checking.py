@@ -30,11 +30,16 @@ def import_object(path: Path) -> Imported:
         SpecError: it is neither, broken, or hostile.
     """
     root = read_xml(path)
-    if root.tag == "robot":
-        return import_urdf(path)
-    if root.tag == "mujoco":
-        return import_mjcf(path)
-    raise SpecError(f"{path} begins with <{root.tag}>: a URDF with <robot>, an MJCF with <mujoco>")
+    readers = {"robot": import_urdf, "mujoco": import_mjcf}
+    if root.tag not in readers:
+        raise SpecError(
+            f"{path} begins with <{root.tag}>: a URDF with <robot>, an MJCF with <mujoco>"
+        )
+    try:
+        return readers[root.tag](path)
+    except SpecError as error:
+        told = str(error)
+        raise SpecError(told if path.name in told else f"{path}: {told}") from None
 
 
 def check_object(

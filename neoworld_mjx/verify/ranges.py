@@ -16,9 +16,9 @@ from ..physics.mjcf import welded
 from ..program.allowance import Allowance
 from ..program.probe import Probe
 from ..spec import Joint, ObjectSpec, bounds, part_bounds
-from ..spec.mesh import HELPER
 from ..spec.opening import heeded, opened_for, way_opened
 from .scenarios import SINGLE
+from .solid import helper
 from .verdict import Check, Fault, Limit, judged, skipped
 
 Pair = tuple[int, int]
@@ -58,10 +58,11 @@ def ranges(spec: ObjectSpec, options: VerifyOptions, allowed: Sequence[Allowance
     found = Ranges()
     rigid = welded(spec)
     names = probe.names
+    is_helper = lambda name: helper(spec.part(name))
     limits = {
         (a, b): options.max_depth_m
         for a, b in itertools.combinations(range(len(names)), 2)
-        if rigid[names[a]] != rigid[names[b]]
+        if rigid[names[a]] != rigid[names[b]] and not (is_helper(names[a]) or is_helper(names[b]))
     }
     granted: dict[Pair, str] = {}
     for one in allowed:
@@ -78,7 +79,7 @@ def ranges(spec: ObjectSpec, options: VerifyOptions, allowed: Sequence[Allowance
     probe.place({})
     found.checks += _gaps(probe, options)
     for joint in spec.joints:
-        if joint.type in ("revolute", "continuous") and not _helper(spec, joint.child):
+        if joint.type in ("revolute", "continuous") and not is_helper(joint.child):
             found.checks.append(_pivot(probe, joint, options))
     found.checks += intents(spec)
     return found
@@ -317,7 +318,7 @@ def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
     reach = 20 * slack
     limit = Limit(threshold=slack, unit="m", fault=Fault.PART_DETACHED)
     for joint in probe.spec.joints:
-        if _helper(probe.spec, joint.child) or _helper(probe.spec, joint.parent):
+        if helper(probe.spec.part(joint.child)) or helper(probe.spec.part(joint.parent)):
             continue
         one, two = (probe.of_part(probe.names.index(name)) for name in (joint.parent, joint.child))
         near = probe.nearest(one, two, reach)
@@ -335,7 +336,7 @@ def _pivot(probe: Probe, joint: Joint, options: VerifyOptions) -> Check:
     size = float(np.linalg.norm(high - low))
     point, axis = np.array(joint.pos), np.array(joint.axis)
     off = line_misses(point, axis, low, high)
-    if not _helper(probe.spec, joint.parent):
+    if not helper(probe.spec.part(joint.parent)):
         # The parent's frame need not reach all the way to the axis, as a hinge has its own size.
         off = max(off, line_misses(point, axis, *probe.extent(probe.names.index(joint.parent))) / 2)
     limit = Limit(
@@ -449,11 +450,6 @@ def with_joint(spec: ObjectSpec, joint: Joint) -> ObjectSpec:
     """Return the object with a joint in place of its namesake."""
     joints = tuple(joint if j.name == joint.name else j for j in spec.joints)
     return spec.model_copy(update={"joints": joints})
-
-
-def _helper(spec: ObjectSpec, part: str) -> bool:
-    """Tell whether a part is a bead that stands for a link without geometry: it touches nothing."""
-    return all(geom.material.startswith(HELPER) for geom in spec.part(part).geoms)
 
 
 __all__ = [

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..config import VerifyOptions
 from ..spec import ObjectSpec, Part, inertial, part_bounds, pieces
 from ..spec.convex import Piece, mass_properties, planes
-from ..spec.mesh import UNKNOWN
+from ..spec.mesh import HELPER, UNKNOWN
 from ..spec.pose import Pose
 from ..spec.surface import surface
 from .verdict import Check, Fault, Limit, judged
@@ -25,6 +25,14 @@ MISSING_SHARE = 0.2
 """Share of what is seen of a part that may be without a collider."""
 PROUD_SHARE = 0.04
 """How far colliders may stand out of what is seen, over the part's diagonal."""
+
+
+def helper(part: Part) -> bool:
+    """Tell whether a part is a bead that stands for a link without geometry.
+
+    It touches nothing, and its mass and inertia are those of a body whose extent nobody stated.
+    """
+    return all(geom.material.startswith(HELPER) for geom in part.geoms)
 
 
 def inertias(spec: ObjectSpec) -> Iterator[Check]:
@@ -49,6 +57,8 @@ def inertias(spec: ObjectSpec) -> Iterator[Check]:
             limit,
             part=part.name,
         )
+        if helper(part):
+            continue
         own = inertial(spec, part.model_copy(update={"inertia": None}))
         ratio = max(own.diagonal) / size if good else np.inf
         limit = Limit(threshold=GYRATION, unit="times", fault=Fault.INERTIA_IMPOSSIBLE)
@@ -69,7 +79,7 @@ def masses(spec: ObjectSpec) -> Iterator[Check]:
     for part in spec.parts:
         mass = part.mass if part.mass is not None else inertial(spec, part).mass
         total += mass
-        if part.mass is None:
+        if part.mass is None or helper(part):
             continue
         volume = derived = 0.0
         known = True
@@ -176,6 +186,7 @@ def statics(spec: ObjectSpec, options: VerifyOptions) -> list[Check]:
 
 __all__ = [
     "distance_out",
+    "helper",
     "seen_points",
     "statics",
     "without_bad_inertia",

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..config import VerifyOptions
 from ..physics.mjcf import START, body_name, to_mjspec, welded
-from ..spec import ObjectSpec, bounds
+from ..spec import ObjectSpec, bounds, part_bounds
 from ..spec.object import Quat, joint_value
 from ..spec.opening import opened_for
 from ..spec.pose import IDENTITY, from_axis_angle, quat_mul
@@ -249,14 +249,20 @@ class Trial:
         return min(need, self.lever(moving) * (o.hand_force_n + 0.5 * weight) + load)
 
     def lever(self, moving: Moving) -> float:
-        """Return the distance [m] of a child's far end from its joint's axis; 1 for sliding ones."""
+        """Return the distance [m] of the far end of what a joint carries from its axis.
+
+        It is 1 for sliding ones.
+        """
         joint = next(j for j in self.spec.joints if j.name == moving.name)
         if joint.type == "prismatic":
             return 1.0
-        alone = self.spec.model_copy(
-            update={"parts": (self.spec.part(joint.child),), "joints": (), "sites": ()}
-        )
-        low, high = bounds(alone)
+        moved = {joint.child}
+        for part, carrier in self.spec.ordered:
+            if carrier is not None and carrier.parent in moved:
+                moved.add(part.name)
+        boxes = [part_bounds(self.spec, self.spec.part(name)) for name in moved]
+        low = np.min([box[0] for box in boxes], axis=0)
+        high = np.max([box[1] for box in boxes], axis=0)
         corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1])
                             for z in (low[2], high[2])])  # fmt: skip
         arm = corners - np.array(joint.pos)

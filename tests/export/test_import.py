@@ -163,3 +163,36 @@ def test_joints_drawn_away_from_zero_keep_their_ends(tmp_path):
     )
     (joint,) = import_mjcf(path).spec.joints
     assert (joint.lower, joint.upper) == pytest.approx((-0.5, 1.0))
+
+
+STOVE = """<mujoco><compiler boundmass="0.001" boundinertia="1e-6"/><worldbody><body name="stove">
+<geom type="box" size=".3 .3 .4" pos="0 0 .4" density="300"/>
+<body name="burner" pos="0 0 .81"><geom type="cylinder" size=".1 .01" contype="0" conaffinity="0" mass="0"/>
+</body>
+<body name="knob" pos=".31 0 .7"><joint axis="1 0 0" range="0 90" limited="true"/>
+<geom type="box" size=".02 .02 .02" contype="0" conaffinity="0" mass="0.1"/></body>
+</body></worldbody></mujoco>"""
+
+
+def test_what_is_only_seen_joins_what_it_is_fixed_to(tmp_path):
+    path = tmp_path / "stove.xml"
+    path.write_text(STOVE)
+    found = import_mjcf(path)
+    # The compiler's least mass is no mass of the burner's, and its place is not where that would be.
+    assert [part.name for part in found.spec.parts] == ["stove", "knob"]
+    assert [geom.role for geom in found.spec.part("stove").geoms] == ["collision", "visual"]
+    assert found.spec.part("stove").mass == pytest.approx(300 * 0.6 * 0.6 * 0.8)
+
+
+def test_closed_meshes_are_split_finely(tmp_path):
+    pytest.importorskip("coacd")
+    import trimesh
+
+    box = trimesh.creation.box((1.0, 0.5, 0.8))
+    slot = trimesh.creation.box(
+        (0.9, 0.4, 0.1), trimesh.transformations.translation_matrix((0.2, 0, 0.2))
+    )
+    mesh = trimesh.boolean.difference([box, slot], engine="manifold")
+    pieces = decompose.convex_pieces(mesh.vertices, mesh.faces)
+    volume = sum(decompose.volume_of_hull(piece) for piece in pieces)
+    assert volume == pytest.approx(mesh.volume, rel=0.02)

@@ -8,7 +8,7 @@ import scenes
 from furniture import chest, cupboard, geom
 
 from neoworld_mjx.config import VerifyOptions
-from neoworld_mjx.spec import Box, Material, Sphere, recentred
+from neoworld_mjx.spec import Box, Geom, Joint, Material, Part, Sphere, recentred
 from neoworld_mjx.spec.object import AuthoredInertia
 from neoworld_mjx.verify import VERSION, Battery, Fault, verify
 from neoworld_mjx.verify.scenarios import PRESETS
@@ -220,3 +220,50 @@ def test_an_impossible_inertia_is_told_and_the_rest_is_tried_without_it():
         assert verdict.cause is Fault.INERTIA_IMPOSSIBLE
         assert named(verdict, "drive:hinge").outcome == "PASS"
         assert np.isfinite(verdict.mass_kg)
+
+
+def tap():
+    """A tap whose handle turns about two axes, as files from elsewhere have it: a bead in between."""
+    bead = Material(name="helper", density=400)
+    spec = chest()
+    block = geom("block", (0.1, 0.1, 0.1), (0, 0, 0.05))
+    lever = geom("lever", (0.2, 0.02, 0.02), (0.1, 0, 0.115))
+    middle = Geom(name="bead", shape=Sphere(radius=0.001), pos=(0, 0, 0.1), material="helper")
+    # What a link without shape states of mass and inertia cannot be held against the bead.
+    heavy = AuthoredInertia(pos=(0, 0, 0.1), moments=(1e-4, 1e-4, 1e-4), products=(0, 0, 0))
+    turns = {"type": "revolute", "pos": (0, 0, 0.1), "upper": 1.0, "friction": 0.05, "damping": 0.2}
+    return spec.model_copy(
+        update={
+            "materials": (*spec.materials, bead),
+            "parts": (
+                Part(name="body", geoms=(block,)),
+                Part(name="link", geoms=(middle,), mass=0.05, inertia=heavy),
+                Part(name="handle", geoms=(lever,)),
+            ),
+            "joints": (
+                Joint.model_validate(
+                    {**turns, "name": "hot", "parent": "body", "child": "link", "axis": (0, 0, 1)}
+                ),
+                Joint.model_validate(
+                    {
+                        **turns,
+                        "name": "open",
+                        "parent": "link",
+                        "child": "handle",
+                        "axis": (0, -1, 0),
+                    }
+                ),
+            ),
+        }
+    )
+
+
+def test_a_link_without_shape_is_not_held_against_the_bead_that_stands_for_it():
+    battery = Battery(tap(), fixed_base=True)
+    assert battery.verdict.passed, bad(battery.verdict)
+    asked = {check.name for check in battery.verdict.checks}
+    assert "moments:link" in asked
+    assert not asked & {"spread:link", "centre:link", "mass:link", "gap:hot"}
+    # A hand takes hold of all that a joint carries, not of the link next to it.
+    levers = {moving.name: battery.trial.lever(moving) for moving in battery.trial.joints}
+    assert levers["hot"] == pytest.approx(0.2, abs=0.01)
