@@ -78,7 +78,9 @@ class Trial:
         free = made.compile()
         free.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         # Dry friction of joints would creep too, and a joint that is stuck would seem to move.
-        free.dof_solimp[:, :2] = 0.9999
+        # Where damping stops a joint within a step, so stiff a friction would drive it instead.
+        damping = free.dof_damping.reshape(free.nv, -1)[:, 0]
+        free.dof_solimp[options.timestep_s * damping < free.dof_M0, :2] = 0.9999
         self.models: dict[World, mujoco.MjModel] = {"free": free}
         self._propped: dict[tuple[World, frozenset[str]], mujoco.MjModel] = {}
         self.data = mujoco.MjData(free)

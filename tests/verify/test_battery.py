@@ -267,3 +267,11 @@ def test_a_link_without_shape_is_not_held_against_the_bead_that_stands_for_it():
     # A hand takes hold of all that a joint carries, not of the link next to it.
     levers = {moving.name: battery.trial.lever(moving) for moving in battery.trial.joints}
     assert levers["hot"] == pytest.approx(0.2, abs=0.01)
+
+
+def test_friction_does_not_drive_what_damping_stops_within_a_step():
+    stiff = cupboard(friction=1.0, damping=2.0)
+    switch = Part(name="door", geoms=(geom("lever", (0.02, 0.06, 0.02), (0.16, 0.17, 0.25)),))
+    verdict = verify(stiff.model_copy(update={"parts": (stiff.parts[0], switch)}), fixed_base=True)
+    assert named(verdict, "coast:hinge").value > 0.5
+    assert not set(verdict.faults) & {Fault.LIMIT_SOFT, Fault.JOINT_UNDAMPED, Fault.RESTLESS}
