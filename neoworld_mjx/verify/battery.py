@@ -21,7 +21,7 @@ from .solid import statics, without_bad_inertia
 from .trial import Trace, Trial
 from .verdict import Check, Fault, Scenario, Verdict
 
-VERSION = "4"
+VERSION = "5"
 """Raised whenever the same object could get another verdict; what is cached goes by it."""
 
 
