@@ -34,3 +34,30 @@ def keep_compilations() -> Path | None:
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
     return folder
+
+
+def make_room(share: float = 0.5) -> bool:
+    """Drop what JAX has compiled before the process runs out of memory maps.
+
+    On CPUs every program maps memory some hundred times, JAX keeps programs of scenes that are gone,
+    and Linux allows 65 530 maps a process: after some thirty scenes compiling would fail. What is
+    needed again is compiled again.
+
+    Args:
+        share: of the allowed maps from which programs are dropped.
+
+    Returns:
+        Whether they were; never where the system does not tell.
+    """
+    import jax
+
+    try:
+        with open("/proc/self/maps", "rb") as maps:
+            used = sum(1 for _ in maps)
+        allowed = int(Path("/proc/sys/vm/max_map_count").read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        return False
+    if used < share * allowed:
+        return False
+    jax.clear_caches()
+    return True

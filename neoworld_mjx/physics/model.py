@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from neoworld_kernels import Solids
 
+from ..cache import make_room
 from ..errors import SpecError
 from ..spec import SceneSpec, bounds, read_scene, rearranged
 from ..spec.scale import joint_exponents, mass_exponent, mimic_exponents
@@ -139,6 +140,7 @@ def compile_scene(
     Raises:
         SpecError: MuJoCo cannot compile the scene; the message is MuJoCo's.
     """
+    make_room()
     try:
         mjm = to_mjspec(scene, timestep=timestep).compile()
     except (ValueError, mujoco.FatalError) as error:

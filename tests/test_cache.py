@@ -1,0 +1,30 @@
+"""Compiled programs are dropped before the process runs out of memory maps."""
+
+import jax
+import pytest
+import scenes
+
+from neoworld_mjx.cache import make_room
+from neoworld_mjx.physics.model import compile_scene
+
+
+@pytest.fixture
+def compiled():
+    double = jax.jit(lambda x: 2 * x)
+    double(1.0)
+    assert double._cache_size() == 1
+    return double
+
+
+def test_programs_are_dropped_when_maps_run_short(compiled):
+    assert not make_room()
+    assert compiled._cache_size() == 1
+    assert make_room(share=0.0)
+    assert compiled._cache_size() == 0
+    assert compiled(2.0) == 4.0
+
+
+def test_a_new_scene_makes_room(compiled, monkeypatch):
+    monkeypatch.setattr(make_room, "__defaults__", (0.0,))
+    compile_scene(scenes.blocks())
+    assert compiled._cache_size() == 0
