@@ -204,7 +204,7 @@ class CEMOptions(Options):
     and neither with a user's own terms nor with scores by a model, which have no known bound."""
     batch: int = Field(default=16, ge=1)
     """Candidates rolled out at once while pruning."""
-    stop_gain: float = Field(default=0.02, ge=0)
+    stop_gain: float = Field(default=0.005, ge=0)
     """Stop when the elites' mean absolute reward gains less than this in an iteration."""
     patience: int = Field(default=2, ge=1)
     """How many iterations in a row must gain less; 1 is Algorithm 1."""
