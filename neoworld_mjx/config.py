@@ -252,7 +252,7 @@ class RolloutOptions(Options):
 class DescentOptions(Options):
     """Adam on the differentiable terms, before physics."""
 
-    warm_steps: int = Field(default=60, ge=0)
+    warm_steps: int = Field(default=100, ge=0)
     """Steps that the start of the search takes towards the photograph's boxes and out of
     interpenetration; 0 starts at the composed scene."""
     project: Literal["never", "needed", "always"] = "needed"
