@@ -189,6 +189,8 @@ class BenchKernels(Common):
     """Time that the calls of a row may take [s]."""
     seed: int = 0
     """Of scenes and layouts."""
+    pairs: int = 10_000
+    """Random pairs of solids over which sampled depths are held against exact ones; 0 for none."""
     table: Path | None = None
     """JSON file of measured devices to enter this one into: what `pair_depth` chooses by."""
 
@@ -276,6 +278,18 @@ class BenchVerify(Common):
 
 
 @dataclass(frozen=True, kw_only=True)
+class BenchBattery(Common):
+    """Simulate the battery's runs of many objects at once, on all cores and on a GPU."""
+
+    objects: int = 100
+    """How many; sound ones in up to four sizes."""
+    engine: tuple[Literal["native", "warp"], ...] = ("native", "warp")
+    """What simulates them."""
+    together: int = 8
+    """Objects that share a model on the GPU."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class BenchChart(Common):
     """Draw the growth of cost from the JSON that `bench run physics` printed."""
 
@@ -298,6 +312,7 @@ class BenchRun:
         | Annotated[BenchRefine, subcommand("refine")]
         | Annotated[BenchScoring, subcommand("scoring")]
         | Annotated[BenchVerify, subcommand("verify")]
+        | Annotated[BenchBattery, subcommand("battery")]
         | Annotated[BenchPrograms, subcommand("programs")]
     )
 
@@ -318,6 +333,7 @@ class Bench:
         | BenchRefine
         | BenchScoring
         | BenchVerify
+        | BenchBattery
         | BenchPrograms
         | BenchChart
     ):

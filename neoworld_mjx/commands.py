@@ -10,6 +10,7 @@ from .arguments import (
     Ablate,
     Bench,
     BenchAgreement,
+    BenchBattery,
     BenchChart,
     BenchKernels,
     BenchPhysics,
@@ -233,6 +234,7 @@ def bench(command: Bench) -> Answer:
         BenchRefine: _bench_refine,
         BenchScoring: benchmarks.scoring_answer,
         BenchVerify: benchmarks.verify_answer,
+        BenchBattery: benchmarks.battery_answer,
         BenchPrograms: benchmarks.programs_answer,
         BenchChart: benchmarks.chart_answer,
     }

@@ -8,7 +8,7 @@ negated signed distance, clipped at zero, and differentiable almost everywhere.
 import functools
 import json
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -145,9 +145,15 @@ def choose(
     """
     pieces = sum(group.owner.shape[0] for group in solids)
     work = pop * objects * samples * pieces
-    backend = jax.default_backend()
-    if backend == "cpu":
+    device = _device()
+    if device.platform == "cpu":
         return "culled"
-    found = MEASURED["devices"].get(jax.devices()[0].device_kind) if backend == "gpu" else None
+    found = MEASURED["devices"].get(device.device_kind) if device.platform == "gpu" else None
     least = None if found is None else found["pallas_from"]
     return "pallas" if least is not None and work >= least else "jnp"
+
+
+def _device() -> Any:
+    """Return the device that JAX puts new arrays on, `jax.default_device` included."""
+    chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
+    return jax.devices(chosen)[0] if chosen is None or isinstance(chosen, str) else chosen

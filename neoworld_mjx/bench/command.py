@@ -17,6 +17,7 @@ from . import agreement as comparing
 from .growth import Growth, growth, growth_svg
 from .kernels import dispatch, kernels
 from .machine import machine
+from .penetration import accuracy, random_pairs
 from .physics import PhysicsRow, physics
 
 log = logging.getLogger(__name__)
@@ -48,7 +49,8 @@ def kernels_answer(o: Any) -> dict[str, Any]:
     rows = _told(kernels(o.objects, o.population, samples=o.samples, seed=o.seed, budget=o.budget))
     if o.table is not None:
         _enter(o.table, dispatch(rows))
-    return {"machine": about, "rows": _plain(rows)}
+    told = _plain(_told(accuracy(random_pairs(o.pairs, seed=o.seed)))) if o.pairs else []
+    return {"machine": about, "rows": _plain(rows), "accuracy": told}
 
 
 def agreement_answer(o: Any) -> dict[str, Any]:
@@ -118,6 +120,14 @@ def verify_answer(o: Any) -> dict[str, Any]:
 
     rows = _told(verify_matrix(o.objects, o.kind, mend=not o.no_repair, workers=o.workers))
     return {**summary(rows), "machine": machine()}
+
+
+def battery_answer(o: Any) -> dict[str, Any]:
+    """Simulate many objects at once; options are those of `arguments.BenchBattery`."""
+    from .battery import batteries
+
+    rows = _told(batteries(o.objects, o.engine, together=o.together))
+    return {"machine": machine(), "rows": _plain(rows)}
 
 
 def chart_answer(o: Any) -> dict[str, Any]:

@@ -244,6 +244,9 @@ def _seen(scene: SceneSpec, rng: np.random.Generator) -> list[SceneObject]:
         box = np.array([*px.min(axis=0), *px.max(axis=0)])
         size = math.sqrt(np.prod(box[2:] - box[:2]))
         box += rng.normal(size=4) * math.hypot(BOX_NOISE_PX, BOX_NOISE * size)
+        # However few pixels show it, a detector gives it one.
+        narrow = np.maximum(1.0 - (box[2:] - box[:2]), 0.0) / 2
+        box += np.concatenate([-narrow, narrow])
         far = float(depth.mean()) * (1 + DEPTH_NOISE * rng.normal())
         edges = dict(zip(("x0", "y0", "x1", "y1"), map(float, box), strict=True))
         found.append(item.model_copy(update={"box2d": Box2D(**edges), "depth": far}))

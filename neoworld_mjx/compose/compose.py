@@ -27,8 +27,12 @@ from ..spec.object import Quat
 from ..spec.opening import joint_meant, parsed_state
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
 from .lying import on_level, resting_tilt
+from .settled import settled
 
 NOTED_TURN_DEG = 2.0
+"""From which on it is told that a thing lies otherwise on level ground than it was seen to."""
+NOTED_SLANT_DEG = 10.0
+"""The same for things on a dish or a slope, whose tilt a picture hardly tells."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +157,6 @@ def _place(
         frame = support_frame(parent, origin, link)
     box = _parsed_pose(node, tilted=False)
     here = frame.inverse().then(box).then(_origin_in_box(spec, state))
-    # What lies on a dish or a slope is held by it: only on level ground is its rest its own.
     level = on_level(node, tree)
     tilt, aside = _lying(node, spec, state, notes) if level else (node.base_tilt, np.zeros(3))
     here = here.then(pose(aside))
@@ -162,7 +165,7 @@ def _place(
         notes.append(f"{node.name}: {node.parent} is free to move, so it cannot be fixed to it")
         fixed = False
     _, depth = tree.camera.project(node.box3d.corners(node.base_tilt).mean(axis=0))
-    return SceneObject(
+    item = SceneObject(
         name=node.name,
         spec=spec,
         parent=node.parent,
@@ -181,6 +184,18 @@ def _place(
         parsed_size=node.box3d.size,
         scale_residual=residual,
     )
+    lies = not (item.static or level or np.allclose(item.base_tilt, IDENTITY))
+    if node.parent is None or not lies or node.relation not in ("on", "in"):
+        return item
+    # What lies on a dish or a slope is held by it: only on level ground is its rest its own.
+    found = settled(placed[node.parent], item)
+    if found is None:
+        notes.append(f"{node.name}: as tilted in the parse it finds no rest on {node.parent}")
+        return item
+    turned = float(np.degrees(angle_between(item.base_tilt, found.base_tilt)))
+    if turned > NOTED_SLANT_DEG:
+        notes.append(f"{node.name}: turned by {turned:.0f} degrees, as it rests on {node.parent}")
+    return found
 
 
 def _lying(

@@ -1,5 +1,6 @@
 """Refining a composed scene: the loop of Algorithm 1 with what makes it faster, each an option."""
 
+import contextlib
 import dataclasses
 import functools
 import time
@@ -277,15 +278,17 @@ class Search:
     def _descend(self, layouts: Layout, steps: int, *, photo: bool) -> Layout:
         began = time.perf_counter()
         d = self.o.descent
-        moved = descend(
-            self.model,
-            layouts,
-            self.params.sigma,
-            steps=steps,
-            rate=d.rate,
-            samples=d.samples,
-            photo=photo,
-        )
+        # With a single candidate a GPU does nothing but start kernels.
+        with _host() if layouts.yaw.shape[0] == 1 else contextlib.nullcontext():
+            moved = descend(
+                self.model,
+                layouts,
+                self.params.sigma,
+                steps=steps,
+                rate=d.rate,
+                samples=d.samples,
+                photo=photo,
+            )
         self.clock["descent"] += time.perf_counter() - began
         return jax.block_until_ready(moved)
 
@@ -370,6 +373,14 @@ def early_stop_rule(o: RefineOptions) -> EarlyStop:
         drift=o.reward.d_drift_cap * o.reward.drift_scale_m,
         tilt=float(np.radians(o.reward.d_drift_cap * o.reward.tilt_scale_deg)),
     )
+
+
+def _host() -> contextlib.AbstractContextManager[object]:
+    """Let JAX compute on the CPU, where its settings leave it one."""
+    try:
+        return jax.default_device(jax.devices("cpu")[0])
+    except RuntimeError:
+        return contextlib.nullcontext()
 
 
 def _line(t: int, most: int, scores: Scores, state: CEMState) -> str:

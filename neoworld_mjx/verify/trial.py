@@ -30,8 +30,8 @@ MOUNTAIN = 1e6
 CONTROL_BYTES = 64 << 20
 """Most memory for the forces of a batch; more scenarios than that are rolled out in turns."""
 G = 9.81
-_FORCES = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED) | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
-_STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
+FORCES = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED) | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
+STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 
 
 @dataclass
@@ -171,8 +171,8 @@ class Trial:
             data.qpos[at] = value
             led = joint_value(self.spec, joint, run.speeds) if run.speeds else 0.0
             data.qvel[dof] = led - (joint_value(self.spec, joint, {}) if run.speeds else 0.0)
-        found = np.zeros(mujoco.mj_stateSize(model, _STATE))
-        mujoco.mj_getState(model, data, found, _STATE)
+        found = np.zeros(mujoco.mj_stateSize(model, STATE))
+        mujoco.mj_getState(model, data, found, STATE)
         return found
 
     def forces(self, run: Run, start: NDArray) -> NDArray:
@@ -183,7 +183,7 @@ class Trial:
         joint = np.zeros((steps, model.nv))
         body = np.zeros((steps, model.nbody, 6))
         if run.part is not None or run.driven:
-            mujoco.mj_setState(model, data, start, _STATE)
+            mujoco.mj_setState(model, data, start, STATE)
             mujoco.mj_forward(model, data)
         if run.part is not None:
             b = model.body(body_name(self.spec, run.part)).id
@@ -288,7 +288,7 @@ class Trial:
                 )
                 models = [self.model_of(run) for run in few]
                 states, sensed = pool.rollout(
-                    models, data, starts, forces, control_spec=_FORCES, nstep=steps
+                    models, data, starts, forces, control_spec=FORCES, nstep=steps
                 )
                 traces += [
                     self._trace(run, *found)

@@ -88,3 +88,12 @@ def test_algorithm_1_keeps_what_is_to_be_equal():
     assert (o.cem.population, o.cem.iterations) == (24, 2)
     assert o.reward.model_copy(update={"normalisation": "fixed"}) == SMALL.reward
     assert not (o.cem.prune or o.descent.warm_steps or o.rollout.early_stop)
+
+
+@pytest.mark.parametrize("name", refine_scenes.LARGE)
+def test_however_small_a_thing_looks_it_has_a_box(name):
+    scene = refine_scenes.photographed(name)
+    assert len(scene.objects) == int(name.removeprefix("crowd_")) + 1
+    for item in scene.objects:
+        x0, y0, x1, y1 = item.box2d.as_tuple()
+        assert min(x1 - x0, y1 - y0) >= 1.0 - 1e-9

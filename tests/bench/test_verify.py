@@ -1,11 +1,14 @@
 """The fault matrix on a few objects; the whole of it is `neoworld bench run verify`."""
 
+import numpy as np
 import pytest
 
+from neoworld_mjx.bench.battery import OnCores, batteries, prepare, same
 from neoworld_mjx.bench.injected import KINDS
 from neoworld_mjx.bench.sound import FAMILIES, sound_objects
 from neoworld_mjx.bench.verify import FaultRow, SoundRow, summary, verify_matrix
-from neoworld_mjx.errors import ConfigError
+from neoworld_mjx.config import VerifyOptions
+from neoworld_mjx.errors import ConfigError, EngineError
 from neoworld_mjx.verify import Fault
 
 
@@ -57,3 +60,30 @@ def test_what_is_missed_is_counted_as_missed():
 def test_unknown_kinds_are_refused():
     with pytest.raises(ConfigError, match="no_damping"):
         list(verify_matrix(1, ("no_dampin",)))
+
+
+def test_runs_of_many_objects_end_where_each_object_alone_does():
+    options = VerifyOptions(duration_s=0.3)
+    prepared = [prepare(spec, options) for spec in sound_objects(2)]
+    for p, ends in zip(prepared, OnCores(prepared, 2).run(), strict=True):
+        alone = p.trial.run(p.runs, threads=1)
+        assert np.array_equal(ends, [trace.qpos[-1] for trace in alone])
+        assert not any(run.world == "gripping" for run in p.runs)
+    nudged = [prepared[0].starts[:, 1 : 1 + prepared[0].trial.model.nq].copy() for _ in range(2)]
+    nudged[1][0, 2] += 0.01
+    told = same(prepared[:1], nudged[1:], nudged[:1])
+    assert told.tolist() == [False] + [True] * (len(told) - 1)
+
+
+def test_rows_of_many_objects_say_what_was_run():
+    (row,) = batteries(2, ("native",))
+    assert (row.objects, row.models, row.failed, row.status) == (2, 2, 0, "ok")
+    assert row.runs > 20 and row.steps > 500
+    assert row.simulate_s > 0 and row.same_end is None
+
+
+def test_too_many_objects_are_an_error():
+    with pytest.raises(EngineError, match="there are 128, not 129"):
+        list(batteries(129))
+    with pytest.raises(EngineError, match="1 to 31"):
+        list(batteries(2, together=32))

@@ -282,3 +282,24 @@ def test_a_tilt_far_from_any_rest_is_left_and_told():
     block = Geom(name="b", shape=Box(size=(0.1, 0.1, 0.1)), pos=(0, 0, 0.05), material="wood")
     cube = ObjectSpec(name="b", materials=(wood,), parts=(Part(name="body", geoms=(block,)),))
     assert resting_tilt(cube, {}, tilt) is None
+
+
+@pytest.mark.parametrize("side", [0.035, 0.2])
+def test_what_lies_tilted_on_a_saucer_is_let_down_or_it_is_told_that_it_cannot(side):
+    tilt = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(12)).tolist())
+    bar = scenes.single("bar", (Box(size=(0.12, 0.014, 0.006)), (0, 0, 0)))
+    made = composed(
+        [
+            node("saucer", scenes.saucer(), (1.0, 0, 0)),
+            node("bar", bar, (1.0, side, 0.02), parent="saucer", base_tilt=tilt),
+        ],
+        {"saucer": scenes.saucer(), "bar": bar},
+    )
+    item = made.scene.object("bar")
+    if side < 0.1:
+        assert made.notes == ()
+        assert angle_between(item.base_tilt, tilt) > math.radians(2)
+        assert scene_measure(made.scene).tilt_deg["bar"] < 1
+    else:
+        assert item.base_tilt == pytest.approx(tilt)
+        assert made.notes == ("bar: as tilted in the parse it finds no rest on saucer",)

@@ -214,18 +214,20 @@ def test_the_fastest_is_chosen_by_device_and_size(mixed, monkeypatch):
     assert [choose(1), choose(10**6)] == ["culled", "culled"]
 
     class Device:
-        device_kind = "Measured"
+        device_kind, platform = "Measured", "gpu"
 
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    monkeypatch.setattr(jax, "devices", lambda: [Device()])
+    monkeypatch.setattr(jax, "devices", lambda _: [Device()])
     assert choose(10**6) == "jnp", "a GPU that was not measured"
     least = {"pallas_from": 8 * 7 * 50 * pieces}
     monkeypatch.setitem(penetration.MEASURED["devices"], "Measured", least)
     assert [choose(7), choose(8)] == ["jnp", "pallas"]
     monkeypatch.setitem(penetration.MEASURED["devices"], "Measured", {"pallas_from": None})
     assert choose(10**6) == "jnp"
-    monkeypatch.setattr(jax, "default_backend", lambda: "tpu")
+    Device.platform = "tpu"
     assert choose(10**6) == "jnp"
+    monkeypatch.undo()
+    with jax.default_device(jax.devices("cpu")[0]):
+        assert choose(10**6) == "culled", "the device that was asked for"
 
 
 def test_auto_takes_what_was_chosen(mixed, monkeypatch):
@@ -233,6 +235,6 @@ def test_auto_takes_what_was_chosen(mixed, monkeypatch):
     monkeypatch.setattr(penetration, "pair_depth_culled", lambda *_: taken.append("culled"))
     monkeypatch.setattr(penetration, "pair_depth_reference", lambda *_: taken.append("jnp"))
     pair_depth(*mixed.where, mixed.samples, mixed.solids)
-    monkeypatch.setattr(jax, "default_backend", lambda: "tpu")
+    monkeypatch.setattr(penetration, "choose", lambda *_: "jnp")
     pair_depth(*mixed.where, mixed.samples, mixed.solids)
     assert taken == ["culled", "jnp"]

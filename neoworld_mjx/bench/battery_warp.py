@@ -1,0 +1,275 @@
+"""Many objects' runs on a GPU: several objects a model, each model on a stream of its own.
+
+Objects of a model do not touch each other, and a world of it is one run of each of them. Two things let
+runs of different kinds share a model: what is held by a heavy base hangs high above the floor,
+and gravity is each world's own.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ..errors import EngineError
+from ..physics.mjcf import to_mjspec
+from .battery import Prepared
+
+LIFT = 10.0
+"""How much higher what is held hangs [m]."""
+AT_ONCE = 10
+"""Steps in one launch of a graph."""
+ITERATIONS = 50
+"""Most iterations of the constraint solver; all worlds of a model wait for the slowest."""
+PROBED_STEPS, PROBE_EVERY = 150, 5
+_FIELDS = ("dof_armature", "dof_invweight0", "body_invweight0")
+
+
+class Batch:
+    """All objects on one device."""
+
+    def __init__(self, prepared: Sequence[Prepared], together: int, device: Any) -> None:
+        """Put objects with about as many runs into a model together.
+
+        Raises:
+            EngineError: MuJoCo Warp cannot carry them.
+        """
+        self.device = device
+        self.count = len(prepared)
+        order = sorted(range(self.count), key=lambda k: -len(prepared[k].runs))
+        self.groups = [
+            (order[first : first + together], Group([prepared[k] for k in order[first : first + together]], self.device))
+            for first in range(0, self.count, together)
+        ]  # fmt: skip
+
+    @property
+    def models(self) -> int:
+        """How many models the objects are in."""
+        return len(self.groups)
+
+    def run(self) -> list[NDArray]:
+        """Simulate all runs; return qpos at the end [runs, nq] of each object."""
+        for _, group in self.groups:
+            group.begin()
+        steps = self.groups[0][1].steps
+        for _ in range(steps // AT_ONCE):
+            for _, group in self.groups:
+                group.advance()
+        wp.synchronize_device(self.device)
+        found: list[Any] = [None] * self.count
+        for rows, group in self.groups:
+            for k, end in zip(rows, group.ends(), strict=True):
+                found[k] = end
+        return found
+
+
+class Group:
+    """Some objects in one model, with a world for each of their runs."""
+
+    def __init__(self, objects: Sequence[Prepared], device: Any) -> None:
+        self.objects, self.device = objects, device
+        self.steps = objects[0].forces.shape[1]
+        if self.steps % AT_ONCE:
+            raise EngineError(f"{self.steps} steps are not whole launches of {AT_ONCE}")
+        mjm = _one_model(objects)
+        heavy = max(sum(_gravity(p)) for p in objects)
+        self.worlds = worlds = heavy + max(len(p.runs) - sum(_gravity(p)) for p in objects)
+        # World of each run: those with gravity from the front, those without behind all of them.
+        self.world = [
+            np.concatenate([np.arange(sum(g)), heavy + np.arange(len(g) - sum(g))])
+            for g in map(_gravity, objects)
+        ]
+        qpos = np.tile(mjm.qpos0, (worlds, 1))
+        qvel = np.zeros((worlds, mjm.nv))
+        fields = {name: np.repeat(getattr(mjm, name)[None], worlds, 0) for name in _FIELDS}
+        joint = np.zeros((self.steps, worlds, mjm.nv), np.float32)
+        body = np.zeros((self.steps, worlds, mjm.nbody, 6), np.float32)
+        self.qpos_of: list[slice] = []
+        q = v = 0
+        b = 1
+        for p, at in zip(objects, self.world, strict=True):
+            own = p.trial.model
+            mine, dofs = slice(q, q + own.nq), slice(v, v + own.nv)
+            bodies = slice(b, b + own.nbody - 1)
+            qpos[:, mine] = p.starts[0, 1 : 1 + own.nq]
+            qpos[at, mine] = p.starts[:, 1 : 1 + own.nq]
+            qpos[at, q + 2] += _lift(p)
+            qvel[at, dofs] = p.starts[:, 1 + own.nq : 1 + own.nq + own.nv]
+            for w, model in zip(at, p.models, strict=True):
+                for name in _FIELDS:
+                    if name == "body_invweight0":
+                        fields[name][w, bodies] = model.body_invweight0[1:]
+                    else:
+                        fields[name][w, dofs] = getattr(model, name)
+            joint[:, at, dofs] = p.forces[:, :, : own.nv].transpose(1, 0, 2)
+            on = p.forces[:, :, own.nv :].reshape(len(at), self.steps, own.nbody, 6)
+            body[:, at, bodies] = on[:, :, 1:].transpose(1, 0, 2, 3)
+            self.qpos_of.append(mine)
+            q, v, b = q + own.nq, v + own.nv, b + own.nbody - 1
+        gravity = np.tile(mjm.opt.gravity, (worlds, 1))
+        gravity[heavy:] = 0.0
+        contacts, constraints = _room(objects)
+        with wp.ScopedDevice(device):
+            self.stream = wp.Stream(device) if device.is_cuda else None
+            try:
+                self.model = mjw.put_model(mjm, batch_sizes=dict.fromkeys(_FIELDS, worlds))
+            except (NotImplementedError, ValueError) as error:
+                raise EngineError(f"MuJoCo Warp cannot carry these objects: {error}") from None
+            self.data = mjw.make_data(
+                mjm, nworld=worlds, naconmax=worlds * contacts, njmax=constraints
+            )
+            self.model.opt.warn_overflow = 0
+            self.model.opt.gravity = wp.array(gravity.astype(np.float32), dtype=wp.vec3)
+            for name, values in fields.items():
+                into = getattr(self.model, name)
+                into.assign(values.astype(np.float32).reshape(*into.shape, -1).squeeze())
+            self.start = [wp.array(x.astype(np.float32)) for x in (qpos, qvel)]
+            self.joint = wp.array(joint)
+            self.body = wp.array(body, dtype=wp.spatial_vector)
+            self.time = wp.zeros(1, dtype=int)
+            self.graph: Any = None
+
+    def begin(self) -> None:
+        """Put all worlds at their starts."""
+        with wp.ScopedDevice(self.device), wp.ScopedStream(self.stream):
+            d = self.data
+            wp.copy(d.qpos, self.start[0])
+            wp.copy(d.qvel, self.start[1])
+            for array in (d.qacc_warmstart, d.time, d.overflow, self.time):
+                array.zero_()
+            if self.graph is None and self.device.is_cuda:
+                self._step()  # compiles and loads kernels, which a capture cannot
+                with wp.ScopedCapture(stream=self.stream) as capture:
+                    for _ in range(AT_ONCE):
+                        self._step()
+                self.graph = capture.graph
+                self.begin()
+
+    def advance(self) -> None:
+        """Go AT_ONCE steps on."""
+        if self.graph is not None:
+            wp.capture_launch(self.graph, stream=self.stream)
+            return
+        with wp.ScopedDevice(self.device):
+            for _ in range(AT_ONCE):
+                self._step()
+
+    def ends(self) -> list[NDArray]:
+        """Return qpos [runs, nq] of each object.
+
+        Raises:
+            EngineError: contacts or constraints did not fit.
+        """
+        if self.data.overflow.numpy().any():
+            raise EngineError("contacts or constraints of some worlds did not fit")
+        qpos = self.data.qpos.numpy().astype(float)
+        found = []
+        for p, at, mine in zip(self.objects, self.world, self.qpos_of, strict=True):
+            end = qpos[at, mine]
+            end[:, 2] -= _lift(p)
+            found.append(end)
+        return found
+
+    def _step(self) -> None:
+        d = self.data
+        wp.launch(
+            _load_joint, dim=d.qfrc_applied.shape, inputs=[self.time, self.joint, d.qfrc_applied]
+        )
+        wp.launch(
+            _load_body, dim=d.xfrc_applied.shape, inputs=[self.time, self.body, d.xfrc_applied]
+        )
+        mjw.step(self.model, d)
+        wp.launch(_tick, dim=1, inputs=[self.time, self.steps])
+
+
+def _gravity(p: Prepared) -> list[bool]:
+    return [run.world != "weightless" for run in p.runs]
+
+
+def _lift(p: Prepared) -> NDArray:
+    return np.array([0.0 if run.world == "free" else LIFT for run in p.runs])
+
+
+def _one_model(objects: Sequence[Prepared]) -> mujoco.MjModel:
+    """Compile objects into one model; each can touch itself and the floor alone."""
+    options = objects[0].trial.options
+    whole = mujoco.MjSpec()
+    whole.compiler.degree = False
+    whole.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+    whole.compiler.alignfree = False
+    whole.option.timestep = options.timestep_s
+    whole.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    floor = whole.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE)
+    floor.size, floor.friction, floor.condim = [0, 0, 1.0], [0.0, 0.0, 0.0], 3
+    floor.contype, floor.conaffinity = 0, (1 << len(objects)) - 1
+    for k, p in enumerate(objects):
+        one = to_mjspec(p.trial.spec, timestep=options.timestep_s)
+        for key in list(one.keys):
+            one.delete(key)
+        for geom in one.geoms:
+            if geom.contype or geom.conaffinity:
+                geom.contype = geom.conaffinity = 1 << k
+        whole.attach(one, prefix=f"{k}:", frame=whole.worldbody.add_frame())
+    mjm = whole.compile()
+    v = 0
+    for k, p in enumerate(objects):
+        own = p.trial.model
+        if [mjm.joint(mjm.dof_jntid[v + i]).name for i in range(own.nv)] != [
+            f"{k}:{own.joint(own.dof_jntid[i]).name}" for i in range(own.nv)
+        ]:
+            raise EngineError(f"{p.trial.spec.name}: its joints are not in one row")
+        mjm.dof_solimp[v : v + own.nv] = own.dof_solimp
+        v += own.nv
+    mjm.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
+    mjm.opt.iterations = min(mjm.opt.iterations, ITERATIONS)
+    return mjm
+
+
+def _room(objects: Sequence[Prepared]) -> tuple[int, int]:
+    """Count contacts and constraints with C MuJoCo; return what a world gets of each."""
+    contacts = constraints = 0
+    for p in objects:
+        most_contacts = most_constraints = 0
+        # The falls, and the joints at the ends of their ranges.
+        for k in np.unique(np.linspace(0, len(p.runs) - 1, 6).astype(int)):
+            model = p.models[k]
+            data = mujoco.MjData(model)
+            data.qpos[:] = p.starts[k, 1 : 1 + model.nq]
+            for _ in range(PROBED_STEPS // PROBE_EVERY):
+                mujoco.mj_step(model, data, PROBE_EVERY)
+                most_contacts = max(most_contacts, data.ncon)
+                most_constraints = max(most_constraints, data.nefc, 4 * data.ncon)
+        contacts += 2 * most_contacts + 16
+        constraints += 2 * most_constraints + 16
+    return contacts, -(-constraints // 32) * 32
+
+
+@wp.kernel
+def _load_joint(
+    time: wp.array(dtype=wp.int32),
+    forces: wp.array3d(dtype=wp.float32),
+    into: wp.array2d(dtype=wp.float32),
+):
+    w, i = wp.tid()
+    into[w, i] = forces[time[0], w, i]
+
+
+@wp.kernel
+def _load_body(
+    time: wp.array(dtype=wp.int32),
+    forces: wp.array3d(dtype=wp.spatial_vector),
+    into: wp.array2d(dtype=wp.spatial_vector),
+):
+    w, i = wp.tid()
+    into[w, i] = forces[time[0], w, i]
+
+
+@wp.kernel
+def _tick(time: wp.array(dtype=wp.int32), most: int):
+    time[0] = wp.min(time[0] + 1, most - 1)
+
+
+__all__ = ["Batch", "Group"]

@@ -1,0 +1,68 @@
+"""Things that lie on what is not level come to rest before the search begins."""
+
+import math
+
+import numpy as np
+import pytest
+import scenes
+
+from neoworld_mjx.compose.compose import snapped
+from neoworld_mjx.compose.settled import settled
+from neoworld_mjx.measure.scene import scene_measure
+from neoworld_mjx.spec import Box, SceneObject, SceneSpec
+from neoworld_mjx.spec.pose import angle_between, from_axis_angle, rotate
+
+TILTED = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(12)).tolist())
+
+
+def on_saucer(xy=(0.0, 0.035)):
+    saucer = SceneObject(name="saucer", spec=scenes.saucer(), z=0.0001)
+    bar = scenes.single("spoon", (Box(size=(0.12, 0.014, 0.006)), (0, 0, 0)))
+    spoon = SceneObject(name="spoon", spec=bar, parent="saucer", xy=xy, z=0.02, base_tilt=TILTED)
+    table = SceneObject(name="table", spec=scenes.table(), environment=True, z=-0.04)
+    return table, saucer.model_copy(update={"parent": "table", "z": 0.0401}), spoon
+
+
+def turned(objects):
+    scene = snapped(SceneSpec(objects=objects))
+    return scene_measure(scene).tilt_deg["spoon"]
+
+
+def test_a_spoon_that_was_let_down_stays_as_it_lies():
+    table, saucer, spoon = on_saucer()
+    rested = settled(saucer, spoon)
+    assert rested is not None
+    assert turned((table, saucer, spoon)) > 4
+    assert turned((table, saucer, rested)) < 1
+    assert np.hypot(*np.subtract(rested.xy, spoon.xy)) < 0.02
+    assert angle_between(rested.base_tilt, TILTED) < math.radians(30)
+    # It is the same wherever the saucer stands, and however that is turned.
+    moved = saucer.model_copy(update={"xy": (0.1, 0.2), "yaw": 1.0})
+    assert settled(moved, spoon) == rested
+
+
+def test_what_falls_off_is_left_as_it_was_seen():
+    _, saucer, spoon = on_saucer(xy=(0.0, 0.2))
+    assert settled(saucer, spoon) is None
+
+
+def test_a_block_in_an_open_drawer_lies_flat_and_the_drawer_stays_open():
+    cabinet = SceneObject(
+        name="cabinet", spec=scenes.cabinet(), environment=True, joint_state={"slide": 0.15}
+    )
+    block = SceneObject(
+        name="block",
+        spec=scenes.single("block", (Box(size=(0.05, 0.06, 0.03)), (0, 0, 0.015))),
+        parent="cabinet",
+        parent_link="drawer",
+        relation="in",
+        z=0.03,
+        yaw=0.4,
+        base_tilt=TILTED,
+    )
+    rested = settled(cabinet, block)
+    assert rested is not None
+    assert rotate(rested.base_tilt, np.array([0.0, 0.0, 1.0]))[2] == pytest.approx(1.0, abs=1e-4)
+    assert rested.xy == pytest.approx((0.0, 0.0), abs=0.015)
+    assert rested.yaw == pytest.approx(0.4, abs=0.05)
+    assert rested.z == pytest.approx(0.05, abs=5e-4)
