@@ -285,7 +285,7 @@ class BenchBattery(Common):
     """How many; sound ones in up to four sizes."""
     engine: tuple[Literal["native", "warp"], ...] = ("native", "warp")
     """What simulates them."""
-    together: int = 8
+    together: int = 16
     """Objects that share a model on the GPU."""
 
 

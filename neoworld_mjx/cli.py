@@ -37,7 +37,7 @@ def main(args: Sequence[str] | None = None) -> None:
 def run(command: Common) -> int:
     """Run a parsed command, print its answer and return the exit code."""
     _show_progress(quiet=command.quiet)
-    with _reserved_stdout() if command.json else contextlib.nullcontext(sys.stdout) as out:
+    with _reserved_stdout() as out:
         try:
             answer = COMMANDS[type(command)](command)
             code = FAILED if answer.get("passed") is False else 0
@@ -50,12 +50,18 @@ def run(command: Common) -> int:
             answer, code = {"error": f"internal: {type(error).__name__}: {error}"}, BUG
         if "error" in answer:
             print(f"error: {answer['error']}", file=sys.stderr)
-        if command.json:
-            # NaN and Infinity are no JSON: they become null.
-            strict = json.loads(json.dumps(answer), parse_constant=lambda _: None)
-            print(json.dumps(strict), file=out, flush=True)
-        elif "error" not in answer:
-            _print(answer)
+        try:
+            if command.json:
+                # NaN and Infinity are no JSON: they become null.
+                strict = json.loads(json.dumps(answer), parse_constant=lambda _: None)
+                print(json.dumps(strict), file=out)
+            elif "error" not in answer:
+                with contextlib.redirect_stdout(out):
+                    _print(answer)
+            out.flush()
+        except BrokenPipeError:
+            # Whoever reads has read enough, as `head` does; closing must not try once more.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), out.fileno())
     return code
 
 

@@ -37,6 +37,16 @@ def test_help_names_the_commands():
         assert command in done.stdout
 
 
+@pytest.mark.parametrize("how", [(), ("--json",)])
+def test_a_reader_that_has_read_enough_is_no_error(how):
+    command = [sys.executable, "-m", "neoworld_mjx.cli", "doctor", *how]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        running.stdout.close()
+        said = running.stderr.read().decode()
+    assert running.returncode == 0
+    assert "BrokenPipe" not in said and "Traceback" not in said
+
+
 def test_help_imports_nothing_heavy():
     code = (
         "import sys; from neoworld_mjx import cli\n"

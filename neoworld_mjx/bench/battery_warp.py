@@ -163,8 +163,10 @@ class Group:
         Raises:
             EngineError: contacts or constraints did not fit.
         """
-        if self.data.overflow.numpy().any():
-            raise EngineError("contacts or constraints of some worlds did not fit")
+        flags = int(np.bitwise_or.reduce(self.data.overflow.numpy()))
+        if flags:
+            names = ", ".join(flag.name or "" for flag in mjw.OverflowType if flag & flags)
+            raise EngineError(f"something of some worlds did not fit: {names}")
         qpos = self.data.qpos.numpy().astype(float)
         found = []
         for p, at, mine in zip(self.objects, self.world, self.qpos_of, strict=True):
@@ -242,8 +244,8 @@ def _room(objects: Sequence[Prepared]) -> tuple[int, int]:
                 mujoco.mj_step(model, data, PROBE_EVERY)
                 most_contacts = max(most_contacts, data.ncon)
                 most_constraints = max(most_constraints, data.nefc, 4 * data.ncon)
-        contacts += 2 * most_contacts + 16
-        constraints += 2 * most_constraints + 16
+        contacts += 4 * most_contacts + 32
+        constraints += 4 * most_constraints + 64
     return contacts, -(-constraints // 32) * 32
 
 

@@ -1,9 +1,11 @@
 """What a rollout is, and which engine computes it."""
 
+import contextlib
 import enum
 from typing import Any, Protocol, get_args
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -154,8 +156,6 @@ def _automatic() -> EngineName:
 
     if warp_ready():
         return "warp"
-    import jax
-
     return "native" if jax.default_backend() == "cpu" else "mjx"
 
 
@@ -206,3 +206,14 @@ def record_steps(timestep: float, duration: float, record_every: float) -> tuple
     """Split a rollout into (number of records, steps between them)."""
     every = max(1, round(record_every / timestep))
     return max(1, round(duration / (every * timestep))), every
+
+
+def on_cpu() -> contextlib.AbstractContextManager[object]:
+    """Let JAX compute on the CPU what a GPU would only start kernels for.
+
+    Nothing changes where JAX's settings leave it no CPU.
+    """
+    try:
+        return jax.default_device(jax.devices("cpu")[0])
+    except RuntimeError:
+        return contextlib.nullcontext()

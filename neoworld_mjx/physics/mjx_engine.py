@@ -4,7 +4,9 @@ MJX has no mj_setConst, so what MuJoCo derives from masses follows its own power
 pieces are scaled in the model's vertex arrays (`ConvexMesh.vert` and `.face` both hold coordinates).
 """
 
+import contextlib
 import functools
+import io
 import weakref
 from collections.abc import Sequence
 from typing import Any
@@ -15,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float
-from mujoco import mjx
 
 from ..errors import EngineError
 from .derived import invweights
@@ -24,6 +25,10 @@ from .layout import Layout, Poses
 from .lowering import lowered
 from .model import Host, SceneModel, leaves, mesh_object
 from .progress import DIVERGED, Progress, object_poses
+
+# MJX prints that warp is missing, which is an extra here and no failure.
+with contextlib.redirect_stdout(io.StringIO()):
+    from mujoco import mjx
 
 __all__ = ["MjxEngine", "bare_scan", "invweights", "object_poses"]
 

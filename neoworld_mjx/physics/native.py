@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from mujoco.batch import Batch, SimulationError
 
-from .engine import EarlyStop, Rollout, RolloutStatus, quiet, record_steps, unplaceable
+from .engine import EarlyStop, Rollout, RolloutStatus, on_cpu, quiet, record_steps, unplaceable
 from .layout import Either, Layout, Poses, compose_poses, heights
 from .model import FREE, MESH, Host, SceneModel, leaves, mesh_object
 
@@ -82,13 +82,15 @@ _rings: "weakref.WeakKeyDictionary[Host, list[mujoco.MjModel]]" = weakref.WeakKe
 def exact_poses(scene: SceneModel, layouts: Layout) -> Poses:
     """Place candidates in double precision (NumPy), at the heights that `place` snaps to."""
     pop, objects = layouts.yaw.shape
+    layouts = jax.tree.map(np.asarray, layouts)
     size = min(pop, max(1, SNAPPED // objects))
     parts = []
     for first in range(0, pop, size):
         # The last part is filled up, so that all have one shape and one compilation.
         index = np.minimum(np.arange(first, first + size), pop - 1)
         few = jax.tree.map(lambda leaf, i=index: leaf[i], layouts)
-        parts.append(np.asarray(_heights(scene, few), float)[: pop - first])
+        with on_cpu():
+            parts.append(np.asarray(_heights(scene, few), float)[: pop - first])
     height = np.concatenate(parts)
     with np.errstate(invalid="ignore", over="ignore"):  # such candidates fail; see unplaceable
         return compose_poses(scene.host.arrangement, _on_host(layouts), height, np)

@@ -15,7 +15,7 @@ import numpy as np
 from ..config import RefineOptions
 from ..errors import ConfigError
 from ..mllm import Panel, Picture
-from ..physics.engine import EarlyStop, Engine, Rollout, open_engine, unmoved
+from ..physics.engine import EarlyStop, Engine, Rollout, on_cpu, open_engine, unmoved
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel, compile_scene
 from ..spec import SceneSpec
@@ -279,7 +279,7 @@ class Search:
         began = time.perf_counter()
         d = self.o.descent
         # With a single candidate a GPU does nothing but start kernels.
-        with _host() if layouts.yaw.shape[0] == 1 else contextlib.nullcontext():
+        with on_cpu() if layouts.yaw.shape[0] == 1 else contextlib.nullcontext():
             moved = descend(
                 self.model,
                 layouts,
@@ -373,14 +373,6 @@ def early_stop_rule(o: RefineOptions) -> EarlyStop:
         drift=o.reward.d_drift_cap * o.reward.drift_scale_m,
         tilt=float(np.radians(o.reward.d_drift_cap * o.reward.tilt_scale_deg)),
     )
-
-
-def _host() -> contextlib.AbstractContextManager[object]:
-    """Let JAX compute on the CPU, where its settings leave it one."""
-    try:
-        return jax.default_device(jax.devices("cpu")[0])
-    except RuntimeError:
-        return contextlib.nullcontext()
 
 
 def _line(t: int, most: int, scores: Scores, state: CEMState) -> str:
