@@ -17,7 +17,8 @@ def compiled():
 
 
 def test_programs_are_dropped_when_maps_run_short(compiled):
-    assert not make_room()
+    # By default it depends on what ran in this process before.
+    assert not make_room(share=2.0)
     assert compiled._cache_size() == 1
     assert make_room(share=0.0)
     assert compiled._cache_size() == 0
