@@ -177,12 +177,8 @@ class Group:
 
     def _step(self) -> None:
         d = self.data
-        wp.launch(
-            _load_joint, dim=d.qfrc_applied.shape, inputs=[self.time, self.joint, d.qfrc_applied]
-        )
-        wp.launch(
-            _load_body, dim=d.xfrc_applied.shape, inputs=[self.time, self.body, d.xfrc_applied]
-        )
+        for forces, into in ((self.joint, d.qfrc_applied), (self.body, d.xfrc_applied)):
+            wp.launch(_load, dim=into.shape, inputs=[self.time, forces, into])
         mjw.step(self.model, d)
         wp.launch(_tick, dim=1, inputs=[self.time, self.steps])
 
@@ -250,20 +246,8 @@ def _room(objects: Sequence[Prepared]) -> tuple[int, int]:
 
 
 @wp.kernel
-def _load_joint(
-    time: wp.array(dtype=wp.int32),
-    forces: wp.array3d(dtype=wp.float32),
-    into: wp.array2d(dtype=wp.float32),
-):
-    w, i = wp.tid()
-    into[w, i] = forces[time[0], w, i]
-
-
-@wp.kernel
-def _load_body(
-    time: wp.array(dtype=wp.int32),
-    forces: wp.array3d(dtype=wp.spatial_vector),
-    into: wp.array2d(dtype=wp.spatial_vector),
+def _load(
+    time: wp.array(dtype=wp.int32), forces: wp.array3d(dtype=Any), into: wp.array2d(dtype=Any)
 ):
     w, i = wp.tid()
     into[w, i] = forces[time[0], w, i]

@@ -34,6 +34,9 @@ def settled(parent: SceneObject, item: SceneObject) -> SceneObject | None:
 
     Returns:
         The object with the heading, tilt and place of its rest, or None if it finds none near.
+
+    Raises:
+        SpecError: MuJoCo cannot compile the two.
     """
     alone = {"parent": None, "parent_link": None, "environment": True, "xy": (0.0, 0.0)}
     base = parent.model_copy(update={**alone, "z": 0.0, "yaw": 0.0})
@@ -49,7 +52,7 @@ def settled(parent: SceneObject, item: SceneObject) -> SceneObject | None:
     model.dof_damping[:] = HEAVY * drag  # joints stay as they were seen
     model.dof_damping[mine] = np.repeat([drag, drag * (size / 2) ** 2], 3)
     data = mujoco.MjData(model)
-    if not _lifted(model, data, size):
+    if not _lifted(model, data, root.id, size):
         return None
     speed = np.inf
     for _ in range(round(LONGEST_S / CHECKED_S)):
@@ -77,14 +80,16 @@ def settled(parent: SceneObject, item: SceneObject) -> SceneObject | None:
     )
 
 
-def _lifted(model: mujoco.MjModel, data: mujoco.MjData, most: float) -> bool:
-    """Put the scene at its start, and lift what is free until nothing is in anything else."""
+def _lifted(model: mujoco.MjModel, data: mujoco.MjData, body: int, most: float) -> bool:
+    """Put the scene at its start, and lift a free body until it is in nothing else."""
     mujoco.mj_resetDataKeyframe(model, data, 0)
-    free = int(np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))[0])
-    height = int(model.jnt_qposadr[free]) + 2
+    height = int(model.jnt_qposadr[model.body_jntadr[body]]) + 2
+    tree = model.body_rootid[model.geom_bodyid]
     for _ in range(round(most / LIFT_M) + 1):
         mujoco.mj_forward(model, data)
-        if not data.ncon or float(data.contact.dist[: data.ncon].min()) > -CLEAR_M:
+        # Parts of the parent may touch each other; that is no concern of what is laid on it.
+        touches = np.count_nonzero(tree[data.contact.geom] == body, axis=1) == 1
+        if not np.any(data.contact.dist[touches] < -CLEAR_M):
             return True
         data.qpos[height] += LIFT_M
     return False

@@ -31,7 +31,7 @@ CONTROL_BYTES = 64 << 20
 """Most memory for the forces of a batch; more scenarios than that are rolled out in turns."""
 G = 9.81
 FORCES = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED) | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
-STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
+_STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 
 
 @dataclass
@@ -171,8 +171,8 @@ class Trial:
             data.qpos[at] = value
             led = joint_value(self.spec, joint, run.speeds) if run.speeds else 0.0
             data.qvel[dof] = led - (joint_value(self.spec, joint, {}) if run.speeds else 0.0)
-        found = np.zeros(mujoco.mj_stateSize(model, STATE))
-        mujoco.mj_getState(model, data, found, STATE)
+        found = np.zeros(mujoco.mj_stateSize(model, _STATE))
+        mujoco.mj_getState(model, data, found, _STATE)
         return found
 
     def forces(self, run: Run, start: NDArray) -> NDArray:
@@ -183,7 +183,7 @@ class Trial:
         joint = np.zeros((steps, model.nv))
         body = np.zeros((steps, model.nbody, 6))
         if run.part is not None or run.driven:
-            mujoco.mj_setState(model, data, start, STATE)
+            mujoco.mj_setState(model, data, start, _STATE)
             mujoco.mj_forward(model, data)
         if run.part is not None:
             b = model.body(body_name(self.spec, run.part)).id

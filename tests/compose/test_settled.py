@@ -9,7 +9,16 @@ import scenes
 from neoworld_mjx.compose.compose import snapped
 from neoworld_mjx.compose.settled import settled
 from neoworld_mjx.measure.scene import scene_measure
-from neoworld_mjx.spec import Box, SceneObject, SceneSpec
+from neoworld_mjx.spec import (
+    Box,
+    Geom,
+    Joint,
+    Material,
+    ObjectSpec,
+    Part,
+    SceneObject,
+    SceneSpec,
+)
 from neoworld_mjx.spec.pose import angle_between, from_axis_angle, rotate
 
 TILTED = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(12)).tolist())
@@ -66,3 +75,23 @@ def test_a_block_in_an_open_drawer_lies_flat_and_the_drawer_stays_open():
     assert rested.xy == pytest.approx((0.0, 0.0), abs=0.015)
     assert rested.yaw == pytest.approx(0.4, abs=0.05)
     assert rested.z == pytest.approx(0.05, abs=5e-4)
+
+
+def test_what_overlaps_in_the_parent_itself_does_not_matter():
+    """Two drawers that are half a millimetre in each other, and a block on the case above them."""
+    geom = lambda name, size, pos: Geom(name=name, shape=Box(size=size), pos=pos, material="wood")
+    parts = [Part(name="case", geoms=(geom("top", (0.3, 0.3, 0.02), (0, 0, 0.11)),))]
+    joints = []
+    for k, y in enumerate((-0.04975, 0.04975)):
+        parts.append(Part(name=f"d{k}", geoms=(geom(f"g{k}", (0.1, 0.1, 0.05), (0, y, 0.04)),)))
+        joints.append(
+            Joint(name=f"j{k}", type="prismatic", parent="case", child=f"d{k}", upper=0.1)
+        )
+    wood = Material(name="wood", density=500, rgba=(0.6, 0.4, 0.2, 1))
+    spec = ObjectSpec(name="case", materials=(wood,), parts=tuple(parts), joints=tuple(joints))
+    block = scenes.single("block", (Box(size=(0.05, 0.06, 0.03)), (0, 0, 0.015)))
+    case = SceneObject(name="case", spec=spec, environment=True)
+    item = SceneObject(name="block", spec=block, parent="case", z=0.13, base_tilt=TILTED)
+    rested = settled(case, item)
+    assert rested is not None
+    assert rested.z == pytest.approx(0.12, abs=5e-4)
