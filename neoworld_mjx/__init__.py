@@ -3,36 +3,34 @@
 Names are resolved on first use, so that importing the package loads neither JAX nor MuJoCo.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from . import measure as measure
-    from . import refine as refine
-    from . import sweep as sweep
     from .physics.engine import rollout as rollout
     from .physics.layout import Layout as Layout
     from .physics.model import SceneModel as SceneModel
     from .physics.model import load_scene as load_scene
     from .pipeline import reconstruct as reconstruct
-    from .refine import rewards as rewards
-    from .refine.cem import CEM as CEM
+    from .refinement import rewards as rewards
+    from .refinement.cem import CEM as CEM
+    from .refinement.loop import refine as refine
+    from .sweeps.run import sweep as sweep
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "CEM": "refine.cem",
+    "CEM": "refinement.cem",
     "Layout": "physics.layout",
     "SceneModel": "physics.model",
     "load_scene": "physics.model",
     "reconstruct": "pipeline",
+    "refine": "refinement.loop",
     "rollout": "physics.engine",
+    "sweep": "sweeps.run",
 }
-_MODULES = {
-    "measure": "measure",
-    "refine": "refine",
-    "rewards": "refine.rewards",
-    "sweep": "sweep",
-}
+_MODULES = {"measure": "measure", "rewards": "refinement.rewards"}
 
 __all__ = [
     "CEM",
@@ -49,8 +47,6 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    from importlib import import_module
-
     if name in _MODULES:
         return import_module(f"{__name__}.{_MODULES[name]}")
     if name in _HOMES:

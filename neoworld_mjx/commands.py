@@ -182,7 +182,7 @@ def sweep(command: Sweep | Ablate) -> Answer:
     """Run a sweep or an ablation."""
     from .bench.named import named
     from .cache import keep_compilations
-    from .sweep import Case, ablate, answer, sweep
+    from .sweeps import Case, ablate, answer, sweep
 
     keep_compilations()
     sources = {kind: lambda name, make=make: Case(**make(name)) for kind, make in named().items()}

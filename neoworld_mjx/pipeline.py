@@ -338,7 +338,7 @@ def _compose(run: RunFolder, config: Config) -> None:
 
 
 def _refine(run: RunFolder, config: Config, models: Panel | None) -> None:
-    from .refine import refine
+    from .refinement import refine
 
     asked = config.refine.semantic.scorer == "mllm"
     photo = Picture.of("photo", load_photo(run.path / "photo.png").rgb) if asked else None

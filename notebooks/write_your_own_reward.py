@@ -24,8 +24,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from neoworld_mjx.config import load_config
-from neoworld_mjx.refine import refine
-from neoworld_mjx.spec import Box, Geom, Material, ObjectSpec, Part, SceneObject, SceneSpec
+from neoworld_mjx.refinement import refine
+from neoworld_mjx.spec import Box, GeomSpec, Material, ObjectSpec, PartSpec, SceneObject, SceneSpec
 
 # %% [markdown]
 # ## A small scene
@@ -38,8 +38,8 @@ from neoworld_mjx.spec import Box, Geom, Material, ObjectSpec, Part, SceneObject
 def box(name, x, y, z):
     """A wooden box whose origin is the centre of its bottom face."""
     wood = Material(name="wood", density=600, friction=0.5)
-    geom = Geom(name="box", shape=Box(size=(x, y, z)), pos=(0, 0, z / 2), material="wood")
-    return ObjectSpec(name=name, materials=(wood,), parts=(Part(name="body", geoms=(geom,)),))
+    geom = GeomSpec(name="box", shape=Box(size=(x, y, z)), pos=(0, 0, z / 2), material="wood")
+    return ObjectSpec(name=name, materials=(wood,), parts=(PartSpec(name="body", geoms=(geom,)),))
 
 
 askew = {"case": 0.35, "book": -0.3}

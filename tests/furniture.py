@@ -1,12 +1,12 @@
 """Small furniture that the battery passes; a test changes what it is about."""
 
-from neoworld_mjx.spec import Box, Geom, Joint, Material, ObjectSpec, Part, recentred
+from neoworld_mjx.spec import Box, GeomSpec, JointSpec, Material, ObjectSpec, PartSpec, recentred
 
 WOOD = Material(name="wood", density=600, friction=0.5)
 
 
 def geom(name, size, pos, material="wood"):
-    return Geom(name=name, shape=Box(size=size), pos=pos, material=material)
+    return GeomSpec(name=name, shape=Box(size=size), pos=pos, material=material)
 
 
 def cupboard(**joint):
@@ -28,10 +28,10 @@ def cupboard(**joint):
             name="cupboard",
             materials=(WOOD,),
             parts=(
-                Part(name="carcass", geoms=walls),
-                Part(name="door", geoms=(geom("leaf", (0.018, 0.4, 0.5), (0.1595, 0, 0.25)),)),
+                PartSpec(name="carcass", geoms=walls),
+                PartSpec(name="door", geoms=(geom("leaf", (0.018, 0.4, 0.5), (0.1595, 0, 0.25)),)),
             ),
-            joints=(Joint.model_validate({**hinge, **joint}),),
+            joints=(JointSpec.model_validate({**hinge, **joint}),),
         )
     )
 
@@ -53,7 +53,7 @@ def chest(**joint):
         ObjectSpec(
             name="chest",
             materials=(WOOD,),
-            parts=(Part(name="carcass", geoms=walls), Part(name="drawer", geoms=(tray,))),
-            joints=(Joint.model_validate({**slide, **joint}),),
+            parts=(PartSpec(name="carcass", geoms=walls), PartSpec(name="drawer", geoms=(tray,))),
+            joints=(JointSpec.model_validate({**slide, **joint}),),
         )
     )

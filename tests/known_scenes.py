@@ -23,13 +23,13 @@ from neoworld_mjx.spec import (
     Box3D,
     Camera,
     Cylinder,
-    Geom,
+    GeomSpec,
     HollowBox,
-    Joint,
+    JointSpec,
     Lathe,
     Material,
     ObjectSpec,
-    Part,
+    PartSpec,
     PartState,
     SceneObject,
     SceneSpec,
@@ -112,7 +112,7 @@ def _chest(rng: np.random.Generator) -> ObjectSpec:
     """A small chest with one drawer that fills its front."""
     x, y, z = rng.uniform(0.2, 0.26), rng.uniform(0.22, 0.32), rng.uniform(0.12, 0.18)
     wall, paint = 0.012, _paint(rng, 600)
-    shell = Geom(
+    shell = GeomSpec(
         name="shell",
         shape=HollowBox(size=(x, y, z), wall=wall, open=("+x",)),
         pos=(0, 0, z / 2),
@@ -120,19 +120,19 @@ def _chest(rng: np.random.Generator) -> ObjectSpec:
     )
     inner = (x - wall - 0.006, y - 2 * wall - 0.006, z - 2 * wall - 0.006)
     low = wall + 0.003 + 0.6 * inner[2] / 2
-    tray = Geom(
+    tray = GeomSpec(
         name="tray",
         shape=HollowBox(size=(inner[0], inner[1], 0.6 * inner[2]), wall=0.006),
         pos=(wall / 2, 0, low),
         material="paint",
     )
-    front = Geom(
+    front = GeomSpec(
         name="front",
         shape=Box(size=(0.01, inner[1], inner[2])),
         pos=(x / 2 + 0.002, 0, z / 2),
         material="paint",
     )
-    knob = Geom(
+    knob = GeomSpec(
         name="knob", shape=Sphere(radius=0.01), pos=(x / 2 + 0.015, 0, z / 2), material="paint"
     )
     return recentred(
@@ -140,11 +140,11 @@ def _chest(rng: np.random.Generator) -> ObjectSpec:
             name="chest",
             materials=(paint,),
             parts=(
-                Part(name="shell", geoms=(shell,)),
-                Part(name="drawer", geoms=(tray, front, knob)),
+                PartSpec(name="shell", geoms=(shell,)),
+                PartSpec(name="drawer", geoms=(tray, front, knob)),
             ),
             joints=(
-                Joint(
+                JointSpec(
                     name="slide",
                     type="prismatic",
                     parent="shell",

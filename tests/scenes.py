@@ -12,14 +12,14 @@ from neoworld_mjx.spec import (
     Capsule,
     Cylinder,
     Ellipsoid,
-    Geom,
+    GeomSpec,
     HollowBox,
-    Joint,
+    JointSpec,
     Lathe,
     Material,
     Mimic,
     ObjectSpec,
-    Part,
+    PartSpec,
     Placed,
     Prism,
     SceneObject,
@@ -37,10 +37,12 @@ STEEL = Material(name="steel", density=7800, friction=0.3, rgba=(0.6, 0.6, 0.65,
 def single(name, *geoms, material=WOOD, mass=None):
     """One rigid object of shapes, each (shape, pos) or (shape, pos, quat)."""
     made = tuple(
-        Geom(name=f"g{k}", shape=g[0], pos=g[1], quat=(*g, (1, 0, 0, 0))[2], material=material.name)
+        GeomSpec(
+            name=f"g{k}", shape=g[0], pos=g[1], quat=(*g, (1, 0, 0, 0))[2], material=material.name
+        )
         for k, g in enumerate(geoms)
     )
-    part = Part(name="body", geoms=made, mass=mass)
+    part = PartSpec(name="body", geoms=made, mass=mass)
     return recentred(ObjectSpec(name=name, materials=(material,), parts=(part,)))
 
 
@@ -84,22 +86,22 @@ def spoon():
 
 def cabinet():
     """A carcass with a drawer, a door, a mimic knob, sites and an authored mass."""
-    body = Geom(
+    body = GeomSpec(
         name="carcass",
         shape=HollowBox(size=(0.4, 0.5, 0.5), wall=0.02, open=("+x",)),
         pos=(0, 0, 0.25),
         material="wood",
     )
-    drawer = Geom(
+    drawer = GeomSpec(
         name="tray",
         shape=HollowBox(size=(0.36, 0.44, 0.12), wall=0.01),
         pos=(0.0, 0, 0.1),
         material="wood",
     )
-    door = Geom(
+    door = GeomSpec(
         name="leaf", shape=Box(size=(0.02, 0.44, 0.26)), pos=(0.19, 0, 0.33), material="wood"
     )
-    knob = Geom(
+    knob = GeomSpec(
         name="knob",
         shape=Prism(outline=((0.01, 0), (0, 0.01), (-0.01, 0), (0, -0.01)), height=0.02),
         pos=(0.21, 0.18, 0.33),
@@ -110,13 +112,13 @@ def cabinet():
             name="cabinet",
             materials=(WOOD, STEEL),
             parts=(
-                Part(name="carcass", geoms=(body,)),
-                Part(name="drawer", geoms=(drawer,)),
-                Part(name="door", geoms=(door,), mass=1.5),
-                Part(name="knob", geoms=(knob,)),
+                PartSpec(name="carcass", geoms=(body,)),
+                PartSpec(name="drawer", geoms=(drawer,)),
+                PartSpec(name="door", geoms=(door,), mass=1.5),
+                PartSpec(name="knob", geoms=(knob,)),
             ),
             joints=(
-                Joint(
+                JointSpec(
                     name="slide",
                     type="prismatic",
                     parent="carcass",
@@ -128,7 +130,7 @@ def cabinet():
                     effort=30.0,
                     armature=0.05,
                 ),
-                Joint(
+                JointSpec(
                     name="hinge",
                     type="revolute",
                     parent="carcass",
@@ -141,7 +143,7 @@ def cabinet():
                     friction=0.05,
                     stiffness=0.01,
                 ),
-                Joint(
+                JointSpec(
                     name="turn",
                     type="continuous",
                     parent="door",
@@ -222,19 +224,19 @@ def lamp():
         ),
         sectors=8,
     )
-    make = lambda name, shape, z: Geom(name=name, shape=shape, pos=(0, 0, z), material="wood")
-    pole = Geom(
+    make = lambda name, shape, z: GeomSpec(name=name, shape=shape, pos=(0, 0, z), material="wood")
+    pole = GeomSpec(
         name="pole", shape=Box(size=(0.02, 0.02, 0.2)), pos=(-0.035, 0, 0.14), material="wood"
     )
     spec = ObjectSpec(
         name="lamp",
         materials=(WOOD,),
         parts=(
-            Part(name="foot", geoms=(make("foot", drilled, 0.02), pole)),
-            Part(name="head", geoms=(make("head", Box(size=(0.06, 0.04, 0.03)), 0.27),)),
+            PartSpec(name="foot", geoms=(make("foot", drilled, 0.02), pole)),
+            PartSpec(name="head", geoms=(make("head", Box(size=(0.06, 0.04, 0.03)), 0.27),)),
         ),
         joints=(
-            Joint(
+            JointSpec(
                 name="neck",
                 type="ball",
                 parent="foot",

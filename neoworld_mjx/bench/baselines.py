@@ -15,9 +15,9 @@ from ..physics.layout import Layout
 from ..physics.mjcf import to_mjspec
 from ..physics.model import FREE, SceneModel
 from ..physics.native import exact_poses
-from ..refine.loop import Search
-from ..refine.outcome import Round, choose
-from ..refine.rewards import Scores, placed, score
+from ..refinement.loop import Search
+from ..refinement.outcome import Round, choose
+from ..refinement.rewards import Scores, placed, score
 from .verdicts import started
 
 CMA_POPULATION = 16

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..spec import Box, Geom, Joint, ObjectSpec, Part, bounds, inertial, recentred
+from ..spec import Box, GeomSpec, JointSpec, ObjectSpec, PartSpec, bounds, inertial, recentred
 from ..spec.object import AuthoredInertia
 from ..verify.ranges import carried, on_edge, with_joint
 from ..verify.solid import part_bounds
@@ -34,7 +34,7 @@ class Kind:
     """Whether the edits that are allowed can express the cure."""
 
 
-def _joint(spec: ObjectSpec, *types: str, opens: bool = False) -> Joint | None:
+def _joint(spec: ObjectSpec, *types: str, opens: bool = False) -> JointSpec | None:
     for joint in spec.joints:
         declared = joint.intent is not None and joint.intent.opens is not None
         if joint.type in types and (declared or not opens):
@@ -42,7 +42,7 @@ def _joint(spec: ObjectSpec, *types: str, opens: bool = False) -> Joint | None:
     return None
 
 
-def _change(spec: ObjectSpec, joint: Joint | None, **fields: object) -> ObjectSpec | None:
+def _change(spec: ObjectSpec, joint: JointSpec | None, **fields: object) -> ObjectSpec | None:
     return None if joint is None else with_joint(spec, joint.model_copy(update=fields))
 
 
@@ -136,7 +136,7 @@ def undamped(spec: ObjectSpec, share: float) -> ObjectSpec | None:
     return _change(spec, joint, damping=share * joint.damping, friction=share * joint.friction)
 
 
-def _authored(spec: ObjectSpec, part: Part, factor: float) -> Part:
+def _authored(spec: ObjectSpec, part: PartSpec, factor: float) -> PartSpec:
     own = inertial(spec, part)
     a, b, c = own.diagonal
     inertia = AuthoredInertia(pos=own.pos, moments=(factor * a, factor * b, factor * c))
@@ -181,7 +181,7 @@ def missing_collider(spec: ObjectSpec, share: float) -> ObjectSpec | None:
     size = (1 - share) * (high - low)
     if size.min() < 1e-4:
         size = np.maximum(size, 1e-3)
-    block = Geom(
+    block = GeomSpec(
         name=f"{part.name}_rest",
         shape=Box(size=tuple(size.tolist())),
         pos=tuple(((low + high) / 2).tolist()),
@@ -192,7 +192,7 @@ def missing_collider(spec: ObjectSpec, share: float) -> ObjectSpec | None:
     return _part(spec, part.name, geoms=(*seen, block))
 
 
-def _moved(spec: ObjectSpec, joint: Joint, offset: NDArray) -> ObjectSpec:
+def _moved(spec: ObjectSpec, joint: JointSpec, offset: NDArray) -> ObjectSpec:
     """Move what a joint carries, not the joint."""
     below = carried(spec, joint)
     parts = tuple(
@@ -211,7 +211,7 @@ def _moved(spec: ObjectSpec, joint: Joint, offset: NDArray) -> ObjectSpec:
     return spec.model_copy(update={"parts": parts})
 
 
-def _outward(spec: ObjectSpec, joint: Joint) -> NDArray:
+def _outward(spec: ObjectSpec, joint: JointSpec) -> NDArray:
     """Return the unit vector along which a child leaves its parent soonest."""
     low, high = part_bounds(spec, spec.part(joint.child))
     lowest, highest = part_bounds(spec, spec.part(joint.parent))
@@ -276,7 +276,7 @@ def off_balance(spec: ObjectSpec, share: float) -> ObjectSpec | None:
     tall = max(0.25 * (high - low)[2], 0.3 * float((high - low)[:2].max()))
     edge = centre[1] + share * (high[1] - low[1]) / 2
     root = spec.part(spec.root)
-    foot = Geom(
+    foot = GeomSpec(
         name="foot_of_trial",
         shape=Box(size=(float(width), float(width), float(tall))),
         pos=(float(centre[0]), float(edge + width / 2), float(low[2] - tall / 2)),

@@ -16,8 +16,8 @@ from ..errors import EngineError, choices
 from ..physics.engine import Engine, open_engine
 from ..physics.exact import snap_exactly
 from ..physics.model import SceneModel
-from ..refine.loop import compiled, refine
-from ..refine.outcome import measured, passes
+from ..refinement.loop import compiled, refine
+from ..refinement.outcome import measured, passes
 from .baselines import OneByOne, Searched, algorithm1, cma_es, random_search
 from .refine_scenes import LARGE, SCENES, errors, photographed, start
 

@@ -15,11 +15,11 @@ from ..spec import (
     Box,
     Capsule,
     Cylinder,
-    Geom,
+    GeomSpec,
     HollowBox,
     Material,
     ObjectSpec,
-    Part,
+    PartSpec,
     Prism,
     SceneObject,
     SceneSpec,
@@ -173,7 +173,7 @@ def single(
 ) -> ObjectSpec:
     """One rigid object of shapes, each (shape, pos) or (shape, pos, quat)."""
     geoms = tuple(
-        Geom(
+        GeomSpec(
             name=f"g{k}",
             shape=row[0],
             pos=row[1],
@@ -182,7 +182,7 @@ def single(
         )
         for k, row in enumerate(shapes)
     )
-    part = Part(name="body", geoms=geoms, mass=mass)
+    part = PartSpec(name="body", geoms=geoms, mass=mass)
     return recentred(ObjectSpec(name=name, materials=(material,), parts=(part,)))
 
 

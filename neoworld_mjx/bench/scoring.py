@@ -19,8 +19,8 @@ from ..mllm.anthropic import Anthropic
 from ..physics.layout import Layout
 from ..physics.model import SceneModel, compile_scene
 from ..physics.native import NativeEngine
-from ..refine.asking import drawer
-from ..refine.scorer import SemanticScorer
+from ..refinement.asking import drawer
+from ..refinement.scorer import SemanticScorer
 from ..spec import Camera, SceneSpec
 from .messages import MessagesServer, levels_of
 from .scenes import Noise, crowded, noisy_layouts

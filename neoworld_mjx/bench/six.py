@@ -7,11 +7,11 @@ from ..spec import (
     Capsule,
     Cylinder,
     Ellipsoid,
-    Geom,
+    GeomSpec,
     HollowBox,
-    Joint,
+    JointSpec,
     ObjectSpec,
-    Part,
+    PartSpec,
     Prism,
     SceneObject,
     SceneSpec,
@@ -50,19 +50,19 @@ def cluttered() -> SceneSpec:
 
 def cabinet() -> SceneSpec:
     """A free cabinet with its drawer open, a block in the drawer and two things on its top."""
-    carcass = Geom(
+    carcass = GeomSpec(
         name="carcass",
         shape=HollowBox(size=(0.3, 0.3, 0.24), wall=0.02, open=("+x",)),
         pos=(0, 0, 0.12),
         material="wood",
     )
-    tray = Geom(
+    tray = GeomSpec(
         name="tray",
         shape=HollowBox(size=(0.26, 0.25, 0.1), wall=0.01),
         pos=(0, 0, 0.1),
         material="wood",
     )
-    slide = Joint(
+    slide = JointSpec(
         name="slide",
         type="prismatic",
         parent="body",
@@ -77,7 +77,7 @@ def cabinet() -> SceneSpec:
         ObjectSpec(
             name="cabinet",
             materials=(WOOD,),
-            parts=(Part(name="body", geoms=(carcass,)), Part(name="drawer", geoms=(tray,))),
+            parts=(PartSpec(name="body", geoms=(carcass,)), PartSpec(name="drawer", geoms=(tray,))),
             joints=(slide,),
         )
     )

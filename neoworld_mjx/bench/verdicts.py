@@ -13,7 +13,7 @@ from ..physics.layout import Layout, Poses
 from ..physics.mjcf import to_mjspec
 from ..physics.model import FREE, SceneModel
 from ..physics.native import drift
-from ..refine.rewards import drifts
+from ..refinement.rewards import drifts
 
 _BOUNDS = RewardOptions()
 DISTANCE, ANGLE = _BOUNDS.drift_scale_m, float(np.radians(_BOUNDS.tilt_scale_deg))

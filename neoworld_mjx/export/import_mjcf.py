@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
-from ..spec import Box, Capsule, Cylinder, Ellipsoid, Joint, Sphere
+from ..spec import Box, Capsule, Cylinder, Ellipsoid, JointSpec, Sphere
 from ..spec.object import JointType
 from .guarded_xml import inside, read_xml
 from .imported import Imported, Link, Solid, assemble, check_tree, follow, foreign
@@ -210,10 +210,10 @@ def _rgba(model: mujoco.MjModel, g: int) -> NDArray:
 
 def _joints(
     path: Path, model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int], notes: list[str]
-) -> tuple[list[Joint], list[Link]]:
+) -> tuple[list[JointSpec], list[Link]]:
     """Return the joints of bodies, and beads between several joints of one body."""
     ties = _ties(model, notes)
-    joints: list[Joint] = []
+    joints: list[JointSpec] = []
     beads: list[Link] = []
     for b in bodies[1:]:
         parent, child = _name(model, int(model.body_parentid[b])), _name(model, b)
@@ -250,7 +250,7 @@ def _joint(
     child: str,
     ties: dict[int, Any],
     notes: list[str],
-) -> Joint:
+) -> JointSpec:
     name, kind = model.joint(j).name or f"{child}_joint", int(model.jnt_type[j])
     at, dof = triple(data.xanchor[j]), int(model.jnt_dofadr[j])
     limited = bool(model.jnt_limited[j])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
-from ..spec import Box, Cylinder, Joint, Sphere
+from ..spec import Box, Cylinder, JointSpec, Sphere
 from .guarded_xml import inside, read_xml
 from .imported import Imported, Link, Solid, assemble, check_tree, follow, foreign
 from .mechanism import triple
@@ -62,7 +62,7 @@ def import_urdf(path: Path) -> Imported:
     return assemble(robot.name or path.stem, links, joints, notes)
 
 
-def _fold(name: str, links: list[Link], joints: list[Joint], notes: list[str]) -> None:
+def _fold(name: str, links: list[Link], joints: list[JointSpec], notes: list[str]) -> None:
     """Make the ball joint again that our export wrote as three hinges with two bare links between them."""
     by_name = {joint.name: joint for joint in joints}
     hinges = [by_name.get(f"{name}_{axis}") for axis in "xyz"]
@@ -88,7 +88,7 @@ def _fold(name: str, links: list[Link], joints: list[Joint], notes: list[str]) -
     links[:] = [link for link in links if link.name not in inner]
 
 
-def _is_ball(*hinges: Joint) -> bool:
+def _is_ball(*hinges: JointSpec) -> bool:
     """Tell whether three hinges are those of a ball: one point, the three axes, the same losses and limits."""
     first, middle, _ = hinges
     same = all(
@@ -183,7 +183,7 @@ def _shapes(path: Path, geometry: Any, link: str, notes: list[str]) -> list[tupl
     return []
 
 
-def _joint(path: Path, joint: Any, at: NDArray, notes: list[str]) -> Joint:
+def _joint(path: Path, joint: Any, at: NDArray, notes: list[str]) -> JointSpec:
     kind, limit, dynamics, mimic = joint.type, joint.limit, joint.dynamics, joint.mimic
     lower = upper = 0.0
     if kind not in ("fixed", "revolute", "continuous", "prismatic"):

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from ..config import describe
 from ..errors import SpecError
-from ..spec import Geom, Joint, Material, Mesh, ObjectSpec, Part, Sphere, recentred
+from ..spec import GeomSpec, JointSpec, Material, Mesh, ObjectSpec, PartSpec, Sphere, recentred
 from ..spec.mesh import HELPER, UNKNOWN
 from ..spec.object import AuthoredInertia, Mimic
 from ..spec.pose import from_matrix
@@ -62,7 +62,7 @@ class Link:
 
 
 def assemble(
-    name: str, links: Sequence[Link], joints: Sequence[Joint], notes: list[str]
+    name: str, links: Sequence[Link], joints: Sequence[JointSpec], notes: list[str]
 ) -> Imported:
     """Make an object of links and joints.
 
@@ -113,14 +113,16 @@ def assemble(
             name=_Names().take(name, "object"),
             materials=tuple(materials.values()),
             parts=tuple(parts),
-            joints=tuple(map(Joint.model_validate, made)),
+            joints=tuple(map(JointSpec.model_validate, made)),
         )
     except ValidationError as error:
         raise SpecError(f"{name}: {describe(error, ObjectSpec)}") from None
     return Imported(recentred(spec), tuple(dict.fromkeys(notes)))
 
 
-def _without_empty(links: dict[str, Link], joints: list[Joint], notes: list[str]) -> list[Joint]:
+def _without_empty(
+    links: dict[str, Link], joints: list[JointSpec], notes: list[str]
+) -> list[JointSpec]:
     """Join links without geometry with what they are fixed to; give the others a bead."""
     changed = True
     while changed:
@@ -172,12 +174,14 @@ def _merge(stays: Link, goes: Link) -> None:
     stays.mass, stays.com, stays.inertia = total, com, inertia
 
 
-def _renamed(joint: Joint, old: str, new: str) -> Joint:
+def _renamed(joint: JointSpec, old: str, new: str) -> JointSpec:
     swap = {k: new for k in ("parent", "child") if getattr(joint, k) == old}
     return joint.model_copy(update=swap) if swap else joint
 
 
-def _part(link: Link, names: "_Names", materials: dict[tuple, Material], notes: list[str]) -> Part:
+def _part(
+    link: Link, names: "_Names", materials: dict[tuple, Material], notes: list[str]
+) -> PartSpec:
     label = names.take(link.name, "part")
     bare = all(solid.role == "visual" for solid in link.solids)
     helper = len(link.solids) == 1 and link.solids[0].shape == Sphere(radius=BEAD_M)
@@ -191,7 +195,7 @@ def _part(link: Link, names: "_Names", materials: dict[tuple, Material], notes: 
         if shape is None:
             continue
         geoms.append(
-            Geom(
+            GeomSpec(
                 name=names.take(f"{label[:40]}_{k}", "geom"),
                 shape=shape,
                 pos=tuple(solid.at[:3, 3].tolist()),
@@ -215,7 +219,7 @@ def _part(link: Link, names: "_Names", materials: dict[tuple, Material], notes: 
             moments=(float(t[0, 0]), float(t[1, 1]), float(t[2, 2])),
             products=(float(t[0, 1]), float(t[0, 2]), float(t[1, 2])),
         )
-    return Part(name=label, geoms=tuple(geoms), mass=mass, inertia=inertia)
+    return PartSpec(name=label, geoms=tuple(geoms), mass=mass, inertia=inertia)
 
 
 def _mesh(solid: Solid, role: str, link: Link, notes: list[str]) -> Mesh | None:
@@ -308,7 +312,7 @@ def check_tree(path: Any, links: Sequence[str], joints: Sequence[tuple[str, str,
     return roots[0]
 
 
-def _check_follow(joints: Sequence[Joint]) -> None:
+def _check_follow(joints: Sequence[JointSpec]) -> None:
     leaders = {joint.name: joint.mimic.joint for joint in joints if joint.mimic is not None}
     for start in leaders:
         at, seen = start, set()
@@ -324,9 +328,9 @@ def follow(joint: str, multiplier: float, offset: float) -> Mimic:
     return Mimic.model_construct(joint=joint, multiplier=multiplier, offset=offset)
 
 
-def foreign(**fields: Any) -> Joint:
+def foreign(**fields: Any) -> JointSpec:
     """Make a joint whose names are those of its file; `assemble` gives it valid ones and checks it."""
-    return Joint.model_construct(**fields)
+    return JointSpec.model_construct(**fields)
 
 
 __all__ = ["Imported", "Link", "Solid", "assemble", "check_tree", "follow", "foreign"]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..errors import ExportError, choices
 from ..physics.mjcf import body_name
 from ..spec import ObjectSpec, inertial
-from ..spec.object import Joint, JointType, Mimic, ball_vector, joint_motion
+from ..spec.object import JointSpec, JointType, Mimic, ball_vector, joint_motion
 from ..spec.pose import Pose, matrix, pose, rotate
 
 
@@ -39,7 +39,7 @@ class Mechanism:
 
     root: str
     links: dict[str, Link]
-    joints: dict[str, Joint]
+    joints: dict[str, JointSpec]
 
     def poses(self, values: dict[str, float]) -> dict[str, Pose]:
         """Return how each link is displaced from rest, joints at `values` [rad or m], mimics too."""
@@ -60,7 +60,7 @@ class Mechanism:
             ]
         return moved
 
-    def _value(self, joint: Joint, values: dict[str, float]) -> float:
+    def _value(self, joint: JointSpec, values: dict[str, float]) -> float:
         if joint.mimic is None:
             return values.get(joint.name, 0.0)
         leader = self.joints[joint.mimic.joint]
@@ -101,7 +101,7 @@ def read_urdf(path: Path) -> Mechanism:
             f"{path}: a mechanism needs one root link, got {', '.join(roots) or 'none'}"
         )
     frames: dict[str, NDArray] = {roots[0]: np.eye(4)}
-    joints: dict[str, Joint] = {}
+    joints: dict[str, JointSpec] = {}
     waiting = list(robot.joints)
     while waiting:
         joint = next(joint for joint in waiting if joint.parent in frames)
@@ -124,14 +124,14 @@ def read_urdf(path: Path) -> Mechanism:
     return Mechanism(roots[0], links, joints)
 
 
-def _urdf_joint(path: Path, joint: Any, at: NDArray) -> Joint:
+def _urdf_joint(path: Path, joint: Any, at: NDArray) -> JointSpec:
     if joint.type not in get_args(JointType):
         raise ExportError(f"{path}: joint {joint.name}: {choices(joint.type, get_args(JointType))}")
     limit, dynamics, mimic = joint.limit, joint.dynamics, joint.mimic
     bounded = joint.type in ("revolute", "prismatic")
     if bounded and (limit is None or limit.lower is None or limit.upper is None):
         raise ExportError(f"{path}: joint {joint.name} is {joint.type} and lacks lower or upper")
-    return Joint(
+    return JointSpec(
         name=joint.name,
         type=joint.type,
         parent=joint.parent,
@@ -208,7 +208,7 @@ def read_mjcf(path: Path, spec: ObjectSpec, name: str | None = None) -> Mechanis
             raise ExportError(f"{path}: {joint.child} does not hang on {joint.parent}")
         if model.body_jntnum[b] == 0:
             at = triple(base.apply(rest.xpos[b]))
-            joints[joint.name] = Joint(**common, type="fixed", pos=at)
+            joints[joint.name] = JointSpec(**common, type="fixed", pos=at)
             continue
         j = find(mujoco.mjtObj.mjOBJ_JOINT, f"{owner}/{joint.name}")
         slide = model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE
@@ -216,7 +216,7 @@ def read_mjcf(path: Path, spec: ObjectSpec, name: str | None = None) -> Mechanis
         limited = bool(model.jnt_limited[j])
         dof = model.jnt_dofadr[j]
         hinge = "revolute" if limited else "continuous"
-        joints[joint.name] = Joint(
+        joints[joint.name] = JointSpec(
             **common,
             type="ball" if ball else "prismatic" if slide else hinge,
             pos=triple(base.apply(rest.xanchor[j])),

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from ..spec import Box, Cylinder, Geom, ObjectSpec, Sphere
+from ..spec import Box, Cylinder, GeomSpec, ObjectSpec, Sphere
 from ..spec.convex import Piece, hull
 from ..spec.surface import corner_normals, surface
 
@@ -24,7 +24,7 @@ def numbers(values: Iterable[float]) -> str:
     return " ".join(number(value) for value in values)
 
 
-def visual_file(geom: Geom) -> str | None:
+def visual_file(geom: GeomSpec) -> str | None:
     """Return the path, relative to the object, of a geom's visual mesh.
 
     None means that URDF has a primitive for it.
@@ -34,13 +34,13 @@ def visual_file(geom: Geom) -> str | None:
     return f"{FOLDER}/{geom.name}.obj"
 
 
-def collision_file(geom: Geom, k: int) -> str:
+def collision_file(geom: GeomSpec, k: int) -> str:
     """Return the path, relative to the object, of the mesh of a geom's k-th convex piece."""
     # A hyphen is in no geom's name, so these never meet the visual meshes' names.
     return f"{FOLDER}/{geom.name}-{k}.obj"
 
 
-def piece_mesh(geom: Geom, piece: Piece) -> tuple[NDArray, NDArray] | None:
+def piece_mesh(geom: GeomSpec, piece: Piece) -> tuple[NDArray, NDArray] | None:
     """Return vertices [v, 3] and faces [f, 3] of a piece that needs a mesh, in its own frame.
 
     Ellipsoids have no counterpart in URDF and UsdPhysics and become the hull of

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 from ..errors import ExportError
-from ..spec.object import Joint, Mimic
+from ..spec.object import JointSpec, Mimic
 from ..spec.pose import Pose, from_matrix, matrix, pose, rotate
 from .mechanism import Link, Mechanism, triple
 
@@ -77,7 +77,7 @@ def read_usd(path: Path, object_path: str | None = None) -> Mechanism:
     return Mechanism(bodies[root].GetName(), links, joints)
 
 
-def _usd_joint(prim: Usd.Prim, anchor: Pose, parent: str, child: str) -> Joint:
+def _usd_joint(prim: Usd.Prim, anchor: Pose, parent: str, child: str) -> JointSpec:
     common: dict[str, Any] = {
         "name": prim.GetName(),
         "parent": parent,
@@ -85,7 +85,7 @@ def _usd_joint(prim: Usd.Prim, anchor: Pose, parent: str, child: str) -> Joint:
         "pos": triple(anchor.pos),
     }
     if prim.IsA(UsdPhysics.FixedJoint):
-        return Joint(**common, type="fixed")
+        return JointSpec(**common, type="fixed")
     if prim.IsA(UsdPhysics.SphericalJoint):
         cone = UsdPhysics.SphericalJoint(prim).GetConeAngle0LimitAttr().Get()
         kept: dict[str, Any] = {
@@ -97,7 +97,7 @@ def _usd_joint(prim: Usd.Prim, anchor: Pose, parent: str, child: str) -> Joint:
                 ("friction", "newton"),
             )
         }
-        return Joint(**common, **kept, type="ball", upper=math.radians(max(cone, 0.0)))
+        return JointSpec(**common, **kept, type="ball", upper=math.radians(max(cone, 0.0)))
     slide = prim.IsA(UsdPhysics.PrismaticJoint)
     typed = UsdPhysics.PrismaticJoint(prim) if slide else UsdPhysics.RevoluteJoint(prim)
     unit = 1.0 if slide else math.radians(1.0)
@@ -121,7 +121,7 @@ def _usd_joint(prim: Usd.Prim, anchor: Pose, parent: str, child: str) -> Joint:
             multiplier=(extra("mimicCoef1") or 0.0) * unit / led,
             offset=(extra("mimicCoef0") or 0.0) * unit,
         )
-    return Joint(
+    return JointSpec(
         **common,
         type="prismatic" if slide else "revolute" if limited else "continuous",
         axis=triple(rotate(anchor.quat, along)),

@@ -13,7 +13,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 from numpy.typing import NDArray
 
-from ..spec import Box, Cylinder, Geom, Joint, ObjectSpec, Part, Sphere, inertial
+from ..spec import Box, Cylinder, GeomSpec, JointSpec, ObjectSpec, PartSpec, Sphere, inertial
 from ..spec.convex import Piece
 from ..spec.pose import Pose, matrix, pose, to_rpy
 from .meshes import collision_file, number, numbers, piece_mesh, visual_file
@@ -56,7 +56,7 @@ def urdf_text(spec: ObjectSpec) -> str:
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 
 
-def _add_link(robot: ET.Element, spec: ObjectSpec, part: Part, origin: NDArray) -> None:
+def _add_link(robot: ET.Element, spec: ObjectSpec, part: PartSpec, origin: NDArray) -> None:
     link = ET.SubElement(robot, "link", name=part.name)
     mass = inertial(spec, part)
     element = ET.SubElement(link, "inertial")
@@ -80,7 +80,7 @@ def _add_link(robot: ET.Element, spec: ObjectSpec, part: Part, origin: NDArray) 
                 _add_collision(link, geom, k, piece, at)
 
 
-def _visual_shape(geometry: ET.Element, geom: Geom) -> None:
+def _visual_shape(geometry: ET.Element, geom: GeomSpec) -> None:
     shape = geom.shape
     if isinstance(shape, Box):
         ET.SubElement(geometry, "box", size=numbers(shape.size))
@@ -92,7 +92,7 @@ def _visual_shape(geometry: ET.Element, geom: Geom) -> None:
         ET.SubElement(geometry, "mesh", filename=str(visual_file(geom)))
 
 
-def _add_collision(link: ET.Element, geom: Geom, k: int, piece: Piece, at: Pose) -> None:
+def _add_collision(link: ET.Element, geom: GeomSpec, k: int, piece: Piece, at: Pose) -> None:
     def geometry(name: str, where: Pose) -> ET.Element:
         element = ET.SubElement(link, "collision", name=name)
         _origin(element, where)
@@ -120,7 +120,7 @@ def _cylinder(geometry: ET.Element, radius: float, length: float) -> None:
     ET.SubElement(geometry, "cylinder", radius=number(radius), length=number(length))
 
 
-def _add_joint(robot: ET.Element, joint: Joint, parent_origin: NDArray) -> None:
+def _add_joint(robot: ET.Element, joint: JointSpec, parent_origin: NDArray) -> None:
     element = ET.SubElement(robot, "joint", name=joint.name, type=joint.type)
     _origin(element, pose(np.array(joint.pos) - parent_origin))
     ET.SubElement(element, "parent", link=joint.parent)
@@ -148,7 +148,9 @@ def _add_joint(robot: ET.Element, joint: Joint, parent_origin: NDArray) -> None:
         )
 
 
-def _add_ball(robot: ET.Element, spec: ObjectSpec, joint: Joint, parent_origin: NDArray) -> None:
+def _add_ball(
+    robot: ET.Element, spec: ObjectSpec, joint: JointSpec, parent_origin: NDArray
+) -> None:
     mass = inertial(spec, spec.part(joint.child))
     parent, origin = joint.parent, parent_origin
     for axis in "xyz":

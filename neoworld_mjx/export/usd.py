@@ -24,11 +24,11 @@ from ..spec import (
     Capsule,
     Cylinder,
     Ellipsoid,
-    Geom,
-    Joint,
+    GeomSpec,
+    JointSpec,
     Material,
     ObjectSpec,
-    Part,
+    PartSpec,
     Sphere,
     inertial,
 )
@@ -117,7 +117,7 @@ def _add_material(stage: Usd.Stage, base: Sdf.Path, material: Material) -> None:
 
 
 def _add_link(
-    stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec, part: Part, origin: NDArray
+    stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec, part: PartSpec, origin: NDArray
 ) -> None:
     path = base.AppendChild("links").AppendChild(part.name)
     link = UsdGeom.Xform.Define(stage, path)
@@ -149,7 +149,7 @@ def _add_link(
             set_pose(point, pose(np.array(site.pos) - origin))
 
 
-def _add_visual(stage: Usd.Stage, path: Sdf.Path, geom: Geom, at: Pose) -> None:
+def _add_visual(stage: Usd.Stage, path: Sdf.Path, geom: GeomSpec, at: Pose) -> None:
     if isinstance(geom.shape, Box | Sphere | Capsule | Cylinder | Ellipsoid):
         _gprim(stage, path, geom.shape.pieces()[0], at)
         return
@@ -159,7 +159,7 @@ def _add_visual(stage: Usd.Stage, path: Sdf.Path, geom: Geom, at: Pose) -> None:
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
 
 
-def _add_collider(stage: Usd.Stage, path: Sdf.Path, geom: Geom, piece: Piece, at: Pose) -> None:
+def _add_collider(stage: Usd.Stage, path: Sdf.Path, geom: GeomSpec, piece: Piece, at: Pose) -> None:
     triangles = piece_mesh(geom, piece)
     if triangles is None:
         prim = _gprim(stage, path, piece, at).GetPrim()
@@ -237,7 +237,7 @@ def _colour(material: Material) -> Gf.Vec3f:
 
 
 def _add_joint(
-    stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec, joint: Joint, parent_origin: NDArray
+    stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec, joint: JointSpec, parent_origin: NDArray
 ) -> None:
     path = base.AppendChild("joints").AppendChild(joint.name)
     turning = joint.type != "prismatic"
@@ -296,7 +296,7 @@ def _add_joint(
         )
 
 
-def _add_ball(made: UsdPhysics.SphericalJoint, joint: Joint) -> None:
+def _add_ball(made: UsdPhysics.SphericalJoint, joint: JointSpec) -> None:
     """Write the cone that a ball stays in; its twist about +X is not limited in USD."""
     made.CreateAxisAttr("X")
     cone = math.degrees(joint.upper) if joint.upper > 0 else -1.0

@@ -23,10 +23,10 @@ from ..spec import (
     Capsule,
     Cylinder,
     Ellipsoid,
-    Geom,
-    Joint,
+    GeomSpec,
+    JointSpec,
     ObjectSpec,
-    Part,
+    PartSpec,
     SceneObject,
     SceneSpec,
     Shape,
@@ -96,7 +96,7 @@ def to_mjspec(
     return model
 
 
-def joint_order(spec: ObjectSpec) -> list[Joint]:
+def joint_order(spec: ObjectSpec) -> list[JointSpec]:
     """List the joints that MuJoCo gives a coordinate, in the order of its qpos: depth first."""
     return [joint for _, joint in _depth_first(spec) if joint is not None and joint.type != "fixed"]
 
@@ -165,7 +165,7 @@ def _add_object(model: mujoco.MjSpec, item: SceneObject, at: Pose, visual: bool)
     return [float(v) for v in start]
 
 
-def _coordinates(spec: ObjectSpec, joint: Joint, joint_state: dict[str, float]) -> list[float]:
+def _coordinates(spec: ObjectSpec, joint: JointSpec, joint_state: dict[str, float]) -> list[float]:
     """Return a joint's part of qpos: one value, or a ball's quaternion."""
     value = joint_position(spec, joint, joint_state)
     return joint_motion(joint, value).quat.tolist() if isinstance(value, tuple) else [value]
@@ -179,7 +179,7 @@ _JOINTS = {
 }
 
 
-def _add_joint(body: mujoco.MjsBody, owner: str, joint: Joint) -> None:
+def _add_joint(body: mujoco.MjsBody, owner: str, joint: JointSpec) -> None:
     limited = joint.type in ("revolute", "prismatic") or (joint.type == "ball" and joint.upper > 0)
     made = body.add_joint(
         name=f"{owner}/{joint.name}",
@@ -203,7 +203,7 @@ def _add_geoms(
     body: mujoco.MjsBody,
     owner: str,
     spec: ObjectSpec,
-    part: Part,
+    part: PartSpec,
     origin: np.ndarray,
     visual: bool,
 ) -> None:
@@ -242,7 +242,7 @@ def _add_visual(
     model: mujoco.MjSpec,
     body: mujoco.MjsBody,
     name: str,
-    geom: Geom,
+    geom: GeomSpec,
     origin: np.ndarray,
     look: dict[str, tuple[float, ...]],
 ) -> None:
@@ -311,10 +311,10 @@ def _add_excludes(model: mujoco.MjSpec, item: SceneObject) -> None:
             model.add_exclude(name=f"{one}:{two}", bodyname1=one, bodyname2=two)
 
 
-def _depth_first(spec: ObjectSpec) -> Iterator[tuple[Part, Joint | None]]:
+def _depth_first(spec: ObjectSpec) -> Iterator[tuple[PartSpec, JointSpec | None]]:
     joints = {joint.child: joint for joint in spec.joints}
 
-    def visit(name: str) -> Iterator[tuple[Part, Joint | None]]:
+    def visit(name: str) -> Iterator[tuple[PartSpec, JointSpec | None]]:
         yield spec.part(name), joints.get(name)
         for part in spec.parts:
             carrier = joints.get(part.name)

@@ -43,10 +43,10 @@ def assemble(made: list[Object]) -> tuple[S.ObjectSpec | None, list[Signal]]:
             label=item.label,
             materials=tuple(m for name, m in item._materials.items() if name in used),
             parts=tuple(
-                S.Part(name=p.name, geoms=tuple(g._spec for g in p._geoms), mass=p._mass)
+                S.PartSpec(name=p.name, geoms=tuple(g._spec for g in p._geoms), mass=p._mass)
                 for p in item._parts
             ),
-            joints=tuple(S.Joint(**joint._fields) for joint in item._joints),
+            joints=tuple(S.JointSpec(**joint._fields) for joint in item._joints),
             sites=tuple(item._sites),
         )
     except ValidationError as error:
@@ -146,7 +146,7 @@ def _structure(item: Object) -> list[Signal]:
     return found
 
 
-def _with_losses(joint: S.Joint, authored: dict[str, object], child: Inertial) -> S.Joint:
+def _with_losses(joint: S.JointSpec, authored: dict[str, object], child: Inertial) -> S.JointSpec:
     """Fill in damping and dry friction that the program left open, from the child's mass."""
     if joint.type == "fixed":
         return joint

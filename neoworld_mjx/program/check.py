@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..config import ProgramOptions
-from ..spec import Joint, ObjectSpec
+from ..spec import JointSpec, ObjectSpec
 from ..spec.opening import way_opened
 from .allowance import Allowance
 from .overlap import overlaps
@@ -135,7 +135,7 @@ def _loose(probe: Probe, options: ProgramOptions) -> list[Signal]:
     return found
 
 
-def _apart(probe: Probe, index: int, joint: Joint, options: ProgramOptions) -> Signal:
+def _apart(probe: Probe, index: int, joint: JointSpec, options: ProgramOptions) -> Signal:
     parent = probe.names.index(joint.parent)
     near = probe.nearest(probe.of_part(index), probe.of_part(parent), 100.0)
     return Signal(
@@ -187,7 +187,7 @@ def _joints(probe: Probe, options: ProgramOptions) -> list[Signal]:
     return found
 
 
-def _range(joint: Joint, size: float, whole: float) -> list[Signal]:
+def _range(joint: JointSpec, size: float, whole: float) -> list[Signal]:
     if joint.type == "continuous" or (joint.type == "ball" and joint.upper == 0.0):
         return []
     found = []
@@ -209,7 +209,7 @@ def _range(joint: Joint, size: float, whole: float) -> list[Signal]:
     return found
 
 
-def _opens(spec: ObjectSpec, joint: Joint) -> list[Signal]:
+def _opens(spec: ObjectSpec, joint: JointSpec) -> list[Signal]:
     cosine = way_opened(spec, joint)
     if cosine is None:
         message = "opens= names a way, but the middle of what it turns hardly moves"
@@ -222,7 +222,7 @@ def _opens(spec: ObjectSpec, joint: Joint) -> list[Signal]:
 
 
 def _of_joint(
-    joint: Joint, code: str, message: str, hint: str, value: float, threshold: float
+    joint: JointSpec, code: str, message: str, hint: str, value: float, threshold: float
 ) -> Signal:
     return Signal(
         severity="error",

@@ -324,7 +324,7 @@ class Object:
         fields = joint_fields(what, name, kind, parent, child, given)
         if given.get("after") is not None:
             fields["after"] = self._openers(given["after"], f"{what}: after")
-        take.described(S.Joint, what, **fields)
+        take.described(S.JointSpec, what, **fields)
         joint = Joint(fields, here())
         self._joints.append(joint)
         return joint

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..config import ProgramOptions
-from ..spec import Joint, ObjectSpec
+from ..spec import JointSpec, ObjectSpec
 from ..spec.opening import heeded, opened_for
 from .allowance import Allowance
 from .probe import Near, Probe
@@ -61,7 +61,7 @@ def overlaps(
 
 def _swept(
     probe: Probe,
-    joint: Joint,
+    joint: JointSpec,
     others: State,
     pairs: list[Pair],
     limits: dict[Pair, float],
@@ -80,7 +80,7 @@ def _swept(
 
 def _needless(
     probe: Probe,
-    joint: Joint,
+    joint: JointSpec,
     opened: State,
     pairs: list[Pair],
     limits: dict[Pair, float],
@@ -109,7 +109,7 @@ def _needless(
 
 def _combinations(
     probe: Probe,
-    driven: list[Joint],
+    driven: list[JointSpec],
     rest: list[Pair],
     limits: dict[Pair, float],
     options: ProgramOptions,
@@ -145,7 +145,7 @@ def _combinations(
     ]
 
 
-def _positions(joint: Joint, steps: int) -> list[State]:
+def _positions(joint: JointSpec, steps: int) -> list[State]:
     """List where a joint is tried, closed first and opened last."""
     if joint.type == "ball":
         far = joint.upper if joint.upper > 0 else np.pi
@@ -161,7 +161,7 @@ def _positions(joint: Joint, steps: int) -> list[State]:
     return [{joint.name: float(value)} for value in values]
 
 
-def _carried(spec: ObjectSpec, joint: Joint) -> set[str]:
+def _carried(spec: ObjectSpec, joint: JointSpec) -> set[str]:
     """Return the parts that a joint moves, those of its followers included."""
     led = {joint.name}
     for _ in spec.joints:
@@ -173,7 +173,7 @@ def _carried(spec: ObjectSpec, joint: Joint) -> set[str]:
     return moved
 
 
-def _follows(spec: ObjectSpec, joint: Joint) -> bool:
+def _follows(spec: ObjectSpec, joint: JointSpec) -> bool:
     return any(j.mimic is not None and j.mimic.joint == joint.name for j in spec.joints)
 
 
@@ -215,7 +215,7 @@ def _overlap(probe: Probe, pair: Pair, near: Near, limit: float) -> Signal:
 def _collision(
     probe: Probe,
     pair: Pair,
-    joint: Joint,
+    joint: JointSpec,
     depth: float,
     state: State,
     moving: set[int],

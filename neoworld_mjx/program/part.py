@@ -15,7 +15,7 @@ from .session import current, here
 class Geom:
     """A shape in its place on a part."""
 
-    def __init__(self, spec: S.Geom, bounds: Bounds, line: int | None) -> None:
+    def __init__(self, spec: S.GeomSpec, bounds: Bounds, line: int | None) -> None:
         self._spec, self._bounds, self._line = spec, bounds, line
         self.name = spec.name
 
@@ -70,7 +70,7 @@ class Part:
             given = choices(take.shown(role), ("both", "visual", "collision"))
             raise ValueError(f"{what}: role: {given}")
         spec = take.described(
-            S.Geom,
+            S.GeomSpec,
             f"{what} {label!r}",
             name=label,
             shape=shape._spec,

@@ -56,7 +56,7 @@ class Material(Spec):
     ] = (0.7, 0.7, 0.7, 1.0)
 
 
-class Geom(Spec):
+class GeomSpec(Spec):
     """A shape of one material, placed in the object's frame."""
 
     name: Name
@@ -96,11 +96,11 @@ class AuthoredInertia(Spec):
         return np.array([[a, d, e], [d, b, f], [e, f, c]])
 
 
-class Part(Spec):
+class PartSpec(Spec):
     """A rigid link."""
 
     name: Name
-    geoms: tuple[Geom, ...] = Field(min_length=1)
+    geoms: tuple[GeomSpec, ...] = Field(min_length=1)
     mass: Annotated[float, Field(gt=0)] | None = None
     """Authored mass [kg]; None derives it from volume and density. It survives rescaling."""
     inertia: AuthoredInertia | None = Field(default=None, exclude_if=_is_none)
@@ -131,7 +131,7 @@ class Intent(Spec):
     """Least range that it must have to be of use [rad or m]."""
 
 
-class Joint(Spec):
+class JointSpec(Spec):
     """A joint from `parent` to `child`, with anchor and axis in the object's frame at rest.
 
     Units are rad, N m for turning joints and m, N for sliding ones. Positive motion turns or moves
@@ -201,8 +201,8 @@ class ObjectSpec(Spec):
     label: str = ""
     """What it is, in words."""
     materials: tuple[Material, ...]
-    parts: tuple[Part, ...] = Field(min_length=1)
-    joints: tuple[Joint, ...] = ()
+    parts: tuple[PartSpec, ...] = Field(min_length=1)
+    joints: tuple[JointSpec, ...] = ()
     sites: tuple[Site, ...] = ()
 
     @model_validator(mode="after")
@@ -252,10 +252,10 @@ class ObjectSpec(Spec):
         return next(part.name for part in self.parts if part.name not in children)
 
     @property
-    def ordered(self) -> tuple[tuple[Part, Joint | None], ...]:
+    def ordered(self) -> tuple[tuple[PartSpec, JointSpec | None], ...]:
         """Parts with the joint that carries each, parents before children, else in given order."""
         by_child = {joint.child: joint for joint in self.joints}
-        done: list[tuple[Part, Joint | None]] = []
+        done: list[tuple[PartSpec, JointSpec | None]] = []
         placed: set[str] = set()
         while len(done) < len(self.parts):
             for part in self.parts:
@@ -265,7 +265,7 @@ class ObjectSpec(Spec):
                     placed.add(part.name)
         return tuple(done)
 
-    def part(self, name: str) -> Part:
+    def part(self, name: str) -> PartSpec:
         """Return a part by name."""
         return next(part for part in self.parts if part.name == name)
 
@@ -278,7 +278,7 @@ class ObjectSpec(Spec):
         return self.model_dump_json(indent=1) + "\n"
 
 
-def pieces(part: Part, role: Role = "collision") -> list[tuple[Geom, Piece, Pose]]:
+def pieces(part: PartSpec, role: Role = "collision") -> list[tuple[GeomSpec, Piece, Pose]]:
     """List a part's convex pieces with their poses in the object's frame.
 
     Args:
@@ -306,7 +306,7 @@ class Inertial(Spec):
     """Principal moments [kg m^2]."""
 
 
-def inertial(spec: ObjectSpec, part: Part) -> Inertial:
+def inertial(spec: ObjectSpec, part: PartSpec) -> Inertial:
     """Sum a part's mass properties over its colliding pieces (MuJoCo's body inertial).
 
     What is authored is taken as it is.
@@ -378,7 +378,7 @@ def link_poses(spec: ObjectSpec, joint_state: dict[str, float]) -> dict[str, Pos
     return moved
 
 
-def joint_value(spec: ObjectSpec, joint: Joint, joint_state: dict[str, float]) -> float:
+def joint_value(spec: ObjectSpec, joint: JointSpec, joint_state: dict[str, float]) -> float:
     """Return where a joint stands, following mimics [rad or m]."""
     seen = set()
     scale, offset = 1.0, 0.0
@@ -391,20 +391,22 @@ def joint_value(spec: ObjectSpec, joint: Joint, joint_state: dict[str, float]) -
     return scale * joint_state.get(joint.name, 0.0) + offset
 
 
-def ball_vector(joint: Joint, joint_state: Mapping[str, float]) -> Vec3:
+def ball_vector(joint: JointSpec, joint_state: Mapping[str, float]) -> Vec3:
     """Return the rotation vector [rad] of a ball joint."""
     x, y, z = (joint_state.get(f"{joint.name}.{axis}", 0.0) for axis in "xyz")
     return x, y, z
 
 
-def joint_position(spec: ObjectSpec, joint: Joint, joint_state: dict[str, float]) -> float | Vec3:
+def joint_position(
+    spec: ObjectSpec, joint: JointSpec, joint_state: dict[str, float]
+) -> float | Vec3:
     """Return where a joint stands, following mimics: one value, or a ball's rotation vector."""
     if joint.type == "ball":
         return ball_vector(joint, joint_state)
     return joint_value(spec, joint, joint_state)
 
 
-def joint_motion(joint: Joint, value: float | Vec3) -> Pose:
+def joint_motion(joint: JointSpec, value: float | Vec3) -> Pose:
     """Return the displacement of the child by a joint at `value`, in the object's rest frame."""
     if isinstance(value, tuple):
         angle = float(np.linalg.norm(value))
@@ -476,13 +478,13 @@ def recentred(spec: ObjectSpec) -> ObjectSpec:
     return translated(spec, -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]))
 
 
-def part_bounds(spec: ObjectSpec, part: Part) -> tuple[NDArray, NDArray]:
+def part_bounds(spec: ObjectSpec, part: PartSpec) -> tuple[NDArray, NDArray]:
     """Return the bounds (low [3], high [3]) [m] of a part's colliders at rest."""
     alone = spec.model_copy(update={"parts": (part,), "joints": (), "sites": ()})
     return bounds(alone)
 
 
-def _waits(joint: Joint, joints: tuple[Joint, ...]) -> None:
+def _waits(joint: JointSpec, joints: tuple[JointSpec, ...]) -> None:
     """Refuse a joint that waits for what has no far end, for itself, or that is led."""
     by_name = {other.name: other for other in joints}
     if joint.after and (joint.type == "fixed" or joint.mimic is not None):
@@ -528,14 +530,14 @@ def _known(what: str, name: str, valid: set[str]) -> None:
 
 __all__ = [
     "AuthoredInertia",
-    "Geom",
+    "GeomSpec",
     "Inertial",
     "Intent",
-    "Joint",
+    "JointSpec",
     "Material",
     "Mimic",
     "ObjectSpec",
-    "Part",
+    "PartSpec",
     "Site",
     "Spec",
     "ball_vector",

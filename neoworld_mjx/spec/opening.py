@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from .object import Joint, ObjectSpec, joint_motion, part_bounds
+from .object import JointSpec, ObjectSpec, joint_motion, part_bounds
 from .tree import PartState, TreeNode
 
 
-def joint_meant(spec: ObjectSpec, part: str, kind: str) -> Joint | None:
+def joint_meant(spec: ObjectSpec, part: str, kind: str) -> JointSpec | None:
     """Return the joint that moves a part of the parse: by name, or the only one of its kind."""
     # A ball has no "open": it stays as it is drawn.
     still = ("fixed", "ball")
@@ -18,7 +18,7 @@ def joint_meant(spec: ObjectSpec, part: str, kind: str) -> Joint | None:
     return same[0] if len(same) == 1 else None
 
 
-def opening_value(joint: Joint, opening: float) -> float:
+def opening_value(joint: JointSpec, opening: float) -> float:
     """Return where a joint stands when opened by a share of its range [rad or m].
 
     Closed is 0, or the limit nearest to it; open is the limit furthest from that, by convention the
@@ -52,7 +52,7 @@ def parsed_state(spec: ObjectSpec, node: TreeNode) -> tuple[dict[str, float], li
     return state, left
 
 
-def opened_for(spec: ObjectSpec, joint: Joint) -> dict[str, float]:
+def opened_for(spec: ObjectSpec, joint: JointSpec) -> dict[str, float]:
     """Return where the joints stand that a joint waits for, and those that these wait for [rad or m]."""
     by_name = {other.name: other for other in spec.joints}
     state: dict[str, float] = {}
@@ -90,7 +90,7 @@ HARDLY = 0.15
 """A middle that moves less than this share of what the part's size would let it opens no way."""
 
 
-def way_opened(spec: ObjectSpec, joint: Joint) -> float | None:
+def way_opened(spec: ObjectSpec, joint: JointSpec) -> float | None:
     """Return the cosine between a child's way out of rest and the direction it is meant to take.
 
     The way is that of the middle of its bounding box over the first tenth of its range; None where the

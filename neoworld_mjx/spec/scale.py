@@ -15,18 +15,18 @@ where torque = mass g length and force = mass g. Lengths go with s, inertia with
 takes the mass exponent of its child part.
 """
 
-from .object import AuthoredInertia, Joint, Mimic, ObjectSpec, Part
+from .object import AuthoredInertia, JointSpec, Mimic, ObjectSpec, PartSpec
 
 LENGTH = 1.0
 DERIVED_MASS, AUTHORED_MASS = 3.0, 0.0
 
 
-def mass_exponent(part: Part) -> float:
+def mass_exponent(part: PartSpec) -> float:
     """Return the power of s that the part's mass follows."""
     return DERIVED_MASS if part.mass is None else AUTHORED_MASS
 
 
-def joint_exponents(joint: Joint, child: Part) -> dict[str, float]:
+def joint_exponents(joint: JointSpec, child: PartSpec) -> dict[str, float]:
     """Return the power of s that each quantity of a joint follows, by field name of `Joint`."""
     m = mass_exponent(child)
     if joint.type == "prismatic":
@@ -52,7 +52,7 @@ def joint_exponents(joint: Joint, child: Part) -> dict[str, float]:
     }
 
 
-def mimic_exponents(joint: Joint, leader: Joint) -> tuple[float, float]:
+def mimic_exponents(joint: JointSpec, leader: JointSpec) -> tuple[float, float]:
     """Return the powers of s of a mimic's (multiplier, offset).
 
     q = multiplier * q_leader + offset, where sliding joints count in metres.
@@ -110,7 +110,9 @@ def _scale_inertia(inertia: AuthoredInertia, s: float) -> AuthoredInertia:
     )
 
 
-def _scale_joint(spec: ObjectSpec, joint: Joint, joints: dict[str, Joint], s: float) -> Joint:
+def _scale_joint(
+    spec: ObjectSpec, joint: JointSpec, joints: dict[str, JointSpec], s: float
+) -> JointSpec:
     update: dict[str, object] = {"pos": tuple(v * s for v in joint.pos)}
     for name, power in joint_exponents(joint, spec.part(joint.child)).items():
         value = getattr(joint, name)

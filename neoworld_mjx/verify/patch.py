@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from ..config import describe
 from ..errors import SpecError
 from ..files import write_atomic
-from ..spec import Geom, Joint, ObjectSpec, Part
+from ..spec import GeomSpec, JointSpec, ObjectSpec, PartSpec
 from ..spec.object import AuthoredInertia, Name, Vec3
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -128,7 +128,7 @@ def apply(patch: Patch, spec: ObjectSpec) -> tuple[ObjectSpec, tuple[str, ...]]:
             label=spec.label,
             materials=spec.materials,
             parts=parts,
-            joints=tuple(Joint.model_validate(j.model_dump()) for j in joints),
+            joints=tuple(JointSpec.model_validate(j.model_dump()) for j in joints),
             sites=sites,
         )
     except ValidationError as error:
@@ -146,7 +146,7 @@ def _shifts(patch: Patch, spec: ObjectSpec) -> dict[str, np.ndarray]:
     return shifts
 
 
-def _part(part: Part, patch: Patch, shift: np.ndarray) -> Part:
+def _part(part: PartSpec, patch: Patch, shift: np.ndarray) -> PartSpec:
     edit = patch.parts.get(part.name, PartEdit())
     mass, inertia = part.mass, part.inertia
     if edit.mass is not None:
@@ -162,7 +162,7 @@ def _part(part: Part, patch: Patch, shift: np.ndarray) -> Part:
     return part.model_copy(update={"geoms": tuple(geoms), "mass": mass, "inertia": inertia})
 
 
-def _geom(geom: Geom, part: Part, patch: Patch) -> list[Geom]:
+def _geom(geom: GeomSpec, part: PartSpec, patch: Patch) -> list[GeomSpec]:
     edit = patch.geoms.get(geom.name)
     seen = any(
         g.name in patch.geoms and patch.geoms[g.name].as_seen and g.role != "collision"
@@ -185,7 +185,7 @@ def _geom(geom: Geom, part: Part, patch: Patch) -> list[Geom]:
     return [geom]
 
 
-def _joint(joint: Joint, patch: Patch, shifts: dict[str, np.ndarray]) -> Joint:
+def _joint(joint: JointSpec, patch: Patch, shifts: dict[str, np.ndarray]) -> JointSpec:
     edit = patch.joints.get(joint.name, JointEdit())
     update = edit.model_dump(include={"lower", "upper", "damping", "friction"}, exclude_none=True)
     if joint.type not in ("revolute", "prismatic"):

@@ -15,7 +15,7 @@ from ..config import VerifyOptions
 from ..physics.mjcf import welded
 from ..program.allowance import Allowance
 from ..program.probe import Probe
-from ..spec import Joint, ObjectSpec, bounds, part_bounds
+from ..spec import JointSpec, ObjectSpec, bounds, part_bounds
 from ..spec.opening import heeded, opened_for, way_opened
 from .scenarios import SINGLE
 from .solid import helper
@@ -119,7 +119,7 @@ def _at_rest(
 
 def _over_range(
     probe: Probe,
-    joint: Joint,
+    joint: JointSpec,
     limits: dict[Pair, float],
     bad: set[Pair],
     found: Ranges,
@@ -189,7 +189,7 @@ def _over_range(
 
 def _free(
     probe: Probe,
-    joint: Joint,
+    joint: JointSpec,
     values: NDArray,
     over: NDArray,
     pairs: list[Pair],
@@ -229,7 +229,7 @@ def _free(
 
 def _better_pivot(
     probe: Probe,
-    joint: Joint,
+    joint: JointSpec,
     pairs: list[Pair],
     limits: dict[Pair, float],
     options: VerifyOptions,
@@ -257,7 +257,7 @@ def _better_pivot(
     return False
 
 
-def on_edge(joint: Joint, low: NDArray, high: NDArray) -> bool:
+def on_edge(joint: JointSpec, low: NDArray, high: NDArray) -> bool:
     """Tell whether a joint's axis runs along an edge of a box, to a tenth of the box's width."""
     axis = np.array(joint.axis)
     off = pivot_edges(joint, low, high) - np.array(joint.pos)
@@ -269,7 +269,7 @@ def on_edge(joint: Joint, low: NDArray, high: NDArray) -> bool:
     )
 
 
-def pivot_edges(joint: Joint, low: NDArray, high: NDArray) -> NDArray:
+def pivot_edges(joint: JointSpec, low: NDArray, high: NDArray) -> NDArray:
     """Return points on the four edges of a box along a joint's axis [4, 3] m; none if it is askew."""
     along = int(np.argmax(np.abs(joint.axis)))
     if abs(joint.axis[along]) < 0.99:
@@ -283,7 +283,7 @@ def pivot_edges(joint: Joint, low: NDArray, high: NDArray) -> NDArray:
 
 def _combined(
     probe: Probe,
-    driven: list[Joint],
+    driven: list[JointSpec],
     limits: dict[Pair, float],
     bad: set[Pair],
     found: Ranges,
@@ -330,7 +330,7 @@ def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
         )  # fmt: skip
 
 
-def _pivot(probe: Probe, joint: Joint, options: VerifyOptions) -> Check:
+def _pivot(probe: Probe, joint: JointSpec, options: VerifyOptions) -> Check:
     """Measure how far the axis of a turning joint passes beside the two parts that it joins."""
     low, high = probe.extent(probe.names.index(joint.child))
     size = float(np.linalg.norm(high - low))
@@ -408,7 +408,7 @@ def intents(spec: ObjectSpec) -> Iterator[Check]:
             )
 
 
-def positions(joint: Joint, steps: int) -> NDArray:
+def positions(joint: JointSpec, steps: int) -> NDArray:
     """Return values that cover a joint's range; of a ball, how far it turns away from rest [rad]."""
     if joint.type == "continuous":
         return np.linspace(0, 2 * np.pi, steps + 3, endpoint=False)
@@ -422,7 +422,7 @@ def positions(joint: Joint, steps: int) -> NDArray:
     return np.unique(np.concatenate([values, [lower + edge, upper - edge]]))
 
 
-def states(joint: Joint, value: float) -> list[dict[str, float]]:
+def states(joint: JointSpec, value: float) -> list[dict[str, float]]:
     """Return the states in which a joint stands at a value: a ball turned by it in 26 directions."""
     if joint.type != "ball":
         return [{joint.name: value}]
@@ -434,7 +434,7 @@ def states(joint: Joint, value: float) -> list[dict[str, float]]:
     ]
 
 
-def carried(spec: ObjectSpec, joint: Joint) -> set[str]:
+def carried(spec: ObjectSpec, joint: JointSpec) -> set[str]:
     """Return the parts that a joint moves, those of its followers included."""
     led = {joint.name}
     for _ in spec.joints:
@@ -446,7 +446,7 @@ def carried(spec: ObjectSpec, joint: Joint) -> set[str]:
     return moved
 
 
-def with_joint(spec: ObjectSpec, joint: Joint) -> ObjectSpec:
+def with_joint(spec: ObjectSpec, joint: JointSpec) -> ObjectSpec:
     """Return the object with a joint in place of its namesake."""
     joints = tuple(joint if j.name == joint.name else j for j in spec.joints)
     return spec.model_copy(update={"joints": joints})

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from ..errors import SpecError
-from ..spec import Joint, ObjectSpec, inertial, part_bounds
+from ..spec import JointSpec, ObjectSpec, inertial, part_bounds
 from ..spec.object import Vec3
 from ..spec.pose import rotate
 from .battery import Battery
@@ -293,7 +293,7 @@ def nearest(spec: ObjectSpec, first: str, second: str) -> tuple[float, np.ndarra
     return distance, way / length * (1.0 if distance >= 0 else -1.0)
 
 
-def losses(spec: ObjectSpec, joint: Joint) -> tuple[float, float]:
+def losses(spec: ObjectSpec, joint: JointSpec) -> tuple[float, float]:
     """Return damping and dry friction for a joint from what it carries, as for programs without."""
     child = inertial(spec, spec.part(joint.child))
     mass = child.mass
@@ -314,7 +314,7 @@ def vec(values: np.ndarray) -> Vec3:
     return x, y, z
 
 
-def _joint(battery: Battery, name: str) -> Joint:
+def _joint(battery: Battery, name: str) -> JointSpec:
     return next(joint for joint in battery.spec.joints if joint.name == name)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..config import VerifyOptions
-from ..spec import ObjectSpec, Part, inertial, part_bounds, pieces
+from ..spec import ObjectSpec, PartSpec, inertial, part_bounds, pieces
 from ..spec.convex import Piece, mass_properties, planes
 from ..spec.mesh import HELPER, UNKNOWN
 from ..spec.pose import Pose
@@ -27,7 +27,7 @@ PROUD_SHARE = 0.04
 """How far colliders may stand out of what is seen, over the part's diagonal."""
 
 
-def helper(part: Part) -> bool:
+def helper(part: PartSpec) -> bool:
     """Tell whether a part is a bead that stands for a link without geometry.
 
     It touches nothing, and its mass and inertia are those of a body whose extent nobody stated.
@@ -122,7 +122,7 @@ def colliders(spec: ObjectSpec) -> Iterator[Check]:
         yield judged("static", f"colliders_missing:{part.name}", bare, limit, part=part.name)
 
 
-def seen_points(part: Part, count: int = COVER_SAMPLES) -> NDArray:
+def seen_points(part: PartSpec, count: int = COVER_SAMPLES) -> NDArray:
     """Return points [n, 3] m spread evenly over what is seen of a part, in the object's frame."""
     corners = []
     for geom in part.geoms:

@@ -11,9 +11,9 @@ from neoworld_mjx.config import CEMOptions, RefineOptions, RolloutOptions
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.refine.loop import compiled
-from neoworld_mjx.refine.outcome import measured, passes
-from neoworld_mjx.refine.semantic import misfit
+from neoworld_mjx.refinement.loop import compiled
+from neoworld_mjx.refinement.outcome import measured, passes
+from neoworld_mjx.refinement.semantic import misfit
 
 SMALL = RefineOptions(
     cem=CEMOptions(population=24, iterations=2, first=8, batch=8),

@@ -17,13 +17,13 @@ from neoworld_mjx.spec import (
     Box3D,
     Camera,
     Cylinder,
-    Geom,
+    GeomSpec,
     HollowBox,
-    Joint,
+    JointSpec,
     Lathe,
     Material,
     ObjectSpec,
-    Part,
+    PartSpec,
     PartState,
     SceneTree,
     TreeNode,
@@ -210,7 +210,7 @@ def test_a_missing_object_is_named():
 
 
 def test_opening_goes_from_the_limit_nearest_to_zero_to_the_far_one():
-    joint = Joint(name="j", type="revolute", parent="a", child="b", lower=-1.5, upper=0.1)
+    joint = JointSpec(name="j", type="revolute", parent="a", child="b", lower=-1.5, upper=0.1)
     assert opening_value(joint, 0.0) == 0.0
     assert opening_value(joint, 1.0) == -1.5
     shifted = joint.model_copy(update={"lower": 0.2, "upper": 1.2})
@@ -220,11 +220,13 @@ def test_opening_goes_from_the_limit_nearest_to_zero_to_the_far_one():
 def mushroom():
     """A round stem with a thicker, square cap, [0.05, 0.05, 0.09] m."""
     wood = Material(name="wood", density=500, rgba=(0.6, 0.4, 0.2, 1))
-    stem = Geom(
+    stem = GeomSpec(
         name="stem", shape=Cylinder(radius=0.015, height=0.07), pos=(0, 0, 0.035), material="wood"
     )
-    cap = Geom(name="cap", shape=Box(size=(0.05, 0.05, 0.02)), pos=(0, 0, 0.08), material="wood")
-    part = Part(name="body", geoms=(stem, cap))
+    cap = GeomSpec(
+        name="cap", shape=Box(size=(0.05, 0.05, 0.02)), pos=(0, 0, 0.08), material="wood"
+    )
+    part = PartSpec(name="body", geoms=(stem, cap))
     return ObjectSpec(name="mushroom", materials=(wood,), parts=(part,))
 
 
@@ -266,10 +268,10 @@ def test_what_leans_or_stands_keeps_its_tilt():
 def test_a_bottle_that_lies_at_some_angle_comes_to_lie_flat(degrees):
     tilt = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(degrees)).tolist())
     wood = Material(name="wood", density=500, rgba=(0.6, 0.4, 0.2, 1))
-    rod = Geom(
+    rod = GeomSpec(
         name="rod", shape=Cylinder(radius=0.02, height=0.2), pos=(0, 0, 0.1), material="wood"
     )
-    bottle = ObjectSpec(name="b", materials=(wood,), parts=(Part(name="body", geoms=(rod,)),))
+    bottle = ObjectSpec(name="b", materials=(wood,), parts=(PartSpec(name="body", geoms=(rod,)),))
     turned = resting_tilt(bottle, {}, tilt)
     assert turned is not None
     assert rotate(turned, np.array([0.0, 0.0, 1.0]))[2] == pytest.approx(0.0, abs=1e-3)
@@ -279,8 +281,8 @@ def test_a_bottle_that_lies_at_some_angle_comes_to_lie_flat(degrees):
 def test_a_tilt_far_from_any_rest_is_left_and_told():
     tilt = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(45)).tolist())
     wood = Material(name="wood", density=500, rgba=(0.6, 0.4, 0.2, 1))
-    block = Geom(name="b", shape=Box(size=(0.1, 0.1, 0.1)), pos=(0, 0, 0.05), material="wood")
-    cube = ObjectSpec(name="b", materials=(wood,), parts=(Part(name="body", geoms=(block,)),))
+    block = GeomSpec(name="b", shape=Box(size=(0.1, 0.1, 0.1)), pos=(0, 0, 0.05), material="wood")
+    cube = ObjectSpec(name="b", materials=(wood,), parts=(PartSpec(name="body", geoms=(block,)),))
     assert resting_tilt(cube, {}, tilt) is None
 
 

@@ -11,11 +11,11 @@ from neoworld_mjx.compose.settled import settled
 from neoworld_mjx.measure.scene import scene_measure
 from neoworld_mjx.spec import (
     Box,
-    Geom,
-    Joint,
+    GeomSpec,
+    JointSpec,
     Material,
     ObjectSpec,
-    Part,
+    PartSpec,
     SceneObject,
     SceneSpec,
 )
@@ -79,13 +79,15 @@ def test_a_block_in_an_open_drawer_lies_flat_and_the_drawer_stays_open():
 
 def test_what_overlaps_in_the_parent_itself_does_not_matter():
     """Two drawers that are half a millimetre in each other, and a block on the case above them."""
-    geom = lambda name, size, pos: Geom(name=name, shape=Box(size=size), pos=pos, material="wood")
-    parts = [Part(name="case", geoms=(geom("top", (0.3, 0.3, 0.02), (0, 0, 0.11)),))]
+    geom = lambda name, size, pos: GeomSpec(
+        name=name, shape=Box(size=size), pos=pos, material="wood"
+    )
+    parts = [PartSpec(name="case", geoms=(geom("top", (0.3, 0.3, 0.02), (0, 0, 0.11)),))]
     joints = []
     for k, y in enumerate((-0.04975, 0.04975)):
-        parts.append(Part(name=f"d{k}", geoms=(geom(f"g{k}", (0.1, 0.1, 0.05), (0, y, 0.04)),)))
+        parts.append(PartSpec(name=f"d{k}", geoms=(geom(f"g{k}", (0.1, 0.1, 0.05), (0, y, 0.04)),)))
         joints.append(
-            Joint(name=f"j{k}", type="prismatic", parent="case", child=f"d{k}", upper=0.1)
+            JointSpec(name=f"j{k}", type="prismatic", parent="case", child=f"d{k}", upper=0.1)
         )
     wood = Material(name="wood", density=500, rgba=(0.6, 0.4, 0.2, 1))
     spec = ObjectSpec(name="case", materials=(wood,), parts=tuple(parts), joints=tuple(joints))

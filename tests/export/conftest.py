@@ -7,14 +7,14 @@ from neoworld_mjx.spec import (
     Capsule,
     Cylinder,
     Ellipsoid,
-    Geom,
+    GeomSpec,
     HollowBox,
-    Joint,
+    JointSpec,
     Lathe,
     Material,
     Mimic,
     ObjectSpec,
-    Part,
+    PartSpec,
     Prism,
     SceneObject,
     SceneSpec,
@@ -28,7 +28,7 @@ TURNED = (0.9, 0.1, 0.3, -0.2)
 
 
 def _geom(name, shape, pos, material="wood", **more):
-    return Geom(name=name, shape=shape, pos=pos, material=material, **more)
+    return GeomSpec(name=name, shape=shape, pos=pos, material=material, **more)
 
 
 @pytest.fixture(scope="session")
@@ -37,8 +37,10 @@ def cabinet() -> ObjectSpec:
     hexagon = tuple((0.01 * np.cos(a), 0.01 * np.sin(a)) for a in np.arange(6) * np.pi / 3)
     cup = Lathe(profile=((0, 0), (0.02, 0), (0.03, 0.05)), thickness=0.004, sectors=8)
     parts = (
-        Part(name="links", geoms=(_geom("panel", Box(size=(0.02, 0.2, 0.3)), (0.16, -0.1, 0.15)),)),
-        Part(
+        PartSpec(
+            name="links", geoms=(_geom("panel", Box(size=(0.02, 0.2, 0.3)), (0.16, -0.1, 0.15)),)
+        ),
+        PartSpec(
             name="carcass",
             geoms=(
                 _geom(
@@ -46,7 +48,7 @@ def cabinet() -> ObjectSpec:
                 ),
             ),
         ),
-        Part(
+        PartSpec(
             name="knob",
             geoms=(
                 _geom(
@@ -56,7 +58,7 @@ def cabinet() -> ObjectSpec:
                 _geom("egg", Ellipsoid(radii=(0.01, 0.02, 0.03)), (0.2, -0.18, 0.15), "steel"),
             ),
         ),
-        Part(
+        PartSpec(
             name="drawer",
             mass=0.7,
             geoms=(
@@ -68,7 +70,7 @@ def cabinet() -> ObjectSpec:
                 ),
             ),
         ),
-        Part(
+        PartSpec(
             name="wheel",
             geoms=(
                 _geom(
@@ -76,26 +78,28 @@ def cabinet() -> ObjectSpec:
                 ),
             ),
         ),
-        Part(name="flap", geoms=(_geom("flap", Box(size=(0.1, 0.1, 0.01)), (0, 0, 0.33)),)),
-        Part(name="cog", geoms=(_geom("cog", Cylinder(radius=0.02, height=0.01), (0, 0.1, 0.33)),)),
+        PartSpec(name="flap", geoms=(_geom("flap", Box(size=(0.1, 0.1, 0.01)), (0, 0, 0.33)),)),
+        PartSpec(
+            name="cog", geoms=(_geom("cog", Cylinder(radius=0.02, height=0.01), (0, 0.1, 0.33)),)
+        ),
     )
     joints = (
-        Joint(name="grip", type="fixed", parent="links", child="knob", pos=(0.17, -0.18, 0.15)),
-        Joint(
+        JointSpec(name="grip", type="fixed", parent="links", child="knob", pos=(0.17, -0.18, 0.15)),
+        JointSpec(
             name="hinge", type="revolute", parent="carcass", child="links", pos=(0.15, 0, 0.1),
             axis=(0.1, 0, 1), lower=-0.2, upper=1.6, damping=0.02, friction=0.01, stiffness=0.1,
             armature=0.003, effort=3.0, velocity=2.0,
         ),
-        Joint(
+        JointSpec(
             name="slide", type="prismatic", parent="carcass", child="drawer", pos=(0.1, 0.1, 0.1),
             axis=(1, 0, 0.05), upper=0.15, damping=0.5, stiffness=2.0, friction=0.3, velocity=0.5,
         ),
-        Joint(name="spin", type="continuous", parent="drawer", child="wheel", pos=(0, 0.25, 0.2), axis=(0, 1, 0)),
-        Joint(
+        JointSpec(name="spin", type="continuous", parent="drawer", child="wheel", pos=(0, 0.25, 0.2), axis=(0, 1, 0)),
+        JointSpec(
             name="follow", type="revolute", parent="carcass", child="flap", pos=(-0.05, 0, 0.32),
             axis=(0, -1, 0), lower=-0.1, upper=1.5, mimic=Mimic(joint="slide", multiplier=5.0, offset=0.1),
         ),
-        Joint(
+        JointSpec(
             name="gear", type="continuous", parent="carcass", child="cog", pos=(0, 0.1, 0.32),
             axis=(-1, 0, 0), mimic=Mimic(joint="follow", multiplier=-2.0, offset=0.3),
         ),
@@ -114,7 +118,7 @@ def simple(name: str, shape, z: float = 0.0) -> ObjectSpec:
     return ObjectSpec(
         name=name,
         materials=(WOOD,),
-        parts=(Part(name="body", geoms=(_geom("body", shape, (0, 0, z)),)),),
+        parts=(PartSpec(name="body", geoms=(_geom("body", shape, (0, 0, z)),)),),
     )
 
 

@@ -19,7 +19,16 @@ from neoworld_mjx.export import (
     world_links_usd,
 )
 from neoworld_mjx.physics.mjcf import START, body_name, to_mjspec
-from neoworld_mjx.spec import Box, Geom, Material, ObjectSpec, Part, link_poses, scale, world_poses
+from neoworld_mjx.spec import (
+    Box,
+    GeomSpec,
+    Material,
+    ObjectSpec,
+    PartSpec,
+    link_poses,
+    scale,
+    world_poses,
+)
 from neoworld_mjx.spec.object import joint_value
 from neoworld_mjx.spec.pose import angle_between, matrix, pose
 
@@ -179,11 +188,13 @@ def test_thin_plates_survive_the_text():
     """Six digits, as MuJoCo writes them, can break A + B >= C of a plate's inertia."""
     broken = 0
     for k in range(20):
-        sheet = Geom(name="sheet", shape=Box(size=(0.3 + 0.01 * k, 0.41, 1e-5)), material="paper")
+        sheet = GeomSpec(
+            name="sheet", shape=Box(size=(0.3 + 0.01 * k, 0.41, 1e-5)), material="paper"
+        )
         plate = ObjectSpec(
             name="plate",
             materials=(Material(name="paper", density=800),),
-            parts=(Part(name="body", geoms=(sheet,)),),
+            parts=(PartSpec(name="body", geoms=(sheet,)),),
         )
         mujoco.MjModel.from_xml_string(mjcf_text(plate))
         rounded = to_mjspec(plate)
@@ -363,7 +374,7 @@ def test_what_cannot_be_written_or_read_says_so(cabinet, tmp_path):
     renamed = cabinet.model_copy(
         update={
             "parts": tuple(
-                Part(name="x", geoms=p.geoms) if p.name == "cog" else p for p in cabinet.parts
+                PartSpec(name="x", geoms=p.geoms) if p.name == "cog" else p for p in cabinet.parts
             )
         }
     )

@@ -5,21 +5,21 @@ import pytest
 
 from neoworld_mjx.measure import geometry_measure
 from neoworld_mjx.measure.geometry import closeness, surface_points
-from neoworld_mjx.spec import Box, Geom, Material, ObjectSpec, Part, Sphere
+from neoworld_mjx.spec import Box, GeomSpec, Material, ObjectSpec, PartSpec, Sphere
 
 STEEL = Material(name="steel", density=7800)
 
 
 def thing(*geoms):
-    return ObjectSpec(name="thing", materials=(STEEL,), parts=(Part(name="body", geoms=geoms),))
+    return ObjectSpec(name="thing", materials=(STEEL,), parts=(PartSpec(name="body", geoms=geoms),))
 
 
 def sphere(radius, at=(0, 0, 0), name="ball"):
-    return Geom(name=name, shape=Sphere(radius=radius), pos=at, material="steel")
+    return GeomSpec(name=name, shape=Sphere(radius=radius), pos=at, material="steel")
 
 
 def block(size, at=(0, 0, 0), name="block", **more):
-    return Geom(name=name, shape=Box(size=size), pos=at, material="steel", **more)
+    return GeomSpec(name=name, shape=Box(size=size), pos=at, material="steel", **more)
 
 
 def turned(points, degrees):

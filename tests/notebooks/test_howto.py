@@ -12,8 +12,8 @@ from neoworld_mjx.bench.scenes import noisy_layouts
 from neoworld_mjx.config import load_config
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.refine import refine
-from neoworld_mjx.refine.rewards import score, user_terms, weights
+from neoworld_mjx.refinement import refine
+from neoworld_mjx.refinement.rewards import score, user_terms, weights
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/write-a-reward.md"
 

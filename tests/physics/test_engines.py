@@ -13,7 +13,7 @@ from neoworld_mjx.physics.lowering import lowered
 from neoworld_mjx.physics.mjx_engine import MjxEngine, invweights
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine, exact_poses, open_batch
-from neoworld_mjx.refine.rewards import drifts
+from neoworld_mjx.refinement.rewards import drifts
 
 
 @pytest.fixture(scope="module")

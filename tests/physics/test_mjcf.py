@@ -6,14 +6,14 @@ from neoworld_mjx.physics.mjcf import START, body_name, joint_order, to_mjspec
 from neoworld_mjx.spec import (
     Box,
     Cylinder,
-    Geom,
+    GeomSpec,
     HollowBox,
-    Joint,
+    JointSpec,
     Lathe,
     Material,
     Mimic,
     ObjectSpec,
-    Part,
+    PartSpec,
     Prism,
     SceneObject,
     SceneSpec,
@@ -38,10 +38,10 @@ def cabinet() -> ObjectSpec:
         name="cabinet",
         materials=(WOOD,),
         parts=(
-            Part(
+            PartSpec(
                 name="door",
                 geoms=(
-                    Geom(
+                    GeomSpec(
                         name="panel",
                         shape=Box(size=(0.02, 0.2, 0.3)),
                         pos=(0.16, -0.1, 0.15),
@@ -49,10 +49,10 @@ def cabinet() -> ObjectSpec:
                     ),
                 ),
             ),
-            Part(
+            PartSpec(
                 name="carcass",
                 geoms=(
-                    Geom(
+                    GeomSpec(
                         name="case",
                         shape=HollowBox(size=(0.3, 0.4, 0.3), wall=0.015, open=("+x",)),
                         pos=(0, 0, 0.15),
@@ -60,17 +60,17 @@ def cabinet() -> ObjectSpec:
                     ),
                 ),
             ),
-            Part(
+            PartSpec(
                 name="knob",
                 geoms=(
-                    Geom(
+                    GeomSpec(
                         name="stem",
                         shape=Prism(outline=hex_, height=0.04),
                         pos=(0.19, -0.18, 0.15),
                         quat=turned,
                         material="wood",
                     ),
-                    Geom(
+                    GeomSpec(
                         name="halo",
                         shape=Sphere(radius=0.02),
                         pos=(0.2, -0.18, 0.15),
@@ -79,17 +79,17 @@ def cabinet() -> ObjectSpec:
                     ),
                 ),
             ),
-            Part(
+            PartSpec(
                 name="drawer",
                 mass=0.7,
                 geoms=(
-                    Geom(
+                    GeomSpec(
                         name="tray",
                         shape=HollowBox(size=(0.2, 0.15, 0.1), wall=0.01),
                         pos=(0, 0.1, 0.1),
                         material="wood",
                     ),
-                    Geom(
+                    GeomSpec(
                         name="cup",
                         shape=Lathe(
                             profile=((0, 0), (0.02, 0), (0.03, 0.05)), thickness=0.004, sectors=8
@@ -100,10 +100,10 @@ def cabinet() -> ObjectSpec:
                     ),
                 ),
             ),
-            Part(
+            PartSpec(
                 name="wheel",
                 geoms=(
-                    Geom(
+                    GeomSpec(
                         name="disc",
                         shape=Cylinder(radius=0.03, height=0.01),
                         pos=(0, 0.25, 0.2),
@@ -112,10 +112,10 @@ def cabinet() -> ObjectSpec:
                     ),
                 ),
             ),
-            Part(
+            PartSpec(
                 name="flap",
                 geoms=(
-                    Geom(
+                    GeomSpec(
                         name="flap",
                         shape=Box(size=(0.1, 0.1, 0.01)),
                         pos=(0, 0, 0.33),
@@ -125,8 +125,10 @@ def cabinet() -> ObjectSpec:
             ),
         ),
         joints=(
-            Joint(name="grip", type="fixed", parent="door", child="knob", pos=(0.17, -0.18, 0.15)),
-            Joint(
+            JointSpec(
+                name="grip", type="fixed", parent="door", child="knob", pos=(0.17, -0.18, 0.15)
+            ),
+            JointSpec(
                 name="hinge",
                 type="revolute",
                 parent="carcass",
@@ -140,7 +142,7 @@ def cabinet() -> ObjectSpec:
                 armature=0.003,
                 effort=3.0,
             ),
-            Joint(
+            JointSpec(
                 name="slide",
                 type="prismatic",
                 parent="carcass",
@@ -149,7 +151,7 @@ def cabinet() -> ObjectSpec:
                 axis=(1, 0, 0.05),
                 upper=0.15,
             ),
-            Joint(
+            JointSpec(
                 name="spin",
                 type="continuous",
                 parent="drawer",
@@ -157,7 +159,7 @@ def cabinet() -> ObjectSpec:
                 pos=(0, 0.25, 0.2),
                 axis=(0, 1, 0),
             ),
-            Joint(
+            JointSpec(
                 name="follow",
                 type="revolute",
                 parent="carcass",
@@ -178,10 +180,10 @@ def scene() -> SceneSpec:
         name="table",
         materials=(WOOD,),
         parts=(
-            Part(
+            PartSpec(
                 name="top",
                 geoms=(
-                    Geom(
+                    GeomSpec(
                         name="slab", shape=Box(size=(1, 1, 0.04)), pos=(0, 0, 0.02), material="wood"
                     ),
                 ),
@@ -359,11 +361,11 @@ def test_mjx_takes_what_it_can_collide():
         name="ball",
         materials=(WOOD,),
         parts=(
-            Part(
+            PartSpec(
                 name="body",
                 geoms=(
-                    Geom(name="ball", shape=Sphere(radius=0.1), material="wood"),
-                    Geom(
+                    GeomSpec(name="ball", shape=Sphere(radius=0.1), material="wood"),
+                    GeomSpec(
                         name="cone",
                         shape=Lathe(profile=((0.1, 0), (0.05, 0.1)), sectors=8),
                         material="wood",

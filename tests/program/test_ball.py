@@ -8,7 +8,7 @@ from neoworld_mjx.export import export_object, mechanism, read_mjcf, read_urdf, 
 from neoworld_mjx.export.import_urdf import import_urdf
 from neoworld_mjx.physics.mjcf import START, to_mjspec
 from neoworld_mjx.program import build
-from neoworld_mjx.spec import Joint, SceneObject, SceneSpec, link_poses, scale
+from neoworld_mjx.spec import JointSpec, SceneObject, SceneSpec, link_poses, scale
 from neoworld_mjx.spec.pose import angle_between, from_axis_angle, quat_mul, rotate
 from neoworld_mjx.verify import Battery, verify
 from neoworld_mjx.verify.repairs import repair
@@ -65,7 +65,7 @@ def test_a_ball_beside_its_part_is_told():
 )
 def test_what_a_ball_cannot_have(more, words):
     with pytest.raises(ValueError, match=words):
-        Joint(name="b", type="ball", parent="p", child="q", **more)
+        JointSpec(name="b", type="ball", parent="p", child="q", **more)
 
 
 def test_all_formats_hold_it(lamp, tmp_path):

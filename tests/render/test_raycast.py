@@ -12,12 +12,12 @@ from neoworld_mjx.render.cast import Caster
 from neoworld_mjx.spec import (
     Box,
     Camera,
-    Geom,
-    Joint,
+    GeomSpec,
+    JointSpec,
     Lathe,
     Material,
     ObjectSpec,
-    Part,
+    PartSpec,
     SceneObject,
     SceneSpec,
     Shape,
@@ -29,8 +29,10 @@ WOOD = Material(name="wood", density=600, rgba=(0.6, 0.4, 0.2, 1))
 
 
 def thing(name: str, shape: Shape, z: float, material: Material = PAINT) -> ObjectSpec:
-    geom = Geom(name="body", shape=shape, pos=(0, 0, z), material=material.name)
-    return ObjectSpec(name=name, materials=(material,), parts=(Part(name="body", geoms=(geom,)),))
+    geom = GeomSpec(name="body", shape=shape, pos=(0, 0, z), material=material.name)
+    return ObjectSpec(
+        name=name, materials=(material,), parts=(PartSpec(name="body", geoms=(geom,)),)
+    )
 
 
 CAMERA = Camera(width=200, height_px=150, fovy=math.radians(40), height=0.6, pitch=math.radians(35))
@@ -155,27 +157,31 @@ def test_collision_only_models_can_be_seen_too():
 
 
 def test_joints_and_roles_are_seen():
-    lid = Part(
+    lid = PartSpec(
         name="lid",
         geoms=(
-            Geom(name="lid", shape=Box(size=(0.2, 0.2, 0.02)), pos=(0, 0, 0.11), material="paint"),
+            GeomSpec(
+                name="lid", shape=Box(size=(0.2, 0.2, 0.02)), pos=(0, 0, 0.11), material="paint"
+            ),
         ),
     )
-    hidden = Geom(
+    hidden = GeomSpec(
         name="hull",
         shape=Box(size=(0.5, 0.5, 0.5)),
         pos=(0, 0, 0.25),
         material="paint",
         role="collision",
     )
-    body = Part(
+    body = PartSpec(
         name="body",
         geoms=(
-            Geom(name="body", shape=Box(size=(0.2, 0.2, 0.1)), pos=(0, 0, 0.05), material="paint"),
+            GeomSpec(
+                name="body", shape=Box(size=(0.2, 0.2, 0.1)), pos=(0, 0, 0.05), material="paint"
+            ),
             hidden,
         ),
     )
-    hinge = Joint(
+    hinge = JointSpec(
         name="hinge",
         type="revolute",
         parent="body",
@@ -221,11 +227,11 @@ def test_every_ray_of_a_picture_meets_what_it_meets_alone():
         },
     }
     geoms = [
-        Geom(name=name, shape=Box(size=size), pos=pos, material="paint")
+        GeomSpec(name=name, shape=Box(size=size), pos=pos, material="paint")
         for name, (size, pos) in boxes.items()
     ]
     cabinet = ObjectSpec(
-        name="cabinet", materials=(PAINT,), parts=(Part(name="body", geoms=tuple(geoms)),)
+        name="cabinet", materials=(PAINT,), parts=(PartSpec(name="body", geoms=tuple(geoms)),)
     )
     model = to_mjspec(cabinet, visual=True).compile()
     data = mujoco.MjData(model)

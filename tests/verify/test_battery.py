@@ -8,7 +8,7 @@ import scenes
 from furniture import chest, cupboard, geom
 
 from neoworld_mjx.config import VerifyOptions
-from neoworld_mjx.spec import Box, Geom, Joint, Material, Part, Sphere, recentred
+from neoworld_mjx.spec import Box, GeomSpec, JointSpec, Material, PartSpec, Sphere, recentred
 from neoworld_mjx.spec.object import AuthoredInertia
 from neoworld_mjx.verify import VERSION, Battery, Fault, verify
 from neoworld_mjx.verify.scenarios import PRESETS
@@ -228,7 +228,7 @@ def tap():
     spec = chest()
     block = geom("block", (0.1, 0.1, 0.1), (0, 0, 0.05))
     lever = geom("lever", (0.2, 0.02, 0.02), (0.1, 0, 0.115))
-    middle = Geom(name="bead", shape=Sphere(radius=0.001), pos=(0, 0, 0.1), material="helper")
+    middle = GeomSpec(name="bead", shape=Sphere(radius=0.001), pos=(0, 0, 0.1), material="helper")
     # What a link without shape states of mass and inertia cannot be held against the bead.
     heavy = AuthoredInertia(pos=(0, 0, 0.1), moments=(1e-4, 1e-4, 1e-4), products=(0, 0, 0))
     turns = {"type": "revolute", "pos": (0, 0, 0.1), "upper": 1.0, "friction": 0.05, "damping": 0.2}
@@ -236,15 +236,15 @@ def tap():
         update={
             "materials": (*spec.materials, bead),
             "parts": (
-                Part(name="body", geoms=(block,)),
-                Part(name="link", geoms=(middle,), mass=0.05, inertia=heavy),
-                Part(name="handle", geoms=(lever,)),
+                PartSpec(name="body", geoms=(block,)),
+                PartSpec(name="link", geoms=(middle,), mass=0.05, inertia=heavy),
+                PartSpec(name="handle", geoms=(lever,)),
             ),
             "joints": (
-                Joint.model_validate(
+                JointSpec.model_validate(
                     {**turns, "name": "hot", "parent": "body", "child": "link", "axis": (0, 0, 1)}
                 ),
-                Joint.model_validate(
+                JointSpec.model_validate(
                     {
                         **turns,
                         "name": "open",
@@ -271,7 +271,7 @@ def test_a_link_without_shape_is_not_held_against_the_bead_that_stands_for_it():
 
 def test_friction_does_not_drive_what_damping_stops_within_a_step():
     stiff = cupboard(friction=1.0, damping=2.0)
-    switch = Part(name="door", geoms=(geom("lever", (0.02, 0.06, 0.02), (0.16, 0.17, 0.25)),))
+    switch = PartSpec(name="door", geoms=(geom("lever", (0.02, 0.06, 0.02), (0.16, 0.17, 0.25)),))
     verdict = verify(stiff.model_copy(update={"parts": (stiff.parts[0], switch)}), fixed_base=True)
     assert named(verdict, "coast:hinge").value > 0.5
     assert not set(verdict.faults) & {Fault.LIMIT_SOFT, Fault.JOINT_UNDAMPED, Fault.RESTLESS}

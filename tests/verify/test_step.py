@@ -16,11 +16,11 @@ from neoworld_mjx.spec import (
     Box3D,
     Camera,
     Cylinder,
-    Geom,
-    Joint,
+    GeomSpec,
+    JointSpec,
     Material,
     ObjectSpec,
-    Part,
+    PartSpec,
     SceneTree,
     TreeNode,
     bounds,
@@ -41,8 +41,10 @@ def cache(tmp_path, monkeypatch):
 
 def pot(deep=0.0018):
     """A pot with a lid that slides off, 1.8 mm in it at rest."""
-    body = Geom(name="body", shape=Box(size=(0.2, 0.2, 0.1)), pos=(0, 0, 0.05), material="steel")
-    lid = Geom(name="disc", shape=Box(size=(0.2, 0.2, 0.01)), pos=(0, 0, 0.105 - deep),
+    body = GeomSpec(
+        name="body", shape=Box(size=(0.2, 0.2, 0.1)), pos=(0, 0, 0.05), material="steel"
+    )
+    lid = GeomSpec(name="disc", shape=Box(size=(0.2, 0.2, 0.01)), pos=(0, 0, 0.105 - deep),
                material="steel")  # fmt: skip
     slide = {
         "name": "slide", "type": "prismatic", "parent": "pot", "child": "lid", "axis": (1, 0, 0),
@@ -51,16 +53,16 @@ def pot(deep=0.0018):
     return ObjectSpec(
         name="pot",
         materials=(STEEL,),
-        parts=(Part(name="pot", geoms=(body,)), Part(name="lid", geoms=(lid,))),
-        joints=(Joint.model_validate(slide),),
+        parts=(PartSpec(name="pot", geoms=(body,)), PartSpec(name="lid", geoms=(lid,))),
+        joints=(JointSpec.model_validate(slide),),
     )
 
 
 def rod():
     """A rod that stands on its end, [0.02, 0.02, 0.5] m."""
     shape = Cylinder(radius=0.01, height=0.5)
-    geom = Geom(name="rod", shape=shape, pos=(0, 0, 0.25), material="steel")
-    return ObjectSpec(name="rod", materials=(STEEL,), parts=(Part(name="body", geoms=(geom,)),))
+    geom = GeomSpec(name="rod", shape=shape, pos=(0, 0, 0.25), material="steel")
+    return ObjectSpec(name="rod", materials=(STEEL,), parts=(PartSpec(name="body", geoms=(geom,)),))
 
 
 def node(name, spec, **more):

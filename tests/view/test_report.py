@@ -9,7 +9,7 @@ from PIL import Image
 
 from neoworld_mjx.config import Config, load_config
 from neoworld_mjx.errors import RunError
-from neoworld_mjx.refine import outcome, prune
+from neoworld_mjx.refinement import outcome, prune
 from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.verify import Verdict
 from neoworld_mjx.view import convergence

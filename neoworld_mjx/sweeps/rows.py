@@ -13,7 +13,7 @@ from ..errors import RunError
 from ..files import write_atomic
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
-from ..refine.outcome import Chosen, Refined
+from ..refinement.outcome import Chosen, Refined
 from .cases import Case
 from .fold import Searched
 from .plan import plain

@@ -17,8 +17,8 @@ from ..errors import ConfigError
 from ..files import content_hash
 from ..physics.engine import Engine, open_engine
 from ..physics.model import SceneModel
-from ..refine.loop import compiled, refine
-from ..refine.outcome import choose
+from ..refinement.loop import compiled, refine
+from ..refinement.outcome import choose
 from ..run_folder import versions
 from ..spec import SceneSpec
 from .cases import Case, Source, case

@@ -8,8 +8,8 @@ import neoworld_mjx
 from neoworld_mjx.bench.scenes import crowded
 from neoworld_mjx.errors import ConfigError, NeoWorldError, RunError
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.sweep import Case, ablate, run, sweep
-from neoworld_mjx.sweep.rows import COLUMNS, read_parquet
+from neoworld_mjx.sweeps import Case, ablate, run, sweep
+from neoworld_mjx.sweeps.rows import COLUMNS, read_parquet
 
 SCENE = Case("two", crowded(2))
 BASE = {
@@ -61,8 +61,7 @@ def swept(tmp_path_factory):
 
 
 def test_the_public_name_is_a_function():
-    assert neoworld_mjx.sweep.sweep is sweep
-    assert callable(neoworld_mjx.sweep)
+    assert neoworld_mjx.sweep is sweep
 
 
 def test_a_row_is_a_run(swept):

@@ -10,7 +10,7 @@ import scenes
 from neoworld_mjx.config import CEMOptions
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
-from neoworld_mjx.refine import open_cem
+from neoworld_mjx.refinement import open_cem
 
 
 @pytest.fixture(scope="module")

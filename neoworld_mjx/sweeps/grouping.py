@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from ..config import RefineOptions
-from ..refine.cem import TRACED as CEM_TRACED
-from ..refine.loop import early_stop_rule
-from ..refine.rewards import TRACED as REWARD_TRACED
+from ..refinement.cem import TRACED as CEM_TRACED
+from ..refinement.loop import early_stop_rule
+from ..refinement.rewards import TRACED as REWARD_TRACED
 
 TRACED = tuple(dict.fromkeys(CEM_TRACED + REWARD_TRACED))
 """Options that are arrays: other values compile nothing anew."""

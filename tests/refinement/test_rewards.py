@@ -11,7 +11,7 @@ from neoworld_mjx.physics.engine import RolloutStatus
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.refine import rewards
+from neoworld_mjx.refinement import rewards
 from neoworld_mjx.spec import Box
 
 

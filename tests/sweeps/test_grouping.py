@@ -5,9 +5,9 @@ import scenes
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.model import compile_scene
-from neoworld_mjx.refine.cem import open_cem
-from neoworld_mjx.refine.rewards import weights
-from neoworld_mjx.sweep.grouping import (
+from neoworld_mjx.refinement.cem import open_cem
+from neoworld_mjx.refinement.rewards import weights
+from neoworld_mjx.sweeps.grouping import (
     HOST,
     RULE,
     STATIC,

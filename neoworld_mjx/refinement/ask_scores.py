@@ -68,7 +68,7 @@ class Judgement(BaseModel):
 @cache
 def system_text() -> str:
     """Read the text that tells the critic what to judge."""
-    return resources.files("neoworld_mjx.refine").joinpath("scorer.md").read_text("utf-8")
+    return resources.files("neoworld_mjx.refinement").joinpath("scorer.md").read_text("utf-8")
 
 
 def score_request(photo: Picture, candidate: Picture, scene: SceneSpec) -> Request[Judgement]:

@@ -6,8 +6,8 @@ import yaml
 from neoworld_mjx.bench.named import named
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import ConfigError, SpecError
-from neoworld_mjx.sweep.cases import Case, case
-from neoworld_mjx.sweep.plan import Ablation, Plan, points, read
+from neoworld_mjx.sweeps.cases import Case, case
+from neoworld_mjx.sweeps.plan import Ablation, Plan, points, read
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 

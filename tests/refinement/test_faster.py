@@ -12,12 +12,12 @@ from neoworld_mjx.config import CEMOptions, DescentOptions, RefineOptions, Rollo
 from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.refine import open_cem, refine
-from neoworld_mjx.refine.credit import partners, shared
-from neoworld_mjx.refine.descent import descend
-from neoworld_mjx.refine.prune import PRUNED, score_elites
-from neoworld_mjx.refine.rewards import d_pen, placed, score, weights
-from neoworld_mjx.refine.semantic import misfit
+from neoworld_mjx.refinement import open_cem, refine
+from neoworld_mjx.refinement.credit import partners, shared
+from neoworld_mjx.refinement.descent import descend
+from neoworld_mjx.refinement.prune import PRUNED, score_elites
+from neoworld_mjx.refinement.rewards import d_pen, placed, score, weights
+from neoworld_mjx.refinement.semantic import misfit
 
 
 @pytest.fixture(scope="module")

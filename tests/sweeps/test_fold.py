@@ -6,10 +6,10 @@ from neoworld_mjx.bench.refine_scenes import START
 from neoworld_mjx.bench.scenes import crowded, noisy_layouts
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.refine.loop import compiled, refine
-from neoworld_mjx.refine.outcome import choose
-from neoworld_mjx.sweep import fold
-from neoworld_mjx.sweep.compiles import compilations
+from neoworld_mjx.refinement.loop import compiled, refine
+from neoworld_mjx.refinement.outcome import choose
+from neoworld_mjx.sweeps import fold
+from neoworld_mjx.sweeps.compiles import compilations
 
 ENGINE = NativeEngine()
 

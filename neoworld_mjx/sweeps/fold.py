@@ -23,11 +23,11 @@ from ..config import RefineOptions
 from ..physics.engine import Engine, Rollout, RolloutStatus
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
-from ..refine.cem import CEM, CEMParams, CEMState
-from ..refine.credit import shared
-from ..refine.loop import Search
-from ..refine.outcome import Round
-from ..refine.rewards import Scores, Term, Weights, placed, score
+from ..refinement.cem import CEM, CEMParams, CEMState
+from ..refinement.credit import shared
+from ..refinement.loop import Search
+from ..refinement.outcome import Round
+from ..refinement.rewards import Scores, Term, Weights, placed, score
 
 TILE = 8192
 """Candidates that are drawn and scored at once, on accelerators."""

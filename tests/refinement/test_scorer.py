@@ -21,11 +21,17 @@ from neoworld_mjx.mllm import Panel, Picture, Tape
 from neoworld_mjx.mllm.anthropic import Anthropic
 from neoworld_mjx.mllm.replay import Replay
 from neoworld_mjx.physics.model import compile_scene
-from neoworld_mjx.refine.ask_scores import CRITERIA, Judgement, listing, score_request, system_text
-from neoworld_mjx.refine.asking import drawer
-from neoworld_mjx.refine.estimate import estimate
-from neoworld_mjx.refine.score_log import Score, read_scores
-from neoworld_mjx.refine.scorer import Mark, SemanticScorer
+from neoworld_mjx.refinement.ask_scores import (
+    CRITERIA,
+    Judgement,
+    listing,
+    score_request,
+    system_text,
+)
+from neoworld_mjx.refinement.asking import drawer
+from neoworld_mjx.refinement.estimate import estimate
+from neoworld_mjx.refinement.score_log import Score, read_scores
+from neoworld_mjx.refinement.scorer import Mark, SemanticScorer
 
 POP = 24
 GEOMETRIC = np.linspace(0.4, 0.8, POP)
