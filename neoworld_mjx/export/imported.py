@@ -89,7 +89,7 @@ def assemble(
         try:
             parts.append(_part(link, names, materials, notes))
         except ValidationError as error:
-            raise SpecError(f"link {link.name} of {name}: {describe(error, Part)}") from None
+            raise SpecError(f"link {link.name} of {name}: {describe(error, PartSpec)}") from None
     labels = {link.name: part.name for link, part in zip(by_name.values(), parts, strict=True)}
     _check_follow(kept)
     titles = {joint.name: names.take(joint.name, "joint") for joint in kept}
