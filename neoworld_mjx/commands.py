@@ -126,8 +126,8 @@ def check(command: Check) -> Answer:
 def build(command: Build) -> Answer:
     """Build a program and write its object in every format."""
     from .program.watch import watch, write_built
-    from .verify.overlaid import overlaid, read_program
     from .verify.patch import overlay_path
+    from .verify.patched import build_patched, read_program
 
     out = command.out
     if out.exists() and not out.is_dir():
@@ -138,9 +138,9 @@ def build(command: Build) -> Answer:
     if command.watch:
         read_program(command.program)  # What is not there at all is told at once.
         beside = (overlay_path(command.program),)
-        make = lambda program: overlaid(program, options)
+        make = lambda program: build_patched(program, options)
         return {"folder": str(out), "builds": watch(command.program, out, make, beside)}
-    made = overlaid(command.program, options)
+    made = build_patched(command.program, options)
     built = made.built
     answer: Answer = {"passed": built.ok, "signals": _signals(built)}
     if built.spec is None or not built.ok:

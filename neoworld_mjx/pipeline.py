@@ -273,7 +273,7 @@ def _program(run: RunFolder, photo: Photo, models: Panel, config: Config) -> Non
 
 def _verify(run: RunFolder, models: Panel, config: Config) -> None:
     from .compose.lying import alone, on_level
-    from .verify import make_sound, write_overlay
+    from .verify import verify_and_repair, write_overlay
 
     tree = _tree(run)
     for node in tree.nodes:
@@ -287,7 +287,7 @@ def _verify(run: RunFolder, models: Panel, config: Config) -> None:
                 continue
             made = _object(spec)
             tilt, held = alone(node, made, level=level)
-            result = make_sound(
+            result = verify_and_repair(
                 made,
                 config.verify,
                 fixed_base=held,

@@ -21,8 +21,8 @@ from ..config import VerifyOptions
 from ..errors import EngineError
 from ..spec import ObjectSpec
 from ..spec.scale import scale
-from ..verify.scenarios import Run, scenarios
-from ..verify.trial import FORCES, Trial
+from ..verify.scenarios import Scenario, list_scenarios
+from ..verify.simulation import FORCES, Simulation
 from .sound import FAMILIES, sound_objects
 
 SIZES = (1.0, 0.8, 1.25, 1.5)
@@ -66,8 +66,8 @@ class BatteryRow(BaseModel):
 class Prepared:
     """An object with all that its runs need."""
 
-    trial: Trial
-    runs: list[Run]
+    trial: Simulation
+    runs: list[Scenario]
     starts: NDArray
     """[runs, state] as MuJoCo lays a full state out."""
     forces: NDArray
@@ -153,8 +153,8 @@ def _objects(count: int) -> list[ObjectSpec]:
 
 def prepare(spec: ObjectSpec, options: VerifyOptions | None = None) -> Prepared:
     """Compile an object, and make starts and forces of all its runs but the slope."""
-    trial = Trial(spec, options or VerifyOptions())
-    runs = scenarios(trial.groups, trial.joints, trial.options, fixed_base=False)
+    trial = Simulation(spec, options or VerifyOptions())
+    runs = list_scenarios(trial.groups, trial.joints, trial.options, fixed_base=False)
     runs = [run for run in runs if run.world != "gripping"]
     # Those without gravity last: on the GPU they share worlds with those of other objects.
     runs.sort(key=lambda run: run.world == "weightless")

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from ..spec import Box, GeomSpec, JointSpec, ObjectSpec, PartSpec, bounds, inertial, recentred
 from ..spec.object import AuthoredInertia
-from ..verify.ranges import carried, on_edge, with_joint
-from ..verify.solid import part_bounds
+from ..verify.joint_checks import carried, on_edge, with_joint
+from ..verify.static_checks import part_bounds
 from ..verify.verdict import Fault
 
 Inject = Callable[[ObjectSpec, float], "ObjectSpec | None"]

@@ -9,7 +9,7 @@ from .. import spec as S
 from ..config import describe
 from ..spec.object import Inertial
 from ..spec.pose import rotate
-from .object import Object
+from .sdk_object import Object
 from .signals import Signal, has_errors
 
 GRAVITY = 9.81

@@ -23,7 +23,7 @@ from .signals import Signal, deduplicated
 AXIS_SLACK = 0.05
 """How far an axis may pass beside the part it turns, over that part's diagonal."""
 LEAST_TURN_RAD, LEAST_SLIDE = 0.03, 0.01
-"""Ranges below these move nothing one would see; a slide counts over the child's diagonal."""
+"""JointSweepChecks below these move nothing one would see; a slide counts over the child's diagonal."""
 OPENS_COSINE = 0.3
 """Least cosine between the way that a part sets out and the way that its joint is declared to open."""
 LONGEST_SLIDE = 1.5

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
-from . import arguments as take
-from .solids import box, hollow_box
+from . import validate
+from .shape_functions import box, hollow_box
 
 _HINGES = {
     "left": ("left.back", (0, 0, 1)),
@@ -38,22 +38,24 @@ def add_door(
     material: str | None,
 ) -> Any:
     """Hang a flat door before the plane x; see `Object.door`."""
-    what = f"door {take.name(name, 'door name')!r}"
+    what = f"door {validate.name(name, 'door name')!r}"
     (left, width), (low, height) = _span(y, f"{what}: y"), _span(z, f"{what}: z")
     if hinge not in _HINGES:
-        raise ValueError(f"{what}: hinge is one of {', '.join(_HINGES)}, got {take.shown(hinge)}")
-    edge = take.number(gap, f"{what}: gap", 1.0)
+        raise ValueError(
+            f"{what}: hinge is one of {', '.join(_HINGES)}, got {validate.shown(hinge)}"
+        )
+    edge = validate.number(gap, f"{what}: gap", 1.0)
     size = (
-        take.length(thickness, f"{what}: thickness"),
-        take.length(width - 2 * edge, f"{what}: width inside the gap"),
-        take.length(height - 2 * edge, f"{what}: height inside the gap"),
+        validate.length(thickness, f"{what}: thickness"),
+        validate.length(width - 2 * edge, f"{what}: width inside the gap"),
+        validate.length(height - 2 * edge, f"{what}: height inside the gap"),
     )
-    front = take.number(x, f"{what}: x", take.MAX_COORDINATE_M)
+    front = validate.number(x, f"{what}: x", validate.MAX_COORDINATE_M)
     part = owner.part(name, material=material or parent._material)
     at = (front + STANDS_OFF_M, left + width / 2, low + height / 2)
     panel = part.add(box(size), at=at, by="back", name=f"{name[:40]}_panel")
     where, axis = _HINGES[hinge]
-    wide = SWING[hinge] if opens is None else take.number(opens, f"{what}: opens", 7.0)
+    wide = SWING[hinge] if opens is None else validate.number(opens, f"{what}: opens", 7.0)
     owner.revolute(
         f"{name[:40]}_hinge",
         parent,
@@ -85,32 +87,32 @@ def add_drawer(
     material: str | None,
 ) -> Any:
     """Put a drawer into an opening whose front lies in the plane x; see `Object.drawer`."""
-    what = f"drawer {take.name(name, 'drawer name')!r}"
+    what = f"drawer {validate.name(name, 'drawer name')!r}"
     (left, width), (low, height) = _span(y, f"{what}: y"), _span(z, f"{what}: z")
-    side = take.number(gap, f"{what}: gap", 1.0)
-    long = take.length(depth, f"{what}: depth")
-    edge = take.number(x, f"{what}: x", take.MAX_COORDINATE_M)
-    over = take.number(overlay, f"{what}: overlay", 1.0)
-    thick = take.length(front, f"{what}: front")
+    side = validate.number(gap, f"{what}: gap", 1.0)
+    long = validate.length(depth, f"{what}: depth")
+    edge = validate.number(x, f"{what}: x", validate.MAX_COORDINATE_M)
+    over = validate.number(overlay, f"{what}: overlay", 1.0)
+    thick = validate.length(front, f"{what}: front")
     part = owner.part(name, material=material or parent._material)
     tray = (
         long,
-        take.length(width - 2 * side, f"{what}: width inside the gap"),
-        take.length(height - side - LIFTS_M, f"{what}: height inside the gap"),
+        validate.length(width - 2 * side, f"{what}: width inside the gap"),
+        validate.length(height - side - LIFTS_M, f"{what}: height inside the gap"),
     )
     middle = left + width / 2
-    shape = hollow_box(tray, take.length(wall, f"{what}: wall"), open="+z")
+    shape = hollow_box(tray, validate.length(wall, f"{what}: wall"), open="+z")
     part.add(shape, at=(edge, middle, low + LIFTS_M), by="front.bottom", name=f"{name[:40]}_tray")
     # The front covers the opening and laps over its frame; without that it closes flush with it.
     inset = side if over <= 0 else -over
     face = (
         thick,
-        take.length(width - 2 * inset, f"{what}: front"),
-        take.length(height - 2 * inset if over > 0 else tray[2], f"{what}: front"),
+        validate.length(width - 2 * inset, f"{what}: front"),
+        validate.length(height - 2 * inset if over > 0 else tray[2], f"{what}: front"),
     )
     foot = low - over if over > 0 else low + LIFTS_M
     part.add(box(face), at=(edge, middle, foot), by="back.bottom", name=f"{name[:40]}_front")
-    out = TRAVEL * long if travel is None else take.length(travel, f"{what}: travel")
+    out = TRAVEL * long if travel is None else validate.length(travel, f"{what}: travel")
     owner.prismatic(
         f"{name[:40]}_slide",
         parent,
@@ -135,17 +137,17 @@ def add_shelf(
 ) -> Any:
     """Add a level board to a part; see `Object.shelf`."""
     (back, deep), (right, wide) = _span(x, "shelf: x"), _span(y, "shelf: y")
-    top = take.number(z, "shelf: z", take.MAX_COORDINATE_M)
-    board = box((deep, wide, take.length(thickness, "shelf: thickness")))
+    top = validate.number(z, "shelf: z", validate.MAX_COORDINATE_M)
+    board = box((deep, wide, validate.length(thickness, "shelf: thickness")))
     at = (back + deep / 2, right + wide / 2, top)
     return parent.add(board, at=at, by="top", material=material, name=name)
 
 
 def _span(value: Any, what: str) -> tuple[float, float]:
     """Take (low, high) and return low and the distance."""
-    low, high = take.sequence(value, what, 2, 2)
-    a = take.number(low, what, take.MAX_COORDINATE_M)
-    b = take.number(high, what, take.MAX_COORDINATE_M)
+    low, high = validate.sequence(value, what, 2, 2)
+    a = validate.number(low, what, validate.MAX_COORDINATE_M)
+    b = validate.number(high, what, validate.MAX_COORDINATE_M)
     if b <= a:
-        raise ValueError(f"{what} must be (low, high), got {take.shown(value)}")
+        raise ValueError(f"{what} must be (low, high), got {validate.shown(value)}")
     return a, b - a

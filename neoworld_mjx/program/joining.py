@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from .. import spec as S
-from . import arguments as take
+from . import validate
 from .part import Part, extent_of
 from .placing import MAX_ANGLE_RAD, anchor_of, direction, hinge_of, is_hinge
 
@@ -33,23 +33,23 @@ def joint_fields(
     elif isinstance(at, str):
         fields["pos"] = tuple(anchor_of(child._extent(), at, f"{what}: at").tolist())
     elif at is not None:
-        fields["pos"] = take.vector(at, f"{what}: at")
+        fields["pos"] = validate.vector(at, f"{what}: at")
     if axis is not None:
         fields["axis"] = direction(axis, f"{what}: axis")
     elif kind == "revolute" and "axis" not in fields:
         raise ValueError(f"{what}: needs axis=, unless at= names a hinge such as 'left.hinge'")
     if "range" in given:
-        lower, upper = take.sequence(given["range"], f"{what}: range", 2, 2)
-        fields["lower"] = take.number(lower, f"{what}: range", MAX_ANGLE_RAD)
-        fields["upper"] = take.number(upper, f"{what}: range", MAX_ANGLE_RAD)
+        lower, upper = validate.sequence(given["range"], f"{what}: range", 2, 2)
+        fields["lower"] = validate.number(lower, f"{what}: range", MAX_ANGLE_RAD)
+        fields["upper"] = validate.number(upper, f"{what}: range", MAX_ANGLE_RAD)
     if given.get("swing") is not None:
-        swing = take.number(given["swing"], f"{what}: swing")
+        swing = validate.number(given["swing"], f"{what}: swing")
         if not 0 < swing <= math.pi:
             raise ValueError(f"{what}: swing must lie above 0 and up to pi, got {swing!r}")
         fields["upper"] = swing
     for key in ("damping", "friction", "stiffness", "effort", "velocity"):
         if given.get(key) is not None:
-            fields[key] = take.number(given[key], f"{what}: {key}")
+            fields[key] = validate.number(given[key], f"{what}: {key}")
     if given.get("opens") is not None:
         fields["intent"] = S.Intent(opens=direction(given["opens"], f"{what}: opens"))
     leader = given.get("mimic")
@@ -58,8 +58,8 @@ def joint_fields(
     if leader is not None:
         fields["mimic"] = S.Mimic(
             joint=leader.name,
-            multiplier=take.number(given["multiplier"], f"{what}: multiplier"),
-            offset=take.number(given["offset"], f"{what}: offset"),
+            multiplier=validate.number(given["multiplier"], f"{what}: multiplier"),
+            offset=validate.number(given["offset"], f"{what}: offset"),
         )
     return fields
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from .. import spec as S
 from ..errors import choices
-from . import arguments as take
+from . import validate
 from .placing import Bounds, Shape, anchor_of, bounds_at, hinge_of, is_hinge, placed
 from .session import current, here
 
@@ -63,13 +63,13 @@ class Part:
         """
         what = f"part {self.name!r}, add"
         if not isinstance(shape, Shape):
-            raise TypeError(f"{what}: needs a shape such as box(...), got {take.shown(shape)}")
+            raise TypeError(f"{what}: needs a shape such as box(...), got {validate.shown(shape)}")
         label = self._geom_name(name, what)
         where = placed(shape, at, rpy, by, what)
         if role not in ("both", "visual", "collision"):
-            given = choices(take.shown(role), ("both", "visual", "collision"))
+            given = choices(validate.shown(role), ("both", "visual", "collision"))
             raise ValueError(f"{what}: role: {given}")
-        spec = take.described(
+        spec = validate.described(
             S.GeomSpec,
             f"{what} {label!r}",
             name=label,
@@ -109,7 +109,7 @@ class Part:
     def _geom_name(self, given: str | None, what: str) -> str:
         taken = self._owner._geom_names
         if given is not None:
-            if take.name(given, f"{what}: name") in self._named:
+            if validate.name(given, f"{what}: name") in self._named:
                 raise ValueError(
                     f"{what}: the name {given!r} is taken by another shape of the part"
                 )

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from . import arguments as take
+from . import validate
 
 Point3 = tuple[float, float, float]
 MOST = 1000
@@ -14,15 +14,16 @@ def grid(
 ) -> list[Point3]:
     """Return points on a grid in x and y around a centre, row by row along x."""
     columns, rows = (
-        take.whole(v, "grid counts", 1, MOST) for v in take.sequence(counts, "grid counts", 2, 2)
+        validate.whole(v, "grid counts", 1, MOST)
+        for v in validate.sequence(counts, "grid counts", 2, 2)
     )
     if columns * rows > MOST:
         raise ValueError(f"grid makes at most {MOST} points, got {columns} x {rows}")
     dx, dy = (
-        take.number(v, "grid steps", take.MAX_COORDINATE_M)
-        for v in take.sequence(steps, "grid steps", 2, 2)
+        validate.number(v, "grid steps", validate.MAX_COORDINATE_M)
+        for v in validate.sequence(steps, "grid steps", 2, 2)
     )
-    x, y, z = take.vector(centre, "grid centre")
+    x, y, z = validate.vector(centre, "grid centre")
     return [
         (x + dx * (i - (columns - 1) / 2), y + dy * (j - (rows - 1) / 2), z)
         for j in range(rows)
@@ -34,10 +35,10 @@ def ring(
     count: int, radius: float, centre: Sequence[float] = (0.0, 0.0, 0.0), start: float = 0.0
 ) -> list[Point3]:
     """Return points on a circle around +z; the k-th lies at the angle start + 2 pi k / count."""
-    many = take.whole(count, "ring count", 1, MOST)
-    r = take.length(radius, "ring radius")
-    x, y, z = take.vector(centre, "ring centre")
-    first = take.number(start, "ring start", 200.0)
+    many = validate.whole(count, "ring count", 1, MOST)
+    r = validate.length(radius, "ring radius")
+    x, y, z = validate.vector(centre, "ring centre")
+    first = validate.number(start, "ring start", 200.0)
     angles = [first + 2 * math.pi * k / many for k in range(many)]
     return [(x + r * math.cos(a), y + r * math.sin(a), z) for a in angles]
 
@@ -54,14 +55,14 @@ def mirror(
         at: where on that axis the plane lies. A point on the plane has no image.
     """
     if across not in ("x", "y", "z"):
-        raise ValueError(f"mirror across is 'x', 'y' or 'z', got {take.shown(across)}")
-    k, plane = "xyz".index(across), take.number(at, "mirror at", take.MAX_COORDINATE_M)
-    given = take.sequence(points, "mirror points", 1, MOST)
+        raise ValueError(f"mirror across is 'x', 'y' or 'z', got {validate.shown(across)}")
+    k, plane = "xyz".index(across), validate.number(at, "mirror at", validate.MAX_COORDINATE_M)
+    given = validate.sequence(points, "mirror points", 1, MOST)
     if not isinstance(given[0], list | tuple):
         given = [given]
     found: list[Point3] = []
     for i, item in enumerate(given):
-        point = take.vector(item, f"mirror points[{i}]")
+        point = validate.vector(item, f"mirror points[{i}]")
         image = list(point)
         image[k] = 2 * plane - image[k]
         found.append(point)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from .. import spec as S
 from ..spec.convex import box_around
 from ..spec.pose import IDENTITY, Pose, from_rpy, pose
-from . import arguments as take
+from . import validate
 
 Bounds = tuple[NDArray, NDArray]
 """Lowest and highest corner [3] m."""
@@ -54,7 +54,7 @@ class Shape:
 
     def distance(self, point: Sequence[float]) -> float:
         """Return how far [m] a point lies from the surface, negative inside."""
-        where = self._pose.inverse().apply(take.vector(point, "distance: point"))
+        where = self._pose.inverse().apply(validate.vector(point, "distance: point"))
         return float(S.signed_distance(self._spec, where)[0])
 
     def moved(
@@ -70,8 +70,8 @@ class Shape:
 
 def placed(shape: Shape, at: Sequence[float], rpy: Sequence[float], by: str, what: str) -> Pose:
     """Return the pose of a shape's description when its origin, or its point `by`, goes to `at`."""
-    where = np.array(take.vector(at, f"{what}: at"))
-    turned = from_rpy(*take.vector(rpy, f"{what}: rpy", MAX_ANGLE_RAD))
+    where = np.array(validate.vector(at, f"{what}: at"))
+    turned = from_rpy(*validate.vector(rpy, f"{what}: rpy", MAX_ANGLE_RAD))
     if by:
         bounds = bounds_of(shape, pose((0, 0, 0), turned))
         where = where - anchor_of(bounds, by, f"{what}: by")
@@ -101,10 +101,10 @@ def anchor_of(bounds: Bounds, where: Any, what: str) -> NDArray:
     A direction that is not named stays in the middle.
     """
     if not isinstance(where, str):
-        raise TypeError(f"{what} must be a string such as 'top', got {take.shown(where)}")
+        raise TypeError(f"{what} must be a string such as 'top', got {validate.shown(where)}")
     low, high = bounds
     point = (low + high) / 2
-    for axis, sign in _named(take.text(where, what).split("."), what).items():
+    for axis, sign in _named(validate.text(where, what).split("."), what).items():
         point[axis] = high[axis] if sign > 0 else low[axis]
     return point
 
@@ -118,11 +118,11 @@ def _named(words: list[str], what: str) -> dict[int, int]:
         if word not in _SIDES:
             raise ValueError(
                 f"{what} takes {', '.join(_SIDES)} or centre, joined by dots as in "
-                f"'left.bottom', or 'left.hinge'; got {take.shown('.'.join(words))}"
+                f"'left.bottom', or 'left.hinge'; got {validate.shown('.'.join(words))}"
             )
         axis, sign = _SIDES[word]
         if axis in found:
-            raise ValueError(f"{what} {take.shown('.'.join(words))} names one direction twice")
+            raise ValueError(f"{what} {validate.shown('.'.join(words))} names one direction twice")
         found[axis] = sign
     return found
 
@@ -149,14 +149,14 @@ def hinge_of(
     Returns:
         A point of the line, in the middle of the edge [3] m, and the axis [3] about which positive opens.
     """
-    words = [word for word in take.text(where, what).split(".") if word != "hinge"]
+    words = [word for word in validate.text(where, what).split(".") if word != "hinge"]
     named = _named(words, what)
     low, high = bounds
     thin = int(np.argmin(high - low))
     if len(named) != 1 or thin in named:
         raise ValueError(
             f"{what} names one edge of a flat part, such as 'left.hinge'; this part is thinnest from "
-            f"{('back to front', 'right to left', 'bottom to top')[thin]}, got {take.shown(where)}"
+            f"{('back to front', 'right to left', 'bottom to top')[thin]}, got {validate.shown(where)}"
         )
     middle = (low + high) / 2
     outward = 1
@@ -174,10 +174,10 @@ def hinge_of(
 def direction(value: Any, what: str) -> tuple[float, float, float]:
     """Take an axis: three numbers, or a direction in words such as "front", "up" or "-y"."""
     if not isinstance(value, str):
-        return take.vector(value, what)
+        return validate.vector(value, what)
     if value not in _WAYS:
         raise ValueError(
-            f"{what} must be (x, y, z) or one of {', '.join(_WAYS)}, got {take.shown(value)}"
+            f"{what} must be (x, y, z) or one of {', '.join(_WAYS)}, got {validate.shown(value)}"
         )
     axis, sign = _WAYS[value]
     x, y, z = (sign * np.eye(3)[axis] + 0.0).tolist()

@@ -13,10 +13,10 @@ from ..config import ProgramOptions
 from ..spec import ObjectSpec
 from .allowance import Allowance
 from .assemble import assemble
+from .in_process import run_in_process
+from .monty_sandbox import run_sandboxed
 from .session import Session
 from .signals import Signal, deduplicated, has_errors
-from .trusted import run_trusted
-from .walled import run_walled
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def run(text: str, options: ProgramOptions | None = None) -> Built:
     spec: ObjectSpec | None = None
     if not problems:
         try:
-            runner = run_walled if options.sandbox == "monty" else run_trusted
+            runner = run_sandboxed if options.sandbox == "monty" else run_in_process
             printed, problems = runner(text, session, options)
             if not problems:
                 spec, problems = assemble(session.objects)

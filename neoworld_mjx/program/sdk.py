@@ -8,11 +8,11 @@ comes back as signals from `neoworld_mjx.program.build`. `sdk.pyi` beside this f
 are type-checked against.
 """
 
-from .object import Object
 from .part import Geom, Joint, Part
 from .patterns import grid, mirror, ring
 from .placing import Shape
-from .solids import (
+from .sdk_object import Object
+from .shape_functions import (
     bail,
     box,
     capsule,

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 
-class Spent(Exception):
+class LimitExceeded(Exception):
     """A program has used up a limit; a sandbox ends it, whatever the program catches.
 
     Args:
@@ -43,14 +43,14 @@ class Session:
     """Where the program is, as the sandbox tells it."""
     objects: list[Any] = field(default_factory=list)
     seconds: float = 0.0
-    spent: Spent | None = None
+    exceeded: LimitExceeded | None = None
     counts: dict[str, int] = field(default_factory=dict)
 
     def use(self, what: str, amount: int, limit: int) -> None:
         """Count something made and stop the program when it is too many.
 
         Raises:
-            Spent: the limit is passed.
+            LimitExceeded: the limit is passed.
         """
         self.counts[what] = self.counts.get(what, 0) + amount
         if self.counts[what] > limit:
@@ -58,18 +58,18 @@ class Session:
 
     def stop(self, code: str, message: str) -> None:
         """End the program here and at every later call."""
-        self.spent = self.spent or Spent(code, message)
-        raise self.spent
+        self.exceeded = self.exceeded or LimitExceeded(code, message)
+        raise self.exceeded
 
     @contextmanager
     def call(self) -> Iterator[None]:
         """Run one call of the SDK on this account.
 
         Raises:
-            Spent: a limit was passed, now or before.
+            LimitExceeded: a limit was passed, now or before.
         """
-        if self.spent is not None:
-            raise self.spent
+        if self.exceeded is not None:
+            raise self.exceeded
         # The work of this thread alone: a program must not fail because the machine is busy.
         start = time.thread_time()
         token = _current.set(self)
@@ -97,7 +97,7 @@ def running() -> Session | None:
 
 @contextmanager
 def entered(session: Session) -> Iterator[None]:
-    """Make a session the current one for a whole program."""
+    """Builder a session the current one for a whole program."""
     token = _current.set(session)
     try:
         yield

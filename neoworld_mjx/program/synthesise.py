@@ -29,7 +29,7 @@ from .ask import (
     revise_request,
     text,
 )
-from .fit import fit, losses, lost_checks
+from .conformance import fit, losses, lost_checks
 from .make import build
 from .sandbox import Built, run
 from .signals import Signal, deduplicated, has_errors

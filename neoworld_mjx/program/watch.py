@@ -19,7 +19,7 @@ POLL_S = 0.2
 
 
 @dataclass(frozen=True)
-class Made:
+class BuiltProgram:
     """A program's text and what became of it."""
 
     text: str
@@ -30,11 +30,11 @@ class Made:
     """What else is to be said of it."""
 
 
-Make = Callable[[Path], Made]
+Builder = Callable[[Path], BuiltProgram]
 """Reads and builds the program in a file."""
 
 
-def built_files(made: Made) -> Mapping[str, bytes]:
+def built_files(made: BuiltProgram) -> Mapping[str, bytes]:
     """Return the files of a built object: its formats, program, description and pictures.
 
     render.png shows it at rest, opened.png, where joints move, with all of them opened.
@@ -52,7 +52,7 @@ def built_files(made: Made) -> Mapping[str, bytes]:
     return files
 
 
-def write_built(made: Made, out: Path) -> frozenset[str]:
+def write_built(made: BuiltProgram, out: Path) -> frozenset[str]:
     """Write a built object into a folder and return the paths written, relative to it.
 
     Raises:
@@ -71,7 +71,7 @@ def write_built(made: Made, out: Path) -> frozenset[str]:
     return frozenset(files)
 
 
-def watch(program: Path, out: Path, make: Make, beside: tuple[Path, ...] = ()) -> int:
+def watch(program: Path, out: Path, make: Builder, beside: tuple[Path, ...] = ()) -> int:
     """Build a program now and after every change of its files, until interrupted.
 
     Each time is told in one line of the log, and every signal in one of its own. What a program with
@@ -109,7 +109,7 @@ def _stamp(program: Path) -> tuple[int, int] | None:
 
 
 def _again(
-    program: Path, out: Path, make: Make, count: int, written: frozenset[str]
+    program: Path, out: Path, make: Builder, count: int, written: frozenset[str]
 ) -> frozenset[str]:
     start = time.monotonic()
     try:
@@ -134,4 +134,4 @@ def _again(
     return fresh
 
 
-__all__ = ["Made", "Make", "built_files", "watch", "write_built"]
+__all__ = ["Builder", "BuiltProgram", "built_files", "watch", "write_built"]

@@ -3,8 +3,8 @@
 from .battery import VERSION, Battery, verify
 from .patch import Patch, apply, overlay_path, read_overlay, write_overlay
 from .repairs import Repaired, repair
-from .sound import Sound, make_sound
 from .verdict import Check, Fault, Verdict
+from .verification import VerificationResult, verify_and_repair
 
 __all__ = [
     "VERSION",
@@ -13,13 +13,13 @@ __all__ = [
     "Fault",
     "Patch",
     "Repaired",
-    "Sound",
     "Verdict",
+    "VerificationResult",
     "apply",
-    "make_sound",
     "overlay_path",
     "read_overlay",
     "repair",
     "verify",
+    "verify_and_repair",
     "write_overlay",
 ]

@@ -14,12 +14,12 @@ from ..program.allowance import Allowance
 from ..spec import ObjectSpec
 from ..spec.object import Quat
 from ..spec.pose import IDENTITY
-from .motion import checks_of
-from .ranges import Ranges, ranges
-from .scenarios import scenarios
-from .solid import statics, without_bad_inertia
-from .trial import Trace, Trial
-from .verdict import Check, Fault, Scenario, Verdict
+from .joint_checks import JointSweepChecks, ranges
+from .motion_checks import checks_of
+from .scenarios import list_scenarios
+from .simulation import Simulation, Trajectory
+from .static_checks import statics, without_bad_inertia
+from .verdict import Check, Fault, ScenarioKind, Verdict
 
 VERSION = "5"
 """Raised whenever the same object could get another verdict; what is cached goes by it."""
@@ -50,9 +50,9 @@ class Battery:
         threads: int = 0,
     ) -> None:
         self.spec, self.options = spec, options or VerifyOptions()
-        self.trial: Trial | None = None
-        self.traces: list[Trace] = []
-        self.swept = Ranges()
+        self.simulation: Simulation | None = None
+        self.trajectories: list[Trajectory] = []
+        self.swept = JointSweepChecks()
         checks: list[Check] = []
 
         def static() -> list[Check]:
@@ -64,14 +64,14 @@ class Battery:
 
         def moving() -> list[Check]:
             sound = without_bad_inertia(spec, checks)
-            self.trial = Trial(sound, self.options, tilt, joint_state)
-            runs = scenarios(
-                self.trial.groups, self.trial.joints, self.options, fixed_base=fixed_base
+            self.simulation = Simulation(sound, self.options, tilt, joint_state)
+            runs = list_scenarios(
+                self.simulation.groups, self.simulation.joints, self.options, fixed_base=fixed_base
             )
-            self.traces = self.trial.run(runs, threads)
-            return checks_of(self.trial, self.traces)
+            self.trajectories = self.simulation.run(runs, threads)
+            return checks_of(self.simulation, self.trajectories)
 
-        steps: list[tuple[Scenario, Callable[[], list[Check]]]] = [
+        steps: list[tuple[ScenarioKind, Callable[[], list[Check]]]] = [
             ("static", static),
             ("joint_range", sweep),
             ("free_fall", moving),
@@ -88,7 +88,7 @@ class Battery:
         self.verdict = Verdict(
             object=spec.name,
             passed=not bad,
-            mass_kg=float("nan") if self.trial is None else self.trial.mass,
+            mass_kg=float("nan") if self.simulation is None else self.simulation.mass,
             battery=VERSION,
             checks=tuple(checks),
         )

@@ -14,10 +14,10 @@ from ..export.imported import Imported
 from ..program.allowance import Allowance
 from ..spec import ObjectSpec
 from .battery import VERSION
-from .overlaid import overlaid
 from .patch import overlay_path, read_overlay, write_overlay
-from .sound import Sound, make_sound
+from .patched import build_patched
 from .verdict import Check, Verdict
+from .verification import VerificationResult, verify_and_repair
 
 OBJECTS = (".py", ".urdf", ".xml", ".mjcf")
 """Suffixes of files that hold an object."""
@@ -72,7 +72,7 @@ def check_object(
     spec: ObjectSpec
     allowed: tuple[Allowance, ...] = ()
     if path.suffix == ".py":
-        made = overlaid(path, config.program)
+        made = build_patched(path, config.program)
         built = made.built
         signals = [{"code": s.code, **s.model_dump(exclude_defaults=True)} for s in built.signals]
         answer["signals"] = signals
@@ -87,7 +87,7 @@ def check_object(
         spec, answer["notes"] = found.spec, list(found.notes)
     start = time.perf_counter()
     options = config.verify if mend else config.verify.model_copy(update={"rounds": 0})
-    result = make_sound(spec, options, fixed_base=fixed_base, allowed=allowed)
+    result = verify_and_repair(spec, options, fixed_base=fixed_base, allowed=allowed)
     answer |= told(result)
     answer["seconds"] = round(time.perf_counter() - start, 3)
     if path.suffix == ".py" and any(s.get("severity") == "error" for s in answer["signals"]):
@@ -104,7 +104,7 @@ def check_object(
     return answer
 
 
-def told(result: Sound) -> dict[str, Any]:
+def told(result: VerificationResult) -> dict[str, Any]:
     """Return what a result says, for people and programs."""
     verdict = result.verdict
     answer: dict[str, Any] = {

@@ -14,9 +14,9 @@ from ..errors import BudgetError, MissingAnswerError, ModelError
 from ..mllm import Panel, Request
 from ..spec import ObjectSpec, inertial
 from .battery import Battery
+from .key_frames import questionable, strips
 from .patch import Patch
-from .repairs import Repaired, Run, tried
-from .strips import questionable, strips
+from .repairs import Repaired, RunBattery, try_patches
 
 
 class Finding(BaseModel):
@@ -64,7 +64,7 @@ little as cures what is told. Your edit is tried in simulation and dropped if it
 def shown(battery: Battery) -> Request[Seen]:
     """Ask the critic about an object's key frames."""
     prompt = f"The object: {battery.spec.label or battery.spec.name}.\n\n{_told(battery)}"
-    name = f"trial:{battery.spec.name}"
+    name = f"simulation:{battery.spec.name}"
     return Request("critic", name, SYSTEM, prompt, Seen, strips(battery))
 
 
@@ -111,7 +111,13 @@ def described(spec: ObjectSpec) -> str:
 
 
 def with_models(
-    made: Repaired, now: Battery, models: Panel, run: Run, spec: ObjectSpec, *, rounds: int = 2
+    made: Repaired,
+    now: Battery,
+    models: Panel,
+    run: RunBattery,
+    spec: ObjectSpec,
+    *,
+    rounds: int = 2,
 ) -> list[Seen]:
     """Let the critic look and the reasoner edit, as long as it helps, for at most `rounds` rounds.
 
@@ -143,7 +149,7 @@ def with_models(
         edited = _asked(models, edit(now, seen), made)
         if edited is None or edited.patch.empty:
             break
-        found = tried(made, now, [edited.patch], run, spec)
+        found = try_patches(made, now, [edited.patch], run, spec)
         if found is None or found.verdict.passed:
             break
         now = found

@@ -16,8 +16,8 @@ from ..spec import JointSpec, ObjectSpec, inertial, part_bounds
 from ..spec.object import Vec3
 from ..spec.pose import rotate
 from .battery import Battery
+from .joint_checks import on_edge, pivot_edges
 from .patch import GeomEdit, JointEdit, PartEdit, Patch, apply
-from .ranges import on_edge, pivot_edges
 from .verdict import Check, Fault, Verdict
 
 SETTLING_S = 0.4
@@ -27,7 +27,7 @@ GAP_M = 0.0005
 """Air that is left between parts that are moved apart or together."""
 GAIN = 0.05
 """By how much a patch must lower the fault score."""
-Run = Callable[[ObjectSpec], Battery]
+RunBattery = Callable[[ObjectSpec], Battery]
 
 
 @dataclass
@@ -49,7 +49,7 @@ class Repaired:
 
 
 def repair(
-    spec: ObjectSpec, run: Run, *, rounds: int = 6, first: Battery | None = None
+    spec: ObjectSpec, run: RunBattery, *, rounds: int = 6, first: Battery | None = None
 ) -> Repaired:
     """Mend an object as far as numbers tell how.
 
@@ -67,7 +67,7 @@ def repair(
         if check is None:
             break
         made.rounds += 1
-        found = tried(made, now, proposals(now, check), run, spec)
+        found = try_patches(made, now, proposals(now, check), run, spec)
         if found is None:
             given_up.add((check.fault, check.name))
         else:
@@ -75,8 +75,8 @@ def repair(
     return made
 
 
-def tried(
-    made: Repaired, now: Battery, patches: Iterable[Patch], run: Run, spec: ObjectSpec
+def try_patches(
+    made: Repaired, now: Battery, patches: Iterable[Patch], run: RunBattery, spec: ObjectSpec
 ) -> Battery | None:
     """Try patches on top of what was made, and keep the best that helps; None if none does."""
     best: tuple[float, Patch, Battery] | None = None
@@ -334,4 +334,4 @@ _CURES: dict[Fault | None, Callable[[Battery, Check], Iterator[Patch]]] = {
     Fault.PARTS_OVERLAP: _apart,
 }
 
-__all__ = ["Repaired", "losses", "proposals", "repair", "tried"]
+__all__ = ["Repaired", "losses", "proposals", "repair", "try_patches"]

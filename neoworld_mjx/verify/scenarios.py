@@ -1,6 +1,6 @@
 """What is done to an object: falls, pushes, releases, drives and a slope, as numbers.
 
-A scenario says how the object starts and which forces act on it when; `trial` runs all scenarios of an
+A scenario says how the object starts and which forces act on it when; `Simulation.run` runs all scenarios of an
 object in one batch. The paper's two standard scenarios (Section 3.2, Step 3) are presets by name.
 """
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..config import VerifyOptions
-from .verdict import Scenario as Kind
+from .verdict import ScenarioKind
 
 World = Literal["free", "gripping", "held", "weightless"]
 """Free on the floor; the same with contacts that do not creep; its base held fast, without floor; held,
@@ -32,10 +32,10 @@ _DRIVES: tuple[tuple[str, World], ...] = (("drive", "weightless"), ("drive_loade
 
 
 @dataclass(frozen=True)
-class Run:
+class Scenario:
     """One scenario of an object."""
 
-    kind: Kind
+    kind: ScenarioKind
     name: str
     world: World
     height: float = 0.0
@@ -79,9 +79,9 @@ class Moving:
         return (self.low + self.high) / 2
 
 
-def scenarios(
+def list_scenarios(
     parts: list[str], joints: list[Moving], options: VerifyOptions, *, fixed_base: bool
-) -> list[Run]:
+) -> list[Scenario]:
     """List what is done to an object.
 
     Args:
@@ -90,49 +90,49 @@ def scenarios(
         options: heights, impulses.
         fixed_base: whether the base stays fastened; then only joints are tried.
     """
-    runs = [] if fixed_base else [*falls(options), *pushes(parts, options), slope()]
+    scenarios = [] if fixed_base else [*falls(options), *pushes(parts, options), slope()]
     for joint in joints:
-        runs += releases(joint)
-        runs += drives(joint)
-    return runs
+        scenarios += releases(joint)
+        scenarios += drives(joint)
+    return scenarios
 
 
-def falls(options: VerifyOptions) -> list[Run]:
+def falls(options: VerifyOptions) -> list[Scenario]:
     """Free fall from a small height, a higher one, and tilted about either axis."""
     lean = np.radians(options.drop_tilt_deg)
     low, high = options.drop_height_m, options.high_drop_m
     return [
-        Run("free_fall", "fall", "free", height=low),
-        Run("free_fall", "fall_high", "free", height=high),
-        Run("free_fall", "fall_tilted_x", "free", height=low, tilt=(float(lean), 0.0)),
-        Run("free_fall", "fall_tilted_y", "free", height=low, tilt=(0.0, float(lean))),
+        Scenario("free_fall", "fall", "free", height=low),
+        Scenario("free_fall", "fall_high", "free", height=high),
+        Scenario("free_fall", "fall_tilted_x", "free", height=low, tilt=(float(lean), 0.0)),
+        Scenario("free_fall", "fall_tilted_y", "free", height=low, tilt=(0.0, float(lean))),
     ]
 
 
-def pushes(parts: list[str], options: VerifyOptions) -> list[Run]:
+def pushes(parts: list[str], options: VerifyOptions) -> list[Scenario]:
     """Force perturbation: six directions and a twist on each part."""
     speed = options.impulse_ns_per_kg
-    runs = []
+    scenarios = []
     for part in parts:
         for name, direction in DIRECTIONS.items():
             x, y, z = (speed * d for d in direction)
-            runs.append(
-                Run(
+            scenarios.append(
+                Scenario(
                     "force_perturbation", f"push:{part}:{name}", "free", height=1e-4, part=part,
                     impulse=(x, y, z),
                 )
             )  # fmt: skip
         name = f"push:{part}:twist"
-        runs.append(
-            Run("force_perturbation", name, "free", height=1e-4, part=part, twist=3 * speed)
+        scenarios.append(
+            Scenario("force_perturbation", name, "free", height=1e-4, part=part, twist=3 * speed)
         )
-    return runs
+    return scenarios
 
 
-def releases(joint: Moving) -> list[Run]:
+def releases(joint: Moving) -> list[Scenario]:
     """Let a joint go from low, middle and high, leave it alone without weight, and let it coast."""
-    runs = [
-        Run(
+    scenarios = [
+        Scenario(
             "joint_release", f"release:{joint.name}:{where}", "held", joint=joint.name,
             joints={**joint.opened, joint.name: value}, propped=frozenset(joint.opened),
         )
@@ -140,27 +140,27 @@ def releases(joint: Moving) -> list[Run]:
     ]  # fmt: skip
     middle = {**joint.opened, joint.name: joint.middle}
     propped = frozenset(joint.opened)
-    runs.append(
-        Run(
+    scenarios.append(
+        Scenario(
             "joint_release", f"still:{joint.name}", "weightless", joints=middle, joint=joint.name,
             propped=propped,
         )
     )  # fmt: skip
     # Without losses it would take a second to the end of its range.
     speed = {joint.name: (joint.high - joint.low) / 2}
-    runs.append(
-        Run(
+    scenarios.append(
+        Scenario(
             "joint_release", f"coast:{joint.name}", "weightless", joints=middle, speeds=speed,
             joint=joint.name, propped=propped,
         )
     )  # fmt: skip
-    return runs
+    return scenarios
 
 
-def drives(joint: Moving) -> list[Run]:
+def drives(joint: Moving) -> list[Scenario]:
     """Drive a joint up its range and down again, with and without gravity."""
     return [
-        Run(
+        Scenario(
             "joint_drive", f"{name}:{joint.name}", world, joint=joint.name, driven=True,
             joints={**joint.opened, joint.name: joint.low}, propped=frozenset(joint.opened),
         )
@@ -168,9 +168,9 @@ def drives(joint: Moving) -> list[Run]:
     ]  # fmt: skip
 
 
-def slope() -> Run:
+def slope() -> Scenario:
     """Tilt the ground until the object slides."""
-    return Run("tilt_until_slide", "slope", "gripping", height=1e-4, slope=True)
+    return Scenario("tilt_until_slide", "slope", "gripping", height=1e-4, slope=True)
 
 
 def slope_at(time: NDArray, duration: float) -> NDArray:
@@ -183,19 +183,19 @@ PRESETS: dict[str, tuple[str, ...]] = {
     "free_fall": ("fall",),
     "force_perturbation": tuple(f"push:*:{name}" for name in (*DIRECTIONS, "twist")),
 }
-"""The paper's standard scenarios by the runs that they stand for; * is any part."""
+"""The paper's standard scenarios by the names of those that they stand for; * is any part."""
 
 __all__ = [
     "PRESETS",
     "SINGLE",
     "Moving",
-    "Run",
+    "Scenario",
     "World",
     "drives",
     "falls",
+    "list_scenarios",
     "pushes",
     "releases",
-    "scenarios",
     "slope",
     "slope_at",
 ]

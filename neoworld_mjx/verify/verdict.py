@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict
 from ..spec.object import Spec
 
 Outcome = Literal["PASS", "FAIL", "SKIP", "TOOL_FAILURE"]
-Scenario = Literal[
+ScenarioKind = Literal[
     "static",
     "joint_range",
     "intent",
@@ -89,7 +89,7 @@ HINTS: dict[Fault, str] = {
 class Check(Spec):
     """One verdict with its number."""
 
-    scenario: Scenario
+    scenario: ScenarioKind
     name: str
     outcome: Outcome
     doubtful: bool = False
@@ -181,7 +181,7 @@ class Limit(BaseModel):
 
 
 def judged(
-    scenario: Scenario,
+    scenario: ScenarioKind,
     name: str,
     value: float,
     limit: Limit,
@@ -218,7 +218,7 @@ def judged(
     )
 
 
-def skipped(scenario: Scenario, name: str, why: str, joint: str | None = None) -> Check:
+def skipped(scenario: ScenarioKind, name: str, why: str, joint: str | None = None) -> Check:
     """Say why something was not tried."""
     return Check(scenario=scenario, name=name, outcome="SKIP", joint=joint, hint=why)
 
@@ -231,7 +231,7 @@ __all__ = [
     "Fault",
     "Limit",
     "Outcome",
-    "Scenario",
+    "ScenarioKind",
     "Verdict",
     "judged",
     "skipped",

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from neoworld_mjx.program import sdk
-from neoworld_mjx.program.walled import _FIELDS, _METHODS, stubs
+from neoworld_mjx.program.monty_sandbox import _FIELDS, _METHODS, stubs
 
 TREE = ast.parse(stubs())
 FUNCTIONS = {node.name: node for node in TREE.body if isinstance(node, ast.FunctionDef)}

@@ -10,7 +10,7 @@ from neoworld_mjx.program.views import opened_state
 from neoworld_mjx.spec import ObjectSpec
 from neoworld_mjx.spec.opening import heeded, opened_for
 from neoworld_mjx.verify import Battery
-from neoworld_mjx.verify.strips import _of_joint
+from neoworld_mjx.verify.key_frames import _of_joint
 
 OVEN = """
 from neoworld_mjx.program.sdk import Object, box, hollow_box
@@ -161,16 +161,16 @@ def test_the_battery_tries_the_tray_with_its_flap_held_open(hinge: str):
     spec = spec_of(oven(hinge=hinge, opens="1.57" if hinge == "left" else "1.5"))
     battery = Battery(spec)
     assert battery.verdict.passed, [c for c in battery.verdict.checks if c.outcome == "FAIL"]
-    assert battery.trial is not None
-    flap, tray = (battery.trial.address(name)[0] for name in ("flap_hinge", "slide"))
+    assert battery.simulation is not None
+    flap, tray = (battery.simulation.address(name)[0] for name in ("flap_hinge", "slide"))
     seen = 0
-    for trace in battery.traces:
-        if trace.run.joint == "slide":
+    for trajectory in battery.trajectories:
+        if trajectory.scenario.joint == "slide":
             seen += 1
             # A flap hung above would fall on the tray, were it not held.
-            assert np.abs(trace.qpos[:, flap] - spec.joints[0].upper).max() < 1e-3
-        if trace.run.joint == "flap_hinge":
-            assert abs(trace.qpos[0, tray]) < 1e-9
+            assert np.abs(trajectory.qpos[:, flap] - spec.joints[0].upper).max() < 1e-3
+        if trajectory.scenario.joint == "flap_hinge":
+            assert abs(trajectory.qpos[0, tray]) < 1e-9
     assert seen == 7
 
 

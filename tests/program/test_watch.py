@@ -13,7 +13,7 @@ from neoworld_mjx import cli
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program.watch import watch
 from neoworld_mjx.verify import Patch, overlay_path, write_overlay
-from neoworld_mjx.verify.overlaid import overlaid
+from neoworld_mjx.verify.patched import build_patched
 
 CUP = """
 from neoworld_mjx.program.sdk import Object, box, sphere
@@ -35,7 +35,7 @@ def saved(tmp_path):
 
 
 def plain(program):
-    return overlaid(program, ProgramOptions())
+    return build_patched(program, ProgramOptions())
 
 
 @pytest.fixture

@@ -146,8 +146,8 @@ def test_impact_is_no_resting_penetration():
     # Dropped from 2 cm a block presses well over a millimetre into soft ground, then stands.
     options = VerifyOptions(high_drop_m=0.1)
     battery = Battery(scenes.single("b", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0))), options)
-    trace = next(t for t in battery.traces if t.run.name == "fall_high")
-    assert trace.qpos[:, 2].min() < -0.001
+    trajectory = next(t for t in battery.trajectories if t.scenario.name == "fall_high")
+    assert trajectory.qpos[:, 2].min() < -0.001
     assert named(battery.verdict, "resting_depth:fall_high").value < 1e-4
 
 
@@ -195,7 +195,7 @@ def test_what_lies_is_dropped_as_it_lies():
 
 def test_presets_name_runs_that_exist():
     battery = Battery(chest())
-    names = {trace.run.name for trace in battery.traces}
+    names = {trajectory.scenario.name for trajectory in battery.trajectories}
     for runs in PRESETS.values():
         for run in runs:
             assert run.replace("*", "carcass") in names
@@ -265,7 +265,7 @@ def test_a_link_without_shape_is_not_held_against_the_bead_that_stands_for_it():
     assert "moments:link" in asked
     assert not asked & {"spread:link", "centre:link", "mass:link", "gap:hot"}
     # A hand takes hold of all that a joint carries, not of the link next to it.
-    levers = {moving.name: battery.trial.lever(moving) for moving in battery.trial.joints}
+    levers = {moving.name: battery.simulation.lever(moving) for moving in battery.simulation.joints}
     assert levers["hot"] == pytest.approx(0.2, abs=0.01)
 
 

@@ -6,9 +6,9 @@ import pytest
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import MissingAnswerError, ModelError
 from neoworld_mjx.mllm import Answer, Usage
-from neoworld_mjx.verify import Battery, Patch, Repaired, make_sound
+from neoworld_mjx.verify import Battery, Patch, Repaired, verify_and_repair
 from neoworld_mjx.verify.critic import Edited, Finding, Seen, edit, shown, with_models
-from neoworld_mjx.verify.strips import questionable, strips
+from neoworld_mjx.verify.key_frames import questionable, strips
 from neoworld_mjx.verify.verdict import Fault, Limit, judged
 
 BAD = objects.cupboard(lower=-0.4)
@@ -108,28 +108,28 @@ def test_a_number_is_doubtful_near_its_threshold(value, limit, doubt):
 
 def test_the_critic_sees_what_is_doubtful_and_no_edit_is_asked_for():
     script = Script(FOUND)
-    result = make_sound(only_just(), models=script)
+    result = verify_and_repair(only_just(), models=script)
     assert [request.role for request in script.asked] == ["critic"]
     assert result.seen == ("door: swings in",)
     assert result.verdict.passed
     assert result.patch.empty
     script = Script()
-    make_sound(objects.cupboard(), models=script)
+    verify_and_repair(objects.cupboard(), models=script)
     assert script.asked == []  # Nothing in doubt: nobody is asked.
 
 
 def test_an_opinion_changes_no_outcome():
     flipped = objects.cupboard(axis=(0, 0, -1))
-    sound = make_sound(flipped, models=Script(Seen(verdict="sound")))
+    sound = verify_and_repair(flipped, models=Script(Seen(verdict="sound")))
     assert not sound.verdict.passed
     assert sound.verdict == Battery(flipped).verdict
-    bad = make_sound(only_just(), models=Script(Seen(verdict="reprogram")))
+    bad = verify_and_repair(only_just(), models=Script(Seen(verdict="reprogram")))
     assert bad.verdict == Battery(only_just()).verdict
 
 
 def test_without_rounds_the_critic_looks_and_nothing_is_edited():
     script = Script(FOUND)
-    result = make_sound(BAD, VerifyOptions(rounds=0), models=script)
+    result = verify_and_repair(BAD, VerifyOptions(rounds=0), models=script)
     assert (len(script.asked), result.seen) == (1, ("door: swings in",))
     assert result.patch.empty
     assert not result.verdict.passed
@@ -167,11 +167,11 @@ def test_a_server_that_fails_costs_the_edit_not_the_run():
 
 def test_numbers_come_first():
     script = Script()
-    result = make_sound(BAD, models=script)
+    result = verify_and_repair(BAD, models=script)
     assert result.verdict.passed  # Cut by direct repair: nobody was asked.
     assert script.asked == []
     flipped = objects.cupboard(axis=(0, 0, -1))
     script = Script(Seen(findings=FOUND.findings, verdict="reprogram"))
-    result = make_sound(flipped, models=script)
+    result = verify_and_repair(flipped, models=script)
     assert not result.verdict.passed
     assert result.seen == ("door: swings in",)

@@ -10,8 +10,15 @@ from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec.object import AuthoredInertia
 from neoworld_mjx.spec.surface import surface
-from neoworld_mjx.verify import Battery, Fault, Patch, apply, make_sound, repair
-from neoworld_mjx.verify import sound as sounds
+from neoworld_mjx.verify import (
+    Battery,
+    Fault,
+    Patch,
+    apply,
+    repair,
+    verification,
+    verify_and_repair,
+)
 
 
 def seen(spec):
@@ -144,23 +151,25 @@ def test_a_patch_that_does_not_help_is_dropped(monkeypatch):
 def test_results_are_kept_by_content_and_version(tmp_path, monkeypatch):
     monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path))
     spec = objects.cupboard(damping=0.0, friction=0.0)
-    first = make_sound(spec)
+    first = verify_and_repair(spec)
     assert first.verdict.passed
     assert first.before is not None
-    monkeypatch.setattr(sounds, "Battery", lambda *_, **__: pytest.fail("it was there already"))
-    assert make_sound(spec) == first
+    monkeypatch.setattr(
+        verification, "Battery", lambda *_, **__: pytest.fail("it was there already")
+    )
+    assert verify_and_repair(spec) == first
     with pytest.raises(pytest.fail.Exception):
-        make_sound(spec, VerifyOptions(drop_height_m=0.006))
+        verify_and_repair(spec, VerifyOptions(drop_height_m=0.006))
     with pytest.raises(pytest.fail.Exception):
-        make_sound(objects.cupboard())
-    monkeypatch.setattr(sounds, "VERSION", "another")
+        verify_and_repair(objects.cupboard())
+    monkeypatch.setattr(verification, "VERSION", "another")
     with pytest.raises(pytest.fail.Exception):
-        make_sound(spec)
+        verify_and_repair(spec)
 
 
 def test_with_no_rounds_nothing_is_changed(tmp_path, monkeypatch):
     monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path))
-    result = make_sound(objects.cupboard(damping=0.0, friction=0.0), VerifyOptions(rounds=0))
+    result = verify_and_repair(objects.cupboard(damping=0.0, friction=0.0), VerifyOptions(rounds=0))
     assert result.patch.empty
     assert result.tried == ()
     assert not result.verdict.passed

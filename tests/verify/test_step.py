@@ -26,7 +26,7 @@ from neoworld_mjx.spec import (
     bounds,
 )
 from neoworld_mjx.spec.pose import from_axis_angle
-from neoworld_mjx.verify import Battery, make_sound
+from neoworld_mjx.verify import Battery, verify_and_repair
 
 CAMERA = Camera(width=640, height_px=480, fovy=0.8, height=1.0, pitch=0.6)
 PIXELS = Box2D(x0=10, y0=10, x1=100, y1=100)
@@ -128,8 +128,8 @@ def test_what_is_deeper_than_granted_or_granted_to_others_fails():
 
 
 def test_a_grant_belongs_to_what_is_kept():
-    assert not make_sound(pot(), VerifyOptions(rounds=0)).verdict.passed
-    assert make_sound(pot(), VerifyOptions(rounds=0), allowed=[GRANT]).verdict.passed
+    assert not verify_and_repair(pot(), VerifyOptions(rounds=0)).verdict.passed
+    assert verify_and_repair(pot(), VerifyOptions(rounds=0), allowed=[GRANT]).verdict.passed
 
 
 def test_what_lies_is_dropped_lying(tmp_path):

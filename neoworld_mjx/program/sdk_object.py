@@ -5,7 +5,7 @@ from typing import Any
 
 from .. import spec as S
 from ..errors import choices
-from . import arguments as take
+from . import validate
 from .allowance import Allowance
 from .furniture import add_door, add_drawer, add_shelf
 from .joining import joint_fields
@@ -27,8 +27,8 @@ class Object:
     """
 
     def __init__(self, name: str, label: str = "") -> None:
-        self.name = take.name(name, "Object name")
-        self.label = take.text(label, "Object label")
+        self.name = validate.name(name, "Object name")
+        self.label = validate.text(label, "Object label")
         self._parts: list[Part] = []
         self._joints: list[Joint] = []
         self._sites: list[S.Site] = []
@@ -48,7 +48,7 @@ class Object:
         alpha: float | None = None,
     ) -> str:
         """Define a material and return its name; what is not given is taken from `like`."""
-        what = f"material {take.name(name, 'material name')!r}"
+        what = f"material {validate.name(name, 'material name')!r}"
         if name in self._materials:
             raise ValueError(f"{what} is defined twice")
         base = MATERIALS.get(name) if like is None else self._known_material(like, what)
@@ -58,15 +58,15 @@ class Object:
         fields |= {} if base is None else base.model_dump()
         fields["name"] = name
         if density is not None:
-            fields["density"] = take.number(density, f"{what}: density")
+            fields["density"] = validate.number(density, f"{what}: density")
         if friction is not None:
-            fields["friction"] = take.number(friction, f"{what}: friction")
+            fields["friction"] = validate.number(friction, f"{what}: friction")
         r, g, b, a = fields.get("rgba", (0.7, 0.7, 0.7, 1.0))
         if rgb is not None:
-            r, g, b = take.colour(rgb, f"{what}: rgb")
-        a = a if alpha is None else take.number(alpha, f"{what}: alpha")
+            r, g, b = validate.colour(rgb, f"{what}: rgb")
+        a = a if alpha is None else validate.number(alpha, f"{what}: alpha")
         fields["rgba"] = (r, g, b, a)
-        self._materials[name] = take.described(S.Material, what, **fields)
+        self._materials[name] = validate.described(S.Material, what, **fields)
         return name
 
     def part(self, name: str, material: str | None = None, mass: float | None = None) -> Part:
@@ -77,11 +77,11 @@ class Object:
             material: of its shapes, where they name none themselves.
             mass: [kg], when it is known; else it follows from volume and density.
         """
-        label = take.name(name, "part name")
+        label = validate.name(name, "part name")
         self._free(label, "part", [part.name for part in self._parts])
         if material is not None:
             self._known_material(material, f"part {label!r}")
-        if mass is not None and take.number(mass, f"part {label!r}: mass") <= 0:
+        if mass is not None and validate.number(mass, f"part {label!r}: mass") <= 0:
             raise ValueError(f"part {label!r}: mass must be positive, got {mass!r}")
         account = current()
         account.use("parts", 1, account.max_parts)
@@ -278,20 +278,20 @@ class Object:
 
     def site(self, name: str, part: Part, at: Sequence[float]) -> None:
         """Mark a point on a part, such as a grasp point or a spout."""
-        label = take.name(name, "site name")
+        label = validate.name(name, "site name")
         self._free(label, "site", [site.name for site in self._sites])
         self._own(part, f"site {label!r}: part")
         account = current()
         account.use("sites", 1, account.max_geoms)
-        where = take.vector(at, f"site {label!r}: at")
+        where = validate.vector(at, f"site {label!r}: at")
         self._sites.append(S.Site(name=label, part=part.name, pos=where))
 
     def allow_overlap(self, first: Part, second: Part, depth: float, reason: str) -> None:
         """Declare that two parts enter each other by up to `depth` [m], at most 5 mm, and why."""
         self._own(first, "allow_overlap: first")
         self._own(second, "allow_overlap: second")
-        deep = take.length(depth, "allow_overlap: depth")
-        why = take.text(reason, "allow_overlap: reason")
+        deep = validate.length(depth, "allow_overlap: depth")
+        why = validate.text(reason, "allow_overlap: reason")
         if deep > MAX_ALLOWED_M or len(why) < MIN_REASON:
             raise ValueError(
                 f"allow_overlap takes a depth up to {MAX_ALLOWED_M} m and a reason of "
@@ -304,7 +304,7 @@ class Object:
     def _join(
         self, kind: str, name: str, parent: Part, child: Part, given: dict[str, Any]
     ) -> Joint:
-        what = f"joint {take.name(name, 'joint name')!r}"
+        what = f"joint {validate.name(name, 'joint name')!r}"
         self._free(name, "joint", [joint.name for joint in self._joints])
         self._own(parent, f"{what}: parent")
         self._own(child, f"{what}: child")
@@ -324,7 +324,7 @@ class Object:
         fields = joint_fields(what, name, kind, parent, child, given)
         if given.get("after") is not None:
             fields["after"] = self._openers(given["after"], f"{what}: after")
-        take.described(S.JointSpec, what, **fields)
+        validate.described(S.JointSpec, what, **fields)
         joint = Joint(fields, here())
         self._joints.append(joint)
         return joint
@@ -333,7 +333,7 @@ class Object:
         """Return the names of the joints that open what is given: parts, or joints themselves."""
         found = []
         several = given if isinstance(given, list | tuple) else [given]
-        for item in take.sequence(several, what, 1, 8):
+        for item in validate.sequence(several, what, 1, 8):
             if isinstance(item, Part):
                 self._own(item, what)
                 joint = next((j for j in self._joints if j._fields["child"] == item.name), None)
@@ -342,7 +342,7 @@ class Object:
             if joint is None:
                 raise ValueError(
                     f"{what} must be a part or a joint of this object, or a list of them, whose joint is "
-                    f"made before; got {take.shown(given)}"
+                    f"made before; got {validate.shown(given)}"
                 )
             if joint._fields["type"] not in ("revolute", "prismatic") or "mimic" in joint._fields:
                 raise ValueError(
@@ -352,7 +352,7 @@ class Object:
         return tuple(dict.fromkeys(found))
 
     def _known_material(self, name: Any, what: str) -> S.Material:
-        label = take.name(name, f"{what}: material")
+        label = validate.name(name, f"{what}: material")
         found = self._materials.get(label) or MATERIALS.get(label)
         if found is None:
             known = sorted({*self._materials, *MATERIALS})
@@ -364,7 +364,7 @@ class Object:
             raise ValueError(f"{what}: needs material=, as the part has none of its own")
         base = self._known_material(name, what)
         if rgb is not None:
-            r, g, b = take.colour(rgb, f"{what}: rgb")
+            r, g, b = validate.colour(rgb, f"{what}: rgb")
             tint = "".join(f"{round(255 * v):02x}" for v in (r, g, b))
             shaded = f"{base.name[:40]}_{tint}"
             base = base.model_copy(update={"name": shaded, "rgba": (r, g, b, base.rgba[3])})
@@ -374,7 +374,7 @@ class Object:
     def _own(self, part: Any, what: str) -> None:
         if not isinstance(part, Part):
             raise TypeError(
-                f"{what} must be a part made by {self.name}.part(...), got {take.shown(part)}"
+                f"{what} must be a part made by {self.name}.part(...), got {validate.shown(part)}"
             )
         if part._owner is not self:
             raise ValueError(f"{what} {part.name!r} belongs to another object")

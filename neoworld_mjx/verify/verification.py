@@ -24,7 +24,7 @@ from .verdict import Verdict
 _log = logging.getLogger(__name__)
 
 
-class Sound(BaseModel):
+class VerificationResult(BaseModel):
     """What Step 3 came to."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -52,7 +52,7 @@ class Sound(BaseModel):
         return json.dumps(data, indent=1) + "\n"
 
 
-def make_sound(
+def verify_and_repair(
     spec: ObjectSpec,
     options: VerifyOptions | None = None,
     *,
@@ -61,7 +61,7 @@ def make_sound(
     allowed: Sequence[Allowance] = (),
     models: Panel | None = None,
     keep: bool = True,
-) -> Sound:
+) -> VerificationResult:
     """Try an object, and mend what numbers tell how to mend, in at most `options.rounds` rounds.
 
     Args:
@@ -89,7 +89,7 @@ def make_sound(
     if models is not None and (not made.after.passed or made.after.doubtful):
         now = first if made.patch.empty else run(made.spec)
         seen = with_models(made, now, models, run, spec, rounds=min(2, o.rounds))
-    result = Sound(
+    result = VerificationResult(
         verdict=made.after,
         before=None if made.patch.empty else made.before,
         patch=made.patch,
@@ -118,14 +118,14 @@ def _place(
     return cache_folder() / "verify" / f"{key}.json"
 
 
-def _read(place: Path) -> Sound | None:
+def _read(place: Path) -> VerificationResult | None:
     try:
-        return Sound.model_validate_json(place.read_text(encoding="utf-8"))
+        return VerificationResult.model_validate_json(place.read_text(encoding="utf-8"))
     except (OSError, ValidationError, ValueError):
         return None
 
 
-def _write(place: Path, result: Sound) -> None:
+def _write(place: Path, result: VerificationResult) -> None:
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(place, result.model_dump_json())
@@ -133,4 +133,4 @@ def _write(place: Path, result: Sound) -> None:
         _log.debug("verdict not kept: %s", error)  # It costs time only.
 
 
-__all__ = ["Sound", "make_sound"]
+__all__ = ["VerificationResult", "verify_and_repair"]

@@ -18,7 +18,7 @@ from ..program.probe import Probe
 from ..spec import JointSpec, ObjectSpec, bounds, part_bounds
 from ..spec.opening import heeded, opened_for, way_opened
 from .scenarios import SINGLE
-from .solid import helper
+from .static_checks import helper
 from .verdict import Check, Fault, Limit, judged, skipped
 
 Pair = tuple[int, int]
@@ -36,7 +36,7 @@ CLEAR = 0.5
 
 
 @dataclass
-class Ranges:
+class JointSweepChecks:
     """What the sweep found, for checks and for repairs."""
 
     checks: list[Check] = field(default_factory=list)
@@ -46,7 +46,9 @@ class Ranges:
     """Parts that enter each other at rest, and how deep [m]."""
 
 
-def ranges(spec: ObjectSpec, options: VerifyOptions, allowed: Sequence[Allowance] = ()) -> Ranges:
+def ranges(
+    spec: ObjectSpec, options: VerifyOptions, allowed: Sequence[Allowance] = ()
+) -> JointSweepChecks:
     """Measure overlaps at rest, over each joint's range and in combinations, then gaps and pivots.
 
     Args:
@@ -55,7 +57,7 @@ def ranges(spec: ObjectSpec, options: VerifyOptions, allowed: Sequence[Allowance
         allowed: overlaps that its program asks for.
     """
     probe = Probe(spec)
-    found = Ranges()
+    found = JointSweepChecks()
     rigid = welded(spec)
     names = probe.names
     is_helper = lambda name: helper(spec.part(name))
@@ -89,7 +91,7 @@ def _at_rest(
     probe: Probe,
     limits: dict[Pair, float],
     granted: dict[Pair, str],
-    found: Ranges,
+    found: JointSweepChecks,
     options: VerifyOptions,
 ) -> set[Pair]:
     bad: set[Pair] = set()
@@ -122,7 +124,7 @@ def _over_range(
     joint: JointSpec,
     limits: dict[Pair, float],
     bad: set[Pair],
-    found: Ranges,
+    found: JointSweepChecks,
     options: VerifyOptions,
 ) -> set[Pair]:
     """Sweep one joint, with those open that it waits for; a failure says how much around rest is free."""
@@ -286,7 +288,7 @@ def _combined(
     driven: list[JointSpec],
     limits: dict[Pair, float],
     bad: set[Pair],
-    found: Ranges,
+    found: JointSweepChecks,
     options: VerifyOptions,
 ) -> None:
     random, spec = np.random.default_rng(0), probe.spec
@@ -453,7 +455,7 @@ def with_joint(spec: ObjectSpec, joint: JointSpec) -> ObjectSpec:
 
 
 __all__ = [
-    "Ranges",
+    "JointSweepChecks",
     "carried",
     "intents",
     "line_misses",

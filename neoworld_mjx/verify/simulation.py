@@ -22,7 +22,7 @@ from ..spec import ObjectSpec, bounds, part_bounds
 from ..spec.object import Quat, joint_value
 from ..spec.opening import opened_for
 from ..spec.pose import IDENTITY, from_axis_angle, quat_mul
-from .scenarios import SINGLE, STILL_S, Moving, Run, World, slope_at
+from .scenarios import SINGLE, STILL_S, Moving, Scenario, World, slope_at
 
 FLOOR = "floor_of_the_trial"
 MOUNTAIN = 1e6
@@ -35,10 +35,10 @@ _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 
 
 @dataclass
-class Trace:
+class Trajectory:
     """What happened in one run; times in steps."""
 
-    run: Run
+    scenario: Scenario
     time: NDArray
     """[t] s; short of the end where the simulation broke down."""
     qpos: NDArray
@@ -51,7 +51,7 @@ class Trace:
     """Whether the simulation broke down."""
 
 
-class Trial:
+class Simulation:
     """An object on trial.
 
     Args:
@@ -123,18 +123,18 @@ class Trial:
         """The model in which the object is free."""
         return self.models["free"]
 
-    def model_of(self, run: Run) -> mujoco.MjModel:
+    def model_of(self, scenario: Scenario) -> mujoco.MjModel:
         """Return the model of a run: its world, with what is propped as hard to move as a mountain."""
-        if not run.propped:
-            return self.models[run.world]
-        key = (run.world, run.propped)
+        if not scenario.propped:
+            return self.models[scenario.world]
+        key = (scenario.world, scenario.propped)
         if key not in self._propped:
-            model = copy.copy(self.models[run.world])
+            model = copy.copy(self.models[scenario.world])
             data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
             mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
             mujoco.mj_forward(model, data)
             mujoco.mj_fullM(model, data, full)
-            for joint in run.propped:
+            for joint in scenario.propped:
                 _, dof = self.address(joint)
                 model.dof_armature[dof] += MOUNTAIN * full[dof, dof]
             mujoco.mj_setConst(model, mujoco.MjData(model))
@@ -146,19 +146,20 @@ class Trial:
         found = self.model.joint(f"{self.spec.name}/{joint}")
         return int(found.qposadr[0]), int(found.dofadr[0])
 
-    def start(self, run: Run) -> NDArray:
+    def start(self, scenario: Scenario) -> NDArray:
         """Return the state in which a run begins, as MuJoCo lays it out."""
-        model, data = self.model_of(run), self.data
+        model, data = self.model_of(scenario), self.data
         mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
         quat = quat_mul(
             quat_mul(
-                from_axis_angle((1, 0, 0), run.tilt[0]), from_axis_angle((0, 1, 0), run.tilt[1])
+                from_axis_angle((1, 0, 0), scenario.tilt[0]),
+                from_axis_angle((0, 1, 0), scenario.tilt[1]),
             ),
             self.tilt,
         )
-        state = {**self.state, **run.joints}
+        state = {**self.state, **scenario.joints}
         low, _ = bounds(self.spec, state, tuple(quat.tolist()))
-        data.qpos[:3] = [0.0, 0.0, run.height - low[2]]
+        data.qpos[:3] = [0.0, 0.0, scenario.height - low[2]]
         data.qpos[3:7] = quat
         for joint in self.spec.joints:
             if joint.type not in SINGLE:
@@ -169,36 +170,36 @@ class Trial:
                 # Where things are drawn beyond a limit the joint would start with a jerk.
                 value = float(np.clip(value, joint.lower, joint.upper))
             data.qpos[at] = value
-            led = joint_value(self.spec, joint, run.speeds) if run.speeds else 0.0
-            data.qvel[dof] = led - (joint_value(self.spec, joint, {}) if run.speeds else 0.0)
+            led = joint_value(self.spec, joint, scenario.speeds) if scenario.speeds else 0.0
+            data.qvel[dof] = led - (joint_value(self.spec, joint, {}) if scenario.speeds else 0.0)
         found = np.zeros(mujoco.mj_stateSize(model, _STATE))
         mujoco.mj_getState(model, data, found, _STATE)
         return found
 
-    def forces(self, run: Run, start: NDArray) -> NDArray:
+    def forces(self, scenario: Scenario, start: NDArray) -> NDArray:
         """Return the forces of a run [t, nv + 6 nbody]: on joints, then on bodies in the world."""
-        model, data, o = self.model_of(run), self.data, self.options
+        model, data, o = self.model_of(scenario), self.data, self.options
         steps = round(o.duration_s / o.timestep_s)
         time = np.arange(steps) * o.timestep_s
         joint = np.zeros((steps, model.nv))
         body = np.zeros((steps, model.nbody, 6))
-        if run.part is not None or run.driven:
+        if scenario.part is not None or scenario.driven:
             mujoco.mj_setState(model, data, start, _STATE)
             mujoco.mj_forward(model, data)
-        if run.part is not None:
-            b = model.body(body_name(self.spec, run.part)).id
+        if scenario.part is not None:
+            b = model.body(body_name(self.spec, scenario.part)).id
             mass = float(model.body_subtreemass[b])
             pushed = time < o.push_duration_s
-            body[pushed, b, :3] = np.array(run.impulse) * mass / o.push_duration_s
-            if run.twist:
+            body[pushed, b, :3] = np.array(scenario.impulse) * mass / o.push_duration_s
+            if scenario.twist:
                 inertia = self._about_vertical(b)
-                body[pushed, b, 5] = run.twist * inertia / o.push_duration_s
-        if run.driven and run.joint is not None:
-            _, dof = self.address(run.joint)
+                body[pushed, b, 5] = scenario.twist * inertia / o.push_duration_s
+        if scenario.driven and scenario.joint is not None:
+            _, dof = self.address(scenario.joint)
             half = STILL_S + (o.duration_s - STILL_S) / 2
-            joint[(time >= STILL_S) & (time < half), dof] = self.drive_force(run)
-            joint[time >= half, dof] = -self.drive_force(run)
-        if run.slope:
+            joint[(time >= STILL_S) & (time < half), dof] = self.drive_force(scenario)
+            joint[time >= half, dof] = -self.drive_force(scenario)
+        if scenario.slope:
             angle = slope_at(time, o.duration_s)
             pull = np.zeros((steps, 3))
             pull[:, 1], pull[:, 2] = G * np.sin(angle), G * (1 - np.cos(angle))
@@ -219,22 +220,22 @@ class Trial:
                 total += own + float(model.body_mass[b]) * float(arm[:2] @ arm[:2])
         return total
 
-    def drive_force(self, run: Run) -> float:
+    def drive_force(self, scenario: Scenario) -> float:
         """Return the force or torque that a hand would drive a joint with.
 
         Enough to cross the range in the given time, losses and weight included, but no more than a
         hand has at the child's far end.
         """
-        assert run.joint is not None
-        model, o = self.model_of(run), self.options
-        at, dof = self.address(run.joint)
-        moving = next(j for j in self.joints if j.name == run.joint)
+        assert scenario.joint is not None
+        model, o = self.model_of(scenario), self.options
+        at, dof = self.address(scenario.joint)
+        moving = next(j for j in self.joints if j.name == scenario.joint)
         data = mujoco.MjData(model)
         load, inertia = 0.0, 0.0
         for value in np.linspace(moving.low, moving.high, 5):
             data.qpos[:] = model.key_qpos[0]
-            for joint in run.propped:
-                data.qpos[self.address(joint)[0]] = run.joints[joint]
+            for joint in scenario.propped:
+                data.qpos[self.address(joint)[0]] = scenario.joints[joint]
             data.qpos[at] = value
             mujoco.mj_forward(model, data)
             full = np.zeros((model.nv, model.nv))
@@ -271,32 +272,37 @@ class Trial:
         arm -= np.outer(arm @ np.array(joint.axis), joint.axis)
         return max(float(np.linalg.norm(arm, axis=1).max()), 0.01)
 
-    def run(self, runs: Sequence[Run], threads: int = 0) -> list[Trace]:
+    def run(self, scenarios: Sequence[Scenario], threads: int = 0) -> list[Trajectory]:
         """Roll all runs out, in one batch unless their forces would take too much memory."""
         threads = threads or os.cpu_count() or 1
         steps = round(self.options.duration_s / self.options.timestep_s)
         one = 8 * steps * (self.model.nv + 6 * self.model.nbody)
         chunk = max(1, CONTROL_BYTES // one)
-        traces: list[Trace] = []
+        trajectories: list[Trajectory] = []
         data = [mujoco.MjData(self.model) for _ in range(threads)]
         with _unwarned(), rollout.Rollout(nthread=threads) as pool:
-            for first in range(0, len(runs), chunk):
-                few = runs[first : first + chunk]
-                starts = np.array([self.start(run) for run in few])
+            for first in range(0, len(scenarios), chunk):
+                batch = scenarios[first : first + chunk]
+                starts = np.array([self.start(scenario) for scenario in batch])
                 forces = np.array(
-                    [self.forces(run, start) for run, start in zip(few, starts, strict=True)]
+                    [
+                        self.forces(scenario, start)
+                        for scenario, start in zip(batch, starts, strict=True)
+                    ]
                 )
-                models = [self.model_of(run) for run in few]
+                models = [self.model_of(scenario) for scenario in batch]
                 states, sensed = pool.rollout(
                     models, data, starts, forces, control_spec=FORCES, nstep=steps
                 )
-                traces += [
-                    self._trace(run, *found)
-                    for run, *found in zip(few, np.array(states), np.array(sensed), strict=True)
+                trajectories += [
+                    self._trajectory(scenario, *found)
+                    for scenario, *found in zip(
+                        batch, np.array(states), np.array(sensed), strict=True
+                    )
                 ]
-        return traces
+        return trajectories
 
-    def _trace(self, run: Run, state: NDArray, sensed: NDArray) -> Trace:
+    def _trajectory(self, scenario: Scenario, state: NDArray, sensed: NDArray) -> Trajectory:
         nq, nv = self.model.nq, self.model.nv
         time = state[:, 0]
         good = np.asarray(np.isfinite(state).all(axis=1) & np.isfinite(sensed).all(axis=1))
@@ -304,8 +310,8 @@ class Trial:
         good[1:] &= np.diff(time) > 0
         good = np.logical_and.accumulate(good)
         n = int(good.sum())
-        return Trace(
-            run,
+        return Trajectory(
+            scenario,
             time[:n],
             state[:n, 1 : 1 + nq],
             state[:n, 1 + nq : 1 + nq + nv],
@@ -325,4 +331,4 @@ def _unwarned() -> Iterator[None]:
         mujoco.set_mju_user_warning(kept)
 
 
-__all__ = ["FLOOR", "G", "Trace", "Trial"]
+__all__ = ["FLOOR", "G", "Simulation", "Trajectory"]

@@ -5,12 +5,14 @@ import io
 import traceback
 
 from ..config import ProgramOptions
-from .faults import of_exception, of_spent
-from .session import Session, Spent, entered
+from .exception_signals import exception_signal, limit_signal
+from .session import LimitExceeded, Session, entered
 from .signals import Signal
 
 
-def run_trusted(text: str, session: Session, options: ProgramOptions) -> tuple[str, list[Signal]]:
+def run_in_process(
+    text: str, session: Session, options: ProgramOptions
+) -> tuple[str, list[Signal]]:
     """Run a program in this process, with all that Python can do.
 
     Args:
@@ -38,8 +40,8 @@ def run_trusted(text: str, session: Session, options: ProgramOptions) -> tuple[s
         return printed.getvalue(), [problem]
     except (Exception, SystemExit) as error:
         return printed.getvalue(), [_signal(error, session)]
-    if session.spent is not None:
-        return printed.getvalue(), [of_spent(session.spent, session)]
+    if session.exceeded is not None:
+        return printed.getvalue(), [limit_signal(session.exceeded, session)]
     return printed.getvalue()[: options.max_output_bytes], []
 
 
@@ -47,6 +49,6 @@ def _signal(error: BaseException, session: Session) -> Signal:
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame.lineno for frame in frames if frame.filename == session.filename]
     line = own[-1] if own else None
-    if isinstance(error, Spent):
-        return of_spent(error, session).model_copy(update={"line": line})
-    return of_exception(error, line)
+    if isinstance(error, LimitExceeded):
+        return limit_signal(error, session).model_copy(update={"line": line})
+    return exception_signal(error, line)

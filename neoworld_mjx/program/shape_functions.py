@@ -11,7 +11,7 @@ import numpy as np
 
 from .. import spec as S
 from ..spec.shapes import MAX_SECTORS, MIN_SECTORS
-from . import arguments as take
+from . import validate
 from .placing import Shape
 from .session import current
 
@@ -23,38 +23,38 @@ _FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
 def box(size: Sequence[float]) -> Shape:
-    """Make a box with full edge lengths (x, y, z), centred at its origin."""
-    return _made(S.Box, 1, size=take.lengths(size, "box size"))
+    """Builder a box with full edge lengths (x, y, z), centred at its origin."""
+    return _made(S.Box, 1, size=validate.lengths(size, "box size"))
 
 
 def sphere(radius: float) -> Shape:
-    """Make a ball, centred."""
-    return _made(S.Sphere, 1, radius=take.length(radius, "sphere radius"))
+    """Builder a ball, centred."""
+    return _made(S.Sphere, 1, radius=validate.length(radius, "sphere radius"))
 
 
 def capsule(radius: float, length: float) -> Shape:
-    """Make a capsule along z, centred; `length` is of the straight part, without the round ends."""
+    """Builder a capsule along z, centred; `length` is of the straight part, without the round ends."""
     return _made(
         S.Capsule,
         1,
-        radius=take.length(radius, "capsule radius"),
-        length=take.length(length, "capsule length"),
+        radius=validate.length(radius, "capsule radius"),
+        length=validate.length(length, "capsule length"),
     )
 
 
 def cylinder(radius: float, height: float) -> Shape:
-    """Make a solid cylinder along z, centred."""
+    """Builder a solid cylinder along z, centred."""
     return _made(
         S.Cylinder,
         1,
-        radius=take.length(radius, "cylinder radius"),
-        height=take.length(height, "cylinder height"),
+        radius=validate.length(radius, "cylinder radius"),
+        height=validate.length(height, "cylinder height"),
     )
 
 
 def ellipsoid(radii: Sequence[float]) -> Shape:
-    """Make an ellipsoid with semi-axes (x, y, z), centred."""
-    return _made(S.Ellipsoid, 1, radii=take.lengths(radii, "ellipsoid radii"))
+    """Builder an ellipsoid with semi-axes (x, y, z), centred."""
+    return _made(S.Ellipsoid, 1, radii=validate.lengths(radii, "ellipsoid radii"))
 
 
 def prism(outline: Sequence[Sequence[float]], height: float) -> Shape:
@@ -62,24 +62,24 @@ def prism(outline: Sequence[Sequence[float]], height: float) -> Shape:
     return _made(
         S.Prism,
         1,
-        outline=take.points(outline, "prism outline", 3, MAX_POINTS),
-        height=take.length(height, "prism height"),
+        outline=validate.points(outline, "prism outline", 3, MAX_POINTS),
+        height=validate.length(height, "prism height"),
     )
 
 
 def hollow_box(size: Sequence[float], wall: float, open: str | Sequence[str] = "+z") -> Shape:
-    """Make a box of walls of one thickness, centred, with the named faces left open."""
-    faces = [open] if isinstance(open, str) else take.sequence(open, "hollow_box open", 0, 5)
+    """Builder a box of walls of one thickness, centred, with the named faces left open."""
+    faces = [open] if isinstance(open, str) else validate.sequence(open, "hollow_box open", 0, 5)
     for face in faces:
         if face not in _FACES:
             raise ValueError(
-                f"hollow_box open takes faces {', '.join(_FACES)}, got {take.shown(face)}"
+                f"hollow_box open takes faces {', '.join(_FACES)}, got {validate.shown(face)}"
             )
     return _made(
         S.HollowBox,
         6,
-        size=take.lengths(size, "hollow_box size"),
-        wall=take.length(wall, "hollow_box wall"),
+        size=validate.lengths(size, "hollow_box size"),
+        wall=validate.length(wall, "hollow_box wall"),
         open=tuple(dict.fromkeys(faces)),
     )
 
@@ -96,9 +96,9 @@ def lathe(
     wall grows inwards and upwards: a cup, a bowl, a plate. Without it the profile bounds a solid.
     `oval` stretches the whole along y.
     """
-    outline = take.points(profile, "lathe profile", 2, MAX_POINTS)
-    count = take.whole(sectors, "lathe sectors", MIN_SECTORS, MAX_SECTORS)
-    wall = None if thickness is None else take.length(thickness, "lathe thickness")
+    outline = validate.points(profile, "lathe profile", 2, MAX_POINTS)
+    count = validate.whole(sectors, "lathe sectors", MIN_SECTORS, MAX_SECTORS)
+    wall = None if thickness is None else validate.length(thickness, "lathe thickness")
     bands = len(outline) - 1
     return _made(
         S.Lathe,
@@ -106,39 +106,39 @@ def lathe(
         profile=outline,
         thickness=wall,
         sectors=count,
-        oval=take.number(oval, "lathe oval"),
+        oval=validate.number(oval, "lathe oval"),
     )
 
 
 def frustum(bottom_radius: float, top_radius: float, height: float) -> Shape:
-    """Make a solid frustum along z, centred; one of the radii may be 0 for a cone."""
+    """Builder a solid frustum along z, centred; one of the radii may be 0 for a cone."""
     radii = [
-        0.0 if value == 0 else take.length(value, f"frustum {what}")
+        0.0 if value == 0 else validate.length(value, f"frustum {what}")
         for value, what in ((bottom_radius, "bottom_radius"), (top_radius, "top_radius"))
     ]
-    half = take.length(height, "frustum height") / 2
+    half = validate.length(height, "frustum height") / 2
     profile = ((radii[0], -half), (radii[1], half))
     return _made(S.Lathe, 1, profile=profile, sectors=32)
 
 
 def tube(radius: float, wall: float, height: float, sectors: int = 12) -> Shape:
-    """Make a pipe along z, centred, open at both ends; `radius` is the outer one."""
-    outer, half = take.length(radius, "tube radius"), take.length(height, "tube height") / 2
-    thickness = take.length(wall, "tube wall")
+    """Builder a pipe along z, centred, open at both ends; `radius` is the outer one."""
+    outer, half = validate.length(radius, "tube radius"), validate.length(height, "tube height") / 2
+    thickness = validate.length(wall, "tube wall")
     if thickness >= outer:
         raise ValueError(f"tube wall {thickness} must be smaller than its radius {outer}")
-    count = take.whole(sectors, "tube sectors", MIN_SECTORS, MAX_SECTORS)
+    count = validate.whole(sectors, "tube sectors", MIN_SECTORS, MAX_SECTORS)
     profile = ((outer, -half), (outer, half))
     return _made(S.Lathe, count, profile=profile, thickness=thickness, sectors=count)
 
 
 def rounded_box(size: Sequence[float], radius: float) -> Shape:
-    """Make a box with full edge lengths, centred, with edges rounded by `radius`."""
+    """Builder a box with full edge lengths, centred, with edges rounded by `radius`."""
     return _made(
         S.RoundedBox,
         1,
-        size=take.lengths(size, "rounded_box size"),
-        radius=take.length(radius, "rounded_box radius"),
+        size=validate.lengths(size, "rounded_box size"),
+        radius=validate.length(radius, "rounded_box radius"),
     )
 
 
@@ -159,18 +159,18 @@ def sweep(
     divides every stretch into that many, on a curve through the points.
     """
     track = tuple(
-        take.vector(point, f"sweep path[{i}]")
-        for i, point in enumerate(take.sequence(path, "sweep path", 2, MAX_POINTS))
+        validate.vector(point, f"sweep path[{i}]")
+        for i, point in enumerate(validate.sequence(path, "sweep path", 2, MAX_POINTS))
     )
     if not isinstance(closed, bool):
-        raise TypeError(f"sweep closed must be True or False, got {take.shown(closed)}")
+        raise TypeError(f"sweep closed must be True or False, got {validate.shown(closed)}")
     if (radius is None) == (width is None or thickness is None):
         raise ValueError("sweep needs radius=, or both width= and thickness=")
     if radius is not None:
         across = inward = tuple(2 * r for r in _each(radius, "sweep radius"))
     else:
         across, inward = _each(width, "sweep width"), _each(thickness, "sweep thickness")
-    steps = take.whole(smooth, "sweep smooth", 1, 8)
+    steps = validate.whole(smooth, "sweep smooth", 1, 8)
     track = _curved(track, steps, closed)
     return _made(
         S.Sweep,
@@ -179,17 +179,17 @@ def sweep(
         width=_stretched(across, steps, closed),
         thickness=_stretched(inward, steps, closed),
         closed=closed,
-        sectors=take.whole(sectors, "sweep sectors", 4, 32),
+        sectors=validate.whole(sectors, "sweep sectors", 4, 32),
     )
 
 
 def torus(radius: float, tube: float, arc: float = 2 * math.pi, sectors: int = 8) -> Shape:
-    """Make a ring, or the part of it that spans `arc` [rad] about its +x side, around z, centred.
+    """Builder a ring, or the part of it that spans `arc` [rad] about its +x side, around z, centred.
 
     `radius` goes to the middle of the bar, `tube` is the bar's own radius.
     """
-    big, small = take.length(radius, "torus radius"), take.length(tube, "torus tube")
-    span = take.number(arc, "torus arc", 7.0)
+    big, small = validate.length(radius, "torus radius"), validate.length(tube, "torus tube")
+    span = validate.number(arc, "torus arc", 7.0)
     if not 0 < span <= 2 * math.pi + 1e-9:
         raise ValueError(f"torus arc must lie above 0 and up to 2 pi, got {span!r}")
     whole = span > 2 * math.pi - 1e-6
@@ -203,7 +203,7 @@ def torus(radius: float, tube: float, arc: float = 2 * math.pi, sectors: int = 8
         width=(2 * small,),
         thickness=(2 * small,),
         closed=whole,
-        sectors=take.whole(sectors, "torus sectors", 4, 32),
+        sectors=validate.whole(sectors, "torus sectors", 4, 32),
     )
 
 
@@ -213,23 +213,23 @@ def extrusion(
     holes: Sequence[Sequence[Sequence[float]]] = (),
 ) -> Shape:
     """Extrude any outline of (x, y) points, with holes, along z from -height/2 to height/2."""
-    border = take.points(outline, "extrusion outline", 3, 2 * MAX_POINTS)
+    border = validate.points(outline, "extrusion outline", 3, 2 * MAX_POINTS)
     loops = tuple(
-        take.points(hole, f"extrusion holes[{i}]", 3, MAX_POINTS)
-        for i, hole in enumerate(take.sequence(holes, "extrusion holes", 0, MAX_POINTS))
+        validate.points(hole, f"extrusion holes[{i}]", 3, MAX_POINTS)
+        for i, hole in enumerate(validate.sequence(holes, "extrusion holes", 0, MAX_POINTS))
     )
     pieces = len(border) + sum(len(loop) + 2 for loop in loops)
-    depth = take.length(height, "extrusion height")
+    depth = validate.length(height, "extrusion height")
     return _made(S.Extrusion, pieces, outline=border, holes=loops, height=depth)
 
 
 def bail(width: float, height: float, radius: float) -> Shape:
-    """Make a loop handle: a round bar that rises along z from y = -width/2 and comes down at +width/2.
+    """Builder a loop handle: a round bar that rises along z from y = -width/2 and comes down at +width/2.
 
     `height` goes to the middle of the bar at its top; the origin lies between its two feet.
     """
-    wide, high = take.length(width, "bail width"), take.length(height, "bail height")
-    bar = take.length(radius, "bail radius")
+    wide, high = validate.length(width, "bail width"), validate.length(height, "bail height")
+    bar = validate.length(radius, "bail radius")
     bend = min(high, wide / 2)
     legs = [(0.0, -wide / 2, 0.0)] if high > bend * 1.02 else []
     turn = [math.pi * k / 12 for k in range(13)]
@@ -249,22 +249,25 @@ def panel(
     holes: Sequence[Sequence[float]] = (),
     sectors: int = 16,
 ) -> Shape:
-    """Make a flat board of `size` (x, y), along z, centred, with holes through it.
+    """Builder a flat board of `size` (x, y), along z, centred, with holes through it.
 
     A hole is (x, y, radius), or (x, y, width, depth) of a rectangle; both at its middle.
     """
-    x, y = (take.length(v, "panel size") for v in take.sequence(size, "panel size", 2, 2))
-    facets = take.whole(sectors, "panel sectors", MIN_SECTORS, MAX_SECTORS)
+    x, y = (validate.length(v, "panel size") for v in validate.sequence(size, "panel size", 2, 2))
+    facets = validate.whole(sectors, "panel sectors", MIN_SECTORS, MAX_SECTORS)
     loops = []
-    for i, hole in enumerate(take.sequence(holes, "panel holes", 0, MAX_POINTS)):
+    for i, hole in enumerate(validate.sequence(holes, "panel holes", 0, MAX_POINTS)):
         what = f"panel holes[{i}]"
-        at = [take.number(v, what, take.MAX_COORDINATE_M) for v in take.sequence(hole, what, 3, 4)]
+        at = [
+            validate.number(v, what, validate.MAX_COORDINATE_M)
+            for v in validate.sequence(hole, what, 3, 4)
+        ]
         if len(at) == 3:
-            r = take.length(at[2], f"{what} radius")
+            r = validate.length(at[2], f"{what} radius")
             angles = [2 * math.pi * (k + 0.5) / facets for k in range(facets)]
             corners = [(r * math.cos(a), r * math.sin(a)) for a in angles]
         else:
-            w, d = (take.length(v, f"{what} size") / 2 for v in at[2:])
+            w, d = (validate.length(v, f"{what} size") / 2 for v in at[2:])
             corners = [(-w, -d), (w, -d), (w, d), (-w, d)]
         loops.append([(round(at[0] + a, 9), round(at[1] + b, 9)) for a, b in corners])
     outline = [(-x / 2, -y / 2), (x / 2, -y / 2), (x / 2, y / 2), (-x / 2, y / 2)]
@@ -294,7 +297,9 @@ def _combined(operation: str, shapes: tuple[Any, ...], sectors: int) -> Shape:
         raise ValueError(f"{operation} takes 2 to {MAX_POINTS} shapes, got {len(shapes)}")
     for shape in shapes:
         if not isinstance(shape, Shape):
-            raise TypeError(f"{operation} takes shapes such as box(...), got {take.shown(shape)}")
+            raise TypeError(
+                f"{operation} takes shapes such as box(...), got {validate.shown(shape)}"
+            )
     operands = tuple(
         S.Placed(
             shape=shape._spec,
@@ -303,8 +308,10 @@ def _combined(operation: str, shapes: tuple[Any, ...], sectors: int) -> Shape:
         )
         for shape in shapes
     )
-    count = take.whole(sectors, f"{operation} sectors", MIN_SECTORS, MAX_SECTORS)
-    made = take.described(S.CSG, operation, operation=operation, operands=operands, sectors=count)
+    count = validate.whole(sectors, f"{operation} sectors", MIN_SECTORS, MAX_SECTORS)
+    made = validate.described(
+        S.CSG, operation, operation=operation, operands=operands, sectors=count
+    )
     current().use("pieces built", len(made.pieces()), 4 * current().max_pieces)
     return Shape(made)
 
@@ -360,8 +367,10 @@ def _stretched(values: tuple[float, ...], steps: int, closed: bool) -> tuple[flo
 
 def _each(value: Any, what: str) -> tuple[float, ...]:
     if isinstance(value, list | tuple):
-        return tuple(take.length(v, what) for v in take.sequence(value, what, 1, MAX_POINTS))
-    return (take.length(value, what),)
+        return tuple(
+            validate.length(v, what) for v in validate.sequence(value, what, 1, MAX_POINTS)
+        )
+    return (validate.length(value, what),)
 
 
 def _made(model: Any, pieces: int, **fields: Any) -> Shape:
@@ -372,4 +381,4 @@ def _made(model: Any, pieces: int, **fields: Any) -> Shape:
             f"give it fewer points or sectors"
         )
     current().use("pieces built", pieces, 4 * current().max_pieces)
-    return Shape(take.described(model, what, **fields))
+    return Shape(validate.described(model, what, **fields))

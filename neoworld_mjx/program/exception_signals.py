@@ -1,6 +1,6 @@
 """From exceptions of programs to signals."""
 
-from .session import Session, Spent
+from .session import LimitExceeded, Session
 from .signals import Signal
 
 MODULE = "neoworld_mjx.program.sdk"
@@ -27,7 +27,7 @@ _CODES: dict[type[BaseException], tuple[str, str]] = {
 }
 
 
-def of_exception(
+def exception_signal(
     error: BaseException, line: int | None = None, column: int | None = None
 ) -> Signal:
     """Turn an exception that a program raised into a signal."""
@@ -38,9 +38,9 @@ def of_exception(
     return Signal(severity="error", code=code, message=message, line=line, column=column, hint=hint)
 
 
-def of_spent(spent: Spent, session: Session) -> Signal:
+def limit_signal(exceeded: LimitExceeded, session: Session) -> Signal:
     """Turn a used-up limit into a signal."""
     hint = "use fewer or simpler shapes"
     return Signal(
-        severity="error", code=spent.code, message=str(spent), line=session.line, hint=hint
+        severity="error", code=exceeded.code, message=str(exceeded), line=session.line, hint=hint
     )

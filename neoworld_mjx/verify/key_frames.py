@@ -15,7 +15,7 @@ from ..spec import SceneObject, SceneSpec
 from ..spec.opening import opened_for
 from .battery import Battery
 from .scenarios import SINGLE
-from .trial import Trace
+from .simulation import Trajectory
 from .verdict import Check, Verdict
 
 WIDTH, HEIGHT, BAND = 220, 200, 16
@@ -46,7 +46,7 @@ def strips(battery: Battery) -> list[Strip]:
     Returns:
         At most three strips of four frames, each frame labelled with its time or joint value.
     """
-    by_name = {trace.run.name: trace for trace in battery.traces}
+    by_name = {trajectory.scenario.name: trajectory for trajectory in battery.trajectories}
     # Four frames of one value do not show which way a ball was turned; its evidence says so.
     balls = {j.name for j in battery.spec.joints if j.type == "ball"}
     found: list[Strip] = []
@@ -54,35 +54,35 @@ def strips(battery: Battery) -> list[Strip]:
     for check in questionable(battery.verdict):
         if len(found) == MOST:
             break
-        trace = by_name.get(check.evidence.removeprefix("run ")) if check.evidence else None
-        key = trace.run.name if trace is not None else f"{check.joint}:{check.at}"
-        if key in shown or (trace is None and check.joint in {None, *balls}):
+        trajectory = by_name.get(check.evidence.removeprefix("run ")) if check.evidence else None
+        key = trajectory.scenario.name if trajectory is not None else f"{check.joint}:{check.at}"
+        if key in shown or (trajectory is None and check.joint in {None, *balls}):
             continue
         shown.add(key)
         label = f"{check.scenario} {check.name}"
         found.append(
-            _of_run(battery, trace, label)
-            if trace is not None
+            _of_run(battery, trajectory, label)
+            if trajectory is not None
             else _of_joint(battery, check, label)
         )
     return found
 
 
-def _of_run(battery: Battery, trace: Trace, label: str) -> Strip:
+def _of_run(battery: Battery, trajectory: Trajectory, label: str) -> Strip:
     """Draw four moments of a run, on the floor or held."""
-    trial = battery.trial
-    assert trial is not None
-    steps = np.linspace(0, len(trace.time) - 1, FRAMES).astype(int)
+    simulation = battery.simulation
+    assert simulation is not None
+    steps = np.linspace(0, len(trajectory.time) - 1, FRAMES).astype(int)
     items, titles = [], []
     for k in steps:
-        q = trace.qpos[k]
+        q = trajectory.qpos[k]
         state = {
-            j.name: float(q[trial.address(j.name)[0]])
+            j.name: float(q[simulation.address(j.name)[0]])
             for j in battery.spec.joints
             if j.type in SINGLE
         }
         items.append(_posed(battery, state, q[:3], q[3:7]))
-        titles.append(f"{label[:24]} t={trace.time[k]:.2f} s")
+        titles.append(f"{label[:24]} t={trajectory.time[k]:.2f} s")
     return _strip(label, items, titles)
 
 

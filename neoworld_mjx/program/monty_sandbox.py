@@ -18,11 +18,11 @@ from typing import Any
 import pydantic_monty as monty
 
 from ..config import ProgramOptions
-from .faults import ENDLESS_HINT, IMPORT_HINT, MODULE, of_exception, of_spent
-from .object import Object
+from .exception_signals import ENDLESS_HINT, IMPORT_HINT, MODULE, exception_signal, limit_signal
 from .part import Geom, Joint, Part
 from .placing import Shape
-from .session import Session, Spent
+from .sdk_object import Object
+from .session import LimitExceeded, Session
 from .signals import Signal
 
 _START_S, _GRACE_S = 10.0, 0.5
@@ -113,7 +113,7 @@ def _module(session: Session) -> dict[str, monty.ExternalModule]:
     return {packages[0]: module}
 
 
-def run_walled(text: str, session: Session, options: ProgramOptions) -> tuple[str, list[Signal]]:
+def run_sandboxed(text: str, session: Session, options: ProgramOptions) -> tuple[str, list[Signal]]:
     """Run a program in a worker.
 
     Args:
@@ -148,11 +148,11 @@ def run_walled(text: str, session: Session, options: ProgramOptions) -> tuple[st
                 if at.position.filename.startswith("<python-input"):
                     session.line = bisect_right(starts, at.position.start)
                 at = at.resume_auto()
-                if session.spent is not None:
-                    raise session.spent
+                if session.exceeded is not None:
+                    raise session.exceeded
     except monty.MontyTypingError as error:
         problems = _typing_signals(error)
-    except Spent:
+    except LimitExceeded:
         pass  # told below, where it is told too when the program has caught it
     except monty.MontyError as error:
         problems = [_monty_signal(error, options)]
@@ -160,8 +160,8 @@ def run_walled(text: str, session: Session, options: ProgramOptions) -> tuple[st
         message = "all sandbox workers are busy"
         hint = "raise program.workers, or run fewer programs at once"
         problems = [Signal(severity="error", code="busy", message=message, hint=hint)]
-    if session.spent is not None:
-        problems = [of_spent(session.spent, session)]
+    if session.exceeded is not None:
+        problems = [limit_signal(session.exceeded, session)]
     return printed.output, problems
 
 
@@ -218,7 +218,7 @@ def _monty_signal(error: monty.MontyError, options: ProgramOptions) -> Signal:
     frames = error.traceback() if shows else []
     own = [frame for frame in frames if frame.filename.startswith("<python-input")]
     inner = error.exception()
-    signal = of_exception(inner, own[-1].line if own else None, own[-1].column if own else None)
+    signal = exception_signal(inner, own[-1].line if own else None, own[-1].column if own else None)
     update: dict[str, str] = {}
     if isinstance(error, monty.MontySyntaxError):
         update = {"code": "syntax", "hint": ""}

@@ -6,12 +6,12 @@ from pathlib import Path
 from ..config import ProgramOptions
 from ..errors import SpecError
 from ..program import build
-from ..program.watch import Made
+from ..program.watch import BuiltProgram
 from .patch import SUFFIX, Patch, apply, read_overlay
 
 
 @dataclass(frozen=True)
-class Overlaid(Made):
+class PatchedProgram(BuiltProgram):
     """What a program made, with its patch."""
 
     patch: Patch | None = None
@@ -20,7 +20,7 @@ class Overlaid(Made):
     """Edits that found nothing to change."""
 
 
-def overlaid(program: Path, options: ProgramOptions) -> Overlaid:
+def build_patched(program: Path, options: ProgramOptions) -> PatchedProgram:
     """Build the program in a file, and lay the patch beside it over whatever it makes now.
 
     Args:
@@ -34,14 +34,14 @@ def overlaid(program: Path, options: ProgramOptions) -> Overlaid:
     built = build(text, options)
     patch = read_overlay(program)
     if patch is None or built.spec is None:
-        return Overlaid(text, built, patch=patch)
+        return PatchedProgram(text, built, patch=patch)
     spec, stale = apply(patch, built.spec)
     notes = (
         *(f"patch: {change}" for change in patch.changes()),
         *(f"patch: {edit} is no longer there" for edit in stale),
     )
     beside = {"program" + SUFFIX: patch.to_json()}
-    return Overlaid(text, replace(built, spec=spec), beside, notes, patch, stale)
+    return PatchedProgram(text, replace(built, spec=spec), beside, notes, patch, stale)
 
 
 def read_program(program: Path) -> str:
@@ -58,4 +58,4 @@ def read_program(program: Path) -> str:
         raise SpecError(f"{program} is not a text file") from None
 
 
-__all__ = ["Overlaid", "overlaid", "read_program"]
+__all__ = ["PatchedProgram", "build_patched", "read_program"]
