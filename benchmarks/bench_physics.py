@@ -9,9 +9,9 @@ from neoworld_mjx.bench.physics import physics
 from neoworld_mjx.bench.scenes import crowded, noisy_layouts
 from neoworld_mjx.bench.verdicts import compare, motion, naive_loop
 from neoworld_mjx.errors import EngineError
-from neoworld_mjx.physics.engine import EarlyStop, open_engine
+from neoworld_mjx.physics.engine import EarlyStop
 from neoworld_mjx.physics.model import compile_scene
-from neoworld_mjx.physics.native import exact_poses
+from neoworld_mjx.physics.simulate import open_engine
 
 
 class _Rollouts:
@@ -31,12 +31,14 @@ class _Rollouts:
         self._validate()
 
     def once(self):
-        found = self.engine.rollout(self.scene, self.layouts, early_stop=self.rule)
+        found = self.engine.rollout(
+            self.scene, self.scene.place(self.layouts), early_stop=self.rule
+        )
         return jax.block_until_ready(found)
 
     def _validate(self):
         few = self.layouts[:16]
-        loop = naive_loop(self.scene, few, exact_poses(self.scene, few))
+        loop = naive_loop(self.scene, few, self.scene.place_exactly(few))
         told = compare(loop.motion, motion(self.scene, self.found)[:16])
         assert (told.share(near=False) or 1.0) >= 0.9, "verdicts differ from the naive loop's"
 
@@ -72,7 +74,7 @@ class FastNaive:
     def track_rate(self, objects):
         scene = compile_scene(crowded(objects))
         layouts = noisy_layouts(scene, 16)
-        return naive_loop(scene, layouts, exact_poses(scene, layouts)).candidates_per_s
+        return naive_loop(scene, layouts, scene.place_exactly(layouts)).candidates_per_s
 
 
 if __name__ == "__main__":

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from . import measure as measure
-    from .physics.engine import rollout as rollout
     from .physics.layout import Layout as Layout
     from .physics.model import SceneModel as SceneModel
     from .physics.model import load_scene as load_scene
+    from .physics.simulate import rollout as rollout
     from .pipeline import reconstruct as reconstruct
     from .refinement import rewards as rewards
     from .refinement.cem import CEM as CEM
@@ -27,7 +27,7 @@ _HOMES = {
     "load_scene": "physics.model",
     "reconstruct": "pipeline",
     "refine": "refinement.loop",
-    "rollout": "physics.engine",
+    "rollout": "physics.simulate",
     "sweep": "sweeps.run",
 }
 _MODULES = {"measure": "measure", "rewards": "refinement.rewards"}

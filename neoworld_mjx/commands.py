@@ -267,7 +267,7 @@ def _signals(built: "Built") -> list[dict[str, Any]]:
 
 
 def _engine(name: Any) -> str:
-    from .physics.engine import open_engine
+    from .physics.simulate import open_engine
 
     try:
         open_engine(name)

@@ -12,11 +12,12 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from ..errors import EngineError, choices
-from ..physics.engine import EarlyStop, open_engine
+from ..physics.engine import EarlyStop
 from ..physics.layout import Layout, Poses
 from ..physics.mjcf import to_mjspec
 from ..physics.model import FREE, SceneModel, compile_scene
-from ..physics.native import exact_poses, open_batch
+from ..physics.native import open_batch
+from ..physics.simulate import open_engine
 from .fields import SINGLE, field_errors, loose_fields
 from .scenes import noisy_layouts
 from .six import AGREEMENT
@@ -105,12 +106,12 @@ def agreement(
         make, noise = AGREEMENT[name]
         scene = compile_scene(make())
         drawn = noisy_layouts(scene, layouts, seed=seed, noise=noise)
-        poses = exact_poses(scene, drawn)
+        poses = scene.place_exactly(drawn)
         reference = naive_loop(scene, drawn, poses).motion
         yield _models(name, scene, drawn, poses, float(np.mean(reference < 1)))
         for engine in engines:
             for rule in (None, EarlyStop()):
-                yield _verdicts(name, scene, drawn, reference, engine, rule)
+                yield _verdicts(name, scene, poses, reference, engine, rule)
 
 
 def agreed(rows: Sequence[ModelRow | VerdictRow]) -> dict[str, Any]:
@@ -149,7 +150,7 @@ def _share(rows: Sequence[VerdictRow]) -> float:
 def _verdicts(
     name: str,
     scene: SceneModel,
-    layouts: Layout,
+    poses: Poses,
     reference: np.ndarray,
     engine: str,
     rule: EarlyStop | None,
@@ -157,7 +158,7 @@ def _verdicts(
     wanted = WANTED[engine]
     about = {"scene": name, "engine": engine, "early_stop": rule is not None, "wanted": wanted}
     try:
-        found = motion(scene, open_engine(engine).rollout(scene, layouts, early_stop=rule))  # pyright: ignore[reportArgumentType]
+        found = motion(scene, open_engine(engine).rollout(scene, poses, early_stop=rule))  # pyright: ignore[reportArgumentType]
     except EngineError as error:
         found, note = None, str(error)
     else:
@@ -185,7 +186,7 @@ class _Differences(NamedTuple):
 
 
 def _models(name: str, scene: SceneModel, layouts: Layout, poses: Poses, stable: float) -> ModelRow:
-    batch = open_batch(scene, layouts, poses)
+    batch = open_batch(scene, poses)
     start = batch.bind("qpos").copy()
     models = [batch.get_model(k) for k in range(batch.nsim)]
     batch.step(nstep=BIT_STEPS)

@@ -29,6 +29,6 @@ def bare_scan(
     parts = []
     for first in range(0, pop, chunk):
         few = jax.tree.map(lambda leaf, at=first: leaf[at : at + chunk], layouts)
-        parts.append(mjx_engine._prepare(model, carried, few)[:2])
+        parts.append(mjx_engine._prepare(model, carried, carried.place(few))[:2])
     jax.block_until_ready(parts)
     return lambda: [mjx_engine.bare_scan(model, fields, qpos, 1, steps) for fields, qpos in parts]

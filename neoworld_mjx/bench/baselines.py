@@ -10,14 +10,16 @@ import numpy as np
 
 from ..config import RefineOptions
 from ..errors import EngineError
-from ..physics.engine import EarlyStop, Engine, Rollout, RolloutStatus, record_steps
-from ..physics.layout import Layout
+from ..physics.engine import EarlyStop, Engine, Rollout, record_steps, unplaceable
+from ..physics.layout import Layout, Poses
 from ..physics.mjcf import to_mjspec
-from ..physics.model import FREE, SceneModel
-from ..physics.native import exact_poses
+from ..physics.model import SceneModel
+from ..physics.recorder import Recorder, joined
 from ..refinement.loop import Search
 from ..refinement.outcome import Round, choose
 from ..refinement.rewards import Scores, placed, score
+from ..spec import SceneSpec
+from ..spec.scene import rearranged
 from .verdicts import started
 
 CMA_POPULATION = 16
@@ -32,41 +34,42 @@ class OneByOne:
     def rollout(
         self,
         scene: SceneModel,
-        layouts: Layout,
+        poses: Poses,
         *,
         duration: float = 1.0,
         record_every: float = 0.1,
         early_stop: EarlyStop | None = None,
     ) -> Rollout:
         """Simulate every candidate on one thread; see `Engine.rollout`. Nothing stops early."""
-        timestep = scene.host.mjm.opt.timestep
+        timestep = scene.static.mjm.opt.timestep
         records, every = record_steps(timestep, duration, record_every)
-        poses = exact_poses(scene, layouts)
-        pop, objects = poses.scale.shape
-        pos = np.broadcast_to(poses.pos[:, None], (pop, records, objects, 3)).copy()
-        quat = np.broadcast_to(poses.quat[:, None], (pop, records, objects, 4)).copy()
-        status = np.full(pop, int(RolloutStatus.OK), np.int32)
-        m = scene.host.mjm
-        free = np.flatnonzero(m.jnt_type == FREE)
-        owner, adr = scene.host.jnt_object[free], m.jnt_qposadr[free]
-        for k in range(pop):
-            model, data = started(to_mjspec(scene.apply(layouts, k, poses), timestep=timestep))
-            for t in range(records):
-                mujoco.mj_step(model, data, nstep=every)
-                if not np.isfinite(data.qpos).all():
-                    status[k] = int(RolloutStatus.FAILED)
-                    break
-                for o, a in zip(owner, adr, strict=True):
-                    pos[k, t, o], quat[k, t, o] = data.qpos[a : a + 3], data.qpos[a + 3 : a + 7]
-        f32 = lambda x: jnp.asarray(x, jnp.float32)
-        return Rollout(
-            time=f32(np.arange(1, records + 1) * every * timestep),
-            pos=f32(pos),
-            quat=f32(quat),
-            status=jnp.asarray(status),
-            start=jax.tree.map(f32, poses),
-            steps=jnp.full(pop, records * every, jnp.int32),
-        )
+        poses = jax.tree.map(lambda leaf: np.asarray(leaf, float), poses)
+        failed = unplaceable(poses)
+        parts = []
+        for k in range(len(failed)):
+            one = slice(k, k + 1)
+            recorder = Recorder(scene.static, poses[one], records, every, None, failed[one])
+            if not failed[k]:
+                model, data = started(to_mjspec(_placed_scene(scene, poses, k), timestep=timestep))
+                for t in range(records):
+                    mujoco.mj_step(model, data, nstep=every)
+                    recorder.record(t, data.qpos[None], None, None)
+                    if not len(recorder.active):
+                        break
+            parts.append(recorder.rollout())
+        return joined(parts, len(failed))
+
+
+def _placed_scene(scene: SceneModel, poses: Poses, k: int) -> SceneSpec:
+    """Describe candidate k with every object placed in the world instead of on its parent."""
+    alone = {"parent": None, "parent_link": None, "xy": (0.0, 0.0), "yaw": 0.0}
+    objects = tuple(
+        item.model_copy(update={**alone, "base_tilt": tuple(poses.quat[k, i].tolist())})
+        for i, item in enumerate(scene.spec.objects)
+    )
+    flat = scene.spec.model_copy(update={"objects": objects})
+    yaw, pos = np.zeros(len(objects)), poses.pos[k]
+    return rearranged(flat, pos[:, :2], yaw, np.log(poses.scale[k]), pos[:, 2])
 
 
 def algorithm1(options: RefineOptions) -> RefineOptions:
@@ -173,7 +176,7 @@ class _Baseline:
         s = self.search
         layouts = s.project(layouts, len(self.rounds))
         before = placed(self.scene, layouts, s.w)
-        found = score(self.scene, layouts, s.rollout(layouts), s.w, (), before)
+        found = score(self.scene, layouts, s.rollout(before.start), s.w, (), before)
         s.note(jax.block_until_ready(found))
         self.rounds.append((layouts, before.start, found))
         self.rollouts += layouts.yaw.shape[0]

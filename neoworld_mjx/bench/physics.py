@@ -19,10 +19,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..errors import EngineError
-from ..physics.engine import EarlyStop, Rollout, RolloutStatus, open_engine
+from ..physics.engine import EarlyStop, Rollout, RolloutStatus
 from ..physics.layout import Layout
 from ..physics.model import SceneModel, compile_scene
-from ..physics.native import exact_poses
+from ..physics.simulate import open_engine
 from .bare import bare_scan
 from .machine import Others, peak_mib
 from .scenes import COUNTS, crowded, noisy_layouts
@@ -147,7 +147,7 @@ def physics(
         scene = compile_scene(crowded(count, seed=seed))
         pop = min(max(populations), NAIVE_CANDIDATES)
         layouts = noisy_layouts(scene, pop, seed=seed)
-        poses = exact_poses(scene, layouts)
+        poses = scene.place_exactly(layouts)
         naive = naive_loop(scene, layouts, poses, duration=duration, budget=budget)
         for engine in engines:
             for population in populations:
@@ -250,7 +250,8 @@ def measure(task: Task) -> Measured | str:
     rule = EarlyStop() if task.early_stop else None
 
     def once() -> Rollout:
-        found = engine.rollout(scene, layouts, duration=task.duration_s, early_stop=rule)
+        poses = scene.place(layouts)
+        found = engine.rollout(scene, poses, duration=task.duration_s, early_stop=rule)
         return jax.block_until_ready(found)
 
     try:
@@ -294,7 +295,7 @@ def _time_bare(
 ) -> list[float]:
     """Time the bare scan as often as there is time for; not at all when a rollout took too long."""
     ends = time.perf_counter() + left
-    steps = round(task.duration_s / scene.host.mjm.opt.timestep)
+    steps = round(task.duration_s / scene.static.mjm.opt.timestep)
     once = bare_scan(scene, layouts, steps)
     jax.block_until_ready(once())
     found: list[float] = []

@@ -13,9 +13,10 @@ from pydantic import BaseModel, ConfigDict
 
 from ..config import RefineOptions
 from ..errors import EngineError, choices
-from ..physics.engine import Engine, open_engine
+from ..physics.engine import Engine
 from ..physics.exact import snap_exactly
 from ..physics.model import SceneModel
+from ..physics.simulate import open_engine
 from ..refinement.loop import compiled, refine
 from ..refinement.outcome import measured, passes
 from .baselines import OneByOne, Searched, algorithm1, cma_es, random_search

@@ -178,11 +178,13 @@ def _physics(model: SceneModel, layouts: Layout, seconds: float, real: bool) -> 
     if not real:
         return lambda _: time.sleep(seconds)
     engine = NativeEngine()
-    engine.rollout(model, layouts)
-    took = float(np.median([_timed(lambda: engine.rollout(model, layouts)) for _ in range(3)]))
+    engine.rollout(model, model.place(layouts))
+    took = float(
+        np.median([_timed(lambda: engine.rollout(model, model.place(layouts))) for _ in range(3)])
+    )
     times = max(1, round(seconds / took))
     # The same work whatever stands beside it, not the same time.
-    return lambda population: [engine.rollout(model, population) for _ in range(times)]
+    return lambda population: [engine.rollout(model, model.place(population)) for _ in range(times)]
 
 
 @contextmanager

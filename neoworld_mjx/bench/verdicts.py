@@ -12,8 +12,8 @@ from ..physics.engine import Rollout, RolloutStatus, record_steps
 from ..physics.layout import Layout, Poses
 from ..physics.mjcf import to_mjspec
 from ..physics.model import FREE, SceneModel
-from ..physics.native import drift
 from ..refinement.rewards import drifts
+from ..spec.pose import angle_between
 
 _BOUNDS = RewardOptions()
 DISTANCE, ANGLE = _BOUNDS.drift_scale_m, float(np.radians(_BOUNDS.tilt_scale_deg))
@@ -78,7 +78,7 @@ def naive_loop(
         record_every: time between the poses that a verdict is made of [s].
         budget: seconds after which no further candidate is begun.
     """
-    timestep = scene.host.mjm.opt.timestep
+    timestep = scene.static.mjm.opt.timestep
     records, every = record_steps(timestep, duration, record_every)
     found: list[float] = []
     compiling, stepping, cpu = [], [], 0.0
@@ -129,7 +129,8 @@ def _farthest(model: mujoco.MjModel, path: np.ndarray) -> float:
     if not len(free):
         return 0.0
     seven = path[:, free[:, None] + np.arange(7)]
-    far, turned = drift(seven[..., :3], seven[..., 3:], seven[:1, :, :3], seven[:1, :, 3:])
+    far = np.linalg.norm(seven[..., :3] - seven[:1, :, :3], axis=-1)
+    turned = angle_between(seven[:1, :, 3:], seven[..., 3:])
     return float(max(far.max() / DISTANCE, turned.max() / ANGLE))
 
 

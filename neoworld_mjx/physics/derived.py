@@ -12,26 +12,26 @@ import mujoco
 import numpy as np
 
 from .layout import Layout, Poses, compose_poses, quat_mul, rotation
-from .model import FREE, SLIDE, Host, SceneModel
+from .model import FREE, SLIDE, SceneModel, StaticScene
 from .native import open_batch
 
 KNOTS, SPAN = 65, 1.0
 """Scales at which objects of several mass laws are measured: up to exp(+-SPAN)."""
 
 
-def invweights(scene: SceneModel, layouts: Layout, poses: Poses) -> dict[str, Any]:
+def invweights(scene: SceneModel, poses: Poses) -> dict[str, Any]:
     """Compute body_invweight0 and dof_invweight0 of every candidate, leading axis [pop].
 
     Inverse masses go with s^-m and inverse inertias with s^-(m + 2) as long as all parts of an
     object have the same mass exponent m. Where they have not, MuJoCo's values at `KNOTS` scales are
     interpolated by cubics in the logarithms, to a relative error of 1e-6. Traceable.
     """
-    h, m = scene.host, scene.host.mjm
+    s, m = scene.static, scene.static.mjm
     padded = jnp.concatenate([poses.scale, jnp.ones_like(poses.scale[:, :1])], axis=1)
     # Index -1, the world, meets the column of ones at the end.
-    body, dof = padded[:, h.body_object], padded[:, h.dof_object]
-    if _uniform(h):
-        mass = h.powers.body_mass
+    body, dof = padded[:, s.body_object], padded[:, s.dof_object]
+    if _uniform(s):
+        mass = s.powers.body_mass
         law = np.stack([-mass, -(mass + 2)], axis=-1)
         turning = np.array([_turns(m, d) for d in range(m.nv)], bool)
         own = mass[m.dof_bodyid] if m.nv else np.zeros(0)
@@ -46,20 +46,22 @@ def invweights(scene: SceneModel, layouts: Layout, poses: Poses) -> dict[str, An
     }
 
 
-def subtree_mass(host: Host, body_mass: Any) -> Any:
+def subtree_mass(static: StaticScene, body_mass: Any) -> Any:
     """Sum body masses [pop, nbody] over the subtrees of bodies."""
-    m = host.mjm
+    m = static.mjm
     below = np.eye(m.nbody)
     for b in range(m.nbody - 1, 0, -1):
         below[m.body_parentid[b]] += below[b]
     return jnp.sum(body_mass[:, None, :] * below, axis=-1)
 
 
-def static_geoms(host: Host, body_pos: Any, body_quat: Any, geom_pos: Any) -> tuple[Any, Any]:
+def static_geoms(
+    static: StaticScene, body_pos: Any, body_quat: Any, geom_pos: Any
+) -> tuple[Any, Any]:
     """World poses of the geoms that are welded to the world; the others' entries are zero.
 
     Args:
-        host: the scene.
+        static: the scene.
         body_pos: [pop, nbody, 3] in parent frames [m].
         body_quat: [pop, nbody, 4].
         geom_pos: [pop, ngeom, 3] in body frames [m].
@@ -67,7 +69,7 @@ def static_geoms(host: Host, body_pos: Any, body_quat: Any, geom_pos: Any) -> tu
     Returns:
         Positions [pop, ngeom, 3] and rotations [pop, ngeom, 3, 3].
     """
-    m = host.mjm
+    m = static.mjm
     pop = body_pos.shape[0]
     pos, quat = {0: body_pos[:, 0] * 0}, {0: jnp.broadcast_to(jnp.array([1.0, 0, 0, 0]), (pop, 4))}
     for b in range(1, m.nbody):
@@ -98,26 +100,26 @@ def _turns(m: mujoco.MjModel, dof: int) -> bool:
 
 
 @functools.lru_cache(maxsize=64)
-def _uniform(host: Host) -> bool:
-    for item in range(len(host.names)):
-        if len(set(host.powers.body_mass[host.body_object == item].tolist())) > 1:
+def _uniform(static: StaticScene) -> bool:
+    for item in range(len(static.names)):
+        if len(set(static.powers.body_mass[static.body_object == item].tolist())) > 1:
             return False
     return True
 
 
-_measured: dict[Host, tuple[np.ndarray, np.ndarray]] = {}
+_measured: dict[StaticScene, tuple[np.ndarray, np.ndarray]] = {}
 
 
 def _tables(scene: SceneModel) -> tuple[np.ndarray, np.ndarray]:
     """Logarithms of body_invweight0 [knot, nbody, 2] and dof_invweight0 [knot, nv]; -inf for 0."""
-    if scene.host not in _measured:
-        count = len(scene.host.names)
+    if scene.static not in _measured:
+        count = len(scene.static.names)
         log = np.broadcast_to(np.linspace(-SPAN, SPAN, KNOTS)[:, None], (KNOTS, count))
         layouts = Layout(np.zeros((KNOTS, count, 2)), np.zeros((KNOTS, count)), log)
-        arrangement = scene.host.arrangement
+        arrangement = scene.static.arrangement
         height = np.broadcast_to(arrangement.z, (KNOTS, count))
         poses = compose_poses(arrangement, layouts, height, np)
-        batch = open_batch(scene, layouts, poses)
+        batch = open_batch(scene, poses)
         models = [batch.get_model(k) for k in range(KNOTS)]
         with np.errstate(divide="ignore"):
             found = tuple(
@@ -126,8 +128,8 @@ def _tables(scene: SceneModel) -> tuple[np.ndarray, np.ndarray]:
             )
         if len(_measured) >= 64:
             _measured.clear()
-        _measured[scene.host] = (found[0], found[1])
-    return _measured[scene.host]
+        _measured[scene.static] = (found[0], found[1])
+    return _measured[scene.static]
 
 
 def _between(table: np.ndarray, log: Any) -> Any:

@@ -1,18 +1,17 @@
-"""What a rollout is, and which engine computes it."""
+"""The vocabulary of rollouts: what an engine takes, what it returns, and when candidates stop early.
 
-import contextlib
+No engine is imported here, nor by anything that this module imports; `simulate` opens engines by name.
+"""
+
 import enum
-from typing import Any, Protocol, get_args
+from typing import Any, Protocol
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..config import EngineName
-from ..errors import EngineError, choices
-from .layout import Layout, Poses
+from .layout import Poses
 from .model import SceneModel
 
 
@@ -21,7 +20,7 @@ class RolloutStatus(enum.IntEnum):
 
     OK = 0
     SETTLED = 1
-    """Stopped early at rest; its last pose stands for the rest of the time."""
+    """Stopped early at rest; its last pose counts for the rest of the time."""
     DRIFTED = 2
     """Stopped early because it had drifted past the cap, where D_drift is clipped anyway."""
     FAILED = 3
@@ -52,60 +51,49 @@ class EarlyStop(eqx.Module):
     """[rad]"""
 
 
-def quiet(rule: EarlyStop, lever: np.ndarray, qvel: np.ndarray, qacc: np.ndarray) -> np.ndarray:
-    """Tell which candidates [pop] are below the bounds of `rule` at this moment.
-
-    Args:
-        rule: the bounds.
-        lever: `Host.lever` [nv].
-        qvel: velocities [pop, nv].
-        qacc: accelerations [pop, nv].
-    """
-    slow = (np.abs(qvel) * lever).max(axis=1, initial=0.0) < rule.speed
-    return slow & ((np.abs(qacc) * lever).max(axis=1, initial=0.0) < rule.acceleration)
-
-
 class Rollout(eqx.Module):
-    """Poses of every object of every candidate over time; movable bases move, others do not."""
+    """Motion of every object and joint of every candidate; movable bases move, others do not."""
 
     time: Float[Array, " time"]
-    """[s], without the start."""
+    """Times of the records [s], without the start."""
     pos: Float[Array, "pop time object 3"]
     """Object origins in the world [m]."""
     quat: Float[Array, "pop time object 4"]
     """Rotations, w first."""
+    joint_shift: Float[Array, "pop time joint"]
+    """Distance of each joint from its position at the start: [rad] for hinges and, as the angle of
+    rotation, for balls; [m] for slides. Joints as in `StaticScene.joints`."""
     status: Int[Array, " pop"]
     """RolloutStatus of each candidate."""
     start: Poses
-    """Where the layouts put the objects."""
+    """Where the candidates' objects were placed."""
     steps: Int[Array, " pop"]
     """Steps that were simulated."""
 
 
-@eqx.filter_jit
-def unmoved(scene: SceneModel, layouts: Layout) -> Rollout:
-    """Return rollouts of no duration: every candidate where it was placed, with status OK."""
-    start = scene.place(layouts)
-    pop = layouts.yaw.shape[0]
+def unmoved(scene: SceneModel, poses: Poses) -> Rollout:
+    """Return rollouts of no duration: every candidate as it was placed, with status OK. Traceable."""
+    pop = poses.scale.shape[0]
     return Rollout(
         time=jnp.zeros(1),
-        pos=start.pos[:, None],
-        quat=start.quat[:, None],
+        pos=poses.pos[:, None],
+        quat=poses.quat[:, None],
+        joint_shift=jnp.zeros((pop, 1, len(scene.static.joints))),
         status=jnp.full(pop, int(RolloutStatus.OK), jnp.int32),
-        start=start,
+        start=poses,
         steps=jnp.zeros(pop, jnp.int32),
     )
 
 
 class Engine(Protocol):
-    """Rolls candidate layouts of a scene out under gravity."""
+    """Rolls placed candidates of a scene out under gravity."""
 
     name: str
 
     def rollout(
         self,
         scene: SceneModel,
-        layouts: Layout,
+        poses: Poses,
         *,
         duration: float = 1.0,
         record_every: float = 0.1,
@@ -115,7 +103,7 @@ class Engine(Protocol):
 
         Args:
             scene: the compiled scene; its time step is used.
-            layouts: the candidates.
+            poses: where the candidates' objects are placed, by `SceneModel.place`.
             duration: simulated time [s].
             record_every: time between recorded poses [s].
             early_stop: rules for stopping candidates early; None simulates all of them to the end.
@@ -124,66 +112,6 @@ class Engine(Protocol):
             Poses and a status per candidate; a candidate that fails never raises.
         """
         ...
-
-
-def open_engine(name: EngineName = "auto") -> Engine:
-    """Return an engine by name.
-
-    `auto` is warp on an NVIDIA GPU when it is installed, else mjx on an accelerator, else native.
-
-    Raises:
-        EngineError: the engine is unknown, or cannot run here.
-    """
-    if name == "auto":
-        name = _automatic()
-    if name == "native":
-        from .native import NativeEngine
-
-        return NativeEngine()
-    if name == "mjx":
-        from .mjx_engine import MjxEngine
-
-        return MjxEngine()
-    if name == "warp":
-        from .warp_engine import WarpEngine
-
-        return WarpEngine()
-    raise EngineError(f"engine: {choices(name, get_args(EngineName))}")
-
-
-def _automatic() -> EngineName:
-    from .warp_engine import warp_ready
-
-    if warp_ready():
-        return "warp"
-    return "native" if jax.default_backend() == "cpu" else "mjx"
-
-
-def rollout(
-    scene: SceneModel,
-    layouts: Layout,
-    *,
-    engine: EngineName = "auto",
-    duration: float = 1.0,
-    record_every: float = 0.1,
-    early_stop: EarlyStop | None = None,
-) -> Rollout:
-    """Roll candidate layouts out; see `Engine.rollout`.
-
-    Args:
-        scene: the compiled scene.
-        layouts: the candidates.
-        engine: auto, mjx, warp or native.
-        duration: simulated time [s].
-        record_every: time between recorded poses [s].
-        early_stop: rules for stopping candidates early; None simulates all of them to the end.
-
-    Raises:
-        EngineError: the engine is unknown, or cannot run here.
-    """
-    return open_engine(engine).rollout(
-        scene, layouts, duration=duration, record_every=record_every, early_stop=early_stop
-    )
 
 
 def unplaceable(poses: Poses, xp: Any = np) -> Any:
@@ -196,7 +124,7 @@ def unplaceable(poses: Poses, xp: Any = np) -> Any:
         poses: of all candidates.
         xp: `jnp` for traced poses.
     """
-    # Comparisons with NaN are false, so it fails without being asked for.
+    # Comparisons with NaN are false, so it fails without a test of its own.
     sized = (poses.scale > 1e-3) & (poses.scale < 1e3)
     placed = xp.all(xp.abs(poses.pos) < 1e6, axis=-1) & xp.all(xp.isfinite(poses.quat), axis=-1)
     return ~xp.all(sized & placed, axis=1)
@@ -206,14 +134,3 @@ def record_steps(timestep: float, duration: float, record_every: float) -> tuple
     """Split a rollout into (number of records, steps between them)."""
     every = max(1, round(record_every / timestep))
     return max(1, round(duration / (every * timestep))), every
-
-
-def on_cpu() -> contextlib.AbstractContextManager[object]:
-    """Let JAX compute on the CPU what a GPU would only start kernels for.
-
-    Nothing changes where JAX's settings leave it no CPU.
-    """
-    try:
-        return jax.default_device(jax.devices("cpu")[0])
-    except RuntimeError:
-        return contextlib.nullcontext()

@@ -1,5 +1,6 @@
 """Layouts: the four numbers an object that CEM moves, and the poses they lead to."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, Self
 
 import equinox as eqx
@@ -14,6 +15,10 @@ from .support import NOTHING, Support, height_above, link_frame, nothing, suppor
 
 Either = Any
 """Leaves are JAX arrays, or NumPy arrays in double precision on the host."""
+
+
+SNAPPED = 8192
+"""Objects of all candidates that are snapped at once; each takes about 30 KB meanwhile."""
 
 
 class Layout(eqx.Module):
@@ -51,11 +56,15 @@ class Poses(eqx.Module):
     height: Float[Either, "pop object"]
     """Snapped height above the support frame's origin [m]; the `z` of a SceneObject."""
 
+    def __getitem__(self, index: object) -> "Poses":
+        """Take candidates along the leading axis."""
+        return jax.tree.map(lambda leaf: leaf[index], self)
+
 
 class Arrangement(NamedTuple):
     """What the placement of objects depends on, by object; see SceneObject.
 
-    Host arrays are float64, so that engines in double precision get exact poses.
+    StaticScene arrays are float64, so that engines in double precision get exact poses.
     """
 
     xy: Float[np.ndarray, "object 2"]
@@ -136,9 +145,18 @@ def heights(arrangement: Arrangement, layouts: Layout) -> Float[Array, "pop obje
     xy = (jnp.asarray(a.xy, jnp.float32) + layouts.xy) * carrier[..., None]
     yaw = jnp.asarray(a.yaw, jnp.float32) + layouts.yaw
     over_objects = jax.vmap(height_above, in_axes=(0, 0, 0, 0, 0))
-    touch = jax.vmap(over_objects, in_axes=(None, 0, 0, 0, 0))(a.support, xy, yaw, size, carrier)
+    touch = _batched(lambda *candidate: over_objects(a.support, *candidate), xy, yaw, size, carrier)
     found = np.array(a.snapped) & (touch > NOTHING / 2)
     return jnp.where(found, touch + a.gap, jnp.asarray(a.z, jnp.float32) * carrier)
+
+
+def _batched(one: Callable[..., Any], *candidates: Any) -> Any:
+    """Map a function over candidates [pop, object, ...], `SNAPPED` objects at once."""
+    pop, objects = candidates[0].shape[:2]
+    rows = max(1, SNAPPED // objects)
+    if pop <= rows:
+        return jax.vmap(one)(*candidates)
+    return jax.lax.map(lambda row: one(*row), candidates, batch_size=rows)
 
 
 def compose_poses(

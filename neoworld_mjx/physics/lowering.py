@@ -25,8 +25,8 @@ _CYLINDER, _ELLIPSOID = (
 
 def lowered(scene: SceneModel) -> SceneModel:
     """Return the scene with its cylinders and ellipsoids as polyhedra; masses stay as they are."""
-    host = scene.host
-    spec = to_mjspec(scene.spec, timestep=float(host.mjm.opt.timestep))
+    static = scene.static
+    spec = to_mjspec(scene.spec, timestep=float(static.mjm.opt.timestep))
     for geom in spec.geoms:
         if int(geom.type) not in (_CYLINDER, _ELLIPSOID):
             continue
@@ -35,13 +35,13 @@ def lowered(scene: SceneModel) -> SceneModel:
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
         geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, mesh.name
     mjm = spec.compile()
-    mjm.opt.disableflags = host.mjm.opt.disableflags
-    return dataclasses.replace(scene, host=dataclasses.replace(host, mjm=mjm))
+    mjm.opt.disableflags = static.mjm.opt.disableflags
+    return dataclasses.replace(scene, static=dataclasses.replace(static, mjm=mjm))
 
 
 def lowering_error(scene: SceneModel) -> float:
     """Return the largest distance [m] between a lowered collider's surface and the true one's."""
-    m, worst = scene.host.mjm, 0.0
+    m, worst = scene.static.mjm, 0.0
     for kind, size in zip(m.geom_type, m.geom_size, strict=True):
         if kind == _CYLINDER:
             worst = max(worst, float(size[0]) * (_prism_factor() - 1))

@@ -21,16 +21,14 @@ from jaxtyping import Array, Bool, Float
 from ..errors import EngineError
 from .derived import invweights
 from .engine import EarlyStop, Rollout, RolloutStatus, record_steps, unplaceable
-from .layout import Layout, Poses
+from .layout import Poses
 from .lowering import lowered
-from .model import Host, SceneModel, leaves, mesh_object
-from .progress import DIVERGED, Progress, object_poses
+from .model import SceneModel, StaticScene, mesh_object, model_fields
+from .recorder import DIVERGED, Recorder, joined, read_states, record_times
 
 # MJX prints that warp is missing, which is an extra here and no failure.
 with contextlib.redirect_stdout(io.StringIO()):
     from mujoco import mjx
-
-__all__ = ["MjxEngine", "bare_scan", "invweights", "object_poses"]
 
 CHUNK = 8192
 """Most candidates simulated at once."""
@@ -64,14 +62,14 @@ class MjxEngine:
     def __init__(self, devices: Sequence[Any] | None = None):
         """Split populations over `devices`; None takes all of JAX's default kind."""
         self.devices = tuple(jax.devices() if devices is None else devices)
-        self._scenes: weakref.WeakKeyDictionary[Host, tuple[mjx.Model, SceneModel]] = (
+        self._scenes: weakref.WeakKeyDictionary[StaticScene, tuple[mjx.Model, SceneModel]] = (
             weakref.WeakKeyDictionary()
         )
 
     def rollout(
         self,
         scene: SceneModel,
-        layouts: Layout,
+        poses: Poses,
         *,
         duration: float = 1.0,
         record_every: float = 0.1,
@@ -82,71 +80,68 @@ class MjxEngine:
         Raises:
             EngineError: the scene has something that MJX cannot simulate.
         """
-        records, every = record_steps(scene.host.mjm.opt.timestep, duration, record_every)
+        records, every = record_steps(scene.static.mjm.opt.timestep, duration, record_every)
         model, scene = self._carried(scene)
-        pop = layouts.yaw.shape[0]
+        pop = poses.scale.shape[0]
         size = self._chunk(model, pop)
+        run = self._whole if early_stop is None else self._segments
         parts = []
         for first in range(0, pop, size):
             # The last chunk is filled up, so that all have one shape and one compilation.
             index = np.minimum(np.arange(first, first + size), pop - 1)
-            few = self._spread(jax.tree.map(lambda x, i=index: jnp.asarray(x)[i], layouts))
-            run = self._segments if early_stop is not None and scene.host.mjm.nv else self._whole
-            parts.append(run(model, scene, few, records, every, early_stop))
-        if len(parts) == 1:
-            whole = parts[0]
-        else:
-            whole = jax.tree.map(lambda *rows: jnp.concatenate(rows), *parts)
-            whole = eqx.tree_at(lambda r: r.time, whole, parts[0].time)
-        if size * len(parts) == pop:
-            return whole
-        cut = jax.tree.map(lambda x: x[:pop], whole)
-        return eqx.tree_at(lambda r: r.time, cut, whole.time)
+            chunk = jax.tree.map(lambda x, i=index: jnp.asarray(x, jnp.float32)[i], poses)
+            if scene.static.mjm.nv == 0:
+                bad = unplaceable(jax.tree.map(np.asarray, chunk))
+                recorder = Recorder(scene.static, chunk, records, every, early_stop, bad)
+                parts.append(recorder.rollout())
+                continue
+            parts.append(run(model, scene, self._spread(chunk), records, every, early_stop))
+        return joined(parts, pop)
 
     def _whole(
         self,
         model: mjx.Model,
         scene: SceneModel,
-        layouts: Layout,
+        poses: Poses,
         records: int,
         every: int,
         rule: EarlyStop | None,
     ) -> Rollout:
-        fields, qpos, poses, bad = _prepare(model, scene, layouts)
-        found = bare_scan(model, fields, qpos, records, every)
-        return _rollout(scene, poses, found, bad, records, every)
+        """Run to the end in one program."""
+        fields, start, bad = _prepare(model, scene, poses)
+        qpos = bare_scan(model, fields, start, records, every)
+        return _rollout(scene, poses, qpos, bad, records, every)
 
     def _segments(
         self,
         model: mjx.Model,
         scene: SceneModel,
-        layouts: Layout,
+        poses: Poses,
         records: int,
         every: int,
         rule: EarlyStop | None,
     ) -> Rollout:
         """Run record by record; candidates that have stopped leave once a smaller program fits."""
-        fields, qpos, poses, bad = _prepare(model, scene, layouts)
-        data = _begin(model, fields, qpos)
-        progress = Progress(scene.host, poses, records, every, rule)
-        progress.drop(np.asarray(bad), RolloutStatus.FAILED)
-        rows = np.arange(len(progress.status))
+        fields, start, bad = _prepare(model, scene, poses)
+        data = _begin(model, fields, start)
+        recorder = Recorder(scene.static, poses, records, every, rule, np.asarray(bad))
+        rows = np.arange(len(recorder.status))
         sizes = [len(rows) // k for k in (8, 4, 2)] if len(rows) >= COMPACTED else []
         for time in range(records):
-            if not len(progress.active):
+            if not len(recorder.active):
                 break
             data = _advance(model, fields, data, every)
-            mine = np.searchsorted(rows, progress.active)
-            state = (np.asarray(x)[mine] for x in (data.qpos, data.qvel, data.qacc))
-            on = progress.record(time, *state)
-            fits = [s for s in sizes if len(progress.active) <= s < len(rows)]
-            if fits and len(progress.active):
-                keep = mine[on]
+            active = np.searchsorted(rows, recorder.active)
+            state = (np.asarray(x)[active] for x in (data.qpos, data.qvel, data.qacc))
+            running = recorder.record(time, *state)
+            fits = [s for s in sizes if len(recorder.active) <= s < len(rows)]
+            if fits and len(recorder.active):
+                keep = active[running]
                 fill = np.full(fits[0] - len(keep), keep[0])
                 index = jnp.asarray(np.concatenate([keep, fill]))
                 fields, data = self._spread(_take((fields, data), index))
-                rows = np.concatenate([progress.active, fill * 0 + np.iinfo(int).max])
-        return progress.rollout(scene)
+                rows = np.concatenate([recorder.active, fill * 0 + np.iinfo(int).max])
+        return recorder.rollout()
 
     def _chunk(self, model: mjx.Model, pop: int) -> int:
         shapes = jax.eval_shape(lambda m: mjx.make_data(m), model)
@@ -169,43 +164,42 @@ class MjxEngine:
 
     def _carried(self, scene: SceneModel) -> tuple[mjx.Model, SceneModel]:
         """Return MJX's model and the scene whose colliders it holds, on the engine's devices."""
-        if scene.host not in self._scenes:
+        if scene.static not in self._scenes:
             model, carried = _on_device(scene)
             arrays, rest = eqx.partition(carried, eqx.is_array)
             model, arrays = self._spread((model, arrays), None)
-            self._scenes[scene.host] = model, eqx.combine(arrays, rest)
-        return self._scenes[scene.host]
+            self._scenes[scene.static] = model, eqx.combine(arrays, rest)
+        return self._scenes[scene.static]
 
 
-_models: "weakref.WeakKeyDictionary[Host, tuple[mjx.Model, SceneModel]]" = (
+_models: "weakref.WeakKeyDictionary[StaticScene, tuple[mjx.Model, SceneModel]]" = (
     weakref.WeakKeyDictionary()
 )
 
 
 def _on_device(scene: SceneModel) -> tuple[mjx.Model, SceneModel]:
     """Return MJX's model and the scene whose colliders it holds."""
-    if scene.host not in _models:
+    if scene.static not in _models:
         try:
             try:
-                _models[scene.host] = mjx.put_model(scene.host.mjm, impl="jax"), scene
+                _models[scene.static] = mjx.put_model(scene.static.mjm, impl="jax"), scene
             except NotImplementedError:
                 scene_ = lowered(scene)
-                _models[scene.host] = mjx.put_model(scene_.host.mjm, impl="jax"), scene_
+                _models[scene.static] = mjx.put_model(scene_.static.mjm, impl="jax"), scene_
         except NotImplementedError as error:
             raise EngineError(
                 f"engine mjx cannot carry this scene: {error}; take --engine native"
             ) from None
-    return _models[scene.host]
+    return _models[scene.static]
 
 
 @eqx.filter_jit
 def _prepare(
-    model: mjx.Model, scene: SceneModel, layouts: Layout
-) -> tuple[Fields, Float[Array, "pop nq"], Poses, Bool[Array, " pop"]]:
-    """Place candidates: their model fields, start states, poses, and which have no place."""
-    poses = scene.place(layouts)
-    found = leaves(scene, layouts, poses) | invweights(scene, layouts, poses)
-    fields: Fields = {name: found[name] for name in _MODEL_FIELDS if name in found}
+    model: mjx.Model, scene: SceneModel, poses: Poses
+) -> tuple[Fields, Float[Array, "pop nq"], Bool[Array, " pop"]]:
+    """Return the candidates' model fields, their start states, and which cannot be placed."""
+    every = model_fields(scene, poses) | invweights(scene, poses)
+    fields: Fields = {name: every[name] for name in _MODEL_FIELDS if name in every}
     owner = mesh_object(scene)
     if np.any(owner >= 0):
         meshes = model._impl.mesh_convex  # pyright: ignore[reportAttributeAccessIssue]
@@ -213,7 +207,7 @@ def _prepare(
         size = padded[:, owner, None, None]
         fields["vert"] = [c.vert * size[:, k] for k, c in enumerate(meshes)]
         fields["face"] = [c.face * size[:, k, :, :, None] for k, c in enumerate(meshes)]
-    return fields, found["qpos"], poses, unplaceable(poses, jnp)
+    return fields, every["qpos"], unplaceable(poses, jnp)
 
 
 def _with_fields(model: mjx.Model, fields: Fields) -> mjx.Model:
@@ -292,13 +286,14 @@ def _rollout(
     every: int,
 ) -> Rollout:
     pop = qpos.shape[0]
-    pos, quat = object_poses(scene, poses, qpos)
+    pos, quat, joint_shift = read_states(scene.static, poses, qpos, jnp)
     failed = bad | ~jnp.all(jnp.abs(qpos) < DIVERGED, axis=(1, 2))
     status = jnp.where(failed, int(RolloutStatus.FAILED), int(RolloutStatus.OK))
     return Rollout(
-        time=jnp.arange(1, records + 1) * every * scene.host.mjm.opt.timestep,
+        time=record_times(scene.static, records, every),
         pos=pos,
         quat=quat,
+        joint_shift=joint_shift,
         status=status.astype(jnp.int32),
         start=poses,
         steps=jnp.full(pop, records * every, jnp.int32),

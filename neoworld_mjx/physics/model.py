@@ -1,6 +1,6 @@
 """SceneModel: a scene compiled once, and what a layout changes in its MuJoCo model.
 
-`leaves` turns placed candidates into per-candidate values of MjModel fields; nothing is recompiled.
+`model_fields` turns placed candidates into per-candidate values of MjModel fields; nothing is recompiled.
 The law of scaling is that of `spec.scale`: compiling a rearranged scene gives the same fields.
 """
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -19,7 +20,7 @@ from ..cache import make_room
 from ..errors import SpecError
 from ..spec import SceneSpec, bounds, read_scene, rearranged
 from ..spec.scale import joint_exponents, mass_exponent, mimic_exponents
-from .layout import Arrangement, Layout, Poses, arrange, compose_poses, diagonal, heights
+from .layout import Arrangement, Layout, Poses, arrange, compose_poses, diagonal, place
 from .mjcf import to_mjspec
 from .solids import solids, surface_samples
 
@@ -42,8 +43,8 @@ class Powers(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Host:
-    """What stays on the host; compared by identity, so that it can be static under `jit`."""
+class StaticScene:
+    """Static data of a scene, on the host; compared by identity, so it may be static in `jit`."""
 
     spec: SceneSpec
     mjm: mujoco.MjModel
@@ -59,18 +60,26 @@ class Host:
     powers: Powers
     start: np.ndarray
     """qpos of the composed scene, shape [nq]."""
-    lever: np.ndarray
-    """What turns a rate of each dof into one in metres, shape [nv]: half the diagonal of the object's
-    bounding box [m] for turning dofs, 1 for sliding ones."""
+    characteristic_length: np.ndarray
+    """Factor that turns a rate of each dof into one in metres, shape [nv]: half the diagonal of the
+    object's bounding box [m] for turning dofs, 1 for sliding ones."""
+    joints: np.ndarray
+    """MuJoCo's indices of the joints of objects, free bases left out, shape [joint]."""
+    joint_names: tuple[str, ...]
+    """Their names, "object/joint"."""
+    joint_object: np.ndarray
+    """Object of each joint, shape [joint]."""
+    joint_slides: np.ndarray
+    """Whether each joint slides, so that its shift is in m and not in rad, shape [joint]."""
 
 
 class SceneModel(eqx.Module):
     """A compiled scene: one compile, any number of layouts.
 
-    Pass it to jitted functions as it is; `host` is static.
+    Pass it to jitted functions as it is; `static` is static under `jit`.
     """
 
-    host: Host = eqx.field(static=True)
+    static: StaticScene = eqx.field(static=True)
     samples: Float[Array, "object sample 3"]
     """Surface points in object frames [m]."""
     solids: Solids
@@ -89,17 +98,27 @@ class SceneModel(eqx.Module):
     @property
     def spec(self) -> SceneSpec:
         """The composed scene."""
-        return self.host.spec
+        return self.static.spec
 
     @property
     def names(self) -> tuple[str, ...]:
         """Object names, in the order of the object axis."""
-        return self.host.names
+        return self.static.names
 
+    @eqx.filter_jit(inline=True)
     def place(self, layouts: Layout) -> Poses:
-        """Place every object of every candidate; see `layout.place`. Traceable."""
-        a = self.host.arrangement
-        return compose_poses(a, layouts, heights(a, layouts))
+        """Place every object of every candidate; see `layout.place`.
+
+        May be jitted, vmapped over further leading axes of the layouts, and differentiated.
+        """
+        return place(self.static.arrangement, layouts)
+
+    def place_exactly(self, layouts: Layout) -> Poses:
+        """Place candidates in double precision (NumPy), at the heights that `place` snaps to."""
+        height = np.asarray(self.place(layouts).height, float)
+        wide = jax.tree.map(lambda leaf: np.asarray(leaf, float), layouts)
+        with np.errstate(invalid="ignore", over="ignore"):  # such candidates fail; see unplaceable
+            return compose_poses(self.static.arrangement, wide, height, np)
 
     def apply(self, layouts: Layout, index: int, poses: Poses | None = None) -> SceneSpec:
         """Write one candidate into the scene's description.
@@ -149,7 +168,8 @@ def compile_scene(
     mjm.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     names = tuple(item.name for item in scene.objects)
     owner = np.array([_owner(mjm.body(b).name, names) for b in range(mjm.nbody)])
-    host = Host(
+    joints = np.flatnonzero(mjm.jnt_type != FREE)
+    static = StaticScene(
         spec=scene,
         mjm=mjm,
         arrangement=arrange(scene, reach=reach, gap=gap),
@@ -160,14 +180,18 @@ def compile_scene(
         jnt_object=owner[mjm.jnt_bodyid],
         dof_object=owner[mjm.dof_bodyid] if mjm.nv else np.zeros(0, int),
         powers=_powers(scene, mjm),
-        lever=_levers(scene, mjm, owner),
+        characteristic_length=_characteristic_lengths(scene, mjm, owner),
+        joints=joints,
+        joint_names=tuple(mjm.joint(j).name for j in joints),
+        joint_object=owner[mjm.jnt_bodyid[joints]],
+        joint_slides=mjm.jnt_type[joints] == SLIDE,
         start=mjm.key("start").qpos.copy() if mjm.nkey else np.zeros(0),
     )
     boxes = [bounds(item.spec, item.joint_state) for item in scene.objects]
     unit = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
     environment = np.array([item.environment for item in scene.objects])
     return SceneModel(
-        host=host,
+        static=static,
         samples=jnp.stack([surface_samples(o, samples) for o in scene.objects]),
         solids=solids(scene.objects),
         optimised=jnp.asarray(~environment),
@@ -193,7 +217,7 @@ def load_scene(path: Path, **options: Any) -> SceneModel:
     return compile_scene(read_scene(path), **options)
 
 
-def leaves(scene: SceneModel, layouts: Layout, poses: Poses, xp: Any = jnp) -> dict[str, Any]:
+def model_fields(scene: SceneModel, poses: Poses, xp: Any = jnp) -> dict[str, Any]:
     """Compute the MjModel fields that candidates differ in, each with a leading [pop] axis.
 
     Fields that MuJoCo derives from these (mj_setConst, bounding volumes) are not among them, but
@@ -201,31 +225,30 @@ def leaves(scene: SceneModel, layouts: Layout, poses: Poses, xp: Any = jnp) -> d
 
     Args:
         scene: the compiled scene.
-        layouts: the candidates.
-        poses: where `place` put them.
+        poses: where the candidates' objects are placed.
         xp: `numpy` for double precision on the host, or `jnp`.
     """
-    h, m = scene.host, scene.host.mjm
+    s, m = scene.static, scene.static.mjm
     pop = poses.scale.shape[0]
     padded = xp.concatenate([poses.scale, xp.ones_like(poses.scale[:, :1])], axis=1)
     # Index -1, the world, meets the column of ones at the end.
-    body, geom = padded[:, h.body_object], padded[:, h.geom_object]
-    jnt, dof = padded[:, h.jnt_object], padded[:, h.dof_object]
-    p = h.powers
+    body, geom = padded[:, s.body_object], padded[:, s.geom_object]
+    jnt, dof = padded[:, s.jnt_object], padded[:, s.dof_object]
+    p = s.powers
 
     body_pos, body_quat = _spread(m.body_pos, pop, xp), _spread(m.body_quat, pop, xp)
-    body_pos = _put(body_pos * body[..., None], h.root, poses.pos, xp)
-    body_quat = _put(body_quat, h.root, poses.quat, xp)
+    body_pos = _put(body_pos * body[..., None], s.root, poses.pos, xp)
+    body_quat = _put(body_quat, s.root, poses.quat, xp)
     slide = m.jnt_type == SLIDE
-    qpos = _spread(h.start, pop, xp)
+    qpos = _spread(s.start, pop, xp)
     qpos0 = _spread(m.qpos0, pop, xp)
     slides = m.jnt_qposadr[slide]
     qpos = _put(qpos, slides, qpos[:, slides] * jnt[:, slide], xp)
     for j in np.flatnonzero(m.jnt_type == FREE):
-        owner, adr = h.jnt_object[j], m.jnt_qposadr[j]
+        owner, adr = s.jnt_object[j], m.jnt_qposadr[j]
         seven = xp.concatenate([poses.pos[:, owner], poses.quat[:, owner]], axis=-1)
         qpos, qpos0 = (_put(q, np.arange(adr, adr + 7), seven, xp) for q in (qpos, qpos0))
-    found = {
+    fields = {
         "body_pos": body_pos,
         "body_quat": body_quat,
         "body_ipos": m.body_ipos * body[..., None],
@@ -247,14 +270,14 @@ def leaves(scene: SceneModel, layouts: Layout, poses: Poses, xp: Any = jnp) -> d
         "qpos": qpos,
     }
     if m.neq:
-        found["eq_data"] = _mimics(scene, jnt, xp)
+        fields["eq_data"] = _mimics(scene, jnt, xp)
     if m.nsite:
-        found["site_pos"] = m.site_pos * padded[:, h.body_object[m.site_bodyid]][..., None]
-    return found
+        fields["site_pos"] = m.site_pos * padded[:, s.body_object[m.site_bodyid]][..., None]
+    return fields
 
 
 def _mimics(scene: SceneModel, jnt: Any, xp: Any) -> Any:
-    m = scene.host.mjm
+    m = scene.static.mjm
     factor = xp.ones((jnt.shape[0], *m.eq_data.shape), jnt.dtype)
     joints = {}
     for item in scene.spec.objects:
@@ -296,16 +319,16 @@ def _owner(body: str, names: tuple[str, ...]) -> int:
     return names.index(name) if name in names else -1
 
 
-def _levers(scene: SceneSpec, m: mujoco.MjModel, owner: np.ndarray) -> np.ndarray:
+def _characteristic_lengths(scene: SceneSpec, m: mujoco.MjModel, owner: np.ndarray) -> np.ndarray:
     boxes = [bounds(item.spec, item.joint_state) for item in scene.objects]
     half = np.array([np.linalg.norm(high - low) / 2 for low, high in boxes])
-    lever = np.ones(m.nv)
+    length = np.ones(m.nv)
     for dof in range(m.nv):
         joint = m.dof_jntid[dof]
         first = m.jnt_type[joint] == FREE and dof - m.jnt_dofadr[joint] < 3
         if not first and m.jnt_type[joint] != SLIDE:
-            lever[dof] = half[owner[m.dof_bodyid[dof]]]
-    return lever
+            length[dof] = half[owner[m.dof_bodyid[dof]]]
+    return length
 
 
 def _powers(scene: SceneSpec, m: mujoco.MjModel) -> Powers:
@@ -337,8 +360,8 @@ def _powers(scene: SceneSpec, m: mujoco.MjModel) -> Powers:
 
 def mesh_object(scene: SceneModel) -> np.ndarray:
     """Return the object that each mesh asset belongs to, shape [nmesh]."""
-    m = scene.host.mjm
+    m = scene.static.mjm
     owner = np.full(m.nmesh, -1)
     for g in np.flatnonzero(m.geom_type == MESH):
-        owner[m.geom_dataid[g]] = scene.host.geom_object[g]
+        owner[m.geom_dataid[g]] = scene.static.geom_object[g]
     return owner

@@ -21,9 +21,9 @@ from ..errors import EngineError
 from .derived import invweights, static_geoms, subtree_mass
 from .engine import EarlyStop, Rollout, RolloutStatus, record_steps, unplaceable
 from .layout import Layout, Poses
-from .model import Host, SceneModel, leaves, mesh_object
+from .model import SceneModel, StaticScene, mesh_object, model_fields
 from .native import NativeEngine
-from .progress import Progress
+from .recorder import Recorder, joined
 
 if TYPE_CHECKING:
     from .warp_worlds import Worlds
@@ -63,12 +63,12 @@ class WarpEngine:
         """
         self.device = warp_device(device)
         self.counts = Counts()
-        self._worlds: "weakref.WeakKeyDictionary[Host, Worlds]" = weakref.WeakKeyDictionary()
+        self._worlds: "weakref.WeakKeyDictionary[StaticScene, Worlds]" = weakref.WeakKeyDictionary()
 
     def rollout(
         self,
         scene: SceneModel,
-        layouts: Layout,
+        poses: Poses,
         *,
         duration: float = 1.0,
         record_every: float = 0.1,
@@ -81,160 +81,151 @@ class WarpEngine:
         Raises:
             EngineError: the scene has something that MuJoCo Warp cannot simulate.
         """
-        records, every = record_steps(scene.host.mjm.opt.timestep, duration, record_every)
+        records, every = record_steps(scene.static.mjm.opt.timestep, duration, record_every)
         run = functools.partial(self._chunk, scene, records=records, every=every, rule=early_stop)
-        pop = layouts.yaw.shape[0]
-        layouts = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), layouts)
-        size = self._chunk_size(scene, pop, layouts)
-        parts = [run(layouts[first : first + size]) for first in range(0, pop, size)]
-        found, truncated = parts[0][0], np.concatenate([part[1] for part in parts])
-        if len(parts) > 1:
-            joined = jax.tree.map(lambda *rows: jnp.concatenate(rows), *(part[0] for part in parts))
-            found = eqx.tree_at(lambda r: r.time, joined, found.time)
-        again = np.flatnonzero(truncated)
+        pop = poses.scale.shape[0]
+        poses = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), poses)
+        size = self._chunk_size(scene, pop, poses)
+        parts = [run(poses[first : first + size]) for first in range(0, pop, size)]
+        whole = joined([part[0] for part in parts], pop)
+        again = np.flatnonzero(np.concatenate([part[1] for part in parts]))
         c = self.counts
         self.counts = c._replace(candidates=c.candidates + pop, truncated=c.truncated + len(again))
         if not len(again):
-            return found
+            return whole
         redone = NativeEngine().rollout(
             scene,
-            layouts[again],
+            poses[again],
             duration=duration,
             record_every=record_every,
             early_stop=early_stop,
         )
+        names = ("pos", "quat", "joint_shift", "status", "steps")
         return eqx.tree_at(
-            lambda r: (r.pos, r.quat, r.status, r.steps),
-            found,
-            tuple(
-                getattr(found, name).at[again].set(getattr(redone, name))
-                for name in ("pos", "quat", "status", "steps")
-            ),
+            lambda r: [getattr(r, name) for name in names],
+            whole,
+            [getattr(whole, name).at[again].set(getattr(redone, name)) for name in names],
         )
 
-    def worlds(self, scene: SceneModel, pop: int, layouts: Layout) -> "Worlds":
+    def worlds(self, scene: SceneModel, pop: int, poses: Poses) -> "Worlds":
         """Return device memory and compiled steps for at least `pop` candidates of a scene."""
         from .warp_worlds import Worlds, probe
 
-        known = self._worlds.get(scene.host)
+        known = self._worlds.get(scene.static)
         if known is None or known.capacity.worlds < pop:
-            room = known.capacity if known else probe(scene, layouts)
+            room = known.capacity if known else probe(scene, poses)
             # A power of two: kernels are compiled for the batch sizes of the model's fields.
             room = room._replace(worlds=max(64, 1 << (pop - 1).bit_length()))
-            self._worlds[scene.host] = known = Worlds(scene.host, room, self.device)
+            self._worlds[scene.static] = known = Worlds(scene.static, room, self.device)
         return known
 
-    def _chunk_size(self, scene: SceneModel, pop: int, layouts: Layout) -> int:
-        if scene.host.mjm.nv == 0:
+    def _chunk_size(self, scene: SceneModel, pop: int, poses: Poses) -> int:
+        if scene.static.mjm.nv == 0:
             return pop
-        return min(pop, WORLDS, self.worlds(scene, 1, layouts).room())
+        return min(pop, WORLDS, self.worlds(scene, 1, poses).room())
 
     def _chunk(
         self,
         scene: SceneModel,
-        layouts: Layout,
+        poses: Poses,
         *,
         records: int,
         every: int,
         rule: EarlyStop | None,
     ) -> tuple[Rollout, np.ndarray]:
         """Roll candidates out at once; return them and a mask of those whose contacts did not fit."""
-        pop = layouts.yaw.shape[0]
-        poses, fields, start, broken = _prepare(scene, layouts)
-        broken = np.asarray(broken)
-        if broken.any():
+        pop = poses.scale.shape[0]
+        bad = unplaceable(jax.tree.map(np.asarray, poses))
+        open_recorder = lambda: Recorder(scene.static, poses, records, every, rule, bad)
+        if scene.static.mjm.nv == 0:
+            return open_recorder().rollout(), np.zeros(pop, bool)
+        runs = poses
+        if bad.any():
             # A world that starts as NaN would only fill buffers that all worlds share.
-            calm = jax.tree.map(
-                lambda leaf: jnp.where(broken.reshape(-1, *(1,) * (leaf.ndim - 1)), 0.0, leaf),
-                layouts,
+            composed = scene.place(Layout.zero(1, len(scene.names)))
+            fill = lambda leaf, safe: jnp.where(
+                bad.reshape(-1, *(1,) * (leaf.ndim - 1)), safe, leaf
             )
-            _, fields, start, _ = _prepare(scene, calm)
-        if scene.host.mjm.nv == 0:
-            still = Progress(scene.host, poses, records, every, rule)
-            still.drop(broken, RolloutStatus.FAILED)
-            return still.rollout(scene), np.zeros(pop, bool)
+            runs = jax.tree.map(fill, poses, composed)
+        fields, start = _prepare(scene, runs)
         for attempt in range(GROWTHS + 1):
-            worlds = self.worlds(scene, pop, layouts)
+            worlds = self.worlds(scene, pop, runs)
             worlds.load(fields, np.asarray(start))
-            progress = Progress(scene.host, poses, records, every, rule)
-            progress.drop(broken, RolloutStatus.FAILED)
-            truncated, full = _advance(worlds, progress, records, broken)
+            recorder = open_recorder()
+            truncated, full = _advance(worlds, recorder, records)
             if not full or attempt == GROWTHS:
                 break
-            self._worlds[scene.host] = worlds.grown()
+            self._worlds[scene.static] = worlds.grown()
             self.counts = self.counts._replace(grown=self.counts.grown + 1)
         if full:
-            truncated = ~broken
-        progress.status[truncated] = int(RolloutStatus.TRUNCATED)
-        return progress.rollout(scene), truncated
+            truncated = ~bad
+        recorder.status[truncated] = int(RolloutStatus.TRUNCATED)
+        return recorder.rollout(), truncated
 
 
-def _advance(
-    worlds: "Worlds", progress: Progress, records: int, broken: np.ndarray
-) -> tuple[np.ndarray, bool]:
+def _advance(worlds: "Worlds", recorder: Recorder, records: int) -> tuple[np.ndarray, bool]:
     """Run segments until all candidates have stopped or the time is over.
 
     Returns:
         A mask [pop] of candidates that ran out of constraints, and whether a pool that all worlds
         share was full, which spoils them all.
     """
-    pop = len(progress.status)
+    pop = len(recorder.status)
     truncated = np.zeros(pop, bool)
     rows = np.arange(pop)
     bucket = max(1, -(-pop // BUCKETS))
     for time in range(records):
-        worlds.step(progress.every)
-        qpos, qvel, qacc, overflow = worlds.read(moving=progress.rule is not None)
+        worlds.step(recorder.every)
+        qpos, qvel, qacc, overflow = worlds.read(moving=recorder.rule is not None)
         if (overflow & worlds.SHARED).any():
             return truncated, True
-        mine = np.searchsorted(rows, progress.active)
-        if len(mine) < len(rows):
+        active = np.searchsorted(rows, recorder.active)
+        if len(active) < len(rows):
             qpos, qvel, qacc, overflow = (
-                None if x is None else x[mine] for x in (qpos, qvel, qacc, overflow)
+                None if x is None else x[active] for x in (qpos, qvel, qacc, overflow)
             )
         short = (overflow & worlds.OWN) != 0
-        truncated[progress.active[short]] = True
-        before = np.count_nonzero(progress.status == RolloutStatus.FAILED)
-        on = progress.record(time, qpos, qvel, qacc) & ~short
-        failed = np.count_nonzero(progress.status == RolloutStatus.FAILED) > before
-        progress.active = progress.active[~truncated[progress.active]]
-        left = len(progress.active)
+        truncated[recorder.active[short]] = True
+        before = np.count_nonzero(recorder.status == RolloutStatus.FAILED)
+        running = recorder.record(time, qpos, qvel, qacc) & ~short
+        failed = np.count_nonzero(recorder.status == RolloutStatus.FAILED) > before
+        recorder.active = recorder.active[~truncated[recorder.active]]
+        left = len(recorder.active)
         if left == 0 or time + 1 == records:
             break
         launched = -(-left // bucket) * bucket
         if launched < len(rows) or failed:
             if qvel is None or qacc is None:
-                _, qvel, qacc, _ = (x[mine] for x in worlds.read())
+                _, qvel, qacc, _ = (x[active] for x in worlds.read())
             # Candidates that run on move to the front; what is beyond them in their last bucket
             # repeats the first of them.
             fill = np.zeros(max(min(launched, len(rows)) - left, 0), int)
-            keep = np.flatnonzero(on)
+            keep = np.flatnonzero(running)
             keep = np.concatenate([keep, keep[fill]])
-            worlds.compact(mine[keep], qpos[keep], qvel[keep], qacc[keep], scrub=failed)
-            rows = np.concatenate([progress.active, np.full(len(fill), np.iinfo(int).max)])
+            worlds.compact(active[keep], qpos[keep], qvel[keep], qacc[keep], scrub=failed)
+            rows = np.concatenate([recorder.active, np.full(len(fill), np.iinfo(int).max)])
     return truncated, False
 
 
 @eqx.filter_jit
-def _prepare(scene: SceneModel, layouts: Layout) -> tuple[Poses, dict[str, Any], Any, Any]:
-    """Place candidates; return poses, model fields as [pop, n], start states, who has no place."""
-    host = scene.host
-    poses = scene.place(layouts)
-    found = leaves(scene, layouts, poses) | invweights(scene, layouts, poses)
-    start = found["qpos"]
-    fields = {name: value for name, value in found.items() if name not in _NOT_FIELDS}
-    fields["body_subtreemass"] = subtree_mass(host, fields["body_mass"])
-    xpos, xmat = static_geoms(host, fields["body_pos"], fields["body_quat"], fields["geom_pos"])
+def _prepare(scene: SceneModel, poses: Poses) -> tuple[dict[str, Any], Any]:
+    """Return the candidates' model fields as [pop, n], and their start states."""
+    static = scene.static
+    every = model_fields(scene, poses) | invweights(scene, poses)
+    start = every["qpos"]
+    fields = {name: value for name, value in every.items() if name not in _NOT_FIELDS}
+    fields["body_subtreemass"] = subtree_mass(static, fields["body_mass"])
+    xpos, xmat = static_geoms(static, fields["body_pos"], fields["body_quat"], fields["geom_pos"])
     fields |= {"geom_xpos": xpos, "geom_xmat": xmat}
-    if host.mjm.nmesh:
+    if static.mjm.nmesh:
         padded = jnp.concatenate([poses.scale, jnp.ones_like(poses.scale[:, :1])], axis=1)
-        owner = np.repeat(mesh_object(scene), host.mjm.mesh_vertnum)
-        fields["mesh_vert"] = host.mjm.mesh_vert * padded[:, owner, None]
+        owner = np.repeat(mesh_object(scene), static.mjm.mesh_vertnum)
+        fields["mesh_vert"] = static.mjm.mesh_vert * padded[:, owner, None]
     flat = {
         name: jnp.asarray(value, jnp.float32).reshape(len(value), -1)
         for name, value in fields.items()
     }
-    return poses, flat, start, unplaceable(poses, jnp)
+    return flat, start
 
 
 def warp_device(device: str | None = None) -> Any:

@@ -8,6 +8,7 @@ import copy
 import math
 from typing import Any, NamedTuple, Self
 
+import jax
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
@@ -15,9 +16,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ..errors import EngineError
-from .layout import Layout
-from .model import MESH, Host, SceneModel
-from .native import exact_poses, open_batch
+from .layout import Poses
+from .model import MESH, SceneModel, StaticScene
+from .native import open_batch
 
 PROBED, PROBE_STEPS, PROBE_EVERY = 24, 75, 5
 """Candidates and steps that contacts are counted over before a scene's first rollout."""
@@ -39,18 +40,15 @@ class Capacity(NamedTuple):
     """Constraints of one world."""
 
 
-def probe(scene: SceneModel, layouts: Layout) -> Capacity:
+def probe(scene: SceneModel, poses: Poses) -> Capacity:
     """Count contacts and constraints of a few candidates with C MuJoCo; leave room for double.
 
     Args:
         scene: the compiled scene.
-        layouts: the candidates; a few are taken evenly.
+        poses: where the candidates' objects are placed; some are taken evenly.
     """
-    pick = np.unique(np.linspace(0, len(layouts.yaw) - 1, PROBED).astype(int))
-    few = Layout(
-        *(np.asarray(x, float)[pick] for x in (layouts.xy, layouts.yaw, layouts.log_scale))
-    )
-    batch = open_batch(scene, few, exact_poses(scene, few))
+    pick = np.unique(np.linspace(0, poses.scale.shape[0] - 1, PROBED).astype(int))
+    batch = open_batch(scene, jax.tree.map(np.asarray, poses)[pick])
     contacts, constraints = [0], [0]
     for k in range(len(pick)):
         model = batch.get_model(k)
@@ -75,19 +73,19 @@ class Worlds:
     OWN = int(mjw.OverflowType.NEFC | mjw.OverflowType.NJMAX_NNZ | mjw.OverflowType.EPA_HORIZON)
     """Overflows of one world alone."""
 
-    def __init__(self, host: Host, capacity: Capacity, device: Any) -> None:
+    def __init__(self, static: StaticScene, capacity: Capacity, device: Any) -> None:
         """Allocate.
 
         Args:
-            host: the scene.
+            static: the scene.
             capacity: for how much.
             device: a warp device.
 
         Raises:
             EngineError: MuJoCo Warp cannot simulate the scene.
         """
-        self.host, self.capacity, self.device = host, capacity, device
-        mjm = copy.copy(host.mjm)
+        self.static, self.capacity, self.device = static, capacity, device
+        mjm = copy.copy(static.mjm)
         # Warp never resets a diverged world, and does not know the flag that says so.
         mjm.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         mjm.opt.iterations = min(mjm.opt.iterations, ITERATIONS)
@@ -108,16 +106,16 @@ class Worlds:
                 )
             except (NotImplementedError, ValueError) as error:
                 raise EngineError(
-                    f"engine warp cannot carry scene {host.spec.name}: {error}; take --engine native"
+                    f"engine warp cannot carry scene {static.spec.name}: {error}; take --engine native"
                 ) from None
             self.model.opt.warn_overflow = 0
-            if host.mjm.nmesh and n:
+            if static.mjm.nmesh and n:
                 self._own_meshes()
 
     def grown(self) -> Self:
         """Return empty worlds with room for twice the contacts."""
         room = self.capacity._replace(contacts=2 * self.capacity.contacts)
-        return type(self)(self.host, room, self.device)
+        return type(self)(self.static, room, self.device)
 
     def load(self, fields: dict[str, Any], qpos: np.ndarray) -> None:
         """Put candidates into the first worlds, at rest.
@@ -132,7 +130,7 @@ class Worlds:
             if "mesh_vert" in self._source:
                 into = self.model.mesh_vert
                 wp.copy(_words(into), self._source.pop("mesh_vert").flatten())
-            still = np.zeros((len(qpos), self.host.mjm.nv), np.float32)
+            still = np.zeros((len(qpos), self.static.mjm.nv), np.float32)
             self.data.overflow.zero_()
             self.data.time.zero_()
             self._scrub()
@@ -196,7 +194,7 @@ class Worlds:
 
     def _own_meshes(self) -> None:
         """Give every world meshes of its own, numbered world * nmesh + mesh."""
-        m, base, n = self.model, self.host.mjm, self.capacity.worlds
+        m, base, n = self.model, self.static.mjm, self.capacity.worlds
         shift = np.arange(n)[:, None]
         number = np.where(
             base.geom_type == MESH, base.geom_dataid + shift * base.nmesh, base.geom_dataid
@@ -222,8 +220,8 @@ class Worlds:
         for name, source in self._source.items():
             into = _words(getattr(d if name in _DATA else m, name))
             wp.launch(_gather, dim=(count, source.shape[1]), inputs=[index, source, into])
-        if self.host.mjm.nmesh:
-            base = self.host.mjm
+        if self.static.mjm.nmesh:
+            base = self.static.mjm
             number = base.geom_dataid + rows[:, None] * base.nmesh
             number = np.where(base.geom_type == MESH, number, base.geom_dataid).astype(np.int32)
             wp.copy(m.geom_dataid[:count], wp.array(number, dtype=int))

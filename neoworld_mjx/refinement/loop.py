@@ -15,9 +15,10 @@ import numpy as np
 from ..config import RefineOptions
 from ..errors import ConfigError
 from ..mllm import Panel, Picture
-from ..physics.engine import EarlyStop, Engine, Rollout, on_cpu, open_engine, unmoved
+from ..physics.engine import EarlyStop, Engine, Rollout, unmoved
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel, compile_scene
+from ..physics.simulate import on_cpu, open_engine
 from ..spec import SceneSpec
 from .cem import CEM, CEMParams, CEMState, open_cem
 from .credit import partners, shared
@@ -224,7 +225,7 @@ class Search:
         if scorer is not None:
             upper = bound(before, self.w)
             scorer.submit(t, scorer.best(np.asarray(upper)), layouts, before.start)
-        rollout = self.rollout(layouts)
+        rollout = self.rollout(before.start)
         if scorer is not None:
             began = time.perf_counter()
             scorer.collect(t)
@@ -292,20 +293,20 @@ class Search:
         self.clock["descent"] += time.perf_counter() - began
         return jax.block_until_ready(moved)
 
-    def rollout(self, layouts: Layout) -> Rollout:
-        """Roll candidates out as the options say."""
+    def rollout(self, poses: Poses) -> Rollout:
+        """Roll placed candidates out as the options say."""
         began = time.perf_counter()
         r = self.o.rollout
         if r.duration_s:
             found = self.engine.rollout(
                 self.model,
-                layouts,
+                poses,
                 duration=r.duration_s,
                 record_every=r.record_every_s,
                 early_stop=early_stop_rule(self.o) if r.early_stop else None,
             )
         else:
-            found = unmoved(self.model, layouts)
+            found = unmoved(self.model, poses)
         jax.block_until_ready(found)
         self.clock["rollout"] += time.perf_counter() - began
         return found

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..physics.engine import Rollout, RolloutStatus
-from ..physics.layout import Layout
+from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
 from .rewards import Placed, Scores, Weights, bound, score
 
@@ -26,7 +26,7 @@ def score_elites(
     scene: SceneModel,
     layouts: Layout,
     before: Placed,
-    rollout: Callable[[Layout], Rollout],
+    rollout: Callable[[Poses], Rollout],
     w: Weights,
     *,
     elites: int,
@@ -40,7 +40,7 @@ def score_elites(
         scene: the compiled scene.
         layouts: the candidates.
         before: how they are judged before anything moves.
-        rollout: rolls some candidates out.
+        rollout: rolls some placed candidates out.
         w: weights, with `fixed` normalisation.
         elites: K.
         batch: candidates rolled out at once.
@@ -64,7 +64,7 @@ def score_elites(
         # The last batch is filled up, so that all have one shape and one compilation.
         index = jnp.asarray(np.resize(rows, min(batch, pop)))
         few, known = _take((layouts, before), index)
-        scores = jax.block_until_ready(score(scene, few, rollout(few), w, before=known))
+        scores = jax.block_until_ready(score(scene, few, rollout(known.start), w, before=known))
         found.append((rows, scores))
         if done is not None:
             done(scores)

@@ -19,6 +19,7 @@ from ..errors import ConfigError
 from ..physics.engine import Rollout, RolloutStatus
 from ..physics.layout import Layout, Poses, rotation
 from ..physics.model import SceneModel
+from ..spec.pose import angle_between
 from .semantic import Semantic, semantic_score
 
 FIVE_DEGREES = float(np.radians(5.0))
@@ -78,15 +79,7 @@ def drifts(
 ) -> tuple[Float[Array, "pop object"], Float[Array, "pop object"]]:
     """Largest distance [m] and angle [rad] of each object from its layout pose, over all records."""
     far = jnp.linalg.norm(rollout.pos - rollout.start.pos[:, None], axis=-1)
-    a, b = rollout.start.quat[:, None], rollout.quat
-    dot = jnp.abs(jnp.sum(a * b, axis=-1))
-    # |a - b| is accurate where arccos(a.b) is not, at small angles.
-    chord = jnp.minimum(jnp.linalg.norm(a - b, axis=-1), jnp.linalg.norm(a + b, axis=-1))
-    angle = jnp.where(
-        dot > 0.99,
-        4 * jnp.arcsin(jnp.minimum(chord / 2, 1.0)),
-        2 * jnp.arccos(jnp.minimum(dot, 1.0)),
-    )
+    angle = angle_between(rollout.start.quat[:, None], rollout.quat, jnp)
     return jnp.max(far, axis=1), jnp.max(angle, axis=1)
 
 

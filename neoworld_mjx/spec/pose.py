@@ -1,6 +1,6 @@
 """Rotations and rigid poses in NumPy: quaternions are (w, x, y, z), float64, shape [..., 4]."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -138,7 +138,17 @@ def yaw_of(quat: ArrayLike) -> float:
     return float(2.0 * np.arctan2(z, w))
 
 
-def angle_between(a: ArrayLike, b: ArrayLike) -> NDArray:
-    """Angle [rad] of the rotation from quaternion(s) a to b, shape [...]."""
-    d = quat_mul(conjugate(a), b)
-    return 2.0 * np.arctan2(np.linalg.norm(d[..., 1:], axis=-1), np.abs(d[..., 0]))
+def angle_between(a: Any, b: Any, xp: Any = np) -> Any:
+    """Return the angle [rad] of the rotation from unit quaternion(s) a to b, in [0, pi].
+
+    Accurate at every angle; the sign of either quaternion does not matter.
+
+    Args:
+        a: quaternions [..., 4].
+        b: quaternions [..., 4]; leading axes broadcast.
+        xp: `numpy`, which computes in double precision, or `jax.numpy` for traced arrays.
+    """
+    if xp is np:
+        a, b = np.asarray(a, float), np.asarray(b, float)
+    turn = a[..., :1] * b[..., 1:] - b[..., :1] * a[..., 1:] - xp.cross(a[..., 1:], b[..., 1:])
+    return 2 * xp.arctan2(xp.linalg.norm(turn, axis=-1), xp.abs(xp.sum(a * b, axis=-1)))

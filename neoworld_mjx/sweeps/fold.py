@@ -219,7 +219,7 @@ def _rolled(search: Search, layouts: Layout, count: int) -> Rollout:
     host = jax.tree.map(lambda x: np.array(x[:most]).reshape(most * pop, *x.shape[2:]), layouts)
     for leaf in jax.tree.leaves(host):
         leaf[count * pop :] = np.nan
-    found = search.rollout(jax.tree.map(jnp.asarray, host))
+    found = search.rollout(search.model.place(jax.tree.map(jnp.asarray, host)))
 
     def spread(x: Any) -> jax.Array:
         x = np.asarray(x)
@@ -233,6 +233,7 @@ def _rolled(search: Search, layouts: Layout, count: int) -> Rollout:
         time=jnp.asarray(np.tile(np.asarray(found.time), (rows, 1))),
         pos=spread(found.pos),
         quat=spread(found.quat),
+        joint_shift=spread(found.joint_shift),
         status=jnp.asarray(status),
         start=jax.tree.map(spread, found.start),
         steps=spread(found.steps),

@@ -15,8 +15,9 @@ import jax
 from ..config import RefineOptions
 from ..errors import ConfigError
 from ..files import content_hash
-from ..physics.engine import Engine, open_engine
+from ..physics.engine import Engine
 from ..physics.model import SceneModel
+from ..physics.simulate import open_engine
 from ..refinement.loop import compiled, refine
 from ..refinement.outcome import choose
 from ..run_folder import versions

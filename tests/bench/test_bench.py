@@ -18,7 +18,7 @@ from neoworld_mjx.bench.verdicts import compare, motion, naive_loop
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics.engine import Rollout, RolloutStatus
 from neoworld_mjx.physics.model import compile_scene
-from neoworld_mjx.physics.native import NativeEngine, exact_poses
+from neoworld_mjx.physics.native import NativeEngine
 
 
 @pytest.fixture(scope="module")
@@ -47,9 +47,11 @@ def test_longer_populations_begin_with_the_shorter_ones(three):
 
 def test_forty_to_eighty_percent_of_noisy_layouts_fail(three):
     for scene, layouts in (three, _drawn(10)):
-        stable = np.mean(motion(scene, NativeEngine().rollout(scene, layouts)) < 1)
+        stable = np.mean(motion(scene, NativeEngine().rollout(scene, scene.place(layouts))) < 1)
         assert 0.2 <= stable <= 0.6
-        composed = NativeEngine().rollout(scene, noisy_layouts(scene, 1, noise=Noise(0, 0, 0)))
+        composed = NativeEngine().rollout(
+            scene, scene.place(noisy_layouts(scene, 1, noise=Noise(0, 0, 0)))
+        )
         assert motion(scene, composed) < 1
 
 
@@ -60,9 +62,9 @@ def _drawn(count):
 
 def test_the_naive_loop_is_mujoco_on_each_candidate_and_keeps_a_budget(three):
     scene, layouts = three
-    poses = exact_poses(scene, layouts)
+    poses = scene.place_exactly(layouts)
     loop = naive_loop(scene, layouts[:12], poses_of(poses, 12))
-    ours = motion(scene, NativeEngine().rollout(scene, layouts[:12]))
+    ours = motion(scene, NativeEngine().rollout(scene, poses[:12]))
     assert loop.steps == 250
     assert np.median(np.abs(loop.motion - ours)) < 1e-3
     # One layout of these is decided by rounding: nudged by 1e-13 the loop itself says either.
@@ -88,7 +90,7 @@ def test_a_failed_candidate_has_moved_without_bound(three):
     scene, _ = three
     broken = noisy_layouts(scene, 2)
     broken.xy[1, 1] = np.nan
-    rollout = NativeEngine().rollout(scene, broken, duration=0.1)
+    rollout = NativeEngine().rollout(scene, scene.place(broken), duration=0.1)
     assert motion(scene, rollout)[1] == np.inf
     assert rollout.status[1] == RolloutStatus.FAILED
 
@@ -176,7 +178,9 @@ def test_an_engine_that_cannot_run_is_a_reason(monkeypatch):
 def test_an_engine_with_other_verdicts_gets_no_rate(monkeypatch):
     class Frozen:
         def rollout(self, scene, layouts, **options):
-            found = NativeEngine().rollout(scene, layouts, duration=options["duration"])
+            found = NativeEngine().rollout(
+                scene, scene.place(layouts), duration=options["duration"]
+            )
             still = np.broadcast_to(np.asarray(found.start.pos)[:, None], found.pos.shape)
             turned = np.broadcast_to(np.asarray(found.start.quat)[:, None], found.quat.shape)
             return Rollout(found.time, still, turned, found.status, found.start, found.steps)

@@ -52,7 +52,9 @@ def test_starts_are_as_far_off_as_is_said_and_hardly_any_holds():
 def test_the_sequential_engine_says_what_native_says():
     scene = compiled(refine_scenes.photographed("tower"), SMALL)
     layouts = noisy_layouts(scene, 3, seed=1)
-    one, two = (e.rollout(scene, layouts, duration=0.1) for e in (OneByOne(), NativeEngine()))
+    one, two = (
+        e.rollout(scene, scene.place(layouts), duration=0.1) for e in (OneByOne(), NativeEngine())
+    )
     assert np.allclose(one.pos, two.pos, atol=1e-5)
     assert np.array_equal(one.status, two.status) and np.array_equal(one.steps, two.steps)
 

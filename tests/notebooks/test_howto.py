@@ -34,7 +34,7 @@ def test_the_pages_term_is_short_and_is_used_from_its_config(tmp_path, monkeypat
     (term,) = user_terms(options.reward)
     scene = compile_scene(scenes.blocks())
     layouts = jax.device_put(noisy_layouts(scene, 4))
-    rollout = NativeEngine().rollout(scene, layouts, duration=0.1)
+    rollout = NativeEngine().rollout(scene, scene.place(layouts), duration=0.1)
     with_term = score(scene, layouts, rollout, weights(options), (term,))
     plain = options.model_copy(update={"reward": options.reward.model_copy(update={"terms": {}})})
     without = score(scene, layouts, rollout, weights(plain))
@@ -59,7 +59,7 @@ def test_the_pages_call_refines(tmp_path, monkeypatch):
 def test_what_the_page_lists_is_there():
     scene = compile_scene(scenes.blocks())
     layouts = noisy_layouts(scene, 2)
-    rollout = NativeEngine().rollout(scene, layouts, duration=0.1)
+    rollout = NativeEngine().rollout(scene, scene.place(layouts), duration=0.1)
     given = {"scene": scene, "layouts": layouts, "rollout": rollout}
     rows = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if "| `" in line]
     named = 0

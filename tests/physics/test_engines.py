@@ -7,13 +7,17 @@ import scenes
 from scenes import random_layout
 
 from neoworld_mjx.errors import EngineError
-from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus, open_engine
+from neoworld_mjx.physics.derived import invweights
+from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.lowering import lowered
-from neoworld_mjx.physics.mjx_engine import MjxEngine, invweights
+from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.model import compile_scene
-from neoworld_mjx.physics.native import NativeEngine, exact_poses, open_batch
+from neoworld_mjx.physics.native import NativeEngine, open_batch
+from neoworld_mjx.physics.recorder import read_states
+from neoworld_mjx.physics.simulate import open_engine
 from neoworld_mjx.refinement.rewards import drifts
+from neoworld_mjx.spec.pose import from_axis_angle, quat_mul
 
 
 @pytest.fixture(scope="module")
@@ -25,16 +29,16 @@ def test_native_is_bit_equal_to_mj_step_on_each_candidates_model():
     for make in (scenes.blocks, scenes.coffee):
         scene = compile_scene(make())
         layouts = random_layout(scene, 3, spread=0.2)
-        rollout = NativeEngine().rollout(scene, layouts, duration=0.2)
-        poses = exact_poses(scene, layouts)
-        batch = open_batch(scene, layouts, poses)
+        poses = scene.place_exactly(layouts)
+        rollout = NativeEngine().rollout(scene, poses, duration=0.2)
+        batch = open_batch(scene, poses)
         for k in range(3):
             model = batch.get_model(k)
             data = mujoco.MjData(model)
             data.qpos[:] = batch.bind("qpos")[k]
             for _ in range(50):
                 mujoco.mj_step(model, data)
-            for o, body in enumerate(scene.host.root):
+            for o, body in enumerate(scene.static.root):
                 if scene.movable[o]:
                     adr = model.jnt_qposadr[model.body_jntadr[body]]
                     expected = data.qpos[adr : adr + 7].astype(np.float32)
@@ -44,9 +48,9 @@ def test_native_is_bit_equal_to_mj_step_on_each_candidates_model():
 
 def test_native_does_not_depend_on_threads_or_chunks(blocks, monkeypatch):
     layouts = random_layout(blocks, 7, spread=0.2)
-    one = NativeEngine(threads=1).rollout(blocks, layouts, duration=0.2)
+    one = NativeEngine(threads=1).rollout(blocks, blocks.place(layouts), duration=0.2)
     monkeypatch.setattr("neoworld_mjx.physics.native.CHUNK", 3)
-    two = NativeEngine(threads=2).rollout(blocks, layouts, duration=0.2)
+    two = NativeEngine(threads=2).rollout(blocks, blocks.place(layouts), duration=0.2)
     assert all(
         np.array_equal(a, b)
         for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(two), strict=True)
@@ -55,22 +59,23 @@ def test_native_does_not_depend_on_threads_or_chunks(blocks, monkeypatch):
 
 def test_mjx_agrees_with_native(blocks):
     layouts = random_layout(blocks, 8, spread=0.2)
-    ours = MjxEngine().rollout(blocks, layouts, duration=0.2)
-    theirs = NativeEngine().rollout(blocks, layouts, duration=0.2)
+    ours = MjxEngine().rollout(blocks, blocks.place(layouts), duration=0.2)
+    theirs = NativeEngine().rollout(blocks, blocks.place(layouts), duration=0.2)
     # 50 steps of contact in single precision; sliding blocks may part by micrometres.
     assert np.median(np.abs(ours.pos - theirs.pos).max(axis=(1, 2, 3))) < 2e-5
     far, _ = drifts(blocks, ours)
     far_native, _ = drifts(blocks, theirs)
     assert np.array_equal(far > 0.01, far_native > 0.01)
     assert ours.time == pytest.approx(theirs.time)
+    assert ours.joint_shift.shape == theirs.joint_shift.shape == (8, 2, 0)
 
 
 def test_mjx_inverse_weights_follow_mujocos(blocks):
     for scene in (blocks, compile_scene(scenes.furnished())):
         layouts = random_layout(scene, 3)
-        poses = exact_poses(scene, layouts)
-        found = invweights(scene, layouts, poses)
-        batch = open_batch(scene, layouts, poses)
+        poses = scene.place_exactly(layouts)
+        found = invweights(scene, poses)
+        batch = open_batch(scene, poses)
         for k in range(3):
             exact = batch.get_model(k)
             for name, values in found.items():
@@ -81,8 +86,8 @@ def test_early_stop_keeps_the_verdicts():
     scene = compile_scene(scenes.blocks())
     layouts = random_layout(scene, 64, seed=3, spread=0.2)
     layouts = Layout(layouts.xy * 3, layouts.yaw, layouts.log_scale)
-    full = NativeEngine().rollout(scene, layouts)
-    early = NativeEngine().rollout(scene, layouts, early_stop=EarlyStop())
+    full = NativeEngine().rollout(scene, scene.place(layouts))
+    early = NativeEngine().rollout(scene, scene.place(layouts), early_stop=EarlyStop())
     verdicts = [np.all(np.asarray(drifts(scene, r)[0]) < 0.01, axis=1) for r in (full, early)]
     assert 0.1 < verdicts[0].mean() < 0.95
     assert np.mean(verdicts[0] == verdicts[1]) >= 0.98
@@ -93,8 +98,8 @@ def test_early_stop_keeps_the_verdicts():
 def test_a_candidate_that_diverges_is_a_status_and_harms_no_other(blocks):
     layouts = random_layout(blocks, 4, spread=0.1)
     poison = Layout(jnp.asarray(layouts.xy).at[2].set(jnp.nan), layouts.yaw, layouts.log_scale)
-    rollout = NativeEngine().rollout(blocks, poison, duration=0.2)
-    clean = NativeEngine().rollout(blocks, layouts, duration=0.2)
+    rollout = NativeEngine().rollout(blocks, blocks.place(poison), duration=0.2)
+    clean = NativeEngine().rollout(blocks, blocks.place(layouts), duration=0.2)
     assert rollout.status.tolist() == [0, 0, int(RolloutStatus.FAILED), 0]
     for k in (0, 1, 3):
         assert np.array_equal(rollout.pos[k], clean.pos[k])
@@ -103,9 +108,38 @@ def test_a_candidate_that_diverges_is_a_status_and_harms_no_other(blocks):
 def test_a_scene_with_nothing_movable():
     still = scenes.on_table()
     scene = compile_scene(still)
-    rollout = NativeEngine().rollout(scene, Layout.zero(2, 1), duration=0.1)
+    rollout = NativeEngine().rollout(scene, scene.place(Layout.zero(2, 1)), duration=0.1)
     assert rollout.pos.shape == (2, 1, 1, 3)
     assert np.array_equal(rollout.pos[:, 0], rollout.start.pos)
+
+
+def test_joint_shifts_are_angles_and_distances_from_each_candidates_start():
+    scene = compile_scene(scenes.furnished())
+    static = scene.static
+    assert static.joint_names == ("cabinet/slide", "cabinet/hinge", "cabinet/turn")
+    assert static.joint_object.tolist() == [1, 1, 1]
+    assert static.joint_slides.tolist() == [True, False, False]
+    poses = scene.place_exactly(random_layout(scene, 2, spread=0.2))
+    rollout = NativeEngine().rollout(scene, poses, duration=0.1, record_every=0.1)
+    batch = open_batch(scene, poses)
+    start = batch.bind("qpos").copy()
+    batch.step(nstep=25)
+    moved = np.abs(batch.bind("qpos") - start)[:, static.mjm.jnt_qposadr[static.joints]]
+    assert np.allclose(rollout.joint_shift[:, 0], moved, atol=1e-7)
+    assert moved.max() > 1e-4
+
+
+def test_the_shift_of_a_ball_is_its_angle():
+    scene = compile_scene(scenes.lamp())
+    (joint,) = scene.static.joints
+    address = scene.static.mjm.jnt_qposadr[joint]
+    qpos = np.tile(scene.static.start, (1, 2, 1)).astype(np.float32)
+    start = scene.static.start[address : address + 4]
+    qpos[0, 1, address : address + 4] = quat_mul(start, from_axis_angle((1, 2, 3), 0.3))
+    poses = scene.place(Layout.zero(1, len(scene.names)))
+    for xp in (np, jnp):
+        shift = read_states(scene.static, poses, xp.asarray(qpos), xp)[2]
+        assert np.allclose(shift[0, :, 0], [0, 0.3], atol=1e-6)
 
 
 def test_an_unknown_engine_names_the_valid_ones():
@@ -118,10 +152,10 @@ def test_a_lowered_ellipsoid_lies_flat_where_the_true_one_does():
     table = scenes.SceneObject(name="t", spec=scenes.table(), environment=True, z=-0.04)
     egg = scenes.SceneObject(name="egg", spec=flat, parent="t", z=0.04)
     carried = lowered(compile_scene(scenes.SceneSpec(name="s", objects=(table, egg))))
-    model = carried.host.mjm
+    model = carried.static.mjm
     assert mujoco.mjtGeom.mjGEOM_ELLIPSOID not in model.geom_type
     data = mujoco.MjData(model)
-    data.qpos[:] = carried.host.start
+    data.qpos[:] = carried.static.start
     for _ in range(250):
         mujoco.mj_step(model, data)
     assert abs(data.qpos[3]) > np.cos(np.radians(0.5) / 2)

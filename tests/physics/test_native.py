@@ -31,8 +31,10 @@ def test_a_broken_candidate_is_a_status_and_harms_no_other(scene, field, value):
     fields = {name: getattr(layouts, name).copy() for name in ("xy", "yaw", "log_scale")}
     fields[field][2, 1] = value
     rule = EarlyStop()
-    broken = NativeEngine().rollout(scene, Layout(**fields), duration=0.2, early_stop=rule)
-    clean = NativeEngine().rollout(scene, layouts, duration=0.2, early_stop=rule)
+    broken = NativeEngine().rollout(
+        scene, scene.place(Layout(**fields)), duration=0.2, early_stop=rule
+    )
+    clean = NativeEngine().rollout(scene, scene.place(layouts), duration=0.2, early_stop=rule)
     assert int(broken.status[2]) == RolloutStatus.FAILED
     for k in (0, 1, 3):
         assert int(broken.status[k]) == int(clean.status[k])
@@ -42,13 +44,13 @@ def test_a_broken_candidate_is_a_status_and_harms_no_other(scene, field, value):
 def test_models_written_anew_equal_fresh_copies(monkeypatch):
     scene = compile_scene(crowded(6))
     first, second = noisy_layouts(scene, 6, seed=1), noisy_layouts(scene, 4, seed=2)
-    NativeEngine().rollout(scene, first, duration=0.1)
-    assert len(native._rings[scene.host]) == 6
-    again = NativeEngine().rollout(scene, second, duration=0.1)
+    NativeEngine().rollout(scene, scene.place(first), duration=0.1)
+    assert len(native._rings[scene.static]) == 6
+    again = NativeEngine().rollout(scene, scene.place(second), duration=0.1)
     native._rings.clear()
     monkeypatch.setattr(native, "CHUNK", 3)
-    fresh = NativeEngine().rollout(scene, second, duration=0.1)
-    assert len(native._rings[scene.host]) == 3
+    fresh = NativeEngine().rollout(scene, scene.place(second), duration=0.1)
+    assert len(native._rings[scene.static]) == 3
     for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(fresh), strict=True):
         assert np.array_equal(a, b)
 
@@ -62,6 +64,6 @@ def test_an_object_of_no_size_is_refused_by_name():
 
 def test_where_nothing_moves_everything_is_stable_at_once():
     scene = compile_scene(scenes.on_table())
-    rollout = NativeEngine().rollout(scene, Layout.zero(3, 1), early_stop=EarlyStop())
+    rollout = NativeEngine().rollout(scene, scene.place(Layout.zero(3, 1)), early_stop=EarlyStop())
     assert not set(rollout.status.tolist()) & {int(RolloutStatus.FAILED)}
     assert np.array_equal(rollout.pos[:, -1], rollout.start.pos)

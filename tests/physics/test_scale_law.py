@@ -7,7 +7,7 @@ import scenes
 from scenes import random_layout
 
 from neoworld_mjx.physics.model import compile_scene
-from neoworld_mjx.physics.native import exact_poses, open_batch
+from neoworld_mjx.physics.native import open_batch
 from neoworld_mjx.spec import bounds, inertial, scale
 
 # Search structures (bounding-volume trees, hull graphs) break ties by rounding; they decide how
@@ -60,28 +60,28 @@ def field_errors(ours, theirs):
 def test_leaves_equal_a_recompiled_scene(make):
     scene = compile_scene(make())
     layouts = random_layout(scene, 4)
-    poses = exact_poses(scene, layouts)
-    batch = open_batch(scene, layouts, poses)
+    poses = scene.place_exactly(layouts)
+    batch = open_batch(scene, poses)
     for k in range(4):
         again = compile_scene(scene.apply(layouts, k, poses))
-        errors = field_errors(batch.get_model(k), again.host.mjm)
+        errors = field_errors(batch.get_model(k), again.static.mjm)
         errors.pop("key_qpos", None)  # a keyframe is not read; the batch's qpos is compared below
         # dof_length comes from mesh sizes, which MuJoCo keeps in single precision.
         bound = {"dof_length": 1e-6}
         loose = {n: e for n, e in errors.items() if e > bound.get(n, 1e-9)}
         assert not loose, loose
-        assert np.allclose(batch.bind("qpos")[k], again.host.start, atol=1e-12)
+        assert np.allclose(batch.bind("qpos")[k], again.static.start, atol=1e-12)
 
 
 @pytest.mark.parametrize("make", [scenes.furnished, scenes.lamp])
 def test_one_step_equals_mj_step_on_the_recompiled_model(make):
     scene = compile_scene(make())
     layouts = random_layout(scene, 4)
-    poses = exact_poses(scene, layouts)
-    batch = open_batch(scene, layouts, poses)
+    poses = scene.place_exactly(layouts)
+    batch = open_batch(scene, poses)
     batch.step(nstep=1)
     for k in range(4):
-        model = compile_scene(scene.apply(layouts, k, poses)).host
+        model = compile_scene(scene.apply(layouts, k, poses)).static
         data = mujoco.MjData(model.mjm)
         data.qpos[:] = model.start
         mujoco.mj_step(model.mjm, data)
@@ -114,7 +114,7 @@ def test_scaled_motion_is_similar():
     turns = []
     for s in (1.0, 4.0):
         obj = scenes.on_table((scale(scenes.cabinet(), s), (0, 0), 0.0, {"fixed_base": True}))
-        host = compile_scene(obj, timestep=0.0005 * s**0.5).host
+        host = compile_scene(obj, timestep=0.0005 * s**0.5).static
         data = mujoco.MjData(host.mjm)
         data.qpos[:] = host.start
         mjm = host.mjm

@@ -31,8 +31,8 @@ def test_pruning_changes_no_elite(crowd, elites):
     scene, layouts = crowd
     w = weights(RefineOptions())
     engine = NativeEngine()
-    rollout = lambda some: engine.rollout(scene, some, duration=0.3)
-    every = score(scene, layouts, rollout(layouts), w)
+    rollout = lambda poses: engine.rollout(scene, poses, duration=0.3)
+    every = score(scene, layouts, rollout(scene.place(layouts)), w)
     before = placed(scene, layouts, w)
     found = score_elites(scene, layouts, before, rollout, w, elites=elites, batch=8)
     pruned = np.asarray(found.status) == PRUNED
@@ -125,7 +125,10 @@ def test_each_object_takes_the_elites_that_are_best_for_it():
 def test_failed_candidates_get_no_credit(crowd):
     scene, layouts = crowd
     found = score(
-        scene, layouts[:2], NativeEngine().rollout(scene, layouts[:2]), weights(RefineOptions())
+        scene,
+        layouts[:2],
+        NativeEngine().rollout(scene, scene.place(layouts[:2])),
+        weights(RefineOptions()),
     )
     bad = found.credit.at[1, 0].set(-jnp.inf)
     found = eqx.tree_at(lambda s: s.credit, found, bad)

@@ -75,7 +75,7 @@ class Stubborn:
     name = "stubborn"
 
     def rollout(self, scene, layouts, **kwargs):
-        found = NativeEngine().rollout(scene, layouts, **kwargs)
+        found = NativeEngine().rollout(scene, scene.place(layouts), **kwargs)
         status = jnp.full_like(found.status, 3)
         return found.__class__(found.time, found.pos, found.quat, status, found.start, found.steps)
 

@@ -50,7 +50,7 @@ def test_d_pen_has_the_right_gradient():
 
 def test_drift_takes_the_worst_moment_and_the_worse_of_distance_and_angle():
     scene = compile_scene(scenes.blocks())
-    rollout = NativeEngine().rollout(scene, Layout.zero(2, 4), duration=0.3)
+    rollout = NativeEngine().rollout(scene, scene.place(Layout.zero(2, 4)), duration=0.3)
     ball = scene.names.index("ball")
     pos = np.array(rollout.pos)
     pos[:] = pos[:, :1]
@@ -97,7 +97,7 @@ def test_fixed_normalisation_clips_at_the_cap():
 def test_failed_candidates_score_minus_infinity_and_are_never_valid():
     scene = compile_scene(scenes.blocks())
     layouts = random_layout(scene, 4, spread=0.1)
-    rollout = NativeEngine().rollout(scene, layouts, duration=0.1)
+    rollout = NativeEngine().rollout(scene, scene.place(layouts), duration=0.1)
     status = rollout.status.at[1].set(int(RolloutStatus.FAILED))
     broken = rollout.__class__(
         rollout.time, rollout.pos, rollout.quat, status, rollout.start, rollout.steps
@@ -132,7 +132,7 @@ def higher_is_better(scene, layouts, rollout):
 def test_a_users_own_term_counts():
     scene = compile_scene(scenes.blocks())
     layouts = random_layout(scene, 4, spread=0.1)
-    rollout = NativeEngine().rollout(scene, layouts, duration=0.1)
+    rollout = NativeEngine().rollout(scene, scene.place(layouts), duration=0.1)
     path = f"{__name__}:higher_is_better"
     import sys
 
