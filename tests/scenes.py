@@ -19,8 +19,8 @@ from neoworld_mjx.spec import (
     Material,
     Mimic,
     ObjectSpec,
+    Operand,
     PartSpec,
-    Placed,
     Prism,
     SceneObject,
     SceneSpec,
@@ -219,8 +219,8 @@ def lamp():
     drilled = CSG(
         operation="difference",
         operands=(
-            Placed(shape=Box(size=(0.1, 0.12, 0.04))),
-            Placed(shape=Cylinder(radius=0.02, height=0.2), pos=(0.01, 0, 0)),
+            Operand(shape=Box(size=(0.1, 0.12, 0.04))),
+            Operand(shape=Cylinder(radius=0.02, height=0.2), pos=(0.01, 0, 0)),
         ),
         sectors=8,
     )

@@ -19,8 +19,7 @@ from pydantic import BaseModel, ConfigDict
 
 from ..config import VerifyOptions
 from ..errors import EngineError
-from ..spec import ObjectSpec
-from ..spec.scale import scale
+from ..spec import ObjectSpec, scale
 from ..verify.scenarios import Scenario, list_scenarios
 from ..verify.simulation import FORCES, Simulation
 from .sound import FAMILIES, sound_objects

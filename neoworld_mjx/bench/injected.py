@@ -10,8 +10,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..spec import Box, GeomSpec, JointSpec, ObjectSpec, PartSpec, bounds, inertial, recentred
-from ..spec.object import AuthoredInertia
+from ..spec import (
+    AuthoredInertia,
+    Box,
+    GeomSpec,
+    JointSpec,
+    ObjectSpec,
+    PartSpec,
+    bounds,
+    inertial,
+    recentred,
+)
 from ..verify.joint_checks import carried, on_edge, with_joint
 from ..verify.static_checks import part_bounds
 from ..verify.verdict import Fault

@@ -14,7 +14,6 @@ from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..physics.support import posed_shapes
 from ..spec import Box, Box2D, Camera, Cylinder, HollowBox, SceneObject, SceneSpec, world_poses
-from ..spec.surface import surface
 from .scenes import (
     CERAMIC,
     TOP,
@@ -239,7 +238,7 @@ def _seen(scene: SceneSpec, rng: np.random.Generator) -> list[SceneObject]:
     assert camera is not None
     poses, found = world_poses(scene), []
     for item in scene.objects:
-        points = [at.apply(surface(shape)[0]) for shape, at in posed_shapes(item)]
+        points = [at.apply(shape.surface()[0]) for shape, at in posed_shapes(item)]
         px, depth = camera.project(poses[item.name].apply(np.vstack(points)))
         box = np.array([*px.min(axis=0), *px.max(axis=0)])
         size = math.sqrt(np.prod(box[2:] - box[:2]))
@@ -264,7 +263,7 @@ def symmetry(item: SceneObject) -> float:
     0 for what is round, such as a ball or a standing can, whose heading means nothing.
     """
     points = np.vstack(
-        [at.apply(surface(shape)[0]) for shape, at in posed_shapes(item, tilted=True)]
+        [at.apply(shape.surface()[0]) for shape, at in posed_shapes(item, tilted=True)]
     )
     ways = np.linspace(0, 2 * np.pi, 360, endpoint=False)
     outline = points[:, :2] @ np.stack([np.cos(ways), np.sin(ways)])

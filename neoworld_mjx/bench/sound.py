@@ -10,8 +10,7 @@ from string import Template
 from ..config import ProgramOptions
 from ..errors import ProgramError
 from ..program import build
-from ..spec import ObjectSpec
-from ..spec.object import Intent, Vec3
+from ..spec import Intent, ObjectSpec, Vec3
 
 FRONT, UP, LEFT = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
 _HEAD = """from neoworld_mjx.program.sdk import *

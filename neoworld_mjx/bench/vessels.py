@@ -7,7 +7,7 @@ import numpy as np
 
 from ..physics.mjcf import to_mjspec
 from ..program.sandbox import run
-from ..spec import ObjectSpec, bounds, volume
+from ..spec import ObjectSpec, bounds
 from ..spec.convex import mass_properties
 
 _HEAD = (
@@ -128,7 +128,7 @@ def held(name: str) -> Held:
         name,
         len(pieces),
         1e6 * sum(mass_properties(piece)[0] for piece in pieces),
-        1e6 * sum(volume(shape) for shape in shapes),
+        1e6 * sum(shape.volume() for shape in shapes),
         _holds(name, spec),
     )
 

@@ -15,6 +15,7 @@ from ..errors import SpecError
 from ..physics.layout import Layout, arrange, heights
 from ..spec import (
     ObjectSpec,
+    Quat,
     SceneObject,
     SceneSpec,
     SceneTree,
@@ -23,8 +24,7 @@ from ..spec import (
     scale,
     support_frame,
 )
-from ..spec.object import Quat
-from ..spec.opening import joint_meant, parsed_state
+from ..spec.opening import matching_joint, parsed_state
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
 from .lying import on_level, resting_tilt
 from .settled import settled
@@ -145,7 +145,7 @@ def _place(
     if node.parent is not None:
         parent = placed[node.parent]
         if link is not None and link not in [part.name for part in parent.spec.parts]:
-            joint = joint_meant(parent.spec, link, "prismatic")
+            joint = matching_joint(parent.spec, link, "prismatic")
             found = None if joint is None else joint.child
             notes.append(
                 f"{node.name}: {node.parent} has no part {link!r}; placed on "

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from ..spec import ObjectSpec, SceneTree, TreeNode, inertial, link_poses, pieces
+from ..spec import ObjectSpec, Quat, SceneTree, TreeNode, inertial, link_poses, pieces
 from ..spec.convex import Piece
-from ..spec.object import Quat
 from ..spec.pose import IDENTITY, conjugate, from_axis_angle, quat_mul, rotate
 
 MOST_RAD = np.radians(30.0)

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
-from ..spec import Box, Capsule, Cylinder, Ellipsoid, JointSpec, Sphere
-from ..spec.object import JointType
+from ..spec import Box, Capsule, Cylinder, Ellipsoid, JointSpec, JointType, Sphere
 from .guarded_xml import inside, read_xml
 from .imported import Imported, Link, Solid, assemble, check_tree, follow, foreign
 from .mechanism import triple

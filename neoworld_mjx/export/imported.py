@@ -11,9 +11,19 @@ from pydantic import ValidationError
 
 from ..config import describe
 from ..errors import SpecError
-from ..spec import GeomSpec, JointSpec, Material, Mesh, ObjectSpec, PartSpec, Sphere, recentred
+from ..spec import (
+    AuthoredInertia,
+    GeomSpec,
+    JointSpec,
+    Material,
+    Mesh,
+    Mimic,
+    ObjectSpec,
+    PartSpec,
+    Sphere,
+    recentred,
+)
 from ..spec.mesh import HELPER, UNKNOWN
-from ..spec.object import AuthoredInertia, Mimic
 from ..spec.pose import from_matrix
 from .decompose import convex_pieces, hull_points, installed
 

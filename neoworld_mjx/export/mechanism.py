@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from ..errors import ExportError, choices
 from ..physics.mjcf import body_name
-from ..spec import ObjectSpec, inertial
-from ..spec.object import JointSpec, JointType, Mimic, ball_vector, joint_motion
+from ..spec import JointSpec, JointType, Mimic, ObjectSpec, ball_vector, inertial, joint_motion
 from ..spec.pose import Pose, matrix, pose, rotate
 
 

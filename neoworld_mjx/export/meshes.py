@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ..spec import Box, Cylinder, GeomSpec, ObjectSpec, Sphere
 from ..spec.convex import Piece, hull
-from ..spec.surface import corner_normals, surface
+from ..spec.triangles import corner_normals
 
 FOLDER = "meshes"
 
@@ -49,7 +49,7 @@ def piece_mesh(geom: GeomSpec, piece: Piece) -> tuple[NDArray, NDArray] | None:
     if piece.kind == "mesh":
         return hull(piece.vertices)
     if piece.kind == "ellipsoid":
-        return surface(geom.shape)
+        return geom.shape.surface()
     return None
 
 
@@ -59,7 +59,7 @@ def mesh_files(spec: ObjectSpec) -> dict[str, str]:
     for part in spec.parts:
         for geom in part.geoms:
             if geom.role != "collision" and (path := visual_file(geom)) is not None:
-                files[path] = obj(*surface(geom.shape), smooth=True)
+                files[path] = obj(*geom.shape.surface(), smooth=True)
             if geom.role == "visual":
                 continue
             for k, piece in enumerate(geom.shape.pieces()):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 from ..errors import ExportError
-from ..spec.object import JointSpec, Mimic
+from ..spec import JointSpec, Mimic
 from ..spec.pose import Pose, from_matrix, matrix, pose, rotate
 from .mechanism import Link, Mechanism, triple
 

@@ -34,7 +34,7 @@ from ..spec import (
 )
 from ..spec.convex import Piece
 from ..spec.pose import IDENTITY, Pose, pose
-from ..spec.surface import corner_normals, surface
+from ..spec.triangles import corner_normals
 from .meshes import piece_mesh
 
 _AXES = {(1.0, 0.0, 0.0): "X", (0.0, 1.0, 0.0): "Y", (0.0, 0.0, 1.0): "Z"}
@@ -153,7 +153,7 @@ def _add_visual(stage: Usd.Stage, path: Sdf.Path, geom: GeomSpec, at: Pose) -> N
     if isinstance(geom.shape, Box | Sphere | Capsule | Cylinder | Ellipsoid):
         _gprim(stage, path, geom.shape.pieces()[0], at)
         return
-    vertices, faces = surface(geom.shape)
+    vertices, faces = geom.shape.surface()
     mesh = _mesh(stage, path, vertices, faces, at)
     mesh.CreateNormalsAttr(_points(corner_normals(vertices, faces).reshape(-1, 3).round(6) + 0.0))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)

@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..spec import ObjectSpec
-from ..spec.object import Spec
-from ..spec.surface import surface
+from ..spec import ObjectSpec, Spec
 from .truth import quarter_turn
 
 if TYPE_CHECKING:
@@ -125,7 +123,7 @@ def surface_points(spec: ObjectSpec, count: int = SAMPLES, seed: int = 0) -> NDA
         for part in spec.parts
         for geom in part.geoms
         if geom.role != "collision"
-        for vertices, faces in [surface(geom.shape)]
+        for vertices, faces in [geom.shape.surface()]
     ]
     return sampled(meshes, count, seed)
 

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from ..spec import ObjectSpec
-from ..spec.object import Spec
+from ..spec import ObjectSpec, Spec
 from .parsing import Mean
 from .truth import ObjectTruth, TrueJoint, canonical, diagonal, truth_of
 

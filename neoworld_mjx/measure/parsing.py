@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from ..spec import Box3D, SceneTree, TreeNode
-from ..spec.object import Spec
+from ..spec import Box3D, SceneTree, Spec, TreeNode
 from .boxes import iou_2d, iou_3d, upright
 
 MATCH_IOU = 0.25

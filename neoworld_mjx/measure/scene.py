@@ -5,8 +5,7 @@ import numpy as np
 from pydantic import Field
 
 from ..physics.exact import object_depths, start_state
-from ..spec import SceneSpec
-from ..spec.object import Spec
+from ..spec import SceneSpec, Spec
 
 
 class SceneMeasure(Spec):

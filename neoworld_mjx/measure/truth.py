@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from ..errors import SpecError
-from ..spec import ObjectSpec, bounds
+from ..spec import Number, ObjectSpec, Spec, Vec3, bounds, pieces
 from ..spec.convex import box_around
-from ..spec.object import Number, Spec, Vec3, pieces
 
 Front = Literal["+x", "-x", "+y", "-y"]
 Box = tuple[Vec3, Vec3]

@@ -8,8 +8,7 @@ between box and cylinder where nothing is known.
 import numpy as np
 from numpy.typing import NDArray
 
-from ..spec import Box3D, Camera, TreeNode
-from ..spec.object import Quat
+from ..spec import Box3D, Camera, Quat, TreeNode
 from ..spec.pose import IDENTITY, from_yaw, rotate
 from .kinds import Outline, kind_of
 

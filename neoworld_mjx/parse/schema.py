@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from ..errors import SpecError
-from ..spec import Box2D, Box3D, Camera, PartState, SceneTree, TreeNode
-from ..spec.object import Quat
+from ..spec import Box2D, Box3D, Camera, PartState, Quat, SceneTree, TreeNode
 from ..spec.pose import IDENTITY, from_axis_angle, from_yaw, rotate
 from ..spec.tree import Relation
 from .photo import Photo

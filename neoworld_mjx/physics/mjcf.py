@@ -18,26 +18,20 @@ import mujoco
 import numpy as np
 
 from ..spec import (
-    Box,
     Camera,
-    Capsule,
-    Cylinder,
-    Ellipsoid,
     GeomSpec,
     JointSpec,
     ObjectSpec,
     PartSpec,
     SceneObject,
     SceneSpec,
-    Shape,
-    Sphere,
     inertial,
+    joint_motion,
+    joint_position,
     world_poses,
 )
 from ..spec.convex import Piece
-from ..spec.object import joint_motion, joint_position
 from ..spec.pose import Pose, pose
-from ..spec.surface import surface
 
 COLLISION_GROUP, VISUAL_GROUP = 0, 1
 START = "start"
@@ -51,7 +45,6 @@ _TYPES = {
     "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
     "mesh": mujoco.mjtGeom.mjGEOM_MESH,
 }
-_PRIMITIVES = (Box, Sphere, Capsule, Cylinder, Ellipsoid)
 
 
 def to_mjspec(
@@ -256,12 +249,12 @@ def _add_visual(
         quat=geom.quat,
         **look,
     )
-    primitive = primitive_piece(geom.shape)
+    primitive = geom.shape.primitive()
     if primitive is not None:
         made.type = _TYPES[primitive.kind]
         made.size = primitive.size
         return
-    vertices, faces = surface(geom.shape)
+    vertices, faces = geom.shape.surface()
     mesh = model.add_mesh(name=name)
     mesh.uservert = vertices.ravel()
     mesh.userface = faces.ravel()
@@ -269,11 +262,6 @@ def _add_visual(
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     made.type = mujoco.mjtGeom.mjGEOM_MESH
     made.meshname = name
-
-
-def primitive_piece(shape: Shape) -> Piece | None:
-    """Return the single piece of a shape that MuJoCo has a primitive geom for, else None."""
-    return shape.pieces()[0] if isinstance(shape, _PRIMITIVES) else None
 
 
 def _add_mimics(model: mujoco.MjSpec, item: SceneObject) -> None:
@@ -324,4 +312,4 @@ def _depth_first(spec: ObjectSpec) -> Iterator[tuple[PartSpec, JointSpec | None]
     return visit(spec.root)
 
 
-__all__ = ["START", "body_name", "joint_order", "primitive_piece", "to_mjspec", "welded"]
+__all__ = ["START", "body_name", "joint_order", "to_mjspec", "welded"]

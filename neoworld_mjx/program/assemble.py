@@ -7,7 +7,7 @@ from pydantic import ValidationError
 
 from .. import spec as S
 from ..config import describe
-from ..spec.object import Inertial
+from ..spec import Inertial
 from ..spec.pose import rotate
 from .sdk_object import Object
 from .signals import Signal, has_errors

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..config import ProgramOptions
 from ..spec import JointSpec, ObjectSpec
-from ..spec.opening import way_opened
+from ..spec.opening import opening_alignment
 from .allowance import Allowance
 from .overlap import overlaps
 from .plausible import plausibility
@@ -210,7 +210,7 @@ def _range(joint: JointSpec, size: float, whole: float) -> list[Signal]:
 
 
 def _opens(spec: ObjectSpec, joint: JointSpec) -> list[Signal]:
-    cosine = way_opened(spec, joint)
+    cosine = opening_alignment(spec, joint)
     if cosine is None:
         message = "opens= names a way, but the middle of what it turns hardly moves"
         return [_of_joint(joint, "opens_no_way", message, "leave opens= out", 0.0, OPENS_COSINE)]

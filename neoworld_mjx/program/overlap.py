@@ -7,7 +7,7 @@ import numpy as np
 
 from ..config import ProgramOptions
 from ..spec import JointSpec, ObjectSpec
-from ..spec.opening import heeded, opened_for
+from ..spec.opening import prerequisite_state, with_prerequisites
 from .allowance import Allowance
 from .probe import Near, Probe
 from .signals import Signal
@@ -45,7 +45,7 @@ def overlaps(
         pairs = [pair for pair in rest if (pair[0] in moving) != (pair[1] in moving)]
         if _follows(spec, joint):
             pairs += [pair for pair in rest if pair[0] in moving and pair[1] in moving]
-        opened = opened_for(spec, joint)
+        opened = prerequisite_state(spec, joint)
         worst = _swept(probe, joint, opened, pairs, limits, options)
         for pair, (distance, state) in worst.items():
             found.append(_collision(probe, pair, joint, -distance, state, moving, limits[pair]))
@@ -124,7 +124,7 @@ def _combinations(
         state = {}
         for values, i in zip(reach, index, strict=True):
             state |= values[i]
-        state = heeded(probe.spec, state, opening=k % 2 == 0)
+        state = with_prerequisites(probe.spec, state, opening=k % 2 == 0)
         probe.place(state)
         for pair, near in probe.depths(tried).items():
             if near.distance < worst.get(pair, (-limits[pair], ""))[0]:

@@ -50,12 +50,12 @@ class Shape:
     @property
     def volume(self) -> float:
         """Volume of the solid [m^3]."""
-        return S.volume(self._spec)
+        return self._spec.volume()
 
     def distance(self, point: Sequence[float]) -> float:
         """Return how far [m] a point lies from the surface, negative inside."""
         where = self._pose.inverse().apply(validate.vector(point, "distance: point"))
-        return float(S.signed_distance(self._spec, where)[0])
+        return float(self._spec.signed_distance(where)[0])
 
     def moved(
         self,

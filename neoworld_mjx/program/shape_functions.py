@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .. import spec as S
-from ..spec.shapes import MAX_SECTORS, MIN_SECTORS
+from ..spec.base_shape import MAX_SECTORS, MIN_SECTORS
 from . import validate
 from .placing import Shape
 from .session import current
@@ -301,7 +301,7 @@ def _combined(operation: str, shapes: tuple[Any, ...], sectors: int) -> Shape:
                 f"{operation} takes shapes such as box(...), got {validate.shown(shape)}"
             )
     operands = tuple(
-        S.Placed(
+        S.Operand(
             shape=shape._spec,
             pos=tuple((np.round(shape._pose.pos, 9) + 0.0).tolist()),
             quat=tuple((np.round(shape._pose.quat, 12) + 0.0).tolist()),

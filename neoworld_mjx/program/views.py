@@ -10,7 +10,7 @@ from ..mllm import Picture
 from ..render import View, render_object, to_png
 from ..render.picture import corners
 from ..spec import Camera, ObjectSpec, TreeNode
-from ..spec.opening import heeded
+from ..spec.opening import with_prerequisites
 from ..spec.pose import conjugate, from_yaw, quat_mul, rotate
 
 WIDTH, HEIGHT = 448, 384
@@ -88,4 +88,4 @@ def opened_state(spec: ObjectSpec) -> dict[str, float]:
         far = joint.upper if abs(joint.upper) >= abs(joint.lower) else joint.lower
         state[joint.name] = 0.8 if turns else OPENED * far
     # What a rack waits for stands wide open.
-    return heeded(spec, state, opening=True)
+    return with_prerequisites(spec, state, opening=True)

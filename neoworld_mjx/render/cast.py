@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from ..physics.mjcf import VISUAL_GROUP
-from ..spec.surface import corner_normals
+from ..spec.triangles import corner_normals
 
 FAR = 1e10
 FAR_BOX_M = 1e4

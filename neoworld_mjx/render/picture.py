@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..spec import Camera, ObjectSpec, SceneObject, SceneSpec, bounds, link_poses, world_poses
-from ..spec.surface import surface
 from .raycast import Picture, render
 from .view import View
 
@@ -75,7 +74,7 @@ def corners(spec: ObjectSpec, joint_state: Mapping[str, float] | None = None) ->
     """Return the visible surface's vertices [n, 3] m in the object's frame, as posed."""
     moved = link_poses(spec, dict(joint_state or {}))
     points = [
-        moved[part.name].then(geom.pose()).apply(surface(geom.shape)[0])
+        moved[part.name].then(geom.pose()).apply(geom.shape.surface()[0])
         for part in spec.parts
         for geom in part.geoms
         if geom.role != "collision"

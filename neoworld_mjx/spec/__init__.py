@@ -1,24 +1,13 @@
-"""Host-side descriptions that every room shares: validated, JSON both ways, no JAX."""
+"""Host-side descriptions that all packages share: validated, JSON both ways, no JAX."""
 
+from .base import JointKey, Name, Number, Quat, Spec, Vec3
 from .camera import Camera
-from .object import (
-    AuthoredInertia,
-    GeomSpec,
-    Intent,
-    JointSpec,
-    Material,
-    Mimic,
-    ObjectSpec,
-    PartSpec,
-    Site,
-    bounds,
-    inertial,
-    link_poses,
-    part_bounds,
-    pieces,
-    recentred,
-)
-from .scale import scale
+from .extent import bounds, part_bounds, pieces, recentred, translated
+from .joint import Intent, JointSpec, JointType, Mimic
+from .kinematics import ball_vector, joint_motion, joint_position, joint_value, link_poses
+from .mass import Inertial, inertial
+from .object import AuthoredInertia, GeomSpec, Material, ObjectSpec, PartSpec, Role, Site
+from .scale import scale, scaled_state
 from .scene import SceneObject, SceneSpec, read_scene, rearranged, support_frame, world_poses
 from .shapes import (
     CSG,
@@ -30,14 +19,13 @@ from .shapes import (
     HollowBox,
     Lathe,
     Mesh,
-    Placed,
+    Operand,
     Prism,
     RoundedBox,
     Shape,
     Sphere,
     Sweep,
 )
-from .solid import signed_distance, volume
 from .tree import Box2D, Box3D, PartState, SceneTree, TreeNode
 
 __all__ = [
@@ -53,28 +41,41 @@ __all__ = [
     "Extrusion",
     "GeomSpec",
     "HollowBox",
+    "Inertial",
     "Intent",
+    "JointKey",
     "JointSpec",
+    "JointType",
     "Lathe",
     "Material",
     "Mesh",
     "Mimic",
+    "Name",
+    "Number",
     "ObjectSpec",
+    "Operand",
     "PartSpec",
     "PartState",
-    "Placed",
     "Prism",
+    "Quat",
+    "Role",
     "RoundedBox",
     "SceneObject",
     "SceneSpec",
     "SceneTree",
     "Shape",
     "Site",
+    "Spec",
     "Sphere",
     "Sweep",
     "TreeNode",
+    "Vec3",
+    "ball_vector",
     "bounds",
     "inertial",
+    "joint_motion",
+    "joint_position",
+    "joint_value",
     "link_poses",
     "part_bounds",
     "pieces",
@@ -82,8 +83,8 @@ __all__ = [
     "rearranged",
     "recentred",
     "scale",
-    "signed_distance",
+    "scaled_state",
     "support_frame",
-    "volume",
+    "translated",
     "world_poses",
 ]

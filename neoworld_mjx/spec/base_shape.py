@@ -1,43 +1,96 @@
-"""What all shapes have in common: closed fields, convex pieces, and one way to be scaled."""
+"""What all shapes have in common: convex pieces, a surface, a volume, a signed distance."""
 
-from typing import Annotated, ClassVar, Literal, Self
+from functools import lru_cache
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
+from .base import Number, ScalableSpec
 from .convex import Piece
+from .dimensions import LENGTH, UNSCALED
+from .triangles import distance_to_triangles, enclosed_volume
 
-Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Point2 = tuple[Number, Number]
-Point3 = tuple[Number, Number, Number]
+Point2 = Annotated[tuple[Number, Number], LENGTH]
 Face = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 
 MIN_SECTORS, MAX_SECTORS = 6, 64
+Sectors = Annotated[int, Field(ge=MIN_SECTORS, le=MAX_SECTORS), UNSCALED]
 
 
-class BaseShape(BaseModel):
-    """Base of all shapes: frozen, closed against unknown keys."""
+class BaseShape(ScalableSpec):
+    """Base of all shapes.
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    unscaled: ClassVar[tuple[str, ...]] = ("type", "sectors", "open", "closed", "oval")
-    """Fields that are no lengths."""
+    A shape states its convex pieces and its surface. Volume and distance follow from the surface
+    unless the shape knows them exactly; both are those of the true solid, not of its colliders.
+    """
 
     def pieces(self) -> list[Piece]:
-        """Return the convex pieces, in the shape's frame."""
+        """Return the convex pieces, which do not overlap, in the shape's frame."""
         raise NotImplementedError
 
-    def scaled(self, s: float) -> Self:
-        """Return the shape with every length multiplied by `s`."""
-        lengths = {
-            name: _times(getattr(self, name), s)
-            for name in type(self).model_fields
-            if name not in self.unscaled
-        }
-        return self.model_copy(update=lengths)
+    def primitive(self) -> Piece | None:
+        """Return the one piece that is the shape exactly and no mesh; None where there is none."""
+        return None
+
+    def build_surface(self) -> tuple[NDArray, NDArray]:
+        """Compute what `surface` returns."""
+        raise NotImplementedError
+
+    def surface(self) -> tuple[NDArray, NDArray]:
+        """Return the closed outward surface, in the shape's frame.
+
+        Only pictures and exported visuals use it, never physics: colliders may be coarser and in
+        pieces, a surface is one watertight mesh of the whole shape.
+
+        Returns:
+            vertices [v, 3] m, float64, and triangles [f, 3], int64, counter-clockwise from outside.
+            The arrays are shared and read-only.
+        """
+        return _shared_surface(self)  # pyright: ignore[reportArgumentType] frozen models have a hash
+
+    def volume(self) -> float:
+        """Return the volume [m^3]."""
+        return enclosed_volume(*self.surface())
+
+    def signed_distance(self, points: ArrayLike) -> NDArray:
+        """Return the distances [n] m of points [n, 3] m to the surface, negative inside."""
+        return distance_to_triangles(rows(points), *self.surface())
 
 
-def _times(value: object, s: float) -> object:
-    if isinstance(value, tuple):
-        return tuple(_times(item, s) for item in value)
-    return value * s if isinstance(value, int | float) else value
+class Primitive(BaseShape):
+    """Base of the shapes that MuJoCo has a geom type for."""
+
+    def primitive(self) -> Piece:
+        """Return the shape as a piece."""
+        raise NotImplementedError
+
+    def pieces(self) -> list[Piece]:
+        """Return the shape itself."""
+        return [self.primitive()]
+
+
+@lru_cache(maxsize=1024)
+def _shared_surface(shape: BaseShape) -> tuple[NDArray, NDArray]:
+    vertices, faces = shape.build_surface()
+    vertices.setflags(write=False)
+    faces.setflags(write=False)
+    return vertices, faces
+
+
+def rows(points: ArrayLike) -> NDArray:
+    """Return points as an array [n, 3]."""
+    return np.atleast_2d(np.asarray(points, float))
+
+
+__all__ = [
+    "MAX_SECTORS",
+    "MIN_SECTORS",
+    "BaseShape",
+    "Face",
+    "Point2",
+    "Primitive",
+    "Sectors",
+    "rows",
+]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from .object import Number, Spec
+from .base import Number, Spec
 from .pose import Pose, from_matrix
 
 

@@ -8,15 +8,17 @@ r (1 - cos(pi / sectors)) of it. The surface that is seen comes from manifold3d 
 
 import itertools
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, Field, field_validator, model_validator
 
-from .base_shape import MAX_SECTORS, MIN_SECTORS, BaseShape, Length, Number, Point3
+from .base import Length, Point3, Quat, Rotation, ScalableSpec, unit_vector
+from .base_shape import BaseShape, Sectors
 from .clip import Poly, poly, split
 from .convex import Kind, Piece, polytope
+from .dimensions import UNSCALED
 from .pose import IDENTITY, Pose, pose
 
 if TYPE_CHECKING:
@@ -25,30 +27,25 @@ if TYPE_CHECKING:
 Operation = Literal["union", "difference", "intersection"]
 MAX_PIECES, MAX_CUTS, MAX_DEPTH, MAX_TRIANGLES = 600, 4000, 6, 60_000
 MAX_BODIES = 64
-LOOK = 0.02
-"""What comparing two boxes takes, over what a cut takes."""
+BOX_TEST_COST = 0.02
+"""Cost of comparing two bounding boxes, over that of a cut."""
 SLACK = 1e-6
-"""Over the size of the operands: what is thinner than this does not count."""
-CRUMB = 1e-9
-"""Over the cube of that size: pieces smaller than this are left out."""
+"""Thickness over the size of the operands below which a piece does not count."""
+NEGLIGIBLE = 1e-9
+"""Volume over the cube of that size below which a piece is left out."""
 
 
-class Placed(BaseModel):
-    """An operand in its place."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class Operand(ScalableSpec):
+    """A shape in its place."""
 
     shape: "Shape"
     pos: Point3 = (0.0, 0.0, 0.0)
-    quat: tuple[Number, Number, Number, Number] = IDENTITY
+    quat: Rotation = IDENTITY
 
     @field_validator("quat")
     @classmethod
-    def _unit(cls, value: tuple[float, float, float, float]) -> tuple[float, ...]:
-        length = sum(v * v for v in value) ** 0.5
-        if length < 1e-9:
-            raise ValueError("quat must not be zero")
-        return value if abs(length - 1.0) < 1e-12 else tuple(v / length for v in value)
+    def _unit(cls, value: Quat) -> Quat:
+        return unit_vector(value, "quat")
 
     def pose(self) -> Pose:
         """Return the operand's pose in the frame of the whole."""
@@ -64,8 +61,8 @@ class CSG(BaseShape):
 
     type: Literal["csg"] = "csg"
     operation: Operation
-    operands: tuple[Placed, ...] = Field(min_length=2, max_length=64)
-    sectors: int = Field(default=16, ge=MIN_SECTORS, le=MAX_SECTORS)
+    operands: Annotated[tuple[Operand, ...], UNSCALED] = Field(min_length=2, max_length=64)
+    sectors: Sectors = 16
     factor: Length = 1.0
 
     @model_validator(mode="after")
@@ -74,7 +71,7 @@ class CSG(BaseShape):
             raise ValueError(f"csg shapes may lie at most {MAX_DEPTH} deep in each other")
         if not _cut(self.operation, self.operands, self.sectors):
             raise ValueError(f"csg {self.operation} leaves nothing")
-        apart = _bodies(self.operation, self.operands, self.sectors)
+        apart = _bodies(self.operation, self.operands)
         if apart > 1:
             raise ValueError(
                 f"csg {self.operation} falls into {apart} solids that do not hang together; make "
@@ -82,15 +79,11 @@ class CSG(BaseShape):
             )
         return self
 
-    def scaled(self, s: float) -> Self:
-        """Return the shape with every length multiplied by `s`."""
-        return self.model_copy(update={"factor": self.factor * s})
-
     def pieces(self) -> list[Piece]:
         """Return the pieces of the decomposition."""
-        found = _cut(self.operation, self.operands, self.sectors)
+        pieces = _cut(self.operation, self.operands, self.sectors)
         if self.factor == 1.0:
-            return list(found)
+            return list(pieces)
         return [
             Piece(
                 "mesh",
@@ -98,12 +91,12 @@ class CSG(BaseShape):
                     (x * self.factor, y * self.factor, z * self.factor) for x, y, z in p.vertices
                 ),
             )
-            for p in found
+            for p in pieces
         ]
 
-    def surface(self) -> tuple[NDArray, NDArray]:
-        """Return the closed outward surface: vertices [v, 3] and triangles [f, 3]."""
-        vertices, faces = _skin(self.operation, self.operands, self.sectors)
+    def build_surface(self) -> tuple[NDArray, NDArray]:
+        """Take the surface of manifold3d's boolean."""
+        vertices, faces = _skin(self.operation, self.operands)
         return vertices * self.factor, faces.copy()
 
 
@@ -115,14 +108,14 @@ class _Convex(NamedTuple):
     high: NDArray
 
 
-class _Knife:
-    """Counts cuts and keeps what counts as nothing."""
+class _Cutter:
+    """Cuts convex solids; counts the cuts and drops negligible remains."""
 
     def __init__(self, size: float) -> None:
-        self.slack, self.crumb = SLACK * size, CRUMB * size**3
-        self.left = float(MAX_CUTS)
+        self.slack, self.negligible = SLACK * size, NEGLIGIBLE * size**3
+        self.cuts_left = float(MAX_CUTS)
 
-    def take_away(self, solids: list[_Convex], tool: tuple[_Convex, NDArray]) -> list[_Convex]:
+    def subtract(self, solids: list[_Convex], tool: tuple[_Convex, NDArray]) -> list[_Convex]:
         """Return the parts of convex solids that lie outside a convex one."""
         body, half = tool
         kept: list[_Convex] = []
@@ -139,8 +132,8 @@ class _Knife:
                 if rest is None:
                     break
             # What only came near stays whole.
-            found = [one.solid] if rest is None or self._nothing(rest) else outside
-            kept += [_convex(p) for p in found if not self._nothing(p)]
+            left = [one.solid] if rest is None or self._is_negligible(rest) else outside
+            kept += [_convex(p) for p in left if not self._is_negligible(p)]
             if len(kept) > MAX_PIECES:
                 raise ValueError(_TOO_MANY)
         return kept
@@ -157,7 +150,7 @@ class _Knife:
                     rest, _ = self._split(rest, plane)
                     if rest is None:
                         break
-                if rest is not None and not self._nothing(rest):
+                if rest is not None and not self._is_negligible(rest):
                     kept.append(_convex(rest))
             if len(kept) > MAX_PIECES:
                 raise ValueError(_TOO_MANY)
@@ -166,21 +159,21 @@ class _Knife:
     def _split(self, solid: Poly | None, plane: NDArray) -> tuple[Poly | None, Poly | None]:
         if solid is None:
             return None, None
-        self.left -= 1 + len(solid.faces) / 32
-        if self.left < 0:
+        self.cuts_left -= 1 + len(solid.faces) / 32
+        if self.cuts_left < 0:
             raise ValueError(_TOO_MANY)
         return split(solid, plane, self.slack)
 
     def _apart(self, one: _Convex, other: _Convex) -> bool:
-        self.left -= LOOK
-        if self.left < 0:
+        self.cuts_left -= BOX_TEST_COST
+        if self.cuts_left < 0:
             raise ValueError(_TOO_MANY)
         return bool(
             np.any(one.low > other.high - self.slack) or np.any(other.low > one.high - self.slack)
         )
 
-    def _nothing(self, solid: Poly) -> bool:
-        return len(solid.corners) < 4 or solid.volume() < self.crumb
+    def _is_negligible(self, solid: Poly) -> bool:
+        return len(solid.corners) < 4 or solid.volume() < self.negligible
 
 
 _TOO_MANY = (
@@ -194,7 +187,7 @@ def _convex(solid: Poly) -> _Convex:
 
 
 @lru_cache(maxsize=256)
-def _cut(operation: Operation, operands: tuple[Placed, ...], sectors: int) -> tuple[Piece, ...]:
+def _cut(operation: Operation, operands: tuple[Operand, ...], sectors: int) -> tuple[Piece, ...]:
     tools: list[list[tuple[_Convex, NDArray]]] = []
     for operand in operands:
         tools.append(_tools(operand, sectors))
@@ -202,42 +195,42 @@ def _cut(operation: Operation, operands: tuple[Placed, ...], sectors: int) -> tu
         if sum(len(half) for group in tools for _, half in group) > MAX_CUTS:
             raise ValueError(_TOO_MANY)
     points = np.vstack([body.solid.corners for group in tools for body, _ in group])
-    knife = _Knife(float(np.ptp(points, axis=0).max()))
-    found = [body for body, _ in tools[0]]
+    cutter = _Cutter(float(np.ptp(points, axis=0).max()))
+    result = [body for body, _ in tools[0]]
     for group in tools[1:]:
         if operation == "intersection":
-            found = knife.common(found, group)
+            result = cutter.common(result, group)
             continue
         fresh = [body for body, _ in group]
         if operation == "union":
             # The later ones keep what the earlier ones have not: pieces never overlap.
-            taken = [(body, _half_spaces(body)) for body in found]
+            taken = [(body, _half_spaces(body)) for body in result]
             for tool in taken:
-                fresh = knife.take_away(fresh, tool)
-            found = [*found, *fresh]
+                fresh = cutter.subtract(fresh, tool)
+            result = [*result, *fresh]
         else:
             for tool in group:
-                found = knife.take_away(found, tool)
-        if len(found) > MAX_PIECES:
+                result = cutter.subtract(result, tool)
+        if len(result) > MAX_PIECES:
             raise ValueError(_TOO_MANY)
-    return tuple(polytope(one.solid.corners) for one in found)
+    return tuple(polytope(one.solid.corners) for one in result)
 
 
 def _half_spaces(body: _Convex) -> NDArray:
     return poly(polytope(body.solid.corners), pose())[1]
 
 
-def _tools(operand: Placed, sectors: int) -> list[tuple[_Convex, NDArray]]:
+def _tools(operand: Operand, sectors: int) -> list[tuple[_Convex, NDArray]]:
     at = operand.pose()
     pieces = operand.shape.pieces()
     if len(pieces) > MAX_PIECES:
         raise ValueError(_TOO_MANY)
-    found = []
+    tools = []
     for piece in pieces:
         flat = piece if piece.kind in ("box", "mesh") else _flat(piece.kind, piece.size, sectors)
         solid, half = poly(flat, at.then(pose(piece.pos, piece.quat)))
-        found.append((_convex(solid), half))
-    return found
+        tools.append((_convex(solid), half))
+    return tools
 
 
 @lru_cache(maxsize=64)
@@ -266,26 +259,20 @@ def faceted(piece: Piece, sectors: int) -> NDArray:
 
 
 @lru_cache(maxsize=256)
-def _skin(
-    operation: Operation, operands: tuple[Placed, ...], sectors: int
-) -> tuple[NDArray, NDArray]:
-    from .surface import surface
-
-    mesh = _manifold(operation, operands, surface).to_mesh64()
+def _skin(operation: Operation, operands: tuple[Operand, ...]) -> tuple[NDArray, NDArray]:
+    mesh = _manifold(operation, operands).to_mesh64()
     vertices = np.array(mesh.vert_properties, float)[:, :3]
     return vertices, np.array(mesh.tri_verts, np.int64)
 
 
 @lru_cache(maxsize=256)
-def _bodies(operation: Operation, operands: tuple[Placed, ...], sectors: int) -> int:
-    from .surface import surface
-
+def _bodies(operation: Operation, operands: tuple[Operand, ...]) -> int:
     # A closed hole inside is a body of negative volume.
-    found = _manifold(operation, operands, surface).decompose()
-    if len(found) < 2:
-        return len(found)
-    whole = sum(abs(body.volume()) for body in found)
-    solid = [body for body in found if body.volume() > 1e-7 * whole]
+    bodies = _manifold(operation, operands).decompose()
+    if len(bodies) < 2:
+        return len(bodies)
+    whole = sum(abs(body.volume()) for body in bodies)
+    solid = [body for body in bodies if body.volume() > 1e-7 * whole]
     if len(solid) > MAX_BODIES:
         return len(solid)
     # Faces that should touch may miss each other by rounding.
@@ -297,14 +284,14 @@ def _bodies(operation: Operation, operands: tuple[Placed, ...], sectors: int) ->
     return len(set(group))
 
 
-def _manifold(operation: Operation, operands: tuple[Placed, ...], surface: Any) -> Any:
+def _manifold(operation: Operation, operands: tuple[Operand, ...]) -> Any:
     import manifold3d
 
     kinds = manifold3d.OpType
     kind = {"union": kinds.Add, "difference": kinds.Subtract, "intersection": kinds.Intersect}
     solids, count = [], 0
     for operand in operands:
-        vertices, faces = surface(operand.shape)
+        vertices, faces = operand.shape.surface()
         count += len(faces)
         if count > MAX_TRIANGLES:
             raise ValueError(f"csg operands have over {MAX_TRIANGLES} triangles: use fewer")
@@ -323,4 +310,4 @@ def _depth(shape: BaseModel) -> int:
     return 1 + max(_depth(operand.shape) for operand in shape.operands)
 
 
-__all__ = ["CSG", "Operation", "Placed"]
+__all__ = ["CSG", "Operand", "Operation", "faceted"]

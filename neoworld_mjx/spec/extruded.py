@@ -1,14 +1,17 @@
 """Extrusion of any outline with holes, and the box with rounded edges."""
 
+import math
 from functools import lru_cache
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-from .base_shape import BaseShape, Length, Point2
+from .base import Length
+from .base_shape import BaseShape, Point2, rows
 from .convex import Piece, hull, polytope
+from .outlines import box_distance, extruded_distance, loops_distance, polygon_area
 
 Loop = tuple[Point2, ...]
 
@@ -30,14 +33,14 @@ class Extrusion(BaseShape):
         loops = [np.array(loop) for loop in (self.outline, *self.holes)]
         if sum(len(loop) for loop in loops) > 512:
             raise ValueError("an extrusion may have 512 points in all")
-        for loop, what in zip(loops, ("outline", *("hole",) * len(self.holes)), strict=True):
-            if len(loop) < 3 or abs(_area(loop)) < 1e-12:
-                raise ValueError(f"extrusion {what} encloses no area")
+        for loop, kind in zip(loops, ("outline", *("hole",) * len(self.holes)), strict=True):
+            if len(loop) < 3 or abs(polygon_area(loop)) < 1e-12:
+                raise ValueError(f"extrusion {kind} encloses no area")
         if _crosses(loops):
             raise ValueError("extrusion outline and holes must not cross or touch themselves")
-        tiles = sum(abs(_area(np.array(tile))) for tile in self.tiles())
-        inside = abs(_area(loops[0])) - sum(abs(_area(loop)) for loop in loops[1:])
-        if inside <= 0 or abs(tiles - inside) > 1e-6 * abs(_area(loops[0])):
+        tiles = sum(abs(polygon_area(np.array(tile))) for tile in self.tiles())
+        inside = abs(polygon_area(loops[0])) - sum(abs(polygon_area(loop)) for loop in loops[1:])
+        if inside <= 0 or abs(tiles - inside) > 1e-6 * abs(polygon_area(loops[0])):
             raise ValueError("extrusion holes must lie inside the outline and apart")
         return self
 
@@ -48,15 +51,15 @@ class Extrusion(BaseShape):
     def pieces(self) -> list[Piece]:
         """Return one prism for each convex tile."""
         h = self.height / 2
-        found = []
+        prisms = []
         for tile in self.tiles():
             flat = np.array(tile)
             top = np.column_stack([flat, np.full(len(flat), h)])
-            found.append(polytope(np.vstack([top, top * [1, 1, -1]])))
-        return found
+            prisms.append(polytope(np.vstack([top, top * [1, 1, -1]])))
+        return prisms
 
-    def surface(self) -> tuple[NDArray, NDArray]:
-        """Return the closed outward surface: vertices [v, 3] and triangles [f, 3]."""
+    def build_surface(self) -> tuple[NDArray, NDArray]:
+        """Triangulate both ends and join them."""
         loops = _wound(self.outline, self.holes)
         flat = np.vstack(loops)
         n, h = len(flat), self.height / 2
@@ -71,6 +74,17 @@ class Extrusion(BaseShape):
             faces += [np.column_stack([i, j, n + j]), np.column_stack([i, n + j, n + i])]
             start += len(loop)
         return vertices, np.ascontiguousarray(np.vstack(faces).astype(np.int64))
+
+    def volume(self) -> float:
+        """Return the volume [m^3]."""
+        areas = [abs(polygon_area(np.array(loop))) for loop in (self.outline, *self.holes)]
+        return (areas[0] - sum(areas[1:])) * self.height
+
+    def signed_distance(self, points: ArrayLike) -> NDArray:
+        """Return exact distances."""
+        p = rows(points)
+        loops = [np.array(loop, float) for loop in (self.outline, *self.holes)]
+        return extruded_distance(loops_distance(p[:, :2], loops), p[:, 2], self.height / 2)
 
 
 class RoundedBox(BaseShape):
@@ -90,9 +104,20 @@ class RoundedBox(BaseShape):
         """Return one convex piece; its corners lie on the rounded surface."""
         return [polytope(self._points(2))]
 
-    def surface(self) -> tuple[NDArray, NDArray]:
-        """Return the closed outward surface: vertices [v, 3] and triangles [f, 3]."""
+    def build_surface(self) -> tuple[NDArray, NDArray]:
+        """Take the hull of more points than the collider has."""
         return hull(tuple(map(tuple, np.unique(self._points(6), axis=0).tolist())))
+
+    def volume(self) -> float:
+        """Return the volume [m^3]."""
+        r = self.radius
+        a, b, c = (edge - 2 * r for edge in self.size)
+        slabs = a * b * c + 2 * r * (a * b + b * c + c * a)
+        return slabs + math.pi * r**2 * (a + b + c) + 4 / 3 * math.pi * r**3
+
+    def signed_distance(self, points: ArrayLike) -> NDArray:
+        """Return exact distances."""
+        return box_distance(rows(points), np.array(self.size) / 2 - self.radius) - self.radius
 
     def _points(self, steps: int) -> NDArray:
         angle = np.linspace(0, np.pi / 2, steps + 1)
@@ -150,6 +175,7 @@ def _convex(p: NDArray) -> bool:
 
 
 def _triangles(loops: list[NDArray]) -> NDArray:
+    """Triangulate an outline with holes: corners [f, 3] counted through all loops."""
     import manifold3d
 
     return np.asarray(manifold3d.triangulate(loops))
@@ -157,16 +183,11 @@ def _triangles(loops: list[NDArray]) -> NDArray:
 
 def _wound(outline: Loop, holes: tuple[Loop, ...]) -> list[NDArray]:
     """Return the loops [n, 2]: outline counter-clockwise, holes clockwise."""
-    found = []
+    wound = []
     for k, loop in enumerate((outline, *holes)):
         p = np.array(loop, float)
-        found.append(p[::-1].copy() if (_area(p) < 0) == (k == 0) else p)
-    return found
-
-
-def _area(p: NDArray) -> float:
-    q = np.roll(p, -1, axis=0)
-    return float(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]) / 2)
+        wound.append(p[::-1].copy() if (polygon_area(p) < 0) == (k == 0) else p)
+    return wound
 
 
 def _crosses(loops: list[NDArray]) -> bool:

@@ -1,32 +1,34 @@
 """A shape given by triangles, as files from elsewhere bring it, with its convex pieces."""
 
-from typing import ClassVar, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from .base_shape import BaseShape, Point3
+from .base import Point3
+from .base_shape import BaseShape
 from .convex import Piece, polytope
+from .dimensions import UNSCALED
 
 MAX_VERTICES, MAX_HULLS = 200_000, 512
 UNKNOWN, HELPER = "unknown", "helper"
-"""How the materials of imported things begin: those whose density was not stated, and those of beads
-that stand for links without geometry."""
+"""Prefixes of the materials of imported objects: of unstated density, and of the small balls that
+stand for links without geometry."""
 
 
 class Mesh(BaseShape):
     """Triangles that are seen, and the convex hulls that collide and have the mass.
 
-    Without hulls of its own the hull of all vertices stands for it. The triangles need not be closed.
+    Without hulls the convex hull of all vertices is the collider. The triangles need not be closed.
     """
 
     type: Literal["mesh"] = "mesh"
     vertices: tuple[Point3, ...] = Field(min_length=4, max_length=MAX_VERTICES)
-    faces: tuple[tuple[int, int, int], ...] = Field(min_length=1, max_length=2 * MAX_VERTICES)
+    faces: Annotated[tuple[tuple[int, int, int], ...], UNSCALED] = Field(
+        min_length=1, max_length=2 * MAX_VERTICES
+    )
     hulls: tuple[tuple[Point3, ...], ...] = Field(default=(), max_length=MAX_HULLS)
-
-    unscaled: ClassVar[tuple[str, ...]] = (*BaseShape.unscaled, "faces")
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
@@ -40,8 +42,8 @@ class Mesh(BaseShape):
         """Return the hulls."""
         return [polytope(np.array(points)) for points in self.hulls or (self.vertices,)]
 
-    def surface(self) -> tuple[NDArray, NDArray]:
-        """Return the triangles: vertices [v, 3] and faces [f, 3]."""
+    def build_surface(self) -> tuple[NDArray, NDArray]:
+        """Return the triangles as they are."""
         return np.array(self.vertices), np.array(self.faces, np.int64)
 
 

@@ -2,11 +2,14 @@
 
 import numpy as np
 
-from .object import JointSpec, ObjectSpec, joint_motion, part_bounds
+from .extent import part_bounds
+from .joint import JointSpec
+from .kinematics import joint_motion
+from .object import ObjectSpec
 from .tree import PartState, TreeNode
 
 
-def joint_meant(spec: ObjectSpec, part: str, kind: str) -> JointSpec | None:
+def matching_joint(spec: ObjectSpec, part: str, kind: str) -> JointSpec | None:
     """Return the joint that moves a part of the parse: by name, or the only one of its kind."""
     # A ball has no "open": it stays as it is drawn.
     still = ("fixed", "ball")
@@ -44,7 +47,7 @@ def parsed_state(spec: ObjectSpec, node: TreeNode) -> tuple[dict[str, float], li
     state: dict[str, float] = {}
     left = []
     for part in node.articulation:
-        joint = joint_meant(spec, part.part, part.type)
+        joint = matching_joint(spec, part.part, part.type)
         if joint is None:
             left.append(part)
         else:
@@ -52,7 +55,7 @@ def parsed_state(spec: ObjectSpec, node: TreeNode) -> tuple[dict[str, float], li
     return state, left
 
 
-def opened_for(spec: ObjectSpec, joint: JointSpec) -> dict[str, float]:
+def prerequisite_state(spec: ObjectSpec, joint: JointSpec) -> dict[str, float]:
     """Return where the joints stand that a joint waits for, and those that these wait for [rad or m]."""
     by_name = {other.name: other for other in spec.joints}
     state: dict[str, float] = {}
@@ -65,7 +68,9 @@ def opened_for(spec: ObjectSpec, joint: JointSpec) -> dict[str, float]:
     return state
 
 
-def heeded(spec: ObjectSpec, state: dict[str, float], *, opening: bool) -> dict[str, float]:
+def with_prerequisites(
+    spec: ObjectSpec, state: dict[str, float], *, opening: bool
+) -> dict[str, float]:
     """Return a state in which no joint is away from 0 without those that it waits for being open.
 
     Args:
@@ -78,7 +83,7 @@ def heeded(spec: ObjectSpec, state: dict[str, float], *, opening: bool) -> dict[
     for _ in waiting:
         for joint in waiting:
             own = [name for name in state if name.partition(".")[0] == joint.name]
-            needed = opened_for(spec, joint)
+            needed = prerequisite_state(spec, joint)
             if opening and any(state[name] for name in own):
                 state |= needed
             elif any(state.get(name, 0.0) != value for name, value in needed.items()):
@@ -90,7 +95,7 @@ HARDLY = 0.15
 """A middle that moves less than this share of what the part's size would let it opens no way."""
 
 
-def way_opened(spec: ObjectSpec, joint: JointSpec) -> float | None:
+def opening_alignment(spec: ObjectSpec, joint: JointSpec) -> float | None:
     """Return the cosine between a child's way out of rest and the direction it is meant to take.
 
     The way is that of the middle of its bounding box over the first tenth of its range; None where the
@@ -111,10 +116,10 @@ def way_opened(spec: ObjectSpec, joint: JointSpec) -> float | None:
 
 
 __all__ = [
-    "heeded",
-    "joint_meant",
-    "opened_for",
+    "matching_joint",
+    "opening_alignment",
     "opening_value",
     "parsed_state",
-    "way_opened",
+    "prerequisite_state",
+    "with_prerequisites",
 ]

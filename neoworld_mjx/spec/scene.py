@@ -12,10 +12,12 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from ..errors import SpecError
+from .base import JointKey, Name, Number, Quat, Spec, Vec3
 from .camera import Camera
-from .object import JointKey, Name, Number, ObjectSpec, Quat, Spec, Vec3, link_poses
+from .kinematics import link_poses
+from .object import ObjectSpec
 from .pose import IDENTITY, Pose, from_yaw, pose, quat_mul, rotate, yaw_of
-from .scale import scale
+from .scale import scale, scaled_state
 from .tree import Box2D, Relation
 
 
@@ -66,20 +68,20 @@ class SceneSpec(Spec):
 
     @model_validator(mode="after")
     def _hierarchy(self) -> Self:
-        seen: dict[str, SceneObject] = {}
+        earlier: dict[str, SceneObject] = {}
         for item in self.objects:
-            if item.name in seen:
+            if item.name in earlier:
                 raise ValueError(f"object names must be unique, repeated: {item.name}")
             if item.parent is not None:
-                if item.parent not in seen:
+                if item.parent not in earlier:
                     raise ValueError(f"object {item.name}: parent {item.parent!r} must come first")
-                links = [part.name for part in seen[item.parent].spec.parts]
+                links = [part.name for part in earlier[item.parent].spec.parts]
                 if item.parent_link is not None and item.parent_link not in links:
                     raise ValueError(
                         f"object {item.name}: parent_link {item.parent_link!r} is not a part of "
                         f"{item.parent}; parts are {', '.join(links)}"
                     )
-                if item.static and not seen[item.parent].static:
+                if item.static and not earlier[item.parent].static:
                     raise ValueError(
                         f"object {item.name} is fixed to {item.parent}, which is free to move; "
                         "make it one of that object's parts"
@@ -99,7 +101,7 @@ class SceneSpec(Spec):
                         f"object {item.name}: joint_state names {name!r}; joints are "
                         f"{', '.join(joints) or 'none'}"
                     )
-            seen[item.name] = item
+            earlier[item.name] = item
         return self
 
     def object(self, name: str) -> SceneObject:
@@ -196,12 +198,8 @@ def rearranged(
             "z": float(z[i]),
         }
         if size[i] != 1.0:
-            joints = {joint.name: joint for joint in item.spec.joints}
-            update["spec"] = scale(item.spec, float(size[i]))
-            update["joint_state"] = {
-                name: value
-                * (size[i] if joints[name.partition(".")[0]].type == "prismatic" else 1.0)
-                for name, value in item.joint_state.items()
-            }
+            s = float(size[i])
+            update["spec"] = scale(item.spec, s)
+            update["joint_state"] = scaled_state(item.spec, item.joint_state, s)
         objects.append(item.model_copy(update=update))
     return scene.model_copy(update={"objects": tuple(objects)})

@@ -1,13 +1,15 @@
 """Sweep: a rod, tube-like handle, bail, hook, stem or ring along a path."""
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from .base_shape import BaseShape, Length, Point3
+from .base import Length, Point3
+from .base_shape import BaseShape
 from .convex import Piece, polytope
+from .dimensions import UNSCALED
 from .pose import from_axis_angle, rotate
 
 
@@ -26,15 +28,15 @@ class Sweep(BaseShape):
     width: tuple[Length, ...]
     thickness: tuple[Length, ...]
     closed: bool = False
-    sectors: int = Field(8, ge=4, le=32)
+    sectors: Annotated[int, Field(ge=4, le=32), UNSCALED] = 8
 
     @model_validator(mode="after")
     def _sane(self) -> Self:
-        for name, given in (("width", self.width), ("thickness", self.thickness)):
-            if len(given) not in (1, len(self.path)):
+        for name, values in (("width", self.width), ("thickness", self.thickness)):
+            if len(values) not in (1, len(self.path)):
                 raise ValueError(
                     f"sweep {name} needs 1 value or {len(self.path)}, one for each point of the "
-                    f"path, got {len(given)}"
+                    f"path, got {len(values)}"
                 )
         path = np.array(self.path)
         if self.closed and len(path) < 3:
@@ -83,7 +85,7 @@ class Sweep(BaseShape):
         for i in range(count):
             t = into[i] if i else out[0]
             if i:
-                side = _carried(side, out[i - 1] if i == 1 else into[i - 1], t)
+                side = _transported(side, out[i - 1] if i == 1 else into[i - 1], t)
             inward = np.cross(t, side)
             ring = np.outer(width[i] * np.cos(angle), side)
             ring = ring + np.outer(thick[i] * np.sin(angle), inward)
@@ -100,8 +102,8 @@ class Sweep(BaseShape):
         last = len(rings) if self.closed else len(rings) - 1
         return [polytope(np.vstack([rings[i], rings[(i + 1) % len(rings)]])) for i in range(last)]
 
-    def surface(self) -> tuple[NDArray, NDArray]:
-        """Return the closed outward surface: vertices [v, 3] and triangles [f, 3]."""
+    def build_surface(self) -> tuple[NDArray, NDArray]:
+        """Join finer sections, and close the ends."""
         sectors = self.sectors * -(-24 // self.sectors)
         rings, _ = self.rings(sectors)
         count = len(rings)
@@ -137,7 +139,7 @@ def _first_side(unit: NDArray) -> NDArray:
     return k / np.linalg.norm(k)
 
 
-def _carried(side: NDArray, before: NDArray, after: NDArray) -> NDArray:
+def _transported(side: NDArray, before: NDArray, after: NDArray) -> NDArray:
     """Carry a direction around a bend without twist."""
     k = np.cross(before, after)
     size = np.linalg.norm(k)

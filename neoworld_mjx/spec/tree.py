@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from .base import Length, Name, Number, Quat, Spec, Vec3
 from .camera import Camera
-from .object import Name, Number, Quat, Spec, Vec3
-from .pose import IDENTITY, from_yaw, quat_mul, rotate
-from .shapes import Length
+from .pose import IDENTITY, from_yaw, rotate
 
 Relation = Literal["on", "in", "attached", "leaning"]
 
@@ -51,7 +50,7 @@ class Box3D(Spec):
         unit = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
         local = rotate(tilt, unit * np.array(self.size))
         local[:, 2] -= local[:, 2].min()
-        return rotate(quat_mul(from_yaw(self.yaw), IDENTITY), local) + np.array(self.position)
+        return rotate(from_yaw(self.yaw), local) + np.array(self.position)
 
 
 class PartState(Spec):

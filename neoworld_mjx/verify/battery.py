@@ -11,8 +11,7 @@ import numpy as np
 
 from ..config import VerifyOptions
 from ..program.allowance import Allowance
-from ..spec import ObjectSpec
-from ..spec.object import Quat
+from ..spec import ObjectSpec, Quat
 from ..spec.pose import IDENTITY
 from .joint_checks import JointSweepChecks, ranges
 from .motion_checks import checks_of

@@ -16,7 +16,7 @@ from ..physics.mjcf import welded
 from ..program.allowance import Allowance
 from ..program.probe import Probe
 from ..spec import JointSpec, ObjectSpec, bounds, part_bounds
-from ..spec.opening import heeded, opened_for, way_opened
+from ..spec.opening import opening_alignment, prerequisite_state, with_prerequisites
 from .scenarios import SINGLE
 from .static_checks import helper
 from .verdict import Check, Fault, Limit, judged, skipped
@@ -133,7 +133,7 @@ def _over_range(
     if any(j.mimic is not None for j in probe.spec.joints):
         pairs += [p for p in limits if p not in bad and p[0] in moving and p[1] in moving]
     values = positions(joint, options.sweep_steps)
-    opened = opened_for(probe.spec, joint)
+    opened = prerequisite_state(probe.spec, joint)
     over = np.zeros(len(values))
     worst: dict[Pair, tuple[float, float, dict[str, float]]] = {}
     for k, value in enumerate(values):
@@ -202,7 +202,7 @@ def _free(
 
     It is right to a thousandth of the whole.
     """
-    opened = opened_for(probe.spec, joint)
+    opened = prerequisite_state(probe.spec, joint)
 
     def clear(value: float) -> bool:
         for state in states(joint, value):
@@ -246,7 +246,7 @@ def _better_pivot(
     edges = pivot_edges(joint, low, high)
     if not len(edges) or on_edge(joint, low, high):
         return False
-    opened = opened_for(spec, joint)
+    opened = prerequisite_state(spec, joint)
     for edge in edges:
         moved = joint.model_copy(update={"pos": tuple(edge.tolist())})
         other = Probe(with_joint(spec, moved))
@@ -302,7 +302,7 @@ def _combined(
             value = float(values[(-1, 0)[k] if k < 2 else random.integers(len(values))])
             ways = states(joint, float(np.clip(value, *found.free.get(joint.name, (value, value)))))
             state |= ways[0 if len(ways) == 1 else random.integers(len(ways))]
-        state = heeded(spec, state, opening=k % 2 == 0)
+        state = with_prerequisites(spec, state, opening=k % 2 == 0)
         probe.place(state)
         for pair, near in probe.depths(rest).items():
             if -near.distance > max(worst, limits[pair]):
@@ -387,7 +387,7 @@ def intents(spec: ObjectSpec) -> Iterator[Check]:
                 continue
         if intent.opens is not None and joint.type in SINGLE:
             limit = Limit(threshold=0.3, unit="cosine", fault=Fault.AXIS_REVERSED, least=True)
-            cosine = way_opened(spec, joint)
+            cosine = opening_alignment(spec, joint)
             if cosine is None:
                 why = "its middle hardly moves, so it opens no way"
                 yield skipped("intent", f"opens:{joint.name}", why, joint.name)

@@ -12,7 +12,7 @@ from ..mllm import Picture
 from ..render import View, render_scene, to_png
 from ..render.picture import corners
 from ..spec import SceneObject, SceneSpec
-from ..spec.opening import opened_for
+from ..spec.opening import prerequisite_state
 from .battery import Battery
 from .scenarios import SINGLE
 from .simulation import Trajectory
@@ -93,7 +93,7 @@ def _of_joint(battery: Battery, check: Check, label: str) -> Strip:
     if check.at is None and joint.type in ("revolute", "prismatic"):
         worst = joint.upper
     values = [worst * k / (FRAMES - 1) for k in range(FRAMES)]
-    opened = opened_for(battery.spec, joint)
+    opened = prerequisite_state(battery.spec, joint)
     state = lambda value: {**opened, joint.name: value} if joint.type in SINGLE else {}
     items = [_posed(battery, state(v), np.zeros(3), np.array([1.0, 0, 0, 0])) for v in values]
     return _strip(label, items, [f"{joint.name[:20]} = {v:.3g}" for v in values])

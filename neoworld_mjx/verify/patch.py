@@ -14,8 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from ..config import describe
 from ..errors import SpecError
 from ..files import write_atomic
-from ..spec import GeomSpec, JointSpec, ObjectSpec, PartSpec
-from ..spec.object import AuthoredInertia, Name, Vec3
+from ..spec import AuthoredInertia, GeomSpec, JointSpec, Name, ObjectSpec, PartSpec, Vec3
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, le=1e6)]

@@ -12,8 +12,7 @@ import mujoco
 import numpy as np
 
 from ..errors import SpecError
-from ..spec import JointSpec, ObjectSpec, inertial, part_bounds
-from ..spec.object import Vec3
+from ..spec import JointSpec, ObjectSpec, Vec3, inertial, part_bounds
 from ..spec.pose import rotate
 from .battery import Battery
 from .joint_checks import on_edge, pivot_edges

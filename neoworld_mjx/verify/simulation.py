@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from ..config import VerifyOptions
 from ..physics.mjcf import START, body_name, to_mjspec, welded
-from ..spec import ObjectSpec, bounds, part_bounds
-from ..spec.object import Quat, joint_value
-from ..spec.opening import opened_for
+from ..spec import ObjectSpec, Quat, bounds, joint_value, part_bounds
+from ..spec.opening import prerequisite_state
 from ..spec.pose import IDENTITY, from_axis_angle, quat_mul
 from .scenarios import SINGLE, STILL_S, Moving, Scenario, World, slope_at
 
@@ -115,7 +114,7 @@ class Simulation:
         joint = next(j for j in self.spec.joints if j.name == name)
         turns = joint.type == "continuous"
         low, high = (-np.pi, np.pi) if turns else (joint.lower, joint.upper)
-        opened = opened_for(self.spec, joint)
+        opened = prerequisite_state(self.spec, joint)
         return Moving(name, joint.child, float(low), float(high), joint.stiffness > 0, opened)
 
     @property

@@ -10,7 +10,6 @@ from ..spec import ObjectSpec, PartSpec, inertial, part_bounds, pieces
 from ..spec.convex import Piece, mass_properties, planes
 from ..spec.mesh import HELPER, UNKNOWN
 from ..spec.pose import Pose
-from ..spec.surface import surface
 from .verdict import Check, Fault, Limit, judged
 
 MASS_RATIO = 10.0
@@ -127,7 +126,7 @@ def seen_points(part: PartSpec, count: int = COVER_SAMPLES) -> NDArray:
     corners = []
     for geom in part.geoms:
         if geom.role != "collision":
-            vertices, faces = surface(geom.shape)
+            vertices, faces = geom.shape.surface()
             corners.append(geom.pose().apply(vertices)[faces])
     triangles = np.concatenate(corners)
     a, b, c = triangles.transpose(1, 0, 2)

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from ..spec.object import Spec
+from ..spec import Spec
 
 Outcome = Literal["PASS", "FAIL", "SKIP", "TOOL_FAILURE"]
 ScenarioKind = Literal[

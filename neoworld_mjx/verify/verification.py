@@ -12,8 +12,7 @@ from ..config import VerifyOptions
 from ..files import content_hash, write_atomic
 from ..mllm import Panel
 from ..program.allowance import Allowance
-from ..spec import ObjectSpec
-from ..spec.object import Quat
+from ..spec import ObjectSpec, Quat
 from ..spec.pose import IDENTITY
 from .battery import VERSION, Battery
 from .critic import Seen, with_models

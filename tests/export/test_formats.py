@@ -25,11 +25,11 @@ from neoworld_mjx.spec import (
     Material,
     ObjectSpec,
     PartSpec,
+    joint_value,
     link_poses,
     scale,
     world_poses,
 )
-from neoworld_mjx.spec.object import joint_value
 from neoworld_mjx.spec.pose import angle_between, matrix, pose
 
 

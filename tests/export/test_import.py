@@ -9,7 +9,6 @@ from neoworld_mjx.export import decompose, export_object, mechanism
 from neoworld_mjx.export.import_mjcf import import_mjcf
 from neoworld_mjx.export.import_urdf import import_urdf
 from neoworld_mjx.spec import Mesh, bounds
-from neoworld_mjx.spec.surface import surface
 
 READERS = {"object.urdf": import_urdf, "object.xml": import_mjcf}
 U = (
@@ -105,7 +104,7 @@ def test_meshes_without_colliders_are_decomposed_and_kept(tmp_path, monkeypatch)
     assert isinstance(geom.shape, Mesh)
     assert geom.role == "both"
     assert len(geom.shape.hulls) >= 3  # two posts and what joins them
-    assert len(surface(geom.shape)[1]) == 28
+    assert len(geom.shape.surface()[1]) == 28
     assert any("no colliders" in note for note in found.notes)
     monkeypatch.setattr(decompose, "_coacd", lambda *_: pytest.fail("it was kept"))
     assert import_urdf(path).spec == found.spec

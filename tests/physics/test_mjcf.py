@@ -20,11 +20,11 @@ from neoworld_mjx.spec import (
     Site,
     Sphere,
     inertial,
+    joint_value,
     link_poses,
     pieces,
     world_poses,
 )
-from neoworld_mjx.spec.object import joint_value
 from neoworld_mjx.spec.pose import matrix, pose
 
 WOOD = Material(name="wood", density=600, friction=0.4, rgba=(0.6, 0.4, 0.2, 1))

@@ -8,7 +8,7 @@ from neoworld_mjx.program import build
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.program.views import opened_state
 from neoworld_mjx.spec import ObjectSpec
-from neoworld_mjx.spec.opening import heeded, opened_for
+from neoworld_mjx.spec.opening import prerequisite_state, with_prerequisites
 from neoworld_mjx.verify import Battery
 from neoworld_mjx.verify.key_frames import _of_joint
 
@@ -56,7 +56,7 @@ def test_a_tray_slides_out_once_its_flap_is_open(given: str):
     spec = spec_of(text)
     joint = spec.joints[1]
     assert joint.after == ("flap_hinge",)
-    assert opened_for(spec, joint) == {"flap_hinge": 1.5}
+    assert prerequisite_state(spec, joint) == {"flap_hinge": 1.5}
     trusted = run(text, ProgramOptions(sandbox="cpython")).spec
     assert trusted is not None and trusted.to_json() == spec.to_json()
     assert ObjectSpec.model_validate_json(spec.to_json()) == spec
@@ -94,10 +94,10 @@ def test_combinations_hold_only_what_can_be():
     )
     spec = spec_of(text)
     state = {"flap_hinge": 0.7, "slide": 0.1, "lift": 0.3}
-    assert heeded(spec, state, opening=True) == {**state, "flap_hinge": 1.5}
-    assert heeded(spec, state, opening=False) == {**state, "slide": 0.0}
+    assert with_prerequisites(spec, state, opening=True) == {**state, "flap_hinge": 1.5}
+    assert with_prerequisites(spec, state, opening=False) == {**state, "slide": 0.0}
     closed = {**state, "slide": 0.0}
-    assert heeded(spec, closed, opening=True) == closed
+    assert with_prerequisites(spec, closed, opening=True) == closed
     assert opened_state(spec)["flap_hinge"] == 1.5
 
 
@@ -109,9 +109,13 @@ def test_what_waits_may_be_waited_for():
     )
     spec = run(text).spec
     assert spec is not None
-    assert opened_for(spec, spec.joints[2]) == {"slide": 0.25, "flap_hinge": 1.57}
+    assert prerequisite_state(spec, spec.joints[2]) == {"slide": 0.25, "flap_hinge": 1.57}
     state = {"lift": 0.1, "slide": 0.25, "flap_hinge": 1.0}
-    assert heeded(spec, state, opening=False) == {"lift": 0.0, "slide": 0.0, "flap_hinge": 1.0}
+    assert with_prerequisites(spec, state, opening=False) == {
+        "lift": 0.0,
+        "slide": 0.0,
+        "flap_hinge": 1.0,
+    }
 
 
 @pytest.mark.parametrize(

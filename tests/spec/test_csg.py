@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from neoworld_mjx.spec import CSG, Box, Cylinder, HollowBox, Lathe, Placed, Shape, Sphere
+from neoworld_mjx.spec import CSG, Box, Cylinder, HollowBox, Lathe, Operand, Shape, Sphere
 from neoworld_mjx.spec.convex import mass_properties, planes
 from neoworld_mjx.spec.csg import _tools
-from neoworld_mjx.spec.surface import corner_normals, surface
+from neoworld_mjx.spec.triangles import corner_normals
 
 LYING = (1.0, 1.0, 0.0, 0.0)
 BLOCK = Box(size=(0.2, 0.2, 0.1))
@@ -17,7 +17,7 @@ BLOCK = Box(size=(0.2, 0.2, 0.1))
 
 def made(operation, *operands, **more) -> CSG:
     placed = tuple(
-        Placed(shape=o[0], pos=o[1], quat=(*o, LYING)[2] if len(o) > 2 else (1, 0, 0, 0))
+        Operand(shape=o[0], pos=o[1], quat=(*o, LYING)[2] if len(o) > 2 else (1, 0, 0, 0))
         for o in operands
     )
     return CSG(operation=operation, operands=placed, **more)
@@ -97,7 +97,7 @@ def test_pieces_do_not_overlap_and_mujoco_takes_them(name: str):
 
 @pytest.mark.parametrize("name", CASES)
 def test_the_surface_is_closed_and_has_normals(name: str):
-    vertices, faces = surface(CASES[name])
+    vertices, faces = CASES[name].surface()
     edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     codes = edges[:, 0] * len(vertices) + edges[:, 1]
     assert set(codes) == set(edges[:, 1] * len(vertices) + edges[:, 0])
@@ -114,7 +114,7 @@ def test_json_both_ways_to_the_byte(name: str):
     again = adapter.validate_json(text)
     assert again == shape and adapter.dump_json(again) == text
     assert again.pieces() == shape.pieces()
-    assert all(np.array_equal(*pair) for pair in zip(surface(again), surface(shape), strict=True))
+    assert all(np.array_equal(*pair) for pair in zip(again.surface(), shape.surface(), strict=True))
 
 
 def test_a_scaled_copy_is_cut_in_the_same_way():
@@ -123,7 +123,7 @@ def test_a_scaled_copy_is_cut_in_the_same_way():
     assert len(big.pieces()) == len(shape.pieces())
     for one, other in zip(shape.pieces(), big.pieces(), strict=True):
         assert np.allclose(np.array(one.vertices) * 0.85, other.vertices, rtol=1e-14, atol=0)
-    assert np.allclose(surface(shape)[0] * 0.85, surface(big)[0], rtol=1e-14, atol=0)
+    assert np.allclose(shape.surface()[0] * 0.85, big.surface()[0], rtol=1e-14, atol=0)
 
 
 def test_shapes_may_lie_in_each_other():

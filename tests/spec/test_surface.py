@@ -14,7 +14,7 @@ from neoworld_mjx.spec import (
     Sphere,
 )
 from neoworld_mjx.spec.convex import mass_properties
-from neoworld_mjx.spec.surface import corner_normals, surface
+from neoworld_mjx.spec.triangles import corner_normals
 
 FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 SHAPES = [
@@ -38,7 +38,7 @@ SHAPES = [
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.type)
 def test_surfaces_are_closed_outward_and_of_the_right_volume(shape):
-    vertices, faces = surface(shape)
+    vertices, faces = shape.surface()
     edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     codes = edges[:, 0] * len(vertices) + edges[:, 1]
     assert len(np.unique(codes)) == len(codes)
@@ -58,7 +58,7 @@ def test_surfaces_are_closed_outward_and_of_the_right_volume(shape):
 
 
 def test_normals_are_smooth_around_and_sharp_at_rims():
-    vertices, faces = surface(Cylinder(radius=0.05, height=0.2))
+    vertices, faces = Cylinder(radius=0.05, height=0.2).surface()
     normals = corner_normals(vertices, faces)
     assert np.allclose(np.linalg.norm(normals, axis=2), 1)
     corners = vertices[faces]
@@ -71,7 +71,7 @@ def test_normals_are_smooth_around_and_sharp_at_rims():
 
 def test_the_surface_holds_the_corners_of_a_lathes_colliders():
     shape = SHAPES[8]
-    vertices, _ = surface(shape)
+    vertices, _ = shape.surface()
     corners = np.vstack([piece.vertices for piece in shape.pieces()])
     gap = np.linalg.norm(corners[:, None] - vertices[None], axis=2).min(axis=1)
     assert gap.max() < 1e-12

@@ -6,7 +6,6 @@ from pydantic import ValidationError
 
 from neoworld_mjx.spec import Extrusion, Lathe, RoundedBox, Sweep
 from neoworld_mjx.spec.convex import mass_properties, planes
-from neoworld_mjx.spec.surface import surface
 
 
 def ring(radius: float, count: int, arc: float = 2 * math.pi) -> tuple:
@@ -48,7 +47,7 @@ SHAPES = [
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.type)
 def test_surfaces_are_closed_and_outward(shape):
-    vertices, faces = surface(shape)
+    vertices, faces = shape.surface()
     edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     codes = edges[:, 0] * len(vertices) + edges[:, 1]
     assert len(np.unique(codes)) == len(codes)
@@ -83,7 +82,7 @@ def test_volumes_against_formulas():
 
 
 def test_an_oval_lathe_is_a_stretched_round_one():
-    low, high = surface(SPOON)[0].min(axis=0), surface(SPOON)[0].max(axis=0)
+    low, high = SPOON.surface()[0].min(axis=0), SPOON.surface()[0].max(axis=0)
     assert (high - low)[1] == pytest.approx(0.7 * (high - low)[0], rel=1e-2)
     flat, round_ = (
         sum(mass_properties(piece)[0] for piece in shape.pieces())

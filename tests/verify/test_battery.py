@@ -8,8 +8,16 @@ import scenes
 from furniture import chest, cupboard, geom
 
 from neoworld_mjx.config import VerifyOptions
-from neoworld_mjx.spec import Box, GeomSpec, JointSpec, Material, PartSpec, Sphere, recentred
-from neoworld_mjx.spec.object import AuthoredInertia
+from neoworld_mjx.spec import (
+    AuthoredInertia,
+    Box,
+    GeomSpec,
+    JointSpec,
+    Material,
+    PartSpec,
+    Sphere,
+    recentred,
+)
 from neoworld_mjx.verify import VERSION, Battery, Fault, verify
 from neoworld_mjx.verify.scenarios import PRESETS
 

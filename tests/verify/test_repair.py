@@ -8,8 +8,7 @@ from pydantic import ValidationError
 
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.spec.object import AuthoredInertia
-from neoworld_mjx.spec.surface import surface
+from neoworld_mjx.spec import AuthoredInertia
 from neoworld_mjx.verify import (
     Battery,
     Fault,
@@ -24,7 +23,7 @@ from neoworld_mjx.verify import (
 def seen(spec):
     """What is seen of an object, part by part, apart from where parts are."""
     return {
-        part.name: [surface(g.shape)[0].tobytes() for g in part.geoms if g.role != "collision"]
+        part.name: [g.shape.surface()[0].tobytes() for g in part.geoms if g.role != "collision"]
         for part in spec.parts
     }
 

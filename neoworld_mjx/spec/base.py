@@ -1,0 +1,102 @@
+"""Bases of host-side descriptions, and the types of their fields."""
+
+import math
+from typing import Annotated, Any, ClassVar, Self
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from .dimensions import LENGTH, NO_JOINT, UNSCALED, Motion, Scaling, declared_scaling
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=48)]
+JointKey = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*(\.[xyz])?$", max_length=50)]
+"""A joint's name, or that of one of a ball's three values."""
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Length = Annotated[float, Field(gt=0, allow_inf_nan=False), LENGTH]
+Vec3 = tuple[Number, Number, Number]
+Quat = tuple[Number, Number, Number, Number]
+"""Rotation (w, x, y, z)."""
+Point3 = Annotated[Vec3, LENGTH]
+"""A point in the object's frame [m]."""
+Direction3 = Annotated[Vec3, UNSCALED]
+Rotation = Annotated[Quat, UNSCALED]
+
+
+class Spec(BaseModel):
+    """Base of all host-side descriptions: frozen, closed against unknown keys, JSON both ways."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ScalableSpec(Spec):
+    """Base of what an object consists of: each field with numbers declares how they scale.
+
+    A subclass with a field that holds an `int` or `float` without a `Scaling` in its annotation
+    raises a TypeError when it is defined.
+    """
+
+    scalings: ClassVar[dict[str, Scaling | None]] = {}
+    """How each field scales; None for fields without numbers, whose parts scale by themselves."""
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        """Collect the scaling of every field."""
+        super().__pydantic_init_subclass__(**kwargs)
+        cls.scalings = {}
+        for name, field in cls.model_fields.items():
+            try:
+                cls.scalings[name] = declared_scaling(field.annotation, field.metadata)
+            except TypeError as error:
+                raise TypeError(f"{cls.__name__}.{name} {error}") from None
+
+    def scaled(self, s: float, motion: Motion = NO_JOINT) -> Self:
+        """Return a copy with every number multiplied by the power of `s` that its field declares."""
+        update: dict[str, object] = {}
+        for name, scaling in self.scalings.items():
+            value = getattr(self, name)
+            if scaling is None:
+                update[name] = _scaled_parts(value, s, motion)
+            elif power := scaling.exponent(motion):
+                update[name] = _times(value, s**power)
+        return self.model_copy(update=update)
+
+
+def _scaled_parts(value: Any, s: float, motion: Motion) -> Any:
+    if isinstance(value, tuple):
+        return tuple(_scaled_parts(item, s, motion) for item in value)
+    return value.scaled(s, motion) if isinstance(value, ScalableSpec) else value
+
+
+def _times(value: Any, factor: float) -> Any:
+    if isinstance(value, tuple):
+        return tuple(_times(item, factor) for item in value)
+    return None if value is None else value * factor
+
+
+def unit_vector(value: tuple[float, ...], name: str) -> tuple:
+    """Return a vector or quaternion divided by its length.
+
+    Raises:
+        ValueError: it is zero.
+    """
+    length = math.sqrt(sum(v * v for v in value))
+    if length < 1e-9:
+        raise ValueError(f"{name} must not be zero")
+    if abs(length - 1.0) < 1e-12:
+        return value
+    return tuple(v / length for v in value)
+
+
+__all__ = [
+    "Direction3",
+    "JointKey",
+    "Length",
+    "Name",
+    "Number",
+    "Point3",
+    "Quat",
+    "Rotation",
+    "ScalableSpec",
+    "Spec",
+    "Vec3",
+    "unit_vector",
+]

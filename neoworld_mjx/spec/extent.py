@@ -1,0 +1,90 @@
+"""Convex pieces of parts, and bounds of objects as posed."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .base import Quat, Vec3
+from .convex import Piece, box_around
+from .kinematics import link_poses
+from .object import GeomSpec, ObjectSpec, PartSpec, Role
+from .pose import IDENTITY, Pose, pose
+
+
+def pieces(part: PartSpec, role: Role = "collision") -> list[tuple[GeomSpec, Piece, Pose]]:
+    """List a part's convex pieces with their poses in the object's frame.
+
+    Args:
+        part: the part.
+        role: "collision" or "visual"; geoms of role "both" belong to either.
+    """
+    placed = []
+    for geom in part.geoms:
+        if geom.role in (role, "both"):
+            for piece in geom.shape.pieces():
+                placed.append((geom, piece, geom.pose().then(pose(piece.pos, piece.quat))))
+    return placed
+
+
+def bounds(
+    spec: ObjectSpec,
+    joint_state: dict[str, float] | None = None,
+    tilt: Quat = IDENTITY,
+    role: Role = "collision",
+) -> tuple[NDArray, NDArray]:
+    """Return the exact axis-aligned bounds (low [3], high [3]) [m] of an object as posed.
+
+    Args:
+        spec: the object.
+        joint_state: joint values; at rest by default.
+        tilt: rotation of the whole object before measuring.
+        role: whose extent to take.
+    """
+    moved = link_poses(spec, joint_state or {})
+    base = pose((0, 0, 0), tilt)
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for part in spec.parts:
+        for _, piece, at in pieces(part, role):
+            one, other = box_around(piece, base.then(moved[part.name]).then(at))
+            low, high = np.minimum(low, one), np.maximum(high, other)
+    return low, high
+
+
+def translated(spec: ObjectSpec, offset: NDArray) -> ObjectSpec:
+    """Move everything in the object's frame by `offset` [3] m."""
+
+    def move(at: Vec3) -> Vec3:
+        return tuple((np.array(at) + offset).tolist())
+
+    return spec.model_copy(
+        update={
+            "parts": tuple(
+                part.model_copy(
+                    update={
+                        "geoms": tuple(
+                            geom.model_copy(update={"pos": move(geom.pos)}) for geom in part.geoms
+                        ),
+                        "inertia": part.inertia
+                        and part.inertia.model_copy(update={"pos": move(part.inertia.pos)}),
+                    }
+                )
+                for part in spec.parts
+            ),
+            "joints": tuple(j.model_copy(update={"pos": move(j.pos)}) for j in spec.joints),
+            "sites": tuple(s.model_copy(update={"pos": move(s.pos)}) for s in spec.sites),
+        }
+    )
+
+
+def recentred(spec: ObjectSpec) -> ObjectSpec:
+    """Move the origin to the centre of the bounding box's bottom face."""
+    low, high = bounds(spec)
+    return translated(spec, -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]))
+
+
+def part_bounds(spec: ObjectSpec, part: PartSpec) -> tuple[NDArray, NDArray]:
+    """Return the bounds (low [3], high [3]) [m] of a part's colliders at rest."""
+    alone = spec.model_copy(update={"parts": (part,), "joints": (), "sites": ()})
+    return bounds(alone)
+
+
+__all__ = ["bounds", "part_bounds", "pieces", "recentred", "translated"]

@@ -1,0 +1,82 @@
+"""Kinematics of an object: where its joints and links are at given joint values."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from .base import Vec3
+from .joint import JointSpec
+from .object import ObjectSpec
+from .pose import Pose, from_axis_angle, pose, rotate
+
+_AT_REST = pose()
+
+
+def link_poses(spec: ObjectSpec, joint_state: Mapping[str, float]) -> dict[str, Pose]:
+    """Return how each part is displaced from rest when joints stand at `joint_state` [rad or m].
+
+    A joint not named stands at 0; a mimic joint follows its leader. The result maps the object's
+    frame at rest to the object's frame as posed.
+    """
+    values = {joint.name: joint_position(spec, joint, joint_state) for joint in spec.joints}
+    moved: dict[str, Pose] = {}
+    for part, joint in spec.ordered:
+        if joint is None:
+            moved[part.name] = pose()
+            continue
+        motion = joint_motion(joint, values[joint.name])
+        above = moved[joint.parent]
+        moved[part.name] = above if motion is _AT_REST else above.then(motion)
+    return moved
+
+
+def joint_value(spec: ObjectSpec, joint: JointSpec, joint_state: Mapping[str, float]) -> float:
+    """Return where a joint stands, following mimics [rad or m]."""
+    seen = set()
+    factor, offset = 1.0, 0.0
+    while joint.mimic is not None and joint.name not in seen:
+        seen.add(joint.name)
+        offset += factor * joint.mimic.offset
+        factor *= joint.mimic.multiplier
+        joint = spec.joint(joint.mimic.joint)
+    return factor * joint_state.get(joint.name, 0.0) + offset
+
+
+def ball_vector(joint: JointSpec, joint_state: Mapping[str, float]) -> Vec3:
+    """Return the rotation vector [rad] of a ball joint."""
+    x, y, z = (joint_state.get(f"{joint.name}.{axis}", 0.0) for axis in "xyz")
+    return x, y, z
+
+
+def joint_position(
+    spec: ObjectSpec, joint: JointSpec, joint_state: Mapping[str, float]
+) -> float | Vec3:
+    """Return where a joint stands, following mimics: one value, or a ball's rotation vector."""
+    if joint.type == "ball":
+        return ball_vector(joint, joint_state)
+    return joint_value(spec, joint, joint_state)
+
+
+def joint_motion(joint: JointSpec, value: float | Vec3) -> Pose:
+    """Return the displacement of the child by a joint at `value`, in the object's rest frame."""
+    if isinstance(value, tuple):
+        angle = float(np.linalg.norm(value))
+        turn = from_axis_angle(value, angle) if angle > 0.0 else None
+    elif joint.type == "prismatic":
+        return pose(np.array(joint.axis) * value)
+    else:
+        moves = joint.type != "fixed" and value != 0.0
+        turn = from_axis_angle(joint.axis, value) if moves else None
+    if turn is None:
+        return _AT_REST
+    anchor = np.array(joint.pos)
+    return pose(anchor - rotate(turn, anchor), turn)
+
+
+__all__ = [
+    "ball_vector",
+    "joint_motion",
+    "joint_position",
+    "joint_value",
+    "link_poses",
+]

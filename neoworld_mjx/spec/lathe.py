@@ -1,0 +1,214 @@
+"""Lathe: a profile revolved about z, solid or as a shell with an even wall."""
+
+import math
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, model_validator
+
+from .base import Length
+from .base_shape import BaseShape, Point2, Sectors, rows
+from .convex import Piece, polytope
+from .dimensions import UNSCALED
+from .outlines import edges_distance, inside_edges, loops_distance
+from .triangles import SECTORS, revolved
+
+
+class Lathe(BaseShape):
+    """A profile of (r, z) points revolved about z.
+
+    With `thickness` the profile is the outer face of a shell, walked from the foot to the rim; the
+    wall grows to its left, which is inwards and upwards (a cup, a bowl, a saucer). Without it the
+    profile bounds a solid and z must not decrease. Pieces are convex: frusta for a solid and for
+    what lies below the flat inner floor of a shell, wedges of each band above. Their corners lie on
+    the true surface of revolution, so they stay within r (1 - cos(pi / sectors)) of it.
+    """
+
+    type: Literal["lathe"] = "lathe"
+    profile: tuple[Point2, ...] = Field(min_length=2, max_length=64)
+    thickness: Length | None = None
+    sectors: Sectors = 16
+    oval: Annotated[float, Field(ge=0.05, le=20.0, allow_inf_nan=False), UNSCALED] = 1.0
+    """Size along y over size along x: the whole shape, wall included, is stretched along y."""
+
+    @model_validator(mode="after")
+    def _sane(self) -> Self:
+        p = np.array(self.profile)
+        if np.any(p[:, 0] < 0):
+            raise ValueError("lathe radii must not be negative")
+        if np.any(np.all(np.diff(p, axis=0) == 0, axis=1)):
+            raise ValueError("lathe profile repeats a point")
+        if self.thickness is None and np.any(np.diff(p[:, 1]) < 0):
+            raise ValueError("the z of a solid lathe's profile must not decrease")
+        if self.thickness is not None and np.any(p[1:, 0] == 0):
+            raise ValueError("a lathe shell may touch the axis only at its first point")
+        if not self.pieces():
+            raise ValueError("lathe has no volume")
+        return self
+
+    def inner(self) -> NDArray:
+        """Return the inner face of the shell, shape [len(profile), 2]: the profile, offset."""
+        p = np.array(self.profile)
+        d = np.diff(p, axis=0)
+        n = np.column_stack([-d[:, 1], d[:, 0]]) / np.linalg.norm(d, axis=1, keepdims=True)
+        before, after = np.vstack([n[:1], n]), np.vstack([n, n[-1:]])
+        mitre = (before + after) / (1 + np.sum(before * after, axis=1, keepdims=True))
+        q = p + (self.thickness or 0.0) * mitre
+        q[:, 0] = np.maximum(q[:, 0], 0.0)
+        if p[0, 0] == 0:
+            q[0, 0] = 0.0
+        return q
+
+    def pieces(self) -> list[Piece]:
+        """Return frusta (solid) or a disc and wedges (shell)."""
+        turn = 2 * np.pi / self.sectors
+        pieces = []
+        for piece, repeats in self.distinct_pieces():
+            pieces.append(piece)
+            corners = np.array(piece.vertices) / [1.0, self.oval, 1.0]
+            for k in range(1, repeats):
+                c, s = np.cos(k * turn), np.sin(k * turn)
+                x, y, z = corners.T
+                around = np.column_stack([c * x - s * y, self.oval * (s * x + c * y), z])
+                pieces.append(polytope(around))
+        return pieces
+
+    def distinct_pieces(self) -> list[tuple[Piece, int]]:
+        """Return the pieces up to turns about z, with how many times each goes around.
+
+        One that goes around is the wedge that spans the angles from 0 to 2 pi / sectors.
+        """
+        p = np.array(self.profile)
+        angles = 2 * np.pi * np.arange(self.sectors) / self.sectors
+        if self.thickness is None:
+            return [
+                (polytope(np.vstack([self._ring(a, angles), self._ring(b, angles)])), 1)
+                for a, b in zip(p[:-1], p[1:], strict=True)
+                if b[1] > a[1] and max(a[0], b[0]) > 0
+            ]
+        q = self.inner()
+        floor = self.floor()
+        if floor is not None:
+            # A scaled copy differs in the last bits and must come to the same pieces: heights that
+            # mean the floor's are made equal to it.
+            for points in (p, q):
+                points[np.abs(points[:, 1] - floor[1]) < self._rounding(), 1] = floor[1]
+        quads = [np.array([p[i], p[i + 1], q[i + 1], q[i]]) for i in range(len(p) - 1)]
+        pieces = []
+        if floor is not None:
+            # Below the inner floor all is solid: one stack of frusta, so that what stands on the
+            # ground stands on one piece and not on every wedge.
+            base = [*(c for c in p[1:] if c[1] < floor[1]), floor]
+            pieces = [
+                (polytope(np.vstack([self._ring(c, angles) for c in pair])), 1)
+                for pair in zip(base[:-1], base[1:], strict=True)
+            ]
+            quads = [_above(quad, floor[1]) for quad in quads[1:]]
+        for quad in quads:
+            if len(quad) < 3:
+                continue
+            if quad[0][0] == 0 and len(quad) == 4 and quad[0][1] == quad[1][1]:
+                disc = [self._ring(c, angles) for c in quad[1:3]]
+                pieces.append((polytope(np.vstack(disc)), 1))
+            else:
+                wedge = [self._ring(c, angles[:2]) for c in quad]
+                pieces.append((polytope(np.vstack(wedge)), self.sectors))
+        return pieces
+
+    def floor(self) -> NDArray | None:
+        """Return the outer face's (r, z) at the height of a flat inner floor, None without one."""
+        p = np.array(self.profile)
+        if self.thickness is None or p[0, 0] > 0 or p[0, 1] != p[1, 1]:
+            return None
+        top = p[0, 1] + self.thickness
+        over = np.flatnonzero(p[:, 1] >= top - self._rounding())
+        if len(over) == 0 or np.any(np.diff(p[: over[0] + 1, 1]) < 0) or np.any(p[:, 1] < p[0, 1]):
+            return None
+        a, b = p[over[0] - 1], p[over[0]]
+        share = min(1.0, (top - a[1]) / (b[1] - a[1]))
+        return np.array([a[0] + share * (b[0] - a[0]), top])
+
+    def _rounding(self) -> float:
+        """Return a height [m] that is nothing beside the wall."""
+        return 1e-6 * (self.thickness or 0.0)
+
+    def _ring(self, corner: NDArray, angles: NDArray) -> NDArray:
+        r, z = corner
+        y = self.oval * r * np.sin(angles)
+        return np.column_stack([r * np.cos(angles), y, np.full(len(angles), z)])
+
+    def build_surface(self) -> tuple[NDArray, NDArray]:
+        """Revolve the section, more finely than the colliders."""
+        # A multiple of the colliders' sectors, so that their corners are corners of the surface too.
+        sectors = self.sectors * math.ceil(SECTORS / self.sectors)
+        vertices, faces = revolved(self.section(), sectors, closed=self.is_ring())
+        return vertices * [1.0, self.oval, 1.0], faces
+
+    def volume(self) -> float:
+        """Return the volume [m^3]."""
+        p = self.section()
+        q = np.roll(p, -1, axis=0)
+        # Pappus: the area's moment about the axis goes once around.
+        moment = np.sum((p[:, 0] + q[:, 0]) * (p[:, 0] * q[:, 1] - q[:, 0] * p[:, 1])) / 6
+        return 2 * math.pi * abs(float(moment)) * self.oval
+
+    def signed_distance(self, points: ArrayLike) -> NDArray:
+        """Return distances, exact unless the shape is oval."""
+        if self.oval != 1.0:
+            return super().signed_distance(points)
+        p, chain = rows(points), self.section()
+        flat = np.column_stack([np.hypot(p[:, 0], p[:, 1]), p[:, 2]])
+        if self.is_ring():
+            return loops_distance(flat, [chain])
+        # The edge along the axis closes the outline, but is no surface.
+        inside = inside_edges(flat, chain, np.roll(chain, -1, axis=0))
+        return edges_distance(flat, chain[:-1], chain[1:]) * np.where(inside, -1.0, 1.0)
+
+    def is_ring(self) -> bool:
+        """Tell whether the section is a loop that stays off the axis."""
+        return self.thickness is not None and self.profile[0][0] > 0
+
+    def section(self) -> NDArray:
+        """Return the chain of (r, z) corners [n, 2] m that bounds the section.
+
+        It begins and ends on the axis, unless it is a ring's: then it is a loop.
+        """
+        profile = np.array(self.profile)
+        if self.thickness is None:
+            # Radii that change at one height bound no volume at the ends and only once in between.
+            z = profile[:, 1]
+            keep = [
+                i
+                for i in range(len(z))
+                if not (
+                    (z[i] == z[0] and i + 1 < len(z) and z[i + 1] == z[0])
+                    or (z[i] == z[-1] and i > 0 and z[i - 1] == z[-1])
+                    or (0 < i < len(z) - 1 and z[i - 1] == z[i] == z[i + 1])
+                )
+            ]
+            p = profile[keep]
+            foot = [[0.0, p[0, 1]]] if p[0, 0] > 0 else []
+            head = [[0.0, p[-1, 1]]] if p[-1, 0] > 0 else []
+            return np.array([*foot, *p.tolist(), *head])
+        outer, floor = profile, self.floor()
+        if floor is not None and np.linalg.norm(profile - floor, axis=1).min() > 1e-9:
+            # The colliders are cut at the inner floor; their corners there belong to the surface, too.
+            outer = np.insert(profile, np.flatnonzero(profile[:, 1] >= floor[1])[0], floor, axis=0)
+        return np.vstack([outer, self.inner()[::-1]])
+
+
+def _above(polygon: NDArray, z: float) -> NDArray:
+    """Cut a convex (r, z) polygon off below a height."""
+    points = []
+    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        if a[1] >= z:
+            points.append(a)
+        if (a[1] - z) * (b[1] - z) < 0:
+            points.append(a + (z - a[1]) / (b[1] - a[1]) * (b - a))
+    kept = np.array(points).reshape(-1, 2)
+    # What merely touches the cut, by rounding or in truth, is no piece.
+    return kept if len(kept) >= 3 and np.ptp(kept[:, 1]) > 1e-9 * max(1.0, abs(z)) else kept[:0]
+
+
+__all__ = ["Lathe"]

@@ -1,0 +1,75 @@
+"""Mass properties of parts: authored, or summed over colliding pieces."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .base import Quat, Spec, Vec3
+from .convex import mass_properties
+from .extent import pieces
+from .object import ObjectSpec, PartSpec
+from .pose import IDENTITY, from_matrix, rotate
+
+
+class Inertial(Spec):
+    """Mass properties of a part in the object's frame."""
+
+    mass: float
+    """[kg]"""
+    pos: Vec3
+    """Centre of mass [m]."""
+    quat: Quat
+    """Principal axes."""
+    diagonal: Vec3
+    """Principal moments [kg m^2]."""
+
+
+def inertial(spec: ObjectSpec, part: PartSpec) -> Inertial:
+    """Sum a part's mass properties over its colliding pieces (MuJoCo's body inertial).
+
+    Authored values are taken as they are.
+    """
+    if part.inertia is not None and part.mass is not None:
+        diagonal, quat = _principal(part.inertia.tensor())
+        return Inertial(
+            mass=part.mass, pos=part.inertia.pos, quat=quat, diagonal=tuple(diagonal.tolist())
+        )
+    mass, moment = 0.0, np.zeros(3)
+    bodies = []
+    for geom, piece, _ in pieces(part):
+        volume, centre, unit = mass_properties(piece)
+        m = volume * spec.material(geom.material).density
+        rotation = rotate(geom.pose().quat, np.eye(3)).T
+        bodies.append((m, geom.pose().apply(centre), rotation @ unit @ rotation.T * (m / volume)))
+        mass += m
+        moment += m * bodies[-1][1]
+    com = moment / mass
+    total = np.zeros((3, 3))
+    for m, centre, tensor in bodies:
+        d = centre - com
+        total += tensor + m * (d @ d * np.eye(3) - np.outer(d, d))
+    if part.mass is not None:
+        total *= part.mass / mass
+        mass = part.mass
+    diagonal, quat = _principal(total)
+    return Inertial(
+        mass=mass, pos=tuple(com.tolist()), quat=quat, diagonal=tuple(diagonal.tolist())
+    )
+
+
+def _principal(tensor: NDArray) -> tuple[NDArray, Quat]:
+    size = float(np.trace(tensor)) or 1.0
+    # Rounded, so that a scaled copy of the object gets the very same axes although its tensor
+    # differs in the last bits; symmetric objects would otherwise get arbitrary ones.
+    unit = np.round(tensor / size, 10)
+    if np.allclose(unit, np.diag(np.diag(unit)), atol=1e-9):
+        return np.diag(tensor).copy(), IDENTITY
+    _, axes = np.linalg.eigh(unit)
+    # Eigenvectors have no sign of their own: let the largest component of each be positive.
+    for k in (0, 1):
+        axes[:, k] *= np.sign(axes[np.argmax(np.abs(np.round(axes[:, k], 6))), k])
+    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+    quat = from_matrix(axes)
+    return np.diag(axes.T @ tensor @ axes).copy(), tuple(quat.tolist())
+
+
+__all__ = ["Inertial", "inertial"]

@@ -1,0 +1,65 @@
+"""Signed distances of points to outlines in the plane, and to boxes and extrusions."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .triangles import CHUNK
+
+
+def box_distance(p: NDArray, half: NDArray) -> NDArray:
+    """Return the distances [n] of points [n, 3] to a centred box of half edges [3]."""
+    q = np.abs(p) - half
+    return np.linalg.norm(np.maximum(q, 0.0), axis=1) + np.minimum(q.max(axis=1), 0.0)
+
+
+def extruded_distance(flat: NDArray, z: NDArray, half: float) -> NDArray:
+    """Combine distances to an outline in the plane with those to the two ends at z = +-half."""
+    over = np.abs(z) - half
+    outside = np.hypot(np.maximum(flat, 0.0), np.maximum(over, 0.0))
+    return outside + np.minimum(np.maximum(flat, over), 0.0)
+
+
+def loops_distance(p: NDArray, loops: list[NDArray]) -> NDArray:
+    """Return the distances [n] of points [n, 2] to an outline with holes, negative inside."""
+    a = np.vstack(loops)
+    b = np.vstack([np.roll(loop, -1, axis=0) for loop in loops])
+    return edges_distance(p, a, b) * np.where(inside_edges(p, a, b), -1.0, 1.0)
+
+
+def edges_distance(p: NDArray, a: NDArray, b: NDArray) -> NDArray:
+    """Return the distances [n] of points [n, 2] to edges from a to b, both [e, 2]."""
+    edge = b - a
+    length = np.maximum(np.sum(edge * edge, axis=1), 1e-300)
+    best = np.full(len(p), np.inf)
+    for i in range(0, len(p), max(1, CHUNK // len(a))):
+        own = slice(i, i + max(1, CHUNK // len(a)))
+        from_a = p[own, None] - a
+        t = np.clip(np.sum(from_a * edge, axis=2) / length, 0.0, 1.0)
+        gap = from_a - t[..., None] * edge
+        best[own] = np.sqrt(np.sum(gap * gap, axis=2).min(axis=1))
+    return best
+
+
+def inside_edges(p: NDArray, a: NDArray, b: NDArray) -> NDArray:
+    """Tell which points [n, 2] closed edges surround: an odd number of edges to their right."""
+    x, y = p[:, :1], p[:, 1:]
+    crosses = (a[:, 1] > y) != (b[:, 1] > y)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
+    return np.sum(crosses & (at > x), axis=1) % 2 == 1
+
+
+def polygon_area(p: NDArray) -> float:
+    """Return the area of a polygon [n, 2], positive if it runs counter-clockwise."""
+    q = np.roll(p, -1, axis=0)
+    return float(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]) / 2)
+
+
+__all__ = [
+    "box_distance",
+    "edges_distance",
+    "extruded_distance",
+    "inside_edges",
+    "loops_distance",
+    "polygon_area",
+]

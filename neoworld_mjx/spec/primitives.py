@@ -1,0 +1,289 @@
+"""Primitive shapes: box, ball, capsule, cylinder, ellipsoid, convex prism and hollow box."""
+
+import math
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, model_validator
+
+from .base import Length
+from .base_shape import BaseShape, Face, Point2, Primitive, rows
+from .convex import Piece, polytope
+from .outlines import box_distance, extruded_distance, loops_distance, polygon_area
+from .triangles import BALL_SECTORS, SECTORS, extruded_outline, meridian, revolved
+
+Edges = tuple[Length, Length, Length]
+"""Full edge lengths along x, y, z [m]."""
+
+
+class Box(Primitive):
+    """A box, centred, with full edge lengths along x, y, z."""
+
+    type: Literal["box"] = "box"
+    size: Edges
+
+    def primitive(self) -> Piece:
+        """Return the box itself."""
+        return Piece("box", tuple(v / 2 for v in self.size))
+
+    def build_surface(self) -> tuple[NDArray, NDArray]:
+        """Build 12 triangles."""
+        x, y, z = self.size
+        return extruded_outline(np.array([[-x, -y], [x, -y], [x, y], [-x, y]]) / 2, z)
+
+    def volume(self) -> float:
+        """Return the volume [m^3]."""
+        return math.prod(self.size)
+
+    def signed_distance(self, points: ArrayLike) -> NDArray:
+        """Return exact distances."""
+        return box_distance(rows(points), np.array(self.size) / 2)
+
+
+class Sphere(Primitive):
+    """A ball, centred."""
+
+    type: Literal["sphere"] = "sphere"
+    radius: Length
+
+    def primitive(self) -> Piece:
+        """Return the ball itself."""
+        return Piece("sphere", (self.radius, 0.0, 0.0))
+
+    def build_surface(self) -> tuple[NDArray, NDArray]:
+        """Revolve a meridian."""
+        return revolved(meridian(self.radius, 0.0), BALL_SECTORS)
+
+    def volume(self) -> float:
+        """Return the volume [m^3]."""
+        return 4 / 3 * math.pi * self.radius**3
+
+    def signed_distance(self, points: ArrayLike) -> NDArray:
+        """Return exact distances."""
+        return np.linalg.norm(rows(points), axis=1) - self.radius
+
+
+class Capsule(Primitive):
+    """A capsule along z, centred; `length` is that of the cylinder between the two half balls."""
+
+    type: Literal["capsule"] = "capsule"
+    radius: Length
+    length: Length
+
+    def primitive(self) -> Piece:
+        """Return the capsule itself."""
+        return Piece("capsule", (self.radius, self.length / 2, 0.0))
+
+    def build_surface(self) -> tuple[NDArray, NDArray]:
+        """Revolve a meridian."""
+        return revolved(meridian(self.radius, self.length / 2), BALL_SECTORS)
+
+    def volume(self) -> float:
+        """Return the volume [m^3]."""
+        return math.pi * self.radius**2 * (self.length + 4 / 3 * self.radius)
+
+    def signed_distance(self, points: ArrayLike) -> NDArray:
+        """Return exact distances."""
+        p = rows(points)
+        along = np.maximum(np.abs(p[:, 2]) - self.length / 2, 0.0)
+        return np.hypot(np.hypot(p[:, 0], p[:, 1]), along) - self.radius
+
+
+class Cylinder(Primitive):
+    """A cylinder along z, centred."""
+
+    type: Literal["cylinder"] = "cylinder"
+    radius: Length
+    height: Length
+
+    def primitive(self) -> Piece:
+        """Return the cylinder itself."""
+        return Piece("cylinder", (self.radius, self.height / 2, 0.0))
+
+    def build_surface(self) -> tuple[NDArray, NDArray]:
+        """Revolve a rectangle."""
+        r, h = self.radius, self.height / 2
+        return revolved(np.array([[0, -h], [r, -h], [r, h], [0, h]]), SECTORS)
+
+    def volume(self) -> float:
+        """Return the volume [m^3]."""
+        return math.pi * self.radius**2 * self.height
+
+    def signed_distance(self, points: ArrayLike) -> NDArray:
+        """Return exact distances."""
+        p = rows(points)
+        flat = np.hypot(p[:, 0], p[:, 1]) - self.radius
+        return extruded_distance(flat, p[:, 2], self.height / 2)
+
+
+class Ellipsoid(Primitive):
+    """An ellipsoid, centred, with semi-axes along x, y, z."""
+
+    type: Literal["ellipsoid"] = "ellipsoid"
+    radii: tuple[Length, Length, Length]
+
+    def primitive(self) -> Piece:
+        """Return the ellipsoid itself."""
+        return Piece("ellipsoid", self.radii)
+
+    def build_surface(self) -> tuple[NDArray, NDArray]:
+        """Stretch a ball."""
+        vertices, faces = revolved(meridian(1.0, 0.0), BALL_SECTORS)
+        return vertices * np.array(self.radii), faces
+
+    def volume(self) -> float:
+        """Return the volume [m^3]."""
+        return 4 / 3 * math.pi * math.prod(self.radii)
+
+    def signed_distance(self, points: ArrayLike) -> NDArray:
+        """Return exact distances."""
+        return _ellipsoid_distance(rows(points), np.array(self.radii))
+
+
+class Prism(BaseShape):
+    """A convex outline in x, y extruded along z from -height/2 to height/2."""
+
+    type: Literal["prism"] = "prism"
+    outline: tuple[Point2, ...] = Field(min_length=3, max_length=64)
+    height: Length
+
+    @model_validator(mode="after")
+    def _convex(self) -> Self:
+        p = np.array(self.outline)
+        edge = np.roll(p, -1, axis=0) - p
+        turn = _cross2(edge, np.roll(edge, -1, axis=0))
+        if not (np.all(turn > 0) or np.all(turn < 0)):
+            raise ValueError(
+                "prism outline must be strictly convex, without repeated or collinear points"
+            )
+        # A star polygon turns the same way at every corner too, but more than once around.
+        if abs(np.sum(np.arctan2(turn, np.sum(edge * np.roll(edge, -1, axis=0), axis=1)))) > 7:
+            raise ValueError("prism outline must go around once")
+        return self
+
+    def pieces(self) -> list[Piece]:
+        """Return the prism itself."""
+        p = np.array(self.outline)
+        h = self.height / 2
+        top = np.column_stack([p, np.full(len(p), h)])
+        return [polytope(np.vstack([top, top * [1, 1, -1]]))]
+
+    def build_surface(self) -> tuple[NDArray, NDArray]:
+        """Build both ends and the sides."""
+        return extruded_outline(np.array(self.outline), self.height)
+
+    def volume(self) -> float:
+        """Return the volume [m^3]."""
+        return abs(polygon_area(np.array(self.outline))) * self.height
+
+    def signed_distance(self, points: ArrayLike) -> NDArray:
+        """Return exact distances."""
+        p = rows(points)
+        flat = loops_distance(p[:, :2], [np.array(self.outline, float)])
+        return extruded_distance(flat, p[:, 2], self.height / 2)
+
+
+class HollowBox(BaseShape):
+    """A box with walls of one thickness and the named faces left open, centred; a drawer or bin."""
+
+    type: Literal["hollow_box"] = "hollow_box"
+    size: Edges
+    wall: Length
+    open: tuple[Face, ...] = ("+z",)
+
+    @model_validator(mode="after")
+    def _thin(self) -> Self:
+        if 2 * self.wall >= min(self.size):
+            raise ValueError(f"wall {self.wall} leaves no cavity in a box of size {self.size}")
+        if len(set(self.open)) == 6:
+            raise ValueError("a hollow box with all six faces open has no walls")
+        return self
+
+    def pieces(self) -> list[Piece]:
+        """Return the walls, cut so that they do not overlap at the edges."""
+        low, high = -np.array(self.size) / 2, np.array(self.size) / 2
+        walls = []
+        for axis, letter in ((2, "z"), (1, "y"), (0, "x")):
+            for sign, side in (("-", low), ("+", high)):
+                if f"{sign}{letter}" in self.open:
+                    continue
+                a, b = low.copy(), high.copy()
+                if sign == "-":
+                    b[axis] = a[axis] + self.wall
+                    low_next = b[axis]
+                else:
+                    a[axis] = b[axis] - self.wall
+                    low_next = a[axis]
+                half, centre = (b - a) / 2, (a + b) / 2
+                walls.append(Piece("box", tuple(half.tolist()), tuple(centre.tolist())))
+                # What remains for the walls still to come is the inside of this one.
+                side[axis] = low_next
+        return walls
+
+    def build_surface(self) -> tuple[NDArray, NDArray]:
+        """Skin the box's filled cells, on the grid that the walls cut it into."""
+        grid, cavity = [], []
+        for axis, letter in enumerate("xyz"):
+            half = self.size[axis] / 2
+            low = f"-{letter}" in self.open
+            high = f"+{letter}" in self.open
+            lines = [-half, *([] if low else [-half + self.wall])]
+            cavity.append(len(lines) - 1)
+            grid.append(np.array([*lines, *([] if high else [half - self.wall]), half]))
+        cells = [len(line) - 1 for line in grid]
+        filled = np.zeros([n + 2 for n in cells], bool)
+        filled[1:-1, 1:-1, 1:-1] = True
+        filled[tuple(c + 1 for c in cavity)] = False
+        corners: dict[tuple[int, int, int], int] = {}
+        points: list[list[float]] = []
+        faces: list[list[int]] = []
+        for cell in np.argwhere(filled):
+            for axis in range(3):
+                for side in (0, 1):
+                    beyond = cell.copy()
+                    beyond[axis] += 2 * side - 1
+                    if filled[tuple(beyond)]:
+                        continue
+                    u, v = (axis + 1) % 3, (axis + 2) % 3
+                    quad = []
+                    for du, dv in ((0, 0), (1, 0), (1, 1), (0, 1)):
+                        at = cell - 1
+                        at[axis] += side
+                        at[u] += du
+                        at[v] += dv
+                        key = (int(at[0]), int(at[1]), int(at[2]))
+                        if key not in corners:
+                            corners[key] = len(points)
+                            points.append([float(grid[i][key[i]]) for i in range(3)])
+                        quad.append(corners[key])
+                    if side == 0:
+                        quad.reverse()
+                    faces += [[quad[0], quad[1], quad[2]], [quad[0], quad[2], quad[3]]]
+        return np.array(points), np.array(faces)
+
+
+def _ellipsoid_distance(p: NDArray, radii: NDArray) -> NDArray:
+    """Find the nearest point by bisection (Eberly, Distance from a Point to an Ellipsoid)."""
+    order = np.argsort(-radii, kind="stable")
+    r = radii[order]
+    y = np.maximum(np.abs(p[:, order]), 1e-9 * r)
+    least = r[2] ** 2
+    low = np.log(r[2] * y[:, 2] * 0.5)
+    high = np.log(np.sqrt(np.sum((r * y) ** 2, axis=1)) * 1.001 + 1e-300)
+    for _ in range(100):
+        middle = (low + high) / 2
+        shift = np.exp(middle)[:, None] - least
+        outside = np.sum((r * y / (shift + r**2)) ** 2, axis=1) > 1
+        low, high = np.where(outside, middle, low), np.where(outside, high, middle)
+    shift = np.exp((low + high) / 2)[:, None] - least
+    nearest = r**2 * y / (shift + r**2)
+    sign = np.where(np.sum((y / r) ** 2, axis=1) > 1, 1.0, -1.0)
+    return sign * np.linalg.norm(nearest - y, axis=1)
+
+
+def _cross2(a: NDArray, b: NDArray) -> NDArray:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+__all__ = ["Box", "Capsule", "Cylinder", "Ellipsoid", "HollowBox", "Prism", "Sphere"]

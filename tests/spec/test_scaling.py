@@ -1,0 +1,129 @@
+"""Every number of an object declares how it scales, and shapes and joints scale as declared."""
+
+import itertools
+from typing import Annotated, get_args
+
+import numpy as np
+import pytest
+from sample_shapes import SHAPES
+
+from neoworld_mjx.spec import JointSpec, Mimic, ObjectSpec, PartSpec, Shape
+from neoworld_mjx.spec.base import Length, Number, ScalableSpec
+from neoworld_mjx.spec.base_shape import BaseShape, Point2
+from neoworld_mjx.spec.dimensions import LENGTH, UNSCALED, Motion
+from neoworld_mjx.spec.scale import joint_exponents, mimic_exponents
+
+
+def test_a_field_without_a_scaling_is_refused_when_its_class_is_defined():
+    for annotation in (float, Number, tuple[Number, Number], float | None, list[tuple[int, int]]):
+        with pytest.raises(TypeError, match=r"Bad\.width holds a number without a Scaling"):
+            type("Bad", (BaseShape,), {"__annotations__": {"width": annotation}})
+    with pytest.raises(TypeError, match=r"Bad\.pair mixes numbers that scale differently"):
+        pair = tuple[Length, Annotated[float, UNSCALED]]
+        type("Bad", (BaseShape,), {"__annotations__": {"pair": pair}})
+
+
+def test_a_new_shape_scales_by_its_annotations_alone():
+    class Wedge(BaseShape):
+        height: Length
+        outline: tuple[Point2, ...]
+        turns: Annotated[int, UNSCALED]
+        label: str
+
+    wedge = Wedge(height=0.2, outline=((1.0, 2.0),), turns=3, label="x").scaled(2.0)
+    assert wedge == Wedge(height=0.4, outline=((2.0, 4.0),), turns=3, label="x")
+    assert Wedge.scalings == {
+        "height": LENGTH,
+        "outline": LENGTH,
+        "turns": UNSCALED,
+        "label": None,
+    }
+
+
+def test_every_shape_is_tried():
+    assert {type(shape) for shape in SHAPES.values()} == set(get_args(get_args(Shape)[0]))
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_pieces_scale_with_the_shape(name: str):
+    s, shape = 2.5, SHAPES[name]
+    big = shape.scaled(s)
+    for one, other in zip(shape.pieces(), big.pieces(), strict=True):
+        assert other.kind == one.kind
+        assert np.allclose(other.size, s * np.array(one.size))
+        assert np.allclose(other.pos, s * np.array(one.pos))
+        assert other.quat == one.quat
+        if name != "panel":  # rounding decides which diagonals cut a symmetric outline
+            assert np.allclose(_sorted(other.vertices), _sorted(s * np.array(one.vertices)))
+    assert big.volume() == pytest.approx(s**3 * shape.volume())
+
+
+def _sorted(points) -> np.ndarray:
+    points = np.array(points).reshape(-1, 3)
+    return points[np.lexsort(np.round(points, 9).T)]
+
+
+def _models(model: type[ScalableSpec]) -> set[type[ScalableSpec]]:
+    """Return a model with all models in its fields, through unions and tuples."""
+    found, waiting = {model}, [model]
+    while waiting:
+        for field in waiting.pop().model_fields.values():
+            types = [field.annotation]
+            while types:
+                one = types.pop()
+                types += get_args(one)
+                if isinstance(one, type) and issubclass(one, ScalableSpec) and one not in found:
+                    found.add(one)
+                    waiting.append(one)
+    return found
+
+
+def test_every_part_of_an_object_is_scalable():
+    models = _models(ObjectSpec)
+    assert set(get_args(get_args(Shape)[0])) | {ObjectSpec, JointSpec, Mimic} < models
+    for model in models:
+        assert set(model.scalings) == set(model.model_fields)
+
+
+LAW = {
+    "revolute": {
+        "lower": 0,
+        "armature": 5,
+        "stiffness": 4,
+        "damping": 4.5,
+        "friction": 4,
+        "effort": 4,
+        "velocity": -0.5,
+    },
+    "prismatic": {
+        "lower": 1,
+        "armature": 3,
+        "stiffness": 2,
+        "damping": 2.5,
+        "friction": 3,
+        "effort": 3,
+        "velocity": 0.5,
+    },
+}
+
+
+@pytest.mark.parametrize(("kind", "mass"), list(itertools.product(LAW, (None, 1.0))))
+def test_exponents_of_joints_are_those_of_the_documented_law(kind: str, mass: float | None):
+    joint = JointSpec(name="j", type=kind, parent="a", child="b", upper=1.0)
+    child = PartSpec.model_construct(name="b", geoms=(), mass=mass)
+    powers = joint_exponents(joint, child)
+    for name, power in LAW[kind].items():
+        weighted = name not in ("lower", "velocity")
+        assert powers[name] == power - (3 if weighted and mass else 0), name
+    assert (powers["pos"], powers["axis"], powers["upper"]) == (1, 0, powers["lower"])
+
+
+def test_a_mimic_scales_by_what_both_joints_do():
+    joints = [
+        JointSpec(name="j", type=kind, parent="a", child="b", upper=1.0)
+        for kind in ("revolute", "prismatic")
+    ]
+    powers = [mimic_exponents(a, b) for a in joints for b in joints]
+    assert powers == [(0, 0), (-1, 0), (1, 1), (0, 1)]
+    mimic = Mimic(joint="j", multiplier=3.0, offset=0.5)
+    assert mimic.scaled(2.0, Motion(slides=True)) == Mimic(joint="j", multiplier=6.0, offset=1.0)
