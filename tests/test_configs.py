@@ -3,7 +3,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from neoworld_mjx.config import Config, load_config
+from neoworld_mjx.config import Config, list_options, load_config
+from neoworld_mjx.config.pages import default_yaml, options_page
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 
@@ -21,11 +22,30 @@ def test_every_configuration_loads_and_survives_a_round_trip(path):
     assert again == config
 
 
+def test_pages_of_options_are_what_the_declarations_give():
+    stale = "write them anew: python -m neoworld_mjx.config"
+    assert (CONFIGS / "default.yaml").read_text() == default_yaml(), stale
+    assert (CONFIGS.parent / "docs" / "options.md").read_text() == options_page(), stale
+
+
 def test_default_spells_out_every_option_with_its_default():
     path = CONFIGS / "default.yaml"
     assert load_config(path) == Config()
     given = _keys(yaml.safe_load(path.read_text()))
-    assert given == _keys(Config().model_dump(mode="json"))
+    assert given == {tuple(option.path.split(".")) for option in list_options(Config)}
+
+
+UNITS = {"_m": "m", "_s": "s", "_deg": "deg", "_px": "px", "_usd": "USD", "_mib": "MiB"}
+
+
+@pytest.mark.parametrize("option", [*list_options(Config)], ids=lambda option: option.path)
+def test_an_option_says_what_it_means(option):
+    assert option.meaning.endswith((".", "`."))
+    for ending, unit in UNITS.items():
+        if option.path.endswith(ending):
+            assert option.unit == unit
+    for value in option.values:
+        assert value in option.meaning
 
 
 def test_paper_switches_every_departure_from_algorithm_1_off():

@@ -1,7 +1,7 @@
 """The Cross-Entropy Method over layouts (paper Algorithm 1), as init / ask / tell.
 
 What shapes arrays (population, elites) is static; every number is traced, so a sweep over numbers,
-seeds included, is one `vmap`.
+seeds included, is one `vmap`; the options declare which they are.
 """
 
 import equinox as eqx
@@ -13,16 +13,6 @@ from jaxtyping import Array, Float, Int, Key
 from ..config import CEMOptions
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
-
-TRACED = (
-    "cem.sigma_xy",
-    "cem.sigma_yaw_deg",
-    "cem.sigma_log_scale",
-    "cem.sigma_floor",
-    "cem.smoothing",
-    "cem.stop_gain",
-)
-"""Options under `refine` that end in `CEMParams`: other values compile nothing anew."""
 
 
 class CEMParams(eqx.Module):

@@ -142,27 +142,6 @@ def departure(
     return jnp.where(scene.optimised, each, 0.0)
 
 
-TRACED = (
-    "cem.sigma_xy",
-    "cem.sigma_yaw_deg",
-    "cem.sigma_log_scale",
-    "reward.w_sem",
-    "reward.w_pen",
-    "reward.w_drift",
-    "reward.w_prior",
-    "reward.d_pen_cap_m",
-    "reward.d_drift_cap",
-    "reward.drift_free",
-    "reward.pen_scale_m",
-    "reward.drift_scale_m",
-    "reward.tilt_scale_deg",
-    "reward.terms",
-    "max_depth_m",
-)
-"""Options under `refine` that end in `Weights`: other values compile nothing anew. Of `reward.terms`
-the weights do; which terms there are is static."""
-
-
 class Weights(eqx.Module):
     """Weights and scales of the reward; traced, so a sweep over them is one `vmap`."""
 

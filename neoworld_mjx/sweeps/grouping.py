@@ -1,57 +1,22 @@
-"""Which runs can be one computation: those whose options differ in traced ones alone."""
+"""Group points into computations: those whose options differ in no static one are one program.
+
+The options themselves declare whether they are traced, static or of the host.
+"""
 
 import json
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from ..config import RefineOptions
-from ..refinement.cem import TRACED as CEM_TRACED
+from ..config import RefineOptions, list_options, option_values
 from ..refinement.loop import early_stop_rule
-from ..refinement.rewards import TRACED as REWARD_TRACED
 
-TRACED = tuple(dict.fromkeys(CEM_TRACED + REWARD_TRACED))
-"""Options that are arrays: other values compile nothing anew."""
-
-HOST = (
-    "cem.iterations",
-    "cem.patience",
-    "max_drift_m",
-    "max_tilt_deg",
-    "check_duration_s",
-    "check_timestep_s",
-    "finalists",
-    "cem.prune",
-    "cem.batch",
-)
-"""Options that act on each run by itself, outside of what is compiled. Folded runs are not pruned,
-which changes no elite."""
-
-STATIC = {
-    "cem.population": "shapes arrays",
-    "cem.elite_ratio": "shapes arrays",
-    "cem.first": "shapes arrays",
-    "cem.zero_candidate": "is another program",
-    "cem.credit": "is another program",
-    "descent.warm_steps": "is another program",
-    "descent.project": "is another program",
-    "descent.project_steps": "is another program",
-    "descent.rate": "is another program",
-    "descent.samples": "shapes arrays",
-    "reward.normalisation": "is another program",
-    "rollout.engine": "is another program",
-    "rollout.duration_s": "all candidates of a rollout share it",
-    "rollout.timestep_s": "belongs to the compiled scene",
-    "rollout.record_every_s": "shapes arrays",
-    "rollout.early_stop": "is another program",
-    "rollout.samples_per_object": "shapes arrays",
-}
-"""Options whose other values are another computation, and why."""
-
-UNUSED = "semantic."
-"""Sweeps score by geometry, so what asks a model acts on nothing."""
-
-RULE = ("reward.d_drift_cap", "reward.drift_scale_m", "reward.tilt_scale_deg")
-"""Traced, but they also set where `rollout.early_stop` ends rollouts, which all candidates share."""
+_OPTIONS = tuple(list_options(RefineOptions))
+TRACED = tuple(each.path for each in _OPTIONS if each.kind == "traced")
+"""Paths under `refine` of the options that are arrays: other values compile nothing anew."""
+STATIC = {each.path: each.reason for each in _OPTIONS if each.kind == "static"}
+"""Paths of the options whose other values are another computation, and why."""
+_SHARED = {each.path: each.reason for each in _OPTIONS if each.kind == "traced" and each.reason}
+"""Traced options that also set where `rollout.early_stop` ends rollouts."""
 
 
 class Group(NamedTuple):
@@ -63,30 +28,15 @@ class Group(NamedTuple):
     """Options that a scene is compiled with: those of the member of widest sigma_xy."""
 
 
-def leaves(options: RefineOptions) -> dict[str, Any]:
-    """List options by their paths under `refine`; `reward.terms` is one of them."""
-    found: dict[str, Any] = {}
-
-    def walk(tree: dict[str, Any], at: str) -> None:
-        for name, value in tree.items():
-            if isinstance(value, dict) and name != "terms":
-                walk(value, f"{at}{name}.")
-            else:
-                found[at + name] = value
-
-    walk(options.model_dump(mode="json"), "")
-    return found
-
-
 def static_part(options: RefineOptions) -> str:
-    """Return what must be equal for runs to be one computation, as a text."""
-    every = leaves(options)
-    kept: dict[str, Any] = {name: every[name] for name in STATIC}
-    kept["terms"] = list(every["reward.terms"])
+    """Return as text the values that must be equal for runs to be one computation."""
+    values = option_values(options)
+    static = {path: values[path] for path in STATIC}
+    static["terms"] = list(values["reward.terms"])
     if options.rollout.early_stop:
         rule = early_stop_rule(options)
-        kept["rule"] = [rule.drift, rule.tilt]
-    return json.dumps(kept, sort_keys=True)
+        static["rule"] = [rule.drift, rule.tilt]
+    return json.dumps(static, sort_keys=True)
 
 
 def grouped(every: Sequence[RefineOptions], *, fold: bool = True) -> list[Group]:
@@ -94,10 +44,10 @@ def grouped(every: Sequence[RefineOptions], *, fold: bool = True) -> list[Group]
 
     All groups share the widest reach of snapping, so that one compiled scene serves them all.
     """
-    found: dict[str, list[int]] = {}
+    groups: dict[str, list[int]] = {}
     for k, options in enumerate(every):
-        found.setdefault(static_part(options) if fold else str(k), []).append(k)
-    return [Group(tuple(members), _widest(every, members)) for members in found.values()]
+        groups.setdefault(static_part(options) if fold else str(k), []).append(k)
+    return [Group(tuple(members), _widest(every, members)) for members in groups.values()]
 
 
 def _widest(every: Sequence[RefineOptions], members: Sequence[int]) -> RefineOptions:
@@ -108,13 +58,13 @@ def _widest(every: Sequence[RefineOptions], members: Sequence[int]) -> RefineOpt
 
 def reasons(every: Sequence[RefineOptions], *, fold: bool = True) -> list[str]:
     """Say which static options split the points into groups, one line each."""
-    tables = [leaves(options) for options in every]
+    tables = [option_values(options) for options in every]
     count = len({static_part(options) for options in every})
     if count == 1 or not fold:
         return []
     lines = []
     stops = any(options.rollout.early_stop for options in every)
-    split = STATIC | dict.fromkeys(RULE, "ends rollouts early") if stops else dict(STATIC)
+    split = STATIC | _SHARED if stops else STATIC
     for name, why in split.items():
         values = list(dict.fromkeys(json.dumps(table[name]) for table in tables))
         if len(values) > 1:

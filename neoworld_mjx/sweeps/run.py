@@ -12,7 +12,7 @@ from typing import Any
 
 import jax
 
-from ..config import RefineOptions
+from ..config import RefineOptions, option_values
 from ..errors import ConfigError
 from ..files import content_hash
 from ..physics.engine import Engine
@@ -26,7 +26,7 @@ from .cases import Case, Source, case
 from .compiles import compilations
 from .fold import Run, search_folded
 from .folder import FORMAT, TABLE, SweepFolder
-from .grouping import TRACED, Group, grouped, leaves, reasons
+from .grouping import TRACED, Group, grouped, reasons
 from .plan import Ablation, Plan, Point, points, read
 from .rows import Key, Row, row_of_refined, row_of_searched
 from .table import differences, markdown, summary
@@ -211,7 +211,7 @@ def _apart(
     """Run one after the other, as `refine` does; the first of a kind also unmeasured before."""
     rows = []
     for run in runs:
-        kind = {name: v for name, v in leaves(run.options).items() if name not in TRACED}
+        kind = {name: v for name, v in option_values(run.options).items() if name not in TRACED}
         text = json.dumps([kind, list(run.options.reward.terms)], sort_keys=True)
         if text not in warm:
             warm.add(text)
@@ -253,7 +253,7 @@ def _fingerprints(
     for scene in cases:
         described = content_hash(scene.scene)
         for point in at:
-            options = leaves(point.options)
+            options = option_values(point.options)
             for seed in plan.seeds:
                 decides = [shared, scene.name, described, options, seed]
                 found[scene.name, point.label, seed] = content_hash(decides)[:16]

@@ -1,0 +1,51 @@
+"""Every option of the package: declared once, validated, read from YAML.
+
+`python -m neoworld_mjx.config` writes `configs/default.yaml` and `docs/options.md` from the
+declarations.
+"""
+
+from .model_options import MLLMOptions, Role, RoleOptions
+from .object_options import (
+    ComposeOptions,
+    ParseOptions,
+    ProgramOptions,
+    RenderOptions,
+    VerifyOptions,
+)
+from .options import Option, Options, list_options, option_values
+from .run_config import Config, describe, load_config, merged
+from .search_options import (
+    CEMOptions,
+    DescentOptions,
+    EngineName,
+    RefineOptions,
+    RewardOptions,
+    RolloutOptions,
+    SemanticOptions,
+)
+
+__all__ = [
+    "CEMOptions",
+    "ComposeOptions",
+    "Config",
+    "DescentOptions",
+    "EngineName",
+    "MLLMOptions",
+    "Option",
+    "Options",
+    "ParseOptions",
+    "ProgramOptions",
+    "RefineOptions",
+    "RenderOptions",
+    "RewardOptions",
+    "Role",
+    "RoleOptions",
+    "RolloutOptions",
+    "SemanticOptions",
+    "VerifyOptions",
+    "describe",
+    "list_options",
+    "load_config",
+    "merged",
+    "option_values",
+]

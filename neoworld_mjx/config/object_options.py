@@ -1,0 +1,170 @@
+"""Options of the steps that make objects and scenes: parse, program, verify, compose, render."""
+
+from typing import Literal
+
+from .options import Options, option
+
+
+class ParseOptions(Options):
+    """Step 1, scene parsing."""
+
+    critic_rounds: int = option(1, "Times that the critic may send the parse back.", ge=0)
+    max_side_px: int = option(
+        1568, "Longer side of the picture that the model is shown.", unit="px", ge=64
+    )
+    fit: bool = option(
+        True,
+        "Fit camera and 3D boxes to the 2D boxes by least squares, where that brings them closer.",
+    )
+
+
+class ProgramOptions(Options):
+    """Step 2, procedural asset programming."""
+
+    debug_rounds: int = option(
+        1, "Times that a program that fails is sent back with its errors.", ge=0
+    )
+    critic_rounds: int = option(1, "Times that the critic may send a program back.", ge=0)
+    geometry_critic: bool = option(True, "Show the critic the object at rest.")
+    articulation_critic: bool = option(
+        True, "Show the critic the object opened, where it has joints that move."
+    )
+    accept_score: float = option(
+        8.0, "Score by the critic from which no further round is requested.", ge=0, le=10
+    )
+    sandbox: Literal["monty", "cpython"] = option(
+        "monty",
+        "monty: in a sandbox. cpython: in this very process, without any isolation, for your own "
+        "programs only.",
+    )
+    type_check: bool = option(True, "Check a program's types against the SDK before it runs.")
+    timeout_s: float = option(
+        1.0,
+        "Time for the program's own code, and as much again for the shapes that it builds.",
+        unit="s",
+        gt=0,
+    )
+    memory_mib: int = option(64, "Memory of the program.", unit="MiB", ge=8)
+    max_recursion: int = option(200, "Depth of the program's calls.", ge=10)
+    max_calls: int = option(5000, "Calls of the SDK.", ge=10)
+    max_output_bytes: int = option(20_000, "Length of what the program prints.", unit="B", ge=0)
+    max_text_bytes: int = option(200_000, "Length of the program's text.", unit="B", ge=100)
+    max_parts: int = option(300, "Parts of an object.", ge=1)
+    max_geoms: int = option(3000, "Geoms of an object.", ge=1)
+    max_pieces: int = option(4000, "Convex collision geoms of an object.", ge=1)
+    workers: int = option(2, "Sandbox processes kept for programs that run at once.", ge=1)
+    touch_gap_m: float = option(
+        0.002, "Largest gap between a part and the part that it is attached to.", unit="m", ge=0
+    )
+    max_depth_m: float = option(
+        0.001, "Largest penetration between two parts of an object.", unit="m", gt=0
+    )
+    sweep_steps: int = option(9, "Positions tried over each joint's range.", ge=2)
+    sweep_combinations: int = option(16, "Positions tried with all joints moved at once.", ge=0)
+    check_timeout_s: float = option(1.0, "Time for each check of the object.", unit="s", gt=0)
+
+
+class VerifyOptions(Options):
+    """Step 3, object-level physics."""
+
+    duration_s: float = option(2.0, "Simulated time of each scenario.", unit="s", gt=0)
+    timestep_s: float = option(0.002, "Time step of the simulation.", unit="s", gt=0)
+    drop_height_m: float = option(0.005, "Height of the free fall.", unit="m", ge=0)
+    impulse_ns_per_kg: float = option(
+        0.3,
+        "Impulse of the force perturbation per mass, that is the change of speed in m/s.",
+        unit="N s/kg",
+        ge=0,
+    )
+    push_duration_s: float = option(0.1, "Time over which the impulse is spread.", unit="s", gt=0)
+    max_drift_m: float = option(0.01, "Largest displacement in a scenario.", unit="m", gt=0)
+    max_tilt_deg: float = option(5.0, "Largest rotation in a scenario.", unit="deg", gt=0)
+    max_depth_m: float = option(0.001, "Largest penetration between two parts.", unit="m", gt=0)
+    max_rest_speed: float = option(
+        0.01, "Largest speed at the end of the free fall.", unit="m/s", gt=0
+    )
+    max_energy_gain: float = option(
+        0.02,
+        "Largest rise of mechanical energy without an applied force, over the object's weight "
+        "times its extent.",
+        gt=0,
+    )
+    max_overshoot: float = option(
+        0.05, "Largest travel beyond a joint limit, over the joint's range.", gt=0
+    )
+    joint_push_s: float = option(
+        0.5, "Time in which a free joint is pushed across its range.", unit="s", gt=0
+    )
+    min_mobility: float = option(
+        0.9,
+        "Smallest share of its range that a joint covers when it is driven both ways.",
+        gt=0,
+        le=1,
+    )
+    hand_force_n: float = option(
+        100.0,
+        "Largest force that drives a joint, at its far end; for heavy parts half their weight is "
+        "added.",
+        unit="N",
+        gt=0,
+    )
+    high_drop_m: float = option(0.02, "Height of the second, higher fall.", unit="m", ge=0)
+    drop_tilt_deg: float = option(
+        3.0, "Tilt of the falls that start tilted.", unit="deg", ge=0, lt=45
+    )
+    min_loss: float = option(
+        0.05,
+        "Smallest share of its speed that a joint left to itself loses in half a second.",
+        ge=0,
+        lt=1,
+    )
+    min_slide_deg: float = option(
+        5.0, "Slope on which an object must still rest.", unit="deg", ge=0
+    )
+    max_slide_deg: float = option(
+        60.0, "Slope on which an object must slide.", unit="deg", gt=0, le=65
+    )
+    touch_gap_m: float = option(
+        0.004,
+        "Largest gap between a part and its parent; 1 % of the object's size where that is more.",
+        unit="m",
+        ge=0,
+    )
+    max_pivot_off: float = option(
+        0.05,
+        "Largest distance between a hinge's axis and the parts that it joins, over the child's "
+        "diagonal.",
+        ge=0,
+    )
+    sweep_steps: int = option(
+        13, "Positions of each joint at which penetration between parts is measured.", ge=3
+    )
+    sweep_combinations: int = option(
+        12, "Positions of all joints at once, in addition to those of each joint.", ge=0
+    )
+    rounds: int = option(
+        6, "Repairs of an object that may be tried; 0 leaves objects unchanged.", ge=0
+    )
+    critic: bool = option(
+        False,
+        "Show the critic key frames of checks that failed or only just passed, and try its edits "
+        "of what failed.",
+    )
+
+
+class ComposeOptions(Options):
+    """Step 4, scene composition."""
+
+    gap_m: float = option(
+        1e-4,
+        "Clearance left between a child and the surface that it is snapped onto.",
+        unit="m",
+        ge=0,
+    )
+
+
+class RenderOptions(Options):
+    """Ray-cast pictures."""
+
+    width: int = option(480, "Width of pictures.", unit="px", ge=16)
+    supersample: int = option(2, "Rays per pixel and axis at edges.", ge=1, le=4)

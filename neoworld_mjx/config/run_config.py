@@ -1,0 +1,125 @@
+"""All options of a run in one validated tree, read from YAML.
+
+A configuration file states only what differs from the defaults; unknown keys are errors that name
+the key and its valid neighbours.
+"""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from ..errors import ConfigError, choices
+from .model_options import MLLMOptions
+from .object_options import (
+    ComposeOptions,
+    ParseOptions,
+    ProgramOptions,
+    RenderOptions,
+    VerifyOptions,
+)
+from .options import Options, option
+from .search_options import RefineOptions
+
+_UNSHOWN = ("headers", "base_url")
+"""Options whose wrong values are not shown, as they may hold keys."""
+
+
+class Config(Options):
+    """All options of a run."""
+
+    seed: int = option(0, "Seed of every random draw of the run.", ge=0)
+    provider: str = option(
+        "auto",
+        "Where models' answers come from: auto, anthropic, openai, replay or mailbox; see "
+        "docs/models.md.",
+    )
+    mllm: MLLMOptions = MLLMOptions()
+    parse: ParseOptions = ParseOptions()
+    program: ProgramOptions = ProgramOptions()
+    verify: VerifyOptions = VerifyOptions()
+    compose: ComposeOptions = ComposeOptions()
+    refine: RefineOptions = RefineOptions()
+    render: RenderOptions = RenderOptions()
+
+    def fingerprint(self) -> str:
+        """Return 16 hex digits that change whenever any option changes."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def load_config(path: Path | None = None, overrides: dict[str, Any] | None = None) -> Config:
+    """Read a YAML file of options and lay overrides over it.
+
+    Args:
+        path: the file; None means the defaults alone.
+        overrides: a nested mapping that wins over the file, such as {"seed": 3}.
+
+    Raises:
+        ConfigError: the file is missing or no YAML mapping, or a key or value is wrong; the message
+            names the file, the key's full path and the valid keys.
+    """
+    data: dict[str, Any] = {}
+    if path is not None:
+        data = _read_yaml(path)
+    data = merged(data, overrides or {})
+    try:
+        return Config.model_validate(data)
+    except ValidationError as error:
+        where = str(path) if path is not None else "options"
+        raise ConfigError(f"{where}: {describe(error, Config)}") from None
+
+
+def describe(error: ValidationError, model: type[BaseModel]) -> str:
+    """Phrase a validation error in one line a person can act on."""
+    lines = []
+    for item in error.errors():
+        where = ".".join(str(step) for step in item["loc"]) or "(root)"
+        if item["type"] == "extra_forbidden":
+            keys = _keys_at(model, item["loc"][:-1])
+            lines.append(f"unknown key {where}: {choices(str(item['loc'][-1]), keys)}")
+        elif any(name in item["loc"] for name in _UNSHOWN):
+            lines.append(f"{where}: {item['msg']}")
+        else:
+            shown = repr(item["input"])
+            shown = shown if len(shown) <= 80 else shown[:77] + "..."
+            lines.append(f"{where}: {item['msg']}, got {shown}")
+    return "; ".join(lines)
+
+
+def _keys_at(model: type[BaseModel], path: tuple[Any, ...]) -> list[str]:
+    for step in path:
+        field = model.model_fields.get(str(step))
+        inner = field.annotation if field is not None else None
+        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+            return []
+        model = inner
+    return sorted(model.model_fields)
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"cannot read config {path}: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"config {path} is not valid YAML: {error}") from None
+    if data is None:
+        return {}
+    if not isinstance(data, dict):
+        raise ConfigError(f"config {path} must be a mapping of options, got {type(data).__name__}")
+    return data
+
+
+def merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """Lay one nested mapping over another."""
+    result = dict(base)
+    for key, value in over.items():
+        old = result.get(key)
+        if isinstance(old, dict) and isinstance(value, dict):
+            value = merged(old, value)
+        result[key] = value
+    return result

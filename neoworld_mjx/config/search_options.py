@@ -1,0 +1,255 @@
+"""Options of Step 5: search, rewards, rollouts, semantic scores and the final check.
+
+These are traced, static or of the host; `tests/sweeps/test_grouping.py` checks the declarations
+against the parameters that the search really compiles with.
+"""
+
+from typing import Literal
+
+from .options import Options, option, static, traced
+
+EngineName = Literal["auto", "mjx", "warp", "native"]
+
+_PROGRAM, _SHAPE = "is another program", "shapes arrays"
+_EARLY_STOP = "ends rollouts early"
+"""Traced in the reward, but `rollout.early_stop` ends rollouts by it, which all candidates share."""
+
+
+class CEMOptions(Options):
+    """The Cross-Entropy Method (Algorithm 1 and Appendix B of the paper)."""
+
+    population: int = static(_SHAPE, 256, "Candidates of an iteration.", ge=2)
+    iterations: int = option(8, "Largest number of iterations.", ge=1)
+    elite_ratio: float = static(
+        _SHAPE, 0.05, "Elites over candidates: K = elite_ratio * population.", gt=0, le=1
+    )
+    sigma_xy: float = traced(
+        0.05,
+        "Initial standard deviation of x and y.",
+        unit="the object's horizontal bounding-box diagonal",
+        ge=0,
+    )
+    sigma_yaw_deg: float = traced(
+        15.0, "Initial standard deviation of the yaw angle.", unit="deg", ge=0
+    )
+    sigma_log_scale: float = traced(
+        0.1, "Initial standard deviation of the logarithm of the scale.", ge=0
+    )
+    sigma_floor: float = traced(
+        0.02, "Smallest standard deviation, as a fraction of the initial one.", ge=0
+    )
+    smoothing: float = traced(
+        0.0,
+        "Weight of the old mean and standard deviation in the update; 0 is Algorithm 1.",
+        ge=0,
+        lt=1,
+    )
+    zero_candidate: bool = static(
+        _PROGRAM,
+        True,
+        "Always evaluate the mean itself as a candidate; at first that is the composed layout.",
+    )
+    first: int = static(
+        _SHAPE,
+        32,
+        "Population of the first iteration, if smaller than `population`: that iteration mostly "
+        "shows where the initial layout fails. 0 is `population`.",
+        ge=0,
+    )
+    credit: Literal["auto", "scene", "object", "island"] = static(
+        _PROGRAM,
+        "auto",
+        "Reward that elites are chosen by. scene: the scene's. object: for each object that of the "
+        "terms that it takes part in. island: that of all objects that it may come to touch. auto: "
+        "the scene's from the first valid candidate on, by object before.",
+    )
+    prune: bool = option(
+        True,
+        "Do not roll out candidates that cannot become elites; changes no elite. Only with "
+        "`normalisation: fixed`, and neither with a user's own terms nor with scores by a model, "
+        "which have no known bound.",
+    )
+    batch: int = option(16, "Candidates rolled out at once while pruning.", ge=1)
+    stop_gain: float = traced(
+        0.005,
+        "Stop when the elites' mean absolute reward gains less than this in an iteration.",
+        ge=0,
+    )
+    patience: int = option(2, "Iterations in a row that must gain less; 1 is Algorithm 1.", ge=1)
+
+
+class DescentOptions(Options):
+    """Gradient refinement (Adam) of the differentiable terms, before physics."""
+
+    warm_steps: int = static(
+        _PROGRAM,
+        100,
+        "Steps of the initial layout towards the photograph's boxes and out of penetration; 0 "
+        "starts at the composed scene.",
+        ge=0,
+    )
+    project: Literal["never", "needed", "always"] = static(
+        _PROGRAM,
+        "needed",
+        "Move candidates out of penetration: never, always, or in iterations before the first "
+        "valid candidate (needed).",
+    )
+    project_steps: int = static(
+        _PROGRAM, 6, "Steps that move a candidate out of penetration.", ge=1
+    )
+    rate: float = static(
+        _PROGRAM, 0.2, "Length of a step.", unit="initial standard deviations", gt=0
+    )
+    samples: int = static(_SHAPE, 64, "Surface samples of an object in these steps.", ge=8)
+
+
+class RewardOptions(Options):
+    """R(z) = w_sem S_sem - w_pen D_pen - w_drift D_drift (Section 3.3 of the paper)."""
+
+    w_sem: float = traced(1.0, "Weight of S_sem, the agreement with the photograph.", ge=0)
+    w_pen: float = traced(1.0, "Weight of D_pen, the penetration.", ge=0)
+    w_drift: float = traced(1.0, "Weight of D_drift, the displacement in the rollout.", ge=0)
+    w_prior: float = traced(
+        0.3,
+        "Weight of the prior, the distance to the initial layout: the mean of (z / sigma)^2 over "
+        "objects and their four numbers, sigma being the initial standard deviation.",
+        ge=0,
+    )
+    normalisation: Literal["iteration", "fixed"] = static(
+        _PROGRAM,
+        "fixed",
+        "Normalisation of D_pen and D_drift. iteration: over the candidates of the iteration. fixed: "
+        "by the caps below.",
+    )
+    d_pen_cap_m: float = traced(0.005, "D_pen is clipped here.", unit="m", gt=0)
+    d_drift_cap: float = traced(
+        3.0,
+        "D_drift is clipped here: 3 is 3 cm or 15 degrees. A small cap keeps the difference between "
+        "a valid candidate and one that just fails visible beside that between two bad ones.",
+        unit="drift scales",
+        reason=_EARLY_STOP,
+        gt=0,
+    )
+    drift_free: float = traced(
+        0.1,
+        "Drift of an object that costs nothing: 0.1 is the millimetre and half degree by which "
+        "objects settle when they are set down.",
+        unit="drift scales",
+        ge=0,
+    )
+    pen_scale_m: float = traced(
+        0.001,
+        "Scale of D_pen in the absolute reward, by which iterations are compared.",
+        unit="m",
+        gt=0,
+    )
+    drift_scale_m: float = traced(
+        0.01,
+        "Scale of displacement in D_drift.",
+        unit="m",
+        reason=_EARLY_STOP,
+        gt=0,
+    )
+    tilt_scale_deg: float = traced(
+        5.0, "Scale of rotation in D_drift.", unit="deg", reason=_EARLY_STOP, gt=0
+    )
+    terms: dict[str, float] = traced(
+        {},
+        'Your own reward terms: import path "package.module:function" to weight. Weights are '
+        "traced; other terms are another program.",
+    )
+
+
+class RolloutOptions(Options):
+    """Free-fall rollouts of candidate layouts."""
+
+    engine: EngineName = static(
+        _PROGRAM,
+        "auto",
+        "Physics engine. auto: warp on an NVIDIA GPU if installed, else mjx on an accelerator, "
+        "else native.",
+    )
+    duration_s: float = static(
+        "all candidates of a rollout share it",
+        1.0,
+        "Simulated time; 0 evaluates candidates without simulation, so that only the final check "
+        "sees whether they are stable.",
+        unit="s",
+        ge=0,
+    )
+    timestep_s: float = static(
+        "belongs to the compiled scene", 0.004, "Time step of the simulation.", unit="s", gt=0
+    )
+    record_every_s: float = static(_SHAPE, 0.1, "Time between recorded poses.", unit="s", gt=0)
+    early_stop: bool = static(
+        _PROGRAM,
+        True,
+        "End a candidate's rollout once it has settled, or has drifted past the cap.",
+    )
+    samples_per_object: int = static(_SHAPE, 256, "Surface samples of an object for D_pen.", ge=16)
+
+
+class SemanticOptions(Options):
+    """S_sem: how well candidates agree with the photograph."""
+
+    scorer: Literal["geometric", "mllm"] = option(
+        "geometric",
+        "geometric: from the parsed boxes and depths, for every candidate. mllm: the critic scores "
+        "a picture of the best candidates while physics runs; needs a photograph.",
+    )
+    top: int = option(
+        8,
+        "Candidates of an iteration that the model scores; a surrogate scores the others.",
+        ge=1,
+    )
+    wait: Literal["all", "bounded", "none"] = option(
+        "all",
+        "Scores that are waited for before elites are taken: all that were requested, those that "
+        "are `late` iterations old (bounded), or none.",
+    )
+    late: int = option(
+        1, "With `wait: bounded`, iterations that a score may be late; 0 is `wait: all`.", ge=0
+    )
+    picture_px: int = option(
+        320,
+        "Width of a candidate's picture; drawing it takes time from physics on the same CPU.",
+        unit="px",
+        ge=64,
+    )
+    shadows: bool = option(
+        False,
+        "Draw shadows and grain instead of flat colours with outlines, at five times the cost.",
+    )
+    timeout_s: float = option(
+        90.0, "Longest time for a score with all its retries, once sent.", unit="s", gt=0
+    )
+    give_up_after: int = option(
+        5, "Failed scores in a row after which no more are requested.", ge=1
+    )
+    max_cost_usd: float | None = option(
+        None,
+        "No more scores are requested once they have cost this much; those in flight still "
+        "arrive. `mllm.max_cost_usd` is the limit that no request may exceed. null is no limit.",
+        unit="USD",
+        gt=0,
+    )
+
+
+class RefineOptions(Options):
+    """Step 5 as a whole: search, rewards, rollouts and the final check."""
+
+    cem: CEMOptions = CEMOptions()
+    descent: DescentOptions = DescentOptions()
+    reward: RewardOptions = RewardOptions()
+    rollout: RolloutOptions = RolloutOptions()
+    semantic: SemanticOptions = SemanticOptions()
+    check_duration_s: float = option(2.0, "Simulated time of the final check.", unit="s", gt=0)
+    check_timestep_s: float = option(0.002, "Time step of the final check.", unit="s", gt=0)
+    max_drift_m: float = option(0.01, "Largest displacement in the final check.", unit="m", gt=0)
+    max_tilt_deg: float = option(5.0, "Largest rotation in the final check.", unit="deg", gt=0)
+    max_depth_m: float = traced(
+        0.001, "Largest penetration of a valid candidate and in the final check.", unit="m", gt=0
+    )
+    finalists: int = option(
+        16, "Number of the best candidates that may be tried in the final check.", ge=1
+    )
