@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitSubcommandPrefixes, Positional, UseAppendAction, arg, subcommand
 
+from .engines import ENGINES, EngineChoice, EngineName
+
 Step = Literal["parse", "program", "verify", "compose", "refine", "export"]
 
 
@@ -39,7 +41,7 @@ class Reconstruct(Configured):
     """Run folder to write; a new or empty one, or a run to go on with."""
     provider: str | None = None
     """Who answers: auto, anthropic, openai, replay or mailbox."""
-    engine: Literal["auto", "mjx", "warp", "native"] | None = None
+    engine: EngineChoice | None = None
     """Physics engine of the refine step."""
     seed: int | None = None
     """Seed of the search."""
@@ -68,7 +70,7 @@ class Refine(Configured):
 
     folder: Positional[Path]
     """The run folder."""
-    engine: Literal["auto", "mjx", "warp", "native"] | None = None
+    engine: EngineChoice | None = None
     """Physics engine."""
     seed: int | None = None
     """Seed of the search."""
@@ -163,7 +165,7 @@ class BenchPhysics(Common):
     """Numbers of objects on the table."""
     population: tuple[int, ...] = (1024,)
     """Numbers of candidates."""
-    engine: tuple[Literal["native", "mjx", "warp"], ...] = ("native", "mjx", "warp")
+    engine: tuple[EngineName, ...] = tuple(ENGINES)
     """Engines; one that cannot run here is a row that says why."""
     duration: float = 1.0
     """Simulated time [s], in steps of 4 ms."""
@@ -201,7 +203,7 @@ class BenchAgreement(Common):
 
     scene: tuple[str, ...] = ()
     """Of stack, cluttered, cabinet, container, leaning and mixed; none takes all six."""
-    engine: tuple[Literal["native", "mjx", "warp"], ...] = ("native",)
+    engine: tuple[EngineName, ...] = ("native",)
     """Engines whose verdicts are compared."""
     layouts: int = 64
     """Candidates of each scene."""
@@ -239,7 +241,7 @@ class BenchRefine(Configured):
         "cma_es",
     )
     """Baselines to run; none with `--baseline` and nothing after it."""
-    engine: Literal["auto", "native", "mjx", "warp"] = "native"
+    engine: EngineChoice = "native"
     """Engine that rolls candidates out."""
 
 

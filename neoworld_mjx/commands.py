@@ -204,6 +204,7 @@ def doctor(_: Doctor) -> Answer:
     import jax
 
     from .cache import cache_folder
+    from .engines import ENGINES
     from .mllm.provider import bundled_tapes
     from .run_folder import versions
 
@@ -213,7 +214,7 @@ def doctor(_: Doctor) -> Answer:
         "system": platform.platform(),
         "cores": os.cpu_count(),
         "devices": [f"{device.platform}: {device.device_kind}" for device in jax.devices()],
-        "engines": {name: _engine(name) for name in ("native", "mjx", "warp")},
+        "engines": {name: _engine(name) for name in ENGINES},
         "cache": {"folder": str(kept), "exists": kept.is_dir()},
         "keys": {name: bool(os.environ.get(name)) for name in _KEYS},
         "tapes": tapes,
@@ -266,7 +267,7 @@ def _signals(built: "Built") -> list[dict[str, Any]]:
     return [{"code": s.code, **s.model_dump(exclude_defaults=True)} for s in built.signals]
 
 
-def _engine(name: Any) -> str:
+def _engine(name: str) -> str:
     from .physics.simulate import open_engine
 
     try:

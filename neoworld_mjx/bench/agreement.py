@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from ..engines import ENGINES
 from ..errors import EngineError, choices
 from ..physics.engine import EarlyStop
 from ..physics.layout import Layout, Poses
@@ -23,8 +24,6 @@ from .scenes import noisy_layouts
 from .six import AGREEMENT
 from .verdicts import compare, motion, naive_loop, started
 
-WANTED = {"native": 0.99, "mjx": 0.98, "warp": 0.98}
-"""Smallest share of equal verdicts among layouts that no bound is near to."""
 FIRST_STEP, FIRST_STEP_SHARE = 1e-6, 0.95
 """Largest difference after one step [m] or [rad], and the share of layouts that must keep it."""
 NUDGE = 1e-13
@@ -155,10 +154,10 @@ def _verdicts(
     engine: str,
     rule: EarlyStop | None,
 ) -> VerdictRow:
-    wanted = WANTED[engine]
+    wanted = ENGINES[engine].agreement
     about = {"scene": name, "engine": engine, "early_stop": rule is not None, "wanted": wanted}
     try:
-        found = motion(scene, open_engine(engine).rollout(scene, poses, early_stop=rule))  # pyright: ignore[reportArgumentType]
+        found = motion(scene, open_engine(engine).rollout(scene, poses, early_stop=rule))
     except EngineError as error:
         found, note = None, str(error)
     else:

@@ -12,12 +12,12 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Literal
 
 import jax
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from ..engines import ENGINES, EngineName
 from ..errors import EngineError
 from ..physics.engine import EarlyStop, Rollout, RolloutStatus
 from ..physics.layout import Layout
@@ -28,7 +28,6 @@ from .machine import Others, peak_mib
 from .scenes import COUNTS, crowded, noisy_layouts
 from .verdicts import Loop, compare, motion, naive_loop
 
-ENGINES = ("native", "mjx", "warp")
 POPULATIONS = (64, 256, 1024, 4096, 16384)
 NAIVE_CANDIDATES = 128
 """Candidates that the naive loop is timed on, and that verdicts are held against."""
@@ -45,7 +44,7 @@ class Task(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    engine: Literal["native", "mjx", "warp"]
+    engine: EngineName
     objects: int = Field(ge=1)
     population: int = Field(ge=1)
     early_stop: bool = False
@@ -123,7 +122,7 @@ class Measured(BaseModel):
 def physics(
     objects: Sequence[int] = COUNTS,
     populations: Sequence[int] = (1024,),
-    engines: Sequence[str] = ENGINES,
+    engines: Sequence[str] = tuple(ENGINES),
     *,
     early_stop: Sequence[bool] = (False, True),
     duration: float = 1.0,
@@ -136,7 +135,7 @@ def physics(
     Args:
         objects: numbers of objects on the table.
         populations: numbers of candidates.
-        engines: native, mjx or warp.
+        engines: names of engines.
         early_stop: whether candidates may stop early.
         duration: simulated time [s].
         budget: time that a row may take, and that the naive loop may take for a scene [s].

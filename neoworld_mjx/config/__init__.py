@@ -17,7 +17,6 @@ from .run_config import Config, describe, load_config, merged
 from .search_options import (
     CEMOptions,
     DescentOptions,
-    EngineName,
     RefineOptions,
     RewardOptions,
     RolloutOptions,
@@ -29,7 +28,6 @@ __all__ = [
     "ComposeOptions",
     "Config",
     "DescentOptions",
-    "EngineName",
     "MLLMOptions",
     "Option",
     "Options",

@@ -6,9 +6,8 @@ against the parameters that the search really compiles with.
 
 from typing import Literal
 
+from ..engines import ENGINES_HELP, EngineChoice
 from .options import Options, option, static, traced
-
-EngineName = Literal["auto", "mjx", "warp", "native"]
 
 _PROGRAM, _SHAPE = "is another program", "shapes arrays"
 _EARLY_STOP = "ends rollouts early"
@@ -163,12 +162,7 @@ class RewardOptions(Options):
 class RolloutOptions(Options):
     """Free-fall rollouts of candidate layouts."""
 
-    engine: EngineName = static(
-        _PROGRAM,
-        "auto",
-        "Physics engine. auto: warp on an NVIDIA GPU if installed, else mjx on an accelerator, "
-        "else native.",
-    )
+    engine: EngineChoice = static(_PROGRAM, "auto", ENGINES_HELP)
     duration_s: float = static(
         "all candidates of a rollout share it",
         1.0,

@@ -1,18 +1,18 @@
 """Opening an engine by name, and rolling layouts out in one call."""
 
 import contextlib
-from typing import get_args
+from importlib import import_module
 
 import jax
 
-from ..config import EngineName
-from ..errors import EngineError, choices
+from ..engines import ENGINES, EngineChoice
+from ..errors import EngineError, SpecError, choices
 from .engine import EarlyStop, Engine, Rollout
 from .layout import Layout
 from .model import SceneModel
 
 
-def open_engine(name: EngineName = "auto") -> Engine:
+def open_engine(name: EngineChoice = "auto") -> Engine:
     """Return an engine by name.
 
     `auto` is warp on an NVIDIA GPU when it is installed, else mjx on an accelerator, else native.
@@ -21,53 +21,65 @@ def open_engine(name: EngineName = "auto") -> Engine:
         EngineError: the engine is unknown, or cannot run here.
     """
     if name == "auto":
-        name = _automatic()
-    if name == "native":
-        from .native import NativeEngine
-
-        return NativeEngine()
-    if name == "mjx":
-        from .mjx_engine import MjxEngine
-
-        return MjxEngine()
-    if name == "warp":
-        from .warp_engine import WarpEngine
-
-        return WarpEngine()
-    raise EngineError(f"engine: {choices(name, get_args(EngineName))}")
+        return _open_automatic()
+    if name not in ENGINES:
+        raise EngineError(f"engine: {choices(name, ['auto', *ENGINES])}")
+    module, _, cls = ENGINES[name].location.partition(":")
+    # By its name: an engine's module imports the vocabulary, and nothing here may import it.
+    return getattr(import_module(module, __package__.rpartition(".")[0]), cls)()
 
 
-def _automatic() -> EngineName:
-    from .warp_engine import warp_ready
-
-    if warp_ready():
-        return "warp"
-    return "native" if jax.default_backend() == "cpu" else "mjx"
+def _open_automatic() -> Engine:
+    for name, entry in ENGINES.items():
+        if entry.accelerator and jax.default_backend() == "cpu":
+            continue
+        with contextlib.suppress(EngineError):
+            return open_engine(name)
+    raise EngineError(f"no engine can run here; tried {', '.join(ENGINES)}")
 
 
 def rollout(
     scene: SceneModel,
     layouts: Layout,
     *,
-    engine: EngineName = "auto",
+    engine: EngineChoice | Engine = "auto",
     duration: float = 1.0,
     record_every: float = 0.1,
     early_stop: EarlyStop | None = None,
 ) -> Rollout:
     """Place candidate layouts and roll them out; see `Engine.rollout`.
 
+    It runs on the host and may not be jitted, vmapped or differentiated; placing
+    (`SceneModel.place`) and what is computed from a `Rollout` may.
+
     Args:
         scene: the compiled scene.
         layouts: the candidates.
-        engine: auto, mjx, warp or native.
+        engine: name of an engine, or an opened one.
         duration: simulated time [s].
         record_every: time between recorded poses [s].
         early_stop: rules for stopping candidates early; None simulates all of them to the end.
 
     Raises:
         EngineError: the engine is unknown, or cannot run here.
+        SpecError: `scene` is no SceneModel, or `layouts` no Layout of it.
     """
-    return open_engine(engine).rollout(
+    if not isinstance(scene, SceneModel):
+        raise SpecError(
+            f"rollout: scene is a {type(scene).__name__}, not a SceneModel: load a file or run "
+            "folder with load_scene, or compile a SceneSpec with compile_scene"
+        )
+    if not isinstance(layouts, Layout):
+        raise SpecError(
+            f"rollout: layouts is a {type(layouts).__name__}, not a Layout: Layout.zero("
+            f"pop, {len(scene.names)}) is pop copies of the composed scene"
+        )
+    if layouts.yaw.ndim != 2 or layouts.yaw.shape[1] != len(scene.names):
+        raise SpecError(
+            f"rollout: layouts.yaw has shape {tuple(layouts.yaw.shape)}, not (pop, "
+            f"{len(scene.names)}): scene {scene.spec.name} has {len(scene.names)} objects"
+        )
+    return (open_engine(engine) if isinstance(engine, str) else engine).rollout(
         scene,
         scene.place(layouts),
         duration=duration,

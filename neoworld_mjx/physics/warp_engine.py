@@ -254,7 +254,7 @@ def warp_device(device: str | None = None) -> Any:
 
 
 def _driver() -> bool:
-    """Whether NVIDIA's driver loads and sees a GPU; much faster than asking warp."""
+    """Whether NVIDIA's driver loads and has a GPU; much faster than asking warp."""
     try:
         cuda = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     except OSError:
@@ -263,14 +263,3 @@ def _driver() -> bool:
     return (
         cuda.cuInit(0) == 0 and cuda.cuDeviceGetCount(ctypes.byref(count)) == 0 and count.value > 0
     )
-
-
-def warp_ready() -> bool:
-    """Whether `WarpEngine()` can run here."""
-    try:
-        return bool(warp_device().is_cuda)
-    except EngineError:
-        return False
-
-
-__all__ = ["Counts", "WarpEngine", "warp_device", "warp_ready"]

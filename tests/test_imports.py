@@ -1,0 +1,100 @@
+"""The graph of imports between the modules of the package and of its kernels."""
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+FOLDERS = {"neoworld_mjx": ROOT, "neoworld_kernels": ROOT / "kernels"}
+
+
+def modules():
+    """Every module's file by its dotted name."""
+    files = {}
+    for package, base in FOLDERS.items():
+        for path in sorted((base / package).rglob("*.py")):
+            parts = path.relative_to(base).with_suffix("").parts
+            files[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return files
+
+
+def import_nodes(tree):
+    """Imports at any depth of a module, but those for type checkers alone."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            yield from (found for branch in node.orelse for found in import_nodes(branch))
+            continue
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            yield node
+        yield from import_nodes(node)
+
+
+def imported(node, package, names):
+    """Modules of the project that an import statement loads or takes names from."""
+    if isinstance(node, ast.Import):
+        return {alias.name for alias in node.names} & names
+    base = node.module or ""
+    if node.level:
+        parts = package.split(".")
+        base = ".".join([*parts[: len(parts) - node.level + 1], *filter(None, [node.module])])
+    targets = set()
+    for alias in node.names:
+        full = f"{base}.{alias.name}"
+        targets.add(full if full in names else base)
+    return targets & names
+
+
+def import_graph():
+    """Modules that each module imports, inside functions too."""
+    files = modules()
+    graph = {}
+    for name, path in files.items():
+        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        targets = (imported(node, package, set(files)) for node in import_nodes(tree))
+        graph[name] = set().union(*targets) - {name}
+    return graph
+
+
+def cycle(graph):
+    """A list of modules that import each other in a circle, or None."""
+    done, path = set(), []
+
+    def visit(name):
+        if name in path:
+            return [*path[path.index(name) :], name]
+        if name in done:
+            return None
+        path.append(name)
+        for target in sorted(graph[name]):
+            if circle := visit(target):
+                return circle
+        path.pop()
+        done.add(name)
+        return None
+
+    return next(filter(None, map(visit, sorted(graph))), None)
+
+
+def test_a_circle_is_found():
+    assert cycle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c", "b"]
+    assert cycle({"a": {"b", "c"}, "b": {"c"}, "c": set()}) is None
+
+
+def test_no_module_imports_itself_in_a_circle():
+    circle = cycle(import_graph())
+    assert circle is None, " -> ".join(circle)
+
+
+def test_what_engines_import_imports_no_engine():
+    from neoworld_mjx.engines import ENGINES
+
+    graph = import_graph()
+    engines = {f"neoworld_mjx{entry.location.partition(':')[0]}" for entry in ENGINES.values()}
+    assert engines <= set(graph)
+    vocabulary = {f"neoworld_mjx.physics.{name}" for name in ("engine", "recorder", "model")}
+    reached, todo = set(), list(vocabulary)
+    while todo:
+        name = todo.pop()
+        reached.add(name)
+        todo.extend(graph[name] - reached)
+    assert not reached & engines
