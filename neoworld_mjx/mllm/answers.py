@@ -1,4 +1,4 @@
-"""From a model's text to a validated value: find the JSON, check it, and phrase what is wrong."""
+"""Validated answers from a model's text: find the JSON, validate it, report the errors."""
 
 import json
 import re
@@ -16,7 +16,7 @@ _REASON_CHARS = 2000
 
 
 class InvalidAnswer(Exception):
-    """A text holds no JSON object, or one that breaks the schema; the message says what to mend."""
+    """A text holds no JSON object, or one that does not fit the schema; the message says why."""
 
 
 def read_answer(text: str, schema: type[T]) -> T:
@@ -26,7 +26,7 @@ def read_answer(text: str, schema: type[T]) -> T:
     objects the first that validates counts, bare text first, then fences, then the largest.
 
     Raises:
-        InvalidAnswer: nothing validates; the message speaks of the most likely object.
+        InvalidAnswer: nothing validates; the message is about the most likely object.
     """
     whole = _whole(text)
     inside, broken = ([], "") if whole else _embedded(text)
@@ -41,7 +41,7 @@ def read_answer(text: str, schema: type[T]) -> T:
 
 
 def is_json(text: str) -> bool:
-    """Tell whether a text as a whole is one JSON value, so that nothing of it is still missing."""
+    """Return whether a text as a whole is one JSON value, and so complete."""
     try:
         _loads(text)
     except (ValueError, RecursionError):
@@ -51,27 +51,27 @@ def is_json(text: str) -> bool:
 
 def _whole(text: str) -> list[dict[str, Any]]:
     """Return the objects that are the whole text or a whole fenced block of it."""
-    found = []
+    objects = []
     for part in (text, *_FENCE.findall(text)):
         try:
             value = _loads(part)
         except (ValueError, RecursionError):
             continue
         if isinstance(value, dict):
-            found.append(value)
-    return found
+            objects.append(value)
+    return objects
 
 
 def _embedded(text: str) -> tuple[list[dict[str, Any]], str]:
-    """Return the objects inside a text, the largest first, and what broke off the search.
+    """Return the objects inside a text, the largest first, and the error that ended the search.
 
     A broken object ends the search: an object inside it could pass for the answer.
     """
     decoder = json.JSONDecoder(parse_constant=_refuse)
-    found: list[tuple[int, dict[str, Any]]] = []
+    objects: list[tuple[int, dict[str, Any]]] = []
     broken = ""
     for match in _OPENING.finditer(text):
-        if found and match.start() < found[-1][0]:
+        if objects and match.start() < objects[-1][0]:
             continue
         try:
             value, end = decoder.raw_decode(text, match.start())
@@ -81,9 +81,9 @@ def _embedded(text: str) -> tuple[list[dict[str, Any]], str]:
         except ValueError as error:
             broken = f"the JSON object in it is broken ({error})"
             break
-        found.append((end, value))
-    sizes = sorted(found, key=lambda item: -len(json.dumps(item[1])))
-    return [value for _, value in sizes], broken
+        objects.append((end, value))
+    largest_first = sorted(objects, key=lambda item: -len(json.dumps(item[1])))
+    return [value for _, value in largest_first], broken
 
 
 def _loads(text: str) -> Any:

@@ -1,32 +1,33 @@
-"""One call to a provider: inside the limits, tried again where that may help, booked.
+"""Calls to a provider: within the limits, retried where that may help, and booked.
 
-Here too is the border that no key crosses: whatever a provider raises leaves scrubbed.
+Every error of a provider is scrubbed of keys here.
 """
 
 import asyncio
 import random
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import replace
 from typing import Any
 
 from ..config import MLLMOptions, RoleOptions
 from ..errors import ModelError
 from .ledger import Ledger, most_tokens
-from .model import Provider, Rejection, Reply, Request, Transient, Usage
+from .requests import Provider, Rejection, Reply, Request, Transient, Usage
 from .secrets import scrub
 
 _LONGEST_BACKOFF_S = 30.0
 _BATCH_SHARE = 0.5
-"""Part of the list price that a batch is billed at."""
+"""Fraction of the list price that a batch is billed at."""
 
 
 class Calls:
     """Makes calls under the options' limits.
 
     Args:
-        provider: who answers.
+        provider: the source of answers.
         options: retries, concurrency and time limit.
-        ledger: the books.
+        ledger: books every call.
         backoff_s: first wait after a failed call, in seconds; it doubles from call to call.
     """
 
@@ -38,7 +39,7 @@ class Calls:
         self.ledger = ledger
         self.backoff_s = backoff_s
         self._gate = asyncio.Semaphore(options.concurrency)
-        self._settled = asyncio.Condition()
+        self._released = asyncio.Condition()
 
     async def make(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
@@ -47,7 +48,7 @@ class Calls:
 
         Raises:
             BudgetError: the call could exceed the cost cap; nothing was sent.
-            ModelError: no reply could be had.
+            ModelError: the provider gave no reply.
         """
         if not self.provider.online:
             reply = await self._guarded(request, role, rejected)
@@ -74,7 +75,7 @@ class Calls:
     ) -> Reply:
         most = most_tokens(request, role.max_tokens, rejected)
         bound = self.ledger.bound(role.model, most)
-        async with self._held(request, bound):
+        async with self._reserved(request, bound):
             try:
                 reply = await self._guarded(request, role, rejected)
             except Transient as error:
@@ -93,7 +94,7 @@ class Calls:
     async def _guarded(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
-        """Call the provider; let nothing out that could show a key."""
+        """Call the provider; scrub keys from every error."""
         try:
             return await self.provider.reply(request, role, rejected)
         except Transient as error:
@@ -102,11 +103,30 @@ class Calls:
         except ModelError as error:
             raise type(error)(scrub(str(error), self.provider.secrets)) from None
         except Exception as error:
-            what = f"{type(error).__name__}: {error}"
-            raise self.error(f"{request.name}: {self.provider.name} failed: {what}") from None
+            reason = f"{type(error).__name__}: {error}"
+            raise self.error(f"{request.name}: {self.provider.name} failed: {reason}") from None
 
-    def _held(self, request: Request[Any], bound: float) -> "_Held":
-        return _Held(self.ledger, self._settled, request, bound)
+    @asynccontextmanager
+    async def _reserved(self, request: Request[Any], bound: float) -> AsyncIterator[None]:
+        """Reserve a call's highest cost while it is under way.
+
+        Raises:
+            BudgetError: the call could exceed the cost cap.
+        """
+        ledger = self.ledger
+        async with self._released:
+            while not ledger.fits(bound):
+                # Calls under way mostly cost less than their reservation: wait before giving up.
+                if not ledger.reserved_usd or not ledger.fits(bound, others=False):
+                    raise ledger.refuse(request, bound)
+                await self._released.wait()
+            ledger.hold(bound)
+        try:
+            yield
+        finally:
+            async with self._released:
+                ledger.release(bound)
+                self._released.notify_all()
 
     def _delay(self, request: Request[Any], attempt: int, failure: Transient) -> float:
         if failure.retry_after is None:
@@ -115,19 +135,19 @@ class Calls:
         longest = max(self.options.timeout_s, 60.0)
         if failure.retry_after > longest:
             raise self.error(
-                f"{request.name}: {self.provider.name} asks to wait {failure.retry_after:.0f} s, longer "
-                f"than a run waits ({longest:.0f} s): {failure}. Resume the run later"
+                f"{request.name}: {self.provider.name} asks to wait {failure.retry_after:.0f} s, "
+                f"longer than a run waits ({longest:.0f} s): {failure}. Resume the run later"
             )
         return failure.retry_after
 
     def error(self, message: str) -> ModelError:
-        """Make an error that shows no key."""
+        """Return an error without keys in its message."""
         return ModelError(scrub(message, self.provider.secrets))
 
     async def batch(
         self, requests: Sequence[Request[Any]], roles: Sequence[RoleOptions]
     ) -> list[Reply | None]:
-        """Send requests as one batch, if the provider has batches; None where it gave no reply.
+        """Send requests as one batch; None where it gave no reply or the provider has no batches.
 
         Raises:
             BudgetError: the batch could exceed the cost cap; nothing was sent.
@@ -136,45 +156,19 @@ class Calls:
         send = getattr(self.provider, "batch", None)
         if send is None or not requests:
             return [None] * len(requests)
-        asked = list(zip(requests, roles, strict=True))
+        calls = list(zip(requests, roles, strict=True))
         bound = _BATCH_SHARE * sum(
             self.ledger.bound(role.model, most_tokens(request, role.max_tokens))
-            for request, role in asked
+            for request, role in calls
         )
-        async with self._held(requests[0], bound):
+        async with self._reserved(requests[0], bound):
             try:
-                replies: list[Reply | None] = await send(asked)
+                replies: list[Reply | None] = await send(calls)
             except ModelError as error:
                 raise type(error)(scrub(str(error), self.provider.secrets)) from None
-            for (request, role), reply in zip(asked, replies, strict=True):
+            for (request, role), reply in zip(calls, replies, strict=True):
                 if reply is not None:
                     self.ledger.add(request.role, role.model, reply.usage, share=_BATCH_SHARE)
                     if reply.fallback is not None:
                         self.ledger.fell_back(reply.fallback)
         return replies
-
-
-class _Held:
-    """Holds a call's highest cost against the cap while the call is under way."""
-
-    def __init__(
-        self, ledger: Ledger, settled: asyncio.Condition, request: Request[Any], bound: float
-    ) -> None:
-        self._ledger, self._settled = ledger, settled
-        self._request, self._bound = request, bound
-
-    async def __aenter__(self) -> None:
-        async with self._settled:
-            while not self._ledger.fits(self._bound):
-                # Calls under way mostly cost less than is held for them: wait before giving up.
-                if not self._ledger.reserved_usd or not self._ledger.fits(
-                    self._bound, others=False
-                ):
-                    raise self._ledger.refuse(self._request, self._bound)
-                await self._settled.wait()
-            self._ledger.hold(self._bound)
-
-    async def __aexit__(self, *exc: object) -> None:
-        async with self._settled:
-            self._ledger.release(self._bound)
-            self._settled.notify_all()

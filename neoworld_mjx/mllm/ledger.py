@@ -1,12 +1,12 @@
-"""What asking costs: calls, tokens and dollars per role and model, and the cap that stops a run.
+"""Ledger of calls, tokens and dollars per role and model, and the cost cap that stops a run.
 
 Prices are USD per million tokens, read from YAML: `input`, `output`, and where a server caches
-prompts `cache_read` and `cache_write`. A model without a price has an unknown cost, which is said,
-never counted as zero.
+prompts `cache_read` and `cache_write`. A model without a price has an unknown cost, which is
+reported as unknown and never counted as zero.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,13 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from ..errors import BudgetError, ConfigError
-from .model import Rejection, Request, Usage
+from .requests import Rejection, Request, Usage
 
 _PACKAGE_PRICES = Path(__file__).with_name("prices.yaml")
 _CHARS_PER_TOKEN = 2.5
 _PIXELS_PER_TOKEN = 750
-_TOKENS_ASIDE = 600
-"""For what a server adds of its own, such as the instructions for structured output."""
+_SERVER_TOKENS = 600
+"""Tokens that a server adds, such as the instructions for structured output."""
 
 
 class Price(BaseModel):
@@ -49,7 +49,7 @@ class Price(BaseModel):
 
 
 def load_prices(path: Path | None = None) -> dict[str, Price]:
-    """Read a table of prices; a user's table lies over the one in the package.
+    """Read a table of prices; a user's entries replace those of the package.
 
     Raises:
         ConfigError: the file is missing, no YAML, or an entry is wrong.
@@ -80,13 +80,13 @@ def most_tokens(
     chars = len(request.system) + len(request.prompt) + 2 * len(str(request.json_schema))
     chars += sum(len(each.text) + len(each.message(request)) for each in rejected)
     pixels = sum(width * height for width, height in (p.size for p in request.pictures))
-    tokens = int(chars / _CHARS_PER_TOKEN + pixels / _PIXELS_PER_TOKEN) + _TOKENS_ASIDE
+    tokens = int(chars / _CHARS_PER_TOKEN + pixels / _PIXELS_PER_TOKEN) + _SERVER_TOKENS
     # Everything may be written to the cache, which costs more than plain input.
     return Usage(cache_write=tokens, output=max_tokens)
 
 
 @dataclass
-class _Line:
+class _Row:
     calls: int = 0
     failed: int = 0
     usage: Usage = field(default_factory=Usage)
@@ -104,7 +104,7 @@ class Ledger:
     max_cost_usd: float | None = None
     prices: dict[str, Price] = field(default_factory=load_prices)
     fallbacks: dict[str, int] = field(default_factory=dict)
-    _lines: dict[tuple[str, str], _Line] = field(default_factory=dict)
+    _rows: dict[tuple[str, str], _Row] = field(default_factory=dict)
     _holds: list[float] = field(default_factory=list)
 
     @property
@@ -115,12 +115,12 @@ class Ledger:
     @property
     def spent_usd(self) -> float:
         """Cost so far of everything whose price is known, in USD."""
-        return sum(line.cost_usd or 0.0 for line in self._lines.values())
+        return sum(row.cost_usd or 0.0 for row in self._rows.values())
 
     @property
     def unpriced(self) -> list[str]:
         """Models that were called and have no price."""
-        return sorted({m for (_, m), line in self._lines.items() if line.cost_usd is None})
+        return sorted({m for (_, m), row in self._rows.items() if row.cost_usd is None})
 
     def bound(self, model: str, most: Usage) -> float:
         """Return the most that a call of so many tokens costs in USD; zero if nothing is capped.
@@ -153,11 +153,11 @@ class Ledger:
         self._holds.append(bound_usd)
 
     def release(self, bound_usd: float) -> None:
-        """Give back what `hold` reserved."""
+        """Release the reservation of a call."""
         self._holds.remove(bound_usd)
 
     def refuse(self, request: Request[Any], bound_usd: float) -> BudgetError:
-        """Phrase why a call is not made."""
+        """Return the error of a call that could exceed the cap."""
         return BudgetError(
             f"{request.name}: cost cap reached: {self.spent_usd:.4f} USD of "
             f"{self.max_cost_usd:g} are spent and this call may cost up to {bound_usd:.4f}; "
@@ -175,27 +175,27 @@ class Ledger:
         share: float = 1.0,
     ) -> None:
         """Book one call; `share` is the part of the list price that is billed."""
-        line = self._lines.setdefault((role, model), _Line())
-        line.calls += 1
-        line.failed += failed
-        line.usage = line.usage + usage
+        row = self._rows.setdefault((role, model), _Row())
+        row.calls += 1
+        row.failed += failed
+        row.usage = row.usage + usage
         price = price_of(model, self.prices) if billed else Price(input=0, output=0)
-        if price is not None and line.cost_usd is not None:
-            line.cost_usd += share * price.cost(usage)
+        if price is not None and row.cost_usd is not None:
+            row.cost_usd += share * price.cost(usage)
         elif usage != Usage():
-            line.cost_usd = None
+            row.cost_usd = None
 
     def fell_back(self, note: str) -> None:
-        """Count something that had to be done without."""
+        """Count a feature that the server does not support."""
         self.fallbacks[note] = self.fallbacks.get(note, 0) + 1
 
     def to_json(self) -> dict[str, Any]:
         """Return the ledger for run.json; `cost_usd` is null where any cost is unknown."""
-        total = sum((line.usage for line in self._lines.values()), Usage())
+        total = sum((row.usage for row in self._rows.values()), Usage())
         return {
-            "calls": sum(line.calls for line in self._lines.values()),
-            "failed_calls": sum(line.failed for line in self._lines.values()),
-            "tokens": _tokens(total),
+            "calls": sum(row.calls for row in self._rows.values()),
+            "failed_calls": sum(row.failed for row in self._rows.values()),
+            "tokens": asdict(total),
             "cost_usd": None if self.unpriced else round(self.spent_usd, 6),
             "known_cost_usd": round(self.spent_usd, 6),
             "models_without_price": self.unpriced,
@@ -205,35 +205,26 @@ class Ledger:
                 {
                     "role": role,
                     "model": model,
-                    "calls": line.calls,
-                    "failed_calls": line.failed,
-                    "tokens": _tokens(line.usage),
-                    "cost_usd": None if line.cost_usd is None else round(line.cost_usd, 6),
+                    "calls": row.calls,
+                    "failed_calls": row.failed,
+                    "tokens": asdict(row.usage),
+                    "cost_usd": None if row.cost_usd is None else round(row.cost_usd, 6),
                 }
-                for (role, model), line in sorted(self._lines.items())
+                for (role, model), row in sorted(self._rows.items())
             ],
         }
 
     def carry(self, earlier: dict[str, Any]) -> None:
-        """Take over the ledger of an interrupted run, as `to_json` gave it, so that its cap holds."""
-        for row in earlier["by_role_and_model"]:
-            line = self._lines.setdefault((row["role"], row["model"]), _Line())
-            line.calls += row["calls"]
-            line.failed += row["failed_calls"]
-            line.usage = line.usage + Usage(**row["tokens"])
-            known = line.cost_usd is not None and row["cost_usd"] is not None
-            line.cost_usd = line.cost_usd + row["cost_usd"] if known else None
+        """Add the ledger of an interrupted run, as `to_json` gave it, so that its cap holds."""
+        for booked in earlier["by_role_and_model"]:
+            row = self._rows.setdefault((booked["role"], booked["model"]), _Row())
+            row.calls += booked["calls"]
+            row.failed += booked["failed_calls"]
+            row.usage = row.usage + Usage(**booked["tokens"])
+            known = row.cost_usd is not None and booked["cost_usd"] is not None
+            row.cost_usd = row.cost_usd + booked["cost_usd"] if known else None
         for note, count in earlier["fallbacks"].items():
             self.fallbacks[note] = self.fallbacks.get(note, 0) + count
-
-
-def _tokens(usage: Usage) -> dict[str, int]:
-    return {
-        "input": usage.input,
-        "output": usage.output,
-        "cache_read": usage.cache_read,
-        "cache_write": usage.cache_write,
-    }
 
 
 def _read_prices(path: Path) -> dict[str, Price]:

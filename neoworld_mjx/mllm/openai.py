@@ -1,26 +1,20 @@
-"""Servers that speak the chat completions API: OpenAI's own, and every compatible one.
+"""Servers that speak the chat completions API: OpenAI's own, and every compatible one."""
 
-What a server turns down (a JSON schema for the answer, token counts in the stream, one of the two
-names of the token limit) is left out from then on, and the ledger says so.
-"""
-
-import asyncio
 import importlib
 from collections.abc import Sequence
 from typing import Any
 
-import anthropic
-
 from ..config import MLLMOptions, RoleOptions
 from ..errors import ModelError
-from .model import Rejection, Reply, Request, Transient, Usage, answer_rule
-from .wire import Line, as_sent, explain, message_of, open_line, with_headers
+from .connection import encoded, server_message
+from .requests import Rejection, Reply, Request, Usage
+from .server import Received, ServerProvider, corrections
 
-_PLAIN = "structured output is not supported by the server or for this schema: asked in words"
-_UNCOUNTED = "the server gave no token counts: booked at their upper bound"
+_TOKEN_LIMITS = ("max_tokens", "max_completion_tokens")
+_STOPS: dict[str, Any] = {"length": "length", "content_filter": "refusal"}
 
 
-class OpenAI:
+class OpenAI(ServerProvider):
     """The provider for the chat completions API.
 
     Args:
@@ -28,12 +22,17 @@ class OpenAI:
 
     Raises:
         ConfigError: a header needs an environment variable that is not set.
-        ModelError: the extra `openai` is not installed, there is no key and no base_url that may
-            do without, or a role still names a model of another maker.
+        ModelError: the extra `openai` is not installed, or there is neither a key nor a base_url.
     """
 
     name = "openai"
-    online = True
+    key_name = "OPENAI_API_KEY"
+    url_name = "OPENAI_BASE_URL"
+    schema_feature = "response_format"
+    features = {
+        "stream_options": ("stream_options",),
+        "response_format": ("response_format", "json_schema", "schema", "structured", "grammar"),
+    }
 
     def __init__(self, options: MLLMOptions) -> None:
         try:
@@ -42,167 +41,92 @@ class OpenAI:
             raise ModelError(
                 "provider openai needs its extra: pip install 'neoworld-mjx[openai]'"
             ) from None
-        self._line: Line = open_line(options, "OPENAI_API_KEY", "OPENAI_BASE_URL")
-        self.secrets = self._line.secrets
-        self._client: Any = None
-        self._without: set[tuple[str, str, str]] = set()
-        """What a model's server has turned down, as (model, feature, for which schema)."""
+        super().__init__(options)
 
     async def reply(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
-        """Make one call.
+        """Make one call; call again without a feature that the server turns down.
 
         Raises:
             Transient: another try may help.
-            ModelError: it will not; the message says what to do.
+            ModelError: it will not, such as for a role whose model is of another service.
         """
-        if role.model.startswith("claude") and not self._line.local:
+        if role.model.startswith("claude") and not self._connection.local:
             raise ModelError(
                 f"mllm.{request.role}.model is {role.model!r}, which this service does not have; "
                 f"name one of its models in the config"
             )
-        while True:
-            params = self._params(request, role, rejected)
-            try:
-                return await self._stream(request, role, params)
-            except _TurnedDown as refused:
-                self._without.add((role.model, refused.feature, _scope(refused.feature, request)))
+        return await super().reply(request, role, rejected)
 
-    async def _stream(
-        self, request: Request[Any], role: RoleOptions, params: dict[str, Any]
-    ) -> Reply:
-        text, refusal, stop, model = "", "", None, role.model
-        usage: Usage | None = None
-        try:
-            async with asyncio.timeout(self._line.longest_s):
-                stream = await self._open().chat.completions.create(**params)
-                async for chunk in stream:
-                    model = chunk.model or model
-                    if chunk.usage is not None:
-                        usage = _usage(chunk.usage)
-                    for choice in chunk.choices[:1]:
-                        text += choice.delta.content or ""
-                        refusal += getattr(choice.delta, "refusal", None) or ""
-                        stop = choice.finish_reason or stop
-        except (self._sdk.BadRequestError, self._sdk.UnprocessableEntityError) as error:
-            feature = _turned_down(error, params)
-            if feature is not None:
-                raise _TurnedDown(feature) from None
-            raise explain(error, self._line, request.role, role, Usage()) from None
-        except Exception as error:
-            raise explain(error, self._line, request.role, role, usage or Usage()) from None
-        if stop is None:
-            raise Transient("the answer broke off before its end", usage=usage)
-        notes = [] if "response_format" in params else [_PLAIN]
-        if usage is None:
-            notes.append(_UNCOUNTED)
-        return Reply(
-            text,
-            usage or Usage(),
-            model,
-            "refusal" if refusal or stop == "content_filter" else _STOPS.get(stop, "end"),
-            refusal,
-            "; ".join(notes) or None,
-            counted=usage is not None,
+    async def _receive(self, params: dict[str, Any], received: Received) -> None:
+        stream = await self._open().chat.completions.create(**params)
+        async for chunk in stream:
+            received.model = chunk.model or received.model
+            if chunk.usage is not None:
+                received.usage = _usage(chunk.usage)
+            for choice in chunk.choices[:1]:
+                received.text += choice.delta.content or ""
+                received.refusal += getattr(choice.delta, "refusal", None) or ""
+                if choice.finish_reason:
+                    received.stop = _STOPS.get(choice.finish_reason, "end")
+        if received.stop is not None and received.refusal:
+            received.stop = "refusal"
+
+    def _new_client(self) -> Any:
+        return self._sdk.AsyncOpenAI(
+            api_key=self._connection.key,
+            base_url=self._connection.url,
+            default_headers=self._connection.merged_headers({}),
+            timeout=self._connection.timeout_s,
+            max_retries=0,
         )
-
-    async def close(self) -> None:
-        """Close the connections."""
-        client, self._client = self._client, None
-        if client is not None:
-            await client.close()
-
-    def _open(self) -> Any:
-        if self._client is None:
-            line = self._line
-            self._client = self._sdk.AsyncOpenAI(
-                api_key=line.key,
-                base_url=line.url,
-                default_headers=with_headers(line, {}),
-                timeout=line.timeout_s,
-                max_retries=0,  # the panel retries, so that every call is booked
-            )
-        return self._client
 
     def _params(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> dict[str, Any]:
-        lacking = {
-            feature
-            for model, feature, scope in self._without
-            if model == role.model and scope == _scope(feature, request)
-        }
-        schema = None if "response_format" in lacking else _schema(request)
-        prompt = request.prompt
-        if schema is None or self._line.local:
-            # A local server may take response_format and not heed it.
-            prompt = f"{prompt}\n\n{answer_rule(request)}"
+        schema = self._schema(request, role)
         messages: list[dict[str, Any]] = []
         if request.system:
             messages.append({"role": "system", "content": request.system})
-        content = [*_pictures(request), {"type": "text", "text": prompt}]
-        messages.append({"role": "user", "content": content})
-        for rejection in rejected:
-            messages.append({"role": "assistant", "content": rejection.text or "(nothing)"})
-            messages.append({"role": "user", "content": rejection.message(request)})
+        prompt = {"type": "text", "text": self._prompt(request, schema)}
+        messages.append({"role": "user", "content": [*_pictures(request), prompt]})
+        for speaker, text in corrections(request, rejected):
+            messages.append({"role": speaker, "content": text})
         # Compatible servers mostly know the older name alone, and ignore the newer one.
-        older = self._line.local != ("max_tokens" in lacking or "max_completion_tokens" in lacking)
+        names = _TOKEN_LIMITS if self._connection.local else _TOKEN_LIMITS[::-1]
+        limit = names[0] if self._supports(names[0], request, role) else names[1]
         params: dict[str, Any] = {
             "model": role.model,
             "messages": messages,
             "stream": True,
-            "max_tokens" if older else "max_completion_tokens": role.max_tokens,
+            limit: role.max_tokens,
         }
-        if "stream_options" not in lacking:
+        if self._supports("stream_options", request, role):
             params["stream_options"] = {"include_usage": True}
         if schema is not None:
-            name = request.schema.__name__
-            body = {"name": name, "schema": schema, "strict": True}
+            body = {
+                "name": request.json_schema["title"],
+                "schema": _strict(schema),
+                "strict": True,
+            }
             params["response_format"] = {"type": "json_schema", "json_schema": body}
         return params
 
-
-_STOPS: dict[str, Any] = {"length": "length", "content_filter": "refusal"}
-
-
-class _TurnedDown(Exception):
-    """The server does not take one of the features."""
-
-    def __init__(self, feature: str) -> None:
-        super().__init__(feature)
-        self.feature = feature
-
-
-def _scope(feature: str, request: Request[Any]) -> str:
-    """A server may turn down one schema and take another."""
-    return request.parts["schema"] if feature == "response_format" else ""
-
-
-def _turned_down(error: Exception, params: dict[str, Any]) -> str | None:
-    """Tell which optional feature of a call a server's rejection speaks of."""
-    said = message_of(error).lower()
-    limit = "max_tokens" if "max_tokens" in params else "max_completion_tokens"
-    words = {
-        "stream_options": ("stream_options",),
-        "response_format": ("response_format", "json_schema", "schema", "structured", "grammar"),
-    }
-    for feature, signs in words.items():
-        if feature in params and any(sign in said for sign in signs):
+    def _turned_down(self, error: Exception, params: dict[str, Any]) -> str | None:
+        feature = super()._turned_down(error, params)
+        if feature is not None or getattr(error, "status_code", None) not in (400, 422):
             return feature
-    unsupported = any(word in said for word in ("unsupported", "not supported", "unrecognized"))
-    return limit if unsupported and limit in said else None
-
-
-def _schema(request: Request[Any]) -> dict[str, Any] | None:
-    """Return the schema as strict mode wants it: nothing optional, nothing besides."""
-    try:
-        return _strict(anthropic.transform_schema(request.json_schema))
-    except ValueError:
-        return None  # such as a field of any type, which structured output cannot express
+        message = server_message(error).lower()
+        limit = next(name for name in _TOKEN_LIMITS if name in params)
+        unsupported = any(
+            word in message for word in ("unsupported", "not supported", "unrecognized")
+        )
+        return limit if unsupported and limit in message else None
 
 
 def _strict(schema: Any) -> Any:
+    """Return a schema as strict mode requires it: every property is required."""
     if isinstance(schema, list):
         return [_strict(item) for item in schema]
     if not isinstance(schema, dict):
@@ -216,9 +140,9 @@ def _strict(schema: Any) -> Any:
 def _pictures(request: Request[Any]) -> list[dict[str, Any]]:
     blocks: list[dict[str, Any]] = []
     for picture in request.pictures:
-        kind, data = as_sent(picture)
+        media_type, data = encoded(picture)
         blocks.append({"type": "text", "text": f"{picture.label}:"})
-        url = f"data:{kind};base64,{data}"
+        url = f"data:{media_type};base64,{data}"
         blocks.append({"type": "image_url", "image_url": {"url": url}})
     return blocks
 

@@ -1,11 +1,11 @@
-"""The panel of models that rooms ask: one provider behind routing, retries, checks and records.
+"""The panel of models: one provider behind routing, limits, retries, validation and records.
 
-Whatever answers, the panel routes a request to the model of its role, keeps calls under the
-concurrency limit and the cost cap, tries again where a server failed, sends an invalid answer back
-with its error a bounded number of times, books every call, and records what was answered.
+The panel routes a request to the model of its role, keeps calls under the concurrency limit and the
+cost cap, retries where a server failed, sends an invalid answer back with its error a bounded
+number of times, books every call, and records every answer.
 
-A panel runs its own event loop in one thread, so it can be asked from plain code (`ask_sync`,
-`ask_many`), from any event loop (`ask`), and from several of them one after the other.
+A panel runs its own event loop in one thread, so it works in plain code (`ask_sync`, `ask_many`,
+`run`), in any event loop (`ask`), and in several of them one after the other.
 """
 
 import asyncio
@@ -22,8 +22,8 @@ from ..errors import ModelError
 from .answers import InvalidAnswer, read_answer
 from .calls import Calls
 from .ledger import Ledger, load_prices
-from .model import Answer, Provider, Rejection, Reply, Request, Usage
 from .replay import Tape
+from .requests import Answer, Provider, Rejection, Reply, Request, Usage
 from .secrets import hide
 
 T = TypeVar("T", bound=BaseModel)
@@ -34,14 +34,14 @@ class Panel:
     """The models that play reasoner, programmer and critic.
 
     Args:
-        provider: who answers.
+        provider: the source of answers.
         options: models, limits and cap.
-        ledger: the books; default: new ones, with the options' cap and prices.
-        record: a tape file. Every answer is written to it at once, and what it holds already is
-            taken from it and not asked again, so that an interrupted run loses no answer.
+        ledger: books every call; default: a new one, with the options' cap and prices.
+        record: a tape file. Every answer is written to it at once, and requests that it answers are
+            not sent, so that an interrupted run loses no answer.
         photo: sha256 of the photo's file, for the tape's header.
-        made: how the answers come about, for the tape's header.
-        backoff_s: first wait after a failed call; it doubles from call to call.
+        made: origin of the answers, for the tape's header.
+        backoff_s: first wait after a failed call, in seconds; it doubles from call to call.
 
     Raises:
         ConfigError: the table of prices is wrong.
@@ -65,7 +65,7 @@ class Panel:
         self._record = Path(record) if record is not None else None
         self._tape = _open_record(self._record, photo, made)
         self._calls = Calls(provider, self.options, self.ledger, backoff_s)
-        self._asked: dict[tuple[str, type], asyncio.Task[Answer[Any]]] = {}
+        self._tasks: dict[tuple[str, type], asyncio.Task[Answer[Any]]] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
         self._lock = threading.Lock()
@@ -76,45 +76,58 @@ class Panel:
         return self.provider.name
 
     async def ask(self, request: Request[T]) -> Answer[T]:
-        """Answer a request; many may be asked at once, and the same one twice costs once.
+        """Answer a request; requests may run side by side, and equal ones are sent once.
 
         Raises:
             MissingAnswerError: a tape does not hold the answer.
             BudgetError: the call could exceed the cost cap; nothing was sent.
-            ModelError: any other reason why no valid answer could be had.
+            ModelError: there is no valid answer for any other reason.
         """
         return await asyncio.wrap_future(self._submit(self._shared(request)))
 
     def ask_soon(self, request: Request[T]) -> "concurrent.futures.Future[Answer[T]]":
-        """As `ask`, from any thread: returns at once; cancelling gives up the waiting alone."""
+        """As `ask`, from any thread, without waiting; cancelling the future cancels no request."""
         return self._submit(self._shared(request))
 
     def ask_sync(self, request: Request[T]) -> Answer[T]:
         """As `ask`, for code without an event loop."""
-        return self._wait(self._shared(request))
+        return self.run(self._shared(request))
 
     def ask_many(self, requests: Sequence[Request[T]]) -> list[Answer[T]]:
-        """Ask many requests at once and return their answers in order.
+        """Answer many requests side by side, in order.
 
-        When one fails the others are still waited for, so that answers already paid for are kept.
+        When one fails the call still waits for the others, so that no paid answer is lost.
 
         Raises:
             ModelError: as `ask`; the first failure in the order of the requests.
         """
-        return self._wait(self._together(requests))
+        return self.run(self._together(requests))
 
     def batch(self, requests: Sequence[Request[T]]) -> list[Answer[T]]:
         """As `ask_many`, at batch prices where the provider has them; this may take up to a day.
 
-        What a batch leaves unanswered or answers invalidly is asked one by one.
+        Requests that the batch leaves without a valid answer are sent one by one.
 
         Raises:
             ModelError: as `ask`.
         """
-        return self._wait(self._batch(requests))
+        return self.run(self._batch(requests))
+
+    def run(self, work: Coroutine[Any, Any, R]) -> R:
+        """Run a coroutine on the panel's event loop and wait for its result.
+
+        Works in plain code and where the caller's thread has an event loop of its own. Not for
+        coroutines that already run on the panel's loop.
+        """
+        future = self._submit(work)
+        try:
+            return future.result()
+        except BaseException:
+            future.cancel()
+            raise
 
     def close(self) -> None:
-        """Close connections and end the panel's thread; asking again starts anew."""
+        """Close connections and end the panel's thread; a later request starts a new one."""
         with self._lock:
             loop, thread = self._loop, self._thread
             self._loop = self._thread = None
@@ -131,8 +144,6 @@ class Panel:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    # The loop in its thread.
-
     def _submit(self, work: Coroutine[Any, Any, R]) -> "concurrent.futures.Future[R]":
         with self._lock:
             if self._loop is None:
@@ -143,19 +154,11 @@ class Panel:
                 self._thread.start()
             return asyncio.run_coroutine_threadsafe(work, self._loop)
 
-    def _wait(self, work: Coroutine[Any, Any, R]) -> R:
-        future = self._submit(work)
-        try:
-            return future.result()
-        except BaseException:
-            future.cancel()
-            raise
-
     async def _shut(self) -> None:
-        for task in self._asked.values():
+        for task in self._tasks.values():
             task.cancel()
-        await asyncio.gather(*self._asked.values(), return_exceptions=True)
-        self._asked.clear()
+        await asyncio.gather(*self._tasks.values(), return_exceptions=True)
+        self._tasks.clear()
         await self.provider.close()
 
     async def _together(self, requests: Sequence[Request[T]]) -> list[Answer[T]]:
@@ -167,39 +170,38 @@ class Panel:
             answers.append(result)
         return answers
 
-    # One request: once a run, from the record if it is there, else in conversation.
-
     async def _shared(self, request: Request[T]) -> Answer[T]:
-        known = (request.key, request.schema)
-        task = self._asked.get(known)
+        """Answer a request; equal requests share one task."""
+        identity = (request.key, request.schema)
+        task = self._tasks.get(identity)
         if task is None:
             task = asyncio.ensure_future(self._answer(request))
-            self._asked[known] = task
-            task.add_done_callback(lambda done: self._forget_failure(known, done))
+            self._tasks[identity] = task
+            task.add_done_callback(lambda done: self._forget_failure(identity, done))
         # Shielded: one caller that gives up must not take the answer from the others.
         return await asyncio.shield(task)
 
-    def _forget_failure(self, known: tuple[str, type], done: "asyncio.Task[Any]") -> None:
+    def _forget_failure(self, identity: tuple[str, type], done: "asyncio.Task[Any]") -> None:
         if done.cancelled() or done.exception() is not None:
-            self._asked.pop(known, None)
+            self._tasks.pop(identity, None)
 
     async def _answer(self, request: Request[T]) -> Answer[T]:
-        kept = self._tape.get(request) if self._record is not None else None
-        if kept is not None:
+        recorded = self._tape.get(request) if self._record is not None else None
+        if recorded is not None:
             try:
-                value = read_answer(kept.text, request.schema)
-                return Answer(value, kept.text, Usage(), kept.model)
+                value = read_answer(recorded.text, request.schema)
+                return Answer(value, recorded.text, Usage(), recorded.model)
             except InvalidAnswer:
                 pass  # A schema's validators may have changed behind the same JSON schema.
         return await self._converse(request)
 
     async def _converse(self, request: Request[T]) -> Answer[T]:
-        """Ask, and send an invalid answer back with its error, until it is valid or enough."""
+        """Send a request, and send invalid answers back with their errors, for bounded rounds."""
         role = self._role(request)
         rejected: tuple[Rejection, ...] = ()
         rounds = 1 + (self.options.validation_rounds if self.provider.online else 0)
         usage = Usage()
-        who, reason = role.model, ""
+        model, reason = role.model, ""
         while len(rejected) < rounds:
             reply = await self._calls.make(request, role, rejected)
             usage = usage + reply.usage
@@ -207,21 +209,21 @@ class Panel:
             try:
                 value = read_answer(reply.text, request.schema)
             except InvalidAnswer as error:
-                who, reason = reply.model, str(error)
+                model, reason = reply.model, str(error)
                 rejected = (*rejected, Rejection(reply.text, reason))
                 continue
-            self._keep(request, reply)
+            self._write_record(request, reply)
             return Answer(value, reply.text, usage, reply.model)
         raise self._calls.error(
-            f"{request.name}: {who} gave no valid answer in {rounds} "
+            f"{request.name}: {model} gave no valid answer in {rounds} "
             f"{'try' if rounds == 1 else 'tries'}; the last one: {reason}"
         )
 
     def _check_stop(self, request: Request[Any], role: RoleOptions, reply: Reply) -> None:
         if reply.stop == "refusal":
-            why = f": {reply.detail}" if reply.detail else ""
+            reason = f": {reply.detail}" if reply.detail else ""
             raise self._calls.error(
-                f"{request.name}: {reply.model} refused to answer{why}; "
+                f"{request.name}: {reply.model} refused to answer{reason}; "
                 f"try another photo or another model (mllm.{request.role}.model)"
             )
         if reply.stop == "length":
@@ -230,7 +232,7 @@ class Panel:
                 f"tokens; raise mllm.{request.role}.max_tokens"
             )
 
-    def _keep(self, request: Request[Any], reply: Reply) -> None:
+    def _write_record(self, request: Request[Any], reply: Reply) -> None:
         if self._record is not None:
             self._tape.put(request, hide(reply.text, self.provider.secrets), reply.model)
             self._tape.save(self._record)
@@ -239,7 +241,7 @@ class Panel:
         return getattr(self.options, request.role)
 
     async def _batch(self, requests: Sequence[Request[T]]) -> list[Answer[T]]:
-        new = {r.key: r for r in requests if (r.key, r.schema) not in self._asked}
+        new = {r.key: r for r in requests if (r.key, r.schema) not in self._tasks}
         waiting = [r for r in new.values() if self._record is None or self._tape.get(r) is None]
         roles = [self._role(request) for request in waiting]
         for request, reply in zip(waiting, await self._calls.batch(waiting, roles), strict=True):
@@ -248,10 +250,10 @@ class Panel:
             try:
                 value = read_answer(reply.text, request.schema)
             except InvalidAnswer:
-                continue  # asked singly below, from the start
-            self._keep(request, reply)
+                continue  # sent by itself below
+            self._write_record(request, reply)
             answer = Answer(value, reply.text, reply.usage, reply.model)
-            self._asked[request.key, request.schema] = asyncio.ensure_future(_ready(answer))
+            self._tasks[request.key, request.schema] = asyncio.ensure_future(_ready(answer))
         return await self._together(requests)
 
 

@@ -1,26 +1,34 @@
-"""Choosing who answers: a server's API, a tape, or a mailbox."""
+"""Providers: the table of all sources of answers, and the choice among them.
+
+A new provider takes its module and one line of `PROVIDERS`.
+"""
 
 import importlib.util
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import get_args
+from typing import NamedTuple, get_args
 
 from ..config import MLLMOptions, Role
 from ..errors import ConfigError, MissingAnswerError, ModelError, choices
 from .ledger import Ledger
 from .mailbox import Mailbox
-from .model import Provider
 from .panel import Panel
 from .replay import SUFFIX, Replay, find_tape
+from .requests import Provider
 from .secrets import environment_key
 
-PROVIDERS = ("auto", "anthropic", "openai", "replay", "mailbox")
 
+class ProviderInputs(NamedTuple):
+    """All that a provider may need to open."""
 
-def bundled_tapes() -> Path:
-    """Return the folder of the tapes that ship with the package."""
-    return Path(str(resources.files("neoworld_mjx") / "data" / "tapes"))
+    options: MLLMOptions
+    photo: str | None = None
+    """The sha256 of the photo's file."""
+    tapes: Sequence[Path] = ()
+    """Folders of tapes, or tapes, in the order of the search."""
+    mailbox: Path | None = None
+    mailbox_timeout_s: float | None = None
 
 
 def open_panel(
@@ -37,51 +45,89 @@ def open_panel(
 ) -> Panel:
     """Open the panel of models for a run.
 
-    `auto` takes a key from the environment, else a tape for this very photo. OPENAI_API_KEY counts
-    as a key when the extra `openai` is installed and no role's model is one of Anthropic's.
+    `auto` takes a key from the environment, else a tape of this photo. OPENAI_API_KEY counts as a
+    key when the extra `openai` is installed and no role's model is one of Anthropic's.
 
     Args:
         options: models, limits and cap.
-        provider: auto, anthropic, openai, replay or mailbox.
+        provider: a name of `PROVIDERS`.
         photo: sha256 of the photo's file, by which tapes are found.
         tapes: folders of tapes, or tapes, searched before those that ship with the package.
-        mailbox: folder of the mailbox; needed for `mailbox`.
+        mailbox: folder of the mailbox; required for `mailbox`.
         mailbox_timeout_s: how long a request waits in the mailbox, in seconds; None: for ever.
         record: tape file to record on and to take earlier answers from.
-        made: how the answers come about, for the recorded tape.
-        ledger: the books of the run, such as those of the run that is resumed.
+        made: origin of the answers, for the recorded tape.
+        ledger: books every call, such as that of the run that is resumed; default: a new one.
 
     Raises:
-        ConfigError: the provider is unknown, or needs something that is not given.
+        ConfigError: the provider is unknown, or lacks a required argument.
         MissingAnswerError: `replay` finds no tape for this photo.
         ModelError: there is no key and no tape, or the chosen provider cannot be used.
     """
     if provider not in PROVIDERS:
         raise ConfigError(f"provider: {choices(provider, PROVIDERS)}")
-    places = [*map(Path, tapes), bundled_tapes()]
-    if provider == "auto":
-        chosen = _automatic(options, photo, places)
-    elif provider == "replay":
-        chosen = _replay(photo, places)
-    elif provider == "mailbox":
-        if mailbox is None:
-            raise ConfigError("provider mailbox needs a folder for its requests")
-        chosen = Mailbox(mailbox, timeout_s=mailbox_timeout_s)
-    else:
-        chosen = _server(provider, options)
-    return Panel(chosen, options, ledger=ledger, record=record, photo=photo, made=made)
+    searched = (*map(Path, tapes), bundled_tapes())
+    inputs = ProviderInputs(options, photo, searched, mailbox, mailbox_timeout_s)
+    opened = PROVIDERS[provider](inputs)
+    return Panel(opened, options, ledger=ledger, record=record, photo=photo, made=made)
 
 
-def _automatic(options: MLLMOptions, photo: str | None, places: list[Path]) -> Provider:
+def bundled_tapes() -> Path:
+    """Return the folder of the tapes that ship with the package."""
+    return Path(str(resources.files("neoworld_mjx") / "data" / "tapes"))
+
+
+def _automatic(inputs: ProviderInputs) -> Provider:
     if environment_key("ANTHROPIC_API_KEY"):
-        return _server("anthropic", options)
+        return _anthropic(inputs)
     openai_key = environment_key("OPENAI_API_KEY") is not None
-    if openai_key and _has_openai() and not _claude_models(options):
-        return _server("openai", options)
-    found = find_tape(photo, places)
-    if found is not None:
-        return Replay(*found)
-    raise ModelError(_ways_on(openai_key, options))
+    if openai_key and _has_openai() and not _claude_models(inputs.options):
+        return _openai(inputs)
+    tape = find_tape(inputs.photo, inputs.tapes)
+    if tape is not None:
+        return Replay(*tape)
+    raise ModelError(_ways_on(openai_key, inputs.options))
+
+
+def _anthropic(inputs: ProviderInputs) -> Provider:
+    # Imported late, as the SDKs take a second to load and tapes do not need them.
+    from .anthropic import Anthropic
+
+    return Anthropic(inputs.options)
+
+
+def _openai(inputs: ProviderInputs) -> Provider:
+    from .openai import OpenAI
+
+    return OpenAI(inputs.options)
+
+
+def _replay(inputs: ProviderInputs) -> Provider:
+    tape = find_tape(inputs.photo, inputs.tapes)
+    if tape is None:
+        searched = ", ".join(str(place) for place in inputs.tapes)
+        raise MissingAnswerError(
+            f"no tape was recorded for this photo (sha256 {(inputs.photo or 'unknown')[:16]}); "
+            f"searched {searched}. Use the very file that the tape was made for, name a tape, or "
+            f"choose another provider: {', '.join(PROVIDERS)}"
+        )
+    return Replay(*tape)
+
+
+def _mailbox(inputs: ProviderInputs) -> Provider:
+    if inputs.mailbox is None:
+        raise ConfigError("provider mailbox needs a folder for its requests")
+    return Mailbox(inputs.mailbox, timeout_s=inputs.mailbox_timeout_s)
+
+
+PROVIDERS: dict[str, Callable[[ProviderInputs], Provider]] = {
+    "auto": _automatic,
+    "anthropic": _anthropic,
+    "openai": _openai,
+    "replay": _replay,
+    "mailbox": _mailbox,
+}
+"""How each provider opens, by name."""
 
 
 def _ways_on(openai_key: bool, options: MLLMOptions) -> str:
@@ -103,29 +149,6 @@ def _ways_on(openai_key: bool, options: MLLMOptions) -> str:
             f"this photo. Ways to go on:"
         )
     return "\n".join(lines)
-
-
-def _replay(photo: str | None, places: list[Path]) -> Provider:
-    found = find_tape(photo, places)
-    if found is None:
-        searched = ", ".join(str(place) for place in places)
-        raise MissingAnswerError(
-            f"no tape was recorded for this photo (sha256 {(photo or 'unknown')[:16]}); searched "
-            f"{searched}. Use the very file that the tape was made for, name a tape, or choose "
-            f"another provider: {', '.join(PROVIDERS)}"
-        )
-    return Replay(*found)
-
-
-def _server(provider: str, options: MLLMOptions) -> Provider:
-    # Imported late: the SDKs take a second to load and a tape needs neither.
-    if provider == "anthropic":
-        from .anthropic import Anthropic
-
-        return Anthropic(options)
-    from .openai import OpenAI
-
-    return OpenAI(options)
 
 
 def _has_openai() -> bool:

@@ -1,4 +1,4 @@
-"""Tapes: answers kept in one JSON file, found again by the content of the request.
+"""Tapes: answers in one JSON file, keyed by the content of their requests.
 
     {"format": 1, "photo": sha256 of the photo's file, "made": how the answers came about,
      "answers": {key: {"role", "name", "model", "parts", "answer"}, ...}}
@@ -10,7 +10,6 @@ part, and entries are sorted, so that recording the same answers gives the same 
 
 import difflib
 import json
-import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..config import RoleOptions, describe
 from ..errors import MissingAnswerError, ModelError
-from .model import Rejection, Reply, Request, Usage
+from ..files import write_atomic
+from .requests import Rejection, Reply, Request, Usage
 
 SUFFIX = ".tape.json"
 
@@ -32,15 +32,15 @@ class Entry(BaseModel):
     role: str
     name: str
     model: str = ""
-    """Who answered."""
+    """The model that answered."""
     parts: dict[str, str] = {}
-    """Digests of the request's parts, to tell what differs when an answer is missing."""
+    """Digests of the request's parts, by which an error names those that differ."""
     answer: dict[str, Any] | str
     """The JSON object, or the raw text where it was not plain JSON."""
 
     @property
     def text(self) -> str:
-        """The answer as a model gives it."""
+        """The answer as text."""
         return self.answer if isinstance(self.answer, str) else json.dumps(self.answer)
 
 
@@ -73,7 +73,7 @@ class Tape(BaseModel):
             raise ModelError(f"{path} is no tape: {describe(error, cls)}") from None
 
     def save(self, path: Path) -> None:
-        """Write the tape at once or not at all.
+        """Write the tape atomically.
 
         Raises:
             ModelError: the file cannot be written.
@@ -83,19 +83,14 @@ class Tape(BaseModel):
         data["answers"] = {key: data["answers"][key] for key in order}
         text = json.dumps(data, indent=1, ensure_ascii=False) + "\n"
         path = Path(path)
-        partial = path.with_name(f".{path.name}.partial")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with partial.open("w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            partial.replace(path)
+            write_atomic(path, text)
         except OSError as error:
             raise ModelError(f"cannot write tape {path}: {error.strerror}") from None
 
     def put(self, request: Request[Any], text: str, model: str) -> None:
-        """Keep an answer under the request's key."""
+        """Add an answer under the request's key."""
         self.answers[request.key] = Entry(
             role=request.role,
             name=request.name,
@@ -105,11 +100,11 @@ class Tape(BaseModel):
         )
 
     def get(self, request: Request[Any]) -> Entry | None:
-        """Return the answer to a request, if the tape holds it."""
+        """Return the answer to a request; None if the tape lacks it."""
         return self.answers.get(request.key)
 
     def nearest(self, request: Request[Any]) -> str:
-        """Say which entry comes closest to a request and what differs."""
+        """Name the entry that is nearest to a request and the parts that differ."""
         names = sorted({entry.name for entry in self.answers.values()})
         close = difflib.get_close_matches(request.name, names, n=1)
         if not close:
@@ -118,18 +113,18 @@ class Tape(BaseModel):
             (_differing(entry, request) for entry in self.answers.values() if entry.name in close),
             key=len,
         )
-        what = ", ".join(differing) or "the key"
-        return f"the nearest entry is {close[0]!r}, which differs in: {what}"
+        parts = ", ".join(differing) or "the key"
+        return f"the nearest entry is {close[0]!r}, which differs in: {parts}"
 
 
 class Replay:
     """The provider that answers from a tape alone."""
 
+    name = "replay"
     online = False
     secrets: tuple[str, ...] = ()
 
     def __init__(self, tape: Tape, where: Path | str) -> None:
-        self.name = "replay"
         self._tape = tape
         self._where = where
 
@@ -146,25 +141,25 @@ class Replay:
         if entry is None:
             raise MissingAnswerError(
                 f"tape {self._where} has no answer for {request.name!r} (role {request.role}, "
-                f"key {request.key[:16]}); {self._tape.nearest(request)}. Record it anew with "
-                f"another provider, or take back what changed"
+                f"key {request.key[:16]}); {self._tape.nearest(request)}. Record it again with "
+                f"another provider, or undo the change"
             )
         return Reply(entry.text, Usage(), entry.model or "tape")
 
     async def close(self) -> None:
-        """Do nothing; a tape holds nothing open."""
+        """Do nothing, as a tape has no connections."""
 
 
 def find_tape(photo_sha256: str | None, places: Iterable[Path]) -> tuple[Tape, Path] | None:
-    """Find a tape for this very photo.
+    """Find the tape of a photo.
 
     Args:
         photo_sha256: sha256 of the photo's file.
-        places: folders, searched for files ending in .tape.json, or tapes themselves. A tape that
-            is named outright is taken whatever photo it was made for, as its keys decide anyway.
+        places: folders, searched for files ending in .tape.json, or tapes. A tape that is named
+            itself is returned whatever its photo, as its keys decide anyway.
 
     Raises:
-        ModelError: a tape that is named outright cannot be read.
+        ModelError: a tape that is named itself cannot be read.
     """
     for place in map(Path, places):
         if not place.is_dir():
@@ -175,7 +170,7 @@ def find_tape(photo_sha256: str | None, places: Iterable[Path]) -> tuple[Tape, P
             try:
                 tape = Tape.load(path)
             except ModelError:
-                continue  # A stranger's broken file must not stop a run that does not need it.
+                continue  # A broken tape of another photo must not stop this run.
             if photo_sha256 is not None and tape.photo == photo_sha256:
                 return tape, path
     return None

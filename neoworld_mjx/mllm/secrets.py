@@ -1,4 +1,4 @@
-"""Keys stay where they are: they are taken from the environment and never shown."""
+"""Keys: read from the environment alone, and removed from every text that is shown."""
 
 import os
 import re
@@ -8,32 +8,32 @@ from ..errors import ConfigError
 
 _SHAPES = re.compile(r"(?i)\bbearer\s+[^\s'\",;]+|\bsk-[A-Za-z0-9_-]{8,}|(?<=://)[^/@\s]+(?=@)")
 _VARIABLE = re.compile(r"\$\{(\w+)\}")
-_SHOWN = "[key]"
+_PLACEHOLDER = "[key]"
 
 
 def environment_key(name: str) -> str | None:
-    """Return the key in an environment variable; empty and blank count as absent."""
+    """Return the key in an environment variable; None if it is unset or blank."""
     return os.environ.get(name, "").strip() or None
 
 
 def hide(text: str, secrets: Iterable[str]) -> str:
-    """Replace given secrets by a placeholder and leave everything else as it is."""
+    """Replace given secrets by a placeholder."""
     for secret in sorted(secrets, key=len, reverse=True):
         if len(secret) >= 4:
-            text = text.replace(secret, _SHOWN)
+            text = text.replace(secret, _PLACEHOLDER)
     return text
 
 
 def scrub(text: str, secrets: Iterable[str]) -> str:
-    """Replace given secrets, and whatever looks like a key, by a placeholder; for messages."""
-    return _SHAPES.sub(_SHOWN, hide(text, secrets))
+    """Replace given secrets, and all text that looks like a key, by a placeholder."""
+    return _SHAPES.sub(_PLACEHOLDER, hide(text, secrets))
 
 
 def expand(headers: dict[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
     """Fill ${NAME} in header values from the environment.
 
     Returns:
-        The headers to send, and the filled-in texts, which must not be shown.
+        The headers to send, and the values of the variables, which are secrets.
 
     Raises:
         ConfigError: a variable is not set.

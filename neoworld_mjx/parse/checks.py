@@ -1,7 +1,7 @@
-"""Checks of a parse that need no model: geometry against the photo, the hierarchy, and common sense.
+"""Checks of a parse without a model: geometry against the photo, the hierarchy, plausible sizes.
 
-That names, parents and cycles are in order is not checked here, as no `SceneTree` exists without it.
-Each finding carries its number and the bound it was held against, and a way out in words.
+`SceneTree` itself validates names, parents and the absence of cycles. Each issue states its
+measured value, the threshold, and a hint for the correction.
 """
 
 import math
@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Bool
 from pydantic import BaseModel, ConfigDict
 
 from ..measure.boxes import (
@@ -21,30 +22,30 @@ from ..measure.boxes import (
     upright,
 )
 from ..spec import Box3D, SceneTree, TreeNode
-from .kinds import kind_of
+from .categories import category_of
 from .project import expected_box
 
-SEEN_WARNS, SEEN_FAILS = 0.6, 0.35
+AGREEMENT_WARNS, AGREEMENT_FAILS = 0.6, 0.35
 """Agreement of the projected 3D box with the 2D box, see `agreement`."""
 INSIDE_WARNS, INSIDE_FAILS = 0.6, 0.25
 """Share of a child's footprint that lies in its parent's."""
 GAP_WARNS, GAP_FAILS = 0.15, 1.0
 """Gap under an object, over its height."""
 GAP_LEAST_M = 0.01
-"""Gaps under this are never spoken of."""
+"""Smaller gaps are not reported."""
 SIZE_FAILS = 2.0
-"""A longest edge so many times out of its label's range is an error, less a warning."""
+"""A longest edge so many times out of its category's range is an error, less is a warning."""
 OVERLAP_WARNS = 0.4
-"""Share of the smaller of two boxes that lies in the other, where neither carries the other."""
+"""Share of the smaller of two boxes inside the other, where neither object carries the other."""
 TWICE_WARNS = 0.85
-"""Overlap of the 2D boxes of two things with one label."""
+"""Intersection over union of the 2D boxes of two objects with the same label."""
 EDGE = 0.01
-"""Of the picture's longer side: boxes nearer to its edge may be cut off by it."""
+"""Boxes nearer to the picture's edge may be cut off by it; over the picture's longer side."""
 
 _SUPPORTS = ("table", "floor", "wall", "counter", "countertop", "ground", "ceiling", "worktop")
 
 
-class Finding(BaseModel):
+class SceneIssue(BaseModel):
     """One thing that is wrong with a parse."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -53,65 +54,65 @@ class Finding(BaseModel):
     node: str
     code: str
     value: float
-    """What was measured: shares and ratios, or metres where the code ends in _m."""
+    """Measured share or ratio, or metres where the code ends in _m."""
     threshold: float
     hint: str
 
     def phrase(self) -> str:
-        """Say it in one line, with numbers rounded so that they hold on every machine."""
+        """Return one line, with numbers rounded so that they are the same on every machine."""
         return f"{self.node}: {self.hint} [{self.code} {self.value:.2g}, bound {self.threshold:g}]"
 
 
-def check_tree(tree: SceneTree) -> tuple[Finding, ...]:
-    """Check a parse; errors come first, else in the order of the nodes."""
-    found: list[Finding] = []
+def check_tree(tree: SceneTree) -> tuple[SceneIssue, ...]:
+    """Check a parse; return errors first, else in the order of the nodes."""
+    issues: list[SceneIssue] = []
     for node in tree.nodes:
-        found += _projection(tree, node)
-        found += _size(node)
-        found += _flags(tree, node)
+        issues += _projection(tree, node)
+        issues += _size(node)
+        issues += _flags(tree, node)
         if node.parent is not None:
-            found += _carried(node, tree.node(node.parent))
-    found += _pairs(tree)
-    return tuple(sorted(found, key=lambda finding: finding.severity != "error"))
+            issues += _on_carrier(node, tree.node(node.parent))
+    issues += _pairs(tree)
+    return tuple(sorted(issues, key=lambda issue: issue.severity != "error"))
 
 
-def check_score(tree: SceneTree, findings: Sequence[Finding]) -> float:
-    """Score a parse in [0, 1] by itself: half agreement with the 2D boxes, half lack of findings.
+def check_score(tree: SceneTree, issues: Sequence[SceneIssue]) -> float:
+    """Return a score of a parse in [0, 1]: the mean of its agreement and of its lack of issues.
 
-    An object with an error counts as lost, one with warnings alone loses a third for each.
+    An object with an error counts 0, one with warnings alone loses a third for each.
     """
-    judged = [node for node in tree.nodes if not node.environment] or list(tree.nodes)
-    seen = float(np.mean([agreement(tree, node) for node in judged]))
+    objects = [node for node in tree.nodes if not node.environment] or list(tree.nodes)
+    mean_agreement = float(np.mean([agreement(tree, node) for node in objects]))
     lost = {node.name: 0.0 for node in tree.nodes}
-    for finding in findings:
-        lost[finding.node] += 1.0 if finding.severity == "error" else 1 / 3
+    for issue in issues:
+        lost[issue.node] += 1.0 if issue.severity == "error" else 1 / 3
     clean = 1.0 - sum(min(value, 1.0) for value in lost.values()) / len(lost)
-    return (seen + clean) / 2
+    return (mean_agreement + clean) / 2
 
 
 def agreement(tree: SceneTree, node: TreeNode) -> float:
-    """Return how well a node's 3D box, seen by the camera, agrees with its 2D box, in [0, 1].
+    """Return how well a node's 3D box, projected by the camera, agrees with its 2D box, in [0, 1].
 
-    For what is seen whole it is their intersection over union. Of what is partly hidden the 2D box is
-    smaller than the projection, so sides that something hides may lie anywhere inside it.
+    For a fully visible object it is their intersection over union. The 2D box of a partly hidden
+    one is smaller than the projection, so hidden sides may lie anywhere inside the projection.
     """
     expected = expected_box(tree.camera, node)
     if expected is None:
         return 0.0
-    seen = np.array(node.box2d.as_tuple())
+    visible = np.array(node.box2d.as_tuple())
     hidden = hidden_sides(tree, node)
-    outer = np.array([-1, -1, 1, 1]) * (expected - seen) > 0
-    cut = np.where(hidden & outer, seen, expected)
+    outer = np.array([-1, -1, 1, 1]) * (expected - visible) > 0
+    cut = np.where(hidden & outer, visible, expected)
     if cut[0] >= cut[2] or cut[1] >= cut[3]:
         return 0.0
-    return iou_2d(cut, seen)
+    return iou_2d(cut, visible)
 
 
-def hidden_sides(tree: SceneTree, node: TreeNode) -> np.ndarray:
-    """Tell which sides of a 2D box (left, top, right, bottom) may not be the object's own, [4] bool.
+def hidden_sides(tree: SceneTree, node: TreeNode) -> Bool[np.ndarray, "4"]:
+    """Return which sides of a 2D box (left, top, right, bottom) may be another object's edge.
 
-    A side is not if it lies at the picture's edge, or if the box of an occluder covers a third or
-    more of it; if what hides the object is not known, no side is sure.
+    A side is hidden if it lies at the picture's edge, or if the box of an occluder covers a third
+    or more of it; if the occluders are not known, every side counts as hidden.
     """
     camera = tree.camera
     edge = EDGE * max(camera.width, camera.height_px)
@@ -139,55 +140,55 @@ def hidden_sides(tree: SceneTree, node: TreeNode) -> np.ndarray:
     return at_edge | covered
 
 
-def _projection(tree: SceneTree, node: TreeNode) -> Iterator[Finding]:
+def _projection(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
     if node.environment:
         if expected_box(tree.camera, node) is None:
-            yield _finding(
+            yield _issue(
                 "error", node, "out_of_view", 0.0, 0.0, "its 3D box lies outside the picture"
             )
         return
     value = agreement(tree, node)
-    if value < SEEN_WARNS:
-        yield _finding(
-            "error" if value < SEEN_FAILS else "warning",
+    if value < AGREEMENT_WARNS:
+        yield _issue(
+            "error" if value < AGREEMENT_FAILS else "warning",
             node,
             "projection",
             value,
-            SEEN_WARNS,
+            AGREEMENT_WARNS,
             f"its 3D box, seen by the camera, does not cover its 2D box{_off(tree, node)}",
         )
 
 
 def _off(tree: SceneTree, node: TreeNode) -> str:
-    """Say in words how a projected box misses the 2D box."""
+    """Describe how a projected box misses the 2D box."""
     expected = expected_box(tree.camera, node)
     if expected is None:
         return ": it lies outside the picture"
-    seen = np.array(node.box2d.as_tuple())
-    sides = seen[2:] - seen[:2]
-    shift = ((expected[:2] + expected[2:]) - (seen[:2] + seen[2:])) / 2 / sides
+    visible = np.array(node.box2d.as_tuple())
+    sides = visible[2:] - visible[:2]
+    shift = ((expected[:2] + expected[2:]) - (visible[:2] + visible[2:])) / 2 / sides
     ratio = (expected[2:] - expected[:2]) / sides
-    said = []
-    if shift[0] and abs(shift[0]) > 0.15:
-        said.append(f"too far {'right' if shift[0] > 0 else 'left'}")
+    phrases = []
+    if abs(shift[0]) > 0.15:
+        phrases.append(f"too far {'right' if shift[0] > 0 else 'left'}")
     if abs(shift[1]) > 0.15:
-        said.append(f"too far {'down' if shift[1] > 0 else 'up'}")
+        phrases.append(f"too far {'down' if shift[1] > 0 else 'up'}")
     for value, way in zip(ratio, ("wide", "high"), strict=True):
         if not 0.8 < value < 1.25:
-            said.append(f"{value:.1f} times as {way}")
-    return ": it is " + ", ".join(said) if said else ""
+            phrases.append(f"{value:.1f} times as {way}")
+    return ": it is " + ", ".join(phrases) if phrases else ""
 
 
-def _size(node: TreeNode) -> Iterator[Finding]:
-    kind, longest = kind_of(node.label), max(node.box3d.size)
-    if kind is None:
+def _size(node: TreeNode) -> Iterator[SceneIssue]:
+    category, longest = category_of(node.label), max(node.box3d.size)
+    if category is None:
         return
-    if longest > kind.high:
-        over, bound, word = longest / kind.high, kind.high, "large"
+    if longest > category.high:
+        over, bound, word = longest / category.high, category.high, "large"
     else:
-        over, bound, word = kind.low / longest, kind.low, "small"
+        over, bound, word = category.low / longest, category.low, "small"
     if over > 1:
-        yield _finding(
+        yield _issue(
             "error" if over > SIZE_FAILS else "warning",
             node,
             "size_m",
@@ -197,9 +198,9 @@ def _size(node: TreeNode) -> Iterator[Finding]:
         )
 
 
-def _flags(tree: SceneTree, node: TreeNode) -> Iterator[Finding]:
+def _flags(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
     if node.environment and node.articulation:
-        yield _finding(
+        yield _issue(
             "warning",
             node,
             "environment",
@@ -208,7 +209,7 @@ def _flags(tree: SceneTree, node: TreeNode) -> Iterator[Finding]:
             "it is marked as environment but has movable parts, so it should be an object",
         )
     if not node.environment and node.label.lower().split(" ")[-1] in _SUPPORTS[1:]:
-        yield _finding(
+        yield _issue(
             "warning", node, "environment", 0, 1, f"a {node.label} should be marked environment"
         )
     for name in node.occluded_by:
@@ -216,7 +217,7 @@ def _flags(tree: SceneTree, node: TreeNode) -> Iterator[Finding]:
         edge = EDGE * max(tree.camera.width, tree.camera.height_px)
         grown = np.array(other.box2d.as_tuple()) + edge * np.array([-1, -1, 1, 1])
         if shared_2d(grown, node.box2d) == 0:
-            yield _finding(
+            yield _issue(
                 "warning",
                 node,
                 "occluded_by",
@@ -225,7 +226,7 @@ def _flags(tree: SceneTree, node: TreeNode) -> Iterator[Finding]:
                 f"{name} cannot hide it: their boxes are apart",
             )
     if node.occluded and not node.occluded_by and not hidden_sides(tree, _unhidden(node)).any():
-        yield _finding(
+        yield _issue(
             "warning", node, "occluded_by", 0, 1, "it is marked hidden; say by which objects"
         )
 
@@ -234,7 +235,7 @@ def _unhidden(node: TreeNode) -> TreeNode:
     return node.model_copy(update={"occluded": False})
 
 
-def _carried(node: TreeNode, parent: TreeNode) -> Iterator[Finding]:
+def _on_carrier(node: TreeNode, parent: TreeNode) -> Iterator[SceneIssue]:
     child, below = upright(node), upright(parent)
     if node.relation == "attached":
         yield from _attached(node, parent, child, below)
@@ -242,7 +243,7 @@ def _carried(node: TreeNode, parent: TreeNode) -> Iterator[Finding]:
     feet = footprint(child)
     inside = shared_footprint(feet, footprint(below)) / polygon_area(feet)
     if inside < INSIDE_WARNS:
-        yield _finding(
+        yield _issue(
             "error" if inside < INSIDE_FAILS else "warning",
             node,
             "footprint",
@@ -252,7 +253,7 @@ def _carried(node: TreeNode, parent: TreeNode) -> Iterator[Finding]:
         )
     bottom, top, floor = child.position[2], _top(below), below.position[2]
     bound = max(GAP_LEAST_M, GAP_WARNS * min(child.size[2], 1.0))
-    # A thing in a hollow stands lower than its carrier's top, so only slabs bear at their top alone.
+    # An object in a hollow rests below its carrier's top, so only slabs carry at their top alone.
     if bottom > top + bound:
         yield _gap(node, bottom - top, bound, child, f"it floats above {parent.name}")
     elif bottom < floor - bound:
@@ -261,7 +262,7 @@ def _carried(node: TreeNode, parent: TreeNode) -> Iterator[Finding]:
         yield _gap(node, top - bottom, bound, child, f"it is sunk into {parent.name}")
 
 
-def _attached(node: TreeNode, parent: TreeNode, child: Box3D, below: Box3D) -> Iterator[Finding]:
+def _attached(node: TreeNode, parent: TreeNode, child: Box3D, below: Box3D) -> Iterator[SceneIssue]:
     grown = child.model_copy(
         update={
             "size": tuple(edge + 0.04 for edge in child.size),
@@ -269,7 +270,7 @@ def _attached(node: TreeNode, parent: TreeNode, child: Box3D, below: Box3D) -> I
         }
     )
     if shared_3d(grown, below) == 0:
-        yield _finding(
+        yield _issue(
             "error",
             node,
             "attached",
@@ -279,10 +280,10 @@ def _attached(node: TreeNode, parent: TreeNode, child: Box3D, below: Box3D) -> I
         )
 
 
-def _gap(node: TreeNode, gap: float, bound: float, box: Box3D, words: str) -> Finding:
+def _gap(node: TreeNode, gap: float, bound: float, box: Box3D, words: str) -> SceneIssue:
     fails = gap > max(GAP_FAILS * box.size[2], 2 * bound)
     hint = f"{words} by {gap:.2g} m"
-    return _finding("error" if fails else "warning", node, "gap_m", gap, bound, hint)
+    return _issue("error" if fails else "warning", node, "gap_m", gap, bound, hint)
 
 
 def _top(box: Box3D) -> float:
@@ -290,17 +291,17 @@ def _top(box: Box3D) -> float:
 
 
 def _slab(node: TreeNode) -> bool:
-    """Tell whether things can only stand on top of it: flat, and part of the room."""
+    """Return whether objects can only rest on top of it: a flat part of the environment."""
     return node.environment and node.box3d.size[2] < 0.2 * min(node.box3d.size[:2])
 
 
-def _pairs(tree: SceneTree) -> Iterator[Finding]:
-    things = [node for node in tree.nodes if not node.environment]
-    above = {node.name: _carriers(tree, node) for node in things}
-    for i, first in enumerate(things):
-        for second in things[i + 1 :]:
+def _pairs(tree: SceneTree) -> Iterator[SceneIssue]:
+    objects = [node for node in tree.nodes if not node.environment]
+    carriers = {node.name: _carriers(tree, node) for node in objects}
+    for i, first in enumerate(objects):
+        for second in objects[i + 1 :]:
             if first.label == second.label and iou_2d(first.box2d, second.box2d) > TWICE_WARNS:
-                yield _finding(
+                yield _issue(
                     "warning",
                     second,
                     "twice",
@@ -308,20 +309,20 @@ def _pairs(tree: SceneTree) -> Iterator[Finding]:
                     TWICE_WARNS,
                     f"it has the box and label of {first.name}: is it listed twice?",
                 )
-            if first.name in above[second.name] or second.name in above[first.name]:
+            if first.name in carriers[second.name] or second.name in carriers[first.name]:
                 continue
             a, b = upright(first), upright(second)
             smaller = min(math.prod(a.size), math.prod(b.size))
             share = shared_3d(a, b) / smaller
             if share > OVERLAP_WARNS:
-                yield _finding(
+                yield _issue(
                     "warning",
                     second,
                     "overlap",
                     share,
                     OVERLAP_WARNS,
-                    f"its 3D box and that of {first.name} take the same space: move one, or let one "
-                    "carry the other",
+                    f"its 3D box and that of {first.name} take the same space: move one, or let "
+                    "one carry the other",
                 )
 
 
@@ -333,15 +334,15 @@ def _carriers(tree: SceneTree, node: TreeNode) -> set[str]:
     return names
 
 
-def _finding(
+def _issue(
     severity: Literal["error", "warning"],
     node: TreeNode,
     code: str,
     value: float,
     threshold: float,
     hint: str,
-) -> Finding:
-    return Finding(
+) -> SceneIssue:
+    return SceneIssue(
         severity=severity,
         node=node.name,
         code=code,

@@ -1,15 +1,16 @@
-"""Crops of objects for the programmer: with margin, neighbours marked, hidden parts named."""
+"""Crops of objects for the programmer: margins, outlined neighbours, notes on occlusion."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import UInt8
 
 from ..mllm import Picture
 from ..spec import SceneTree, TreeNode
 from .photo import Photo
 
 MARGIN = 0.12
-"""Of the box's longer side, on every side."""
+"""Margin on every side, over the box's longer side."""
 LEAST_PX = 8
 MARK = (90, 90, 90)
 
@@ -23,14 +24,14 @@ class Crop:
     colour: tuple[float, float, float]
     """Median red, green, blue, 0 to 1, of the pixels in its box that are in no other object's."""
     note: str
-    """What of the object the crop does not show, in words; empty if it shows all."""
+    """Description of the parts that are cut off or hidden; empty if there are none."""
 
 
 def crops(photo: Photo, tree: SceneTree) -> dict[str, Crop]:
-    """Cut every object out of the shown picture, by node name.
+    """Return the crop of every object from the shown picture, by node name.
 
-    Whole pixels only and no resampling, so that the same photo gives the same bytes everywhere. Boxes
-    of other objects within the crop are outlined in grey.
+    Crops are whole pixels without resampling, so that the same photo gives the same bytes on every
+    machine. Boxes of other objects within a crop are outlined in grey.
     """
     return {
         node.name: Crop(_cut(photo, tree, node), _colour(photo, tree, node), _note(tree, node))
@@ -64,7 +65,7 @@ def _colour(photo: Photo, tree: SceneTree, node: TreeNode) -> tuple[float, float
     return red, green, blue
 
 
-def _outline(canvas: np.ndarray, box: tuple[int, int, int, int]) -> None:
+def _outline(canvas: UInt8[np.ndarray, "h w 3"], box: tuple[int, int, int, int]) -> None:
     x0, y0, x1, y1 = box
     canvas[y0:y1, [x0, x1 - 1]] = MARK
     canvas[[y0, y1 - 1], x0:x1] = MARK
@@ -91,26 +92,26 @@ def _note(tree: SceneTree, node: TreeNode) -> str:
         )
         if beyond
     ]
-    said = []
+    phrases = []
     if node.occluded_by:
         hidden = [f"{name}{_where(tree.node(name), node)}" for name in node.occluded_by]
-        said.append(f"partly hidden by {', '.join(hidden)}")
+        phrases.append(f"partly hidden by {', '.join(hidden)}")
     elif node.occluded and not cut:
-        said.append("partly hidden")
+        phrases.append("partly hidden")
     if cut:
-        said.append(f"cut off by the picture's {' and '.join(cut)} edge")
-    return "; ".join(said)
+        phrases.append(f"cut off by the picture's {' and '.join(cut)} edge")
+    return "; ".join(phrases)
 
 
 def _where(other: TreeNode, node: TreeNode) -> str:
-    """Say which part of a node's box the box of another covers, in ninths of it."""
-    mine, over = np.array(node.box2d.as_tuple()), np.array(other.box2d.as_tuple())
-    low, high = np.maximum(mine[:2], over[:2]), np.minimum(mine[2:], over[2:])
+    """Describe the part of a node's box that another's box covers, in ninths of it."""
+    own, over = np.array(node.box2d.as_tuple()), np.array(other.box2d.as_tuple())
+    low, high = np.maximum(own[:2], over[:2]), np.minimum(own[2:], over[2:])
     if (low >= high).any():
         return ""
-    sides = mine[2:] - mine[:2]
+    sides = own[2:] - own[:2]
     share = float(np.prod((high - low) / sides))
-    across, down = np.floor(((low + high) / 2 - mine[:2]) / sides * 3).astype(int).tolist()
+    across, down = np.floor(((low + high) / 2 - own[:2]) / sides * 3).astype(int).tolist()
     words = [("upper", "", "lower")[min(down, 2)], ("left", "", "right")[min(across, 2)]]
     place = " ".join(word for word in words if word) or "middle"
     return f" (its box covers {share:.0%} of this one's, {place})"

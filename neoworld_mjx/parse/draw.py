@@ -1,8 +1,8 @@
-"""Drawing a parse on its photograph: boxes with name tags, the same pixels on every machine.
+"""Drawing of a parse on its photograph: boxes with name tags, the same pixels on every machine.
 
-The picture is part of what the critic is asked, and tapes know requests by their pixels. So boxes are
-written into the array directly, with Pillow's bitmap font and whole pixels, and no text or line
-passes through a rasteriser whose rounding may change between versions.
+The picture is part of the request to the critic, and tapes know requests by their pixels. So boxes
+are written into the array in whole pixels, with Pillow's bitmap font: no rasteriser whose rounding
+may change between versions takes part.
 """
 
 from collections.abc import Iterable
@@ -10,7 +10,6 @@ from functools import cache
 
 import numpy as np
 from jaxtyping import Bool, UInt8
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from ..mllm import Picture
@@ -37,14 +36,14 @@ Region = tuple[int, int, int, int]
 def draw_parse(photo: Photo, tree: SceneTree, *, solid: bool = False) -> Picture:
     """Draw a parse on the shown picture, at its size.
 
-    Objects on the same carrier share a colour, dashed boxes are partly hidden, environment supports
-    are thin and grey.
+    Objects on the same carrier share a colour, boxes of partly hidden objects are dashed,
+    environment supports are thin and grey.
 
     Args:
         photo: the photograph.
         tree: the parse, in original pixels.
-        solid: also draw the edges of the 3D boxes as the parsed camera sees them. They follow the
-            rounding of the machine, so such a picture is for people.
+        solid: also draw the projected edges of the 3D boxes. Their pixels depend on the machine's
+            rounding, so no request contains such a picture.
     """
     canvas = np.array(photo.rgb)
     height, width = canvas.shape[:2]
@@ -54,7 +53,7 @@ def draw_parse(photo: Photo, tree: SceneTree, *, solid: bool = False) -> Picture
     if solid:
         canvas = _edges(canvas, photo, tree, colours)
     boxes = {node.name: _pixels(node, photo) for node in tree.nodes}
-    # Supports first and large boxes before small ones, so that small things end on top.
+    # Supports first and large boxes before small ones, so that small ones end on top.
     order = sorted(tree.nodes, key=lambda node: (not node.environment, -_area(boxes[node.name])))
     for node in order:
         thick = 1 if node.environment else line
@@ -140,7 +139,7 @@ def _place(
     taken: list[Region],
     boxes: Iterable[Region],
 ) -> tuple[int, int]:
-    """Choose where a tag goes: where it hides the fewest other tags, then the fewest frames."""
+    """Choose the position of a tag that hides the fewest other tags, then the fewest frames."""
     tall, wide = shape[0], shape[1]
     x0, y0, x1, y1 = box
     spots = [
@@ -192,8 +191,11 @@ def _stamp(
 
 
 def _edges(
-    canvas: NDArray, photo: Photo, tree: SceneTree, colours: dict[str, tuple[int, int, int]]
-) -> NDArray:
+    canvas: UInt8[np.ndarray, "h w 3"],
+    photo: Photo,
+    tree: SceneTree,
+    colours: dict[str, tuple[int, int, int]],
+) -> UInt8[np.ndarray, "h w 3"]:
     image = Image.fromarray(canvas)
     draw = ImageDraw.Draw(image)
     scale = np.array(photo.size) / np.array(photo.original_size)

@@ -1,97 +1,97 @@
-"""Step 1: ask for the scene in a photo, fit and check it, have it judged, keep the best (paper Step 1).
+"""Step 1: ask for the scene in a photo, fit and check it, have it criticised, keep the best round.
 
-Checks that need no model come first: an answer is fitted to its own 2D boxes, and only what then
-still does not hold is said back, beside what the critic finds on the drawn picture. The answer that
-is kept is the one with the best score of its own; no truth is known here.
+Checks without a model come first: an answer is fitted to its own 2D boxes, and only the issues that
+remain go back, together with the critic's faults of the drawn picture. The kept answer is the one
+with the best score of its own; ground truth is not known here.
 """
 
 import asyncio
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from ..config import ParseOptions
-from ..errors import BudgetError, MissingAnswerError, ModelError, SpecError
-from ..mllm import Model
+from ..errors import ModelError, SpecError
+from ..mllm import Model, ask_or_record, revise
 from ..spec import SceneTree
-from .checks import Finding, check_score, check_tree
+from .checks import SceneIssue, check_score, check_tree
 from .draw import draw_parse
 from .fit import FitReport, fit_tree
 from .photo import Photo
-from .prompts import Verdict, judge_request, parse_request
+from .prompts import SceneCritique, judge_request, parse_request
 from .schema import SceneSeen, to_tree
 
 ACCEPT = 9.0
-"""Lowest of the critic's three scores from which no further round is asked for."""
+"""Lowest of the critic's three scores from which no further round is needed."""
 
 
 @dataclass(frozen=True)
-class Attempt:
-    """One answer, with what was found about it."""
+class SceneAttempt:
+    """One answer, with the results of its checks and its critique."""
 
     seen: SceneSeen
     tree: SceneTree | None
-    """Fitted where that helps; None if the answer gives no tree."""
+    """Fitted where the fit helps; None if the answer gives no tree."""
     broken: str = ""
-    """Why it gives none."""
-    checks: tuple[Finding, ...] = ()
-    """What the checks find after the fit."""
+    """Why the answer gives no tree."""
+    checks: tuple[SceneIssue, ...] = ()
+    """Issues that remain after the fit."""
     fit: FitReport | None = None
-    verdict: Verdict | None = None
+    verdict: SceneCritique | None = None
 
     @property
     def score(self) -> float:
-        """Of the checks alone, or their mean with the critic's; 0 to 1, and -1 without a tree."""
+        """Score of the checks, or its mean with the critic's; 0 to 1, and -1 without a tree."""
         if self.tree is None:
             return -1.0
         own = check_score(self.tree, self.checks)
         return own if self.verdict is None else (own + self.verdict.score) / 2
 
     @property
-    def wrong(self) -> tuple[str, ...]:
-        """What the author should mend, one line each; empty if it may stay as it is."""
+    def corrections(self) -> tuple[str, ...]:
+        """Faults that the author should correct, one line each; empty if the answer is accepted."""
         if self.tree is None:
             return (self.broken,)
         disliked = self.verdict is not None and self.verdict.lowest < ACCEPT
-        if not disliked and not any(finding.severity == "error" for finding in self.checks):
+        if not disliked and not any(issue.severity == "error" for issue in self.checks):
             return ()
         faults = () if self.verdict is None else self.verdict.faults
         return (
-            *(finding.phrase() for finding in self.checks),
+            *(issue.phrase() for issue in self.checks),
             *(f"{fault.node or 'scene'}: {fault.what} {fault.correction}" for fault in faults),
         )
 
 
 @dataclass(frozen=True)
 class Parsed:
-    """The outcome of Step 1."""
+    """The result of Step 1."""
 
     tree: SceneTree
     picture: bytes
     """The parse drawn on the photo, PNG."""
-    rounds: tuple[Attempt, ...]
+    rounds: tuple[SceneAttempt, ...]
     kept: int
-    """Which of the rounds `tree` is from."""
+    """Index of the round that `tree` is from."""
     fallbacks: tuple[tuple[str, str], ...] = field(default=())
-    """What had to be done without, and why."""
+    """Stages that failed, and why."""
 
     @property
-    def checks(self) -> tuple[Finding, ...]:
-        """What the checks still find wrong with `tree`."""
+    def checks(self) -> tuple[SceneIssue, ...]:
+        """Issues that remain in `tree`."""
         return self.rounds[self.kept].checks
 
     @property
     def fit(self) -> FitReport | None:
-        """How far the fit moved `tree` from what was answered; None if it was not asked for."""
+        """Report of the fit of `tree` to the photo; None if the fit is switched off."""
         return self.rounds[self.kept].fit
 
     def to_json(self) -> str:
-        """Write down all rounds."""
+        """Return all rounds as JSON."""
         rounds = [
             {
                 "answer": attempt.seen.model_dump(mode="json"),
                 "broken": attempt.broken,
-                "checks": [finding.model_dump(mode="json") for finding in attempt.checks],
+                "checks": [issue.model_dump(mode="json") for issue in attempt.checks],
                 "fit": None if attempt.fit is None else attempt.fit.to_json(),
                 "verdict": None
                 if attempt.verdict is None
@@ -109,27 +109,38 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
 
     Args:
         photo: the photograph.
-        models: who is asked.
-        options: rounds.
+        models: answer as reasoner and critic.
+        options: number of rounds, and whether to fit.
 
     Raises:
-        ModelError: the first answer could not be had, or no answer gave a tree.
+        ModelError: the first request failed, or no answer gave a tree.
     """
     o = options or ParseOptions()
-    attempts: list[Attempt] = []
     fallbacks: list[tuple[str, str]] = []
-    current = await _tried(photo, (await models.ask(parse_request(photo))).value, o)
-    for round_ in range(o.critic_rounds + 1):
-        if current.tree is not None and o.critic_rounds:
-            current = await _judged(photo, models, current, fallbacks)
-        attempts.append(current)
-        if not current.wrong or round_ == o.critic_rounds:
-            break
-        mend = parse_request(photo, current.seen, current.wrong)
-        again = await _asked(models, mend, "mend", fallbacks)
-        if again is None or again == current.seen:
-            break
-        current = await _tried(photo, again, o)
+
+    async def criticise(attempt: SceneAttempt) -> SceneAttempt:
+        if attempt.tree is None:
+            return attempt
+        # 2D boxes alone, which no fit moves: the picture is the same on every machine.
+        drawn = draw_parse(photo, attempt.tree)
+        request = judge_request(photo, attempt.seen, drawn)
+        verdict = await ask_or_record(models, request, "no judge round", fallbacks)
+        return replace(attempt, verdict=verdict)
+
+    async def correct(attempts: Sequence[SceneAttempt]) -> SceneAttempt | None:
+        last = attempts[-1]
+        request = parse_request(photo, last.seen, last.corrections)
+        answer = await ask_or_record(models, request, "no mend round", fallbacks)
+        return None if answer is None or answer == last.seen else await _checked(photo, answer, o)
+
+    first = (await models.ask(parse_request(photo))).value
+    attempts = await revise(
+        await _checked(photo, first, o),
+        rounds=o.critic_rounds,
+        accept=lambda attempt: not attempt.corrections,
+        next_attempt=correct,
+        criticise=criticise,
+    )
     kept = max(range(len(attempts)), key=lambda number: attempts[number].score)
     tree = attempts[kept].tree
     if tree is None:
@@ -138,33 +149,13 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
     return Parsed(tree, drawn.data, tuple(attempts), kept, tuple(fallbacks))
 
 
-async def _tried(photo: Photo, seen: SceneSeen, options: ParseOptions) -> Attempt:
+async def _checked(photo: Photo, seen: SceneSeen, options: ParseOptions) -> SceneAttempt:
+    """Fit an answer to its 2D boxes and check it."""
     try:
         tree = to_tree(seen, photo)
     except SpecError as error:
-        return Attempt(seen, None, str(error))
+        return SceneAttempt(seen, None, str(error))
     report = None
     if options.fit:
         tree, report = await asyncio.to_thread(fit_tree, tree)
-    return Attempt(seen, tree, checks=check_tree(tree), fit=report)
-
-
-async def _judged(
-    photo: Photo, models: Model, attempt: Attempt, fallbacks: list[tuple[str, str]]
-) -> Attempt:
-    assert attempt.tree is not None
-    # 2D boxes alone, which no fit moves: the picture is the same on every machine.
-    drawn = draw_parse(photo, attempt.tree)
-    verdict = await _asked(models, judge_request(photo, attempt.seen, drawn), "judge", fallbacks)
-    return replace(attempt, verdict=verdict)
-
-
-async def _asked(models: Model, request: Any, stage: str, fallbacks: list[tuple[str, str]]) -> Any:
-    """Ask for something the parse can do without; what could not be had is noted."""
-    try:
-        return (await models.ask(request)).value
-    except (BudgetError, MissingAnswerError):
-        raise
-    except ModelError as error:
-        fallbacks.append((f"no {stage} round", str(error)))
-        return None
+    return SceneAttempt(seen, tree, checks=check_tree(tree), fit=report)

@@ -1,11 +1,11 @@
-"""Taking a photograph in safely: whatever Pillow reads becomes upright 8-bit RGB, or one message.
+"""Loading of photographs: every format that Pillow decodes becomes upright 8-bit RGB.
 
-The picture is turned as its EXIF data say, laid on white where it is transparent, brought to 8 bits
-and RGB, and shrunk to the size that models are shown. Pixel coordinates elsewhere are those of the
+The picture is rotated by its EXIF data, laid on white where it is transparent, converted to 8-bit
+RGB, and shrunk to the size that models are shown. Pixel coordinates elsewhere are those of the
 upright original; `Photo.scale` leads from them to the shown picture. Embedded colour profiles are
 not applied, so that the same file gives the same pixels everywhere.
 
-Files that could overwhelm the machine are refused by their header, before a pixel is decoded.
+Files that could exhaust the memory are refused by their header, before a pixel is decoded.
 """
 
 import hashlib
@@ -26,19 +26,19 @@ MAX_BYTES = 2**29
 MIN_SIDE_PX = 16
 
 _REFUSED_FORMATS = frozenset({"EPS", "MPEG", "BUFR", "GRIB", "HDF5", "WMF"})
-"""EPS would run Ghostscript on the file; of the others Pillow knows the header alone."""
+"""EPS would run Ghostscript on the file; of the others Pillow reads the header alone."""
 
 
 @dataclass(frozen=True)
 class Photo:
-    """A photograph as models are shown it."""
+    """A photograph in the size that models are shown."""
 
     rgb: UInt8[np.ndarray, "height width 3"] = field(repr=False)
     """The shown picture, shape [height, width, 3]."""
     original_size: tuple[int, int]
     """Width and height of the upright original, in pixels."""
     sha256: str
-    """Of the file."""
+    """Digest of the file."""
     path: Path
 
     @property
@@ -109,7 +109,7 @@ def _decode(path: Path, data: bytes) -> Image.Image:
     formats = sorted(set(Image.OPEN) - _REFUSED_FORMATS)
     try:
         with warnings.catch_warnings():
-            # Pillow warns of what the limit below decides; other warnings are of no use to a user.
+            # Pillow warns of large pictures, for which the limit below decides.
             warnings.simplefilter("ignore")
             with Image.open(io.BytesIO(data), formats=formats) as image:
                 _check_size(path, image.size)
@@ -167,10 +167,10 @@ def _to_rgb(image: Image.Image) -> Image.Image:
 
 
 def _to_bytes(values: np.ndarray) -> UInt8[np.ndarray, "height width"]:
-    """Bring grey values of 16 or 32 bits, or of floats, to 8 bits.
+    """Convert grey values of 16 or 32 bits, or of floats, to 8 bits.
 
-    White is the full range of 16-bit integers, and 1 for floats that do not exceed it; wider values
-    say nothing of their white, so their maximum is taken.
+    White is the full range of 16-bit integers, and 1 for floats that do not exceed it; of wider
+    values, whose white is unknown, it is their maximum.
     """
     grey = np.nan_to_num(values.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)
     top = float(grey.max())

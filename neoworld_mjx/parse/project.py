@@ -1,19 +1,19 @@
-"""Seeing 3D boxes through the parsed camera: outlines and what of them the picture holds.
+"""Projection of 3D boxes by the parsed camera: visible boxes, edges, and outlines of objects.
 
-A tight box around a cup is smaller than the one around the corners of the cup's 3D box. So what an
-object fills of its 3D box is told by its label: all corners, an upright cylinder, a ball, or halfway
-between box and cylinder where nothing is known.
+A tight box around a cup is smaller than the one around the corners of the cup's 3D box. So the
+category of an object gives the shape that it fills of its 3D box: the box itself, an upright
+cylinder, a ball, ..., or something between box and cylinder if the category is unknown.
 """
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float
 
 from ..spec import Box3D, Camera, Quat, TreeNode
 from ..spec.pose import IDENTITY, from_yaw, rotate
-from .kinds import Outline, kind_of
+from .categories import Outline, category_of
 
 NEAR_M = 0.02
-"""What is nearer to the camera than this along the view is cut off."""
+"""Distance of the near plane from the camera."""
 
 # Corners of Box3D.corners are in the order of (x, y, z) counted in binary, x slowest.
 _EDGES = [(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit]
@@ -35,26 +35,26 @@ BALL_POINTS = np.array(
 )
 _HANDLE = np.array([[0.5, y, z] for y in (-0.08, 0.08) for z in (0.35, 0.8)])
 _TAIL = np.array([[-0.5, y, z] for y in (-0.15, 0.15) for z in (0.5, 1.0)])
-_LEAST_HANDLE = 1.1
-"""Length over width from which a thing that may have a handle has one."""
+_MIN_HANDLE = 1.1
+"""Least length over width of a handled object whose box includes the handle."""
 
 
 def outline_of(node: TreeNode) -> Outline:
-    """Return how a node fills its box, by its label; "loose" if unknown."""
-    kind = kind_of(node.label)
-    return "loose" if kind is None else kind.outline
+    """Return the outline of a node's category; "loose" if the category is unknown."""
+    category = category_of(node.label)
+    return "loose" if category is None else category.outline
 
 
-def outline_points(node: TreeNode) -> tuple[NDArray, float]:
-    """Return points [n, 3] on what a node fills of its box, and the weight of the box's own corners.
+def outline_points(node: TreeNode) -> tuple[Float[np.ndarray, "n 3"], float]:
+    """Return points on a node's outline in a box of size 1, and the weight of the box's corners.
 
-    The points lie in a box of size 1, in the frame of `Box3D`. An extent is the weighted mean of those
-    of the corners and of the points.
+    The points are in the frame of `Box3D`. The extent of a node is the weighted mean of the extents
+    of the box's corners and of the points.
     """
     outline = outline_of(node)
     length, width, _ = node.box3d.size
     share = min(width / length, 1.0)
-    if outline == "handled" and length > _LEAST_HANDLE * width:
+    if outline == "handled" and length > _MIN_HANDLE * width:
         body = TAPERED_POINTS * [share, 1, 1] - [(1 - share) / 2, 0, 0]
         return np.concatenate([body, _HANDLE]), 0.0
     if outline == "spoon" and length > 2 * width:
@@ -71,18 +71,18 @@ def outline_points(node: TreeNode) -> tuple[NDArray, float]:
     return points.get(outline, TAPERED_POINTS), 0.5 if outline in ("loose", "spoon") else 0.0
 
 
-def expected_box(camera: Camera, node: TreeNode) -> NDArray | None:
-    """Return the box [4] in pixels that the picture should show of a node, were nothing before it.
+def expected_box(camera: Camera, node: TreeNode) -> Float[np.ndarray, "4"] | None:
+    """Return the box in pixels (x0, y0, x1, y1) of a node's outline without occluders.
 
     Returns:
-        None if nothing of it is in the picture.
+        None if the node is outside the picture.
     """
     box = node.box3d
-    whole = seen_box(camera, box.corners(node.base_tilt))
+    whole = visible_box(camera, box.corners(node.base_tilt))
     points, weight = outline_points(node)
     if whole is None or weight == 1 or node.environment:
         return whole
-    pixels, depth = camera.project(placed(points, box, node.base_tilt))
+    pixels, depth = camera.project(to_world(points, box, node.base_tilt))
     if depth.min() < NEAR_M:
         return whole
     low, high = pixels.min(axis=0), pixels.max(axis=0)
@@ -92,20 +92,24 @@ def expected_box(camera: Camera, node: TreeNode) -> NDArray | None:
     return weight * whole + (1 - weight) * inner
 
 
-def placed(points: NDArray, box: Box3D, tilt: Quat = IDENTITY) -> NDArray:
-    """Put points [n, 3] of a box of size 1 into the world, as `Box3D.corners` puts its corners."""
+def to_world(
+    points: Float[np.ndarray, "n 3"], box: Box3D, tilt: Quat = IDENTITY
+) -> Float[np.ndarray, "n 3"]:
+    """Transform points in a box of size 1 to the world [m], as `Box3D.corners` does its corners."""
     local = rotate(tilt, points * np.array(box.size))
     lowest = rotate(tilt, BOX_POINTS * np.array(box.size))[:, 2].min()
     local[:, 2] -= lowest
     return rotate(from_yaw(box.yaw), local) + np.array(box.position)
 
 
-def edges_in_view(camera: Camera, corners: NDArray) -> list[tuple[NDArray, NDArray]]:
-    """Return the edges of a box as pairs of pixels [2], cut off before the camera.
+def edges_in_view(
+    camera: Camera, corners: Float[np.ndarray, "8 3"]
+) -> list[tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]]:
+    """Return the edges of a box as pairs of pixels, clipped at the near plane.
 
     Args:
         camera: the camera.
-        corners: of the box [8, 3] m, in the order of `Box3D.corners`.
+        corners: corners of the box [m], in the order of `Box3D.corners`.
     """
     local = (corners - camera.position()) @ camera.axes()
     lines = []
@@ -121,17 +125,17 @@ def edges_in_view(camera: Camera, corners: NDArray) -> list[tuple[NDArray, NDArr
     return lines
 
 
-def seen_box(camera: Camera, corners: NDArray) -> NDArray | None:
-    """Return the box [4] in pixels (x0, y0, x1, y1) of what the picture shows of a 3D box.
+def visible_box(camera: Camera, corners: Float[np.ndarray, "8 3"]) -> Float[np.ndarray, "4"] | None:
+    """Return the box in pixels (x0, y0, x1, y1) of the visible part of a 3D box.
 
-    The box's faces are cut at a plane just before the camera and at the picture's edges.
+    The box's faces are clipped at the near plane and at the picture's edges.
 
     Args:
         camera: the camera.
-        corners: of the box [8, 3] m, in the order of `Box3D.corners`.
+        corners: corners of the box [m], in the order of `Box3D.corners`.
 
     Returns:
-        None if nothing of it is in the picture.
+        None if the box is outside the picture.
     """
     local = (corners - camera.position()) @ camera.axes()
     near = np.array([0.0, 0.0, 1.0, -NEAR_M])
@@ -141,28 +145,30 @@ def seen_box(camera: Camera, corners: NDArray) -> NDArray | None:
         np.array([0.0, 1.0, 0.0, 0.0]),
         np.array([0.0, -1.0, 0.0, camera.height_px]),
     ]
-    points = []
+    clipped = []
     for face in _FACES:
-        polygon = _cut(local[list(face)], near)
+        polygon = _clip(local[list(face)], near)
         if len(polygon) == 0:
             continue
         flat = np.column_stack([_pixel(camera, polygon), np.zeros(len(polygon))])
         for side in sides:
-            flat = _cut(flat, side)
-        points.append(flat[:, :2])
-    found = np.concatenate(points) if points else np.zeros((0, 2))
-    if len(found) == 0:
+            flat = _clip(flat, side)
+        clipped.append(flat[:, :2])
+    points = np.concatenate(clipped) if clipped else np.zeros((0, 2))
+    if len(points) == 0:
         return None
-    return np.concatenate([found.min(axis=0), found.max(axis=0)])
+    return np.concatenate([points.min(axis=0), points.max(axis=0)])
 
 
-def _pixel(camera: Camera, local: NDArray) -> NDArray:
+def _pixel(camera: Camera, local: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
     centre = np.array([camera.width / 2, camera.height_px / 2])
     return local[..., :2] / local[..., 2:3] * camera.focal + centre
 
 
-def _cut(polygon: NDArray, plane: NDArray) -> NDArray:
-    """Cut a convex polygon [n, 3] by a plane (normal, offset), keeping the positive side."""
+def _clip(
+    polygon: Float[np.ndarray, "n 3"], plane: Float[np.ndarray, "4"]
+) -> Float[np.ndarray, "m 3"]:
+    """Clip a convex polygon by a plane (normal, offset), keeping the positive side."""
     if len(polygon) == 0:
         return polygon
     height = polygon @ plane[:3] + plane[3]

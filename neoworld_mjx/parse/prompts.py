@@ -1,13 +1,11 @@
-"""What is said to the reasoner and to the critic of Step 1, and what the critic answers."""
+"""Requests to the reasoner and the critic of Step 1, and the schema of the critic's answer."""
 
 from collections.abc import Sequence
-from functools import cache
-from importlib import resources
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..mllm import Picture, Request
+from ..mllm import Picture, Request, package_text
 from .photo import Photo
 from .schema import SceneSeen
 
@@ -17,20 +15,20 @@ ASK = (
 )
 MEND = (
     "{ask}\n\nYou have answered before:\n\n{answer}\n\nThat answer was checked against the "
-    "photograph and against itself. These faults were found; look at the photograph again for each, "
-    "since a finding can itself be wrong:\n\n{findings}\n\nAnswer again with the complete scene, "
-    "faults corrected and everything that was right unchanged."
+    "photograph and against itself. These faults were found; look at the photograph again for "
+    "each, since a finding can itself be wrong:\n\n{findings}\n\nAnswer again with the complete "
+    "scene, faults corrected and everything that was right unchanged."
 )
 JUDGE = (
-    "The photograph has {width} x {height} pixels. The parse lists {count} objects:\n\n{listing}\n\n"
-    "Judge it."
+    "The photograph has {width} x {height} pixels. The parse lists {count} objects:"
+    "\n\n{listing}\n\nJudge it."
 )
 
 
-class Fault(BaseModel):
+class SceneFault(BaseModel):
     """One thing that is wrong with the parse."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", title="Fault")
 
     node: str | None = Field(
         description="Name of the object; null for one that is missing or for the scene as a whole."
@@ -40,19 +38,20 @@ class Fault(BaseModel):
     correction: str = Field(description="What it should be instead.")
 
 
-class Verdict(BaseModel):
+class SceneCritique(BaseModel):
     """The critic's judgement of a parse."""
 
-    model_config = ConfigDict(extra="forbid")
+    # Titles and docstrings are part of the request: tapes hold answers to these very ones.
+    model_config = ConfigDict(extra="forbid", title="Verdict")
 
-    faults: list[Fault]
+    faults: list[SceneFault]
     boxes: float = Field(description="Tightness of the boxes, 0 to 10.")
     completeness: float = Field(description="0 to 10.")
     hierarchy: float = Field(description="Carriers, relations, hidden and moving parts, 0 to 10.")
 
     @property
     def score(self) -> float:
-        """Mean of the three scores, each held to 0 .. 10, over 10."""
+        """Mean of the three scores, each clipped to 0 .. 10, over 10."""
         scores = (self.boxes, self.completeness, self.hierarchy)
         return sum(min(max(score, 0.0), 10.0) for score in scores) / 30.0
 
@@ -62,21 +61,15 @@ class Verdict(BaseModel):
         return min(self.boxes, self.completeness, self.hierarchy)
 
 
-@cache
-def text(name: str) -> str:
-    """Read one of the room's texts, such as "reasoner"."""
-    return (resources.files(__name__.rpartition(".")[0]) / f"{name}.md").read_text(encoding="utf-8")
-
-
 def parse_request(
     photo: Photo, answer: SceneSeen | None = None, findings: Sequence[str] = ()
 ) -> Request[SceneSeen]:
-    """Ask for the scene in a photo, or for a mended answer.
+    """Return the request for the scene in a photo, or for a corrected answer.
 
     Args:
         photo: the photograph.
-        answer: an earlier answer that `findings` are about.
-        findings: what was found wrong, one line each.
+        answer: an earlier answer, which is to be corrected.
+        findings: its faults, one line each.
     """
     width, height = photo.size
     prompt = ASK.format(width=width, height=height)
@@ -89,47 +82,48 @@ def parse_request(
     return Request(
         role="reasoner",
         name="parse" if answer is None else "parse:mend",
-        system=text("reasoner"),
+        system=package_text(__package__, "reasoner"),
         prompt=prompt,
         schema=SceneSeen,
         pictures=[Picture.of("photo", photo.rgb)],
     )
 
 
-def judge_request(photo: Photo, seen: SceneSeen, drawn: Picture) -> Request[Verdict]:
-    """Ask the critic about an answer and its drawn picture."""
+def judge_request(photo: Photo, seen: SceneSeen, drawn: Picture) -> Request[SceneCritique]:
+    """Return the request to the critic about an answer, drawn on the photo."""
     width, height = photo.size
     return Request(
         role="critic",
         name="parse:judge",
-        system=text("critic"),
+        system=package_text(__package__, "critic"),
         prompt=JUDGE.format(
             width=width, height=height, count=len(seen.objects), listing=listing(seen)
         ),
-        schema=Verdict,
+        schema=SceneCritique,
         pictures=[Picture.of("photo", photo.rgb), drawn],
     )
 
 
 def listing(seen: SceneSeen) -> str:
-    """List an answer's objects for the critic, one a line, as given."""
+    """List an answer's objects for the critic, one per line."""
     lines = []
     for item in seen.objects:
         box = item.box
         place = "no carrier" if item.parent is None else f"{item.relation} {item.parent}"
         if item.parent_link is not None:
             place += f" ({item.parent_link})"
-        said = [
+        phrases = [
             f"{item.name} ({item.label}): {place}",
             f"box {box.left:.0f} {box.top:.0f} {box.right:.0f} {box.bottom:.0f}",
         ]
         if item.environment:
-            said.append("environment")
+            phrases.append("environment")
         if item.fixed_base:
-            said.append("fixed")
+            phrases.append("fixed")
         if item.occluded or item.occluded_by:
-            said.append("partly hidden by " + (", ".join(item.occluded_by) or "the picture's edge"))
+            occluders = ", ".join(item.occluded_by) or "the picture's edge"
+            phrases.append(f"partly hidden by {occluders}")
         for part in item.articulation:
-            said.append(f"{part.part} {part.motion} {part.opening:.0%} open")
-        lines.append("- " + "; ".join(said))
+            phrases.append(f"{part.part} {part.motion} {part.opening:.0%} open")
+        lines.append("- " + "; ".join(phrases))
     return "\n".join(lines)

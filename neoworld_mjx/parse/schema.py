@@ -1,8 +1,11 @@
-"""The answer asked of the reasoner: a scene in words and numbers that are easy to give.
+"""Schema of the reasoner's answer: a scene in words and numbers that a model gives easily.
 
-It is flatter than `SceneTree` and speaks in pixels of the picture shown, degrees, and tilts in
-words; `to_tree` turns it into a `SceneTree` in pixels of the original, metres and radians. What is
-wrong with an answer is said all at once, in words that its author can mend it by.
+It is flatter than `SceneTree` and uses pixels of the shown picture, degrees, and tilts in words;
+`to_tree` converts it into a `SceneTree` in pixels of the original, metres and radians. All errors
+of an answer are reported at once, in words by which its author can correct it.
+
+Names, docstrings and descriptions of the classes are part of the request: tapes hold answers to
+these very ones.
 """
 
 import math
@@ -10,7 +13,7 @@ import re
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from ..errors import SpecError
@@ -26,7 +29,7 @@ _TOWARDS = {
     "left": (-1.0, 0.0, 0.0),
     "right": (1.0, 0.0, 0.0),
 }
-"""Axis, in the object's frame, of the turn that takes its top that way."""
+"""Axis, in the object's frame, of the rotation that moves its top in that direction."""
 
 
 class _Answer(BaseModel):
@@ -161,7 +164,7 @@ class SceneSeen(_Answer):
         if problems:
             raise ValueError("; ".join(problems))
         try:
-            # The size of the picture plays no part in what is checked here.
+            # These checks do not depend on the size of the picture.
             _tree(self, (1.0, 1.0), (1, 1), clip=False)
         except ValidationError as error:
             raise ValueError(_phrase(error)) from None
@@ -169,17 +172,17 @@ class SceneSeen(_Answer):
 
 
 def to_tree(seen: SceneSeen, photo: Photo) -> SceneTree:
-    """Turn an answer into a scene tree in pixels of the upright original.
+    """Convert an answer into a scene tree in pixels of the upright original.
 
-    Boxes are cut at the picture's edges.
+    Boxes are clipped at the picture's edges.
 
     Args:
         seen: the answer, its boxes in pixels of the picture shown.
         photo: the photograph that was shown.
 
     Raises:
-        SpecError: a box lies outside the picture, or values break the tree; the message is for the
-            author of the answer.
+        SpecError: a box lies outside the picture, or the tree is invalid; the message is written
+            for the author of the answer.
     """
     shown, original = photo.size, photo.original_size
     outside = [
@@ -201,17 +204,17 @@ def to_tree(seen: SceneSeen, photo: Photo) -> SceneTree:
 
 
 def tilt_quat(tilt: TiltSeen | None) -> Quat:
-    """Return the rotation before yaw that a tilt in words means."""
+    """Return the rotation before yaw of a tilt in words."""
     if tilt is None or tilt.degrees == 0:
         return IDENTITY
     turn = from_axis_angle(_TOWARDS[tilt.towards], math.radians(tilt.degrees))
     return tuple(turn.tolist())
 
 
-def base_offset(size: NDArray, yaw: float, tilt: Quat) -> NDArray:
-    """Return where a tilted box's bottom centre lies from the middle of its footprint [m], [2].
+def base_offset(size: Float[np.ndarray, "3"], yaw: float, tilt: Quat) -> Float[np.ndarray, "2"]:
+    """Return the offset of a tilted box's bottom centre from its footprint's centre, x and y [m].
 
-    A scene tree places the bottom centre; people see the footprint of the thing as it lies.
+    A scene tree states the bottom centre, an answer the centre of the visible footprint.
     """
     turned = Box3D(position=(0, 0, 0), size=tuple(size.tolist()), yaw=0.0).corners(tilt)
     middle = (turned.min(axis=0) + turned.max(axis=0)) / 2
@@ -219,38 +222,40 @@ def base_offset(size: NDArray, yaw: float, tilt: Quat) -> NDArray:
 
 
 def _problems(seen: SceneSeen) -> list[str]:
-    """List what the tree's own validation would not say well."""
-    found = []
+    """List the errors that the tree's own validation would not report clearly."""
+    problems = []
     if not seen.objects:
-        found.append("objects is empty: list at least what carries the rest")
+        problems.append("objects is empty: list at least what carries the rest")
     names = [item.name for item in seen.objects]
     for item in seen.objects:
         where = f"object {item.name}"
         if not _NAME.match(item.name):
-            found.append(f"{where}: a name has letters, digits and underscores, at most 48")
+            problems.append(f"{where}: a name has letters, digits and underscores, at most 48")
         if item.box.left >= item.box.right or item.box.top >= item.box.bottom:
-            found.append(
+            problems.append(
                 f"{where}: box needs left < right and top < bottom, got {_corners(item.box)}"
             )
         for axis in ("length", "width", "height"):
             if not getattr(item.size, axis) > 0:
-                found.append(f"{where}: size.{axis} must be above 0")
+                problems.append(f"{where}: size.{axis} must be above 0")
         others = [("parent", item.parent), *(("occluded_by", other) for other in item.occluded_by)]
-        for what, other in others:
+        for field, other in others:
             if other is not None and other not in names:
-                found.append(f"{where}: {what} {other!r} is no object; they are {', '.join(names)}")
+                problems.append(
+                    f"{where}: {field} {other!r} is no object; they are {', '.join(names)}"
+                )
         for part in item.articulation:
             if not _NAME.match(part.part):
-                found.append(
+                problems.append(
                     f"{where}: part {part.part!r} needs a name of letters, digits, underscores"
                 )
-        found.extend(_link_problems(item, seen))
+        problems.extend(_link_problems(item, seen))
     camera = seen.camera
     if not 1 <= camera.fovy_deg <= 170:
-        found.append(f"camera: fovy_deg must lie in 1 .. 170, got {camera.fovy_deg:g}")
+        problems.append(f"camera: fovy_deg must lie in 1 .. 170, got {camera.fovy_deg:g}")
     if not -90 <= camera.pitch_deg <= 90:
-        found.append(f"camera: pitch_deg must lie in -90 .. 90, got {camera.pitch_deg:g}")
-    return found
+        problems.append(f"camera: pitch_deg must lie in -90 .. 90, got {camera.pitch_deg:g}")
+    return problems
 
 
 def _link_problems(item: ObjectSeen, seen: SceneSeen) -> list[str]:
@@ -326,6 +331,6 @@ def _phrase(error: ValidationError) -> str:
     lines = []
     for item in error.errors():
         where = ".".join(str(step) for step in item["loc"])
-        said = item["msg"].removeprefix("Value error, ")
-        lines.append(f"{where}: {said}" if where else said)
+        message = item["msg"].removeprefix("Value error, ")
+        lines.append(f"{where}: {message}" if where else message)
     return "; ".join(lines)

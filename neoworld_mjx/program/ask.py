@@ -1,27 +1,29 @@
-"""What models are asked about an object: to write its program, to mend it, to judge pictures of it."""
+"""Requests about an object: write its program, repair it, judge pictures of it; their schemas."""
 
 import math
 from collections.abc import Sequence
-from functools import cache
-from importlib import resources
 from typing import Annotated, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..config import ProgramOptions
-from ..mllm import Picture, Request
+from ..mllm import Picture, Request, package_text
 from ..spec import TreeNode
 from ..spec.pose import rotate
 from .signals import Signal
 
-LEAST_TILT_DEG = 1.0
+MIN_TILT_DEG = 1.0
 Score = Annotated[float, Field(ge=0, le=10)]
 
 
-class Written(BaseModel):
+# Titles, docstrings and descriptions of the answers are part of the requests: tapes hold answers to
+# these very ones.
+
+
+class ProgramAnswer(BaseModel):
     """The programmer's answer."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", title="Written")
 
     program: str = Field(description="The whole program, plain Python text, without code fences.")
     notes: str = Field(default="", description="What was guessed or could not be seen, briefly.")
@@ -32,25 +34,25 @@ class Written(BaseModel):
     )
 
 
-class Fault(BaseModel):
+class ProgramFault(BaseModel):
     """One difference between the made object and the photographed one."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", title="Fault")
 
     part: str
     what: str
     change: str
 
 
-class Verdict(BaseModel):
+class ProgramCritique(BaseModel):
     """The critic's answer."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", title="Verdict")
 
     geometry: Score
     articulation: Score
     colour: Score
-    faults: list[Fault] = Field(default=[], max_length=6)
+    faults: list[ProgramFault] = Field(default=[], max_length=6)
     verdict: Literal["accept", "revise"]
 
 
@@ -62,15 +64,16 @@ described as: {description}
 measured box{opened}: {x:.3f} m (x, front to back) by {y:.3f} m (y) by {z:.3f} m (z, up)
 moving parts seen: {moving}
 {posed}{seen}
-The picture "crop" is cut out of the photo around the object; grey frames in it mark neighbours, which are
+The picture "crop" is cut out of the photo around the object; \
+grey frames in it mark neighbours, which are
 no part of it.
 """
 OPENED = (
     ", with {parts} as in the photo (draw it closed, so that opened like that it fills this box)"
 )
 TILTED = (
-    "In the photo it is turned over: {way}. Box and axes are those of the thing as it stands: draw it "
-    "upright.\n"
+    "In the photo it is turned over: {way}. Box and axes are those of the thing as it stands: draw "
+    "it upright.\n"
 )
 HIDDEN = "In the crop it is {note}: complete it as such things are."
 WHOLE = "It is seen whole, without anything in front of it."
@@ -85,13 +88,15 @@ This is the program so far:
 
 {findings}
 
-Write the whole program again, mended. Keep every part and joint that was right. If you leave one out on
+Write the whole program again, mended. Keep every part and joint that was right. \
+If you leave one out on
 purpose, name it in `removed`.
 """
 JUDGE = """The real thing: {label}. {description}
 Moving parts seen in the photo: {moving}.
 
-The made one measures {x:.3f} by {y:.3f} by {z:.3f} m (front to back, across, up). Its parts: {parts}.
+The made one measures {x:.3f} by {y:.3f} by {z:.3f} m (front to back, across, up). \
+Its parts: {parts}.
 Its joints: {joints}.
 {posed}{scope}
 Judge it.
@@ -104,38 +109,32 @@ NO_GEOMETRY = (
 
 
 class Subject(NamedTuple):
-    """What is to be programmed."""
+    """An object to be programmed."""
 
     node: TreeNode
     crop: Picture
     note: str = ""
-    """What of it the crop does not show, in words; empty if it shows all."""
+    """Description of the parts that the crop does not show; empty if it shows all."""
 
 
-@cache
-def text(name: str) -> str:
-    """Read one of the room's texts: "guide" or "critic"."""
-    return resources.files("neoworld_mjx.program").joinpath(f"{name}.md").read_text("utf-8")
+def program_request(subject: Subject) -> Request[ProgramAnswer]:
+    """Return the request for an object's first program."""
+    return _program_request(f"program:{subject.node.name}", _ask(subject), subject.crop)
 
 
-def program_request(subject: Subject) -> Request[Written]:
-    """Ask for an object's first program."""
-    return _written(f"program:{subject.node.name}", _ask(subject), subject.crop)
-
-
-def mend_request(
+def repair_request(
     subject: Subject,
     program: str,
     signals: Sequence[Signal],
     before: Sequence[Signal] | None = None,
-) -> Request[Written]:
-    """Ask for a program that is rid of its signals.
+) -> Request[ProgramAnswer]:
+    """Return the request for a program without the signals of the last one.
 
     Args:
         subject: the object.
-        program: the program so far.
-        signals: what is wrong with it.
-        before: what was wrong with the program before that one, to say what has changed.
+        program: the last program.
+        signals: signals of the last program.
+        before: signals of the program before it; the request marks what is new, left and repaired.
     """
     known = {signal.identity for signal in before or ()}
     lines = []
@@ -147,14 +146,16 @@ def mend_request(
         codes = sorted({str(identity[0]) for identity in gone})
         lines.append(f"- (mended since the program before: {', '.join(codes)})")
     heading = "It was run and checked. Mend this:"
-    return _mended(f"debug:{subject.node.name}", subject, program, heading, lines)
+    return _revision_request(f"debug:{subject.node.name}", subject, program, heading, lines)
 
 
-def revise_request(subject: Subject, program: str, verdict: Verdict) -> Request[Written]:
-    """Ask for a program without the faults that the critic saw."""
-    lines = [f"- {fault.part}: {fault.what} -> {fault.change}" for fault in verdict.faults]
+def revise_request(
+    subject: Subject, program: str, critique: ProgramCritique
+) -> Request[ProgramAnswer]:
+    """Return the request for a program without the critic's faults."""
+    lines = [f"- {fault.part}: {fault.what} -> {fault.change}" for fault in critique.faults]
     heading = "It runs. Drawn and held beside the photo, it differs:"
-    return _mended(f"revise:{subject.node.name}", subject, program, heading, lines)
+    return _revision_request(f"revise:{subject.node.name}", subject, program, heading, lines)
 
 
 def judge_request(
@@ -163,14 +164,14 @@ def judge_request(
     described: dict[str, str],
     size: tuple[float, float, float],
     options: ProgramOptions,
-) -> Request[Verdict]:
-    """Ask the critic about pictures of an object beside its crop.
+) -> Request[ProgramCritique]:
+    """Return the request to the critic about pictures of an object beside its crop.
 
     Args:
         node: the object.
         pictures: the crop, "made", and if it has joints "opened".
-        described: the made object's "parts" and "joints" in words.
-        size: of the made object [m].
+        described: the programmed object's "parts" and "joints" in words.
+        size: edges of the programmed object [m].
         options: which criteria are on.
     """
     scope = "" if options.articulation_critic else NO_ARTICULATION
@@ -187,20 +188,25 @@ def judge_request(
         z=z,
         **described,
     )
-    return Request("critic", f"judge:{node.name}", text("critic"), prompt, Verdict, pictures)
+    name = f"judge:{node.name}"
+    return Request(
+        "critic", name, package_text(__package__, "critic"), prompt, ProgramCritique, pictures
+    )
 
 
-def _written(name: str, prompt: str, crop: Picture) -> Request[Written]:
-    return Request("programmer", name, text("guide"), prompt, Written, [crop])
+def _program_request(name: str, prompt: str, crop: Picture) -> Request[ProgramAnswer]:
+    return Request(
+        "programmer", name, package_text(__package__, "guide"), prompt, ProgramAnswer, [crop]
+    )
 
 
-def _mended(
+def _revision_request(
     name: str, subject: Subject, program: str, heading: str, lines: list[str]
-) -> Request[Written]:
+) -> Request[ProgramAnswer]:
     prompt = MEND.format(
         ask=_ask(subject), program=program.strip(), heading=heading, findings="\n".join(lines)
     )
-    return _written(name, prompt, subject.crop)
+    return _program_request(name, prompt, subject.crop)
 
 
 def _ask(subject: Subject) -> str:
@@ -232,12 +238,12 @@ def _opened(node: TreeNode) -> str:
 
 
 def _posed(node: TreeNode, words: str) -> str:
-    """Say how a thing that lies or leans is turned; nothing of one that stands."""
+    """Describe the tilt of an object that lies or leans; return "" for an upright one."""
     x, y, z = rotate(node.base_tilt, (0.0, 0.0, 1.0)).tolist()
     degrees = math.degrees(math.acos(max(-1.0, min(1.0, z))))
-    if degrees < LEAST_TILT_DEG:
+    if degrees < MIN_TILT_DEG:
         return ""
-    if degrees > 180 - LEAST_TILT_DEG:
+    if degrees > 180 - MIN_TILT_DEG:
         return words.format(way="it stands upside down")
     side = ("front" if x > 0 else "back") if abs(x) >= abs(y) else ("left" if y > 0 else "right")
     return words.format(way=f"tilted by {degrees:.0f} degrees, its top towards its own {side}")

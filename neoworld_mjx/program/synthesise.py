@@ -1,33 +1,33 @@
-"""From the crop of an object to its program: ask, run, mend, draw, judge, revise (paper Step 2).
+"""Step 2, from the crop of an object to its program: ask, run, repair, draw, criticise, revise.
 
 The model is given the object's measured box. Errors of the program or of its checks go back to it
-(debug rounds); pictures from the photo's own view go to a critic, and its faults back to the programmer
-(critic rounds). The best program by its own score is kept, whatever came last.
+(debug rounds); a critic sees pictures from the photo's own view, and its faults go back to the
+programmer (critic rounds). The program with the best score of its own is kept, whatever came last.
 """
 
 import asyncio
 import io
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from PIL import Image
+from pydantic import BaseModel
 
 from ..config import ProgramOptions
-from ..errors import BudgetError, MissingAnswerError, ModelError
-from ..mllm import Model, Picture, Request
+from ..mllm import Model, Picture, Request, ask_or_record, package_text, revise
 from ..spec import Camera, ObjectSpec, TreeNode, bounds
 from .allowance import Allowance
 from .ask import (
+    ProgramAnswer,
+    ProgramCritique,
     Subject,
-    Verdict,
-    Written,
     judge_request,
-    mend_request,
     program_request,
+    repair_request,
     revise_request,
-    text,
 )
 from .conformance import fit, losses, lost_checks
 from .make import build
@@ -36,11 +36,14 @@ from .signals import Signal, deduplicated, has_errors
 from .supports import support_program
 from .views import draw
 
+T = TypeVar("T", bound=BaseModel)
+
 _WEIGHTS = {"geometry": 0.5, "articulation": 0.3, "colour": 0.2}
 UNJUDGED = 5.0
-"""Critic's score of a program that no critic has seen."""
+"""Critic's score of a program without a critique."""
 
 
+@runtime_checkable
 class Cutout(Protocol):
     """A picture of an object cut out of the photo, encoded as PNG or JPEG."""
 
@@ -51,53 +54,53 @@ class Cutout(Protocol):
 
     @property
     def note(self) -> str:
-        """What of the object it does not show, in words; empty if it shows all."""
+        """Description of the parts that the picture does not show; empty if it shows all."""
         ...
 
 
 @dataclass(frozen=True)
-class Attempt:
-    """One program of a synthesis, with what was found about it."""
+class ProgramAttempt:
+    """One program of a synthesis, with the results of its checks and its critique."""
 
     stage: str
-    """How it came about: "program", "debug" or "revise", or "support" for one that no model wrote."""
+    """Its origin: "program", "debug" or "revise", or "support" for one that no model wrote."""
     text: str
     built: Built
     notes: str = ""
-    verdict: Verdict | None = None
+    verdict: ProgramCritique | None = None
 
     @property
     def score(self) -> float:
-        """Critic's score from 0 to 10, less a point for each error and the misfit of its size."""
+        """Critic's score, 0 to 10, less one point for each error and the deviation of its size."""
         if self.built.spec is None:
             return 0.0
         score = UNJUDGED if self.verdict is None else marks(self.verdict)
         errors = [signal for signal in self.built.signals if signal.severity == "error"]
-        misfit = sum(
+        deviation = sum(
             min(1.0, abs(signal.value or 0.0))
             for signal in self.built.signals
             if signal.code == "proportions"
         )
-        return max(0.0, score - len(errors) - misfit)
+        return max(0.0, score - len(errors) - deviation)
 
     @property
     def rank(self) -> tuple[bool, bool, bool, float]:
-        """What attempts are compared by, the larger the better."""
+        """Key by which attempts are compared, the larger the better."""
         lost = any(signal.code == "lost" for signal in self.built.signals)
         return self.built.spec is not None, not lost, self.built.ok, self.score
 
 
 @dataclass(frozen=True)
 class Programmed:
-    """The outcome of a synthesis."""
+    """The result of a synthesis."""
 
     spec: ObjectSpec | None
     text: str
     signals: tuple[Signal, ...]
     score: float
-    rounds: tuple[Attempt, ...]
+    rounds: tuple[ProgramAttempt, ...]
     fallbacks: tuple[tuple[str, str], ...] = ()
-    """What had to be done without, and why."""
+    """Stages that failed, and errors that remain, with the reasons."""
     allowances: tuple[Allowance, ...] = ()
     """Overlaps that the program declares."""
 
@@ -110,7 +113,7 @@ class Programmed:
         return f"no program of {len(self.rounds)} could be built; the last: {first}"
 
     def to_json(self) -> str:
-        """Write down all rounds."""
+        """Return all rounds as JSON."""
         rounds = [
             {
                 "stage": attempt.stage,
@@ -139,16 +142,6 @@ class Programmed:
         return json.dumps(data, indent=1) + "\n"
 
 
-@dataclass
-class _Work:
-    subject: Subject
-    models: Model
-    options: ProgramOptions
-    camera: Camera | None
-    attempts: list[Attempt] = field(default_factory=list)
-    fallbacks: list[tuple[str, str]] = field(default_factory=list)
-
-
 async def synthesise(
     node: TreeNode,
     crop: Cutout | bytes,
@@ -158,55 +151,48 @@ async def synthesise(
     camera: Camera | None = None,
     colour: tuple[float, float, float] | None = None,
 ) -> Programmed:
-    """Have an object programmed after its crop.
+    """Have models program an object after its crop.
 
-    Supports of the environment get a plain program from their box; no model is asked.
+    Supports of the environment get a simple program from their box without a model.
 
     Args:
         node: the object, as parsed.
         crop: its picture.
-        models: who is asked.
+        models: answer as programmer and critic.
         options: rounds, critics, sandbox.
         camera: the photo's, so that the critic sees the object from the same side.
         colour: of a support, red, green, blue from 0 to 1; by default the median of its crop.
 
     Raises:
-        ModelError: the first program could not be had, an answer is missing, or the budget is spent.
+        ModelError: the first request failed, a tape lacks an answer, or the cost cap is reached.
     """
     plain = isinstance(crop, bytes)
     picture = Picture("crop", crop if plain else crop.data)
     subject = Subject(node, picture, "" if plain else crop.note)
-    work = _Work(subject, models, options, camera)
+    work = _Synthesis(subject, models, options, camera)
     if node.environment:
         program = support_program(node, colour or median_colour(picture))
         built = await asyncio.to_thread(run, program, options)
-        return _finished(work, Attempt("support", program, built))
-    answer = await models.ask(program_request(subject))
-    current = await _debugged(work, await _tried(work, "program", answer.value, None))
-    for _ in range(options.critic_rounds):
-        current = await _judged(work, current)
-        if current.verdict is None or _accepted(current.verdict, options):
-            break
-        revised = await _asked(
-            work, "revise", revise_request(subject, current.text, current.verdict)
-        )
-        if revised is None:
-            break
-        current = await _debugged(work, await _tried(work, "revise", revised, current))
-    else:
-        if options.critic_rounds:
-            await _judged(work, current)
-    return _finished(work, max(work.attempts, key=lambda attempt: attempt.rank))
+        return work.result(ProgramAttempt("support", program, built))
+    answer = (await models.ask(program_request(subject))).value
+    await revise(
+        await work.debugged("program", answer, None),
+        rounds=options.critic_rounds,
+        accept=lambda attempt: attempt.verdict is None or _accepted(attempt.verdict, options),
+        next_attempt=work.revised,
+        criticise=work.criticised,
+    )
+    return work.result(max(work.attempts, key=lambda attempt: attempt.rank))
 
 
 def guide() -> str:
     """Return the authoring contract that programmers are given."""
-    return text("guide")
+    return package_text(__package__, "guide")
 
 
-def marks(verdict: Verdict) -> float:
-    """Weigh a critic's three scores to one from 0 to 10."""
-    return sum(weight * getattr(verdict, name) for name, weight in _WEIGHTS.items())
+def marks(critique: ProgramCritique) -> float:
+    """Return the weighted mean of a critic's three scores, 0 to 10."""
+    return sum(weight * getattr(critique, name) for name, weight in _WEIGHTS.items())
 
 
 def median_colour(picture: Picture) -> tuple[float, float, float]:
@@ -217,74 +203,115 @@ def median_colour(picture: Picture) -> tuple[float, float, float]:
     return r, g, b
 
 
-def _accepted(verdict: Verdict, options: ProgramOptions) -> bool:
-    content = verdict.verdict == "accept" or marks(verdict) >= options.accept_score
-    return content or not verdict.faults
+def unfenced(program: str) -> str:
+    """Remove the code fence that some models put around a program."""
+    lines = program.strip().splitlines()
+    if len(lines) >= 2 and lines[0].startswith("```") and lines[-1].strip() == "```":
+        lines = lines[1:-1]
+    return "\n".join(lines) + "\n"
 
 
-async def _tried(work: _Work, stage: str, written: Written, before: Attempt | None) -> Attempt:
-    """Build a program, hold it against what was asked and had, and keep it among the attempts."""
-    program = unfenced(written.program)
-    built = await asyncio.to_thread(build, program, work.options)
-    if built.spec is not None:
-        more = list(fit(built.spec, work.subject.node))
-        if before is not None and before.built.spec is not None:
-            more += losses(before.built.spec, built.spec, written.removed)
-            more += lost_checks(before.text, program, written.removed)
-        built = replace(built, signals=deduplicated((*built.signals, *more)))
-    attempt = Attempt(stage, program, built, written.notes)
-    work.attempts.append(attempt)
-    return attempt
+@dataclass
+class _Synthesis:
+    """One object's synthesis: its inputs, all attempts so far, and the stages that failed."""
 
+    subject: Subject
+    models: Model
+    options: ProgramOptions
+    camera: Camera | None
+    attempts: list[ProgramAttempt] = field(default_factory=list)
+    fallbacks: list[tuple[str, str]] = field(default_factory=list)
 
-async def _debugged(work: _Work, attempt: Attempt) -> Attempt:
-    """Send errors back until there are none or the rounds are used up; return the best of it."""
-    best, earlier = attempt, None
-    for _ in range(work.options.debug_rounds):
-        if not has_errors(attempt.built.signals):
-            break
-        signals = attempt.built.signals
-        request = mend_request(work.subject, attempt.text, signals, earlier)
-        written = await _asked(work, "debug", request)
-        if written is None:
-            break
-        earlier = signals
-        attempt = await _tried(work, "debug", written, best)
-        best = max(best, attempt, key=lambda one: one.rank)
-    return best
+    async def debugged(
+        self, stage: str, answer: ProgramAnswer, before: ProgramAttempt | None
+    ) -> ProgramAttempt:
+        """Build a program, send its errors back for bounded rounds, and return the best attempt."""
 
+        async def repaired(attempts: Sequence[ProgramAttempt]) -> ProgramAttempt | None:
+            signals = attempts[-1].built.signals
+            earlier = attempts[-2].built.signals if len(attempts) > 1 else None
+            request = repair_request(self.subject, attempts[-1].text, signals, earlier)
+            repair = await self._ask("debug", request)
+            best = max(attempts, key=lambda attempt: attempt.rank)
+            return None if repair is None else await self._checked("debug", repair, best)
 
-async def _judged(work: _Work, attempt: Attempt) -> Attempt:
-    """Show an attempt to the critic, where it can be shown and a critic is on."""
-    spec, options = attempt.built.spec, work.options
-    if spec is None or not (options.geometry_critic or options.articulation_critic):
+        attempts = await revise(
+            await self._checked(stage, answer, before),
+            rounds=self.options.debug_rounds,
+            accept=lambda attempt: not has_errors(attempt.built.signals),
+            next_attempt=repaired,
+        )
+        return max(attempts, key=lambda attempt: attempt.rank)
+
+    async def revised(self, attempts: Sequence[ProgramAttempt]) -> ProgramAttempt | None:
+        """Ask for a program without the critic's faults, and debug it."""
+        last = attempts[-1]
+        assert last.verdict is not None
+        request = revise_request(self.subject, last.text, last.verdict)
+        answer = await self._ask("revise", request)
+        return None if answer is None else await self.debugged("revise", answer, last)
+
+    async def criticised(self, attempt: ProgramAttempt) -> ProgramAttempt:
+        """Return an attempt with its critique, if it has an object and a critic is on."""
+        spec, options, node = attempt.built.spec, self.options, self.subject.node
+        if spec is None or not (options.geometry_critic or options.articulation_critic):
+            return attempt
+        pictures: list[Picture] = [self.subject.crop]
+        pictures.append(await asyncio.to_thread(draw, spec, node, self.camera))
+        moves = any(joint.type != "fixed" for joint in spec.joints)
+        if moves and options.articulation_critic:
+            pictures.append(await asyncio.to_thread(draw, spec, node, self.camera, opened=True))
+        low, high = bounds(spec)
+        x, y, z = (high - low).tolist()
+        request = judge_request(node, pictures, _described(spec), (x, y, z), options)
+        critique = await self._ask("judge", request)
+        if critique is None:
+            return attempt
+        criticised = replace(attempt, verdict=critique)
+        self.attempts[self.attempts.index(attempt)] = criticised
+        return criticised
+
+    def result(self, best: ProgramAttempt) -> Programmed:
+        """Return the result with the best attempt; its remaining errors become a fallback."""
+        errors = [signal for signal in best.built.signals if signal.severity == "error"]
+        if best.built.spec is not None and errors:
+            reasons = "; ".join(signal.phrase() for signal in errors[:4])
+            name = self.subject.node.name
+            self.fallbacks.append((f"{name}: kept with {len(errors)} errors", reasons))
+        return Programmed(
+            best.built.spec,
+            best.text,
+            best.built.signals,
+            best.score,
+            tuple(self.attempts) or (best,),
+            tuple(self.fallbacks),
+            best.built.allowances,
+        )
+
+    async def _checked(
+        self, stage: str, answer: ProgramAnswer, before: ProgramAttempt | None
+    ) -> ProgramAttempt:
+        """Build a program and check it against its subject and the attempt before."""
+        program = unfenced(answer.program)
+        built = await asyncio.to_thread(build, program, self.options)
+        if built.spec is not None:
+            signals = [*built.signals, *fit(built.spec, self.subject.node)]
+            if before is not None and before.built.spec is not None:
+                signals += losses(before.built.spec, built.spec, answer.removed)
+                signals += lost_checks(before.text, program, answer.removed)
+            built = replace(built, signals=deduplicated(signals))
+        attempt = ProgramAttempt(stage, program, built, answer.notes)
+        self.attempts.append(attempt)
         return attempt
-    pictures: list[Picture] = [work.subject.crop]
-    pictures.append(await asyncio.to_thread(draw, spec, work.subject.node, work.camera))
-    moves = any(joint.type != "fixed" for joint in spec.joints)
-    if moves and options.articulation_critic:
-        opened = await asyncio.to_thread(draw, spec, work.subject.node, work.camera, opened=True)
-        pictures.append(opened)
-    low, high = bounds(spec)
-    x, y, z = (high - low).tolist()
-    request = judge_request(work.subject.node, pictures, _described(spec), (x, y, z), options)
-    verdict = await _asked(work, "judge", request)
-    if verdict is None:
-        return attempt
-    judged = replace(attempt, verdict=verdict)
-    work.attempts[work.attempts.index(attempt)] = judged
-    return judged
+
+    async def _ask(self, stage: str, request: Request[T]) -> T | None:
+        skipped = f"{self.subject.node.name}: no {stage} round"
+        return await ask_or_record(self.models, request, skipped, self.fallbacks)
 
 
-async def _asked(work: _Work, stage: str, request: Request[Any]) -> Any:
-    """Ask for something the object can do without; what could not be had is noted."""
-    try:
-        return (await work.models.ask(request)).value
-    except (BudgetError, MissingAnswerError):
-        raise
-    except ModelError as error:
-        work.fallbacks.append((f"{work.subject.node.name}: no {stage} round", str(error)))
-        return None
+def _accepted(critique: ProgramCritique, options: ProgramOptions) -> bool:
+    content = critique.verdict == "accept" or marks(critique) >= options.accept_score
+    return content or not critique.faults
 
 
 def _described(spec: ObjectSpec) -> dict[str, str]:
@@ -297,28 +324,12 @@ def _described(spec: ObjectSpec) -> dict[str, str]:
     }
 
 
-def _finished(work: _Work, best: Attempt) -> Programmed:
-    left = [signal for signal in best.built.signals if signal.severity == "error"]
-    if best.built.spec is not None and left:
-        why = "; ".join(signal.phrase() for signal in left[:4])
-        work.fallbacks.append((f"{work.subject.node.name}: kept with {len(left)} errors", why))
-    return Programmed(
-        best.built.spec,
-        best.text,
-        best.built.signals,
-        best.score,
-        tuple(work.attempts) or (best,),
-        tuple(work.fallbacks),
-        best.built.allowances,
-    )
-
-
-def unfenced(program: str) -> str:
-    """Take a program out of the code fence that some models put around it all the same."""
-    lines = program.strip().splitlines()
-    if len(lines) >= 2 and lines[0].startswith("```") and lines[-1].strip() == "```":
-        lines = lines[1:-1]
-    return "\n".join(lines) + "\n"
-
-
-__all__ = ["Attempt", "Cutout", "Programmed", "guide", "marks", "median_colour", "synthesise"]
+__all__ = [
+    "Cutout",
+    "ProgramAttempt",
+    "Programmed",
+    "guide",
+    "marks",
+    "median_colour",
+    "synthesise",
+]

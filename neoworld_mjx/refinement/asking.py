@@ -21,7 +21,7 @@ from ..config import SemanticOptions
 from ..errors import BudgetError, ConfigError, ModelError, NeoWorldError
 from ..mllm import Answer, Panel, Picture, Request
 from ..mllm.ledger import price_of
-from ..mllm.model import digest
+from ..mllm.requests import digest
 from ..render import render_plain, render_scene
 from ..spec import SceneSpec
 from .ask_scores import Judgement, score_request

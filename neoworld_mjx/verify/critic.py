@@ -1,22 +1,28 @@
-"""The critic looks at key frames of what failed, the reasoner edits what Step 3 may edit (Section 3.2).
+"""Step 3 with models: the critic judges key frames of failed checks, the reasoner proposes edits
+(3.2).
 
-Numbers come first: only an object that direct repairs left with failed or doubtful checks is shown. What
-the reasoner proposes is a `Patch`, tried by the same rule as every repair: it must lower the fault score.
-What the critic thinks is told beside the verdict and changes no outcome. Of an object that only just passes
-it is all that is asked: its fault score is 0, and no edit could lower that.
+Only an object that direct repairs left with failed or doubtful checks is shown. The reasoner
+proposes a `Patch`, which must lower the fault score like every repair. The critic's findings stand
+beside the verdict and change no outcome. For an object that passes with doubtful checks the critic
+alone is asked: its fault score is 0, and no edit could lower that.
 """
 
-from typing import Annotated, Any, Literal
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..errors import BudgetError, MissingAnswerError, ModelError
-from ..mllm import Panel, Request
+from ..mllm import Panel, Request, ask_or_record, package_text, revise
 from ..spec import ObjectSpec, inertial
 from .battery import Battery
 from .key_frames import questionable, strips
 from .patch import Patch
 from .repairs import Repaired, RunBattery, try_patches
+
+# Titles, docstrings and descriptions of the answers are part of the requests: tapes hold answers to
+# these very ones.
 
 
 class Finding(BaseModel):
@@ -30,55 +36,47 @@ class Finding(BaseModel):
     suggestion: Annotated[str, Field(max_length=400)] = ""
 
 
-class Seen(BaseModel):
+class MotionCritique(BaseModel):
     """The critic's answer."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", title="Seen")
 
     findings: list[Finding] = Field(default=[], max_length=6)
     verdict: Literal["sound", "edit", "reprogram"]
 
 
-class Edited(BaseModel):
+class ProposedEdit(BaseModel):
     """The reasoner's answer."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", title="Edited")
 
     patch: Patch
     why: Annotated[str, Field(max_length=600)] = ""
 
 
-SYSTEM = """You judge whether a simulated object behaves as the real thing would. You see strips of key
-frames, from left to right in time, each labelled, of trials of one object by itself: falls from small
-heights, pushes, joints that are released or driven. Beside them stand the numbers that failed or only just
-passed. Say what is wrong and where; do not mind looks. `verdict` is "sound" if nothing is wrong that
-matters, "edit" if changed masses, inertias, joint limits, damping, friction, origins or colliders would
-mend it, "reprogram" if parts, axes or shapes are wrong."""
-EDITOR = """You mend an object for simulation by editing numbers. You may change only: of a part `mass` [kg]
-or "derived", `inertia` or "derived", `shift` of its origin [m]; of a joint `lower`, `upper` [rad or m],
-`damping`, `friction`, `origin` [m]; of a geom `shrink` (0.5 to 1) of its collider, or `as_seen`. Parts,
-joints, axes, types and what is seen stay. Lengths are in the object's frame: +x its front, +z up. Change as
-little as cures what is told. Your edit is tried in simulation and dropped if it does not help."""
-
-
-def shown(battery: Battery) -> Request[Seen]:
-    """Ask the critic about an object's key frames."""
-    prompt = f"The object: {battery.spec.label or battery.spec.name}.\n\n{_told(battery)}"
+def key_frames_request(battery: Battery) -> Request[MotionCritique]:
+    """Return the request to the critic about an object's key frames."""
+    prompt = f"The object: {battery.spec.label or battery.spec.name}.\n\n{_numbers(battery)}"
     name = f"simulation:{battery.spec.name}"
-    return Request("critic", name, SYSTEM, prompt, Seen, strips(battery))
+    return Request("critic", name, _instructions("critic"), prompt, MotionCritique, strips(battery))
 
 
-def edit(battery: Battery, seen: Seen) -> Request[Edited]:
-    """Ask the reasoner for a patch."""
-    findings = "\n".join(f"- {f.where}: {f.what} -> {f.suggestion}" for f in seen.findings)
+def edit_request(battery: Battery, critique: MotionCritique) -> Request[ProposedEdit]:
+    """Return the request to the reasoner for a patch."""
+    findings = "\n".join(f"- {f.where}: {f.what} -> {f.suggestion}" for f in critique.findings)
     prompt = (
-        f"{_told(battery)}\n\nThe critic saw:\n{findings or '- nothing more'}\n\n"
+        f"{_numbers(battery)}\n\nThe critic saw:\n{findings or '- nothing more'}\n\n"
         f"The object:\n{described(battery.spec)}"
     )
-    return Request("reasoner", f"edit:{battery.spec.name}", EDITOR, prompt, Edited)
+    name = f"edit:{battery.spec.name}"
+    return Request("reasoner", name, _instructions("editor"), prompt, ProposedEdit)
 
 
-def _told(battery: Battery) -> str:
+def _instructions(name: str) -> str:
+    return package_text(__package__, name).removesuffix("\n")
+
+
+def _numbers(battery: Battery) -> str:
     lines = []
     for check in questionable(battery.verdict):
         value = "none" if check.value is None else f"{check.value:.3g}"
@@ -91,7 +89,7 @@ def _told(battery: Battery) -> str:
 
 
 def described(spec: ObjectSpec) -> str:
-    """Say in words what may be edited of an object, and where it stands."""
+    """Describe the editable parts and joints of an object with their present values."""
     lines = []
     for part in spec.parts:
         own = inertial(spec, part)
@@ -103,11 +101,17 @@ def described(spec: ObjectSpec) -> str:
     for j in spec.joints:
         x, y, z = j.pos
         lines.append(
-            f"joint {j.name}: {j.type}, {j.child} on {j.parent}, at ({x:.3f}, {y:.3f}, {z:.3f}) along "
-            f"{tuple(round(v, 3) for v in j.axis)}, {j.lower:.4g} to {j.upper:.4g}, damping "
+            f"joint {j.name}: {j.type}, {j.child} on {j.parent}, at ({x:.3f}, {y:.3f}, {z:.3f}) "
+            f"along {tuple(round(v, 3) for v in j.axis)}, {j.lower:.4g} to {j.upper:.4g}, damping "
             f"{j.damping:.4g}, friction {j.friction:.4g}"
         )
     return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class _Round:
+    battery: Battery
+    critique: MotionCritique | None = None
 
 
 def with_models(
@@ -118,53 +122,73 @@ def with_models(
     spec: ObjectSpec,
     *,
     rounds: int = 2,
-) -> list[Seen]:
-    """Let the critic look and the reasoner edit, as long as it helps, for at most `rounds` rounds.
+) -> list[MotionCritique]:
+    """Let the critic judge and the reasoner edit, as long as it helps, for at most `rounds` rounds.
 
-    What passes is looked at and not edited; so is everything with `rounds` 0.
+    An object that passes is judged and not edited; so is every object with `rounds` 0.
 
     Args:
-        made: what direct repairs came to; it is carried on.
+        made: the result of direct repairs; edits that help are added to it.
         now: the battery's run on it.
-        models: who answers.
+        models: answer as critic and reasoner.
         run: the battery with its options.
-        spec: the object as it came.
-        rounds: how often edits may be tried.
+        spec: the object before all repairs.
+        rounds: most edits.
 
     Returns:
-        What the critic saw in each round.
+        The critique of each round.
 
     Raises:
         BudgetError: the cost cap is reached.
         MissingAnswerError: a tape lacks the answer.
     """
-    told: list[Seen] = []
-    for _ in range(max(rounds, 1)):
-        seen = _asked(models, shown(now), made)
-        if seen is None:
-            break
-        told.append(seen)
-        if now.verdict.passed or not rounds or seen.verdict != "edit":
-            break
-        edited = _asked(models, edit(now, seen), made)
-        if edited is None or edited.patch.empty:
-            break
-        found = try_patches(made, now, [edited.patch], run, spec)
-        if found is None or found.verdict.passed:
-            break
-        now = found
-    return told
+    return models.run(_edited(made, now, models, run, spec, rounds))
 
 
-def _asked(models: Panel, request: Request[Any], made: Repaired) -> Any:
-    """Ask for what the object can do without; what could not be had is noted."""
-    try:
-        return models.ask_sync(request).value
-    except (BudgetError, MissingAnswerError):
-        raise
-    except ModelError as error:
-        made.tried.append(f"{request.name} was not answered: {error}")
-        return None
+async def _edited(
+    made: Repaired, now: Battery, models: Panel, run: RunBattery, spec: ObjectSpec, rounds: int
+) -> list[MotionCritique]:
+    fallbacks: list[tuple[str, str]] = []
+
+    async def criticise(attempt: _Round) -> _Round:
+        request = key_frames_request(attempt.battery)
+        stage = f"{request.name} was not answered"
+        return replace(attempt, critique=await ask_or_record(models, request, stage, fallbacks))
+
+    def accept(attempt: _Round) -> bool:
+        critique = attempt.critique
+        editable = critique is not None and critique.verdict == "edit"
+        return not editable or not rounds or attempt.battery.verdict.passed
+
+    async def edit(attempts: Sequence[_Round]) -> _Round | None:
+        battery, critique = attempts[-1].battery, attempts[-1].critique
+        assert critique is not None
+        request = edit_request(battery, critique)
+        stage = f"{request.name} was not answered"
+        proposed = await ask_or_record(models, request, stage, fallbacks)
+        if proposed is None or proposed.patch.empty:
+            return None
+        edited = await asyncio.to_thread(try_patches, made, battery, [proposed.patch], run, spec)
+        return None if edited is None or edited.verdict.passed else _Round(edited)
+
+    attempts = await revise(
+        _Round(now),
+        rounds=max(rounds, 1),
+        accept=accept,
+        next_attempt=edit,
+        criticise=criticise,
+        criticise_last=False,
+    )
+    made.tried.extend(f"{stage}: {reason}" for stage, reason in fallbacks)
+    return [attempt.critique for attempt in attempts if attempt.critique is not None]
 
 
-__all__ = ["Edited", "Finding", "Seen", "described", "edit", "shown", "with_models"]
+__all__ = [
+    "Finding",
+    "MotionCritique",
+    "ProposedEdit",
+    "described",
+    "edit_request",
+    "key_frames_request",
+    "with_models",
+]

@@ -15,7 +15,7 @@ from ..program.allowance import Allowance
 from ..spec import ObjectSpec, Quat
 from ..spec.pose import IDENTITY
 from .battery import VERSION, Battery
-from .critic import Seen, with_models
+from .critic import MotionCritique, with_models
 from .patch import Patch, apply
 from .repairs import repair
 from .verdict import Verdict
@@ -84,7 +84,7 @@ def verify_and_repair(
 
     first = run(spec)
     made = repair(spec, run, rounds=o.rounds, first=first)
-    seen: list[Seen] = []
+    seen: list[MotionCritique] = []
     if models is not None and (not made.after.passed or made.after.doubtful):
         now = first if made.patch.empty else run(made.spec)
         seen = with_models(made, now, models, run, spec, rounds=min(2, o.rounds))

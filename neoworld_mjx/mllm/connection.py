@@ -1,6 +1,5 @@
-"""What the two servers' APIs share: where and how to connect, pictures as sent, errors explained."""
+"""Connections to model servers: address, key and headers, encoded pictures, classified errors."""
 
-import asyncio
 import base64
 import email.utils
 import io
@@ -15,18 +14,18 @@ from PIL import Image
 
 from ..config import MLLMOptions, Role, RoleOptions
 from ..errors import ModelError
-from .model import Picture, Transient, Usage
+from .requests import Picture, Transient, Usage
 from .secrets import environment_key, expand
 
-_MOST_BYTES = 3_500_000
+_MAX_PICTURE_BYTES = 3_500_000
 """Servers refuse pictures of over 5 MB in base64."""
-_PATIENCE = 10
+_CALL_TIMEOUT_FACTOR = 10
 """A call as a whole may take so many times the longest silence."""
 
 
 @dataclass(frozen=True)
-class Line:
-    """A connection to a server, as far as the options and the environment determine it."""
+class Connection:
+    """Address, key and headers of a server, from the options and the environment."""
 
     url: str | None
     """None: the service's own."""
@@ -38,21 +37,26 @@ class Line:
 
     @property
     def local(self) -> bool:
-        """Whether another server than the service's own is spoken to."""
+        """Whether the server is another than the service's own."""
         return self.url is not None
 
     @property
-    def longest_s(self) -> float:
-        """The longest a call may take as a whole, in seconds."""
-        return _PATIENCE * self.timeout_s
+    def call_timeout_s(self) -> float:
+        """The longest that a call may take as a whole, in seconds."""
+        return _CALL_TIMEOUT_FACTOR * self.timeout_s
+
+    def merged_headers(self, defaults: Mapping[str, str]) -> dict[str, str]:
+        """Return the user's headers over defaults, names compared without case."""
+        given = {name.lower() for name in self.headers}
+        return {n: v for n, v in defaults.items() if n.lower() not in given} | self.headers
 
 
-def open_line(options: MLLMOptions, key_name: str, url_name: str) -> Line:
-    """Take key, address and headers from the environment and the options.
+def configured_connection(options: MLLMOptions, key_name: str, url_name: str) -> Connection:
+    """Read key, address and headers from the environment and the options.
 
     Raises:
         ConfigError: a header needs an environment variable that is not set.
-        ModelError: there is no key, and no base_url that may do without.
+        ModelError: there is neither a key nor a base_url.
     """
     url = options.base_url or environment_key(url_name)
     key = environment_key(key_name)
@@ -63,89 +67,87 @@ def open_line(options: MLLMOptions, key_name: str, url_name: str) -> Line:
         )
     headers, filled = expand(options.headers)
     secrets = tuple(text for text in (key, *filled) if text)
-    return Line(url, key or "none", key_name, headers, secrets, options.timeout_s)
-
-
-def with_headers(line: Line, defaults: Mapping[str, str]) -> dict[str, str]:
-    """Lay the user's headers over defaults, whatever their case."""
-    given = {name.lower() for name in line.headers}
-    return {n: v for n, v in defaults.items() if n.lower() not in given} | line.headers
+    return Connection(url, key or "none", key_name, headers, secrets, options.timeout_s)
 
 
 @lru_cache(maxsize=4)
-def as_sent(picture: Picture) -> tuple[str, str]:
-    """Return a picture's media type and base64 text; one that is too big goes as JPEG.
+def encoded(picture: Picture) -> tuple[str, str]:
+    """Return a picture's media type and base64 text; too large a file is encoded anew as JPEG.
 
-    A few are kept, as a photograph is sent with many requests.
+    The last few are cached, as a photograph is sent with many requests.
     """
-    data, kind = picture.data, picture.media_type
-    if len(data) > _MOST_BYTES:
-        kind = "image/jpeg"
+    data, media_type = picture.data, picture.media_type
+    if len(data) > _MAX_PICTURE_BYTES:
+        media_type = "image/jpeg"
         with Image.open(io.BytesIO(picture.data)) as image:
             rgb = image.convert("RGB")
         for quality in (95, 85, 70):
             buffer = io.BytesIO()
             rgb.save(buffer, "JPEG", quality=quality)
             data = buffer.getvalue()
-            if len(data) <= _MOST_BYTES:
+            if len(data) <= _MAX_PICTURE_BYTES:
                 break
-    return kind, base64.b64encode(data).decode()
+    return media_type, base64.b64encode(data).decode()
 
 
-def explain(
-    error: Exception, line: Line, role: Role, options: RoleOptions, usage: Usage
+def classified(
+    error: Exception, connection: Connection, role: Role, options: RoleOptions, usage: Usage
 ) -> Exception:
-    """Turn what a call raised into Transient where another try may help, else one ModelError.
+    """Turn an exception of a call into Transient if another try may help, else into a ModelError.
 
     The SDKs' errors share their shape: `status_code`, `response` and `message`.
     """
     status = getattr(error, "status_code", None)
     if isinstance(status, int):
-        return _explain_status(error, status, line, role, options, usage)
-    if _is_timeout(error):
-        return Transient(f"no sign from the server for {line.timeout_s:g} s", usage=usage)
+        return _classified_status(error, status, connection, role, options, usage)
+    if isinstance(error, TimeoutError | httpx2.TimeoutException) or (
+        type(error).__name__ == "APITimeoutError"
+    ):
+        return Transient(f"no sign from the server for {connection.timeout_s:g} s", usage=usage)
     if isinstance(error, httpx2.TransportError) or hasattr(error, "request"):
         cause = error.__cause__ or error
-        return Transient(f"the connection failed ({_words(cause)})", usage=usage)
+        name = type(cause).__name__
+        reason = f"{name}: {cause}" if str(cause) else name
+        return Transient(f"the connection failed ({reason})", usage=usage)
     if isinstance(error, json.JSONDecodeError | UnicodeDecodeError):
         return Transient(f"the server's answer is garbled ({error})", usage=usage)
     return ModelError(f"{type(error).__name__}: {error}")
 
 
-def _is_timeout(error: Exception) -> bool:
-    kinds = (TimeoutError, asyncio.TimeoutError, httpx2.TimeoutException)
-    return isinstance(error, kinds) or type(error).__name__ == "APITimeoutError"
-
-
-def _explain_status(
-    error: Exception, status: int, line: Line, role: Role, options: RoleOptions, usage: Usage
+def _classified_status(
+    error: Exception,
+    status: int,
+    connection: Connection,
+    role: Role,
+    options: RoleOptions,
+    usage: Usage,
 ) -> Exception:
-    said = message_of(error)
-    where = line.url or "the service"
+    message = server_message(error)
+    server = connection.url or "the service"
     if status in (401, 403):
         return ModelError(
-            f"the key in {line.key_name} was refused ({status}: {said}); set a valid one"
+            f"the key in {connection.key_name} was refused ({status}: {message}); set a valid one"
         )
-    if status == 402 or "insufficient_quota" in said or "credit balance" in said:
-        return ModelError(f"the account has no credit ({status}: {said})")
+    if status == 402 or "insufficient_quota" in message or "credit balance" in message:
+        return ModelError(f"the account has no credit ({status}: {message})")
     if status == 404:
         return ModelError(
-            f"{where} does not know the model {options.model!r} or the address ({status}: {said}); "
-            f"check mllm.{role}.model and mllm.base_url"
+            f"{server} does not know the model {options.model!r} or the address "
+            f"({status}: {message}); check mllm.{role}.model and mllm.base_url"
         )
     # 200 is an error event inside a stream that had begun well.
     if status in (200, 408, 409, 425, 429) or status >= 500:
-        return Transient(f"HTTP {status}: {said}", _retry_after(error), usage)
-    return ModelError(f"{where} rejected the request for {options.model!r} ({status}: {said})")
+        return Transient(f"HTTP {status}: {message}", _retry_after(error), usage)
+    return ModelError(f"{server} rejected the request for {options.model!r} ({status}: {message})")
 
 
-def message_of(error: Exception) -> str:
-    """Return what a server said about an error, in one short line."""
+def server_message(error: Exception) -> str:
+    """Return a server's message about an error, in one line of at most 300 characters."""
     body = getattr(error, "body", None)
     inner = body.get("error", body) if isinstance(body, dict) else None
-    said = inner.get("message") if isinstance(inner, dict) else None
+    message = inner.get("message") if isinstance(inner, dict) else None
     code = inner.get("code") if isinstance(inner, dict) else None
-    text = str(said or getattr(error, "message", "") or error)
+    text = str(message or getattr(error, "message", "") or error)
     text = f"{text} [{code}]" if isinstance(code, str) and code not in text else text
     text = " ".join(text.split())
     return text if len(text) <= 300 else text[:297] + "..."
@@ -170,7 +172,3 @@ def _retry_after(error: Exception) -> float | None:
         if wait == wait:
             return max(wait, 0.0)
     return None
-
-
-def _words(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__

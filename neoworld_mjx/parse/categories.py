@@ -1,19 +1,19 @@
-"""What a label says about a thing: how large such things are, and what outline they have.
+"""Object categories: the range of sizes and the outline of objects, by the head noun of a label.
 
-The ranges are rough and wide on purpose: they catch a cup of a metre, not a cup of 12 cm.
+The ranges are deliberately wide: they catch a cup of 1 m, not a cup of 12 cm.
 """
 
 import re
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, cast
 
 Outline = Literal["box", "round", "tapered", "ball", "handled", "spoon", "loose"]
-"""How an object fills its 3D box: to the corners, as an upright cylinder, as one with a narrower foot,
-as a ball, as a round body with a handle to its front, as a lying bowl with a thin handle to its back,
-or halfway between box and cylinder."""
+"""Shape that an object fills of its 3D box: all of it, an upright cylinder, one with a narrower
+foot, a ball, a round body with a handle to its front, a lying bowl with a thin handle to its back,
+or something between box and cylinder."""
 
 
-class Kind(NamedTuple):
-    """What is known of things with a label."""
+class Category(NamedTuple):
+    """Range of sizes and outline of the objects of a category."""
 
     low: float
     """Longest edge of the smallest common one [m]."""
@@ -85,28 +85,28 @@ floor ground wall ceiling carpet | 0.20 50.0 box
 """
 
 
-def _read() -> dict[str, Kind]:
-    found = {}
+def _read() -> dict[str, Category]:
+    categories = {}
     for line in _TABLE.strip().splitlines():
-        words, said = line.split("|")
-        low, high, outline = said.split()
+        words, values = line.split("|")
+        low, high, outline = values.split()
         for word in words.split():
-            found[word] = Kind(float(low), float(high), outline)  # type: ignore[arg-type]
-    return found
+            categories[word] = Category(float(low), float(high), cast(Outline, outline))
+    return categories
 
 
-KINDS = _read()
+CATEGORIES = _read()
 
 
-def kind_of(label: str) -> Kind | None:
-    """Look a label up by its head noun: "soup can" is a can, "box of tea" a box.
+def category_of(label: str) -> Category | None:
+    """Return the category of a label's head noun: "soup can" is a can, "box of tea" a box.
 
     Returns:
-        None if none of the words is known.
+        None if no word of the label is in the table.
     """
     words = re.findall(r"[a-z]+", re.split(r"\b(?:of|with|for|in|on)\b", label.lower())[0])
     for word in reversed(words):
         for form in (word, word.removesuffix("s"), word.removesuffix("es")):
-            if form in KINDS:
-                return KINDS[form]
+            if form in CATEGORIES:
+                return CATEGORIES[form]
     return None

@@ -1,7 +1,7 @@
-"""What is asked of a multimodal model and what comes back: requests, answers, and who gives them.
+"""Requests to multimodal models, their answers, and the protocols of those who answer.
 
-A room builds a `Request` and hands it to a `Model`; it gets an `Answer` whose value is an instance
-of the request's own pydantic schema. Which server, tape or person answered is not its business.
+A step of the pipeline builds a `Request` and hands it to a `Model`; it gets an `Answer` whose value
+is an instance of the request's own pydantic schema, whichever server, tape or person answered.
 
 A request is known by its content: `Request.key` covers role, system text, prompt, the pictures'
 labels and decoded pixels, and the JSON schema. It does not cover the name, the model or how a
@@ -13,8 +13,9 @@ import io
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, Generic, Literal, Protocol, TypeVar
+from functools import cache, cached_property
+from importlib import resources
+from typing import Any, Generic, Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import UInt8
@@ -35,9 +36,15 @@ def digest(text: str | bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
+@cache
+def package_text(package: str, name: str) -> str:
+    """Read the instructions NAME.md of a package, such as ("neoworld_mjx.parse", "critic")."""
+    return resources.files(package).joinpath(f"{name}.md").read_text("utf-8")
+
+
 @dataclass(frozen=True)
 class Picture:
-    """One picture of a request, PNG or JPEG, with the label its prompt speaks of it by.
+    """One picture of a request, PNG or JPEG, with the label by which the prompt refers to it.
 
     Raises:
         ModelError: the data is neither PNG nor JPEG.
@@ -88,7 +95,7 @@ class Picture:
 
     @property
     def pixels(self) -> str:
-        """The sha256 of size and decoded RGB bytes; the same for every encoder of the same picture."""
+        """The sha256 of size and decoded RGB bytes; it does not depend on the encoder."""
         return self._decoded[1]
 
 
@@ -114,12 +121,25 @@ class Request(Generic[T]):
 
     @cached_property
     def json_schema(self) -> dict[str, Any]:
-        """The JSON schema of the answer."""
-        return self.schema.model_json_schema()
+        """The JSON schema of the answer; definitions are named by their models' titles.
+
+        So a class that states its former name as title may be renamed without changing requests.
+        """
+        schema = self.schema.model_json_schema()
+        definitions = schema.get("$defs", {})
+        titles = {name: body.get("title", name) for name, body in definitions.items()}
+        if all(name == title for name, title in titles.items()):
+            return schema
+        if len(set(titles.values())) < len(titles):
+            raise ModelError(f"{self.name}: two definitions of its schema have the same title")
+        text = json.dumps(schema | {"$defs": {titles[k]: v for k, v in definitions.items()}})
+        for name, title in titles.items():
+            text = text.replace(f'"#/$defs/{name}"', f'"#/$defs/{title}"')
+        return json.loads(text)
 
     @cached_property
     def parts(self) -> dict[str, str]:
-        """A digest for each part of the content; a tape tells by them what differs."""
+        """A digest of each part of the content, by which a tape tells what differs."""
         pictures = [[picture.label, picture.pixels] for picture in self.pictures]
         return {
             "role": self.role,
@@ -137,7 +157,7 @@ class Request(Generic[T]):
 
 @dataclass(frozen=True)
 class Usage:
-    """Tokens of one call as the server counted them; `input` leaves out what the cache served."""
+    """Tokens of one call by the server's count; `input` excludes tokens read from the cache."""
 
     input: int = 0
     output: int = 0
@@ -159,20 +179,21 @@ class Answer(Generic[T]):
 
     value: T
     text: str
-    """As it came, before JSON was taken out of it."""
+    """The model's whole text, from which the JSON was taken."""
     usage: Usage
-    """Over all calls that this answer took, rejected answers included."""
+    """Sum over all calls for this answer, rejected answers included."""
     model: str
 
 
+@runtime_checkable
 class Model(Protocol):
-    """What rooms ask; `Panel` is the one that the package ships."""
+    """Anything that answers requests; `Panel` is the implementation of the package."""
 
     async def ask(self, request: Request[T]) -> Answer[T]:
         """Answer a request.
 
         Raises:
-            ModelError: no valid answer could be had; the message says why and what to do.
+            ModelError: there is no valid answer; the message says why and what to do.
         """
         ...
 
@@ -185,7 +206,7 @@ class Rejection:
     reason: str
 
     def message(self, request: Request[Any]) -> str:
-        """The words that go back to the model; they repeat the schema, as it was not heeded."""
+        """Return the text to send back; it repeats the schema, which the answer did not fit."""
         return (
             f"That answer cannot be used: {self.reason}\n\n"
             f"Answer again, complete and corrected. {answer_rule(request)}"
@@ -203,17 +224,17 @@ class Reply:
     detail: str = ""
     """What the server said about a refusal."""
     fallback: str | None = None
-    """What the provider had to do without, such as structured output."""
+    """Features that the server does not support, such as structured output."""
     counted: bool = True
     """Whether the server counted tokens at all."""
 
 
 class Transient(Exception):
-    """A failed call that is worth another try; never leaves the room.
+    """A failed call that is worth another try; `Calls` catches it.
 
     Args:
-        message: what happened.
-        retry_after: seconds the server asks to wait, if it does.
+        message: the reason of the failure.
+        retry_after: seconds that the server asks to wait; None if it does not.
         usage: tokens the server had counted before the call failed.
     """
 
@@ -225,8 +246,9 @@ class Transient(Exception):
         self.usage = usage or Usage()
 
 
+@runtime_checkable
 class Provider(Protocol):
-    """One way to have requests answered: a tape, a mailbox, a server's API."""
+    """One source of answers: a tape, a mailbox, a server's API."""
 
     name: str
     online: bool
@@ -237,15 +259,15 @@ class Provider(Protocol):
     async def reply(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
-        """Make one call; raise Transient where another try may help, else ModelError."""
+        """Make one call; raise Transient if another try may help, else ModelError."""
         ...
 
     async def close(self) -> None:
-        """Let go of connections."""
+        """Close all connections."""
         ...
 
 
 def answer_rule(request: Request[Any]) -> str:
-    """Say what an answer must look like, for models that are not held to a schema by their server."""
+    """Describe a valid answer in words, for models whose server does not enforce a schema."""
     schema = json.dumps(request.json_schema, sort_keys=True)
     return f"Give one JSON object and nothing else; it must fit this JSON schema:\n{schema}"

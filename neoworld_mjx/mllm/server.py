@@ -1,0 +1,165 @@
+"""The common part of all providers that call a server: features, streams, errors, replies."""
+
+import asyncio
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import anthropic
+
+from ..config import MLLMOptions, RoleOptions
+from .connection import classified, configured_connection, server_message
+from .requests import Rejection, Reply, Request, Transient, Usage, answer_rule
+
+_IN_WORDS = "structured output is not supported by the server or for this schema: asked in words"
+_UNCOUNTED = "the server gave no token counts: booked at their upper bound"
+
+
+@dataclass
+class Received:
+    """The part of a streamed answer that has arrived."""
+
+    model: str
+    text: str = ""
+    usage: Usage | None = None
+    """None until the server counts tokens."""
+    stop: Literal["end", "length", "refusal"] | None = None
+    """None until the answer is complete."""
+    refusal: str = ""
+    """The server's words about a refusal."""
+
+
+class ServerProvider(ABC):
+    """A provider that calls a server's API and streams the answers.
+
+    The time limit watches for silence and not for length. Optional features that the server turns
+    down (a JSON schema for the answer, token counts in the stream, ...) are left out from then on.
+
+    Args:
+        options: models, base_url, headers and time limit.
+
+    Raises:
+        ConfigError: a header needs an environment variable that is not set.
+        ModelError: there is neither a key nor a base_url.
+    """
+
+    name: ClassVar[str]
+    key_name: ClassVar[str]
+    url_name: ClassVar[str]
+    schema_feature: ClassVar[str]
+    """The parameter that carries the JSON schema of the answer."""
+    features: ClassVar[Mapping[str, Sequence[str]]]
+    """Optional parameters, and words by which a server's error refers to each."""
+    online = True
+
+    def __init__(self, options: MLLMOptions) -> None:
+        self._connection = configured_connection(options, self.key_name, self.url_name)
+        self.secrets = self._connection.secrets
+        self._client: Any = None
+        self._unsupported: set[tuple[str, str, str]] = set()
+        """Features that the server turned down, as (model, feature, digest of the schema or "")."""
+
+    @abstractmethod
+    def _new_client(self) -> Any:
+        """Return the SDK's client; it must not retry, so that every call is booked."""
+
+    @abstractmethod
+    def _params(
+        self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
+    ) -> dict[str, Any]:
+        """Return the parameters of a call."""
+
+    @abstractmethod
+    async def _receive(self, params: dict[str, Any], received: Received) -> None:
+        """Make a call and write its stream into `received`."""
+
+    async def reply(
+        self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
+    ) -> Reply:
+        """Make one call; call again without a feature that the server turns down.
+
+        Raises:
+            Transient: another try may help.
+            ModelError: it will not; the message says what to do.
+        """
+        while True:
+            params = self._params(request, role, rejected)
+            received = Received(role.model)
+            try:
+                async with asyncio.timeout(self._connection.call_timeout_s):
+                    await self._receive(params, received)
+            except Exception as error:
+                feature = self._turned_down(error, params)
+                known = (role.model, feature or "", self._scope(feature, request))
+                if feature is None or known in self._unsupported:
+                    usage = received.usage or Usage()
+                    raise classified(error, self._connection, request.role, role, usage) from None
+                self._unsupported.add(known)
+                continue
+            if received.stop is None:
+                raise Transient("the answer broke off before its end", usage=received.usage)
+            notes = [] if self.schema_feature in params else [_IN_WORDS]
+            if received.usage is None:
+                notes.append(_UNCOUNTED)
+            return Reply(
+                received.text,
+                received.usage or Usage(),
+                received.model,
+                received.stop,
+                received.refusal,
+                "; ".join(notes) or None,
+                counted=received.usage is not None,
+            )
+
+    async def close(self) -> None:
+        """Close the connections."""
+        client, self._client = self._client, None
+        if client is not None:
+            await client.close()
+
+    def _open(self) -> Any:
+        if self._client is None:
+            self._client = self._new_client()
+        return self._client
+
+    def _supports(self, feature: str, request: Request[Any], role: RoleOptions) -> bool:
+        return (role.model, feature, self._scope(feature, request)) not in self._unsupported
+
+    def _scope(self, feature: str | None, request: Request[Any]) -> str:
+        # A server may turn down one schema and take another.
+        return request.parts["schema"] if feature == self.schema_feature else ""
+
+    def _turned_down(self, error: Exception, params: dict[str, Any]) -> str | None:
+        """Return the optional feature of a call that a server's rejection refers to."""
+        if getattr(error, "status_code", None) not in (400, 422):
+            return None
+        message = server_message(error).lower()
+        for feature, words in self.features.items():
+            if feature in params and any(word in message for word in words):
+                return feature
+        return None
+
+    def _schema(self, request: Request[Any], role: RoleOptions) -> dict[str, Any] | None:
+        """Return the schema that the server is to enforce; None where it cannot."""
+        if not self._supports(self.schema_feature, request, role):
+            return None
+        try:
+            return anthropic.transform_schema(request.json_schema)
+        except ValueError:
+            return None  # such as a field of any type, which structured output cannot express
+
+    def _prompt(self, request: Request[Any], schema: dict[str, Any] | None) -> str:
+        # A local server may accept a schema and not enforce it.
+        if schema is not None and not self._connection.local:
+            return request.prompt
+        return f"{request.prompt}\n\n{answer_rule(request)}"
+
+
+def corrections(request: Request[Any], rejected: Sequence[Rejection]) -> list[tuple[str, str]]:
+    """Return the turns (role, text) that follow a prompt whose answers were rejected."""
+    turns = []
+    for rejection in rejected:
+        turns.append(("assistant", rejection.text.strip() or "(nothing)"))
+        turns.append(("user", rejection.message(request)))
+    return turns
