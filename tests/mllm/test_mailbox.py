@@ -15,8 +15,10 @@ from neoworld_mjx.mllm.mailbox import Mailbox
 def panel_of(
     folder: Path, timeout_s: float | None = 5.0, said: list | None = None, **more
 ) -> Panel:
-    say = (said if said is not None else []).append
-    return Panel(Mailbox(folder, timeout_s=timeout_s, poll_s=0.01, settled_s=0.1, say=say), **more)
+    report = (said if said is not None else []).append
+    return Panel(
+        Mailbox(folder, timeout_s=timeout_s, poll_s=0.01, unchanged_s=0.1, report=report), **more
+    )
 
 
 def wait_for(path: Path) -> Path:

@@ -470,7 +470,7 @@ def test_no_logger_shows_the_key(serve, open_to, make, caplog, dialect):
 
 def test_corrections_count_towards_what_is_held(make):
     from neoworld_mjx.mllm.ledger import most_tokens
-    from neoworld_mjx.mllm.model import Rejection
+    from neoworld_mjx.mllm.requests import Rejection
 
     asked = make.request()
     more = most_tokens(asked, 256, [Rejection("x" * 5000, "wrong")])

@@ -4,13 +4,12 @@ import json
 
 import answers
 import pytest
+from support.scripted_model import ScriptedModel
 
 from neoworld_mjx.config import ParseOptions
 from neoworld_mjx.errors import ModelError
-from neoworld_mjx.mllm import Answer, Usage
-from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
 from neoworld_mjx.parse import parse
-from neoworld_mjx.parse.prompts import Verdict
+from neoworld_mjx.parse.prompts import SceneCritique
 
 GOOD = {"faults": [], "boxes": 10, "completeness": 9, "hierarchy": 9.5}
 BAD = {
@@ -33,29 +32,11 @@ def consistent(data=None):
     return data
 
 
-class Scripted:
-    """Answers in the order given, and keeps what was asked."""
-
-    def __init__(self, *texts):
-        self.texts, self.asked = list(texts), []
-
-    async def ask(self, request):
-        self.asked.append(request)
-        text = self.texts.pop(0)
-        if isinstance(text, Exception):
-            raise text
-        try:
-            value = read_answer(json.dumps(text), request.schema)
-        except InvalidAnswer as error:
-            raise ModelError(str(error)) from None
-        return Answer(value, json.dumps(text), Usage(), "scripted")
-
-
 def run(*texts, photo=None, **options):
-    models = Scripted(*texts)
+    models = ScriptedModel(*texts)
     parsed = asyncio.run(parse(photo or answers.photo(), models, ParseOptions(**options)))
-    assert not models.texts
-    return parsed, [request.name for request in models.asked], models.asked
+    assert not models.answers
+    return parsed, [request.name for request in models.requests], models.requests
 
 
 def test_an_accepted_answer_takes_two_questions():
@@ -155,6 +136,6 @@ def test_the_fit_moves_the_tree_and_can_be_switched_off():
 
 
 def test_a_verdict_is_held_to_its_scale():
-    assert Verdict.model_validate(GOOD | {"boxes": 40, "completeness": -3}).score == (
+    assert SceneCritique.model_validate(GOOD | {"boxes": 40, "completeness": -3}).score == (
         pytest.approx((10 + 0 + 9.5) / 30)
     )

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from neoworld_mjx.parse.kinds import KINDS, kind_of
-from neoworld_mjx.parse.project import edges_in_view, expected_box, outline_points, seen_box
+from neoworld_mjx.parse.categories import CATEGORIES, category_of
+from neoworld_mjx.parse.project import edges_in_view, expected_box, outline_points, visible_box
 from neoworld_mjx.spec import Box3D, Camera
 
 CAMERA = Camera(width=800, height_px=600, fovy=0.8, height=0.5, pitch=0.6)
@@ -17,19 +17,19 @@ def test_a_box_in_full_view_is_seen_from_corner_to_corner():
     corners = Box3D(position=(0.8, 0, 0), size=(0.1, 0.1, 0.1), yaw=0.3).corners()
     pixels, _ = CAMERA.project(corners)
     expected = [*pixels.min(axis=0), *pixels.max(axis=0)]
-    assert seen_box(CAMERA, corners) == pytest.approx(expected)
+    assert visible_box(CAMERA, corners) == pytest.approx(expected)
 
 
 def test_a_floor_that_runs_behind_the_camera_fills_the_picture_below_its_far_edge():
     corners = Box3D(position=(0, 0, -0.1), size=(4, 20, 0.1)).corners()
     _, v = CAMERA.project(np.array([2.0, 0, 0]))[0]
-    assert seen_box(CAMERA, corners) == pytest.approx([0, v, 800, 600], abs=1e-6)
+    assert visible_box(CAMERA, corners) == pytest.approx([0, v, 800, 600], abs=1e-6)
 
 
 def test_what_is_behind_or_beside_is_not_seen():
     for x, y in ((-1.0, 0), (0.5, 3.0)):
         corners = Box3D(position=(x, y, 0), size=(0.1, 0.1, 0.1)).corners()
-        assert seen_box(CAMERA, corners) is None
+        assert visible_box(CAMERA, corners) is None
     behind = Box3D(position=(-1, 0, 0), size=(0.1, 0.1, 0.1)).corners()
     assert edges_in_view(CAMERA, behind) == []
 
@@ -40,7 +40,7 @@ def test_what_is_behind_or_beside_is_not_seen():
     st.tuples(*[st.floats(0.05, 2)] * 3),
     st.floats(-3, 3),
 )
-def test_the_seen_box_is_that_of_rays_that_hit(at, size, yaw):
+def test_the_visible_box_is_that_of_rays_that_hit(at, size, yaw):
     """Against rays through a grid of pixels, met with the box by slabs."""
     box = Box3D(position=at, size=size, yaw=yaw)
     rows, columns = np.mgrid[0:600:12, 0:800:12] + 6.0
@@ -55,7 +55,7 @@ def test_the_seen_box_is_that_of_rays_that_hit(at, size, yaw):
     hit = (enter < leave) & (enter > 0.05)
     if np.all(np.abs(origin) < np.array(size) / 2 + 0.05):
         return
-    found = seen_box(CAMERA, box.corners())
+    found = visible_box(CAMERA, box.corners())
     if found is None:
         assert not hit.any()
     elif hit.any():
@@ -76,7 +76,7 @@ def test_outlines_stay_in_the_box(label):
     assert points[:, 2].min() >= -1e-12
     assert points[:, 2].max() <= 1 + 1e-12
     assert weight in (0.0, 0.5, 1.0)
-    whole = seen_box(tree.camera, node.box3d.corners())
+    whole = visible_box(tree.camera, node.box3d.corners())
     inner = expected_box(tree.camera, node)
     assert (inner[:2] >= whole[:2] - 1e-6).all()
     assert (inner[2:] <= whole[2:] + 1e-6).all()
@@ -111,10 +111,10 @@ def test_a_ball_is_seen_as_a_ball():
     ],
 )
 def test_labels_are_known_by_their_head_noun(label, word):
-    assert kind_of(label) == KINDS[word]
+    assert category_of(label) == CATEGORIES[word]
 
 
 def test_unknown_labels_have_no_kind():
-    assert kind_of("gizmo") is None
-    assert kind_of("") is None
-    assert all(kind.low < kind.high for kind in KINDS.values())
+    assert category_of("gizmo") is None
+    assert category_of("") is None
+    assert all(category.low < category.high for category in CATEGORIES.values())

@@ -8,9 +8,10 @@ import pytest
 from pydantic import ValidationError
 
 from neoworld_mjx.errors import SpecError
+from neoworld_mjx.mllm import package_text
 from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
 from neoworld_mjx.parse.checks import agreement, check_tree
-from neoworld_mjx.parse.prompts import Verdict, listing, parse_request, text
+from neoworld_mjx.parse.prompts import SceneCritique, listing, parse_request
 from neoworld_mjx.parse.schema import SceneSeen, TiltSeen, tilt_quat, to_tree
 from neoworld_mjx.spec.pose import rotate
 
@@ -117,14 +118,14 @@ def test_hidden_by_something_means_hidden():
 
 
 def test_the_schema_holds_nothing_that_servers_turn_down():
-    for schema in (SceneSeen, Verdict):
+    for schema in (SceneSeen, SceneCritique):
         said = str(schema.model_json_schema())
         assert "prefixItems" not in said
         assert "minimum" not in said
 
 
 def test_the_example_of_the_guide_is_a_good_answer():
-    guide = text("reasoner")
+    guide = package_text("neoworld_mjx.parse", "reasoner")
     example = guide[guide.index('    {"observations"') : guide.index("And of a cabinet")]
     found = to_tree(read_answer(example, SceneSeen), answers.photo())
     assert all(agreement(found, node) > 0.7 for node in found.nodes)
@@ -132,7 +133,7 @@ def test_the_example_of_the_guide_is_a_good_answer():
 
 
 def test_the_guide_names_every_field_that_is_not_self_evident():
-    guide = text("reasoner")
+    guide = package_text("neoworld_mjx.parse", "reasoner")
     for field in ("environment", "fixed_base", "parent_link", "occluded_by", "tilt", "opening"):
         assert re.search(rf"`{field}`", guide), field
 

@@ -5,15 +5,16 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from support.scripted_model import ScriptedModel
 
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import MissingAnswerError, ModelError
-from neoworld_mjx.mllm import Answer, Picture, Request, Usage
+from neoworld_mjx.mllm import Picture
 from neoworld_mjx.program.ask import (
-    Fault,
+    ProgramAnswer,
+    ProgramCritique,
+    ProgramFault,
     Subject,
-    Verdict,
-    Written,
     judge_request,
     program_request,
 )
@@ -64,29 +65,15 @@ def crop() -> bytes:
     return stream.getvalue()
 
 
-class Script:
-    """Answers in the order given; an exception in the list is raised."""
-
-    def __init__(self, *answers: Any) -> None:
-        self.answers = list(answers)
-        self.asked: list[Request[Any]] = []
-
-    async def ask(self, request: Request[Any]) -> Answer[Any]:
-        self.asked.append(request)
-        value = self.answers.pop(0)
-        if isinstance(value, Exception):
-            raise value
-        assert isinstance(value, request.schema)
-        return Answer(value, "", Usage(), "script")
+def written(text: str, *removed: str) -> ProgramAnswer:
+    return ProgramAnswer(program=text, removed=list(removed))
 
 
-def written(text: str, *removed: str) -> Written:
-    return Written(program=text, removed=list(removed))
-
-
-def verdict(geometry: float, accept: bool = False) -> Verdict:
-    faults = [] if accept else [Fault(part="door", what="too thin", change="make it 3 cm thick")]
-    return Verdict(
+def verdict(geometry: float, accept: bool = False) -> ProgramCritique:
+    faults = (
+        [] if accept else [ProgramFault(part="door", what="too thin", change="make it 3 cm thick")]
+    )
+    return ProgramCritique(
         geometry=geometry,
         articulation=8,
         colour=6,
@@ -95,28 +82,28 @@ def verdict(geometry: float, accept: bool = False) -> Verdict:
     )
 
 
-def made(script: Script, options: ProgramOptions = OPTIONS, **more: Any) -> Programmed:
+def made(script: ScriptedModel, options: ProgramOptions = OPTIONS, **more: Any) -> Programmed:
     camera = Camera(width=640, height_px=480, fovy=0.8, height=1.2, pitch=0.4)
     return asyncio.run(synthesise(node(**more), crop(), script, options, camera=camera))
 
 
 def test_a_good_program_takes_one_question_and_one_judgement():
-    script = Script(written(GOOD), verdict(9, accept=True))
+    script = ScriptedModel(written(GOOD), verdict(9, accept=True))
     outcome = made(script)
     assert outcome.spec is not None and outcome.signals == () and outcome.reason == ""
-    assert [request.role for request in script.asked] == ["programmer", "critic"]
-    labels = [picture.label for picture in script.asked[1].pictures]
+    assert [request.role for request in script.requests] == ["programmer", "critic"]
+    labels = [picture.label for picture in script.requests[1].pictures]
     assert labels == ["crop", "made", "opened"]
     assert outcome.score == pytest.approx(0.5 * 9 + 0.3 * 8 + 0.2 * 6)
-    assert "0.400 m (x, front to back)" in script.asked[0].prompt
-    assert "door (revolute)" in script.asked[0].prompt
+    assert "0.400 m (x, front to back)" in script.requests[0].prompt
+    assert "door (revolute)" in script.requests[0].prompt
 
 
 def test_signals_go_back_with_their_lines():
-    script = Script(written(BROKEN), written(GOOD), verdict(9, accept=True))
+    script = ScriptedModel(written(BROKEN), written(GOOD), verdict(9, accept=True))
     outcome = made(script)
     assert outcome.spec is not None and outcome.text.strip() == GOOD.strip()
-    assert "line 5" in script.asked[1].prompt and BROKEN.strip() in script.asked[1].prompt
+    assert "line 5" in script.requests[1].prompt and BROKEN.strip() in script.requests[1].prompt
 
 
 def test_a_fence_is_taken_off():
@@ -125,7 +112,7 @@ def test_a_fence_is_taken_off():
 
 
 def test_deleting_the_joint_does_not_pass_for_mending_it():
-    script = Script(written(WRONG_WAY), written(DOORLESS), verdict(6, accept=True))
+    script = ScriptedModel(written(WRONG_WAY), written(DOORLESS), verdict(6, accept=True))
     outcome = made(script, articulation=())
     assert outcome.spec is not None and outcome.text.strip() == WRONG_WAY.strip()
     assert outcome.fallbacks and "overlap_in_motion" in outcome.fallbacks[0][1]
@@ -134,62 +121,66 @@ def test_deleting_the_joint_does_not_pass_for_mending_it():
 
 
 def test_what_is_removed_on_purpose_may_go():
-    script = Script(written(WRONG_WAY), written(DOORLESS, "door", "hinge"), verdict(6, accept=True))
+    script = ScriptedModel(
+        written(WRONG_WAY), written(DOORLESS, "door", "hinge"), verdict(6, accept=True)
+    )
     outcome = made(script, articulation=())
     assert outcome.spec is not None and outcome.spec.joints == ()
 
 
 def test_a_part_that_the_photo_shows_moving_is_asked_for():
-    script = Script(written(DOORLESS), written(GOOD), verdict(9, accept=True))
+    script = ScriptedModel(written(DOORLESS), written(GOOD), verdict(9, accept=True))
     assert made(script).text.strip() == GOOD.strip()
-    assert "missing_joint" in script.asked[1].prompt
+    assert "missing_joint" in script.requests[1].prompt
 
 
 def test_checks_of_the_program_itself_may_not_go():
     checked = GOOD + "assert door.anchor('front')[0] < 0.3\n"
-    script = Script(written(checked), verdict(6), written(GOOD), written(checked), verdict(6.5))
+    script = ScriptedModel(
+        written(checked), verdict(6), written(GOOD), written(checked), verdict(6.5)
+    )
     outcome = made(script)
     assert [a.stage for a in outcome.rounds] == ["program", "revise", "debug"]
     assert [s.code for s in outcome.rounds[1].built.signals] == ["lost"]
-    assert "1 assert statements, this one has 0" in script.asked[3].prompt
+    assert "1 assert statements, this one has 0" in script.requests[3].prompt
     assert outcome.text.strip() == checked.strip()
-    said = Script(written(checked), verdict(6), written(GOOD, "assert"), verdict(7))
+    said = ScriptedModel(written(checked), verdict(6), written(GOOD, "assert"), verdict(7))
     assert made(said).text.strip() == GOOD.strip()
 
 
 def test_no_hinge_is_forced_on_what_has_none():
-    script = Script(written(DOORLESS))
+    script = ScriptedModel(written(DOORLESS))
     outcome = made(script, UNJUDGED, articulation=())
     assert outcome.spec is not None and outcome.spec.joints == () and outcome.signals == ()
-    assert "moving parts seen: none noted" in script.asked[0].prompt
-    assert "a thing without moving\nparts has none" in script.asked[0].system
+    assert "moving parts seen: none noted" in script.requests[0].prompt
+    assert "a thing without moving\nparts has none" in script.requests[0].system
 
 
 def test_what_the_crop_hides_is_asked_for():
     class Half:
         data, note = crop(), "cut off at the left; the vase hides its foot"
 
-    script = Script(written(GOOD))
+    script = ScriptedModel(written(GOOD))
     asyncio.run(synthesise(node(), Half(), script, UNJUDGED))
-    assert "the vase hides its foot: complete it as such things are" in script.asked[0].prompt
-    assert "Draw also what cannot be seen but must be there" in script.asked[0].system
+    assert "the vase hides its foot: complete it as such things are" in script.requests[0].prompt
+    assert "Draw also what cannot be seen but must be there" in script.requests[0].system
 
 
 def test_a_box_that_was_seen_open_is_told_and_measured_so():
     # The door stands open by half of 1.6 rad in the photo, so the box is deeper than the closed thing.
-    spec = made(Script(written(GOOD), verdict(9, accept=True))).spec
+    spec = made(ScriptedModel(written(GOOD), verdict(9, accept=True))).spec
     assert spec is not None
     low, high = bounds(spec, {"hinge": 0.8})
     part = PartState(part="door", type="revolute", opening=0.5)
     box = Box3D(position=(2, 0.3, 0), size=tuple((high - low).tolist()), yaw=3.0)
-    script = Script(written(GOOD), verdict(9, accept=True))
+    script = ScriptedModel(written(GOOD), verdict(9, accept=True))
     outcome = made(script, UNJUDGED, box3d=box, articulation=(part,))
     assert outcome.signals == ()
-    assert "with door 50% open as in the photo (draw it closed" in script.asked[0].prompt
-    closed = Script(written(GOOD), written(GOOD))
+    assert "with door 50% open as in the photo (draw it closed" in script.requests[0].prompt
+    closed = ScriptedModel(written(GOOD), written(GOOD))
     wrong = made(closed, UNJUDGED, box3d=box)
     assert {signal.code for signal in wrong.signals} == {"proportions", "wrong_size"}
-    assert "measured box: " in closed.asked[0].prompt
+    assert "measured box: " in closed.requests[0].prompt
 
 
 @pytest.mark.parametrize(
@@ -215,34 +206,34 @@ def test_how_a_thing_lies_is_told_to_programmer_and_critic(axis, degrees, words)
 
 def test_the_best_is_kept_not_the_last():
     worse = GOOD.replace("material='oak'", "material='steel', mass=3")
-    script = Script(written(GOOD), verdict(7), written(worse), verdict(4))
+    script = ScriptedModel(written(GOOD), verdict(7), written(worse), verdict(4))
     outcome = made(script)
     assert outcome.text.strip() == GOOD.strip()
-    assert "too thin" in script.asked[2].prompt
+    assert "too thin" in script.requests[2].prompt
     assert [attempt.stage for attempt in outcome.rounds] == ["program", "revise"]
 
 
 def test_proportions_are_held_against_the_box():
     flat = GOOD.replace("0.6, 0.6", "0.6, 0.3")
-    script = Script(written(flat), written(GOOD), verdict(9, accept=True))
+    script = ScriptedModel(written(flat), written(GOOD), verdict(9, accept=True))
     assert made(script).text.strip() == GOOD.strip()
-    assert "proportions" in script.asked[1].prompt
+    assert "proportions" in script.requests[1].prompt
 
 
 def test_nothing_to_build_says_why():
-    outcome = made(Script(written("1 / 0"), written("1 / 0")))
+    outcome = made(ScriptedModel(written("1 / 0"), written("1 / 0")))
     assert outcome.spec is None and "ZeroDivisionError" in outcome.reason
 
 
 def test_a_critic_that_fails_is_done_without():
-    outcome = made(Script(written(GOOD), ModelError("server is down")))
+    outcome = made(ScriptedModel(written(GOOD), ModelError("server is down")))
     assert outcome.spec is not None
     assert outcome.fallbacks == (("cabinet: no judge round", "server is down"),)
 
 
 def test_a_missing_answer_is_no_fallback():
     with pytest.raises(MissingAnswerError):
-        made(Script(written(GOOD), MissingAnswerError("no answer for judge:cabinet")))
+        made(ScriptedModel(written(GOOD), MissingAnswerError("no answer for judge:cabinet")))
 
 
 @pytest.mark.parametrize(
@@ -252,11 +243,11 @@ def test_critics_can_be_switched(geometry: bool, articulation: bool, pictures: i
     options = OPTIONS.model_copy(
         update={"geometry_critic": geometry, "articulation_critic": articulation}
     )
-    script = Script(written(GOOD), verdict(9, accept=True))
+    script = ScriptedModel(written(GOOD), verdict(9, accept=True))
     made(script, options)
-    assert len(script.asked[1].pictures) == pictures
+    assert len(script.requests[1].pictures) == pictures
     none = OPTIONS.model_copy(update={"geometry_critic": False, "articulation_critic": False})
-    assert made(Script(written(GOOD)), none).spec is not None
+    assert made(ScriptedModel(written(GOOD)), none).spec is not None
 
 
 @pytest.mark.parametrize(
@@ -265,7 +256,9 @@ def test_critics_can_be_switched(geometry: bool, articulation: bool, pictures: i
 )
 def test_supports_need_no_model(label: str, size: tuple[float, float, float], geoms: int):
     box = Box3D(position=(1, 0, 0), size=size)
-    outcome = made(Script(), environment=True, parent=None, label=label, box3d=box, articulation=())
+    outcome = made(
+        ScriptedModel(), environment=True, parent=None, label=label, box3d=box, articulation=()
+    )
     assert outcome.spec is not None and len(outcome.spec.parts[0].geoms) == geoms
     assert outcome.spec.materials[0].rgba[:3] == pytest.approx((0.784, 0.392, 0.196))
     low, high = bounds(outcome.spec)
@@ -275,7 +268,7 @@ def test_supports_need_no_model(label: str, size: tuple[float, float, float], ge
 def test_rounds_are_written_down():
     import json
 
-    outcome = made(Script(written(BROKEN), written(GOOD), verdict(9, accept=True)))
+    outcome = made(ScriptedModel(written(BROKEN), written(GOOD), verdict(9, accept=True)))
     data = json.loads(outcome.to_json())
     assert [one["stage"] for one in data["rounds"]] == ["program", "debug"]
     assert [one["kept"] for one in data["rounds"]] == [False, True]
@@ -283,7 +276,7 @@ def test_rounds_are_written_down():
 
 
 def test_the_object_is_drawn_from_the_side_that_the_photo_shows():
-    spec = made(Script(written(GOOD), verdict(9, accept=True))).spec
+    spec = made(ScriptedModel(written(GOOD), verdict(9, accept=True))).spec
     assert spec is not None
     camera = Camera(width=640, height_px=480, fovy=0.8, height=1.2, pitch=0.4)
     item = node()

@@ -2,40 +2,35 @@
 
 import furniture as objects
 import pytest
+from support.scripted_model import ScriptedModel
 
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import MissingAnswerError, ModelError
-from neoworld_mjx.mllm import Answer, Usage
+from neoworld_mjx.mllm import Panel
 from neoworld_mjx.verify import Battery, Patch, Repaired, verify_and_repair
-from neoworld_mjx.verify.critic import Edited, Finding, Seen, edit, shown, with_models
+from neoworld_mjx.verify.critic import (
+    Finding,
+    MotionCritique,
+    ProposedEdit,
+    edit_request,
+    key_frames_request,
+    with_models,
+)
 from neoworld_mjx.verify.key_frames import questionable, strips
 from neoworld_mjx.verify.verdict import Fault, Limit, judged
 
 BAD = objects.cupboard(lower=-0.4)
 MENDS = Patch.model_validate({"joints": {"hinge": {"lower": 0.0}}})
 HARMS = Patch.model_validate({"joints": {"hinge": {"lower": -0.6}}})
-FOUND = Seen(findings=[Finding(where="door", what="swings in")], verdict="edit")
-
-
-class Script:
-    """Answers in the order given; an exception is raised."""
-
-    def __init__(self, *answers):
-        self.answers, self.asked = list(answers), []
-
-    def ask_sync(self, request):
-        self.asked.append(request)
-        value = self.answers.pop(0)
-        if isinstance(value, Exception):
-            raise value
-        return Answer(value, "", Usage(), "script")
+FOUND = MotionCritique(findings=[Finding(where="door", what="swings in")], verdict="edit")
 
 
 def tried(*answers):
     battery = Battery(BAD)
     made = Repaired(BAD, Patch(), battery.verdict, battery.verdict)
-    script = Script(*answers)
-    told = with_models(made, battery, script, Battery, BAD)
+    script = ScriptedModel(*answers)
+    with Panel(script) as models:
+        told = with_models(made, battery, models, Battery, BAD)
     return made, told, script
 
 
@@ -53,16 +48,16 @@ def test_strips_show_what_failed_with_labels():
 def test_nothing_doubtful_is_nothing_to_see():
     battery = Battery(objects.cupboard())
     assert questionable(battery.verdict) == []
-    assert "- none" in shown(battery).prompt
+    assert "- none" in key_frames_request(battery).prompt
     assert strips(battery) == []
 
 
 def test_requests_tell_the_numbers_and_what_may_be_edited():
     battery = Battery(BAD)
-    request = shown(battery)
+    request = key_frames_request(battery)
     assert request.role == "critic"
     assert "FAIL joint_range depth:hinge" in request.prompt
-    asked = edit(battery, FOUND)
+    asked = edit_request(battery, FOUND)
     assert asked.role == "reasoner"
     assert "swings in" in asked.prompt
     assert "joint hinge: revolute, door on carcass" in asked.prompt
@@ -79,7 +74,7 @@ def test_what_only_just_passes_is_doubtful_and_shown():
     (check,) = battery.verdict.doubtful
     assert (check.name, check.outcome, check.fault) == ("depth:hinge", "PASS", None)
     assert 0.8e-3 <= check.value <= 1e-3
-    assert "ONLY JUST PASSED joint_range depth:hinge" in shown(battery).prompt
+    assert "ONLY JUST PASSED joint_range depth:hinge" in key_frames_request(battery).prompt
     assert [strip.label for strip in strips(battery)] == ["joint_range depth:hinge"]
     assert strips(battery)[0].shows.count("hinge") > 4  # Drawn with the door where it is worst.
 
@@ -107,36 +102,38 @@ def test_a_number_is_doubtful_near_its_threshold(value, limit, doubt):
 
 
 def test_the_critic_sees_what_is_doubtful_and_no_edit_is_asked_for():
-    script = Script(FOUND)
-    result = verify_and_repair(only_just(), models=script)
-    assert [request.role for request in script.asked] == ["critic"]
+    script = ScriptedModel(FOUND)
+    result = verify_and_repair(only_just(), models=Panel(script))
+    assert [request.role for request in script.requests] == ["critic"]
     assert result.seen == ("door: swings in",)
     assert result.verdict.passed
     assert result.patch.empty
-    script = Script()
-    verify_and_repair(objects.cupboard(), models=script)
-    assert script.asked == []  # Nothing in doubt: nobody is asked.
+    script = ScriptedModel()
+    verify_and_repair(objects.cupboard(), models=Panel(script))
+    assert script.requests == []  # Nothing in doubt: nobody is asked.
 
 
 def test_an_opinion_changes_no_outcome():
     flipped = objects.cupboard(axis=(0, 0, -1))
-    sound = verify_and_repair(flipped, models=Script(Seen(verdict="sound")))
+    sound = verify_and_repair(flipped, models=Panel(ScriptedModel(MotionCritique(verdict="sound"))))
     assert not sound.verdict.passed
     assert sound.verdict == Battery(flipped).verdict
-    bad = verify_and_repair(only_just(), models=Script(Seen(verdict="reprogram")))
+    bad = verify_and_repair(
+        only_just(), models=Panel(ScriptedModel(MotionCritique(verdict="reprogram")))
+    )
     assert bad.verdict == Battery(only_just()).verdict
 
 
 def test_without_rounds_the_critic_looks_and_nothing_is_edited():
-    script = Script(FOUND)
-    result = verify_and_repair(BAD, VerifyOptions(rounds=0), models=script)
-    assert (len(script.asked), result.seen) == (1, ("door: swings in",))
+    script = ScriptedModel(FOUND)
+    result = verify_and_repair(BAD, VerifyOptions(rounds=0), models=Panel(script))
+    assert (len(script.requests), result.seen) == (1, ("door: swings in",))
     assert result.patch.empty
     assert not result.verdict.passed
 
 
 def test_an_edit_that_helps_is_kept():
-    made, told, _ = tried(FOUND, Edited(patch=MENDS))
+    made, told, _ = tried(FOUND, ProposedEdit(patch=MENDS))
     assert made.after.passed
     assert made.patch == MENDS
     assert [seen.verdict for seen in told] == ["edit"]
@@ -146,15 +143,15 @@ def test_an_edit_that_helps_is_kept():
     "patch", [HARMS, Patch.model_validate({"parts": {"door": {"mass": 900.0}}})]
 )
 def test_an_edit_that_does_not_help_is_dropped_and_listed(patch):
-    made, _, _ = tried(FOUND, Edited(patch=patch))
+    made, _, _ = tried(FOUND, ProposedEdit(patch=patch))
     assert made.patch.empty
     assert made.after == made.before
     assert len(made.tried) == 1
 
 
 def test_what_must_be_programmed_anew_is_not_edited():
-    made, told, script = tried(Seen(verdict="reprogram"))
-    assert (made.patch.empty, len(told), len(script.asked)) == (True, 1, 1)
+    made, told, script = tried(MotionCritique(verdict="reprogram"))
+    assert (made.patch.empty, len(told), len(script.requests)) == (True, 1, 1)
 
 
 def test_a_server_that_fails_costs_the_edit_not_the_run():
@@ -166,12 +163,12 @@ def test_a_server_that_fails_costs_the_edit_not_the_run():
 
 
 def test_numbers_come_first():
-    script = Script()
-    result = verify_and_repair(BAD, models=script)
+    script = ScriptedModel()
+    result = verify_and_repair(BAD, models=Panel(script))
     assert result.verdict.passed  # Cut by direct repair: nobody was asked.
-    assert script.asked == []
+    assert script.requests == []
     flipped = objects.cupboard(axis=(0, 0, -1))
-    script = Script(Seen(findings=FOUND.findings, verdict="reprogram"))
-    result = verify_and_repair(flipped, models=script)
+    script = ScriptedModel(MotionCritique(findings=FOUND.findings, verdict="reprogram"))
+    result = verify_and_repair(flipped, models=Panel(script))
     assert not result.verdict.passed
     assert result.seen == ("door: swings in",)

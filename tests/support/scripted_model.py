@@ -1,0 +1,48 @@
+"""A model whose answers are written beforehand, for tests of the steps that ask models."""
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from pydantic import BaseModel
+
+from neoworld_mjx.errors import ModelError
+from neoworld_mjx.mllm import Answer, Request, Usage
+from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
+from neoworld_mjx.mllm.requests import Reply
+
+
+class ScriptedModel:
+    """Gives its answers in order and keeps the requests; raises those that are exceptions.
+
+    It is a `Model` by itself, and a `Provider` for a panel.
+
+    Args:
+        answers: pydantic models, JSON values, or exceptions.
+    """
+
+    name, online, secrets = "scripted", False, ()
+
+    def __init__(self, *answers: Any) -> None:
+        self.answers = list(answers)
+        self.requests: list[Request[Any]] = []
+
+    async def ask(self, request: Request[Any]) -> Answer[Any]:
+        text = self._next(request)
+        try:
+            value = read_answer(text, request.schema)
+        except InvalidAnswer as error:
+            raise ModelError(str(error)) from None
+        return Answer(value, text, Usage(), self.name)
+
+    async def reply(self, request: Request[Any], role: Any, rejected: Sequence[Any]) -> Reply:
+        return Reply(self._next(request), Usage(), self.name)
+
+    async def close(self) -> None: ...
+
+    def _next(self, request: Request[Any]) -> str:
+        self.requests.append(request)
+        answer = self.answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer.model_dump_json() if isinstance(answer, BaseModel) else json.dumps(answer)
