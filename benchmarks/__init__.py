@@ -1,1 +1,1 @@
-"""Benchmarks for airspeed velocity; the measuring itself is `neoworld_mjx.bench`."""
+"""Benchmarks for developers of the package: `python -m benchmarks SUITE`, from the root of a clone."""

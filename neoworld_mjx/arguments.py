@@ -1,12 +1,14 @@
 """What the commands of `neoworld` take: one dataclass a command."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 from tyro.conf import OmitSubcommandPrefixes, Positional, UseAppendAction, arg, subcommand
 
-from .engines import ENGINES, EngineChoice, EngineName
+from .bench.suites import SUITES, Suite
+from .engines import EngineChoice
 
 Step = Literal["parse", "program", "verify", "compose", "refine", "export"]
 
@@ -158,140 +160,6 @@ class Doctor(Common):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BenchPhysics(Common):
-    """Time rollouts of noisy layouts, beside the naive loop and a bare scan of MJX."""
-
-    objects: tuple[int, ...] = (3, 6, 10, 20, 40)
-    """Numbers of objects on the table."""
-    population: tuple[int, ...] = (1024,)
-    """Numbers of candidates."""
-    engine: tuple[EngineName, ...] = tuple(ENGINES)
-    """Engines; one that cannot run here is a row that says why."""
-    duration: float = 1.0
-    """Simulated time [s], in steps of 4 ms."""
-    budget: float = 60.0
-    """Time that a row may take [s]; one that needs longer is skipped."""
-    seed: int = 0
-    """Of scenes and layouts."""
-    chart: Path | None = None
-    """SVG file to draw the growth of cost into."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class BenchKernels(Common):
-    """Time the implementations of the penetration term."""
-
-    objects: tuple[int, ...] = (3, 10, 40)
-    """Numbers of objects on the table."""
-    population: tuple[int, ...] = (256, 4096)
-    """Numbers of candidates."""
-    samples: int = 256
-    """Surface samples of each object."""
-    budget: float = 60.0
-    """Time that the calls of a row may take [s]."""
-    seed: int = 0
-    """Of scenes and layouts."""
-    pairs: int = 10_000
-    """Random pairs of solids over which sampled depths are held against exact ones; 0 for none."""
-    table: Path | None = None
-    """JSON file of measured devices to enter this one into: what `pair_depth` chooses by."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class BenchAgreement(Common):
-    """Compare engines with MuJoCo on recompiled scenes: fields, bits, first steps, verdicts."""
-
-    scene: tuple[str, ...] = ()
-    """Of stack, cluttered, cabinet, container, leaning and mixed; none takes all six."""
-    engine: tuple[EngineName, ...] = ("native",)
-    """Engines whose verdicts are compared."""
-    layouts: int = 64
-    """Candidates of each scene."""
-    seed: int = 0
-    """Of the layouts."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class BenchPrograms(Common):
-    """Run hostile programs and mutants in the sandbox, and time a cabinet of 30 parts and 8 joints."""
-
-    mutations: int = 5000
-    """Mutants of the guide's programs; some 20 ms each."""
-    repeats: int = 9
-    """Of each timing; medians are told."""
-    no_hostile: bool = False
-    """Leave the hostile programs out; they take a minute."""
-    seed: int = 0
-    """Of the mutations."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class BenchRefine(Configured):
-    """Refine scenes with known truth from noisy starts, beside Algorithm 1, random search and CMA-ES."""
-
-    scene: tuple[str, ...] = ()
-    """Names of scenes; none takes all twelve. crowd_20 and crowd_40 are there too."""
-    seeds: int = 5
-    """Starts of each scene."""
-    baseline_seeds: int = 1
-    """How many of the starts the baselines take; Algorithm 1 takes half a minute each."""
-    baseline: tuple[Literal["algorithm1", "random", "cma_es"], ...] = (
-        "algorithm1",
-        "random",
-        "cma_es",
-    )
-    """Baselines to run; none with `--baseline` and nothing after it."""
-    engine: EngineChoice = "native"
-    """Engine that rolls candidates out."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class BenchScoring(Common):
-    """Score candidates by a slow, unreliable server on this machine while physics runs."""
-
-    wait: tuple[Literal["all", "bounded", "none"], ...] = ("all", "bounded", "none")
-    """Ways of waiting; a row for each."""
-    physics: tuple[Literal["pause", "native"], ...] = ("pause", "native")
-    """A pause leaves the processor to drawing pictures, rollouts on all cores do not."""
-    iterations: int = 6
-    """Of the search."""
-    physics_s: float = 3.0
-    """Physics of one iteration alone [s]."""
-    delay_s: float = 3.0
-    """How long the server takes for a call [s]; it answers eight at once."""
-    failing: float = 0.1
-    """Share of its calls that fail."""
-    seed: int = 0
-    """Of layouts and failures."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class BenchVerify(Common):
-    """Put faults into sound objects: what the battery finds, names and mends."""
-
-    objects: int | None = None
-    """How many sound objects; by default all."""
-    kind: tuple[str, ...] = ()
-    """Kinds of faults; none takes all."""
-    no_repair: bool = False
-    """Find and name only."""
-    workers: int = 0
-    """Processes; 0 takes all cores."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class BenchBattery(Common):
-    """Simulate the battery's runs of many objects at once, on all cores and on a GPU."""
-
-    objects: int = 100
-    """How many; sound ones in up to four sizes."""
-    engine: tuple[Literal["native", "warp"], ...] = ("native", "warp")
-    """What simulates them."""
-    together: int = 16
-    """Objects that share a model on the GPU."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class BenchChart(Common):
     """Draw the growth of cost from the JSON that `bench run physics` printed."""
 
@@ -303,43 +171,39 @@ class BenchChart(Common):
     """Draw processor time, which a busy machine does not change."""
 
 
+def suite_commands(suites: Mapping[str, Suite]) -> Any:
+    """Return the union of the commands that run the suites of a table, for tyro."""
+    commands = []
+    for name, suite in suites.items():
+        bases = (suite.options, Configured if suite.configured else Common)
+        fields = {"__doc__": suite.options.__doc__, "__module__": __name__, "suite": suite}
+        command = dataclass(frozen=True, kw_only=True)(type(f"Bench{name.title()}", bases, fields))
+        commands.append(Annotated[command, subcommand(name)])
+    return Union[tuple(commands)]  # noqa: UP007
+
+
+if TYPE_CHECKING:
+    BenchSuite = Any
+else:
+    BenchSuite = suite_commands(SUITES)
+
+
 @dataclass(frozen=True, kw_only=True)
 class BenchRun:
     """Run a benchmark."""
 
-    suite: (
-        Annotated[BenchPhysics, subcommand("physics")]
-        | Annotated[BenchKernels, subcommand("kernels")]
-        | Annotated[BenchAgreement, subcommand("agreement")]
-        | Annotated[BenchRefine, subcommand("refine")]
-        | Annotated[BenchScoring, subcommand("scoring")]
-        | Annotated[BenchVerify, subcommand("verify")]
-        | Annotated[BenchBattery, subcommand("battery")]
-        | Annotated[BenchPrograms, subcommand("programs")]
-    )
+    suite: BenchSuite
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """Measure speed and agreement of engines."""
+    """Measure speed and agreement of engines, and the quality of refinement."""
 
     task: Annotated[BenchRun, subcommand("run")] | Annotated[BenchChart, subcommand("chart")]
 
     @property
-    def inner(
-        self,
-    ) -> (
-        BenchPhysics
-        | BenchKernels
-        | BenchAgreement
-        | BenchRefine
-        | BenchScoring
-        | BenchVerify
-        | BenchBattery
-        | BenchPrograms
-        | BenchChart
-    ):
-        """What was asked for, at the end of the nested commands."""
+    def inner(self) -> Any:
+        """The command at the end of the nested ones."""
         return self.task.suite if isinstance(self.task, BenchRun) else self.task
 
     @property

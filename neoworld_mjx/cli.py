@@ -9,13 +9,14 @@ import logging
 import os
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import tyro
 from tyro.conf import DisallowNone, FlagCreatePairsOff
 
 from .arguments import Command, Common
+from .bench.suites import DEVELOPER_SUITES
 from .commands import COMMANDS, Answer
 from .errors import NeoWorldError
 
@@ -24,6 +25,14 @@ BAD_INPUT, FAILED, BUG, INTERRUPTED = 2, 1, 70, 130
 
 def main(args: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
+    args = sys.argv[1:] if args is None else args
+    if tuple(args[:2]) == ("bench", "run") and args[2:3] and args[2] in DEVELOPER_SUITES:
+        print(
+            f"error: the suite {args[2]} needs a clone of the repository; there, run: "
+            f"uv run python -m benchmarks {' '.join(args[2:])}",
+            file=sys.stderr,
+        )
+        sys.exit(BAD_INPUT)
     command: Any = tyro.cli(
         Command,  # pyright: ignore[reportArgumentType]
         prog="neoworld",
@@ -34,12 +43,17 @@ def main(args: Sequence[str] | None = None) -> None:
     sys.exit(run(command))
 
 
-def run(command: Common) -> int:
-    """Run a parsed command, print its answer and return the exit code."""
+def run(command: Common, function: Callable[[Any], Answer] | None = None) -> int:
+    """Run a parsed command, print its answer and return the exit code.
+
+    Args:
+        command: the arguments.
+        function: what to run them with; by default the command of their type.
+    """
     _show_progress(quiet=command.quiet)
     with _reserved_stdout() as out:
         try:
-            answer = COMMANDS[type(command)](command)
+            answer = (function or COMMANDS[type(command)])(command)
             code = FAILED if answer.get("passed") is False else 0
         except NeoWorldError as error:
             answer, code = {"error": str(error)}, BAD_INPUT

@@ -9,15 +9,7 @@ from typing import TYPE_CHECKING, Any
 from .arguments import (
     Ablate,
     Bench,
-    BenchAgreement,
-    BenchBattery,
     BenchChart,
-    BenchKernels,
-    BenchPhysics,
-    BenchPrograms,
-    BenchRefine,
-    BenchScoring,
-    BenchVerify,
     Build,
     Check,
     Configured,
@@ -223,29 +215,21 @@ def doctor(_: Doctor) -> Answer:
 
 
 def bench(command: Bench) -> Answer:
-    """Measure speed or agreement of engines."""
-    from .bench import command as benchmarks
+    """Run a benchmark, or draw its chart."""
+    if isinstance(command.inner, BenchChart):
+        from .bench.command import chart_answer
+
+        return chart_answer(command.inner)
+    return run_suite(command.inner)
+
+
+def run_suite(command: Any) -> Answer:
+    """Run the suite of a command of `arguments.suite_commands`."""
     from .cache import keep_compilations
 
     keep_compilations()
-    answers = {
-        BenchPhysics: benchmarks.physics_answer,
-        BenchKernels: benchmarks.kernels_answer,
-        BenchAgreement: benchmarks.agreement_answer,
-        BenchRefine: _bench_refine,
-        BenchScoring: benchmarks.scoring_answer,
-        BenchVerify: benchmarks.verify_answer,
-        BenchBattery: benchmarks.battery_answer,
-        BenchPrograms: benchmarks.programs_answer,
-        BenchChart: benchmarks.chart_answer,
-    }
-    return answers[type(command.inner)](command.inner)
-
-
-def _bench_refine(command: BenchRefine) -> Answer:
-    from .bench.command import refine_answer
-
-    return refine_answer(command, _config(command).refine)
+    function = command.suite.load()
+    return function(command, _config(command)) if command.suite.configured else function(command)
 
 
 _KEYS = ("ANTHROPIC_API_KEY", "OPENAI_API_KEY")

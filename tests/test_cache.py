@@ -2,10 +2,10 @@
 
 import jax
 import pytest
-import scenes
 
 from neoworld_mjx.cache import make_room
 from neoworld_mjx.physics.model import compile_scene
+from tests.support import scenes
 
 
 @pytest.fixture

@@ -1,34 +1,34 @@
-"""The benchmarks as `neoworld bench` runs them: options in, one answer out, rows told as they come."""
+"""The suites of `neoworld bench`: each takes its options, logs rows as they come, and returns JSON."""
 
 import json
-import logging
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import jax
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
-from ..config import RefineOptions
+from ..config import Config
 from ..errors import ConfigError
 from ..files import write_atomic
 from . import agreement as comparing
+from . import suites
 from .growth import Growth, growth, growth_svg
 from .kernels import dispatch, kernels
 from .machine import machine
 from .penetration import accuracy, random_pairs
 from .physics import PhysicsRow, physics
+from .rows import collect, plain
 
-log = logging.getLogger(__name__)
+if TYPE_CHECKING:
+    from ..arguments import BenchChart
 
-Row = TypeVar("Row", bound=BaseModel)
 
-
-def physics_answer(o: Any) -> dict[str, Any]:
-    """Time engines; options are those of `arguments.BenchPhysics`."""
+def physics_answer(o: suites.Physics) -> dict[str, Any]:
+    """Time engines."""
     about = machine()
-    rows = _told(
+    rows = collect(
         physics(
             o.objects,
             o.population,
@@ -40,129 +40,64 @@ def physics_answer(o: Any) -> dict[str, Any]:
     )
     if o.chart is not None:
         _write(o.chart, growth_svg(growth(rows)))
-    return {"machine": about, "rows": _plain(rows), "growth": _exponents(growth(rows))}
+    return {"machine": about, "rows": plain(rows), "growth": _exponents(growth(rows))}
 
 
-def kernels_answer(o: Any) -> dict[str, Any]:
-    """Time penetration terms; options are those of `arguments.BenchKernels`."""
+def kernels_answer(o: suites.Kernels) -> dict[str, Any]:
+    """Time penetration terms."""
     about = machine()
-    rows = _told(kernels(o.objects, o.population, samples=o.samples, seed=o.seed, budget=o.budget))
+    rows = collect(
+        kernels(o.objects, o.population, samples=o.samples, seed=o.seed, budget=o.budget)
+    )
     if o.table is not None:
         _enter(o.table, dispatch(rows))
-    told = _plain(_told(accuracy(random_pairs(o.pairs, seed=o.seed)))) if o.pairs else []
-    return {"machine": about, "rows": _plain(rows), "accuracy": told}
+    pairs = plain(collect(accuracy(random_pairs(o.pairs, seed=o.seed)))) if o.pairs else []
+    return {"machine": about, "rows": plain(rows), "accuracy": pairs}
 
 
-def agreement_answer(o: Any) -> dict[str, Any]:
-    """Compare engines; options are those of `arguments.BenchAgreement`."""
-    rows = _told(comparing.agreement(o.scene, o.engine, layouts=o.layouts, seed=o.seed))
+def agreement_answer(o: suites.Agreement) -> dict[str, Any]:
+    """Compare engines."""
+    rows = collect(comparing.agreement(o.scene, o.engine, layouts=o.layouts, seed=o.seed))
     return {
         **comparing.agreed(rows),
         "machine": machine(),
-        "models": _plain([row for row in rows if isinstance(row, comparing.ModelRow)]),
-        "verdicts": _plain([row for row in rows if isinstance(row, comparing.VerdictRow)]),
+        "models": plain([row for row in rows if isinstance(row, comparing.ModelRow)]),
+        "verdicts": plain([row for row in rows if isinstance(row, comparing.VerdictRow)]),
     }
 
 
-def programs_answer(o: Any) -> dict[str, Any]:
-    """Test the sandbox and time a cabinet; options are those of `arguments.BenchPrograms`."""
-    from .programs import programs
-
-    return programs(hostile=not o.no_hostile, mutations=o.mutations, repeats=o.repeats, seed=o.seed)
-
-
-def refine_answer(o: Any, options: RefineOptions) -> dict[str, Any]:
-    """Refine from noisy starts; options are those of `arguments.BenchRefine`."""
+def refine_answer(o: suites.Refine, config: Config) -> dict[str, Any]:
+    """Refine from noisy starts, with the configuration's options of refinement."""
     from .refine import refinements, summary
 
-    rows = _told(
+    rows = collect(
         refinements(
             o.scene,
             seeds=o.seeds,
             baseline_seeds=o.baseline_seeds,
             baselines=o.baseline,
-            options=options,
+            options=config.refine,
             engine=o.engine,
         )
     )
-    return {**summary(rows), "machine": machine(), "rows": _plain(rows)}
+    return {**summary(rows), "machine": machine(), "rows": plain(rows)}
 
 
-def scoring_answer(o: Any) -> dict[str, Any]:
-    """Score while physics runs; options are those of `arguments.BenchScoring`."""
-    from .scoring import scoring
-
-    rows = _told(
-        scoring(
-            wait,
-            real=physics == "native",
-            iterations=o.iterations,
-            physics_s=o.physics_s,
-            delay_s=o.delay_s,
-            failing=o.failing,
-            seed=o.seed,
-        )
-        for physics in o.physics
-        for wait in o.wait
-    )
-    return {
-        "worst_ratio": max(row.ratio for row in rows),
-        "lost": sum(row.submitted - row.scored for row in rows),
-        "misplaced": sum(row.misplaced for row in rows),
-        "machine": machine(),
-        "rows": _plain(rows),
-    }
-
-
-def verify_answer(o: Any) -> dict[str, Any]:
-    """Put faults into sound objects; options are those of `arguments.BenchVerify`."""
-    from .verify import summary, verify_matrix
-
-    rows = _told(verify_matrix(o.objects, o.kind, mend=not o.no_repair, workers=o.workers))
-    return {**summary(rows), "machine": machine()}
-
-
-def battery_answer(o: Any) -> dict[str, Any]:
-    """Simulate many objects at once; options are those of `arguments.BenchBattery`."""
-    from .battery import batteries
-
-    rows = _told(batteries(o.objects, o.engine, together=o.together))
-    return {"machine": machine(), "rows": _plain(rows)}
-
-
-def chart_answer(o: Any) -> dict[str, Any]:
-    """Draw stored rows; options are those of `arguments.BenchChart`."""
+def chart_answer(o: "BenchChart") -> dict[str, Any]:
+    """Draw the growth of cost from stored rows."""
     try:
-        found = json.loads(o.rows.read_text(encoding="utf-8"))
-        rows = [PhysicsRow.model_validate(row) for row in found["rows"]]
+        answer = json.loads(o.rows.read_text(encoding="utf-8"))
+        rows = [PhysicsRow.model_validate(row) for row in answer["rows"]]
     except OSError as error:
         raise ConfigError(f"cannot read {o.rows}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, ValidationError):
         raise ConfigError(f"{o.rows} is not what bench run physics --json prints") from None
-    found = growth(rows, core=o.core)
-    _write(o.out, growth_svg(found, core=o.core))
-    return {"chart": str(o.out), "growth": _exponents(found)}
+    curves = growth(rows, core=o.core)
+    _write(o.out, growth_svg(curves, core=o.core))
+    return {"chart": str(o.out), "growth": _exponents(curves)}
 
 
-def _told(rows: Iterable[Row]) -> list[Row]:
-    """Collect rows, and log each as soon as it is there."""
-    kept = []
-    for row in rows:
-        kept.append(row)
-        shown = {k: v for k, v in row.model_dump().items() if v not in (None, "", [], "ok")}
-        log.info(", ".join(f"{k} {_short(v)}" for k, v in shown.items()))
-    return kept
-
-
-def _short(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _plain(rows: Iterable[BaseModel]) -> list[dict[str, Any]]:
-    return [row.model_dump() for row in rows]
-
-
-def _exponents(found: Iterable[Growth]) -> list[dict[str, Any]]:
+def _exponents(curves: Iterable[Growth]) -> list[dict[str, Any]]:
     return [
         {
             "label": g.label,
@@ -170,7 +105,7 @@ def _exponents(found: Iterable[Growth]) -> list[dict[str, Any]]:
             "cost_ms": g.cost_ms,
             "exponent": None if math.isnan(g.exponent) else g.exponent,
         }
-        for g in found
+        for g in curves
     ]
 
 

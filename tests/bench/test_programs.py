@@ -1,8 +1,8 @@
-from neoworld_mjx.bench import hostile
-from neoworld_mjx.bench.mutants import crashed, programs
-from neoworld_mjx.bench.programs import CABINET, cabinet_times
-from neoworld_mjx.bench.programs import programs as bench
+from benchmarks.programs import CABINET, cabinet_times
+from benchmarks.programs import programs as bench
 from neoworld_mjx.program import build
+from tests.support import hostile
+from tests.support.mutants import crashed, programs
 
 
 def test_the_cabinet_is_what_it_is_called_and_sound():
@@ -33,8 +33,8 @@ def test_a_crash_of_a_mutant_is_seen(monkeypatch):
 
 def test_the_answer_has_what_is_promised(monkeypatch):
     few = dict(list(hostile.HOSTILE.items())[:2])
-    monkeypatch.setattr("neoworld_mjx.bench.programs.HOSTILE", few)
-    monkeypatch.setattr("neoworld_mjx.bench.programs.VESSELS", ["tray", "mortar"])
+    monkeypatch.setattr("benchmarks.programs.HOSTILE", few)
+    monkeypatch.setattr("benchmarks.programs.VESSELS", ["tray", "mortar"])
     found = bench(mutations=10, repeats=1)
     assert found["cavities_total"] == found["cavities_that_hold"] == 2
     assert found["hostile_total"] == found["hostile_contained"] == 2

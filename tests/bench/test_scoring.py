@@ -2,7 +2,7 @@
 
 import pytest
 
-from neoworld_mjx.bench.scoring import scoring
+from benchmarks.scoring import scoring
 from neoworld_mjx.config import SemanticOptions
 
 

@@ -1,15 +1,15 @@
-"""The fault matrix on a few objects; the whole of it is `neoworld bench run verify`."""
+"""The fault matrix on a few objects; the whole of it is `python -m benchmarks verify`."""
 
 import numpy as np
 import pytest
 
-from neoworld_mjx.bench.battery import OnCores, batteries, prepare, same
-from neoworld_mjx.bench.injected import KINDS
-from neoworld_mjx.bench.sound import FAMILIES, sound_objects
-from neoworld_mjx.bench.verify import FaultRow, SoundRow, summary, verify_matrix
+from benchmarks.battery import OnCores, batteries, prepare, same
+from benchmarks.verify import FaultRow, SoundRow, summary, verify_matrix
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import ConfigError, EngineError
 from neoworld_mjx.verify import Fault
+from tests.support.injected import KINDS
+from tests.support.sound import FAMILIES, sound_objects
 
 
 def test_there_are_enough_objects_and_kinds():

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-import scenes
 
 from neoworld_mjx.compose import compose
 from neoworld_mjx.compose.lying import resting_tilt
@@ -33,6 +32,7 @@ from neoworld_mjx.spec import (
 )
 from neoworld_mjx.spec.opening import opening_value
 from neoworld_mjx.spec.pose import angle_between, from_axis_angle, from_yaw, rotate
+from tests.support import scenes
 
 CAMERA = Camera(width=640, height_px=480, fovy=0.8, height=1.0, pitch=0.6)
 PIXELS = Box2D(x0=10, y0=10, x1=100, y1=100)

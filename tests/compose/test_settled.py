@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-import scenes
 
 from neoworld_mjx.compose.compose import snapped
 from neoworld_mjx.compose.settled import settled
@@ -20,6 +19,7 @@ from neoworld_mjx.spec import (
     SceneSpec,
 )
 from neoworld_mjx.spec.pose import angle_between, from_axis_angle, rotate
+from tests.support import scenes
 
 TILTED = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(12)).tolist())
 

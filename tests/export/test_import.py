@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-import scenes
 
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export import decompose, export_object, mechanism
 from neoworld_mjx.export.import_mjcf import import_mjcf
 from neoworld_mjx.export.import_urdf import import_urdf
 from neoworld_mjx.spec import Mesh, bounds
+from tests.support import scenes
 
 READERS = {"object.urdf": import_urdf, "object.xml": import_mjcf}
 U = (

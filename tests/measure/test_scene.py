@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
-import scenes
 
 from neoworld_mjx.measure import scene_measure
 from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.spec import Box, Cylinder, SceneObject, Sphere
+from tests.support import scenes
 
 
 def box(name, size=(0.1, 0.1, 0.1)):

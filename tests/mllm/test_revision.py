@@ -3,10 +3,10 @@
 import asyncio
 
 import pytest
-from support.scripted_model import ScriptedModel
 
 from neoworld_mjx.errors import BudgetError, MissingAnswerError, ModelError
 from neoworld_mjx.mllm import ask_or_record, revise
+from tests.support.scripted_model import ScriptedModel
 
 
 def run(rounds, *, accept_at=99, stop_at=99, critic=True, criticise_last=True):

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import jax
 import numpy as np
-import scenes
 
 from neoworld_mjx.bench.scenes import noisy_layouts
 from neoworld_mjx.config import load_config
@@ -14,6 +13,7 @@ from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import refine
 from neoworld_mjx.refinement.rewards import score, user_terms, weights
+from tests.support import scenes
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/write-a-reward.md"
 

@@ -1,11 +1,11 @@
 import math
 
-import answers
 import numpy as np
 import pytest
 
 from neoworld_mjx.parse.checks import agreement, check_score, check_tree, hidden_sides
 from neoworld_mjx.spec import Box2D, PartState
+from tests.support import answers
 
 
 def codes(tree, name=None):

@@ -1,6 +1,5 @@
 import io
 
-import answers
 import numpy as np
 from PIL import Image
 
@@ -8,6 +7,7 @@ from neoworld_mjx.parse import crops
 from neoworld_mjx.parse.crops import MARGIN, MARK
 from neoworld_mjx.parse.photo import Photo
 from neoworld_mjx.spec import Box2D
+from tests.support import answers
 
 
 def scene():

@@ -1,11 +1,11 @@
 import io
 
-import answers
 import numpy as np
 from PIL import Image
 
 from neoworld_mjx.parse.draw import COLOURS, GREY, _tag, draw_parse
 from neoworld_mjx.parse.schema import SceneSeen, to_tree
+from tests.support import answers
 
 
 def pixels(picture):

@@ -1,7 +1,6 @@
 import math
 import time
 
-import answers
 import numpy as np
 import pytest
 
@@ -9,6 +8,7 @@ from neoworld_mjx.measure import parse_measure
 from neoworld_mjx.parse.checks import agreement
 from neoworld_mjx.parse.fit import fit_tree
 from neoworld_mjx.spec import Box2D, SceneTree
+from tests.support import answers
 
 
 def disturbed(tree, seed, *, place=0.04, size=0.06, yaw=8.0, pitch=3.0, height=0.05):

@@ -2,14 +2,14 @@ import asyncio
 import copy
 import json
 
-import answers
 import pytest
-from support.scripted_model import ScriptedModel
 
 from neoworld_mjx.config import ParseOptions
 from neoworld_mjx.errors import ModelError
 from neoworld_mjx.parse import parse
 from neoworld_mjx.parse.prompts import SceneCritique
+from tests.support import answers
+from tests.support.scripted_model import ScriptedModel
 
 GOOD = {"faults": [], "boxes": 10, "completeness": 9, "hierarchy": 9.5}
 BAD = {

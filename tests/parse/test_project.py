@@ -1,6 +1,5 @@
 import math
 
-import answers
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +8,7 @@ from hypothesis import strategies as st
 from neoworld_mjx.parse.categories import CATEGORIES, category_of
 from neoworld_mjx.parse.project import edges_in_view, expected_box, outline_points, visible_box
 from neoworld_mjx.spec import Box3D, Camera
+from tests.support import answers
 
 CAMERA = Camera(width=800, height_px=600, fovy=0.8, height=0.5, pitch=0.6)
 

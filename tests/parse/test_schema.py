@@ -2,7 +2,6 @@ import json
 import math
 import re
 
-import answers
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -14,6 +13,7 @@ from neoworld_mjx.parse.checks import agreement, check_tree
 from neoworld_mjx.parse.prompts import SceneCritique, listing, parse_request
 from neoworld_mjx.parse.schema import SceneSeen, TiltSeen, tilt_quat, to_tree
 from neoworld_mjx.spec.pose import rotate
+from tests.support import answers
 
 
 def tree(data, photo=None):

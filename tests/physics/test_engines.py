@@ -3,8 +3,6 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-import scenes
-from scenes import random_layout
 
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics.derived import invweights
@@ -18,6 +16,8 @@ from neoworld_mjx.physics.recorder import read_states
 from neoworld_mjx.physics.simulate import open_engine
 from neoworld_mjx.refinement.rewards import drifts
 from neoworld_mjx.spec.pose import from_axis_angle, quat_mul
+from tests.support import scenes
+from tests.support.scenes import random_layout
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 import jax
 import numpy as np
 import pytest
-import scenes
 from pydantic import ValidationError
 
 from neoworld_mjx.bench.scenes import crowded, noisy_layouts
@@ -14,6 +13,7 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.spec import Box, ObjectSpec, SceneObject, SceneSpec
+from tests.support import scenes
 
 
 @pytest.fixture(scope="module", params=["primitives", "meshes"])

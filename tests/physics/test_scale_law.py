@@ -3,12 +3,12 @@
 import mujoco
 import numpy as np
 import pytest
-import scenes
-from scenes import random_layout
 
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import open_batch
 from neoworld_mjx.spec import bounds, inertial, scale
+from tests.support import scenes
+from tests.support.scenes import random_layout
 
 # Search structures (bounding-volume trees, hull graphs) break ties by rounding; they decide how
 # fast, not what, is found. Meshes are compared where they lie, below: MuJoCo turns each to its

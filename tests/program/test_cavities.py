@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.bench.vessels import VESSELS, held, vessel
 from neoworld_mjx.spec import inertial
+from tests.support.vessels import VESSELS, held, vessel
 
 # Solid volumes by formula, where that is short.
 BY_FORMULA = {

@@ -2,9 +2,9 @@ import resource
 
 import pytest
 
-from neoworld_mjx.bench.hostile import FINE, HOSTILE, MEGABYTES, contain, resident_mb
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
+from tests.support.hostile import FINE, HOSTILE, MEGABYTES, contain, resident_mb
 
 
 def peak_mb() -> float:
@@ -27,7 +27,7 @@ CASES = [*((name, False) for name in HOSTILE), *((name, True) for name in list(H
 @pytest.mark.parametrize(("name", "type_check"), CASES)
 def test_every_hostile_program_ends_in_a_signal(name: str, type_check: bool):
     memory, peak = resident_mb(), peak_mb()
-    # On a busy machine the bound of 3 s says nothing; `neoworld bench run programs` holds it.
+    # On a busy machine the bound of 3 s says nothing; `python -m benchmarks programs` holds it.
     end = contain(name, ProgramOptions(type_check=type_check), within_s=20.0)
     assert end.why == ""
     assert peak_mb() == peak or peak_mb() - memory < MEGABYTES

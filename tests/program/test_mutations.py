@@ -2,8 +2,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from neoworld_mjx.bench.mutants import crashed, programs
 from neoworld_mjx.program import build
+from tests.support.mutants import crashed, programs
 
 BLOCKS = programs()
 

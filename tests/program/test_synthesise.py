@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from support.scripted_model import ScriptedModel
 
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import MissingAnswerError, ModelError
@@ -22,6 +21,7 @@ from neoworld_mjx.program.synthesise import Programmed, synthesise, unfenced
 from neoworld_mjx.program.views import draw, opened_state, view_from
 from neoworld_mjx.spec import Box2D, Box3D, Camera, PartState, TreeNode, bounds
 from neoworld_mjx.spec.pose import from_axis_angle
+from tests.support.scripted_model import ScriptedModel
 
 HEAD = "from neoworld_mjx.program.sdk import Object, box, hollow_box\n"
 BODY = (

@@ -5,12 +5,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scenes
 
 from neoworld_mjx.config import CEMOptions
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.refinement import open_cem
+from tests.support import scenes
 
 
 @pytest.fixture(scope="module")

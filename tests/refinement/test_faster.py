@@ -5,7 +5,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scenes
 
 from neoworld_mjx.bench.scenes import crowded, noisy_layouts
 from neoworld_mjx.config import CEMOptions, DescentOptions, RefineOptions, RolloutOptions
@@ -18,6 +17,7 @@ from neoworld_mjx.refinement.descent import descend
 from neoworld_mjx.refinement.prune import PRUNED, score_elites
 from neoworld_mjx.refinement.rewards import d_pen, placed, score, weights
 from neoworld_mjx.refinement.semantic import misfit
+from tests.support import scenes
 
 
 @pytest.fixture(scope="module")

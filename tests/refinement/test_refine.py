@@ -5,7 +5,6 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scenes
 
 from neoworld_mjx.config import CEMOptions, DescentOptions, RefineOptions, RolloutOptions
 from neoworld_mjx.measure import scene_measure
@@ -14,6 +13,7 @@ from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import refine
 from neoworld_mjx.spec import Box
+from tests.support import scenes
 
 
 def clashing():

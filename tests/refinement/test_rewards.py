@@ -2,8 +2,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scenes
-from scenes import random_layout
 
 from neoworld_mjx.config import RefineOptions, RewardOptions
 from neoworld_mjx.errors import ConfigError
@@ -13,6 +11,8 @@ from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import rewards
 from neoworld_mjx.spec import Box
+from tests.support import scenes
+from tests.support.scenes import random_layout
 
 
 def two_boxes(gap):

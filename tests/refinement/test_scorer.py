@@ -10,11 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import scenes
 import yaml
 from pydantic import ValidationError
 
-from neoworld_mjx.bench.messages import MessagesServer, judged, levels_of
 from neoworld_mjx.config import MLLMOptions, SemanticOptions, load_config
 from neoworld_mjx.errors import ConfigError, ModelError
 from neoworld_mjx.mllm import Panel, Picture, Tape
@@ -32,6 +30,8 @@ from neoworld_mjx.refinement.asking import drawer
 from neoworld_mjx.refinement.estimate import estimate
 from neoworld_mjx.refinement.score_log import Score, read_scores
 from neoworld_mjx.refinement.scorer import Mark, SemanticScorer
+from tests.support import scenes
+from tests.support.messages import MessagesServer, judged, levels_of
 
 POP = 24
 GEOMETRIC = np.linspace(0.4, 0.8, POP)

@@ -1,10 +1,10 @@
 """Plain pictures show the same objects in the same places as the full ones."""
 
 import numpy as np
-import scenes
 
 from neoworld_mjx.render import render_plain, render_scene
 from neoworld_mjx.render.view import View
+from tests.support import scenes
 
 
 def test_shows_what_the_full_picture_shows():

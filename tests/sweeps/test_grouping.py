@@ -2,7 +2,6 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
-import scenes
 
 from neoworld_mjx.config import RefineOptions, list_options, option_values
 from neoworld_mjx.physics.model import compile_scene
@@ -10,6 +9,7 @@ from neoworld_mjx.refinement.cem import open_cem
 from neoworld_mjx.refinement.rewards import weights
 from neoworld_mjx.sweeps.compiles import compilations
 from neoworld_mjx.sweeps.grouping import STATIC, TRACED, grouped, reasons
+from tests.support import scenes
 
 MODEL = compile_scene(scenes.blocks(), samples=16)
 

@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-import scenes
-from furniture import chest, cupboard, geom
 
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.spec import (
@@ -20,6 +18,8 @@ from neoworld_mjx.spec import (
 )
 from neoworld_mjx.verify import VERSION, Battery, Fault, verify
 from neoworld_mjx.verify.scenarios import PRESETS
+from tests.support import scenes
+from tests.support.furniture import chest, cupboard, geom
 
 
 def named(verdict, name):

@@ -2,11 +2,11 @@
 
 import json
 
-import furniture as objects
 import pytest
 
 from neoworld_mjx import cli
 from neoworld_mjx.export import export_object
+from tests.support import furniture as objects
 
 CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + (
     "f 1 2 4\nf 1 4 3\nf 5 7 8\nf 5 8 6\nf 1 5 6\nf 1 6 2\nf 3 4 8\nf 3 8 7\nf 1 3 7\nf 1 7 5\n"

@@ -1,8 +1,6 @@
 """The critic sees labelled strips; the reasoner's edits are kept only where they help."""
 
-import furniture as objects
 import pytest
-from support.scripted_model import ScriptedModel
 
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import MissingAnswerError, ModelError
@@ -18,6 +16,8 @@ from neoworld_mjx.verify.critic import (
 )
 from neoworld_mjx.verify.key_frames import questionable, strips
 from neoworld_mjx.verify.verdict import Fault, Limit, judged
+from tests.support import furniture as objects
+from tests.support.scripted_model import ScriptedModel
 
 BAD = objects.cupboard(lower=-0.4)
 MENDS = Patch.model_validate({"joints": {"hinge": {"lower": 0.0}}})

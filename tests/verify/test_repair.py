@@ -2,7 +2,6 @@
 
 import json
 
-import furniture as objects
 import pytest
 from pydantic import ValidationError
 
@@ -18,6 +17,7 @@ from neoworld_mjx.verify import (
     verification,
     verify_and_repair,
 )
+from tests.support import furniture as objects
 
 
 def seen(spec):

@@ -3,7 +3,6 @@
 import json
 import math
 
-import furniture as objects
 import pytest
 
 from neoworld_mjx.config import Config, VerifyOptions
@@ -27,6 +26,7 @@ from neoworld_mjx.spec import (
 )
 from neoworld_mjx.spec.pose import from_axis_angle
 from neoworld_mjx.verify import Battery, verify_and_repair
+from tests.support import furniture as objects
 
 CAMERA = Camera(width=640, height_px=480, fovy=0.8, height=1.0, pitch=0.6)
 PIXELS = Box2D(x0=10, y0=10, x1=100, y1=100)

@@ -2,7 +2,7 @@
 
 A seed draws objects, places, stacks, an open drawer and the camera. Written out with
 
-    uv run python tests/known_scenes.py FOLDER [FIRST_SEED]
+    uv run python -m tests.support.known_scenes FOLDER [FIRST_SEED]
 
 each gives FOLDER/NAME.png to be answered by looking, and FOLDER/NAME.truth.json to measure with.
 """
@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import scenes
 
 from neoworld_mjx.compose.compose import snapped
 from neoworld_mjx.render import Picture, render, to_png
@@ -41,6 +40,7 @@ from neoworld_mjx.spec import (
     world_poses,
 )
 from neoworld_mjx.spec.pose import yaw_of
+from tests.support import scenes
 
 SIZE = (640, 480)
 SMALL = 0.03
@@ -57,8 +57,10 @@ class Known(NamedTuple):
 
 def _paint(rng: np.random.Generator, density: float) -> Material:
     hue, value = rng.uniform(0, 1), rng.uniform(0.35, 0.95)
-    rgb = [value * (0.55 + 0.45 * math.cos(2 * math.pi * (hue + k / 3))) for k in range(3)]
-    return Material(name="paint", density=density, rgba=(*rgb, 1.0))
+    red, green, blue = (
+        value * (0.55 + 0.45 * math.cos(2 * math.pi * (hue + k / 3))) for k in range(3)
+    )
+    return Material(name="paint", density=density, rgba=(red, green, blue, 1.0))
 
 
 def _mug(rng: np.random.Generator) -> ObjectSpec:
@@ -360,6 +362,7 @@ def _truth(
                 opening=float(np.clip(item.joint_state.get(joint.name, 0.0) / joint.upper, 0, 1)),
             )
             for joint in item.spec.joints
+            if joint.type in ("revolute", "continuous", "prismatic")
         )
         nodes.append(
             TreeNode(

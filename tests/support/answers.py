@@ -56,7 +56,9 @@ def exact(data=None) -> SceneTree:
     tree = to_tree(SceneSeen.model_validate(data or desk()), photo())
     nodes = []
     for node in tree.nodes:
-        x0, y0, x1, y1 = expected_box(tree.camera, node)
+        corners = expected_box(tree.camera, node)
+        assert corners is not None, f"{node.name} is out of the picture"
+        x0, y0, x1, y1 = corners
         box = Box2D(x0=x0, y0=y0, x1=x1, y1=y1)
         nodes.append(node.model_copy(update={"box2d": box}))
     return SceneTree(camera=tree.camera, nodes=tuple(nodes))

@@ -14,9 +14,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..errors import EngineError
-from ..physics.mjcf import to_mjspec
-from .battery import Prepared
+from benchmarks.battery import Prepared
+from neoworld_mjx.errors import EngineError
+from neoworld_mjx.physics.mjcf import to_mjspec
 
 LIFT = 10.0
 """How much higher what is held hangs [m]."""

@@ -8,15 +8,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ..config import ProgramOptions
-from ..errors import ConfigError
-from ..export import export_object
-from ..program.check import check
-from ..program.sandbox import run
-from .hostile import HOSTILE, contain
-from .machine import Others, machine
-from .mutants import crashed
-from .vessels import VESSELS, held
+from benchmarks.suites import Programs
+from neoworld_mjx.bench.machine import Others, machine
+from neoworld_mjx.config import ProgramOptions
+from neoworld_mjx.errors import ConfigError
+from neoworld_mjx.export import export_object
+from neoworld_mjx.program.check import check
+from neoworld_mjx.program.sandbox import run
+from tests.support.hostile import HOSTILE, contain
+from tests.support.mutants import crashed
+from tests.support.vessels import VESSELS, held
 
 log = logging.getLogger(__name__)
 
@@ -154,3 +155,8 @@ def _median_ms(work: Callable[[], Any], repeats: int) -> float:
         work()
         times.append(1e3 * (time.perf_counter() - start))
     return statistics.median(times)
+
+
+def answer(o: Programs) -> dict[str, Any]:
+    """Test the sandbox and time a cabinet."""
+    return programs(hostile=not o.no_hostile, mutations=o.mutations, repeats=o.repeats, seed=o.seed)

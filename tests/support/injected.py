@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..spec import (
+from neoworld_mjx.spec import (
     AuthoredInertia,
     Box,
     GeomSpec,
@@ -21,9 +21,9 @@ from ..spec import (
     inertial,
     recentred,
 )
-from ..verify.joint_checks import carried, on_edge, with_joint
-from ..verify.static_checks import part_bounds
-from ..verify.verdict import Fault
+from neoworld_mjx.verify.joint_checks import carried, on_edge, with_joint
+from neoworld_mjx.verify.static_checks import part_bounds
+from neoworld_mjx.verify.verdict import Fault
 
 Inject = Callable[[ObjectSpec, float], "ObjectSpec | None"]
 

@@ -4,9 +4,9 @@ import random
 import re
 from collections.abc import Sequence
 
-from ..config import ProgramOptions
-from ..program import build
-from ..program.synthesise import guide
+from neoworld_mjx.config import ProgramOptions
+from neoworld_mjx.program import build
+from neoworld_mjx.program.synthesise import guide
 
 _TOKEN = re.compile(r"\s+|\w+|[^\w\s]")
 _NUMBERS = ("0", "-1", "1e9", "1e-9", "100", "0.5", "1000000", "3", "64", "1e400")

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from string import Template
 
-from ..config import ProgramOptions
-from ..errors import ProgramError
-from ..program import build
-from ..spec import Intent, ObjectSpec, Vec3
+from neoworld_mjx.config import ProgramOptions
+from neoworld_mjx.errors import ProgramError
+from neoworld_mjx.program import build
+from neoworld_mjx.spec import Intent, ObjectSpec, Vec3
 
 FRONT, UP, LEFT = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
 _HEAD = """from neoworld_mjx.program.sdk import *

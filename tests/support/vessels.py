@@ -5,10 +5,10 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from ..physics.mjcf import to_mjspec
-from ..program.sandbox import run
-from ..spec import ObjectSpec, bounds
-from ..spec.convex import mass_properties
+from neoworld_mjx.physics.mjcf import to_mjspec
+from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.spec import ObjectSpec, bounds
+from neoworld_mjx.spec.convex import mass_properties
 
 _HEAD = (
     "import math\n"

@@ -15,12 +15,15 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from ..errors import ConfigError, choices
-from ..spec import ObjectSpec
-from ..verify.battery import Battery
-from ..verify.repairs import repair
-from .injected import KINDS, Kind
-from .sound import sound_objects
+from benchmarks.suites import Verify
+from neoworld_mjx.bench.machine import machine
+from neoworld_mjx.bench.rows import collect
+from neoworld_mjx.errors import ConfigError, choices
+from neoworld_mjx.spec import ObjectSpec
+from neoworld_mjx.verify.battery import Battery
+from neoworld_mjx.verify.repairs import repair
+from tests.support.injected import KINDS, Kind
+from tests.support.sound import sound_objects
 
 
 class FaultRow(BaseModel):
@@ -223,3 +226,9 @@ def _line(kind: Kind, rows: list[FaultRow]) -> dict[str, Any]:
 
 
 __all__ = ["FaultRow", "SoundRow", "summary", "verify_matrix"]
+
+
+def answer(o: Verify) -> dict[str, Any]:
+    """Put faults into valid objects."""
+    rows = collect(verify_matrix(o.objects, o.kind, mend=not o.no_repair, workers=o.workers))
+    return {**summary(rows), "machine": machine()}

@@ -21,7 +21,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from PIL import Image
 
-from ..refinement.ask_scores import CRITERIA
+from neoworld_mjx.refinement.ask_scores import CRITERIA
 
 Failure = Literal["429", "500", "cut off", "invalid JSON"]
 FAILURES: tuple[Failure, ...] = ("429", "500", "cut off", "invalid JSON")

@@ -17,12 +17,15 @@ from mujoco import rollout
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from ..config import VerifyOptions
-from ..errors import EngineError
-from ..spec import ObjectSpec, scale
-from ..verify.scenarios import Scenario, list_scenarios
-from ..verify.simulation import FORCES, Simulation
-from .sound import FAMILIES, sound_objects
+from benchmarks.suites import Battery
+from neoworld_mjx.bench.machine import machine
+from neoworld_mjx.bench.rows import collect, plain
+from neoworld_mjx.config import VerifyOptions
+from neoworld_mjx.errors import EngineError
+from neoworld_mjx.spec import ObjectSpec, scale
+from neoworld_mjx.verify.scenarios import Scenario, list_scenarios
+from neoworld_mjx.verify.simulation import FORCES, Simulation
+from tests.support.sound import FAMILIES, sound_objects
 
 SIZES = (1.0, 0.8, 1.25, 1.5)
 """Sizes that the sound objects are tried in, so that there are a hundred of them."""
@@ -134,10 +137,10 @@ def batteries(
 
 
 def _on_gpu(prepared: Sequence[Prepared], together: int) -> Any:
-    from ..physics.warp_engine import warp_device
+    from neoworld_mjx.physics.warp_engine import warp_device
 
     device = warp_device()
-    from .battery_warp import Batch
+    from benchmarks.battery_warp import Batch
 
     return Batch(prepared, together, device)
 
@@ -221,4 +224,7 @@ def _timed(run: Callable[[], list[NDArray]]) -> tuple[list[NDArray], list[float]
     return ends, times
 
 
-__all__ = ["BatteryRow", "OnCores", "Prepared", "batteries", "prepare", "same"]
+def answer(o: Battery) -> dict[str, Any]:
+    """Simulate many objects at once."""
+    rows = collect(batteries(o.objects, o.engine, together=o.together))
+    return {"machine": machine(), "rows": plain(rows)}

@@ -5,8 +5,8 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
-from ..config import ProgramOptions
-from ..program import build
+from neoworld_mjx.config import ProgramOptions
+from neoworld_mjx.program import build
 
 SECONDS, MEGABYTES = 3.0, 100.0
 """Within which a hostile program must have ended, and what this process may have grown by."""

@@ -9,21 +9,25 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from ..config import CEMOptions, MLLMOptions, SemanticOptions
-from ..mllm import Panel, Picture
-from ..mllm.anthropic import Anthropic
-from ..physics.layout import Layout
-from ..physics.model import SceneModel, compile_scene
-from ..physics.native import NativeEngine
-from ..refinement.asking import drawer
-from ..refinement.scorer import SemanticScorer
-from ..spec import Camera, SceneSpec
-from .messages import MessagesServer, levels_of
-from .scenes import Noise, crowded, noisy_layouts
+from benchmarks.suites import Scoring
+from neoworld_mjx.bench.machine import machine
+from neoworld_mjx.bench.rows import collect, plain
+from neoworld_mjx.bench.scenes import Noise, crowded, noisy_layouts
+from neoworld_mjx.config import CEMOptions, MLLMOptions, SemanticOptions
+from neoworld_mjx.mllm import Panel, Picture
+from neoworld_mjx.mllm.anthropic import Anthropic
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.model import SceneModel, compile_scene
+from neoworld_mjx.physics.native import NativeEngine
+from neoworld_mjx.refinement.asking import drawer
+from neoworld_mjx.refinement.scorer import SemanticScorer
+from neoworld_mjx.spec import Camera, SceneSpec
+from tests.support.messages import MessagesServer, levels_of
 
 Physics = Callable[[Layout], object]
 
@@ -209,3 +213,27 @@ def _seen(scene: SceneSpec) -> SceneSpec:
         for item in scene.objects
     )
     return scene.model_copy(update={"camera": camera, "objects": objects})
+
+
+def answer(o: Scoring) -> dict[str, Any]:
+    """Score while physics runs, with every way of waiting and kind of physics."""
+    rows = collect(
+        scoring(
+            wait,
+            real=physics == "native",
+            iterations=o.iterations,
+            physics_s=o.physics_s,
+            delay_s=o.delay_s,
+            failing=o.failing,
+            seed=o.seed,
+        )
+        for physics in o.physics
+        for wait in o.wait
+    )
+    return {
+        "worst_ratio": max(row.ratio for row in rows),
+        "lost": sum(row.submitted - row.scored for row in rows),
+        "misplaced": sum(row.misplaced for row in rows),
+        "machine": machine(),
+        "rows": plain(rows),
+    }

@@ -1,0 +1,28 @@
+"""Run a developer suite: `uv run python -m benchmarks SUITE [--json]`, from the root of a clone."""
+
+import sys
+from collections.abc import Sequence
+
+import tyro
+from tyro.conf import DisallowNone, FlagCreatePairsOff
+
+from benchmarks.suites import SUITES
+from neoworld_mjx import cli
+from neoworld_mjx.arguments import suite_commands
+from neoworld_mjx.commands import run_suite
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    """Run the command line and exit."""
+    command = tyro.cli(
+        suite_commands(SUITES),
+        prog="python -m benchmarks",
+        description="Measure what only developers of the package need.",
+        args=args,
+        config=(FlagCreatePairsOff, DisallowNone),
+    )
+    sys.exit(cli.run(command, run_suite))
+
+
+if __name__ == "__main__":
+    main()

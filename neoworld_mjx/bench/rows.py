@@ -1,0 +1,30 @@
+"""Rows of a benchmark: log each as soon as it is measured, and turn them into JSON."""
+
+import logging
+from collections.abc import Iterable
+from typing import Any, TypeVar
+
+from pydantic import BaseModel
+
+log = logging.getLogger(__name__)
+
+Row = TypeVar("Row", bound=BaseModel)
+
+
+def collect(rows: Iterable[Row]) -> list[Row]:
+    """Measure all rows, and log each as soon as it is there."""
+    collected = []
+    for row in rows:
+        collected.append(row)
+        fields = {k: v for k, v in row.model_dump().items() if v not in (None, "", [], "ok")}
+        log.info(", ".join(f"{key} {_short(value)}" for key, value in fields.items()))
+    return collected
+
+
+def plain(rows: Iterable[BaseModel]) -> list[dict[str, Any]]:
+    """Return rows as JSON."""
+    return [row.model_dump() for row in rows]
+
+
+def _short(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,1 @@
+"""What several tests and developer benchmarks share: small scenes, known objects, hostile programs."""
