@@ -1,17 +1,23 @@
 """URDF, USD and MJCF of objects and scenes, and back."""
 
-from .mechanism import Mechanism, mechanism, read_mjcf, read_urdf
-from .mjcf import mjcf_text
-from .read_usd import read_usd, world_links_usd
-from .urdf import urdf_text
-from .usd import usd_text
-from .usd_scene import scene_usd_text
-from .write import export_object, export_scene, object_files, scene_files
+from .importing import Imported, import_mjcf, import_urdf
+from .mechanism import Mechanism, mechanism
+from .read_mjcf import read_mjcf
+from .read_urdf import read_urdf
+from .read_usd import read_usd
+from .write_files import export_object, export_scene, object_files, scene_files
+from .write_mjcf import mjcf_text
+from .write_scene_usd import scene_usd_text
+from .write_urdf import urdf_text
+from .write_usd import usd_text
 
 __all__ = [
+    "Imported",
     "Mechanism",
     "export_object",
     "export_scene",
+    "import_mjcf",
+    "import_urdf",
     "mechanism",
     "mjcf_text",
     "object_files",
@@ -22,5 +28,4 @@ __all__ = [
     "scene_usd_text",
     "urdf_text",
     "usd_text",
-    "world_links_usd",
 ]

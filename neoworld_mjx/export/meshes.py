@@ -5,7 +5,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from ..spec import Box, Cylinder, GeomSpec, ObjectSpec, Sphere
+from ..spec import GeomSpec, ObjectSpec
+from ..spec.base_shape import BaseShape
 from ..spec.convex import Piece, hull
 from ..spec.triangles import corner_normals
 
@@ -24,12 +25,18 @@ def numbers(values: Iterable[float]) -> str:
     return " ".join(number(value) for value in values)
 
 
+def urdf_primitive(shape: BaseShape) -> Piece | None:
+    """Return the piece of a shape that URDF has an element for, else None."""
+    piece = shape.primitive()
+    return piece if piece is not None and piece.kind in ("box", "sphere", "cylinder") else None
+
+
 def visual_file(geom: GeomSpec) -> str | None:
     """Return the path, relative to the object, of a geom's visual mesh.
 
     None means that URDF has a primitive for it.
     """
-    if isinstance(geom.shape, Box | Sphere | Cylinder):
+    if urdf_primitive(geom.shape) is not None:
         return None
     return f"{FOLDER}/{geom.name}.obj"
 
@@ -93,5 +100,6 @@ __all__ = [
     "numbers",
     "obj",
     "piece_mesh",
+    "urdf_primitive",
     "visual_file",
 ]

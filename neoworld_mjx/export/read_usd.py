@@ -1,4 +1,4 @@
-"""Read objects and poses back from USD, by UsdPhysics alone."""
+"""Read the mechanism of an object in a USD file, by UsdPhysics alone; shapes are not read."""
 
 import math
 from pathlib import Path
@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Usd, UsdGeom, UsdPhysics
+from pxr import Gf, Usd, UsdPhysics
 
 from ..errors import ExportError
 from ..spec import JointSpec, Mimic
-from ..spec.pose import Pose, from_matrix, matrix, pose, rotate
+from ..spec.pose import Pose, matrix, pose, rotate
 from .mechanism import Link, Mechanism, triple
 
 
@@ -23,6 +23,9 @@ def read_usd(path: Path, object_path: str | None = None) -> Mechanism:
     Args:
         path: the file.
         object_path: the object's prim; None is the default prim.
+
+    Raises:
+        ExportError: there is no such prim, or its rigid bodies are no tree of joints.
     """
     stage = Usd.Stage.Open(str(path))
     top = stage.GetPrimAtPath(object_path) if object_path else stage.GetDefaultPrim()
@@ -46,7 +49,10 @@ def read_usd(path: Path, object_path: str | None = None) -> Mechanism:
         parent, child = (str(side[0]) for side in sides)
         ties[str(prim.GetPath())] = (parent, child, frames[0], frames[1])
     children = {child for _, child, _, _ in ties.values()}
-    (root,) = [body for body in bodies if body not in children]
+    roots = [body for body in bodies if body not in children]
+    if len(roots) != 1:
+        raise ExportError(f"{path}: an object has one root link, this has {roots or 'none'}")
+    root = roots[0]
     rest = {root: pose()}
     while len(rest) < len(bodies):
         ready = [t for t in ties.values() if t[0] in rest and t[1] not in rest]
@@ -56,28 +62,28 @@ def read_usd(path: Path, object_path: str | None = None) -> Mechanism:
             )
         for parent, child, here, there in ready:
             rest[child] = rest[parent].then(here).then(there.inverse())
-    joints = {}
+    joints = []
     for prim in prims:
         tie = ties.get(str(prim.GetPath()))
         if tie is not None:
             anchor = rest[tie[0]].then(tie[2])
-            joint = _usd_joint(prim, anchor, bodies[tie[0]].GetName(), bodies[tie[1]].GetName())
-            joints[joint.name] = joint
+            joints.append(_joint(prim, anchor, bodies[tie[0]].GetName(), bodies[tie[1]].GetName()))
     links = {}
     for body, prim in bodies.items():
         mass = UsdPhysics.MassAPI(prim)
         at = rest[body]
         turn = matrix(at.quat) @ matrix(_wxyz(mass.GetPrincipalAxesAttr().Get()))
         links[prim.GetName()] = Link(
-            float(mass.GetMassAttr().Get()),
-            at.apply(list(mass.GetCenterOfMassAttr().Get())),
-            turn @ np.diag(list(mass.GetDiagonalInertiaAttr().Get())) @ turn.T,
-            at.pos,
+            prim.GetName(),
+            mass=float(mass.GetMassAttr().Get()),
+            com=at.apply(list(mass.GetCenterOfMassAttr().Get())),
+            inertia=turn @ np.diag(list(mass.GetDiagonalInertiaAttr().Get())) @ turn.T,
+            origin=at.pos,
         )
-    return Mechanism(bodies[root].GetName(), links, joints)
+    return Mechanism(top.GetName(), links, joints)
 
 
-def _usd_joint(prim: Usd.Prim, anchor: Pose, parent: str, child: str) -> JointSpec:
+def _joint(prim: Usd.Prim, anchor: Pose, parent: str, child: str) -> JointSpec:
     common: dict[str, Any] = {
         "name": prim.GetName(),
         "parent": parent,
@@ -137,21 +143,8 @@ def _usd_joint(prim: Usd.Prim, anchor: Pose, parent: str, child: str) -> JointSp
     )
 
 
-def world_links_usd(path: Path) -> dict[str, Pose]:
-    """Return the world pose of every rigid body of a USD stage by its path."""
-    stage = Usd.Stage.Open(str(path))
-    cache = UsdGeom.XformCache()
-    found = {}
-    for prim in stage.Traverse():
-        if prim.HasAPI(UsdPhysics.RigidBodyAPI):
-            # USD multiplies row vectors, so its matrices are the transposes of ours.
-            m = np.array(cache.GetLocalToWorldTransform(prim)).T
-            found[str(prim.GetPath())] = Pose(m[:3, 3], from_matrix(m[:3, :3]))
-    return found
-
-
 def _wxyz(quat: Gf.Quatf) -> NDArray:
     return np.array([quat.GetReal(), *quat.GetImaginary()], float)
 
 
-__all__ = ["read_usd", "world_links_usd"]
+__all__ = ["read_usd"]

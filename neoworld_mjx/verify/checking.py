@@ -7,10 +7,8 @@ from typing import Any
 from ..config import Config
 from ..errors import SpecError
 from ..export import export_object
-from ..export.guarded_xml import read_xml
-from ..export.import_mjcf import import_mjcf
-from ..export.import_urdf import import_urdf
-from ..export.imported import Imported
+from ..export.checked_xml import read_xml
+from ..export.importing import Imported, import_mjcf, import_urdf
 from ..program.allowance import Allowance
 from ..spec import ObjectSpec
 from .battery import VERSION

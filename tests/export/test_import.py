@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.export import decompose, export_object, mechanism
-from neoworld_mjx.export.import_mjcf import import_mjcf
-from neoworld_mjx.export.import_urdf import import_urdf
+from neoworld_mjx.export import decompose, export_object, import_mjcf, import_urdf, mechanism
 from neoworld_mjx.spec import Mesh, bounds
 from tests.support import scenes
 
@@ -51,7 +49,7 @@ def test_what_we_export_comes_back(tmp_path, file, make):
         np.testing.assert_allclose(b.inertia, a.inertia, rtol=1e-4, atol=1e-9)
     for joint in spec.joints:
         name = joint.name if file == "object.urdf" else f"{spec.name}_{joint.name}"
-        twin = other.joints[name]
+        twin = found.spec.joint(name)
         assert twin.type == joint.type
         assert (twin.lower, twin.upper) == pytest.approx((joint.lower, joint.upper))
         np.testing.assert_allclose(twin.axis, joint.axis, atol=1e-6)
@@ -84,7 +82,7 @@ def test_what_could_not_be_carried_is_told(tmp_path):
         )
     )
     found = import_urdf(path)
-    # The world has no geometry and is the base; the tip moves by itself and gets a bead.
+    # The world has no geometry and is the base; the tip moves by itself and gets a ball.
     assert [p.name for p in found.spec.parts] == ["base_link", "p_1arm", "tip"]
     assert found.spec.root == "base_link"
     told = " / ".join(found.notes)
@@ -112,7 +110,7 @@ def test_meshes_without_colliders_are_decomposed_and_kept(tmp_path, monkeypatch)
 
 def test_without_coacd_the_hull_stands_for_the_mesh_and_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(decompose, "installed", lambda: False)
-    monkeypatch.setattr("neoworld_mjx.export.imported.installed", lambda: False)
+    monkeypatch.setattr("neoworld_mjx.export.importing.installed", lambda: False)
     (tmp_path / "u.obj").write_text(U)
     path = tmp_path / "u.urdf"
     path.write_text(

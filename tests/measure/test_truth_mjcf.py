@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.export.mjcf import mjcf_text
+from neoworld_mjx.export.write_mjcf import mjcf_text
 from neoworld_mjx.measure import geometry_measure, joint_measure, truth_of, truth_of_mjcf
 from neoworld_mjx.program import build
 

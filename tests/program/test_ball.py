@@ -4,11 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from neoworld_mjx.export import export_object, mechanism, read_mjcf, read_urdf, read_usd
-from neoworld_mjx.export.import_urdf import import_urdf
+from neoworld_mjx.export import export_object, import_urdf, read_mjcf, read_usd
 from neoworld_mjx.physics.mjcf import START, to_mjspec
 from neoworld_mjx.program import build
-from neoworld_mjx.spec import JointSpec, SceneObject, SceneSpec, link_poses, scale
+from neoworld_mjx.spec import JointSpec, SceneObject, SceneSpec, inertial, link_poses, scale
 from neoworld_mjx.spec.pose import angle_between, from_axis_angle, quat_mul, rotate
 from neoworld_mjx.verify import Battery, verify
 from neoworld_mjx.verify.repairs import repair
@@ -70,34 +69,31 @@ def test_what_a_ball_cannot_have(more, words):
 
 def test_all_formats_hold_it(lamp, tmp_path):
     export_object(lamp, tmp_path)
-    want = mechanism(lamp)
-    for read in (read_usd(tmp_path / "object.usda"), read_mjcf(tmp_path / "object.xml", lamp)):
-        joint = read.joints["neck"]
+    (want,) = lamp.joints
+    for read in (read_usd(tmp_path / "object.usda"), read_mjcf(tmp_path / "object.xml")):
+        (joint,) = read.joints
         assert joint.type == "ball" and joint.upper == pytest.approx(0.3, rel=1e-6)
-        assert np.allclose(joint.pos, want.joints["neck"].pos, atol=1e-6)
+        assert np.allclose(joint.pos, want.pos, atol=1e-6)
         for field in ("damping", "friction", "stiffness", "armature"):
-            assert getattr(joint, field) == pytest.approx(
-                getattr(want.joints["neck"], field), rel=1e-6
-            )
-        one, other = (m.poses(STATE)["head"] for m in (want, read))
-        assert angle_between(one.quat, other.quat) < 1e-6
+            assert getattr(joint, field) == pytest.approx(getattr(want, field), rel=1e-6)
 
 
 def test_urdf_has_three_hinges_through_one_point(lamp, tmp_path):
     export_object(lamp, tmp_path)
-    read = read_urdf(tmp_path / "object.urdf")
-    assert [read.joints[f"neck_{a}"].type for a in "xyz"] == ["revolute"] * 3
+    path = tmp_path / "object.urdf"
+    path.write_text(path.read_text().replace("neoworld>", "elsewhere>"))
+    read = import_urdf(path).spec
+    assert [read.joint(f"neck_{a}").type for a in "xyz"] == ["revolute"] * 3
     values = {"neck_x": 0.1, "neck_y": -0.2, "neck_z": 0.25}
     turn = np.array([1.0, 0, 0, 0])
     for axis, value in zip(np.eye(3), values.values(), strict=True):
         turn = quat_mul(turn, from_axis_angle(axis, value))
-    found = read.poses(values)["head"]
+    found = link_poses(read, values)["head"]
     assert angle_between(found.quat, turn) < 1e-6
-    assert np.allclose(found.apply([0, 0, 0.332]), [0, 0, 0.332], atol=1e-6)
-    mass = sum(link.mass for link in read.links.values())
-    assert mass == pytest.approx(
-        sum(link.mass for link in mechanism(lamp).links.values()), rel=1e-5
-    )
+    anchor = read.joint("neck_z").pos
+    assert np.allclose(found.apply(anchor), anchor, atol=1e-6)
+    masses = [sum(inertial(spec, part).mass for part in spec.parts) for spec in (read, lamp)]
+    assert masses[0] == pytest.approx(masses[1], rel=1e-5)
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "object.urdf")).njnt == 3
 
 

@@ -20,16 +20,11 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 
 from ..physics.mjcf import welded
 from ..spec import (
-    Box,
-    Capsule,
-    Cylinder,
-    Ellipsoid,
     GeomSpec,
     JointSpec,
     Material,
     ObjectSpec,
     PartSpec,
-    Sphere,
     inertial,
 )
 from ..spec.convex import Piece
@@ -150,8 +145,9 @@ def _add_link(
 
 
 def _add_visual(stage: Usd.Stage, path: Sdf.Path, geom: GeomSpec, at: Pose) -> None:
-    if isinstance(geom.shape, Box | Sphere | Capsule | Cylinder | Ellipsoid):
-        _gprim(stage, path, geom.shape.pieces()[0], at)
+    primitive = geom.shape.primitive()
+    if primitive is not None:
+        _gprim(stage, path, primitive, at)
         return
     vertices, faces = geom.shape.surface()
     mesh = _mesh(stage, path, vertices, faces, at)

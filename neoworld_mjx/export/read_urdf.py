@@ -1,4 +1,4 @@
-"""URDF from elsewhere to an ObjectSpec, through yourdfpy."""
+"""Read the mechanism of a URDF file, through yourdfpy."""
 
 import math
 from pathlib import Path
@@ -9,10 +9,20 @@ from numpy.typing import NDArray
 
 from ..errors import SpecError
 from ..spec import Box, Cylinder, JointSpec, Sphere
-from .guarded_xml import inside, read_xml
-from .imported import Imported, Link, Solid, assemble, check_tree, follow, foreign
-from .mechanism import triple
-from .mesh_files import load_mesh
+from ..spec.base_shape import BaseShape
+from ..spec.object import Role
+from .checked_xml import inside, read_xml
+from .load_mesh import load_mesh
+from .mechanism import (
+    Link,
+    LinkShape,
+    Mechanism,
+    Triangles,
+    check_tree,
+    triple,
+    unchecked_joint,
+    unchecked_mimic,
+)
 
 LOST = {
     "transmission": "transmissions",
@@ -23,7 +33,7 @@ LOST = {
 }
 
 
-def import_urdf(path: Path) -> Imported:
+def read_urdf(path: Path) -> Mechanism:
     """Read a URDF file and the meshes beside it.
 
     Raises:
@@ -46,8 +56,8 @@ def import_urdf(path: Path) -> Imported:
     except Exception as error:  # a library's border
         raise SpecError(f"{path} is no URDF: {type(error).__name__}: {error}"[:300]) from None
     notes = [
-        f"{what} are not carried"
-        for tag, what in LOST.items()
+        f"{content} are not carried"
+        for tag, content in LOST.items()
         if root.find(f".//{tag}") is not None
     ]
     frames = _frames(robot, check_tree(
@@ -58,17 +68,17 @@ def import_urdf(path: Path) -> Imported:
     links = [_link(path, link, frames[link.name], colours, notes) for link in robot.links]
     joints = [_joint(path, joint, frames[joint.child], notes) for joint in robot.joints]
     for mark in root.findall("neoworld/ball"):
-        _fold(mark.get("joint") or "", links, joints, notes)
-    return assemble(robot.name or path.stem, links, joints, notes)
+        _fold_ball(mark.get("joint") or "", links, joints, notes)
+    return Mechanism(robot.name or path.stem, {link.name: link for link in links}, joints, notes)
 
 
-def _fold(name: str, links: list[Link], joints: list[JointSpec], notes: list[str]) -> None:
-    """Make the ball joint again that our export wrote as three hinges with two bare links between them."""
+def _fold_ball(name: str, links: list[Link], joints: list[JointSpec], notes: list[str]) -> None:
+    """Restore the ball joint that our export wrote as three hinges with two bare links between."""
     by_name = {joint.name: joint for joint in joints}
     hinges = [by_name.get(f"{name}_{axis}") for axis in "xyz"]
     inner = [f"{name}_{axis}_link" for axis in "xy"]
     ends = [(joint.parent, joint.child) for joint in joints]
-    bare = {link.name for link in links if not link.solids}
+    bare = {link.name for link in links if not link.shapes}
     first, middle, last = hinges
     if first is None or middle is None or last is None or not _is_ball(first, middle, last):
         whole = False
@@ -89,7 +99,7 @@ def _fold(name: str, links: list[Link], joints: list[JointSpec], notes: list[str
 
 
 def _is_ball(*hinges: JointSpec) -> bool:
-    """Tell whether three hinges are those of a ball: one point, the three axes, the same losses and limits."""
+    """Tell whether three hinges make a ball: one point, the axes x, y, z, equal losses and limits."""
     first, middle, _ = hinges
     same = all(
         h.type == first.type
@@ -108,7 +118,7 @@ def _is_ball(*hinges: JointSpec) -> bool:
 
 
 def _check(path: Path, root: Any) -> None:
-    """Look for what yourdfpy would stumble over."""
+    """Refuse what makes yourdfpy fail without a message."""
     for joint in root.findall("joint"):
         for end in ("parent", "child"):
             found = joint.find(end)
@@ -133,21 +143,22 @@ def _frames(robot: Any, root: str) -> dict[str, NDArray]:
 
 
 def _link(path: Path, link: Any, at: NDArray, colours: dict[str, Any], notes: list[str]) -> Link:
-    made = Link(link.name)
-    for items, role in ((link.visuals, "visual"), (link.collisions, "collision")):
+    result = Link(link.name, origin=at[:3, 3])
+    elements: list[tuple[Any, Role]] = [(link.visuals, "visual"), (link.collisions, "collision")]
+    for items, role in elements:
         for item in items:
             place = at if item.origin is None else at @ item.origin
             rgba = _colour(getattr(item, "material", None), colours)
             for shape, local in _shapes(path, item.geometry, link.name, notes):
-                made.solids.append(Solid(shape, place @ local, role, rgba))
+                result.shapes.append(LinkShape(shape, place @ local, role, rgba))
     own = link.inertial
     if own is not None and own.mass is not None:
         place = at if own.origin is None else at @ own.origin
-        made.mass, made.com = float(own.mass), place[:3, 3]
+        result.mass, result.com = float(own.mass), place[:3, 3]
         if own.inertia is not None:
             turn = place[:3, :3]
-            made.inertia = turn @ np.asarray(own.inertia, float) @ turn.T
-    return made
+            result.inertia = turn @ np.asarray(own.inertia, float) @ turn.T
+    return result
 
 
 def _colour(material: Any, colours: dict[str, Any]) -> tuple[float, float, float, float]:
@@ -160,7 +171,9 @@ def _colour(material: Any, colours: dict[str, Any]) -> tuple[float, float, float
     return r, g, b, a
 
 
-def _shapes(path: Path, geometry: Any, link: str, notes: list[str]) -> list[tuple[Any, NDArray]]:
+def _shapes(
+    path: Path, geometry: Any, link: str, notes: list[str]
+) -> list[tuple[BaseShape | Triangles, NDArray]]:
     """Return shapes with their places in the element's frame."""
     here = np.eye(4)
     try:
@@ -208,7 +221,7 @@ def _joint(path: Path, joint: Any, at: NDArray, notes: list[str]) -> JointSpec:
     if kind != "fixed" and np.linalg.norm(axis) < 1e-9:
         raise SpecError(f"{path}: joint {joint.name} has no axis")
     free = kind == "fixed"
-    return foreign(
+    return unchecked_joint(
         name=joint.name,
         type=kind,
         parent=joint.parent,
@@ -224,7 +237,7 @@ def _joint(path: Path, joint: Any, at: NDArray, notes: list[str]) -> JointSpec:
         velocity=_stated(limit, "velocity"),
         mimic=None
         if mimic is None or free
-        else follow(
+        else unchecked_mimic(
             mimic.joint,
             1.0 if mimic.multiplier is None else float(mimic.multiplier),
             float(mimic.offset or 0.0),
@@ -244,4 +257,4 @@ def _stated(source: Any, name: str) -> float | None:
     return float(value) if value and value > 0 and math.isfinite(value) else None
 
 
-__all__ = ["import_urdf"]
+__all__ = ["read_urdf"]

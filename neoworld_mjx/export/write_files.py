@@ -5,10 +5,10 @@ from pathlib import Path
 from ..errors import ExportError
 from ..spec import ObjectSpec, SceneSpec
 from .meshes import mesh_files
-from .mjcf import mjcf_text
-from .urdf import urdf_text
-from .usd import usd_text
-from .usd_scene import scene_usd_text
+from .write_mjcf import mjcf_text
+from .write_scene_usd import scene_usd_text
+from .write_urdf import urdf_text
+from .write_usd import usd_text
 
 
 def object_files(spec: ObjectSpec) -> dict[str, str]:

@@ -1,10 +1,11 @@
-"""MJCF from elsewhere to an ObjectSpec, by what MuJoCo compiles it to.
+"""Read the mechanism of an MJCF file through MuJoCo's compiler.
 
-MuJoCo resolves defaults, classes, includes and units; read is the compiled model, at the pose in which
-the object is drawn. Only what MuJoCo leaves no way back from is taken from the text.
+MuJoCo resolves defaults, classes, includes and units; the compiled model is read at the pose in
+which the object is drawn. Only what the model no longer holds is taken from the text.
 """
 
 import os
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any, get_args
 
@@ -14,16 +15,25 @@ from numpy.typing import NDArray
 
 from ..errors import SpecError
 from ..spec import Box, Capsule, Cylinder, Ellipsoid, JointSpec, JointType, Sphere
-from .guarded_xml import inside, read_xml
-from .imported import Imported, Link, Solid, assemble, check_tree, follow, foreign
-from .mechanism import triple
+from ..spec.base_shape import BaseShape
+from .checked_xml import inside, read_xml
+from .mechanism import (
+    Link,
+    LinkShape,
+    Mechanism,
+    Triangles,
+    check_tree,
+    triple,
+    unchecked_joint,
+    unchecked_mimic,
+)
 
 _G, _J = mujoco.mjtGeom, mujoco.mjtJoint
 LOST = ("tendon", "actuator", "sensor", "contact", "keyframe", "deformable", "extension")
 FILES = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "texture": "texturedir"}
 
 
-def import_mjcf(path: Path) -> Imported:
+def read_mjcf(path: Path) -> Mechanism:
     """Read an MJCF file with one object.
 
     Raises:
@@ -32,11 +42,11 @@ def import_mjcf(path: Path) -> Imported:
     """
     path = Path(path)
     notes: list[str] = []
-    found = _guarded(path, path, set())
-    if found[0].tag != "mujoco":
-        raise SpecError(f"{path}: an MJCF file begins with <mujoco>, this with <{found[0].tag}>")
+    roots = _checked_roots(path, path, set())
+    if roots[0].tag != "mujoco":
+        raise SpecError(f"{path}: an MJCF file begins with <mujoco>, this with <{roots[0].tag}>")
     for tag in LOST:
-        if any(root.find(tag) is not None for root in found):
+        if any(root.find(tag) is not None for root in roots):
             notes.append(f"{tag} is not carried")
     model, stated, massless = _compiled(path, notes)
     data = mujoco.MjData(model)
@@ -54,22 +64,22 @@ def import_mjcf(path: Path) -> Imported:
         if int(model.body_parentid[b]) in bodies:
             bodies.append(b)
     links = [_link(model, data, b, stated, massless, notes) for b in bodies]
-    joints, beads = _joints(path, model, data, bodies, notes)
-    links += beads
+    joints, inner = _joints(path, model, data, bodies, notes)
+    links += inner
     check_tree(path, [link.name for link in links], [(j.name, j.parent, j.child) for j in joints])
-    name = os.path.basename(_model_name(found[0]) or path.stem)
-    return assemble(name, links, joints, notes)
+    name = os.path.basename(roots[0].get("model") or path.stem)
+    return Mechanism(name, {link.name: link for link in links}, joints, notes)
 
 
-def _guarded(path: Path, main: Path, seen: set[Path]) -> list[Any]:
-    """Look through a file and all that it includes; return their roots, the main one first."""
-    if path.resolve() in seen:
+def _checked_roots(path: Path, main: Path, visited: set[Path]) -> list[ET.Element]:
+    """Check a file and all that it includes; return their roots, the main one first."""
+    if path.resolve() in visited:
         raise SpecError(f"{path} includes itself")
-    seen.add(path.resolve())
+    visited.add(path.resolve())
     root = read_xml(path)
     roots = [root]
     for element in root.iter("include"):
-        roots += _guarded(inside(main, element.get("file") or ""), main, seen)
+        roots += _checked_roots(inside(main, element.get("file") or ""), main, visited)
     folders: dict[str, str] = {}
     for compiler in (c for r in roots for c in r.iter("compiler")):
         both = compiler.get("assetdir")
@@ -90,18 +100,14 @@ def _guarded(path: Path, main: Path, seen: set[Path]) -> list[Any]:
     return roots
 
 
-def _model_name(root: Any) -> str:
-    return root.get("model") or ""
-
-
 def _compiled(
     path: Path, notes: list[str]
 ) -> tuple[mujoco.MjModel, dict[str, tuple[float, NDArray]], set[str]]:
-    """Compile a file; where its inertias are impossible, with others, and return those stated.
+    """Compile a file; one with impossible inertias is compiled with others.
 
     Returns:
-        The model, masses and moments by body, and the bodies that have no mass but what the compiler
-        gives every body at least.
+        The model, the stated masses and moments by body where they were replaced, and the bodies
+        whose only mass is the compiler's lower bound.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path))
@@ -147,14 +153,14 @@ def _link(
     massless: set[str],
     notes: list[str],
 ) -> Link:
-    link = Link(_name(model, b))
+    link = Link(_name(model, b), origin=data.xpos[b].copy())
     for g in np.flatnonzero(model.geom_bodyid == b):
-        solid = _solid(model, data, int(g), link.name, notes)
-        if solid is not None:
-            link.solids.append(solid)
-    seen = all(solid.role == "visual" for solid in link.solids)
-    if link.name in massless and seen and not model.body_jntnum[b]:
-        link.decoration = True
+        shape = _shape(model, data, int(g), link.name, notes)
+        if shape is not None:
+            link.shapes.append(shape)
+    visual = all(shape.role == "visual" for shape in link.shapes)
+    if link.name in massless and visual and not model.body_jntnum[b]:
+        link.visual_only = True
     elif model.body_mass[b] > 0:
         turn = data.ximat[b].reshape(3, 3)
         mass, moments = float(model.body_mass[b]), model.body_inertia[b]
@@ -165,13 +171,13 @@ def _link(
     return link
 
 
-def _solid(
+def _shape(
     model: mujoco.MjModel, data: mujoco.MjData, g: int, link: str, notes: list[str]
-) -> Solid | None:
+) -> LinkShape | None:
     at = np.eye(4)
     at[:3, :3], at[:3, 3] = data.geom_xmat[g].reshape(3, 3), data.geom_xpos[g]
     size, kind = [float(v) for v in model.geom_size[g]], int(model.geom_type[g])
-    shape: Any
+    shape: BaseShape | Triangles
     if kind == _G.mjGEOM_BOX:
         shape = Box(size=(2 * size[0], 2 * size[1], 2 * size[2]))
     elif kind == _G.mjGEOM_SPHERE:
@@ -190,30 +196,27 @@ def _solid(
     else:
         notes.append(f"body {link}: a geom of type {_G(kind).name[7:].lower()} is not carried")
         return None
-    solid = bool(model.geom_contype[g]) or bool(model.geom_conaffinity[g])
-    r, g_, b, a = (float(v) for v in _rgba(model, g))
-    return Solid(
+    collides = bool(model.geom_contype[g]) or bool(model.geom_conaffinity[g])
+    material = int(model.geom_matid[g])
+    rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[g]
+    red, green, blue, alpha = (float(v) for v in rgba)
+    return LinkShape(
         shape,
         at,
-        "collision" if solid else "visual",
-        (r, g_, b, a),
-        float(model.geom_friction[g, 0]) if solid else 0.5,
-        hull=solid,  # MuJoCo collides meshes as their hulls.
+        "collision" if collides else "visual",
+        (red, green, blue, alpha),
+        float(model.geom_friction[g, 0]) if collides else 0.5,
+        hull=collides,  # MuJoCo collides meshes as their hulls.
     )
-
-
-def _rgba(model: mujoco.MjModel, g: int) -> NDArray:
-    m = int(model.geom_matid[g])
-    return model.mat_rgba[m] if m >= 0 else model.geom_rgba[g]
 
 
 def _joints(
     path: Path, model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int], notes: list[str]
 ) -> tuple[list[JointSpec], list[Link]]:
-    """Return the joints of bodies, and beads between several joints of one body."""
+    """Return the joints of bodies, and links between several joints of one body."""
     ties = _ties(model, notes)
     joints: list[JointSpec] = []
-    beads: list[Link] = []
+    inner: list[Link] = []
     for b in bodies[1:]:
         parent, child = _name(model, int(model.body_parentid[b])), _name(model, b)
         own = range(
@@ -222,13 +225,15 @@ def _joints(
         if not own:
             at = triple(data.xpos[b])
             joints.append(
-                foreign(name=f"{child}_fixed", type="fixed", parent=parent, child=child, pos=at)
+                unchecked_joint(
+                    name=f"{child}_fixed", type="fixed", parent=parent, child=child, pos=at
+                )
             )
         for k, j in enumerate(own):
             last = k == len(own) - 1
-            below = child if last else f"{child}_bead_{k}"
+            below = child if last else f"{child}_axis_{k}"
             if not last:
-                beads.append(Link(below))
+                inner.append(Link(below, origin=data.xpos[b].copy()))
             joints.append(_joint(path, model, data, j, parent, below, ties, notes))
             parent = below
     root = bodies[0]
@@ -237,7 +242,7 @@ def _joints(
     ):
         if model.jnt_type[j] != _J.mjJNT_FREE:
             notes.append(f"joint {model.joint(j).name} moves the whole object and is not carried")
-    return joints, beads
+    return joints, inner
 
 
 def _joint(
@@ -263,9 +268,9 @@ def _joint(
     if kind == _J.mjJNT_BALL:
         if "ball" in get_args(JointType):
             upper = float(min(model.jnt_range[j, 1], np.pi)) if limited else 0.0
-            return foreign(**common, **losses, type="ball", upper=upper)
+            return unchecked_joint(**common, **losses, type="ball", upper=upper)
         notes.append(f"joint {name} is a ball joint: carried as fixed")
-        return foreign(**common, type="fixed")
+        return unchecked_joint(**common, type="fixed")
     if kind == _J.mjJNT_FREE:
         raise SpecError(f"{path}: joint {name} is free within the object")
     slide = kind == _J.mjJNT_SLIDE
@@ -274,7 +279,7 @@ def _joint(
     if slide and not limited:
         raise SpecError(f"{path}: joint {name} slides and states no limits")
     if limited and not lower < upper:
-        raise SpecError(f"{path}: joint {name}: its range {lower:g} to {upper:g} is none")
+        raise SpecError(f"{path}: joint {name}: its range {lower:g} to {upper:g} is empty")
     if (
         losses["stiffness"] > 0
         and abs(float(model.qpos_spring[model.jnt_qposadr[j]]) - drawn) > 1e-9
@@ -283,9 +288,9 @@ def _joint(
     mimic = None
     if j in ties:
         leader, coefficients = ties[j]
-        mimic = follow(leader, float(coefficients[1]), float(coefficients[0]))
+        mimic = unchecked_mimic(leader, float(coefficients[1]), float(coefficients[0]))
     force = float(model.jnt_actfrcrange[j, 1]) if model.jnt_actfrclimited[j] else 0.0
-    return foreign(
+    return unchecked_joint(
         **common,
         **losses,
         type="prismatic" if slide else "revolute" if limited else "continuous",
@@ -318,4 +323,4 @@ def _name(model: mujoco.MjModel, body: int) -> str:
     return model.body(body).name or f"body_{body}"
 
 
-__all__ = ["import_mjcf"]
+__all__ = ["read_mjcf"]

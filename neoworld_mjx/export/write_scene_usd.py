@@ -14,7 +14,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdPhysics
 
 from ..spec import Camera, SceneObject, SceneSpec, link_poses, world_poses
 from ..spec.pose import Pose, pose
-from .usd import link_origins, new_stage, quatd, quatf, set_pose
+from .write_usd import link_origins, new_stage, quatd, quatf, set_pose
 
 
 def scene_usd_text(scene: SceneSpec) -> str:

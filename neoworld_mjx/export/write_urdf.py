@@ -5,7 +5,7 @@ plain offsets. What URDF has no place for is left out: joint stiffness and armat
 surfaces, sites. Capsules become a cylinder and two balls, ellipsoids meshes. URDF knows no ball
 joint: it becomes three hinges <joint>_x, _y, _z through one point, with two links of next to no mass
 between them; each turns as far as the ball, the middle one at most a quarter turn. An element <neoworld>,
-which others pass over, names the balls, so that our import makes them again.
+which other readers ignore, names the balls, so that our reader restores them.
 """
 
 import xml.etree.ElementTree as ET
@@ -13,10 +13,17 @@ import xml.etree.ElementTree as ET
 import numpy as np
 from numpy.typing import NDArray
 
-from ..spec import Box, Cylinder, GeomSpec, JointSpec, ObjectSpec, PartSpec, Sphere, inertial
+from ..spec import GeomSpec, JointSpec, ObjectSpec, PartSpec, inertial
 from ..spec.convex import Piece
 from ..spec.pose import Pose, matrix, pose, to_rpy
-from .meshes import collision_file, number, numbers, piece_mesh, visual_file
+from .meshes import (
+    collision_file,
+    number,
+    numbers,
+    piece_mesh,
+    urdf_primitive,
+    visual_file,
+)
 
 UNLIMITED_EFFORT, UNLIMITED_VELOCITY = 1000.0, 100.0
 """URDF demands both of a limited joint; these stand for "not stated"."""
@@ -81,15 +88,20 @@ def _add_link(robot: ET.Element, spec: ObjectSpec, part: PartSpec, origin: NDArr
 
 
 def _visual_shape(geometry: ET.Element, geom: GeomSpec) -> None:
-    shape = geom.shape
-    if isinstance(shape, Box):
-        ET.SubElement(geometry, "box", size=numbers(shape.size))
-    elif isinstance(shape, Sphere):
-        ET.SubElement(geometry, "sphere", radius=number(shape.radius))
-    elif isinstance(shape, Cylinder):
-        _cylinder(geometry, shape.radius, shape.height)
-    else:
+    piece = urdf_primitive(geom.shape)
+    if piece is None:
         ET.SubElement(geometry, "mesh", filename=str(visual_file(geom)))
+    else:
+        _primitive(geometry, piece)
+
+
+def _primitive(geometry: ET.Element, piece: Piece) -> None:
+    if piece.kind == "box":
+        ET.SubElement(geometry, "box", size=numbers(2 * v for v in piece.size))
+    elif piece.kind == "sphere":
+        ET.SubElement(geometry, "sphere", radius=number(piece.size[0]))
+    else:
+        _cylinder(geometry, piece.size[0], 2 * piece.size[1])
 
 
 def _add_collision(link: ET.Element, geom: GeomSpec, k: int, piece: Piece, at: Pose) -> None:
@@ -99,12 +111,8 @@ def _add_collision(link: ET.Element, geom: GeomSpec, k: int, piece: Piece, at: P
         return ET.SubElement(element, "geometry")
 
     name = f"{geom.name}-{k}"
-    if piece.kind == "box":
-        ET.SubElement(geometry(name, at), "box", size=numbers(2 * v for v in piece.size))
-    elif piece.kind == "sphere":
-        ET.SubElement(geometry(name, at), "sphere", radius=number(piece.size[0]))
-    elif piece.kind == "cylinder":
-        _cylinder(geometry(name, at), piece.size[0], 2 * piece.size[1])
+    if piece.kind in ("box", "sphere", "cylinder"):
+        _primitive(geometry(name, at), piece)
     elif piece.kind == "capsule":
         radius, half = piece.size[:2]
         _cylinder(geometry(name, at), radius, 2 * half)
