@@ -251,7 +251,7 @@ def test_a_full_disk_is_one_message_and_the_run_goes_on_after(tmp_path, monkeypa
     def fails():
         if writer == "os":
             raise OSError(errno.ENOSPC, "No space left on device", str(out / "x"))
-        monkeypatch.setattr("neoworld_mjx.run_folder.disk_full", lambda path: True)
+        monkeypatch.setattr("neoworld_mjx.run_folder.staging.disk_full", lambda path: True)
         raise RuntimeError("layer could not be saved")
 
     with pytest.raises(RunError, match=r"no space left.*--resume"), RunFolder(out, Config()) as run:
