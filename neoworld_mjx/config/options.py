@@ -56,7 +56,7 @@ def option(default: Any, meaning: str, *, unit: str = "", **bounds: Any) -> Any:
 
 
 def traced(default: Any, meaning: str, *, unit: str = "", reason: str = "", **bounds: Any) -> Any:
-    """Declare an option whose value is an array in compiled code; `reason` says what else it sets."""
+    """Declare an option whose value is an array in compiled code; see `Option.reason`."""
     return _declared(default, meaning, unit, "traced", reason, bounds)
 
 

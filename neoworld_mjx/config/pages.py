@@ -25,8 +25,8 @@ Every option with its default; `python -m neoworld_mjx.config` writes this page 
 options in a YAML file (`--config`) or one by one (`--set refine.cem.population=64`).
 
 A resumed run does a step again when the options of its group have changed (`parse`, `program`,
-`verify`, `compose`, `refine`), and then all steps that read what it wrote. The last column says what
-a change costs in the search itself, and so in a [sweep](how-to/sweeps.md) over it:
+`verify`, `compose`, `refine`), and then all steps that read its files. The last column says what a
+change costs in the search itself, and so in a [sweep](how-to/sweeps.md) over it:
 
 - **nothing**: the value acts outside of compiled code;
 - **nothing, traced**: the value is an array that compiled code takes, so all values of a sweep are

@@ -11,7 +11,7 @@ from .options import Options, option, static, traced
 
 _PROGRAM, _SHAPE = "is another program", "shapes arrays"
 _EARLY_STOP = "ends rollouts early"
-"""Traced in the reward, but `rollout.early_stop` ends rollouts by it, which all candidates share."""
+"""Traced in the reward, but `rollout.early_stop` ends the rollouts of all candidates by it."""
 
 
 class CEMOptions(Options):
@@ -117,14 +117,15 @@ class RewardOptions(Options):
     normalisation: Literal["iteration", "fixed"] = static(
         _PROGRAM,
         "fixed",
-        "Normalisation of D_pen and D_drift. iteration: over the candidates of the iteration. fixed: "
-        "by the caps below.",
+        "Normalisation of D_pen and D_drift. iteration: over the candidates of the iteration. "
+        "fixed: by the caps below.",
     )
     d_pen_cap_m: float = traced(0.005, "D_pen is clipped here.", unit="m", gt=0)
     d_drift_cap: float = traced(
         3.0,
-        "D_drift is clipped here: 3 is 3 cm or 15 degrees. A small cap keeps the difference between "
-        "a valid candidate and one that just fails visible beside that between two bad ones.",
+        "D_drift is clipped here: 3 is 3 cm or 15 degrees. A small cap keeps the difference "
+        "between a valid candidate and one that just fails visible beside that between two bad "
+        "ones.",
         unit="drift scales",
         reason=_EARLY_STOP,
         gt=0,

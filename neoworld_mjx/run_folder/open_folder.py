@@ -216,7 +216,7 @@ class RunFolder:
         self.save()
 
     def _keeps(self, name: str, hashes: dict[str, str]) -> bool:
-        """Tell whether a step's record and files are valid; take edits before `start` as they are."""
+        """Tell whether a step is finished and unchanged; steps before `start` may be edited."""
         entry = self.data["steps"].get(name)
         if entry is None or not all((self.path / p).is_file() for p in entry["outputs"]):
             return False

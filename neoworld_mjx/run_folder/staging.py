@@ -79,7 +79,7 @@ def move_in(staged: Path, folder: Path) -> dict[str, str]:
 
 
 def set_aside(folder: Path, name: str) -> Path:
-    """Move an edited file under `replaced/`, beside earlier ones of the same name; return its path."""
+    """Move an edited file under `replaced/`, beside earlier ones; return its new path."""
     aside = folder / "replaced" / name
     while aside.exists():
         aside = aside.with_name(f"{aside.name}.old")

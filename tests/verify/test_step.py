@@ -6,7 +6,7 @@ import math
 import pytest
 
 from neoworld_mjx.config import Config, VerifyOptions
-from neoworld_mjx.pipeline import _verify
+from neoworld_mjx.pipeline.steps import StepContext, verify_objects
 from neoworld_mjx.program.allowance import Allowance
 from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.spec import (
@@ -93,7 +93,7 @@ def stepped(tmp_path, spec, allowances=(), **more):
             (home / "spec.json").write_text(made.to_json())
             granted = [one._asdict() for one in allowances] if name == "thing" else []
             (home / "program.json").write_text(json.dumps({"allowances": granted}))
-        _verify(run, None, config)
+        verify_objects(StepContext(run, config, None, None))
         told = [one for one in run.data["fallbacks"] if one["step"] == "verify/thing"]
         verdict = json.loads((run.path / "objects" / "thing" / "verify.json").read_text())
     return verdict, told
