@@ -19,7 +19,7 @@ class FastPairDepth:
         poses = scene.place(noisy_layouts(scene, population, noise=Noise(xy=0.3)))
         self.where = (poses.pos, rotation(poses.quat), poses.scale)
         calls = {
-            name: jax.jit(lambda p, r, s, op=op: op(p, r, s, scene.samples, scene.solids))
+            name: jax.jit(lambda p, r, s, op=op: op(p, r, s, scene.samples, scene.colliders))
             for name, op in implementations().items()
         }
         self.call = calls[implementation]

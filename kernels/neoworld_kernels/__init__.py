@@ -1,12 +1,12 @@
 """Array operations of neoworld_mjx, one a module: a plain `jnp` reference and faster kernels."""
 
-from .penetration import PairDepthTuning, pair_depth, pair_depth_culled, pair_depth_reference
-from .solids import Group, Solids, signed_distance
+from .convex_pieces import Colliders, PieceGroup, signed_distance
+from .penetration_depth import PairDepthTuning, pair_depth, pair_depth_culled, pair_depth_reference
 
 __all__ = [
-    "Group",
+    "Colliders",
     "PairDepthTuning",
-    "Solids",
+    "PieceGroup",
     "pair_depth",
     "pair_depth_culled",
     "pair_depth_reference",

@@ -10,14 +10,14 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from .rough import bound
-from .solids import Group, Solids
+from .coarse_distance import bound
+from .convex_pieces import Colliders, PieceGroup
 
 WORD = 32
 """Bits that are counted together."""
 
 
-class Placed(NamedTuple):
+class ObjectPoses(NamedTuple):
     """Poses of all candidates' objects."""
 
     pos: Float[Array, "3 object pop"]
@@ -66,7 +66,9 @@ def sample_blocks(samples: Float[Array, "object sample 3"], size: int) -> Blocks
     )
 
 
-def touching(placed: Placed, blocks: Blocks, solids: Solids) -> Bool[Array, "piece block pop"]:
+def touching(
+    placed: ObjectPoses, blocks: Blocks, colliders: Colliders
+) -> Bool[Array, "piece block pop"]:
     """Whether a block's bounding sphere reaches a piece of another object; pieces of all kinds.
 
     A pose that is not a number touches nothing.
@@ -78,28 +80,28 @@ def touching(placed: Placed, blocks: Blocks, solids: Solids) -> Bool[Array, "pie
         dot(rot[k], blocks.centre[..., None]) * scale + placed.pos[k][owner] for k in range(3)
     ]
     reach = blocks.radius[:, None] * scale
-    owners = jnp.concatenate([group.owner for group in solids])
-    local = _local(placed, centre, owners, solids)
-    found, first = [], 0
-    for kind, group in zip(Solids._fields, solids, strict=True):
+    owners = jnp.concatenate([group.owner for group in colliders])
+    local = _local(placed, centre, owners, colliders)
+    near_enough, first = [], 0
+    for kind, group in zip(Colliders._fields, colliders, strict=True):
         if number := len(group.owner):
             here = [x[first : first + number] for x in local]
             near = _near(kind, here, group) * placed.scale[group.owner][:, None]
-            found.append(near < reach)
+            near_enough.append(near < reach)
             first += number
-    return jnp.concatenate(found) & (owners[:, None] != owner)[..., None]
+    return jnp.concatenate(near_enough) & (owners[:, None] != owner)[..., None]
 
 
 def _local(
-    placed: Placed,
+    placed: ObjectPoses,
     centre: list[Array],
     owners: Int[Array, " piece"],
-    solids: Solids,
+    colliders: Colliders,
 ) -> list[Float[Array, "piece block pop"]]:
     """Put points [block, pop] in the world into the frame of each piece, of all kinds."""
     turn, scale = placed.rot[:, :, owners], placed.scale[owners]
-    own = jnp.transpose(jnp.concatenate([group.rot for group in solids]), (1, 2, 0))[..., None]
-    at = jnp.concatenate([group.pos for group in solids]).T[..., None]
+    own = jnp.transpose(jnp.concatenate([group.rot for group in colliders]), (1, 2, 0))[..., None]
+    at = jnp.concatenate([group.pos for group in colliders]).T[..., None]
     origin = [placed.pos[k][owners] + scale * dot(turn[k], at) for k in range(3)]
     gap = [centre[k] - origin[k][:, None] for k in range(3)]
     # The pieces' axes in the world, over the owners' scales.
@@ -107,7 +109,7 @@ def _local(
     return [dot(gap, [part[:, None] for part in axis]) for axis in axes]
 
 
-def _near(kind: str, local: list[Array], group: Group) -> Float[Array, "piece block pop"]:
+def _near(kind: str, local: list[Array], group: PieceGroup) -> Float[Array, "piece block pop"]:
     """Bound the distance of points in the pieces' frames, at scale 1, to each piece from below."""
     size = [group.size[:, k, None, None] for k in range(3)]
     planes = jnp.transpose(group.planes, (1, 2, 0))[..., None, None]

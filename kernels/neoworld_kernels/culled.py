@@ -19,9 +19,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .blocks import Blocks, Placed, dot, members, sample_blocks, touching
-from .rough import depths, finished, folded
-from .solids import Group, Solids, distance
+from .blocks import Blocks, ObjectPoses, dot, members, sample_blocks, touching
+from .coarse_distance import depths, finished, folded
+from .convex_pieces import Colliders, PieceGroup, distance
 
 BLOCK = 32
 """Samples in a block, at most."""
@@ -38,7 +38,7 @@ Index = Int[Array, "object object pop"]
 class Deepest(NamedTuple):
     """Which sample of i is deepest in which piece of j; all zero where none is inside."""
 
-    found: Bool[Array, "object object pop"]
+    inside: Bool[Array, "object object pop"]
     sample: Index
     piece: Index
     """Counted through all kinds."""
@@ -51,7 +51,7 @@ def pair_depth_culled(
     rot: Float[Array, "pop object 3 3"],
     scale: Float[Array, "pop object"],
     samples: Float[Array, "object sample 3"],
-    solids: Solids,
+    colliders: Colliders,
 ) -> Float[Array, "pop object object"]:
     """Compute what `pair_depth_reference` does, culling by bounding spheres. Differentiable.
 
@@ -63,24 +63,24 @@ def pair_depth_culled(
         rot: object rotations.
         scale: isotropic scale of each object about its origin.
         samples: surface points in object frames at scale 1 [m]; repeat a point to pad.
-        solids: convex pieces in object frames at scale 1.
+        colliders: convex pieces in object frames at scale 1.
     """
     pop, count = scale.shape
-    if not any(len(group.owner) for group in solids) or not pop or not samples.size:
+    if not any(len(group.owner) for group in colliders) or not pop or not samples.size:
         return jnp.zeros((pop, count, count), pos.dtype)
-    placed = Placed(jnp.transpose(pos, (2, 1, 0)), jnp.transpose(rot, (2, 3, 1, 0)), scale.T)
-    fixed = jax.tree.map(lax.stop_gradient, (placed, samples, solids))
-    depth = _depth_at(_search_slabs(*fixed), placed, samples, solids)
+    placed = ObjectPoses(jnp.transpose(pos, (2, 1, 0)), jnp.transpose(rot, (2, 3, 1, 0)), scale.T)
+    fixed = jax.tree.map(lax.stop_gradient, (placed, samples, colliders))
+    depth = _depth_at(_search_slabs(*fixed), placed, samples, colliders)
     finite = jnp.isfinite(jnp.sum(placed.pos, 0) + jnp.sum(placed.rot, (0, 1)) + placed.scale)
     depth = jnp.where(finite[:, None] & finite, depth, jnp.nan)
     return jnp.transpose(depth, (2, 0, 1))
 
 
 def _search_slabs(
-    placed: Placed, samples: Float[Array, "object sample 3"], solids: Solids
+    placed: ObjectPoses, samples: Float[Array, "object sample 3"], colliders: Colliders
 ) -> Deepest:
     pop = placed.scale.shape[-1]
-    search = functools.partial(_search, blocks=sample_blocks(samples, BLOCK), solids=solids)
+    search = functools.partial(_search, blocks=sample_blocks(samples, BLOCK), colliders=colliders)
     slabs = -(-pop // SLAB)
     if slabs == 1:
         return search(placed)
@@ -90,18 +90,18 @@ def _search_slabs(
         x = jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, each * slabs - pop)], mode="edge")
         return jnp.moveaxis(x.reshape(*x.shape[:-1], slabs, each), -2, 0)
 
-    found = lax.map(search, jax.tree.map(cut, placed))
+    deepest = lax.map(search, jax.tree.map(cut, placed))
     whole = lambda x: jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1)[..., :pop]
-    return jax.tree.map(whole, found)
+    return jax.tree.map(whole, deepest)
 
 
-def _search(placed: Placed, blocks: Blocks, solids: Solids) -> Deepest:
+def _search(placed: ObjectPoses, blocks: Blocks, colliders: Colliders) -> Deepest:
     count, pop = placed.scale.shape
     number = len(blocks.radius)
-    mask = touching(placed, blocks, solids)
+    mask = touching(placed, blocks, colliders)
     _, member = members(mask.reshape(-1))
     # Kinds follow one another; each starts a chunk of its own, since chunks are of one kind.
-    groups = [(k, g) for k, g in zip(Solids._fields, solids, strict=True) if len(g.owner)]
+    groups = [(k, g) for k, g in zip(Colliders._fields, colliders, strict=True) if len(g.owner)]
     lengths = [len(g.owner) for _, g in groups]
     cuts = [sum(lengths[:k]) for k in range(1, len(groups))]
     sums = jnp.stack([jnp.sum(part, dtype=jnp.int32) for part in jnp.split(mask, cuts)])
@@ -112,7 +112,7 @@ def _search(placed: Placed, blocks: Blocks, solids: Solids) -> Deepest:
     owner = jnp.concatenate([g.owner for _, g in groups])
     own_pos = jnp.concatenate([g.pos for _, g in groups]).T
     own_rot = jnp.transpose(jnp.concatenate([g.rot for _, g in groups]), (1, 2, 0))
-    poses = Placed(*(x.reshape(*x.shape[:-2], -1) for x in placed))
+    poses = ObjectPoses(*(x.reshape(*x.shape[:-2], -1) for x in placed))
 
     def address(index: Array) -> tuple[Array, ...]:
         here = member(index)
@@ -123,7 +123,7 @@ def _search(placed: Placed, blocks: Blocks, solids: Solids) -> Deepest:
         return block, piece, i * pop + candidate, o * pop + candidate, slot
 
     def compose(piece: Array, one: Array, two: Array) -> tuple[Any, ...]:
-        one_, two_ = (Placed(*(x[..., k] for x in poses)) for k in (one, two))
+        one_, two_ = (ObjectPoses(*(x[..., k] for x in poses)) for k in (one, two))
         return *_motion(one_, two_, own_pos[:, piece], own_rot[..., piece]), two_.scale
 
     def look(carry: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -144,8 +144,8 @@ def _search(placed: Placed, blocks: Blocks, solids: Solids) -> Deepest:
 
     none = jnp.zeros(count * count * pop, jnp.int32)
     start = (jnp.int32(0), none.astype(jnp.float32), none, none, none)
-    _, *found = lax.while_loop(lambda carry: carry[0] < chunks[-1], look, start)
-    depth, *where = (x.reshape(count, count, pop) for x in found)
+    _, *best = lax.while_loop(lambda carry: carry[0] < chunks[-1], look, start)
+    depth, *where = (x.reshape(count, count, pop) for x in best)
     return Deepest(depth > 0, *where)
 
 
@@ -161,7 +161,7 @@ def _apart(k: Array, stage: Callable[..., Any], *inputs: Array) -> Any:
 
 
 def _motion(
-    one: Placed, two: Placed, pos: Float[Array, "3 item"], rot: Float[Array, "3 3 item"]
+    one: ObjectPoses, two: ObjectPoses, pos: Float[Array, "3 item"], rot: Float[Array, "3 3 item"]
 ) -> tuple[list[list[Array]], list[Array]]:
     """Compose x -> turn x + shift, from one's frame at scale 1 into a piece's of two."""
     gap, ratio = one.pos - two.pos, one.scale / two.scale
@@ -176,7 +176,7 @@ def _motion(
 def _inside(
     kind: str,
     blocks: Blocks,
-    group: Group,
+    group: PieceGroup,
     turn: list[list[Array]],
     shift: list[Array],
     block: Int[Array, " item"],
@@ -194,8 +194,8 @@ def _inside(
         best, which = carry
         points = lax.dynamic_slice_in_dim(blocks.points, g * lump, lump)
         local = at([points[:, c, block] for c in range(3)])
-        (found,) = depths(kind, [local], size, lambda f, c: planes[f, c], faces)
-        top, at_top = jnp.max(found, axis=0), jnp.argmax(found, axis=0).astype(which.dtype)
+        (values,) = depths(kind, [local], size, lambda f, c: planes[f, c], faces)
+        top, at_top = jnp.max(values, axis=0), jnp.argmax(values, axis=0).astype(which.dtype)
         return jnp.maximum(best, top), jnp.where(top > best, g * lump + at_top, which)
 
     low = (jnp.full(block.shape, -1e6), jnp.zeros_like(block))
@@ -211,12 +211,15 @@ def _inside(
 
 
 def _depth_at(
-    deepest: Deepest, placed: Placed, samples: Float[Array, "object sample 3"], solids: Solids
+    deepest: Deepest,
+    placed: ObjectPoses,
+    samples: Float[Array, "object sample 3"],
+    colliders: Colliders,
 ) -> Float[Array, "object object pop"]:
     """Compute the depth of the deepest samples, as `pair_depth_reference` does of all."""
     who = jnp.arange(len(samples))[:, None, None]
     x = jnp.moveaxis(samples[who, deepest.sample], -1, 0)
-    groups = [(k, g) for k, g in zip(Solids._fields, solids, strict=True) if len(g.owner)]
+    groups = [(k, g) for k, g in zip(Colliders._fields, colliders, strict=True) if len(g.owner)]
     pos = jnp.concatenate([g.pos for _, g in groups]).T[:, deepest.piece]
     rot = jnp.transpose(jnp.concatenate([g.rot for _, g in groups]), (1, 2, 0))
     rot = rot[..., deepest.piece]
@@ -234,12 +237,12 @@ def _depth_at(
     for kind, group in groups:
         number, faces = group.planes.shape[:2]
         row = deepest.piece - first
-        here = deepest.found & (row >= 0) & (row < number)
+        here = deepest.inside & (row >= 0) & (row < number)
         planes = jnp.zeros((0, 4, *row.shape))
         if faces:
             planes = jnp.moveaxis(group.planes[row, deepest.face], -1, 0)[None]
         # Sizes of other kinds may be zero, by which gradients would not be numbers.
-        piece = Group(row, pos, rot, jnp.where(here, size, 1.0), planes)
+        piece = PieceGroup(row, pos, rot, jnp.where(here, size, 1.0), planes)
         inside = -distance(kind, local[0], local[1], local[2], piece) * placed.scale
         depth = jnp.where(here, jnp.maximum(inside, 0.0), depth)
         first += number

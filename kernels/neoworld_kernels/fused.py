@@ -11,8 +11,8 @@ from jax import lax
 from jax.experimental import pallas as pl
 from jaxtyping import Array, Float, Int
 
-from .rough import bound, depths, finished
-from .solids import Solids
+from .coarse_distance import bound, depths, finished
+from .convex_pieces import Colliders
 
 GRANULE = 4
 """Samples that lie side by side in memory."""
@@ -27,7 +27,7 @@ class PairDepthTuning:
     unroll: int = 8
     """Samples a loop iteration works on."""
     fused: bool = True
-    """Whether one kernel takes all kinds of solids, rather than one each."""
+    """Whether one kernel takes all kinds of colliders, rather than one each."""
 
     def __post_init__(self) -> None:
         """Check the cut.
@@ -52,9 +52,9 @@ class _Pieces(NamedTuple):
     faces: int
 
 
-def _pieces(solids: Solids, count: int) -> list[_Pieces]:
-    found = []
-    for kind, group in zip(Solids._fields, solids, strict=True):
+def _pieces(colliders: Colliders, count: int) -> list[_Pieces]:
+    pieces = []
+    for kind, group in zip(Colliders._fields, colliders, strict=True):
         n = group.owner.shape[0]
         if n == 0:
             continue
@@ -63,8 +63,8 @@ def _pieces(solids: Solids, count: int) -> list[_Pieces]:
         columns = [group.pos, group.rot.reshape(n, 9), group.size, jnp.zeros((n, 1))]
         columns.append(group.planes.reshape(n, -1))
         table = jnp.concatenate(columns, axis=1)[order].astype(jnp.float32)
-        found.append(_Pieces(kind, first, table, group.planes.shape[1]))
-    return found
+        pieces.append(_Pieces(kind, first, table, group.planes.shape[1]))
+    return pieces
 
 
 def pair_depth_kernel(
@@ -72,7 +72,7 @@ def pair_depth_kernel(
     rot: Float[Array, "pop object 3 3"],
     scale: Float[Array, "pop object"],
     samples: Float[Array, "object sample 3"],
-    solids: Solids,
+    colliders: Colliders,
     *,
     tuning: PairDepthTuning | None = None,
     interpret: bool = False,
@@ -89,14 +89,14 @@ def pair_depth_kernel(
         rot: object rotations.
         scale: isotropic scale of each object about its origin.
         samples: surface points in object frames at scale 1 [m].
-        solids: convex pieces in object frames at scale 1.
+        colliders: convex pieces in object frames at scale 1.
         tuning: how the work is cut up.
         interpret: run it on any device, slowly; for tests.
     """
     t = tuning or PairDepthTuning()
     pop, count = scale.shape
     blocks = -(-pop // t.block)
-    groups = _pieces(solids, count)
+    groups = _pieces(colliders, count)
     if not groups or pop == 0 or count == 0:
         return jnp.zeros((pop, count, count), jnp.float32)
     # A pose is 13 rows: rotation by rows, position, scale.
@@ -106,7 +106,7 @@ def pair_depth_kernel(
     points, sphere = _padded(samples, t.unroll)
     shape = jax.ShapeDtypeStruct((count, count, blocks * t.block), jnp.float32)
     launch = _interpreted if interpret else _on_hopper
-    found = []
+    depths_by_kind = []
     for some in [groups] if t.fused else [[g] for g in groups]:
         body = functools.partial(
             _pair_depth_kernel,
@@ -115,8 +115,10 @@ def pair_depth_kernel(
             tuning=t,
         )
         tables = [x for g in some for x in (g.first, g.table)]
-        found.append(launch(body, (blocks, count, count), shape)(pose, points, sphere, *tables))
-    depth = functools.reduce(jnp.maximum, found)
+        depths_by_kind.append(
+            launch(body, (blocks, count, count), shape)(pose, points, sphere, *tables)
+        )
+    depth = functools.reduce(jnp.maximum, depths_by_kind)
     return jnp.transpose(depth[..., :pop], (2, 0, 1))
 
 

@@ -128,8 +128,8 @@ def agreed(rows: Sequence[ModelRow | VerdictRow]) -> dict[str, Any]:
     for row in verdicts:
         label = f"{row.engine}, early stop" if row.early_stop else row.engine
         each.setdefault(label, []).append(row)
-    shares = {label: _share(found) for label, found in each.items()}
-    enough = all(shares[label] >= found[0].wanted for label, found in each.items())
+    shares = {label: _share(rows_of) for label, rows_of in each.items()}
+    enough = all(shares[label] >= rows_of[0].wanted for label, rows_of in each.items())
     return {
         "passed": enough
         and all(row.passed for row in models)
@@ -157,21 +157,21 @@ def _verdicts(
     wanted = ENGINES[engine].agreement
     about = {"scene": name, "engine": engine, "early_stop": rule is not None, "wanted": wanted}
     try:
-        found = motion(scene, open_engine(engine).rollout(scene, poses, early_stop=rule))
+        moved = motion(scene, open_engine(engine).rollout(scene, poses, early_stop=rule))
     except EngineError as error:
-        found, note = None, str(error)
+        moved, note = None, str(error)
     else:
         note = ""
-    told = compare(reference, reference if found is None else found)
-    share = None if found is None else told.share(near=False)
+    verdicts = compare(reference, reference if moved is None else moved)
+    share = None if moved is None else verdicts.share(near=False)
     return VerdictRow(
         **about,
         layouts=len(reference),
-        stable_share=float(told.stable.mean()),
-        near_bound=int(told.near.sum()),
+        stable_share=float(verdicts.stable.mean()),
+        near_bound=int(verdicts.near.sum()),
         agreement=share,
-        agreement_near_bound=None if found is None else told.share(near=True),
-        passed=None if found is None else share is not None and share >= wanted,
+        agreement_near_bound=None if moved is None else verdicts.share(near=True),
+        passed=None if moved is None else share is not None and share >= wanted,
         note=note,
     )
 

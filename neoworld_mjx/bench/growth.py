@@ -1,4 +1,4 @@
-"""How cost grows with the number of objects: exponents, and a chart of them as a file of its own."""
+"""Growth of cost with the number of objects: exponents, and a chart of them as a file."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -70,15 +70,15 @@ def _exponent(costs: dict[int, float]) -> float:
     return float(np.polyfit(np.log(list(costs)), np.log(list(costs.values())), 1)[0])
 
 
-def growth_svg(found: Sequence[Growth], *, core: bool = False) -> str:
+def growth_svg(curves: Sequence[Growth], *, core: bool = False) -> str:
     """Draw cost over objects with both axes logarithmic, as a whole SVG file on white.
 
     Args:
-        found: what to draw.
+        curves: what to draw.
         core: whether the costs are of processor time.
     """
-    objects = sorted({n for g in found for n in g.objects})
-    costs = [c for g in found for c in g.cost_ms]
+    objects = sorted({n for g in curves for n in g.objects})
+    costs = [c for g in curves for c in g.cost_ms]
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" '
         'font-family="sans-serif" font-size="12" role="img" '
@@ -96,9 +96,9 @@ def growth_svg(found: Sequence[Growth], *, core: bool = False) -> str:
             - _BOTTOM
             - (_HEIGHT - _TOP - _BOTTOM) * (math.log10(c) - low) / max(high - low, 1)
         )
-        what = "processor time" if core else "time"
-        parts += _axes(f"{what} of a candidate [ms]", objects, low, max(high, low + 1), px, py)
-        for k, g in enumerate(found):
+        cost = "processor time" if core else "time"
+        parts += _axes(f"{cost} of a candidate [ms]", objects, low, max(high, low + 1), px, py)
+        for k, g in enumerate(curves):
             parts += _curve(g, _COLOURS[k % len(_COLOURS)], k, px, py)
     return "".join(parts) + "</svg>\n"
 

@@ -1,6 +1,6 @@
-"""How long the implementations of the penetration term take, and how far they are from the reference.
+"""Times of the implementations of the penetration term, and their errors against the reference.
 
-One row an implementation: what runs everywhere is timed everywhere, the others say why they do not.
+One row for each implementation; one that cannot run on this device says why.
 """
 
 import functools
@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from neoworld_kernels import Solids, pair_depth, pair_depth_culled, pair_depth_reference
+from neoworld_kernels import Colliders, pair_depth, pair_depth_culled, pair_depth_reference
 from pydantic import BaseModel, ConfigDict
 
 from ..errors import EngineError
@@ -116,9 +116,9 @@ def kernels(
             poses = jax.block_until_ready(scene.place(layouts))
             reference: tuple[Array, float] | None = None
             for name, depth in implementations().items():
-                row, found = _row(name, depth, scene, poses, samples, reference, budget)
-                if name == "jnp" and found is not None and row.ms is not None:
-                    reference = (found, row.ms)
+                row, depths = _row(name, depth, scene, poses, samples, reference, budget)
+                if name == "jnp" and depths is not None and row.ms is not None:
+                    reference = (depths, row.ms)
                 yield row
 
 
@@ -131,29 +131,29 @@ def _row(
     reference: tuple[Array, float] | None,
     budget: float,
 ) -> tuple[KernelRow, Array | None]:
-    solids: Solids = scene.solids
-    pieces = sum(len(group.owner) for group in solids)
+    colliders: Colliders = scene.colliders
+    pieces = sum(len(group.owner) for group in colliders)
     pop, objects = poses.scale.shape
     row = KernelRow(
         implementation=name, objects=objects, population=pop, samples=samples, pieces=pieces
     )
 
     def total(pos: Array, rot: Array, scale: Array) -> Array:
-        return jnp.sum(depth(pos, rot, scale, scene.samples, solids))
+        return jnp.sum(depth(pos, rot, scale, scene.samples, colliders))
 
     where = (poses.pos, rotation(poses.quat), poses.scale)
-    call = jax.jit(lambda pos, rot, scale: depth(pos, rot, scale, scene.samples, solids))
+    call = jax.jit(lambda pos, rot, scale: depth(pos, rot, scale, scene.samples, colliders))
     try:
-        found, first, ms = _timed(call, where, budget / 2)
+        depths, first, ms = _timed(call, where, budget / 2)
         _, _, gradient = _timed(jax.jit(jax.value_and_grad(total)), where, budget / 2)
     except Exception as error:  # a kernel that this device cannot compile raises what it likes
         text = str(error).splitlines()[0][:160] if str(error) else ""
         return row.model_copy(update={"status": f"skipped: {type(error).__name__}: {text}"}), None
-    gap = 0.0 if reference is None else float(np.abs(np.asarray(found - reference[0])).max())
-    if not np.isfinite(np.asarray(found)).all() or gap > TOLERANCE:
+    gap = 0.0 if reference is None else float(np.abs(np.asarray(depths - reference[0])).max())
+    if not np.isfinite(np.asarray(depths)).all() or gap > TOLERANCE:
         return row.model_copy(
             update={"max_error_m": gap, "status": "invalid: differs from the reference"}
-        ), found
+        ), depths
     return row.model_copy(
         update={
             "compile_s": first,
@@ -163,13 +163,13 @@ def _row(
             "over_reference": None if reference is None else reference[1] / ms,
             "max_error_m": gap,
         }
-    ), found
+    ), depths
 
 
 def _timed(call: Any, where: tuple[Array, ...], budget: float) -> tuple[Any, float, float]:
-    """Return the result, the seconds that the first call took more, and a call's median time [ms]."""
+    """Return the result, the extra time of the first call [s], and a call's median time [ms]."""
     began = time.perf_counter()
-    found = jax.block_until_ready(call(*where))
+    result = jax.block_until_ready(call(*where))
     first = time.perf_counter() - began
     times: list[float] = []
     while len(times) < REPEATS and (not times or time.perf_counter() - began < budget):
@@ -177,4 +177,4 @@ def _timed(call: Any, where: tuple[Array, ...], budget: float) -> tuple[Any, flo
         jax.block_until_ready([call(*where) for _ in range(CALLS)])
         times.append((time.perf_counter() - t0) / CALLS)
     steady = float(np.median(times))
-    return found, max(first - steady, 0.0), 1e3 * steady
+    return result, max(first - steady, 0.0), 1e3 * steady

@@ -1,4 +1,4 @@
-"""How well sampled penetration tells what MuJoCo measures exactly, over random pairs of solids.
+"""How well sampled penetration tells what MuJoCo measures exactly, over random pairs of colliders.
 
 D_pen looks at a fixed number of surface points, so it misses shallow overlaps and underrates some.
 """
@@ -10,14 +10,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from neoworld_kernels import Group, Solids, pair_depth_reference
+from neoworld_kernels import Colliders, PieceGroup, pair_depth_reference
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
+from ..physics.colliders import collect_colliders
 from ..physics.exact import geom_distance, start_state
-from ..physics.solids import solids, surface_samples
+from ..physics.sampling import surface_samples
 from ..spec import Box, Capsule, Cylinder, Ellipsoid, Mesh, SceneObject, SceneSpec, Shape, Sphere
 from ..spec.pose import matrix
 from .scenes import single
@@ -26,14 +27,14 @@ KINDS = ("box", "sphere", "capsule", "cylinder", "ellipsoid", "polytope")
 DEEP = 0.005
 """Depth [m] from which on overlaps should not be missed."""
 OVERLAP = 0.03
-"""Largest overlap [m] along the direction in which two solids are pushed together."""
+"""Largest overlap [m] along the direction in which two colliders are pushed together."""
 
 FAR = np.float32(1e3)
 """Where pieces are put that should touch nothing [m]."""
 
 
 class Pairs(NamedTuple):
-    """Random pairs of solids; depths [m], zero where they do not touch."""
+    """Random pairs of colliders; depths [m], zero where they do not touch."""
 
     kinds: NDArray
     """[pair, 2], indices into `KINDS`."""
@@ -94,16 +95,16 @@ def _row(first: str, second: str, pairs: Pairs, where: NDArray) -> AccuracyRow:
 
 
 def random_pairs(count: int = 10_000, *, samples: int = 256, each: int = 8, seed: int = 0) -> Pairs:
-    """Push random solids of all kinds into each other and measure how deep, both ways.
+    """Push random colliders of all kinds into each other and measure how deep, both ways.
 
-    Two solids of 2 to 10 cm are turned at random and set along a random direction so that their
+    Two colliders of 2 to 10 cm are turned at random and set along a random direction so that their
     extents along it overlap by up to `OVERLAP`; of how deep they then are nothing is fixed.
 
     Args:
         count: of pairs.
         samples: surface samples of each solid.
-        each: how many different solids of each kind there are.
-        seed: of solids and poses.
+        each: how many different colliders of each kind there are.
+        seed: of colliders and poses.
     """
     rng = np.random.default_rng(seed)
     # Two sets, one for each side: MuJoCo's geoms are in one place at a time.
@@ -164,7 +165,7 @@ def _sampled(
     items: tuple[SceneObject, ...], points: NDArray, pick: NDArray, pos: NDArray, rot: NDArray
 ) -> NDArray:
     found = []
-    for group in solids(items):
+    for group in collect_colliders(items):
         owner, *rest = (np.asarray(x) for x in group)
         if not len(owner):
             empty = (np.zeros((len(pick), *np.shape(x)), np.float32) for x in rest)
@@ -175,10 +176,10 @@ def _sampled(
         at, *others = (x[row] for x in rest)
         side = np.tile(np.array([0, 1], np.int32), (len(pick), 1))
         found.append((side, at + FAR * (owner[row] != pick)[..., None], *others))
-    every_pair = Solids(*(Group(*map(jnp.asarray, rows)) for rows in found))
+    every_pair = Colliders(*(PieceGroup(*map(jnp.asarray, rows)) for rows in found))
     one = jnp.ones((1, 2))
 
-    def deeper(pos: Array, rot: Array, samples: Array, own: Solids) -> Array:
+    def deeper(pos: Array, rot: Array, samples: Array, own: Colliders) -> Array:
         return jnp.max(pair_depth_reference(pos[None], rot[None], one, samples, own))
 
     f32 = lambda x: jnp.asarray(x, jnp.float32)

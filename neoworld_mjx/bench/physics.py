@@ -1,8 +1,8 @@
-"""How many candidates a second each engine rolls out, beside the loops that it has to beat.
+"""Candidates per second of each engine, beside the naive loop and a bare scan of MJX.
 
-Every row runs in a process of its own: its peak memory is its own, and a row that would take longer
-than its budget is ended and called skipped. What a row ends in is held against the naive loop
-before any of its numbers are given.
+Every row runs in a process of its own, so that its peak memory is its own and a row that exceeds
+its budget can be ended and reported as skipped. The row's verdicts are compared with those of the
+naive loop; a row that disagrees gets no rates.
 """
 
 import json
@@ -40,7 +40,7 @@ _START_S = 30.0
 
 
 class Task(BaseModel):
-    """What one row measures."""
+    """The conditions of one row."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -54,7 +54,7 @@ class Task(BaseModel):
 
 
 class PhysicsRow(BaseModel):
-    """What was measured; None where a column does not apply or was not reached."""
+    """A row of the table; None where a column does not apply or was not reached."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -69,8 +69,8 @@ class PhysicsRow(BaseModel):
     bare_scan_candidates_per_s: float | None = None
     """Of `jax.vmap` over `mjx.step` with the same leaves and nothing else; engine mjx only."""
     core_ms: float | None = None
-    """Processor time of a candidate [ms], all threads together; engine native only. Where others use
-    the machine it stays what it is, and the rates do not."""
+    """Processor time of a candidate [ms], all threads together; engine native only. Unlike rates it
+    does not suffer from other processes."""
     naive_core_ms: float | None = None
     compile_s: float | None = None
     """First rollout less a steady one: tracing, compiling, filling caches."""
@@ -100,7 +100,7 @@ class PhysicsRow(BaseModel):
 
 
 class Measured(BaseModel):
-    """What a row's process hands back."""
+    """Measurements of one row, as its process returns them."""
 
     model_config = ConfigDict(extra="forbid", ser_json_inf_nan="strings")
 
@@ -176,47 +176,47 @@ def _row(task: Task, naive: Loop, *, apart: bool) -> PhysicsRow:
         single_thread_steps_per_s=naive.steps_per_s,
         naive_core_ms=1e3 * naive.cpu_s / len(naive.motion),
     )
-    found = _in_a_process(task) if apart else measure(task)
-    if isinstance(found, str):
-        return row.model_copy(update={"status": found})
-    some = min(len(naive.motion), task.population)
-    told = compare(naive.motion[:some], np.array(found.motion[:some]))
+    result = _in_a_process(task) if apart else measure(task)
+    if isinstance(result, str):
+        return row.model_copy(update={"status": result})
+    compared = min(len(naive.motion), task.population)
+    verdicts = compare(naive.motion[:compared], np.array(result.motion[:compared]))
     checked = {
-        "verdict_agreement": float(told.same.mean()),
-        "verdict_agreement_clear": told.share(near=False),
-        "compared": some,
-        "stable_share": found.stable_share,
-        "failed_share": found.failed_share,
-        "peak_mib": found.peak_mib,
-        "device_peak_mib": found.device_peak_mib,
-        "others_cores": found.others_cores,
+        "verdict_agreement": float(verdicts.same.mean()),
+        "verdict_agreement_clear": verdicts.share(near=False),
+        "compared": compared,
+        "stable_share": result.stable_share,
+        "failed_share": result.failed_share,
+        "peak_mib": result.peak_mib,
+        "device_peak_mib": result.device_peak_mib,
+        "others_cores": result.others_cores,
     }
     clear = checked["verdict_agreement_clear"]
-    if found.failed_share > SANE_FAILED or (clear is not None and clear < SANE_AGREEMENT):
-        why = f"invalid: {found.failed_share:.1%} failed, verdicts agree in {clear or 0:.1%}"
+    if result.failed_share > SANE_FAILED or (clear is not None and clear < SANE_AGREEMENT):
+        why = f"invalid: {result.failed_share:.1%} failed, verdicts agree in {clear or 0:.1%}"
         return row.model_copy(update={**checked, "status": why})
-    if not found.steady_s:
-        late = {"first_s": found.first_s, "status": "skipped: budget"}
+    if not result.steady_s:
+        late = {"first_s": result.first_s, "status": "skipped: budget"}
         return row.model_copy(update={**checked, **late})
-    steady = float(np.median(found.steady_s))
-    bare = float(np.median(found.bare_scan_s)) if found.bare_scan_s else None
-    core = 1e3 * float(np.median(found.core_s)) / task.population
+    steady = float(np.median(result.steady_s))
+    bare = float(np.median(result.bare_scan_s)) if result.bare_scan_s else None
+    core = 1e3 * float(np.median(result.core_s)) / task.population
     rates = {
         "core_ms": core if task.engine == "native" else None,
         "candidates_per_s": task.population / steady,
         "bare_scan_candidates_per_s": None if bare is None else task.population / bare,
-        "compile_s": max(found.first_s - steady, 0.0),
-        "first_s": found.first_s,
+        "compile_s": max(result.first_s - steady, 0.0),
+        "first_s": result.first_s,
         "steady_s": steady,
-        "repeats": len(found.steady_s),
-        "steps_per_s": found.mean_steps * task.population / steady,
-        "mean_steps": found.mean_steps,
+        "repeats": len(result.steady_s),
+        "steps_per_s": result.mean_steps * task.population / steady,
+        "mean_steps": result.mean_steps,
     }
     return row.model_copy(update={**checked, **rates})
 
 
 def _in_a_process(task: Task) -> Measured | str:
-    """Measure in a new process; return why not when it is ended or fails."""
+    """Measure in a new process; return the reason when it is ended or fails."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "row.json"
         command = [sys.executable, "-m", __name__, task.model_dump_json(), str(out)]
@@ -229,15 +229,15 @@ def _in_a_process(task: Task) -> Measured | str:
         if not out.exists():
             last = (done.stderr.strip().splitlines() or ["no message"])[-1]
             return f"skipped: process ended with {done.returncode}: {last[:200]}"
-        found = json.loads(out.read_text(encoding="utf-8"))
-    return found if isinstance(found, str) else Measured.model_validate(found)
+        result = json.loads(out.read_text(encoding="utf-8"))
+    return result if isinstance(result, str) else Measured.model_validate(result)
 
 
 def measure(task: Task) -> Measured | str:
     """Time one engine on one population, in this process.
 
     Returns:
-        What was measured, or why it was skipped.
+        Measurements, or the reason why the row was skipped.
     """
     began = time.perf_counter()
     try:
@@ -250,8 +250,8 @@ def measure(task: Task) -> Measured | str:
 
     def once() -> Rollout:
         poses = scene.place(layouts)
-        found = engine.rollout(scene, poses, duration=task.duration_s, early_stop=rule)
-        return jax.block_until_ready(found)
+        rollout = engine.rollout(scene, poses, duration=task.duration_s, early_stop=rule)
+        return jax.block_until_ready(rollout)
 
     try:
         t0 = time.perf_counter()
@@ -297,19 +297,19 @@ def _time_bare(
     steps = round(task.duration_s / scene.static.mjm.opt.timestep)
     once = bare_scan(scene, layouts, steps)
     jax.block_until_ready(once())
-    found: list[float] = []
-    while len(found) < REPEATS and time.perf_counter() + (found[-1] if found else 0.0) < ends:
+    times: list[float] = []
+    while len(times) < REPEATS and time.perf_counter() + (times[-1] if times else 0.0) < ends:
         t0 = time.perf_counter()
         jax.block_until_ready(once())
-        found.append(time.perf_counter() - t0)
-    return found
+        times.append(time.perf_counter() - t0)
+    return times
 
 
 def main() -> None:
-    """Measure the task given as JSON and write what was found to the file given."""
+    """Measure the task given as JSON and write the result to the file given."""
     task = Task.model_validate_json(sys.argv[1])
-    found = measure(task)
-    text = json.dumps(found) if isinstance(found, str) else found.model_dump_json()
+    result = measure(task)
+    text = json.dumps(result) if isinstance(result, str) else result.model_dump_json()
     Path(sys.argv[2]).write_text(text, encoding="utf-8")
 
 

@@ -6,6 +6,7 @@ from pydantic import Field
 
 from ..physics.exact import object_depths, start_state
 from ..spec import SceneSpec, Spec
+from ..spec.pose import angle_between
 
 
 class SceneMeasure(Spec):
@@ -59,14 +60,12 @@ def scene_measure(
     names = [item.name for item in scene.objects if not item.static]
     bodies = [model.body(name).id for name in names]
     pos0, quat0 = data.xpos[bodies].copy(), data.xquat[bodies].copy()
-    far, chord = np.zeros(len(names)), np.zeros(len(names))
+    far, tilt = np.zeros(len(names)), np.zeros(len(names))
     for _ in range(round(duration / timestep)):
         mujoco.mj_step(model, data)
         pos, quat = data.xpos[bodies], data.xquat[bodies]
         far = np.maximum(far, np.linalg.norm(pos - pos0, axis=1))
-        both = [np.linalg.norm(quat - sign * quat0, axis=1) for sign in (1, -1)]
-        chord = np.maximum(chord, np.minimum(*both))
-    tilt = np.degrees(4 * np.arcsin(np.clip(chord / 2, 0, 1)))
+        tilt = np.maximum(tilt, np.degrees(angle_between(quat0, quat)))
     diverged = not (np.isfinite(far).all() and np.isfinite(data.qpos).all())
     at_end = {} if diverged else object_depths(scene, model, data)
     stable = not diverged and bool(np.all(far < max_drift) and np.all(tilt < max_tilt))

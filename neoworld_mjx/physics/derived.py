@@ -1,7 +1,7 @@
-"""What MuJoCo derives from a candidate's model fields (mj_setConst), computed for a population.
+"""Model fields that MuJoCo derives from others (mj_setConst), computed for a population.
 
-Engines that hold the model on a device have no mj_setConst for batches; what they need of it follows
-laws of an object's scale alone, since a layout never changes a shape or a joint's place within one.
+Engines that hold the model on a device have no mj_setConst for batches. The fields that they need
+follow laws of an object's scale alone, since a layout changes no shape and no joint's place in one.
 """
 
 import functools
@@ -11,8 +11,10 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from .layout import Layout, Poses, compose_poses, quat_mul, rotation
+from ..spec.pose import quat_mul
+from .layout import Layout, Poses, compose_poses, rotation
 from .model import FREE, SLIDE, SceneModel, StaticScene
+from .model_fields import owner_scale
 from .native import open_batch
 
 KNOTS, SPAN = 65, 1.0
@@ -27,22 +29,20 @@ def invweights(scene: SceneModel, poses: Poses) -> dict[str, Any]:
     interpolated by cubics in the logarithms, to a relative error of 1e-6. Traceable.
     """
     s, m = scene.static, scene.static.mjm
-    padded = jnp.concatenate([poses.scale, jnp.ones_like(poses.scale[:, :1])], axis=1)
-    # Index -1, the world, meets the column of ones at the end.
-    body, dof = padded[:, s.body_object], padded[:, s.dof_object]
-    if _uniform(s):
+    body, dof = (owner_scale(poses.scale, owner) for owner in (s.body_object, s.dof_object))
+    if _one_mass_law(s):
         mass = s.powers.body_mass
         law = np.stack([-mass, -(mass + 2)], axis=-1)
-        turning = np.array([_turns(m, d) for d in range(m.nv)], bool)
+        rotational = np.array([_rotational(m, d) for d in range(m.nv)], bool)
         own = mass[m.dof_bodyid] if m.nv else np.zeros(0)
         return {
             "body_invweight0": m.body_invweight0 * body[..., None] ** law,
-            "dof_invweight0": m.dof_invweight0 * dof ** -(own + 2 * turning),
+            "dof_invweight0": m.dof_invweight0 * dof ** -(own + 2 * rotational),
         }
     bodies, dofs = _tables(scene)
     return {
-        "body_invweight0": _between(bodies, jnp.log(body)[..., None]),
-        "dof_invweight0": _between(dofs, jnp.log(dof)),
+        "body_invweight0": _interpolate(bodies, jnp.log(body)[..., None]),
+        "dof_invweight0": _interpolate(dofs, jnp.log(dof)),
     }
 
 
@@ -76,7 +76,7 @@ def static_geoms(
         if m.body_weldid[b] == 0:
             p = int(m.body_parentid[b])
             pos[b] = pos[p] + _rotated(quat[p], body_pos[:, b])
-            quat[b] = quat_mul(quat[p], body_quat[:, b])
+            quat[b] = quat_mul(quat[p], body_quat[:, b], jnp)
     xpos = jnp.zeros((pop, m.ngeom, 3))
     xmat = jnp.zeros((pop, m.ngeom, 3, 3))
     for g in range(m.ngeom):
@@ -84,7 +84,7 @@ def static_geoms(
         if b in pos:
             xpos = xpos.at[:, g].set(pos[b] + _rotated(quat[b], geom_pos[:, g]))
             own = jnp.broadcast_to(jnp.asarray(m.geom_quat[g], jnp.float32), (pop, 4))
-            xmat = xmat.at[:, g].set(rotation(quat_mul(quat[b], own)))
+            xmat = xmat.at[:, g].set(rotation(quat_mul(quat[b], own, jnp)))
     return xpos, xmat
 
 
@@ -92,7 +92,7 @@ def _rotated(quat: Any, v: Any) -> Any:
     return jnp.sum(rotation(quat) * v[:, None, :], axis=-1)
 
 
-def _turns(m: mujoco.MjModel, dof: int) -> bool:
+def _rotational(m: mujoco.MjModel, dof: int) -> bool:
     joint = m.dof_jntid[dof]
     if m.jnt_type[joint] == FREE:
         return dof - m.jnt_dofadr[joint] >= 3
@@ -100,7 +100,7 @@ def _turns(m: mujoco.MjModel, dof: int) -> bool:
 
 
 @functools.lru_cache(maxsize=64)
-def _uniform(static: StaticScene) -> bool:
+def _one_mass_law(static: StaticScene) -> bool:
     for item in range(len(static.names)):
         if len(set(static.powers.body_mass[static.body_object == item].tolist())) > 1:
             return False
@@ -122,23 +122,23 @@ def _tables(scene: SceneModel) -> tuple[np.ndarray, np.ndarray]:
         batch = open_batch(scene, poses)
         models = [batch.get_model(k) for k in range(KNOTS)]
         with np.errstate(divide="ignore"):
-            found = tuple(
+            tables = tuple(
                 np.log(np.stack([getattr(model, name) for model in models]))
                 for name in ("body_invweight0", "dof_invweight0")
             )
         if len(_measured) >= 64:
             _measured.clear()
-        _measured[scene.static] = (found[0], found[1])
+        _measured[scene.static] = (tables[0], tables[1])
     return _measured[scene.static]
 
 
-def _between(table: np.ndarray, log: Any) -> Any:
+def _interpolate(table: np.ndarray, log: Any) -> Any:
     """Interpolate exp(table) [knot, *item] at log scales [pop, *item], by Catmull-Rom cubics.
 
     Beyond the table's ends its last slope goes on.
     """
-    none = ~np.isfinite(table[0])
-    known = np.where(none, 0.0, table)
+    zero = ~np.isfinite(table[0])
+    known = np.where(zero, 0.0, table)
     slope = np.gradient(known, axis=0)
     at = (log + SPAN) / (2 * SPAN) * (KNOTS - 1)
     at = jnp.broadcast_to(at, (log.shape[0], *table.shape[1:]))
@@ -154,4 +154,4 @@ def _between(table: np.ndarray, log: Any) -> Any:
         - m1 * t**2 * (1 - t)
     )
     outside = jnp.where(u < 0, m0 * u, 0.0) + jnp.where(u > 1, m1 * (u - 1), 0.0)
-    return jnp.where(none, 0.0, jnp.exp(inside + outside))
+    return jnp.where(zero, 0.0, jnp.exp(inside + outside))

@@ -1,6 +1,6 @@
-"""The vocabulary of rollouts: what an engine takes, what it returns, and when candidates stop early.
+"""The vocabulary of rollouts: the Engine protocol, Rollout, RolloutStatus and EarlyStop.
 
-No engine is imported here, nor by anything that this module imports; `simulate` opens engines by name.
+No engine is imported here, nor by what this module imports; `simulate` opens engines by name.
 """
 
 import enum
@@ -72,7 +72,7 @@ class Rollout(eqx.Module):
 
 
 def unmoved(scene: SceneModel, poses: Poses) -> Rollout:
-    """Return rollouts of no duration: every candidate as it was placed, with status OK. Traceable."""
+    """Return rollouts of no duration: candidates as they were placed, status OK. Traceable."""
     pop = poses.scale.shape[0]
     return Rollout(
         time=jnp.zeros(1),

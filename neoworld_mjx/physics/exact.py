@@ -56,9 +56,9 @@ def geom_distance(
         return mujoco.mj_geomDistance(model, data, a, b, reach, None)
     kept = data.geom_xpos[a].copy()
     data.geom_xpos[a] = kept + NUDGE
-    found = mujoco.mj_geomDistance(model, data, a, b, reach, None)
+    distance = mujoco.mj_geomDistance(model, data, a, b, reach, None)
     data.geom_xpos[a] = kept
-    return found
+    return distance
 
 
 def object_depths(
@@ -70,7 +70,7 @@ def object_depths(
     """
     owner = object_of_geom(scene, model)
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    found = {}
+    depths = {}
     for i, a in enumerate(scene.objects):
         for j in range(i + 1, len(scene.objects)):
             b = scene.objects[j]
@@ -79,8 +79,8 @@ def object_depths(
             one, two = (np.flatnonzero((owner == k) & solid) for k in (i, j))
             depth = -pair_distance(model, data, one, two, reach=1e-3)
             if depth > 0:
-                found[(a.name, b.name)] = depth
-    return found
+                depths[(a.name, b.name)] = depth
+    return depths
 
 
 def snap_exactly(scene: SceneSpec, gap: float = 1e-4, rounds: int = 30) -> SceneSpec:

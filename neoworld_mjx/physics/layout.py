@@ -1,7 +1,7 @@
 """Layouts: the four numbers an object that CEM moves, and the poses they lead to."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..spec import SceneObject, SceneSpec, bounds
-from ..spec.pose import pose, yaw_of
+from ..spec.pose import pose, quat_mul, yaw_of
 from .support import NOTHING, Support, height_above, link_frame, nothing, support
 
 Either = Any
-"""Leaves are JAX arrays, or NumPy arrays in double precision on the host."""
+"""JAX arrays, or NumPy arrays in double precision on the host."""
 
 
 SNAPPED = 8192
@@ -35,7 +35,7 @@ class Layout(eqx.Module):
     """Log of the isotropic scale factor."""
 
     @classmethod
-    def zero(cls, pop: int, objects: int) -> Self:
+    def zero(cls, pop: int, objects: int) -> "Layout":
         """Return `pop` copies of the composed scene."""
         flat = jnp.zeros((pop, objects))
         return cls(jnp.zeros((pop, objects, 2)), flat, flat)
@@ -46,13 +46,14 @@ class Layout(eqx.Module):
 
 
 class Poses(eqx.Module):
-    """World poses of all objects."""
+    """World poses of all objects of the candidates, by `SceneModel.place`."""
 
     pos: Float[Either, "pop object 3"]
     """Origins [m]."""
     quat: Float[Either, "pop object 4"]
     """Rotations, tilt included, w first."""
     scale: Float[Either, "pop object"]
+    """Isotropic scale factors."""
     height: Float[Either, "pop object"]
     """Snapped height above the support frame's origin [m]; the `z` of a SceneObject."""
 
@@ -88,8 +89,9 @@ def arrange(scene: SceneSpec, *, reach: float = 1 / 3, gap: float = 1e-4) -> Arr
 
     Args:
         scene: the composed scene.
-        reach: how far objects may move from their composed place and still be snapped, as a fraction
-            of their horizontal diagonal, plus 2 cm; a third is six default standard deviations.
+        reach: how far objects may move from their composed place and still be snapped, as a
+            fraction of their horizontal diagonal, plus 2 cm; a third is six default standard
+            deviations.
         gap: clearance under snapped objects [m].
     """
     frames = []
@@ -145,12 +147,14 @@ def heights(arrangement: Arrangement, layouts: Layout) -> Float[Array, "pop obje
     xy = (jnp.asarray(a.xy, jnp.float32) + layouts.xy) * carrier[..., None]
     yaw = jnp.asarray(a.yaw, jnp.float32) + layouts.yaw
     over_objects = jax.vmap(height_above, in_axes=(0, 0, 0, 0, 0))
-    touch = _batched(lambda *candidate: over_objects(a.support, *candidate), xy, yaw, size, carrier)
-    found = np.array(a.snapped) & (touch > NOTHING / 2)
-    return jnp.where(found, touch + a.gap, jnp.asarray(a.z, jnp.float32) * carrier)
+    touch = _map_candidates(
+        lambda *candidate: over_objects(a.support, *candidate), xy, yaw, size, carrier
+    )
+    snapped = np.array(a.snapped) & (touch > NOTHING / 2)
+    return jnp.where(snapped, touch + a.gap, jnp.asarray(a.z, jnp.float32) * carrier)
 
 
-def _batched(one: Callable[..., Any], *candidates: Any) -> Any:
+def _map_candidates(one: Callable[..., Any], *candidates: Any) -> Any:
     """Map a function over candidates [pop, object, ...], `SNAPPED` objects at once."""
     pop, objects = candidates[0].shape[:2]
     rows = max(1, SNAPPED // objects)
@@ -195,21 +199,6 @@ def _turn(yaw: Any, v: Any, xp: Any) -> Any:
     c, s = xp.cos(yaw), xp.sin(yaw)
     x, y = c * v[:, 0] - s * v[:, 1], s * v[:, 0] + c * v[:, 1]
     return xp.stack([x, y, v[:, 2]], axis=-1)
-
-
-def quat_mul(a: Any, b: Any, xp: Any = jnp) -> Any:
-    """Multiply quaternions [..., 4], w first; `b` acts first."""
-    aw, ax, ay, az = (a[..., k] for k in range(4))
-    bw, bx, by, bz = (b[..., k] for k in range(4))
-    return xp.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=-1,
-    )
 
 
 def rotation(quat: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3 3"]:

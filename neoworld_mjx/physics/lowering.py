@@ -51,7 +51,7 @@ def lowering_error(scene: SceneModel) -> float:
 
 
 def polyhedron(kind: int, size: NDArray) -> NDArray:
-    """Return the corners [n, 3] of the polyhedron that stands for a MuJoCo cylinder or ellipsoid."""
+    """Return the corners [n, 3] of the polyhedron that replaces a MuJoCo cylinder or ellipsoid."""
     if kind == _ELLIPSOID:
         return _ball()[0] * size
     turn = 2 * np.pi * np.arange(SIDES) / SIDES

@@ -174,7 +174,7 @@ _JOINTS = {
 
 def _add_joint(body: mujoco.MjsBody, owner: str, joint: JointSpec) -> None:
     limited = joint.type in ("revolute", "prismatic") or (joint.type == "ball" and joint.upper > 0)
-    made = body.add_joint(
+    added = body.add_joint(
         name=f"{owner}/{joint.name}",
         type=_JOINTS[joint.type],
         axis=joint.axis,
@@ -185,10 +185,10 @@ def _add_joint(body: mujoco.MjsBody, owner: str, joint: JointSpec) -> None:
         armature=joint.armature,
     )
     if limited:
-        made.range = [joint.lower, joint.upper]
+        added.range = [joint.lower, joint.upper]
     if joint.effort is not None:
-        made.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
-        made.actfrcrange = [-joint.effort, joint.effort]
+        added.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        added.actfrcrange = [-joint.effort, joint.effort]
 
 
 def _add_geoms(
@@ -206,7 +206,7 @@ def _add_geoms(
         if geom.role != "visual":
             for k, piece in enumerate(geom.shape.pieces()):
                 at = geom.pose().then(pose(piece.pos, piece.quat))
-                made = body.add_geom(
+                added = body.add_geom(
                     name=f"{owner}/{geom.name}/{k}",
                     group=COLLISION_GROUP,
                     type=_TYPES[piece.kind],
@@ -217,10 +217,10 @@ def _add_geoms(
                     **look,
                 )
                 # Torsional and rolling friction keep MuJoCo's defaults; condim 3 ignores them.
-                made.friction[0] = material.friction
+                added.friction[0] = material.friction
                 if piece.kind == "mesh":
-                    _add_piece_mesh(model, made.name, piece)
-                    made.meshname = made.name
+                    _add_piece_mesh(model, added.name, piece)
+                    added.meshname = added.name
         if visual and geom.role != "collision":
             _add_visual(model, body, f"{owner}/{geom.name}/visual", geom, origin, look)
 
@@ -239,7 +239,7 @@ def _add_visual(
     origin: np.ndarray,
     look: dict[str, tuple[float, ...]],
 ) -> None:
-    made = body.add_geom(
+    added = body.add_geom(
         name=name,
         group=VISUAL_GROUP,
         contype=0,
@@ -251,8 +251,8 @@ def _add_visual(
     )
     primitive = geom.shape.primitive()
     if primitive is not None:
-        made.type = _TYPES[primitive.kind]
-        made.size = primitive.size
+        added.type = _TYPES[primitive.kind]
+        added.size = primitive.size
         return
     vertices, faces = geom.shape.surface()
     mesh = model.add_mesh(name=name)
@@ -260,8 +260,8 @@ def _add_visual(
     mesh.userface = faces.ravel()
     # A surface needs no volume for this one, and visuals have no mass anyway.
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-    made.type = mujoco.mjtGeom.mjGEOM_MESH
-    made.meshname = name
+    added.type = mujoco.mjtGeom.mjGEOM_MESH
+    added.meshname = name
 
 
 def _add_mimics(model: mujoco.MjSpec, item: SceneObject) -> None:

@@ -1,7 +1,7 @@
 """Rollouts in JAX: MJX's own implementation, vmapped over per-candidate model fields.
 
-MJX has no mj_setConst, so what MuJoCo derives from masses follows its own power law here; convex
-pieces are scaled in the model's vertex arrays (`ConvexMesh.vert` and `.face` both hold coordinates).
+MJX has no mj_setConst, so fields that MuJoCo derives from masses come from `derived`. Convex pieces
+are scaled in the model's vertex arrays (`ConvexMesh.vert` and `.face` both hold coordinates).
 """
 
 import contextlib
@@ -23,7 +23,8 @@ from .derived import invweights
 from .engine import EarlyStop, Rollout, RolloutStatus, record_steps, unplaceable
 from .layout import Poses
 from .lowering import lowered
-from .model import SceneModel, StaticScene, mesh_object, model_fields
+from .model import SceneModel, StaticScene
+from .model_fields import mesh_object, model_fields, owner_scale
 from .recorder import DIVERGED, Recorder, joined, read_states, record_times
 
 # MJX prints that warp is missing, which is an extra here and no failure.
@@ -203,8 +204,7 @@ def _prepare(
     owner = mesh_object(scene)
     if np.any(owner >= 0):
         meshes = model._impl.mesh_convex  # pyright: ignore[reportAttributeAccessIssue]
-        padded = jnp.concatenate([poses.scale, jnp.ones_like(poses.scale[:, :1])], axis=1)
-        size = padded[:, owner, None, None]
+        size = owner_scale(poses.scale, owner)[..., None, None]
         fields["vert"] = [c.vert * size[:, k] for k, c in enumerate(meshes)]
         fields["face"] = [c.face * size[:, k, :, :, None] for k, c in enumerate(meshes)]
     return fields, every["qpos"], unplaceable(poses, jnp)
@@ -238,7 +238,7 @@ def _steps(m: mjx.Model, data: mjx.Data, every: int) -> mjx.Data:
 def bare_scan(
     model: mjx.Model, fields: Fields, qpos: Float[Array, "pop nq"], records: int, every: int
 ) -> Float[Array, "pop time nq"]:
-    """A vmapped scan of `mjx.step` over all candidates, and nothing else.
+    """Scan `mjx.step`, vmapped over all candidates, and nothing else.
 
     Args:
         model: the scene's model.

@@ -1,12 +1,8 @@
-"""SceneModel: a scene compiled once, and what a layout changes in its MuJoCo model.
-
-`model_fields` turns placed candidates into per-candidate values of MjModel fields; nothing is recompiled.
-The law of scaling is that of `spec.scale`: compiling a rearranged scene gives the same fields.
-"""
+"""SceneModel: a scene compiled once, for any number of layouts."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,16 +10,18 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Array, Bool, Float
-from neoworld_kernels import Solids
+from neoworld_kernels import Colliders
 
 from ..cache import make_room
 from ..errors import SpecError
 from ..spec import SceneSpec, bounds, read_scene, rearranged
-from ..spec.scale import joint_exponents, mass_exponent, mimic_exponents
+from ..spec.scale import joint_exponents, mass_exponent
+from .colliders import collect_colliders
 from .layout import Arrangement, Layout, Poses, arrange, compose_poses, diagonal, place
 from .mjcf import to_mjspec
-from .solids import solids, surface_samples
+from .sampling import surface_samples
 
+BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
@@ -50,6 +48,7 @@ class StaticScene:
     mjm: mujoco.MjModel
     arrangement: Arrangement
     names: tuple[str, ...]
+    """Object names, in the order of the object axis."""
     root: np.ndarray
     """Body of each object's root part, shape [object]."""
     body_object: np.ndarray
@@ -76,13 +75,14 @@ class StaticScene:
 class SceneModel(eqx.Module):
     """A compiled scene: one compile, any number of layouts.
 
-    Pass it to jitted functions as it is; `static` is static under `jit`.
+    Pass it to jitted functions as it is: `static` is static, all else are arrays. `place`,
+    `model_fields` and rewards of placed poses may be jitted, vmapped and differentiated by layouts.
     """
 
     static: StaticScene = eqx.field(static=True)
     samples: Float[Array, "object sample 3"]
     """Surface points in object frames [m]."""
-    solids: Solids
+    colliders: Colliders
     """Canonical colliders in object frames."""
     optimised: Bool[Array, " object"]
     """Objects that CEM moves: all but environment supports."""
@@ -94,6 +94,16 @@ class SceneModel(eqx.Module):
     """Corners of each object's box in its frame, as posed [m]."""
     pair_mask: Bool[Array, "object object"]
     """Pairs that can penetrate by a layout's fault: not both environment supports."""
+
+    def __repr__(self) -> str:
+        """Name the scene, its objects and its size in two lines."""
+        pieces = sum(group.owner.shape[0] for group in self.colliders)
+        return (
+            f"SceneModel {self.spec.name!r}: {len(self.names)} objects, "
+            f"{sum(not item.static for item in self.spec.objects)} of them movable, "
+            f"{len(self.static.joints)} joints, {pieces} convex pieces, "
+            f"timestep {self.static.mjm.opt.timestep:g} s\n  objects: {', '.join(self.names)}"
+        )
 
     @property
     def spec(self) -> SceneSpec:
@@ -157,8 +167,13 @@ def compile_scene(
         gap: clearance under snapped objects [m].
 
     Raises:
-        SpecError: MuJoCo cannot compile the scene; the message is MuJoCo's.
+        SpecError: `scene` is no SceneSpec, or MuJoCo cannot compile it; the message is MuJoCo's.
     """
+    if not isinstance(scene, SceneSpec):
+        raise SpecError(
+            f"compile_scene: scene is a {type(scene).__name__}, not a SceneSpec: load_scene takes "
+            "a scene.json or a run folder"
+        )
     make_room()
     try:
         mjm = to_mjspec(scene, timestep=timestep).compile()
@@ -193,7 +208,7 @@ def compile_scene(
     return SceneModel(
         static=static,
         samples=jnp.stack([surface_samples(o, samples) for o in scene.objects]),
-        solids=solids(scene.objects),
+        colliders=collect_colliders(scene.objects),
         optimised=jnp.asarray(~environment),
         movable=jnp.asarray([not item.static for item in scene.objects]),
         diagonal=jnp.asarray([diagonal(item) for item in scene.objects], jnp.float32),
@@ -204,114 +219,33 @@ def compile_scene(
     )
 
 
-def load_scene(path: Path, **options: Any) -> SceneModel:
+def load_scene(
+    path: Path | str,
+    *,
+    timestep: float = 0.004,
+    samples: int = 256,
+    reach: float = 1 / 3,
+    gap: float = 1e-4,
+) -> SceneModel:
     """Read a scene.json, or that of a run folder, and compile it.
 
     Args:
         path: the file or folder.
-        options: of `compile_scene`.
+        timestep: of rollouts [s].
+        samples: surface samples of each object for D_pen.
+        reach: how far objects may move and still be snapped; see `layout.arrange`.
+        gap: clearance under snapped objects [m].
 
     Raises:
         SpecError: there is no such file, or it holds no scene.
     """
-    return compile_scene(read_scene(path), **options)
-
-
-def model_fields(scene: SceneModel, poses: Poses, xp: Any = jnp) -> dict[str, Any]:
-    """Compute the MjModel fields that candidates differ in, each with a leading [pop] axis.
-
-    Fields that MuJoCo derives from these (mj_setConst, bounding volumes) are not among them, but
-    for the bounding radii and boxes of geoms, which scale as they are. "qpos" is the start state.
-
-    Args:
-        scene: the compiled scene.
-        poses: where the candidates' objects are placed.
-        xp: `numpy` for double precision on the host, or `jnp`.
-    """
-    s, m = scene.static, scene.static.mjm
-    pop = poses.scale.shape[0]
-    padded = xp.concatenate([poses.scale, xp.ones_like(poses.scale[:, :1])], axis=1)
-    # Index -1, the world, meets the column of ones at the end.
-    body, geom = padded[:, s.body_object], padded[:, s.geom_object]
-    jnt, dof = padded[:, s.jnt_object], padded[:, s.dof_object]
-    p = s.powers
-
-    body_pos, body_quat = _spread(m.body_pos, pop, xp), _spread(m.body_quat, pop, xp)
-    body_pos = _put(body_pos * body[..., None], s.root, poses.pos, xp)
-    body_quat = _put(body_quat, s.root, poses.quat, xp)
-    slide = m.jnt_type == SLIDE
-    qpos = _spread(s.start, pop, xp)
-    qpos0 = _spread(m.qpos0, pop, xp)
-    slides = m.jnt_qposadr[slide]
-    qpos = _put(qpos, slides, qpos[:, slides] * jnt[:, slide], xp)
-    for j in np.flatnonzero(m.jnt_type == FREE):
-        owner, adr = s.jnt_object[j], m.jnt_qposadr[j]
-        seven = xp.concatenate([poses.pos[:, owner], poses.quat[:, owner]], axis=-1)
-        qpos, qpos0 = (_put(q, np.arange(adr, adr + 7), seven, xp) for q in (qpos, qpos0))
-    fields = {
-        "body_pos": body_pos,
-        "body_quat": body_quat,
-        "body_ipos": m.body_ipos * body[..., None],
-        "body_mass": m.body_mass * body**p.body_mass,
-        "body_inertia": m.body_inertia * (body**p.body_inertia)[..., None],
-        "geom_pos": m.geom_pos * geom[..., None],
-        "geom_size": m.geom_size * geom[..., None],
-        "geom_rbound": m.geom_rbound * geom,
-        "geom_aabb": m.geom_aabb.reshape(-1, 6) * geom[..., None],
-        "jnt_pos": m.jnt_pos * jnt[..., None],
-        "jnt_range": m.jnt_range * (jnt**p.jnt_range)[..., None],
-        "jnt_stiffness": _times(m.jnt_stiffness, jnt**p.jnt_stiffness),
-        "jnt_actfrcrange": m.jnt_actfrcrange * (jnt**p.jnt_actfrcrange)[..., None],
-        "dof_armature": m.dof_armature * dof**p.dof_armature,
-        "dof_damping": _times(m.dof_damping, dof**p.dof_damping),
-        "dof_frictionloss": m.dof_frictionloss * dof**p.dof_frictionloss,
-        "qpos0": qpos0,
-        "qpos_spring": qpos0,
-        "qpos": qpos,
-    }
-    if m.neq:
-        fields["eq_data"] = _mimics(scene, jnt, xp)
-    if m.nsite:
-        fields["site_pos"] = m.site_pos * padded[:, s.body_object[m.site_bodyid]][..., None]
-    return fields
-
-
-def _mimics(scene: SceneModel, jnt: Any, xp: Any) -> Any:
-    m = scene.static.mjm
-    factor = xp.ones((jnt.shape[0], *m.eq_data.shape), jnt.dtype)
-    joints = {}
-    for item in scene.spec.objects:
-        joints |= {f"{item.name}/{joint.name}": joint for joint in item.spec.joints}
-    for e in range(m.neq):
-        follower, leader = m.eq_obj1id[e], m.eq_obj2id[e]
-        # A tie to a constant has no leader; then only its offset counts.
-        led = joints[m.joint(leader if leader >= 0 else follower).name]
-        multiplier, offset = mimic_exponents(joints[m.joint(follower).name], led)
-        own = jnt[:, follower]
-        pair = xp.stack([own**offset, own**multiplier], axis=-1)
-        factor = _put(
-            factor.reshape(jnt.shape[0], -1), e * m.eq_data.shape[1] + np.arange(2), pair, xp
+    if not isinstance(path, Path | str):
+        raise SpecError(
+            f"load_scene: path is a {type(path).__name__}, not a path: compile_scene takes a "
+            "SceneSpec"
         )
-        factor = factor.reshape(jnt.shape[0], *m.eq_data.shape)
-    return m.eq_data * factor
-
-
-def _spread(field: np.ndarray, pop: int, xp: Any) -> Any:
-    return xp.broadcast_to(xp.asarray(field), (pop, *field.shape))
-
-
-def _put(array: Any, index: np.ndarray, values: Any, xp: Any) -> Any:
-    """Write values into columns of an array [pop, n, ...]."""
-    if xp is np:
-        array = array.copy()
-        array[:, index] = values
-        return array
-    return array.at[:, index].set(values)
-
-
-def _times(field: np.ndarray, factor: Any) -> Any:
-    """Multiply a field [n] or [n, k] by a factor [pop, n]."""
-    return field * (factor if field.ndim == 1 else factor[..., None])
+    scene = read_scene(Path(path))
+    return compile_scene(scene, timestep=timestep, samples=samples, reach=reach, gap=gap)
 
 
 def _owner(body: str, names: tuple[str, ...]) -> int:
@@ -356,12 +290,3 @@ def _powers(scene: SceneSpec, m: mujoco.MjModel) -> Powers:
         dof_damping=of_dof("damping"),
         dof_frictionloss=of_dof("friction"),
     )
-
-
-def mesh_object(scene: SceneModel) -> np.ndarray:
-    """Return the object that each mesh asset belongs to, shape [nmesh]."""
-    m = scene.static.mjm
-    owner = np.full(m.nmesh, -1)
-    for g in np.flatnonzero(m.geom_type == MESH):
-        owner[m.geom_dataid[g]] = scene.static.geom_object[g]
-    return owner

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from .engine import EarlyStop, Rollout, RolloutStatus, record_steps, unplaceable
 from .layout import Either, Layout, Poses
-from .model import MESH, SceneModel, StaticScene, mesh_object, model_fields
+from .model import MESH, SceneModel, StaticScene
+from .model_fields import mesh_object, model_fields, owner_scale
 from .recorder import Recorder, joined
 
 CHUNK = 1024
@@ -125,9 +126,8 @@ def model_ring(
     ring.extend(copy.copy(base) for _ in range(pop - len(ring)))
     data = mujoco.MjData(base)
     fields = {name: v.reshape(pop, *getattr(base, name).shape) for name, v in fields.items()}
-    padded = np.concatenate([scale, np.ones((pop, 1))], axis=1)
-    mesh, vert, box = _mesh_owners(scene)
-    mesh, vert, box = padded[:, mesh, None], padded[:, vert, None], padded[:, box, None]
+    owners = _mesh_owners(scene)
+    mesh, vert, box = (owner_scale(scale, owner, np)[..., None] for owner in owners)
     for k, model in enumerate(ring[:pop]):
         for name, values in fields.items():
             getattr(model, name)[:] = values[k]

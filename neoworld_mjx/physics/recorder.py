@@ -1,4 +1,4 @@
-"""The recorder that all engines share: recorded states, statuses, and which candidates have stopped."""
+"""The recorder that all engines share: states, statuses, and which candidates have stopped."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 from ..spec.pose import angle_between
 from .engine import EarlyStop, Rollout, RolloutStatus
 from .layout import Poses
-from .model import FREE, SLIDE, StaticScene
+from .model import BALL, FREE, SLIDE, StaticScene
 
 DIVERGED = 1e10
 """Coordinates beyond this are a failure, as in MuJoCo (mjMAXVAL)."""
-_BALL = 1
-"""mjJNT_BALL."""
 
 
 class Recorder:
@@ -180,7 +178,7 @@ def _joint_shift(static: StaticScene, k: int, scale: Any, qpos: Any, xp: Any) ->
     """Return how far joint k has moved from its start, [pop, time], [m] or [rad]."""
     m, joint = static.mjm, static.joints[k]
     address = int(m.jnt_qposadr[joint])
-    if m.jnt_type[joint] == _BALL:
+    if m.jnt_type[joint] == BALL:
         start = static.start[address : address + 4].astype(np.float32)
         return angle_between(xp.asarray(start), qpos[:, :, address : address + 4], xp)
     start = np.float32(static.start[address])

@@ -25,7 +25,7 @@ NOTHING = -1e3
 
 
 class Support(NamedTuple):
-    """What one object stands on, at the support's size 1 and in its support frame.
+    """The surface under one object, at the support's size 1 and in its support frame.
 
     A row of the stacked tables has the same fields with a leading [object] axis.
     """
@@ -76,7 +76,7 @@ def column(piece: Piece, at: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
     """Intersect vertical lines with a convex piece.
 
     Args:
-        piece: the solid.
+        piece: the convex piece.
         at: its pose.
         xy: the lines' coordinates [n, 2] m.
 
@@ -128,25 +128,24 @@ def _through_ball(o: NDArray, d: NDArray) -> tuple[NDArray, NDArray]:
 
 def footprint(item: SceneObject) -> NDArray:
     """Sample an object's underside in its tilted frame: points [FOOT, 3] m, padded at +inf."""
-    solids = posed_pieces(item)
-    corners = [_corners(piece, at) for piece, at in solids]
+    pieces = posed_pieces(item)
+    corners = [_corners(piece, at) for piece, at in pieces]
     spots = np.vstack(corners)
     low, high = spots[:, :2].min(axis=0), spots[:, :2].max(axis=0)
     steps = np.stack(
         np.meshgrid(*(np.linspace(a, b, 25) for a, b in zip(low, high, strict=True))), -1
     ).reshape(-1, 2)
     xy = np.unique(np.round(np.vstack([spots[:, :2], steps]), 9), axis=0)
-    z = np.min([column(piece, at, xy)[0] for piece, at in solids], axis=0)
-    found = np.column_stack([xy, z])[np.isfinite(z)]
-    if len(found) > FOOT:
+    z = np.min([column(piece, at, xy)[0] for piece, at in pieces], axis=0)
+    points = np.column_stack([xy, z])[np.isfinite(z)]
+    if len(points) > FOOT:
         # The lowest points matter most, but a wide flat foot must stay covered: take the hull of
         # each low level first, then spread the rest.
-        level = np.round((found[:, 2] - found[:, 2].min()) / (1e-4 + np.ptp(found[:, 2]) / 8))
-        spread = _spread(found[:, :2], level)
-        found = found[spread[:FOOT]]
-    pad = np.full((FOOT - len(found), 3), np.inf)
+        level = np.round((points[:, 2] - points[:, 2].min()) / (1e-4 + np.ptp(points[:, 2]) / 8))
+        points = points[_spread(points[:, :2], level)[:FOOT]]
+    pad = np.full((FOOT - len(points), 3), np.inf)
     pad[:, :2] = 0.0
-    return np.vstack([found, pad])
+    return np.vstack([points, pad])
 
 
 def _corners(piece: Piece, at: Pose) -> NDArray:
@@ -187,13 +186,13 @@ def _spread(xy: NDArray, level: NDArray) -> NDArray:
 
 
 def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
-    """Tabulate what an object stands on.
+    """Tabulate the surface that supports an object.
 
-    It stands on the highest surface under its footprint, unless it was seen inside: below pieces
-    that leave it the room to stand, as a can on the lower shelf. Of the two places the one nearer to
-    the composed height is taken. What is in something never stands on its rim: surfaces higher than
-    half the object above its composed place do not lift it, so that walls are entered instead, which
-    D_pen sees and can be followed out of.
+    It is the highest surface under the object's footprint; or, for an object inside its parent,
+    such as a can on a lower shelf, the highest surface below pieces that leave it room. Of the two
+    the one nearer to the composed height is taken. An object with relation "in" is never lifted onto
+    the rim: surfaces above the middle of the composed object are left out, so that it enters walls
+    instead, where D_pen has a gradient that leads out.
 
     Args:
         scene: the composed scene.

@@ -1,8 +1,8 @@
 """Rollouts on NVIDIA GPUs with MuJoCo Warp, called directly, a world a candidate.
 
 Every candidate has its own values of the model's batched fields. A convex piece's corners are not
-such a field, so the corners of all candidates are laid out behind each other, and each world's
-`geom_dataid` points at its own: scales are exact, no lattice of scales is needed.
+such a field, so the corners of all candidates are stored one after another, and each world's
+`geom_dataid` points at its own: scales are exact.
 """
 
 import ctypes
@@ -21,7 +21,8 @@ from ..errors import EngineError
 from .derived import invweights, static_geoms, subtree_mass
 from .engine import EarlyStop, Rollout, RolloutStatus, record_steps, unplaceable
 from .layout import Layout, Poses
-from .model import SceneModel, StaticScene, mesh_object, model_fields
+from .model import SceneModel, StaticScene
+from .model_fields import mesh_object, model_fields, owner_scale
 from .native import NativeEngine
 from .recorder import Recorder, joined
 
@@ -133,7 +134,7 @@ class WarpEngine:
         every: int,
         rule: EarlyStop | None,
     ) -> tuple[Rollout, np.ndarray]:
-        """Roll candidates out at once; return them and a mask of those whose contacts did not fit."""
+        """Roll candidates out at once; return also a mask of those whose contacts did not fit."""
         pop = poses.scale.shape[0]
         bad = unplaceable(jax.tree.map(np.asarray, poses))
         open_recorder = lambda: Recorder(scene.static, poses, records, every, rule, bad)
@@ -218,9 +219,8 @@ def _prepare(scene: SceneModel, poses: Poses) -> tuple[dict[str, Any], Any]:
     xpos, xmat = static_geoms(static, fields["body_pos"], fields["body_quat"], fields["geom_pos"])
     fields |= {"geom_xpos": xpos, "geom_xmat": xmat}
     if static.mjm.nmesh:
-        padded = jnp.concatenate([poses.scale, jnp.ones_like(poses.scale[:, :1])], axis=1)
         owner = np.repeat(mesh_object(scene), static.mjm.mesh_vertnum)
-        fields["mesh_vert"] = static.mjm.mesh_vert * padded[:, owner, None]
+        fields["mesh_vert"] = static.mjm.mesh_vert * owner_scale(poses.scale, owner)[..., None]
     flat = {
         name: jnp.asarray(value, jnp.float32).reshape(len(value), -1)
         for name, value in fields.items()

@@ -1,12 +1,12 @@
 """A scene's worlds on a GPU: one MuJoCo Warp model and data, loaded with a population at a time.
 
-Kernels are launched over the first `count` worlds only, so that stopped candidates cost nothing once
-the others have moved to the front.
+Kernels are launched over the first `count` worlds only, so that stopped candidates cost nothing
+once the others have moved to the front.
 """
 
 import copy
 import math
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import jax
 import mujoco
@@ -106,13 +106,14 @@ class Worlds:
                 )
             except (NotImplementedError, ValueError) as error:
                 raise EngineError(
-                    f"engine warp cannot carry scene {static.spec.name}: {error}; take --engine native"
+                    f"engine warp cannot simulate scene {static.spec.name}: {error}; "
+                    "take --engine native"
                 ) from None
             self.model.opt.warn_overflow = 0
             if static.mjm.nmesh and n:
                 self._own_meshes()
 
-    def grown(self) -> Self:
+    def grown(self) -> "Worlds":
         """Return empty worlds with room for twice the contacts."""
         room = self.capacity._replace(contacts=2 * self.capacity.contacts)
         return type(self)(self.static, room, self.device)

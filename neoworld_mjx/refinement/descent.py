@@ -54,7 +54,7 @@ def descend(
             lambda u, s, z, f: jnp.where(f > 0, u * s, z), unit, sigma, layouts, free
         )
         poses = scene.place(moved)
-        found = pair_depth(poses.pos, rotation(poses.quat), poses.scale, few, scene.solids)
+        found = pair_depth(poses.pos, rotation(poses.quat), poses.scale, few, scene.colliders)
         found = jnp.where(scene.pair_mask, found, 0.0)
         hard = (1 / PEN_SCALE[0]) * (PEN_SCALE[0] / PEN_SCALE[1]) ** (i / max(steps - 1, 1))
         cost = jnp.sum(jnp.maximum(found, jnp.swapaxes(found, 1, 2)), axis=(1, 2)) / 2 * hard

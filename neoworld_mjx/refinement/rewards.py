@@ -57,7 +57,7 @@ def depths(scene: SceneModel, poses: Poses) -> Float[Array, "pop object object"]
         poses: where the candidates' objects are placed.
     """
     turn = rotation(poses.quat)
-    found = pair_depth(poses.pos, turn, poses.scale, scene.samples, scene.solids)
+    found = pair_depth(poses.pos, turn, poses.scale, scene.samples, scene.colliders)
     return jnp.where(scene.pair_mask, found, 0.0)
 
 

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from ..physics.layout import Poses, rotation
 from ..physics.model import SceneModel
-from ..physics.solids import surface_samples
+from ..physics.sampling import surface_samples
 from ..spec import Camera, SceneSpec, world_poses
 
 SAMPLES = 256

@@ -36,11 +36,19 @@ def pose(pos: ArrayLike = (0.0, 0.0, 0.0), quat: ArrayLike = IDENTITY) -> Pose:
     return Pose(np.asarray(pos, float), q / np.linalg.norm(q))
 
 
-def quat_mul(a: ArrayLike, b: ArrayLike) -> NDArray:
-    """Multiply quaternions; the rotation `b` acts first."""
-    aw, ax, ay, az = np.moveaxis(np.asarray(a, float), -1, 0)
-    bw, bx, by, bz = np.moveaxis(np.asarray(b, float), -1, 0)
-    return np.stack(
+def quat_mul(a: Any, b: Any, xp: Any = np) -> Any:
+    """Multiply quaternions [..., 4]; the rotation `b` acts first.
+
+    Args:
+        a: quaternions.
+        b: quaternions; leading axes broadcast.
+        xp: `numpy`, which computes in double precision, or `jax.numpy` for traced arrays.
+    """
+    if xp is np:
+        a, b = np.asarray(a, float), np.asarray(b, float)
+    aw, ax, ay, az = (a[..., k] for k in range(4))
+    bw, bx, by, bz = (b[..., k] for k in range(4))
+    return xp.stack(
         [
             aw * bw - ax * bx - ay * by - az * bz,
             aw * bx + ax * bw + ay * bz - az * by,
@@ -152,3 +160,18 @@ def angle_between(a: Any, b: Any, xp: Any = np) -> Any:
         a, b = np.asarray(a, float), np.asarray(b, float)
     turn = a[..., :1] * b[..., 1:] - b[..., :1] * a[..., 1:] - xp.cross(a[..., 1:], b[..., 1:])
     return 2 * xp.arctan2(xp.linalg.norm(turn, axis=-1), xp.abs(xp.sum(a * b, axis=-1)))
+
+
+def tilt_between(a: ArrayLike, b: ArrayLike) -> NDArray:
+    """Return how far [rad] what points up at orientation a leans over at orientation b.
+
+    Turns about the vertical do not count.
+
+    Args:
+        a: quaternions [..., 4].
+        b: quaternions [..., 4]; leading axes broadcast.
+    """
+    turn = quat_mul(b, conjugate(a))
+    return 2 * np.arctan2(
+        np.hypot(turn[..., 1], turn[..., 2]), np.hypot(turn[..., 0], turn[..., 3])
+    )

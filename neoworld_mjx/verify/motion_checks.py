@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, QhullError
 from ..physics.mjcf import body_name
 from ..spec import bounds, link_poses, pieces
 from ..spec.convex import Piece, box_around
-from ..spec.pose import conjugate, matrix, pose, rotate
+from ..spec.pose import angle_between, matrix, pose, tilt_between
 from .scenarios import STEEPEST_DEG, STILL_S, TILT_FROM_S, slope_at
 from .simulation import G, Simulation, Trajectory
 from .verdict import Check, Fault, Limit, judged, skipped
@@ -400,14 +400,12 @@ def _on_wheels(simulation: Simulation) -> bool:
 
 def _turned(quats: NDArray, start: NDArray) -> NDArray:
     """Return how far orientations [t, 4] are turned from one, in degrees."""
-    chord = np.minimum(np.linalg.norm(quats - start, axis=1), np.linalg.norm(quats + start, axis=1))
-    return np.degrees(4 * np.arcsin(np.minimum(chord / 2, 1.0)))
+    return np.degrees(angle_between(start, quats))
 
 
 def _leaning(quats: NDArray, rest: NDArray) -> NDArray:
     """Return how far what was up at rest leans over [t] deg, turns about the vertical not counted."""
-    up = rotate(conjugate(rest), np.array([0.0, 0.0, 1.0]))
-    return np.degrees(np.arccos(np.clip([rotate(q, up)[2] for q in quats], -1, 1)))
+    return np.degrees(tilt_between(rest, quats))
 
 
 def _worst(trajectory: Trajectory, name: str, values: NDArray, limit: Limit) -> Check:

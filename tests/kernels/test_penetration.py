@@ -6,21 +6,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from neoworld_kernels import (
-    Group,
-    Solids,
+    Colliders,
+    PieceGroup,
     culled,
     pair_depth,
     pair_depth_culled,
     pair_depth_reference,
-    penetration,
+    penetration_depth,
 )
 from scipy.spatial.transform import Rotation
 
 from neoworld_mjx.bench.penetration import KINDS, accuracy, random_pairs
 from neoworld_mjx.bench.scenes import crowded, noisy_layouts, single
+from neoworld_mjx.physics.colliders import collect_colliders
 from neoworld_mjx.physics.layout import rotation
 from neoworld_mjx.physics.model import compile_scene
-from neoworld_mjx.physics.solids import solids, surface_samples
+from neoworld_mjx.physics.sampling import surface_samples
 from neoworld_mjx.spec import Box, Capsule, Cylinder, Ellipsoid, Lathe, Mesh, SceneObject, Sphere
 
 CORNERS = ((0.0, 0.0, 0.04), (0.03, 0.0, -0.02), (-0.02, 0.03, -0.02), (-0.02, -0.03, -0.02))
@@ -41,7 +42,7 @@ class Mixed(NamedTuple):
 
     where: tuple[jax.Array, jax.Array, jax.Array]
     samples: jax.Array
-    solids: Solids
+    colliders: Colliders
     run: dict[str, Callable]
     """Depths, and the gradient of `weight` times them by poses; by `jnp` of some kinds only."""
     weight: jax.Array
@@ -57,7 +58,7 @@ def mixed():
         for kind, shape in SHAPES.items()
     )
     samples = jnp.stack([surface_samples(item, 50) for item in items])
-    found = solids(items)
+    found = collect_colliders(items)
     assert all(len(group.owner) for group in found), "every kind occurs"
     rng = np.random.default_rng(0)
     shape = (POP, len(items))
@@ -80,8 +81,8 @@ def mixed():
         return call
 
     reference = jax.jit(pair_depth_reference)
-    # Reverse mode through the whole reference takes long to compile; solids differ in `distance` only,
-    # which the culled one differentiates of all kinds.
+    # Reverse mode through the whole reference takes long to compile; kinds differ in `distance`
+    # only, which the culled one differentiates of all kinds.
     some = without(found, "cylinder", "ellipsoid", "polytope", "sector")
     runs = {"jnp": run(pair_depth_reference, some), "culled": run(pair_depth_culled, found)}
     truth = np.asarray(reference(*where, samples, found))
@@ -89,7 +90,7 @@ def mixed():
 
 
 def without(found, *kinds):
-    drop = lambda group: Group(*(x[:0] for x in group))
+    drop = lambda group: PieceGroup(*(x[:0] for x in group))
     return found._replace(**{kind: drop(getattr(found, kind)) for kind in kinds})
 
 
@@ -146,7 +147,7 @@ def test_gradient_is_that_of_finite_differences(mixed, impl):
 
 def test_interpreted_kernel_agrees_with_the_reference(mixed):
     kernel = jax.jit(lambda *x: pair_depth(*x, impl="pallas", interpret=True))
-    told = np.asarray(kernel(*mixed.where, mixed.samples, mixed.solids))
+    told = np.asarray(kernel(*mixed.where, mixed.samples, mixed.colliders))
     assert np.abs(told - mixed.truth).max() <= 1e-5
     met = (mixed.truth > 1e-3).mean(axis=0) + np.eye(len(SHAPES))
     assert met.min() > 0.05, "all meet each other"
@@ -159,7 +160,7 @@ def test_culled_agrees_with_the_reference_on_all_kinds(mixed):
 
 def test_culled_agrees_in_slabs_and_small_chunks(mixed, monkeypatch):
     few = mixed.samples[:, :7]
-    found = without(mixed.solids, "capsule", "cylinder", "ellipsoid", "sector")
+    found = without(mixed.colliders, "capsule", "cylinder", "ellipsoid", "sector")
     truth = jax.jit(pair_depth_reference)(*mixed.where, few, found)
     assert (truth > 0).mean() > 0.02
     for name, value in (("SLAB", 32), ("CHUNK", 256), ("BLOCK", 3)):
@@ -171,7 +172,7 @@ def test_culled_agrees_in_slabs_and_small_chunks(mixed, monkeypatch):
 def test_culled_agrees_with_the_reference_on_a_crowded_scene():
     scene = compile_scene(crowded(3))
     poses = jax.jit(lambda x: scene.place(x))(noisy_layouts(scene, 64))
-    where = (poses.pos, rotation(poses.quat), poses.scale, scene.samples, scene.solids)
+    where = (poses.pos, rotation(poses.quat), poses.scale, scene.samples, scene.colliders)
     told = np.asarray(jax.jit(pair_depth_culled)(*where))
     truth = np.asarray(jax.jit(pair_depth_reference)(*where))
     assert np.abs(told - truth).max() <= 1e-6
@@ -192,7 +193,7 @@ def test_a_lost_pose_makes_its_own_depths_nan_and_no_other(mixed):
 
 
 def test_a_gradient_is_a_number_where_there_is_none(mixed):
-    """Concentric solids with parallel axes, where norms and angles have no derivative."""
+    """Concentric colliders with parallel axes, where norms and angles have no derivative."""
     pos, rot, scale = (jnp.asarray(x) for x in mixed.where)
     told, grad = mixed.run["culled"](
         0 * pos, jnp.broadcast_to(jnp.eye(3), rot.shape), 0 * scale + 1
@@ -202,15 +203,15 @@ def test_a_gradient_is_a_number_where_there_is_none(mixed):
 
 
 def test_nothing_to_look_at_is_no_depth(mixed):
-    none = without(mixed.solids, *Solids._fields)
+    none = without(mixed.colliders, *Colliders._fields)
     assert not np.asarray(pair_depth_culled(*mixed.where, mixed.samples, none)).any()
     nobody = [x[:0] for x in mixed.where]
-    assert pair_depth_culled(*nobody, mixed.samples, mixed.solids).shape == (0, 7, 7)
+    assert pair_depth_culled(*nobody, mixed.samples, mixed.colliders).shape == (0, 7, 7)
 
 
 def test_the_fastest_is_chosen_by_device_and_size(mixed, monkeypatch):
-    pieces = sum(len(group.owner) for group in mixed.solids)
-    choose = lambda pop: penetration.choose(pop, 7, 50, mixed.solids)
+    pieces = sum(len(group.owner) for group in mixed.colliders)
+    choose = lambda pop: penetration_depth.choose(pop, 7, 50, mixed.colliders)
     assert [choose(1), choose(10**6)] == ["culled", "culled"]
 
     class Device:
@@ -219,9 +220,9 @@ def test_the_fastest_is_chosen_by_device_and_size(mixed, monkeypatch):
     monkeypatch.setattr(jax, "devices", lambda _: [Device()])
     assert choose(10**6) == "jnp", "a GPU that was not measured"
     least = {"pallas_from": 8 * 7 * 50 * pieces}
-    monkeypatch.setitem(penetration.MEASURED["devices"], "Measured", least)
+    monkeypatch.setitem(penetration_depth.MEASURED["devices"], "Measured", least)
     assert [choose(7), choose(8)] == ["jnp", "pallas"]
-    monkeypatch.setitem(penetration.MEASURED["devices"], "Measured", {"pallas_from": None})
+    monkeypatch.setitem(penetration_depth.MEASURED["devices"], "Measured", {"pallas_from": None})
     assert choose(10**6) == "jnp"
     Device.platform = "tpu"
     assert choose(10**6) == "jnp"
@@ -232,9 +233,9 @@ def test_the_fastest_is_chosen_by_device_and_size(mixed, monkeypatch):
 
 def test_auto_takes_what_was_chosen(mixed, monkeypatch):
     taken = []
-    monkeypatch.setattr(penetration, "pair_depth_culled", lambda *_: taken.append("culled"))
-    monkeypatch.setattr(penetration, "pair_depth_reference", lambda *_: taken.append("jnp"))
-    pair_depth(*mixed.where, mixed.samples, mixed.solids)
-    monkeypatch.setattr(penetration, "choose", lambda *_: "jnp")
-    pair_depth(*mixed.where, mixed.samples, mixed.solids)
+    monkeypatch.setattr(penetration_depth, "pair_depth_culled", lambda *_: taken.append("culled"))
+    monkeypatch.setattr(penetration_depth, "pair_depth_reference", lambda *_: taken.append("jnp"))
+    pair_depth(*mixed.where, mixed.samples, mixed.colliders)
+    monkeypatch.setattr(penetration_depth, "choose", lambda *_: "jnp")
+    pair_depth(*mixed.where, mixed.samples, mixed.colliders)
     assert taken == ["culled", "jnp"]

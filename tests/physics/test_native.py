@@ -1,4 +1,4 @@
-"""What the native engine does with populations that hold something broken, and with reused models."""
+"""The native engine: broken candidates are statuses, and models are written over."""
 
 import jax
 import numpy as np

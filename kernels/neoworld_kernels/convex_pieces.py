@@ -1,4 +1,4 @@
-"""Convex solids of a scene as arrays, by kind, and the signed distance to them."""
+"""Convex colliders of a scene as arrays, by kind, and the signed distance to them."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 
-class Group(NamedTuple):
+class PieceGroup(NamedTuple):
     """Convex pieces of one kind, in the frames of the objects that own them."""
 
     owner: Int[Array, " piece"]
@@ -21,36 +21,38 @@ class Group(NamedTuple):
     """Outward half-spaces n.x <= d of polytopes; spare rows are (0, 0, 0, 1e6)."""
 
 
-class Solids(NamedTuple):
+class Colliders(NamedTuple):
     """All convex pieces of a scene, by kind; a kind that does not occur has zero pieces."""
 
-    box: Group
-    capsule: Group
+    box: PieceGroup
+    capsule: PieceGroup
     """Spheres too: capsules of length zero."""
-    cylinder: Group
-    ellipsoid: Group
-    polytope: Group
-    sector: Group
+    cylinder: PieceGroup
+    ellipsoid: PieceGroup
+    polytope: PieceGroup
+    sector: PieceGroup
     """Polytopes repeated about their frame's z axis: `size[0]` times around, of which the one that
     spans the angles from 0 to 2 pi / size[0] is given, its two halves mirror images. A point is
     turned into it first."""
 
 
-def signed_distance(kind: str, x: Float[Array, "*batch 3"], piece: Group) -> Float[Array, "*batch"]:
+def signed_distance(
+    kind: str, x: Float[Array, "*batch 3"], piece: PieceGroup
+) -> Float[Array, "*batch"]:
     """Signed distance [m] from points in a piece's frame, negative inside.
 
     Exact for boxes, capsules and cylinders; first order in the distance for ellipsoids; for
     polytopes the largest plane distance, which is exact inside and a lower bound outside.
 
     Args:
-        kind: a field name of `Solids`.
+        kind: a field name of `Colliders`.
         x: points [m].
         piece: one row of the group, without the leading axis.
     """
     return distance(kind, x[..., 0], x[..., 1], x[..., 2], piece)
 
 
-def distance(kind: str, x: Array, y: Array, z: Array, piece: Group) -> Array:
+def distance(kind: str, x: Array, y: Array, z: Array, piece: PieceGroup) -> Array:
     """Compute `signed_distance` of points given by components, which XLA fuses into one pass."""
     size = piece.size
     if kind == "box":
@@ -74,11 +76,11 @@ def distance(kind: str, x: Array, y: Array, z: Array, piece: Group) -> Array:
         c, s = jnp.cos(turn), jnp.sin(turn)
         x, y = c * x + s * y, c * y - s * x
     elif kind != "polytope":
-        raise ValueError(f"kind must be one of {', '.join(Solids._fields)}, got {kind!r}")
-    found = jnp.full(x.shape, -1e6, x.dtype)
+        raise ValueError(f"kind must be one of {', '.join(Colliders._fields)}, got {kind!r}")
+    largest = jnp.full(x.shape, -1e6, x.dtype)
     for n in piece.planes:
-        found = jnp.maximum(found, n[0] * x + n[1] * y + n[2] * z - n[3])
-    return found
+        largest = jnp.maximum(largest, n[0] * x + n[1] * y + n[2] * z - n[3])
+    return largest
 
 
 def _norm(*parts: Array) -> Array:

@@ -1,8 +1,8 @@
-"""Deepest penetration of surface samples into convex solids, for a population of poses.
+"""Deepest penetration of surface samples into convex colliders, for a population of poses.
 
 `pair_depth` answers, for every candidate and every ordered pair of objects (i, j), how deep the
-deepest surface sample of i lies inside a solid of j. It is a maximum over samples and solids of the
-negated signed distance, clipped at zero, and differentiable almost everywhere.
+deepest surface sample of i lies inside a convex piece of j. It is a maximum over samples and pieces
+of the negated signed distance, clipped at zero, and differentiable almost everywhere.
 """
 
 import functools
@@ -15,9 +15,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .blocks import dot
+from .convex_pieces import Colliders, PieceGroup, distance
 from .culled import pair_depth_culled
 from .fused import PairDepthTuning, pair_depth_kernel
-from .solids import Group, Solids, distance
 
 __all__ = ["PairDepthTuning", "choose", "pair_depth", "pair_depth_culled", "pair_depth_reference"]
 
@@ -32,16 +32,16 @@ def pair_depth_reference(
     rot: Float[Array, "pop object 3 3"],
     scale: Float[Array, "pop object"],
     samples: Float[Array, "object sample 3"],
-    solids: Solids,
+    colliders: Colliders,
 ) -> Float[Array, "pop object object"]:
-    """Compute the depth [m] of i's samples in j's solids, at [candidate, i, j], in plain jnp.
+    """Compute the depth [m] of i's samples in j's colliders, at [candidate, i, j], in plain jnp.
 
     Args:
         pos: object origins in the world [m].
         rot: object rotations.
         scale: isotropic scale of each object about its origin.
         samples: surface points in object frames at scale 1 [m]; repeat a point to pad.
-        solids: convex pieces in object frames at scale 1.
+        colliders: convex pieces in object frames at scale 1.
 
     Returns:
         Depths, zero where nothing penetrates; the diagonal is zero.
@@ -55,11 +55,11 @@ def pair_depth_reference(
         for i in range(3)
     ]
     depth = jnp.zeros((count, count, pop), pos.dtype)
-    for kind, group in zip(Solids._fields, solids, strict=True):
+    for kind, group in zip(Colliders._fields, colliders, strict=True):
         if group.owner.shape[0] == 0:
             continue
 
-        def deepest(piece: Group, kind: str = kind) -> Float[Array, "object pop"]:
+        def deepest(piece: PieceGroup, kind: str = kind) -> Float[Array, "object pop"]:
             o = piece.owner
             # World to piece: undo the owner's pose and scale, then the piece's own pose.
             turn = [[dot(rot[o, i], piece.rot[:, k]) for k in range(3)] for i in range(3)]
@@ -69,19 +69,21 @@ def pair_depth_reference(
             inside = -distance(kind, local[0], local[1], local[2], piece)
             return jnp.maximum(jnp.max(inside, axis=0) * scale[o], 0.0)
 
-        found = jax.lax.map(deepest, group)
-        depth = depth.at[:, group.owner].max(jnp.moveaxis(found, 0, 1))
+        depths = jax.lax.map(deepest, group)
+        depth = depth.at[:, group.owner].max(jnp.moveaxis(depths, 0, 1))
     apart = 1.0 - jnp.eye(count, dtype=pos.dtype)
     return jnp.moveaxis(depth, -1, 0) * apart
 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(5, 6))
-def _fast(pos, rot, scale, samples, solids, tuning, interpret):
-    return pair_depth_kernel(pos, rot, scale, samples, solids, tuning=tuning, interpret=interpret)
+def _fast(pos, rot, scale, samples, colliders, tuning, interpret):
+    return pair_depth_kernel(
+        pos, rot, scale, samples, colliders, tuning=tuning, interpret=interpret
+    )
 
 
-def _fast_forward(pos, rot, scale, samples, solids, tuning, interpret):
-    inputs = (pos, rot, scale, samples, solids)
+def _fast_forward(pos, rot, scale, samples, colliders, tuning, interpret):
+    inputs = (pos, rot, scale, samples, colliders)
     return _fast(*inputs, tuning, interpret), inputs
 
 
@@ -98,20 +100,20 @@ def pair_depth(
     rot: Float[Array, "pop object 3 3"],
     scale: Float[Array, "pop object"],
     samples: Float[Array, "object sample 3"],
-    solids: Solids,
+    colliders: Colliders,
     *,
     impl: Impl = "auto",
     tuning: PairDepthTuning | None = None,
     interpret: bool = False,
 ) -> Float[Array, "pop object object"]:
-    """Compute the depth [m] of i's samples in j's solids, at [candidate, i, j]. Differentiable.
+    """Compute the depth [m] of i's samples in j's colliders, at [candidate, i, j]. Differentiable.
 
     Args:
         pos: object origins in the world [m].
         rot: object rotations.
         scale: isotropic scale of each object about its origin.
         samples: surface points in object frames at scale 1 [m]; repeat a point to pad.
-        solids: convex pieces in object frames at scale 1.
+        colliders: convex pieces in object frames at scale 1.
         impl: `jnp` looks at everything in plain XLA, `culled` only where something can touch,
             `pallas` is the kernel for NVIDIA GPUs from Hopper on, `auto` the one that was measured
             to be fastest; see `choose`.
@@ -122,34 +124,35 @@ def pair_depth(
         Depths, zero where nothing penetrates; the diagonal is zero.
     """
     if impl == "auto":
-        impl = choose(scale.shape[0], scale.shape[1], samples.shape[1], solids)
+        impl = choose(scale.shape[0], scale.shape[1], samples.shape[1], colliders)
     if impl == "jnp":
-        return pair_depth_reference(pos, rot, scale, samples, solids)
+        return pair_depth_reference(pos, rot, scale, samples, colliders)
     if impl == "culled":
-        return pair_depth_culled(pos, rot, scale, samples, solids)
-    return _fast(pos, rot, scale, samples, solids, tuning, interpret)
+        return pair_depth_culled(pos, rot, scale, samples, colliders)
+    return _fast(pos, rot, scale, samples, colliders, tuning, interpret)
 
 
 def choose(
-    pop: int, objects: int, samples: int, solids: Solids
+    pop: int, objects: int, samples: int, colliders: Colliders
 ) -> Literal["jnp", "culled", "pallas"]:
     """Pick the fastest implementation on JAX's default device, by `MEASURED`.
 
-    CPUs take `culled`, which is slower for a single candidate only, by a millisecond; GPUs that were not measured take plain XLA.
+    CPUs take `culled`, which is slower for a single candidate only, by a millisecond; GPUs that
+    were not measured take plain XLA.
 
     Args:
         pop: number of candidates.
         objects: number of objects.
         samples: surface samples of each.
-        solids: the pieces.
+        colliders: the pieces.
     """
-    pieces = sum(group.owner.shape[0] for group in solids)
+    pieces = sum(group.owner.shape[0] for group in colliders)
     work = pop * objects * samples * pieces
     device = _device()
     if device.platform == "cpu":
         return "culled"
-    found = MEASURED["devices"].get(device.device_kind) if device.platform == "gpu" else None
-    least = None if found is None else found["pallas_from"]
+    times = MEASURED["devices"].get(device.device_kind) if device.platform == "gpu" else None
+    least = None if times is None else times["pallas_from"]
     return "pallas" if least is not None and work >= least else "jnp"
 
 

@@ -1,69 +1,14 @@
-"""The canonical colliders of a scene as arrays: convex pieces by kind, and surface samples.
-
-D_pen is measured on these whatever engine rolls the scene out.
-"""
+"""Points spread over an object's outer surface, at which D_pen measures penetration."""
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from neoworld_kernels import Group, Solids
 from numpy.typing import NDArray
 
-from ..spec import Lathe, SceneObject, Shape
-from ..spec.convex import Piece, hull, planes
-from ..spec.pose import Pose, conjugate, matrix, pose, rotate
-from .support import posed_pieces, posed_shapes
-
-KIND = {
-    "box": "box",
-    "sphere": "capsule",
-    "capsule": "capsule",
-    "cylinder": "cylinder",
-    "ellipsoid": "ellipsoid",
-    "mesh": "polytope",
-}
-
-
-def solids(objects: tuple[SceneObject, ...]) -> Solids:
-    """Collect every object's convex pieces, in its own frame with joints as they stand.
-
-    Wedges that a lathe repeats around its axis are kept once.
-    """
-    rows: dict[str, list[tuple[int, Piece, Pose, int]]] = {kind: [] for kind in Solids._fields}
-    for owner, item in enumerate(objects):
-        for shape, at in posed_shapes(item):
-            for piece, repeats in _distinct(shape):
-                kind = KIND[piece.kind] if repeats == 1 else "sector"
-                rows[kind].append((owner, piece, at.then(pose(piece.pos, piece.quat)), repeats))
-    return Solids(**{kind: _group(rows[kind]) for kind in Solids._fields})
-
-
-def _distinct(shape: Shape) -> list[tuple[Piece, int]]:
-    # Stretched along y a lathe has no rotational symmetry left.
-    if isinstance(shape, Lathe) and shape.oval == 1.0:
-        return shape.distinct_pieces()
-    return [(piece, 1) for piece in shape.pieces()]
-
-
-def _group(rows: list[tuple[int, Piece, Pose, int]]) -> Group:
-    faces = [planes(p) if p.kind == "mesh" else np.zeros((0, 4)) for _, p, _, _ in rows]
-    most = max((len(f) for f in faces), default=0)
-    table = np.zeros((len(rows), most, 4))
-    table[..., 3] = 1e6
-    size = np.zeros((len(rows), 3))
-    for k, (_, piece, _, repeats) in enumerate(rows):
-        table[k, : len(faces[k])] = faces[k]
-        size[k, : len(piece.size)] = piece.size
-        if repeats > 1:
-            size[k, 0] = repeats
-    f32 = lambda value, shape: jnp.asarray(np.array(value, np.float32).reshape(shape))
-    return Group(
-        owner=jnp.asarray(np.array([owner for owner, _, _, _ in rows], np.int32)),
-        pos=f32([at.pos for _, _, at, _ in rows], (-1, 3)),
-        rot=f32([matrix(at.quat) for _, _, at, _ in rows], (-1, 3, 3)),
-        size=f32(size, (-1, 3)),
-        planes=f32(table, (len(rows), most, 4)),
-    )
+from ..spec import SceneObject
+from ..spec.convex import Piece, hull, planes, polytope
+from ..spec.pose import conjugate, rotate
+from .support import posed_pieces
 
 
 def surface_samples(item: SceneObject, count: int) -> Float[Array, "count 3"]:
@@ -75,15 +20,15 @@ def surface_samples(item: SceneObject, count: int) -> Float[Array, "count 3"]:
         item: the object; points are in its own frame at scale 1 [m].
         count: how many points; the last is repeated if the surface yields fewer.
     """
-    found = posed_pieces(item, tilted=False)
-    areas = np.array([_area(piece) for piece, _ in found])
+    pieces = posed_pieces(item, tilted=False)
+    areas = np.array([_area(piece) for piece, _ in pieces])
     sharp, smooth = [], []
-    for k, (piece, at) in enumerate(found):
+    for k, (piece, at) in enumerate(pieces):
         own = max(12, int(np.ceil(4 * count * areas[k] / areas.sum())))
         for points, into in ((_edges(piece), sharp), (_faces(piece, own), smooth)):
             world = at.apply(points)
             hidden = np.zeros(len(world), bool)
-            for j, (other, there) in enumerate(found):
+            for j, (other, there) in enumerate(pieces):
                 if j != k:
                     hidden |= _inside(other, rotate(conjugate(there.quat), world - there.pos))
             into.append(world[~hidden])
@@ -154,8 +99,6 @@ def _faces(piece: Piece, count: int) -> NDArray:
     k = np.arange(count) + 0.5
     golden = np.pi * (1 + 5**0.5)
     if piece.kind in ("box", "mesh"):
-        from ..spec.convex import polytope
-
         corners = np.array(np.meshgrid(*([-1.0, 1.0],) * 3)).reshape(3, -1).T * s
         v, f = hull((polytope(corners) if piece.kind == "box" else piece).vertices)
         a, b, c = v[f[:, 0]], v[f[:, 1]], v[f[:, 2]]

@@ -23,7 +23,7 @@ def depths(
     minus the squared distance to the axis is returned; see `finished`.
 
     Args:
-        kind: a field name of `Solids`.
+        kind: a field name of `Colliders`.
         local: points in the piece's frame, each [x, y, z].
         size: of the piece, three arrays.
         plane: of the piece.
@@ -37,11 +37,11 @@ def depths(
             for x, y, z in local
         ]
     if kind == "capsule":
-        found = []
+        values = []
         for x, y, z in local:
             over = jnp.maximum(jnp.abs(z) - size[1], 0.0)
-            found.append(-(x * x + y * y + over * over))
-        return found
+            values.append(-(x * x + y * y + over * over))
+        return values
     if kind == "cylinder":
         return [
             jnp.minimum(size[0] - _root(x * x + y * y), size[1] - jnp.abs(z)) for x, y, z in local
@@ -49,15 +49,15 @@ def depths(
     if kind == "ellipsoid":
         inverse = [1.0 / s for s in size]
         least = jnp.minimum(jnp.minimum(size[0], size[1]), size[2])
-        found = []
+        values = []
         for point in local:
             a = [v * w for v, w in zip(point, inverse, strict=True)]
             near = _root(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
             b = [v * w for v, w in zip(a, inverse, strict=True)]
             steep = b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
             depth = near * (1.0 - near) * lax.rsqrt(jnp.maximum(steep, 1e-18))
-            found.append(jnp.where(steep > 1e-18, depth, least))
-        return found
+            values.append(jnp.where(steep > 1e-18, depth, least))
+        return values
     if kind == "sector":
         local = [[*folded(x, y, size[0]), z] for x, y, z in local]
 
@@ -112,10 +112,10 @@ def _angle(y: Array, x: Array) -> Array:
     large = jnp.maximum(jnp.maximum(across, along), 1e-15)
     ratio = jnp.minimum(across, along) * lax.rsqrt(large * large)
     square = ratio * ratio
-    found = square * 0.0208351 - 0.0851330
+    angle = square * 0.0208351 - 0.0851330
     for factor in (0.1801410, -0.3302995, 0.9998660):
-        found = found * square + factor
-    found = found * ratio
-    found = jnp.where(along > across, math.pi / 2 - found, found)
-    found = jnp.where(x < 0.0, math.pi - found, found)
-    return jnp.where(y < 0.0, -found, found)
+        angle = angle * square + factor
+    angle = angle * ratio
+    angle = jnp.where(along > across, math.pi / 2 - angle, angle)
+    angle = jnp.where(x < 0.0, math.pi - angle, angle)
+    return jnp.where(y < 0.0, -angle, angle)

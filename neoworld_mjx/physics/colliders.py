@@ -1,0 +1,64 @@
+"""The canonical colliders of a scene as arrays: convex pieces by kind.
+
+D_pen is measured on these whatever engine rolls the scene out.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from neoworld_kernels import Colliders, PieceGroup
+
+from ..spec import Lathe, SceneObject, Shape
+from ..spec.convex import Piece, planes
+from ..spec.pose import Pose, matrix, pose
+from .support import posed_shapes
+
+_KIND = {
+    "box": "box",
+    "sphere": "capsule",
+    "capsule": "capsule",
+    "cylinder": "cylinder",
+    "ellipsoid": "ellipsoid",
+    "mesh": "polytope",
+}
+
+
+def collect_colliders(objects: tuple[SceneObject, ...]) -> Colliders:
+    """Collect every object's convex pieces, in its own frame with joints as they stand.
+
+    Wedges that a lathe repeats around its axis are kept once.
+    """
+    rows: dict[str, list[tuple[int, Piece, Pose, int]]] = {kind: [] for kind in Colliders._fields}
+    for owner, item in enumerate(objects):
+        for shape, at in posed_shapes(item):
+            for piece, repeats in _distinct(shape):
+                kind = _KIND[piece.kind] if repeats == 1 else "sector"
+                rows[kind].append((owner, piece, at.then(pose(piece.pos, piece.quat)), repeats))
+    return Colliders(**{kind: _group(rows[kind]) for kind in Colliders._fields})
+
+
+def _distinct(shape: Shape) -> list[tuple[Piece, int]]:
+    # Stretched along y a lathe has no rotational symmetry left.
+    if isinstance(shape, Lathe) and shape.oval == 1.0:
+        return shape.distinct_pieces()
+    return [(piece, 1) for piece in shape.pieces()]
+
+
+def _group(rows: list[tuple[int, Piece, Pose, int]]) -> PieceGroup:
+    faces = [planes(p) if p.kind == "mesh" else np.zeros((0, 4)) for _, p, _, _ in rows]
+    most = max((len(f) for f in faces), default=0)
+    table = np.zeros((len(rows), most, 4))
+    table[..., 3] = 1e6
+    size = np.zeros((len(rows), 3))
+    for k, (_, piece, _, repeats) in enumerate(rows):
+        table[k, : len(faces[k])] = faces[k]
+        size[k, : len(piece.size)] = piece.size
+        if repeats > 1:
+            size[k, 0] = repeats
+    f32 = lambda value, shape: jnp.asarray(np.array(value, np.float32).reshape(shape))
+    return PieceGroup(
+        owner=jnp.asarray(np.array([owner for owner, _, _, _ in rows], np.int32)),
+        pos=f32([at.pos for _, _, at, _ in rows], (-1, 3)),
+        rot=f32([matrix(at.quat) for _, _, at, _ in rows], (-1, 3, 3)),
+        size=f32(size, (-1, 3)),
+        planes=f32(table, (len(rows), most, 4)),
+    )

@@ -1,0 +1,132 @@
+"""The fields of a scene's MuJoCo model that depend on the layout, for a population of candidates.
+
+The law of scaling is that of `spec.scale`: compiling a rearranged scene gives the same fields.
+Nothing is recompiled.
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..spec.scale import mimic_exponents
+from .layout import Poses
+from .model import FREE, MESH, SLIDE, SceneModel
+
+
+def model_fields(scene: SceneModel, poses: Poses, xp: Any = jnp) -> dict[str, Any]:
+    """Compute the MjModel fields that candidates differ in, each with a leading [pop] axis.
+
+    Fields that MuJoCo derives from these (mj_setConst, bounding volumes) are not among them, but
+    for the bounding radii and boxes of geoms, which scale as they are. "qpos" is the start state.
+
+    Args:
+        scene: the compiled scene.
+        poses: where the candidates' objects are placed.
+        xp: `numpy` for double precision on the host, or `jnp`.
+    """
+    s, m = scene.static, scene.static.mjm
+    pop = poses.scale.shape[0]
+    of = lambda owner: owner_scale(poses.scale, owner, xp)
+    body, geom, jnt, dof = (
+        of(owner) for owner in (s.body_object, s.geom_object, s.jnt_object, s.dof_object)
+    )
+    p = s.powers
+
+    body_pos, body_quat = _spread(m.body_pos, pop, xp), _spread(m.body_quat, pop, xp)
+    body_pos = _put(body_pos * body[..., None], s.root, poses.pos, xp)
+    body_quat = _put(body_quat, s.root, poses.quat, xp)
+    slide = m.jnt_type == SLIDE
+    qpos = _spread(s.start, pop, xp)
+    qpos0 = _spread(m.qpos0, pop, xp)
+    slides = m.jnt_qposadr[slide]
+    qpos = _put(qpos, slides, qpos[:, slides] * jnt[:, slide], xp)
+    for j in np.flatnonzero(m.jnt_type == FREE):
+        owner, adr = s.jnt_object[j], m.jnt_qposadr[j]
+        seven = xp.concatenate([poses.pos[:, owner], poses.quat[:, owner]], axis=-1)
+        qpos, qpos0 = (_put(q, np.arange(adr, adr + 7), seven, xp) for q in (qpos, qpos0))
+    fields = {
+        "body_pos": body_pos,
+        "body_quat": body_quat,
+        "body_ipos": m.body_ipos * body[..., None],
+        "body_mass": m.body_mass * body**p.body_mass,
+        "body_inertia": m.body_inertia * (body**p.body_inertia)[..., None],
+        "geom_pos": m.geom_pos * geom[..., None],
+        "geom_size": m.geom_size * geom[..., None],
+        "geom_rbound": m.geom_rbound * geom,
+        "geom_aabb": m.geom_aabb.reshape(-1, 6) * geom[..., None],
+        "jnt_pos": m.jnt_pos * jnt[..., None],
+        "jnt_range": m.jnt_range * (jnt**p.jnt_range)[..., None],
+        "jnt_stiffness": _times(m.jnt_stiffness, jnt**p.jnt_stiffness),
+        "jnt_actfrcrange": m.jnt_actfrcrange * (jnt**p.jnt_actfrcrange)[..., None],
+        "dof_armature": m.dof_armature * dof**p.dof_armature,
+        "dof_damping": _times(m.dof_damping, dof**p.dof_damping),
+        "dof_frictionloss": m.dof_frictionloss * dof**p.dof_frictionloss,
+        "qpos0": qpos0,
+        "qpos_spring": qpos0,
+        "qpos": qpos,
+    }
+    if m.neq:
+        fields["eq_data"] = _mimics(scene, jnt, xp)
+    if m.nsite:
+        fields["site_pos"] = m.site_pos * of(s.body_object[m.site_bodyid])[..., None]
+    return fields
+
+
+def owner_scale(scale: Any, owner: np.ndarray, xp: Any = jnp) -> Any:
+    """Return the scale of what objects own, shape [pop, n].
+
+    Args:
+        scale: of every object, shape [pop, object].
+        owner: object of each of the n; -1 is the world, whose scale is 1.
+        xp: `numpy` or `jnp`.
+    """
+    # Index -1 meets the column of ones at the end.
+    return xp.concatenate([scale, xp.ones_like(scale[:, :1])], axis=1)[:, owner]
+
+
+def _mimics(scene: SceneModel, jnt: Any, xp: Any) -> Any:
+    m = scene.static.mjm
+    factor = xp.ones((jnt.shape[0], *m.eq_data.shape), jnt.dtype)
+    joints = {}
+    for item in scene.spec.objects:
+        joints |= {f"{item.name}/{joint.name}": joint for joint in item.spec.joints}
+    for e in range(m.neq):
+        follower, leader = m.eq_obj1id[e], m.eq_obj2id[e]
+        # A tie to a constant has no leader; then only its offset counts.
+        led = joints[m.joint(leader if leader >= 0 else follower).name]
+        multiplier, offset = mimic_exponents(joints[m.joint(follower).name], led)
+        own = jnt[:, follower]
+        pair = xp.stack([own**offset, own**multiplier], axis=-1)
+        factor = _put(
+            factor.reshape(jnt.shape[0], -1), e * m.eq_data.shape[1] + np.arange(2), pair, xp
+        )
+        factor = factor.reshape(jnt.shape[0], *m.eq_data.shape)
+    return m.eq_data * factor
+
+
+def _spread(field: np.ndarray, pop: int, xp: Any) -> Any:
+    return xp.broadcast_to(xp.asarray(field), (pop, *field.shape))
+
+
+def _put(array: Any, index: np.ndarray, values: Any, xp: Any) -> Any:
+    """Write values into columns of an array [pop, n, ...]."""
+    if xp is np:
+        array = array.copy()
+        array[:, index] = values
+        return array
+    return array.at[:, index].set(values)
+
+
+def _times(field: np.ndarray, factor: Any) -> Any:
+    """Multiply a field [n] or [n, k] by a factor [pop, n]."""
+    return field * (factor if field.ndim == 1 else factor[..., None])
+
+
+def mesh_object(scene: SceneModel) -> np.ndarray:
+    """Return the object that each mesh asset belongs to, shape [nmesh]."""
+    m = scene.static.mjm
+    owner = np.full(m.nmesh, -1)
+    for g in np.flatnonzero(m.geom_type == MESH):
+        owner[m.geom_dataid[g]] = scene.static.geom_object[g]
+    return owner

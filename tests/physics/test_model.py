@@ -1,0 +1,86 @@
+"""What a SceneModel says of itself, refuses, and lets JAX do."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scenes
+from scenes import random_layout
+
+from neoworld_mjx.engines import ENGINES
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.model import compile_scene, load_scene
+from neoworld_mjx.physics.model_fields import model_fields
+from neoworld_mjx.physics.simulate import rollout
+from neoworld_mjx.refinement.rewards import d_pen
+
+
+@pytest.fixture(scope="module")
+def blocks():
+    return compile_scene(scenes.blocks(), samples=16)
+
+
+def test_repr_names_scene_objects_and_sizes_in_two_lines(blocks):
+    text = repr(blocks)
+    assert "'blocks': 4 objects, 3 of them movable, 0 joints, 4 convex pieces" in text
+    assert "table, low, high, ball" in text
+    assert text.count("\n") == 1
+
+
+def test_a_wrong_type_is_named_with_what_to_call_instead(blocks):
+    layouts = Layout.zero(2, 4)
+    with pytest.raises(SpecError, match=r"SceneSpec, not a SceneModel.*compile_scene"):
+        rollout(scenes.blocks(), layouts)
+    with pytest.raises(SpecError, match=r"str, not a SceneModel.*load_scene"):
+        rollout("scene.json", layouts)
+    with pytest.raises(SpecError, match="not a Layout"):
+        rollout(blocks, blocks.place(layouts))
+    with pytest.raises(SpecError, match=r"shape \(2, 3\), not \(pop, 4\)"):
+        rollout(blocks, Layout.zero(2, 3))
+    with pytest.raises(SpecError, match="compile_scene takes a SceneSpec"):
+        load_scene(scenes.blocks())
+    with pytest.raises(SpecError, match="load_scene takes"):
+        compile_scene("scene.json")
+
+
+def test_place_and_model_fields_may_be_jitted_and_vmapped(blocks):
+    layouts = jax.tree.map(jnp.asarray, random_layout(blocks, 6))
+    rows = jax.tree.map(lambda leaf: leaf.reshape(2, 3, *leaf.shape[1:]), layouts)
+    poses = jax.jit(blocks.place)(layouts)
+    nested = jax.jit(jax.vmap(blocks.place))(rows)
+    assert np.allclose(nested.pos.reshape(poses.pos.shape), poses.pos, atol=1e-6)
+    fields = jax.jit(lambda some: model_fields(blocks, some))(poses)
+    assert fields["body_pos"].shape == (6, blocks.static.mjm.nbody, 3)
+    assert np.allclose(fields["geom_size"], model_fields(blocks, poses)["geom_size"])
+
+
+def test_penetration_is_differentiable_through_placing(blocks):
+    # The ball is pushed into the side of the lower block.
+    shift = jnp.array([0.0, -0.08])
+    aside = Layout(jnp.zeros((1, 4, 2)).at[0, 3].set(shift), jnp.zeros((1, 4)), jnp.zeros((1, 4)))
+    depth = lambda x: d_pen(
+        blocks, Layout(aside.xy.at[0, 3, 1].add(x), aside.yaw, aside.log_scale)
+    )[0]
+    value, slope = jax.jit(jax.value_and_grad(depth))(0.0)
+    step = 1e-3
+    assert value > 1e-3
+    assert slope == pytest.approx((depth(step) - depth(-step)) / (2 * step), rel=0.05)
+
+
+def test_many_candidates_are_placed_in_batches_alike(blocks, monkeypatch):
+    layouts = random_layout(blocks, 7)
+    whole = blocks.place_exactly(layouts)
+    monkeypatch.setattr("neoworld_mjx.physics.layout.SNAPPED", 8)
+    jax.clear_caches()
+    assert np.allclose(blocks.place_exactly(layouts).height, whole.height, atol=1e-6)
+
+
+def test_the_table_of_engines_holds_every_engine():
+    from neoworld_mjx.physics.mjx_engine import MjxEngine
+    from neoworld_mjx.physics.native import NativeEngine
+    from neoworld_mjx.physics.warp_engine import WarpEngine
+
+    for engine in (MjxEngine, NativeEngine, WarpEngine):
+        location = f"{engine.__module__.removeprefix('neoworld_mjx')}:{engine.__name__}"
+        assert ENGINES[engine.name].location == location
