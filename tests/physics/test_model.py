@@ -4,8 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scenes
-from scenes import random_layout
 
 from neoworld_mjx.engines import ENGINES
 from neoworld_mjx.errors import SpecError
@@ -14,6 +12,8 @@ from neoworld_mjx.physics.model import compile_scene, load_scene
 from neoworld_mjx.physics.model_fields import model_fields
 from neoworld_mjx.physics.simulate import rollout
 from neoworld_mjx.refinement.rewards import d_pen
+from tests.support import scenes
+from tests.support.scenes import random_layout
 
 
 @pytest.fixture(scope="module")
