@@ -4,7 +4,7 @@ No engine is imported here, nor by what this module imports; `simulate` opens en
 """
 
 import enum
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -85,6 +85,7 @@ def unmoved(scene: SceneModel, poses: Poses) -> Rollout:
     )
 
 
+@runtime_checkable
 class Engine(Protocol):
     """Rolls placed candidates of a scene out under gravity."""
 
