@@ -87,7 +87,7 @@ def check(command: Check) -> Answer:
         )
     if command.repair or command.fixed_base or command.out is not None:
         raise SpecError(f"{command.target}: a scene is measured as it is; refine mends scenes")
-    from .measure.scene import scene_measure
+    from .measure.stability import scene_measure
     from .spec import read_scene
 
     limits = config.refine

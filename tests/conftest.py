@@ -1,9 +1,18 @@
-"""What every test gets: no keys, compilations kept between runs, markers that mean something."""
+"""Fixtures and rules for every test: no keys, compilations kept between runs, shared example runs."""
 
+import hashlib
+import json
 import os
 import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
+
+PHOTO = Path(__file__).parents[1] / "examples" / "coffee.png"
+QUICK = {"refine": {"cem": {"population": 24, "iterations": 2}}, "render": {"width": 96}}
+"""Options with which the example takes seconds."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -25,6 +34,63 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.fixture(autouse=True)
 def _no_keys(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No test may reach a server with the key of whoever runs it."""
+    """Keep every test from reaching a server with the key of whoever runs it."""
     for name in ("ANTHROPIC_API_KEY", "OPENAI_API_KEY"):
         monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture(scope="session")
+def photo() -> Path:
+    """The photograph of the bundled example."""
+    return PHOTO
+
+
+@pytest.fixture(scope="session")
+def quick_config():
+    """Options with which the example takes seconds."""
+    from neoworld_mjx.config import load_config
+
+    return load_config(None, QUICK)
+
+
+@pytest.fixture(scope="session")
+def example_run(tmp_path_factory):
+    """The first command of the README, whole: its run folder, which tests only read, and its answer."""
+    out = tmp_path_factory.mktemp("example") / "out"
+    command = [sys.executable, "-m", "neoworld_mjx.cli", "reconstruct", str(PHOTO)]
+    done = subprocess.run(
+        [*command, "--out", str(out), "--json"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    before = _digest(out)
+    yield out, json.loads(done.stdout)
+    assert _digest(out) == before, "a test changed the shared run; copy it first"
+
+
+@pytest.fixture(scope="session")
+def quick_run(tmp_path_factory, quick_config):
+    """A finished run of the example with few candidates: its folder, which tests only read or copy."""
+    from neoworld_mjx.pipeline import reconstruct
+
+    out = tmp_path_factory.mktemp("quick") / "out"
+    reconstruct(PHOTO, out, quick_config)
+    before = _digest(out)
+    yield out
+    assert _digest(out) == before, "a test changed the shared run; copy it first"
+
+
+@pytest.fixture(scope="session")
+def blocks_model():
+    """The compiled scene of `scenes.blocks`; what is jitted with it is compiled once for all tests."""
+    from neoworld_mjx.physics.model import compile_scene
+    from tests.support import scenes
+
+    return compile_scene(scenes.blocks())
+
+
+def _digest(folder: Path) -> dict[str, str]:
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != ".lock"
+    }

@@ -1,44 +1,21 @@
 """The bundled example, from the photograph to files that other programs load."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-from neoworld_mjx.config import load_config
 from neoworld_mjx.errors import RunError
 from neoworld_mjx.pipeline import reconstruct, refine_again
 from neoworld_mjx.spec import SceneSpec, SceneTree
 
-PHOTO = Path(__file__).parent.parent / "examples" / "coffee.png"
 OBJECTS = ["table", "saucer", "cup", "spoon"]
-QUICK = {"refine": {"cem": {"population": 24, "iterations": 2}}, "render": {"width": 96}}
 
 
-@pytest.fixture(scope="module")
-def example(tmp_path_factory):
-    """The first command of the README, whole."""
-    out = tmp_path_factory.mktemp("example") / "out"
-    command = [
-        sys.executable,
-        "-m",
-        "neoworld_mjx.cli",
-        "reconstruct",
-        str(PHOTO),
-        "--out",
-        str(out),
-    ]
-    done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return out, json.loads(done.stdout)
-
-
-def test_the_command_prints_one_object_that_says_how_the_scene_stands(example):
-    _, answer = example
+def test_the_command_prints_one_object_that_says_how_the_scene_stands(example_run):
+    _, answer = example_run
     assert answer["objects"] == OBJECTS
     assert answer["movable"] == 3
     assert answer["s_pen"] == 0
@@ -53,8 +30,8 @@ def test_the_command_prints_one_object_that_says_how_the_scene_stands(example):
     assert answer["mllm"]["cost_usd"] == 0
 
 
-def test_mujoco_alone_finds_the_scene_standing(example):
-    out, _ = example
+def test_mujoco_alone_finds_the_scene_standing(example_run):
+    out, _ = example_run
     model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -84,10 +61,10 @@ def test_mujoco_alone_finds_the_scene_standing(example):
     assert 0 < depth < 1e-3  # they touch, and no more
 
 
-def test_usd_opens_it_with_every_object(example):
+def test_usd_opens_it_with_every_object(example_run):
     from pxr import Usd, UsdPhysics
 
-    out, _ = example
+    out, _ = example_run
     stage = Usd.Stage.Open(str(out / "scene.usda"))
     prims = list(stage.Traverse())
     names = {prim.GetName() for prim in prims}
@@ -97,8 +74,8 @@ def test_usd_opens_it_with_every_object(example):
     assert stage.GetPrimAtPath("/").GetStage().GetDefaultPrim()
 
 
-def test_the_folder_holds_what_is_promised(example):
-    out, answer = example
+def test_the_folder_holds_what_is_promised(example_run):
+    out, answer = example_run
     for name in OBJECTS:
         home = out / "objects" / name
         for file in (
@@ -131,28 +108,23 @@ def test_the_folder_holds_what_is_promised(example):
     assert run["photo"]["name"] == "coffee.png"
 
 
-def test_the_same_tape_and_seed_give_the_same_bytes(tmp_path):
-    config = load_config(None, QUICK)
-    for name in ("one", "two"):
-        reconstruct(PHOTO, tmp_path / name, config)
+def test_the_same_tape_and_seed_give_the_same_bytes(tmp_path, photo, quick_config, quick_run):
+    reconstruct(photo, tmp_path, quick_config)
     files = [
-        path.relative_to(tmp_path / "one")
-        for path in sorted((tmp_path / "one").rglob("*"))
+        path.relative_to(tmp_path)
+        for path in sorted(tmp_path.rglob("*"))
         if path.is_file() and path.name not in ("run.json", "report.html", ".lock")
     ]
     assert len(files) > 30
     for path in files:
-        assert (tmp_path / "one" / path).read_bytes() == (tmp_path / "two" / path).read_bytes(), (
-            path
-        )
+        assert (tmp_path / path).read_bytes() == (quick_run / path).read_bytes(), path
 
 
-def test_refining_again_keeps_the_steps_before(tmp_path):
-    config = load_config(None, QUICK)
-    first = reconstruct(PHOTO, tmp_path / "run", config, until="compose")
+def test_refining_again_keeps_the_steps_before(tmp_path, photo, quick_config):
+    first = reconstruct(photo, tmp_path / "run", quick_config, until="compose")
     assert first.passed is None
     with pytest.raises(RunError):
-        reconstruct(PHOTO, tmp_path / "run", config)
+        reconstruct(photo, tmp_path / "run", quick_config)
     composed = (tmp_path / "run" / "compose" / "scene.json").read_bytes()
     again = refine_again(tmp_path / "run", None, {"seed": 7})
     assert again.passed is not None
@@ -161,7 +133,7 @@ def test_refining_again_keeps_the_steps_before(tmp_path):
     assert (tmp_path / "run" / "scene.xml").is_file()
 
 
-def test_refining_what_is_not_composed_is_refused(tmp_path):
-    reconstruct(PHOTO, tmp_path / "run", load_config(None, QUICK), until="parse")
+def test_refining_what_is_not_composed_is_refused(tmp_path, photo, quick_config):
+    reconstruct(photo, tmp_path / "run", quick_config, until="parse")
     with pytest.raises(RunError, match="composed"):
         refine_again(tmp_path / "run")

@@ -4,7 +4,7 @@ from .boxes import iou_2d, iou_3d
 from .geometry import Closeness, GeometryMeasure, geometry_measure
 from .joints import JointMeasure, JointPair, joint_measure, pooled
 from .parsing import ParseMeasure, parse_measure
-from .scene import SceneMeasure, scene_measure
+from .stability import SceneMeasure, scene_measure
 from .truth import ObjectTruth, TrueJoint, canonical_points, read_truth, truth_of
 from .truth_mjcf import truth_of_mjcf
 

@@ -8,7 +8,7 @@ import pytest
 from neoworld_mjx.compose import compose
 from neoworld_mjx.compose.lying import resting_tilt
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.measure.scene import scene_measure
+from neoworld_mjx.measure.stability import scene_measure
 from neoworld_mjx.physics.exact import object_depths, start_state
 from neoworld_mjx.spec import (
     Box,

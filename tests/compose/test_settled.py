@@ -7,7 +7,7 @@ import pytest
 
 from neoworld_mjx.compose.compose import snapped
 from neoworld_mjx.compose.settled import settled
-from neoworld_mjx.measure.scene import scene_measure
+from neoworld_mjx.measure.stability import scene_measure
 from neoworld_mjx.spec import (
     Box,
     GeomSpec,

@@ -1,8 +1,7 @@
-"""Small furniture that the battery passes; a test changes what it is about."""
+"""Small furniture that passes the battery; tests change one joint field of it."""
 
-from neoworld_mjx.spec import Box, GeomSpec, JointSpec, Material, ObjectSpec, PartSpec, recentred
-
-WOOD = Material(name="wood", density=600, friction=0.5)
+from neoworld_mjx.bench.scenes import WOOD
+from neoworld_mjx.spec import Box, GeomSpec, JointSpec, ObjectSpec, PartSpec, recentred
 
 
 def geom(name, size, pos, material="wood"):

@@ -1,9 +1,11 @@
-"""Small scenes that several tests share."""
+"""Small objects and scenes that tests share; larger ones are in `neoworld_mjx.bench.scenes`."""
 
+import functools
 import math
 
 import numpy as np
 
+from neoworld_mjx.bench import scenes as bench_scenes
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.spec import (
     CSG,
@@ -34,16 +36,8 @@ CERAMIC = Material(name="ceramic", density=2300, friction=0.4, rgba=(0.9, 0.9, 0
 STEEL = Material(name="steel", density=7800, friction=0.3, rgba=(0.6, 0.6, 0.65, 1))
 
 
-def single(name, *geoms, material=WOOD, mass=None):
-    """One rigid object of shapes, each (shape, pos) or (shape, pos, quat)."""
-    made = tuple(
-        GeomSpec(
-            name=f"g{k}", shape=g[0], pos=g[1], quat=(*g, (1, 0, 0, 0))[2], material=material.name
-        )
-        for k, g in enumerate(geoms)
-    )
-    part = PartSpec(name="body", geoms=made, mass=mass)
-    return recentred(ObjectSpec(name=name, materials=(material,), parts=(part,)))
+single = functools.partial(bench_scenes.single, material=WOOD)
+"""One rigid object of shapes, each (shape, pos) or (shape, pos, quat)."""
 
 
 def table(size=(0.6, 0.8, 0.04)):
