@@ -7,6 +7,7 @@ declarations.
 from .model_options import MLLMOptions, Role, RoleOptions
 from .object_options import (
     ComposeOptions,
+    JointSweepOptions,
     ParseOptions,
     ProgramOptions,
     RenderOptions,
@@ -28,6 +29,7 @@ __all__ = [
     "ComposeOptions",
     "Config",
     "DescentOptions",
+    "JointSweepOptions",
     "MLLMOptions",
     "Option",
     "Options",

@@ -18,7 +18,28 @@ class ParseOptions(Options):
     )
 
 
-class ProgramOptions(Options):
+class JointSweepOptions(Options):
+    """The joint sweep of Steps 2 and 3.
+
+    `program` and `verify` inherit these options and their defaults. Give both sections the same
+    values: otherwise Step 3 may refuse what Step 2 passed.
+    """
+
+    max_depth_m: float = option(
+        0.001, "Largest penetration between two parts of an object.", unit="m", gt=0
+    )
+    touch_gap_m: float = option(
+        0.002,
+        "Largest gap between a part and the part that it is attached to. Step 3 passes twice as "
+        "much, or 1 % of the object's size where that is more.",
+        unit="m",
+        ge=0,
+    )
+    sweep_steps: int = option(13, "Positions tried over each joint's range.", ge=3)
+    sweep_combinations: int = option(16, "States tried with all joints moved at once.", ge=0)
+
+
+class ProgramOptions(JointSweepOptions):
     """Step 2, procedural asset programming."""
 
     debug_rounds: int = option(
@@ -53,18 +74,10 @@ class ProgramOptions(Options):
     max_geoms: int = option(3000, "Geoms of an object.", ge=1)
     max_pieces: int = option(4000, "Convex collision geoms of an object.", ge=1)
     workers: int = option(2, "Sandbox processes kept for programs that run at once.", ge=1)
-    touch_gap_m: float = option(
-        0.002, "Largest gap between a part and the part that it is attached to.", unit="m", ge=0
-    )
-    max_depth_m: float = option(
-        0.001, "Largest penetration between two parts of an object.", unit="m", gt=0
-    )
-    sweep_steps: int = option(9, "Positions tried over each joint's range.", ge=2)
-    sweep_combinations: int = option(16, "Positions tried with all joints moved at once.", ge=0)
     check_timeout_s: float = option(1.0, "Time for each check of the object.", unit="s", gt=0)
 
 
-class VerifyOptions(Options):
+class VerifyOptions(JointSweepOptions):
     """Step 3, object-level physics."""
 
     duration_s: float = option(2.0, "Simulated time of each scenario.", unit="s", gt=0)
@@ -79,7 +92,6 @@ class VerifyOptions(Options):
     push_duration_s: float = option(0.1, "Time over which the impulse is spread.", unit="s", gt=0)
     max_drift_m: float = option(0.01, "Largest displacement in a scenario.", unit="m", gt=0)
     max_tilt_deg: float = option(5.0, "Largest rotation in a scenario.", unit="deg", gt=0)
-    max_depth_m: float = option(0.001, "Largest penetration between two parts.", unit="m", gt=0)
     max_rest_speed: float = option(
         0.01, "Largest speed at the end of the free fall.", unit="m/s", gt=0
     )
@@ -124,23 +136,11 @@ class VerifyOptions(Options):
     max_slide_deg: float = option(
         60.0, "Slope on which an object must slide.", unit="deg", gt=0, le=65
     )
-    touch_gap_m: float = option(
-        0.004,
-        "Largest gap between a part and its parent; 1 % of the object's size where that is more.",
-        unit="m",
-        ge=0,
-    )
     max_pivot_off: float = option(
         0.05,
         "Largest distance between a hinge's axis and the parts that it joins, over the child's "
         "diagonal.",
         ge=0,
-    )
-    sweep_steps: int = option(
-        13, "Positions of each joint at which penetration between parts is measured.", ge=3
-    )
-    sweep_combinations: int = option(
-        12, "Positions of all joints at once, in addition to those of each joint.", ge=0
     )
     rounds: int = option(
         6, "Repairs of an object that may be tried; 0 leaves objects unchanged.", ge=0

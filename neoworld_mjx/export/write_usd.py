@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 
-from ..physics.mjcf import welded
 from ..spec import (
     GeomSpec,
     JointSpec,
@@ -28,6 +27,7 @@ from ..spec import (
     inertial,
 )
 from ..spec.convex import Piece
+from ..spec.kinematics import welded
 from ..spec.pose import IDENTITY, Pose, pose
 from ..spec.triangles import corner_normals
 from .meshes import piece_mesh

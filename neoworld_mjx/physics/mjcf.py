@@ -31,6 +31,7 @@ from ..spec import (
     world_poses,
 )
 from ..spec.convex import Piece
+from ..spec.kinematics import welded
 from ..spec.pose import Pose, pose
 
 COLLISION_GROUP, VISUAL_GROUP = 0, 1
@@ -92,15 +93,6 @@ def to_mjspec(
 def joint_order(spec: ObjectSpec) -> list[JointSpec]:
     """List the joints that MuJoCo gives a coordinate, in the order of its qpos: depth first."""
     return [joint for _, joint in _depth_first(spec) if joint is not None and joint.type != "fixed"]
-
-
-def welded(spec: ObjectSpec) -> dict[str, str]:
-    """Map each part to the part that it moves with: itself, or across fixed joints its ancestor."""
-    group: dict[str, str] = {}
-    for part, joint in spec.ordered:
-        rigid = joint is not None and joint.type == "fixed"
-        group[part.name] = group[joint.parent] if rigid and joint is not None else part.name
-    return group
 
 
 def body_name(item: SceneObject | ObjectSpec, part: str) -> str:
@@ -312,4 +304,4 @@ def _depth_first(spec: ObjectSpec) -> Iterator[tuple[PartSpec, JointSpec | None]
     return visit(spec.root)
 
 
-__all__ = ["START", "body_name", "joint_order", "to_mjspec", "welded"]
+__all__ = ["START", "body_name", "joint_order", "to_mjspec"]

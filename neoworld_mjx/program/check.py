@@ -15,9 +15,9 @@ from ..config import ProgramOptions
 from ..spec import JointSpec, ObjectSpec
 from ..spec.opening import opening_alignment
 from .allowance import Allowance
-from .overlap import overlaps
+from .overlap import overlap_signals
 from .plausible import plausibility
-from .probe import OutOfTime, Probe
+from .probe import OutOfTime, Probe, line_box_distance
 from .signals import Signal, deduplicated
 
 AXIS_SLACK = 0.05
@@ -65,7 +65,7 @@ def check(
         probe = Probe(spec, options.check_timeout_s)
         found += _loose(probe, options)
         found += _joints(probe, options)
-        found += overlaps(probe, options, allowances)
+        found += overlap_signals(probe, options, allowances)
     except OutOfTime:
         found.append(
             Signal(
@@ -169,7 +169,7 @@ def _joints(probe: Probe, options: ProgramOptions) -> list[Signal]:
                 message = f"the ball lies beside part {joint.child!r}"
                 found.append(_of_joint(joint, "axis_off", message, hint, miss, AXIS_SLACK * size))
         elif joint.type != "prismatic":
-            miss = _line_misses(np.array(joint.pos), np.array(joint.axis), *box)
+            miss = line_box_distance(np.array(joint.pos), np.array(joint.axis), *box)
             if miss > AXIS_SLACK * size:
                 found.append(
                     _of_joint(
@@ -234,20 +234,3 @@ def _of_joint(
         threshold=float(threshold),
         hint=hint,
     )
-
-
-def _line_misses(point: np.ndarray, axis: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
-    """Return how far [m] a box must grow on all sides to be met by a line."""
-    least, most = 0.0, float(np.abs(np.concatenate([low - point, high - point])).max()) + 1.0
-    for _ in range(40):
-        grow = (least + most) / 2
-        a, b = low - grow - point, high + grow - point
-        inside = np.where((a <= 0) & (b >= 0), np.inf, -np.inf)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            near = np.where(axis == 0, -inside, np.minimum(a / axis, b / axis))
-            far = np.where(axis == 0, inside, np.maximum(a / axis, b / axis))
-        if near.max() <= far.min():
-            most = grow
-        else:
-            least = grow
-    return most if most > 1e-9 else 0.0

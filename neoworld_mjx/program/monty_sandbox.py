@@ -11,6 +11,7 @@ import json
 import os
 import re
 from bisect import bisect_right
+from collections.abc import Callable
 from functools import lru_cache
 from importlib import import_module, resources
 from typing import Any
@@ -25,36 +26,23 @@ from .sdk_object import Object
 from .session import LimitExceeded, Session
 from .signals import Signal
 
+
+def public_members(kind: type, select: Callable[[object], bool]) -> tuple[str, ...]:
+    """Return the names of a class's own public members of a sort: what programs may use."""
+    members = vars(kind).items()
+    return tuple(name for name, value in members if not name.startswith("_") and select(value))
+
+
 _START_S, _GRACE_S = 10.0, 0.5
 _MAX_TYPE_SIGNALS = 20
-_METHODS: dict[type, frozenset[str]] = {
-    Object: frozenset(
-        {
-            "material",
-            "part",
-            "fixed",
-            "revolute",
-            "continuous",
-            "prismatic",
-            "ball",
-            "door",
-            "drawer",
-            "shelf",
-            "site",
-            "allow_overlap",
-        }
-    ),
-    Part: frozenset({"add", "anchor"}),
-    Geom: frozenset({"anchor"}),
-    Joint: frozenset(),
-    Shape: frozenset({"moved", "distance"}),
+_CLASSES = (Object, Part, Geom, Joint, Shape)
+_METHODS = {kind: frozenset(public_members(kind, inspect.isfunction)) for kind in _CLASSES}
+_PROPERTIES = {
+    kind: public_members(kind, lambda value: isinstance(value, property)) for kind in _CLASSES
 }
-_FIELDS: dict[type, tuple[str, ...]] = {
-    Object: ("name", "label"),
-    Part: ("name",),
-    Geom: ("name",),
-    Joint: ("name",),
-    Shape: (),
+_FIELDS = {
+    kind: tuple(name for name in inspect.get_annotations(kind) if not name.startswith("_"))
+    for kind in _CLASSES
 }
 
 
@@ -82,7 +70,7 @@ def _handed(value: Any, session: Session) -> Any:
     handle = _Handle(
         value,
         eager_attrs=_FIELDS[kind],
-        lazy_attrs=("size", "volume") if kind is Shape else None,
+        lazy_attrs=_PROPERTIES[kind] or None,
         allowed_methods=_METHODS[kind],
     )
     handle.session = session

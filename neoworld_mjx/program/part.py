@@ -1,7 +1,7 @@
 """Parts under construction, the shapes placed on them, and the joints between them."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal, no_type_check
 
 import numpy as np
 
@@ -9,11 +9,15 @@ from .. import spec as S
 from ..errors import choices
 from . import validate
 from .placing import Bounds, Shape, anchor_of, bounds_at, hinge_of, is_hinge, placed
+from .sdk_types import Vec3
 from .session import current, here
 
 
+@no_type_check
 class Geom:
     """A shape in its place on a part."""
+
+    name: str
 
     def __init__(self, spec: S.GeomSpec, bounds: Bounds, line: int | None) -> None:
         self._spec, self._bounds, self._line = spec, bounds, line
@@ -25,8 +29,11 @@ class Geom:
         return x, y, z
 
 
+@no_type_check
 class Part:
     """A rigid link; made by `Object.part`."""
+
+    name: str
 
     def __init__(self, owner: Any, name: str, material: str | None, mass: float | None):
         self._owner, self._material, self._mass = owner, material, mass
@@ -38,13 +45,13 @@ class Part:
     def add(
         self,
         shape: Shape,
-        at: Sequence[float] = (0.0, 0.0, 0.0),
-        rpy: Sequence[float] = (0.0, 0.0, 0.0),
+        at: Vec3 = (0.0, 0.0, 0.0),
+        rpy: Vec3 = (0.0, 0.0, 0.0),
         *,
         by: str = "",
         material: str | None = None,
-        rgb: Sequence[float] | None = None,
-        role: str = "both",
+        rgb: Vec3 | None = None,
+        role: Literal["both", "visual", "collision"] = "both",
         name: str | None = None,
     ) -> Geom:
         """Place a shape on the part.
@@ -135,9 +142,12 @@ def extent_of(parts: Sequence[Part]) -> Bounds | None:
     return np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)
 
 
+@no_type_check
 class Joint:
     """A joint between two parts; made by `Object.revolute` and its like."""
 
+    name: str
+
     def __init__(self, fields: dict[str, Any], line: int | None) -> None:
         self._fields, self._line = fields, line
-        self.name: str = fields["name"]
+        self.name = fields["name"]

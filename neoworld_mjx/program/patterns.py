@@ -2,16 +2,19 @@
 
 import math
 from collections.abc import Sequence
+from typing import Literal, no_type_check
 
 from . import validate
+from .sdk_types import Point2, Vec3
 
 Point3 = tuple[float, float, float]
 MOST = 1000
 
 
+@no_type_check
 def grid(
-    counts: Sequence[int], steps: Sequence[float], centre: Sequence[float] = (0.0, 0.0, 0.0)
-) -> list[Point3]:
+    counts: tuple[int, int], steps: Point2, centre: Vec3 = (0.0, 0.0, 0.0)
+) -> list[tuple[float, float, float]]:
     """Return points on a grid in x and y around a centre, row by row along x."""
     columns, rows = (
         validate.whole(v, "grid counts", 1, MOST)
@@ -31,9 +34,10 @@ def grid(
     ]
 
 
+@no_type_check
 def ring(
-    count: int, radius: float, centre: Sequence[float] = (0.0, 0.0, 0.0), start: float = 0.0
-) -> list[Point3]:
+    count: int, radius: float, centre: Vec3 = (0.0, 0.0, 0.0), start: float = 0.0
+) -> list[tuple[float, float, float]]:
     """Return points on a circle around +z; the k-th lies at the angle start + 2 pi k / count."""
     many = validate.whole(count, "ring count", 1, MOST)
     r = validate.length(radius, "ring radius")
@@ -43,9 +47,10 @@ def ring(
     return [(x + r * math.cos(a), y + r * math.sin(a), z) for a in angles]
 
 
+@no_type_check
 def mirror(
-    points: Sequence[float] | Sequence[Sequence[float]], across: str = "y", at: float = 0.0
-) -> list[Point3]:
+    points: Vec3 | Sequence[Vec3], across: Literal["x", "y", "z"] = "y", at: float = 0.0
+) -> list[tuple[float, float, float]]:
     """Return points and their mirror images across a plane.
 
     Args:
@@ -70,3 +75,6 @@ def mirror(
             x, y, z = image
             found.append((x, y, z))
     return found
+
+
+__all__ = ["grid", "mirror", "ring"]

@@ -1,7 +1,7 @@
 """A shape in a program's hands, its bounding box, and the named points of boxes."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, no_type_check
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from .. import spec as S
 from ..spec.convex import box_around
 from ..spec.pose import IDENTITY, Pose, from_rpy, pose
 from . import validate
+from .sdk_types import Vec3
 
 Bounds = tuple[NDArray, NDArray]
 """Lowest and highest corner [3] m."""
@@ -28,6 +29,7 @@ _SIDES = {
 _WAYS = {**_SIDES, "up": _SIDES["top"], "down": _SIDES["bottom"]}
 
 
+@no_type_check
 class Shape:
     """A solid that a part may be given, with the size of its bounding box."""
 
@@ -52,17 +54,13 @@ class Shape:
         """Volume of the solid [m^3]."""
         return self._spec.volume()
 
-    def distance(self, point: Sequence[float]) -> float:
+    def distance(self, point: Vec3) -> float:
         """Return how far [m] a point lies from the surface, negative inside."""
         where = self._pose.inverse().apply(validate.vector(point, "distance: point"))
         return float(self._spec.signed_distance(where)[0])
 
     def moved(
-        self,
-        at: Sequence[float] = (0.0, 0.0, 0.0),
-        rpy: Sequence[float] = (0.0, 0.0, 0.0),
-        *,
-        by: str = "",
+        self, at: Vec3 = (0.0, 0.0, 0.0), rpy: Vec3 = (0.0, 0.0, 0.0), *, by: str = ""
     ) -> "Shape":
         """Return the shape turned by `rpy` and put at `at`, as `Part.add` would put it."""
         return Shape(self._spec, placed(self, at, rpy, by, "moved"))

@@ -172,3 +172,20 @@ class Probe:
             if near is not None:
                 found[a, b] = near
         return found
+
+
+def line_box_distance(point: NDArray, axis: NDArray, low: NDArray, high: NDArray) -> float:
+    """Return by how much [m] a box must grow on all sides until a line meets it."""
+    least, most = 0.0, float(np.abs(np.concatenate([low - point, high - point])).max()) + 1.0
+    for _ in range(40):
+        grow = (least + most) / 2
+        a, b = low - grow - point, high + grow - point
+        inside = np.where((a <= 0) & (b >= 0), np.inf, -np.inf)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            near = np.where(axis == 0, -inside, np.minimum(a / axis, b / axis))
+            far = np.where(axis == 0, inside, np.maximum(a / axis, b / axis))
+        if near.max() <= far.min():
+            most = grow
+        else:
+            least = grow
+    return most if most > 1e-9 else 0.0

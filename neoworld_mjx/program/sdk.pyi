@@ -93,6 +93,19 @@ class Object:
         offset: float = 0.0,
         after: After = None,
     ) -> Joint: ...
+    def ball(
+        self,
+        name: str,
+        parent: Part,
+        child: Part,
+        *,
+        at: Vec3 | str,
+        swing: float | None = None,
+        damping: float | None = None,
+        friction: float | None = None,
+        stiffness: float = 0.0,
+        after: After = None,
+    ) -> Joint: ...
     def prismatic(
         self,
         name: str,
@@ -112,19 +125,6 @@ class Object:
         offset: float = 0.0,
         after: After = None,
         opens: Vec3 | str | None = None,
-    ) -> Joint: ...
-    def ball(
-        self,
-        name: str,
-        parent: Part,
-        child: Part,
-        *,
-        at: Vec3 | str,
-        swing: float | None = None,
-        damping: float | None = None,
-        friction: float | None = None,
-        stiffness: float = 0.0,
-        after: After = None,
     ) -> Joint: ...
     def door(
         self,
@@ -169,8 +169,8 @@ class Object:
         material: str | None = None,
         name: str | None = None,
     ) -> Geom: ...
-    def allow_overlap(self, first: Part, second: Part, depth: float, reason: str) -> None: ...
     def site(self, name: str, part: Part, at: Vec3) -> None: ...
+    def allow_overlap(self, first: Part, second: Part, depth: float, reason: str) -> None: ...
 
 def box(size: Vec3) -> Shape: ...
 def sphere(radius: float) -> Shape: ...
@@ -180,10 +180,7 @@ def ellipsoid(radii: Vec3) -> Shape: ...
 def prism(outline: Sequence[Point2], height: float) -> Shape: ...
 def hollow_box(size: Vec3, wall: float, open: Face | Sequence[Face] = "+z") -> Shape: ...
 def lathe(
-    profile: Sequence[Point2],
-    thickness: float | None = None,
-    sectors: int = 12,
-    oval: float = 1.0,
+    profile: Sequence[Point2], thickness: float | None = None, sectors: int = 12, oval: float = 1.0
 ) -> Shape: ...
 def frustum(bottom_radius: float, top_radius: float, height: float) -> Shape: ...
 def tube(radius: float, wall: float, height: float, sectors: int = 12) -> Shape: ...

@@ -1,7 +1,7 @@
 """The object that a program makes: its materials, parts, joints and sites."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal, no_type_check
 
 from .. import spec as S
 from ..errors import choices
@@ -11,6 +11,7 @@ from .furniture import add_door, add_drawer, add_shelf
 from .joining import joint_fields
 from .materials import MATERIALS
 from .part import Geom, Joint, Part
+from .sdk_types import Point2, Vec3
 from .session import current, here
 
 MAX_ALLOWED_M, MIN_REASON = 0.005, 10
@@ -18,6 +19,7 @@ After = Part | Joint | Sequence[Part | Joint] | None
 """What must be open before a joint moves."""
 
 
+@no_type_check
 class Object:
     """The object that a program makes; exactly one a program.
 
@@ -25,6 +27,9 @@ class Object:
         name: an identifier, such as "cup".
         label: what it is, in words.
     """
+
+    name: str
+    label: str
 
     def __init__(self, name: str, label: str = "") -> None:
         self.name = validate.name(name, "Object name")
@@ -44,7 +49,7 @@ class Object:
         *,
         density: float | None = None,
         friction: float | None = None,
-        rgb: Sequence[float] | None = None,
+        rgb: Vec3 | None = None,
         alpha: float | None = None,
     ) -> str:
         """Define a material and return its name; what is not given is taken from `like`."""
@@ -99,9 +104,9 @@ class Object:
         parent: Part,
         child: Part,
         *,
-        at: Sequence[float] | str,
-        axis: Sequence[float] | str | None = None,
-        range: Sequence[float],
+        at: Vec3 | str,
+        axis: Vec3 | str | None = None,
+        range: Point2,
         damping: float | None = None,
         friction: float | None = None,
         stiffness: float = 0.0,
@@ -111,7 +116,7 @@ class Object:
         multiplier: float = 1.0,
         offset: float = 0.0,
         after: After = None,
-        opens: Sequence[float] | str | None = None,
+        opens: Vec3 | str | None = None,
     ) -> Joint:
         """Hinge `child` to `parent` at a point, about an axis, between two angles [rad].
 
@@ -132,8 +137,8 @@ class Object:
         parent: Part,
         child: Part,
         *,
-        at: Sequence[float] | str,
-        axis: Sequence[float] | str,
+        at: Vec3 | str,
+        axis: Vec3 | str,
         damping: float | None = None,
         friction: float | None = None,
         effort: float | None = None,
@@ -153,7 +158,7 @@ class Object:
         parent: Part,
         child: Part,
         *,
-        at: Sequence[float] | str,
+        at: Vec3 | str,
         swing: float | None = None,
         damping: float | None = None,
         friction: float | None = None,
@@ -170,9 +175,9 @@ class Object:
         parent: Part,
         child: Part,
         *,
-        axis: Sequence[float] | str,
-        range: Sequence[float],
-        at: Sequence[float] | str | None = None,
+        axis: Vec3 | str,
+        range: Point2,
+        at: Vec3 | str | None = None,
         damping: float | None = None,
         friction: float | None = None,
         stiffness: float = 0.0,
@@ -182,7 +187,7 @@ class Object:
         multiplier: float = 1.0,
         offset: float = 0.0,
         after: After = None,
-        opens: Sequence[float] | str | None = None,
+        opens: Vec3 | str | None = None,
     ) -> Joint:
         """Let `child` slide along an axis between two distances [m]; positive pulls it out."""
         given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent", "child")}
@@ -194,9 +199,9 @@ class Object:
         parent: Part,
         *,
         x: float,
-        y: Sequence[float],
-        z: Sequence[float],
-        hinge: str,
+        y: Point2,
+        z: Point2,
+        hinge: Literal["left", "right", "top", "bottom"],
         thickness: float = 0.018,
         gap: float = 0.001,
         opens: float | None = None,
@@ -228,8 +233,8 @@ class Object:
         parent: Part,
         *,
         x: float,
-        y: Sequence[float],
-        z: Sequence[float],
+        y: Point2,
+        z: Point2,
         depth: float,
         wall: float = 0.01,
         front: float = 0.018,
@@ -264,8 +269,8 @@ class Object:
         self,
         parent: Part,
         *,
-        x: Sequence[float],
-        y: Sequence[float],
+        x: Point2,
+        y: Point2,
         z: float,
         thickness: float = 0.018,
         material: str | None = None,
@@ -276,7 +281,7 @@ class Object:
         given = {k: v for k, v in locals().items() if k not in ("self", "parent")}
         return add_shelf(parent, **given)
 
-    def site(self, name: str, part: Part, at: Sequence[float]) -> None:
+    def site(self, name: str, part: Part, at: Vec3) -> None:
         """Mark a point on a part, such as a grasp point or a spout."""
         label = validate.name(name, "site name")
         self._free(label, "site", [site.name for site in self._sites])

@@ -1,11 +1,13 @@
 """The shapes that programs place: checked arguments in, shapes of the description out.
 
-Every function says where the shape's own origin lies. Sizes are full lengths in metres.
+Every function says where the shape's own origin lies. Sizes are full lengths in metres. A sandboxed
+program passes values of any type, so `validate` checks each argument and says what is wrong with it;
+`no_type_check` keeps other run-time type checkers from getting there first.
 """
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, no_type_check
 
 import numpy as np
 
@@ -13,6 +15,7 @@ from .. import spec as S
 from ..spec.base_shape import MAX_SECTORS, MIN_SECTORS
 from . import validate
 from .placing import Shape
+from .sdk_types import Face, Point2, Vec3
 from .session import current
 
 Point3 = tuple[float, float, float]
@@ -22,16 +25,19 @@ MAX_SHAPE_PIECES = 1200
 _FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
-def box(size: Sequence[float]) -> Shape:
+@no_type_check
+def box(size: Vec3) -> Shape:
     """Builder a box with full edge lengths (x, y, z), centred at its origin."""
     return _made(S.Box, 1, size=validate.lengths(size, "box size"))
 
 
+@no_type_check
 def sphere(radius: float) -> Shape:
     """Builder a ball, centred."""
     return _made(S.Sphere, 1, radius=validate.length(radius, "sphere radius"))
 
 
+@no_type_check
 def capsule(radius: float, length: float) -> Shape:
     """Builder a capsule along z, centred; `length` is of the straight part, without the round ends."""
     return _made(
@@ -42,6 +48,7 @@ def capsule(radius: float, length: float) -> Shape:
     )
 
 
+@no_type_check
 def cylinder(radius: float, height: float) -> Shape:
     """Builder a solid cylinder along z, centred."""
     return _made(
@@ -52,12 +59,14 @@ def cylinder(radius: float, height: float) -> Shape:
     )
 
 
-def ellipsoid(radii: Sequence[float]) -> Shape:
+@no_type_check
+def ellipsoid(radii: Vec3) -> Shape:
     """Builder an ellipsoid with semi-axes (x, y, z), centred."""
     return _made(S.Ellipsoid, 1, radii=validate.lengths(radii, "ellipsoid radii"))
 
 
-def prism(outline: Sequence[Sequence[float]], height: float) -> Shape:
+@no_type_check
+def prism(outline: Sequence[Point2], height: float) -> Shape:
     """Extrude a convex outline of (x, y) points along z from -height/2 to height/2."""
     return _made(
         S.Prism,
@@ -67,7 +76,8 @@ def prism(outline: Sequence[Sequence[float]], height: float) -> Shape:
     )
 
 
-def hollow_box(size: Sequence[float], wall: float, open: str | Sequence[str] = "+z") -> Shape:
+@no_type_check
+def hollow_box(size: Vec3, wall: float, open: Face | Sequence[Face] = "+z") -> Shape:
     """Builder a box of walls of one thickness, centred, with the named faces left open."""
     faces = [open] if isinstance(open, str) else validate.sequence(open, "hollow_box open", 0, 5)
     for face in faces:
@@ -84,8 +94,9 @@ def hollow_box(size: Sequence[float], wall: float, open: str | Sequence[str] = "
     )
 
 
+@no_type_check
 def lathe(
-    profile: Sequence[Sequence[float]],
+    profile: Sequence[Point2],
     thickness: float | None = None,
     sectors: int = 12,
     oval: float = 1.0,
@@ -110,6 +121,7 @@ def lathe(
     )
 
 
+@no_type_check
 def frustum(bottom_radius: float, top_radius: float, height: float) -> Shape:
     """Builder a solid frustum along z, centred; one of the radii may be 0 for a cone."""
     radii = [
@@ -121,6 +133,7 @@ def frustum(bottom_radius: float, top_radius: float, height: float) -> Shape:
     return _made(S.Lathe, 1, profile=profile, sectors=32)
 
 
+@no_type_check
 def tube(radius: float, wall: float, height: float, sectors: int = 12) -> Shape:
     """Builder a pipe along z, centred, open at both ends; `radius` is the outer one."""
     outer, half = validate.length(radius, "tube radius"), validate.length(height, "tube height") / 2
@@ -132,7 +145,8 @@ def tube(radius: float, wall: float, height: float, sectors: int = 12) -> Shape:
     return _made(S.Lathe, count, profile=profile, thickness=thickness, sectors=count)
 
 
-def rounded_box(size: Sequence[float], radius: float) -> Shape:
+@no_type_check
+def rounded_box(size: Vec3, radius: float) -> Shape:
     """Builder a box with full edge lengths, centred, with edges rounded by `radius`."""
     return _made(
         S.RoundedBox,
@@ -142,8 +156,9 @@ def rounded_box(size: Sequence[float], radius: float) -> Shape:
     )
 
 
+@no_type_check
 def sweep(
-    path: Sequence[Sequence[float]],
+    path: Sequence[Vec3],
     radius: float | Sequence[float] | None = None,
     *,
     width: float | Sequence[float] | None = None,
@@ -183,6 +198,7 @@ def sweep(
     )
 
 
+@no_type_check
 def torus(radius: float, tube: float, arc: float = 2 * math.pi, sectors: int = 8) -> Shape:
     """Builder a ring, or the part of it that spans `arc` [rad] about its +x side, around z, centred.
 
@@ -207,10 +223,9 @@ def torus(radius: float, tube: float, arc: float = 2 * math.pi, sectors: int = 8
     )
 
 
+@no_type_check
 def extrusion(
-    outline: Sequence[Sequence[float]],
-    height: float,
-    holes: Sequence[Sequence[Sequence[float]]] = (),
+    outline: Sequence[Point2], height: float, holes: Sequence[Sequence[Point2]] = ()
 ) -> Shape:
     """Extrude any outline of (x, y) points, with holes, along z from -height/2 to height/2."""
     border = validate.points(outline, "extrusion outline", 3, 2 * MAX_POINTS)
@@ -223,6 +238,7 @@ def extrusion(
     return _made(S.Extrusion, pieces, outline=border, holes=loops, height=depth)
 
 
+@no_type_check
 def bail(width: float, height: float, radius: float) -> Shape:
     """Builder a loop handle: a round bar that rises along z from y = -width/2 and comes down at +width/2.
 
@@ -243,8 +259,9 @@ def bail(width: float, height: float, radius: float) -> Shape:
     )
 
 
+@no_type_check
 def panel(
-    size: Sequence[float],
+    size: Point2,
     thickness: float,
     holes: Sequence[Sequence[float]] = (),
     sectors: int = 16,
@@ -274,11 +291,13 @@ def panel(
     return extrusion(outline, thickness, loops)
 
 
+@no_type_check
 def union(first: Shape, *others: Shape, sectors: int = 16) -> Shape:
     """Melt shapes into one solid, in the frame that they are placed in by `moved`."""
     return _combined("union", (first, *others), sectors)
 
 
+@no_type_check
 def difference(first: Shape, *others: Shape, sectors: int = 16) -> Shape:
     """Take other shapes away from the first one: bored holes, pockets, cut corners.
 
@@ -287,6 +306,7 @@ def difference(first: Shape, *others: Shape, sectors: int = 16) -> Shape:
     return _combined("difference", (first, *others), sectors)
 
 
+@no_type_check
 def intersection(first: Shape, *others: Shape, sectors: int = 16) -> Shape:
     """Keep what all shapes share."""
     return _combined("intersection", (first, *others), sectors)
@@ -382,3 +402,26 @@ def _made(model: Any, pieces: int, **fields: Any) -> Shape:
         )
     current().use("pieces built", pieces, 4 * current().max_pieces)
     return Shape(validate.described(model, what, **fields))
+
+
+__all__ = [
+    "bail",
+    "box",
+    "capsule",
+    "cylinder",
+    "difference",
+    "ellipsoid",
+    "extrusion",
+    "frustum",
+    "hollow_box",
+    "intersection",
+    "lathe",
+    "panel",
+    "prism",
+    "rounded_box",
+    "sphere",
+    "sweep",
+    "torus",
+    "tube",
+    "union",
+]

@@ -1,4 +1,4 @@
-"""Kinematics of an object: where its joints and links are at given joint values."""
+"""Kinematics of an object: where its joints and links are, and which parts move together."""
 
 from collections.abc import Mapping
 
@@ -73,10 +73,47 @@ def joint_motion(joint: JointSpec, value: float | Vec3) -> Pose:
     return pose(anchor - rotate(turn, anchor), turn)
 
 
+def welded(spec: ObjectSpec) -> dict[str, str]:
+    """Map each part to the part that it moves with: itself, or across fixed joints its ancestor."""
+    group: dict[str, str] = {}
+    for part, joint in spec.ordered:
+        rigid = joint is not None and joint.type == "fixed"
+        group[part.name] = group[joint.parent] if rigid and joint is not None else part.name
+    return group
+
+
+def followers(spec: ObjectSpec, joint: JointSpec) -> set[str]:
+    """Return the names of the joints that follow a joint (mimic), also by way of others."""
+    leaders = {joint.name}
+    for _ in spec.joints:
+        leaders |= {j.name for j in spec.joints if j.mimic is not None and j.mimic.joint in leaders}
+    return leaders - {joint.name}
+
+
+def carried(spec: ObjectSpec, joint: JointSpec) -> set[str]:
+    """Return the names of the parts that move with a joint and its followers."""
+    moving_joints = {joint.name} | followers(spec, joint)
+    moved: set[str] = set()
+    for part, carrier in spec.ordered:
+        if carrier is not None and (carrier.name in moving_joints or carrier.parent in moved):
+            moved.add(part.name)
+    return moved
+
+
+def with_joint(spec: ObjectSpec, joint: JointSpec) -> ObjectSpec:
+    """Return the object with a joint in place of its namesake."""
+    joints = tuple(joint if j.name == joint.name else j for j in spec.joints)
+    return spec.model_copy(update={"joints": joints})
+
+
 __all__ = [
     "ball_vector",
+    "carried",
+    "followers",
     "joint_motion",
     "joint_position",
     "joint_value",
     "link_poses",
+    "welded",
+    "with_joint",
 ]

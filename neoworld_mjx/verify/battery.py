@@ -13,7 +13,7 @@ from ..config import VerifyOptions
 from ..program.allowance import Allowance
 from ..spec import ObjectSpec, Quat
 from ..spec.pose import IDENTITY
-from .joint_checks import JointSweepChecks, ranges
+from .joint_checks import JointChecks, check_joints
 from .motion_checks import checks_of
 from .scenarios import list_scenarios
 from .simulation import Simulation, Trajectory
@@ -51,15 +51,15 @@ class Battery:
         self.spec, self.options = spec, options or VerifyOptions()
         self.simulation: Simulation | None = None
         self.trajectories: list[Trajectory] = []
-        self.swept = JointSweepChecks()
+        self.joint_checks = JointChecks()
         checks: list[Check] = []
 
         def static() -> list[Check]:
             return statics(spec, self.options)
 
         def sweep() -> list[Check]:
-            self.swept = ranges(spec, self.options, allowed)
-            return self.swept.checks
+            self.joint_checks = check_joints(spec, self.options, allowed)
+            return self.joint_checks.checks
 
         def moving() -> list[Check]:
             sound = without_bad_inertia(spec, checks)

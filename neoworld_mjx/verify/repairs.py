@@ -136,9 +136,9 @@ def _as_seen(battery: Battery, check: Check) -> Iterator[Patch]:
 
 
 def _cut_limits(battery: Battery, check: Check) -> Iterator[Patch]:
-    if check.joint is None or check.joint not in battery.swept.free:
+    if check.joint is None or check.joint not in battery.joint_checks.free:
         return
-    low, high = battery.swept.free[check.joint]
+    low, high = battery.joint_checks.free[check.joint]
     joint = _joint(battery, check.joint)
     # Rest belongs to the range, and rounding must not take it out.
     # A ball without a limit states 0.
@@ -234,7 +234,7 @@ def _together(battery: Battery, check: Check) -> Iterator[Patch]:
 def _apart(battery: Battery, check: Check) -> Iterator[Patch]:
     """Move a part out of what it is in, or let it collide as something smaller."""
     spec = battery.spec
-    pair = next((p for p in battery.swept.overlapping if check.part in p[:2]), None)
+    pair = next((p for p in battery.joint_checks.overlapping if check.part in p[:2]), None)
     if pair is None:
         return
     first, second, depth = pair

@@ -17,8 +17,9 @@ from mujoco import rollout
 from numpy.typing import NDArray
 
 from ..config import VerifyOptions
-from ..physics.mjcf import START, body_name, to_mjspec, welded
+from ..physics.mjcf import START, body_name, to_mjspec
 from ..spec import ObjectSpec, Quat, bounds, joint_value, part_bounds
+from ..spec.kinematics import welded
 from ..spec.opening import prerequisite_state
 from ..spec.pose import IDENTITY, from_axis_angle, quat_mul
 from .scenarios import SINGLE, STILL_S, Moving, Scenario, World, slope_at

@@ -136,7 +136,7 @@ def test_the_battery_swings_it(lamp):
     battery = Battery(spec)
     check = next(c for c in battery.verdict.checks if c.name == "depth:neck")
     assert check.outcome == "FAIL" and check.value > 0.001
-    low, high = battery.swept.free["neck"]
+    low, high = battery.joint_checks.free["neck"]
     assert low == 0.0 and 0.3 < high < 2.5
     mended = repair(spec, Battery, first=battery)
     assert mended.after.passed and mended.spec.joints[0].upper == pytest.approx(high)

@@ -3,7 +3,7 @@ import pytest
 
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
-from neoworld_mjx.program.check import _line_misses
+from neoworld_mjx.program.probe import line_box_distance
 
 HEAD = (
     "from neoworld_mjx.program.sdk import Object, box, cylinder, hollow_box, lathe, sphere\n"
@@ -136,7 +136,7 @@ def test_authored_mass_answers_for_itself():
 )
 def test_distance_of_a_line_from_a_box(point, axis, miss):
     unit = np.ones(3)
-    found = _line_misses(np.array(point, float), np.array(axis, float), -unit, unit)
+    found = line_box_distance(np.array(point, float), np.array(axis, float), -unit, unit)
     assert found == pytest.approx(miss, abs=1e-6)
 
 

@@ -21,7 +21,8 @@ from neoworld_mjx.spec import (
     inertial,
     recentred,
 )
-from neoworld_mjx.verify.joint_checks import carried, on_edge, with_joint
+from neoworld_mjx.spec.kinematics import carried, with_joint
+from neoworld_mjx.verify.joint_checks import on_edge
 from neoworld_mjx.verify.static_checks import part_bounds
 from neoworld_mjx.verify.verdict import Fault
 

@@ -113,7 +113,7 @@ def test_a_range_that_leads_into_the_carcass_is_seen_and_measured():
     check = named(battery.verdict, "depth:hinge")
     assert (check.outcome, check.fault) == ("FAIL", Fault.LIMIT_INTO_PART)
     assert check.at < -0.2
-    low, high = battery.swept.free["hinge"]
+    low, high = battery.joint_checks.free["hinge"]
     # A door that hangs half a millimetre before its frame may swing in by 2.5 mrad, and 1 mm more.
     assert -0.01 < low <= 0.0
     assert high == pytest.approx(1.57)
@@ -186,7 +186,7 @@ def test_an_error_of_the_tool_is_no_pass(monkeypatch):
     def fails(*_):
         raise ValueError("no such thing")
 
-    monkeypatch.setattr(battery, "ranges", fails)
+    monkeypatch.setattr(battery, "check_joints", fails)
     verdict = verify(scenes.cup())
     assert not verdict.passed
     assert [c.hint for c in verdict.checks if c.outcome == "TOOL_FAILURE"] == ["no such thing"]

@@ -1,0 +1,7 @@
+"""Names of the types that programs pass to the SDK."""
+
+from typing import Literal
+
+Vec3 = tuple[float, float, float] | list[float]
+Point2 = tuple[float, float] | list[float]
+Face = Literal["+x", "-x", "+y", "-y", "+z", "-z"]

@@ -1,0 +1,137 @@
+"""Write `sdk.pyi`, the type stubs that programs are checked against, from the SDK's own signatures.
+
+`python -m neoworld_mjx.program.stubs` says whether the file is up to date; with `--write` it writes it.
+"""
+
+import ast
+import inspect
+import sys
+from pathlib import Path
+from types import ModuleType
+
+from . import part, patterns, placing, sdk_object, sdk_types, shape_functions
+
+PATH = Path(__file__).with_name("sdk.pyi")
+WIDTH = 100
+_HEADER = "from collections.abc import Sequence\nfrom typing import Literal\n"
+_CLASSES = (
+    (placing, "Shape"),
+    (part, "Geom"),
+    (part, "Part"),
+    (part, "Joint"),
+    (sdk_object, "Object"),
+)
+"""In this order a class stands after those that its signatures name."""
+
+
+def stub_text() -> str:
+    """Return the text of the stubs: types, classes with their public members, functions."""
+    blocks = [_HEADER, _aliases(sdk_types)]
+    for module, name in _CLASSES:
+        if module is sdk_object:
+            blocks.append(_aliases(module))
+        blocks.append(_class(_definitions(module)[name]))
+    functions = []
+    for module in (shape_functions, patterns):
+        definitions = _definitions(module)
+        functions += [
+            _function(definitions[name], "") for name in definitions if name in module.__all__
+        ]
+    return "\n".join([*blocks, "".join(functions)])
+
+
+def _definitions(module: ModuleType) -> dict[str, ast.stmt]:
+    body = ast.parse(inspect.getsource(module)).body
+    return {node.name: node for node in body if isinstance(node, ast.ClassDef | ast.FunctionDef)}
+
+
+def _aliases(module: ModuleType) -> str:
+    """Copy the assignments that name types: those to capitalised names."""
+    lines = [
+        ast.unparse(node)
+        for node in ast.parse(inspect.getsource(module)).body
+        if isinstance(node, ast.Assign)
+        and isinstance(node.targets[0], ast.Name)
+        and node.targets[0].id[0].isupper()
+        and not node.targets[0].id.isupper()
+    ]
+    return "".join(f"{line}\n" for line in lines).replace("'", '"')
+
+
+def _class(node: ast.stmt) -> str:
+    assert isinstance(node, ast.ClassDef)
+    lines = [f"class {node.name}:\n"]
+    for member in node.body:
+        if isinstance(member, ast.AnnAssign) and _public(ast.unparse(member.target)):
+            lines.append(f"    {ast.unparse(member)}\n")
+        elif isinstance(member, ast.FunctionDef) and (
+            _public(member.name) or (member.name == "__init__" and node.name == "Object")
+        ):
+            lines += [f"    @{ast.unparse(each)}\n" for each in member.decorator_list]
+            lines.append(_function(member, "    "))
+    return "".join(lines)
+
+
+def _public(name: str) -> bool:
+    return not name.startswith("_")
+
+
+def _function(node: ast.stmt, indent: str) -> str:
+    """Write a signature as a formatter would: on one line, else indented, else one argument a line."""
+    assert isinstance(node, ast.FunctionDef) and node.returns is not None
+    result = ast.unparse(node.returns).replace('"', "").replace("'", "")
+    arguments = _arguments(node.args)
+    start, end = f"{indent}def {node.name}(", f") -> {result}: ..."
+    line = start + ", ".join(arguments) + end
+    inner = f"{indent}    " + ", ".join(arguments)
+    if len(line) <= WIDTH:
+        return f"{line}\n"
+    if len(inner) <= WIDTH:
+        return f"{start}\n{inner}\n{indent}{end}\n"
+    return (
+        start + "\n" + "".join(f"{indent}    {each},\n" for each in arguments) + indent + end + "\n"
+    )
+
+
+def _arguments(given: ast.arguments) -> list[str]:
+    positional = given.args
+    missing: list[ast.expr | None] = [None] * (len(positional) - len(given.defaults))
+    written = [
+        _argument(*each) for each in zip(positional, [*missing, *given.defaults], strict=True)
+    ]
+    if given.vararg is not None:
+        written.append(f"*{_argument(given.vararg, None)}")
+    elif given.kwonlyargs:
+        written.append("*")
+    return written + [
+        _argument(*each) for each in zip(given.kwonlyargs, given.kw_defaults, strict=True)
+    ]
+
+
+def _argument(argument: ast.arg, default: ast.expr | None) -> str:
+    if argument.annotation is None:
+        return argument.arg
+    text = f"{argument.arg}: {ast.unparse(argument.annotation)}".replace("'", '"')
+    if default is None:
+        return text
+    try:
+        ast.literal_eval(default)
+    except ValueError:  # A computed default, such as 2 * math.pi.
+        return f"{text} = ..."
+    return f"{text} = {ast.unparse(default)}".replace("'", '"')
+
+
+def main() -> int:
+    """Compare `sdk.pyi` with the SDK, or write it when asked to; return the exit code."""
+    text = stub_text()
+    if "--write" in sys.argv[1:]:
+        PATH.write_text(text, encoding="utf-8")
+        return 0
+    if PATH.read_text(encoding="utf-8") == text:
+        return 0
+    sys.stderr.write("sdk.pyi is stale: run python -m neoworld_mjx.program.stubs --write\n")
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
