@@ -75,6 +75,3 @@ def mirror(
             x, y, z = image
             found.append((x, y, z))
     return found
-
-
-__all__ = ["grid", "mirror", "ring"]

@@ -8,13 +8,58 @@ comes back as signals from `neoworld_mjx.program.build`. Programs are type-check
 beside this file, which `python -m neoworld_mjx.program.stubs --write` makes from the signatures.
 """
 
-from . import patterns, shape_functions
 from .part import Geom, Joint, Part
-from .patterns import *  # noqa: F403
+from .patterns import grid, mirror, ring
 from .placing import Shape
 from .sdk_object import Object
-from .shape_functions import *  # noqa: F403
+from .shape_functions import (
+    bail,
+    box,
+    capsule,
+    cylinder,
+    difference,
+    ellipsoid,
+    extrusion,
+    frustum,
+    hollow_box,
+    intersection,
+    lathe,
+    panel,
+    prism,
+    rounded_box,
+    sphere,
+    sweep,
+    torus,
+    tube,
+    union,
+)
 
-__all__ = ["Geom", "Joint", "Object", "Part", "Shape"]
-__all__ += shape_functions.__all__
-__all__ += patterns.__all__
+__all__ = [
+    "Geom",
+    "Joint",
+    "Object",
+    "Part",
+    "Shape",
+    "bail",
+    "box",
+    "capsule",
+    "cylinder",
+    "difference",
+    "ellipsoid",
+    "extrusion",
+    "frustum",
+    "grid",
+    "hollow_box",
+    "intersection",
+    "lathe",
+    "mirror",
+    "panel",
+    "prism",
+    "ring",
+    "rounded_box",
+    "sphere",
+    "sweep",
+    "torus",
+    "tube",
+    "union",
+]

@@ -402,26 +402,3 @@ def _made(model: Any, pieces: int, **fields: Any) -> Shape:
         )
     current().use("pieces built", pieces, 4 * current().max_pieces)
     return Shape(validate.described(model, what, **fields))
-
-
-__all__ = [
-    "bail",
-    "box",
-    "capsule",
-    "cylinder",
-    "difference",
-    "ellipsoid",
-    "extrusion",
-    "frustum",
-    "hollow_box",
-    "intersection",
-    "lathe",
-    "panel",
-    "prism",
-    "rounded_box",
-    "sphere",
-    "sweep",
-    "torus",
-    "tube",
-    "union",
-]

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-from . import part, patterns, placing, sdk_object, sdk_types, shape_functions
+from . import part, patterns, placing, sdk, sdk_object, sdk_types, shape_functions
 
 PATH = Path(__file__).with_name("sdk.pyi")
 WIDTH = 100
@@ -35,7 +35,7 @@ def stub_text() -> str:
     for module in (shape_functions, patterns):
         definitions = _definitions(module)
         functions += [
-            _function(definitions[name], "") for name in definitions if name in module.__all__
+            _function(definitions[name], "") for name in definitions if name in sdk.__all__
         ]
     return "\n".join([*blocks, "".join(functions)])
 
