@@ -1,9 +1,10 @@
 """Overlap of boxes: upright in pictures, and in space turned about the vertical."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..spec import Box2D, Box3D, TreeNode
+from ..spec.pose import ArrayLike
 
 
 def iou_2d(a: Box2D | ArrayLike, b: Box2D | ArrayLike) -> float:

@@ -13,7 +13,7 @@ Samples of the surface may lie beside it, as an .npz with `points` [n, 3] in the
 
 import json
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +48,7 @@ class TrueJoint(Spec):
     """Low and high corner [m] of all that it carries, at rest."""
 
     @model_validator(mode="after")
-    def _sound(self) -> Self:
+    def _sound(self) -> "TrueJoint":
         if self.type != "ball" and not np.linalg.norm(self.axis) > 0:
             raise ValueError(f"joint {self.name}: the axis must not be zero")
         _ordered(self.moving_box, f"joint {self.name}: moving_box")
@@ -66,7 +66,7 @@ class ObjectTruth(Spec):
     source: str = Field(default="", description="Where it comes from, and its licence.")
 
     @model_validator(mode="after")
-    def _sound(self) -> Self:
+    def _sound(self) -> "ObjectTruth":
         _ordered(self.box, "box")
         if not np.ptp(np.array(self.box), axis=0).any():
             raise ValueError("box: the object has no size")

@@ -13,7 +13,7 @@ import concurrent.futures
 import threading
 from collections.abc import Coroutine, Sequence
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
@@ -138,7 +138,7 @@ class Panel:
         thread.join(timeout=5)
         loop.close()
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "Panel":
         return self
 
     def __exit__(self, *exc: object) -> None:

@@ -10,7 +10,7 @@ these very ones.
 
 import math
 import re
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -159,7 +159,7 @@ class SceneSeen(_Answer):
     objects: list[ObjectSeen]
 
     @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _consistent(self) -> "SceneSeen":
         problems = list(_problems(self))
         if problems:
             raise ValueError("; ".join(problems))

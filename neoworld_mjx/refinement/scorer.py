@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int8
@@ -244,7 +244,7 @@ class SemanticScorer:
             self._left = self._source.close()
             self._log.add(self._left)
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "SemanticScorer":
         return self
 
     def __exit__(self, *exc: object) -> None:

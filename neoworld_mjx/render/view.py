@@ -1,12 +1,13 @@
 """Where a picture is taken from: any pinhole camera, and views that frame an object."""
 
 import math
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..spec import Camera
+from ..spec.pose import ArrayLike
 
 FOVY = math.radians(32.0)
 """Vertical field of view [rad] of views that frame something by themselves."""
@@ -25,7 +26,7 @@ class View(NamedTuple):
     height: int
 
     @classmethod
-    def of(cls, camera: Camera, width: int | None = None, height: int | None = None) -> Self:
+    def of(cls, camera: Camera, width: int | None = None, height: int | None = None) -> "View":
         """Take a scene's camera at another size.
 
         Args:
@@ -43,7 +44,7 @@ class View(NamedTuple):
     @classmethod
     def look_at(
         cls, eye: ArrayLike, target: ArrayLike, *, width: int, height: int, fovy: float = FOVY
-    ) -> Self:
+    ) -> "View":
         """Look from one point [3] m to another, upright."""
         at = np.asarray(eye, float)
         forward = np.asarray(target, float) - at
@@ -67,7 +68,7 @@ class View(NamedTuple):
         elevation: float = math.radians(28.0),
         fovy: float = FOVY,
         margin: float = 1.22,
-    ) -> Self:
+    ) -> "View":
         """See all points [n, 3] m from a direction, as near as they fit.
 
         Args:

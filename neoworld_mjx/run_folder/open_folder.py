@@ -14,7 +14,7 @@ import shutil
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from ..config import Config
 from ..errors import NeoWorldError, RunError, choices
@@ -85,7 +85,7 @@ class RunFolder:
             self._lock.close()
             raise
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "RunFolder":
         """Return the folder itself."""
         return self
 

@@ -1,7 +1,7 @@
 """Bases of host-side descriptions, and the types of their fields."""
 
 import math
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -27,6 +27,9 @@ class Spec(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+_Scalable = TypeVar("_Scalable", bound="ScalableSpec")
+
+
 class ScalableSpec(Spec):
     """Base of what an object consists of: each field with numbers declares how they scale.
 
@@ -48,7 +51,7 @@ class ScalableSpec(Spec):
             except TypeError as error:
                 raise TypeError(f"{cls.__name__}.{name} {error}") from None
 
-    def scaled(self, s: float, motion: Motion = NO_JOINT) -> Self:
+    def scaled(self: _Scalable, s: float, motion: Motion = NO_JOINT) -> _Scalable:
         """Return a copy with every number multiplied by the power of `s` that its field declares."""
         update: dict[str, object] = {}
         for name, scaling in self.scalings.items():

@@ -4,12 +4,13 @@ from functools import lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydantic import Field
 
 from .base import Number, ScalableSpec
 from .convex import Piece
 from .dimensions import LENGTH, UNSCALED
+from .pose import ArrayLike
 from .triangles import distance_to_triangles, enclosed_volume
 
 Point2 = Annotated[tuple[Number, Number], LENGTH]

@@ -4,11 +4,11 @@ import math
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydantic import Field
 
 from .base import Number, Spec
-from .pose import Pose, from_matrix
+from .pose import ArrayLike, Pose, from_matrix
 
 
 class Camera(Spec):

@@ -8,7 +8,7 @@ r (1 - cos(pi / sectors)) of it. The surface that is seen comes from manifold3d 
 
 import itertools
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +66,7 @@ class CSG(BaseShape):
     factor: Length = 1.0
 
     @model_validator(mode="after")
-    def _solid(self) -> Self:
+    def _solid(self) -> "CSG":
         if _depth(self) > MAX_DEPTH:
             raise ValueError(f"csg shapes may lie at most {MAX_DEPTH} deep in each other")
         if not _cut(self.operation, self.operands, self.sectors):

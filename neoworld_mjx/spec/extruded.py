@@ -2,16 +2,17 @@
 
 import math
 from functools import lru_cache
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from .base import Length
 from .base_shape import BaseShape, Point2, rows
 from .convex import Piece, hull, polytope
 from .outlines import box_distance, extruded_distance, loops_distance, polygon_area
+from .pose import ArrayLike
 
 Loop = tuple[Point2, ...]
 
@@ -29,7 +30,7 @@ class Extrusion(BaseShape):
     height: Length
 
     @model_validator(mode="after")
-    def _simple(self) -> Self:
+    def _simple(self) -> "Extrusion":
         loops = [np.array(loop) for loop in (self.outline, *self.holes)]
         if sum(len(loop) for loop in loops) > 512:
             raise ValueError("an extrusion may have 512 points in all")
@@ -95,7 +96,7 @@ class RoundedBox(BaseShape):
     radius: Length
 
     @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _fits(self) -> "RoundedBox":
         if 2 * self.radius >= min(self.size):
             raise ValueError(f"radius {self.radius} is too large for a box of size {self.size}")
         return self

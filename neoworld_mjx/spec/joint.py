@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -76,7 +76,7 @@ class JointSpec(ScalableSpec):
         return unit_vector(value, "axis")
 
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _ordered(self) -> "JointSpec":
         if self.type in ("revolute", "prismatic") and not self.lower < self.upper:
             raise ValueError(
                 f"joint {self.name}: lower {self.lower} must be below upper {self.upper}"

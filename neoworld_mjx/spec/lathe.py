@@ -1,10 +1,10 @@
 """Lathe: a profile revolved about z, solid or as a shell with an even wall."""
 
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from .base import Length
@@ -12,6 +12,7 @@ from .base_shape import BaseShape, Point2, Sectors, rows
 from .convex import Piece, polytope
 from .dimensions import UNSCALED
 from .outlines import edges_distance, inside_edges, loops_distance
+from .pose import ArrayLike
 from .triangles import SECTORS, revolved
 
 
@@ -33,7 +34,7 @@ class Lathe(BaseShape):
     """Size along y over size along x: the whole shape, wall included, is stretched along y."""
 
     @model_validator(mode="after")
-    def _sane(self) -> Self:
+    def _sane(self) -> "Lathe":
         p = np.array(self.profile)
         if np.any(p[:, 0] < 0):
             raise ValueError("lathe radii must not be negative")

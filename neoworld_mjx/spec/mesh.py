@@ -1,6 +1,6 @@
 """A shape given by triangles, as files from elsewhere bring it, with its convex pieces."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ class Mesh(BaseShape):
     hulls: tuple[tuple[Point3, ...], ...] = Field(default=(), max_length=MAX_HULLS)
 
     @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def _whole(self) -> "Mesh":
         corners = np.array(self.faces)
         if corners.min() < 0 or corners.max() >= len(self.vertices):
             raise ValueError("mesh faces name vertices that are not there")

@@ -5,7 +5,7 @@ bounding box's bottom face, +x its front, +z up. Part geometry, joint anchors an
 one frame, so a reader needs no chain of transforms.
 """
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +91,7 @@ class PartSpec(ScalableSpec):
     """Authored centre of mass and inertia, with an authored mass; None derives them from volume."""
 
     @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def _whole(self) -> "PartSpec":
         if self.inertia is not None and self.mass is None:
             raise ValueError(f"part {self.name}: an authored inertia needs an authored mass")
         return self
@@ -117,7 +117,7 @@ class ObjectSpec(ScalableSpec):
     sites: tuple[Site, ...] = ()
 
     @model_validator(mode="after")
-    def _tree(self) -> Self:
+    def _tree(self) -> "ObjectSpec":
         parts = _unique("part", [part.name for part in self.parts])
         materials = _unique("material", [material.name for material in self.materials])
         _unique("geom", [geom.name for part in self.parts for geom in part.geoms])
@@ -198,7 +198,7 @@ class ObjectSpec(ScalableSpec):
             leader_slides=leader.type == "prismatic",
         )
 
-    def scaled(self, s: float, motion: Motion = NO_JOINT) -> Self:
+    def scaled(self, s: float, motion: Motion = NO_JOINT) -> "ObjectSpec":
         """Return the object scaled by `s` about its origin; see `spec.scale`."""
         joints = tuple(j.scaled(s, self.joint_motion_scaling(j)) for j in self.joints)
         return super().scaled(s, motion).model_copy(update={"joints": joints})

@@ -1,9 +1,13 @@
 """Rotations and rigid poses in NumPy: quaternions are (w, x, y, z), float64, shape [..., 4]."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
+
+ArrayLike = NDArray | Sequence[Any] | float
+"""Numbers that become an array; NumPy's own ArrayLike cannot be checked at run time."""
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 

@@ -1,16 +1,17 @@
 """Primitive shapes: box, ball, capsule, cylinder, ellipsoid, convex prism and hollow box."""
 
 import math
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from .base import Length
 from .base_shape import BaseShape, Face, Point2, Primitive, rows
 from .convex import Piece, polytope
 from .outlines import box_distance, extruded_distance, loops_distance, polygon_area
+from .pose import ArrayLike
 from .triangles import BALL_SECTORS, SECTORS, extruded_outline, meridian, revolved
 
 Edges = tuple[Length, Length, Length]
@@ -149,7 +150,7 @@ class Prism(BaseShape):
     height: Length
 
     @model_validator(mode="after")
-    def _convex(self) -> Self:
+    def _convex(self) -> "Prism":
         p = np.array(self.outline)
         edge = np.roll(p, -1, axis=0) - p
         turn = _cross2(edge, np.roll(edge, -1, axis=0))
@@ -193,7 +194,7 @@ class HollowBox(BaseShape):
     open: tuple[Face, ...] = ("+z",)
 
     @model_validator(mode="after")
-    def _thin(self) -> Self:
+    def _thin(self) -> "HollowBox":
         if 2 * self.wall >= min(self.size):
             raise ValueError(f"wall {self.wall} leaves no cavity in a box of size {self.size}")
         if len(set(self.open)) == 6:

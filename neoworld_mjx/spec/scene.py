@@ -6,7 +6,7 @@ The frame of a parent has its origin at the parent's origin and its yaw, but not
 """
 
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
@@ -67,7 +67,7 @@ class SceneSpec(Spec):
     gravity: Vec3 = (0.0, 0.0, -9.81)
 
     @model_validator(mode="after")
-    def _hierarchy(self) -> Self:
+    def _hierarchy(self) -> "SceneSpec":
         earlier: dict[str, SceneObject] = {}
         for item in self.objects:
             if item.name in earlier:

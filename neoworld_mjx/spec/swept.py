@@ -1,6 +1,6 @@
 """Sweep: a rod, tube-like handle, bail, hook, stem or ring along a path."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ class Sweep(BaseShape):
     sectors: Annotated[int, Field(ge=4, le=32), UNSCALED] = 8
 
     @model_validator(mode="after")
-    def _sane(self) -> Self:
+    def _sane(self) -> "Sweep":
         for name, values in (("width", self.width), ("thickness", self.thickness)):
             if len(values) not in (1, len(self.path)):
                 raise ValueError(

@@ -1,6 +1,6 @@
 """SceneTree: what Step 1 sees in the photograph (paper Section 3.2, "Scene parsing")."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ class Box2D(Spec):
     y1: Number
 
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _ordered(self) -> "Box2D":
         if not (self.x0 < self.x1 and self.y0 < self.y1):
             raise ValueError(f"box2d needs x0 < x1 and y0 < y1, got {self.as_tuple()}")
         return self
@@ -96,7 +96,7 @@ class SceneTree(Spec):
     nodes: tuple[TreeNode, ...] = Field(min_length=1)
 
     @model_validator(mode="after")
-    def _hierarchy(self) -> Self:
+    def _hierarchy(self) -> "SceneTree":
         names = [node.name for node in self.nodes]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
