@@ -110,12 +110,12 @@ class Ledger:
     @property
     def reserved_usd(self) -> float:
         """The most that the calls now under way can cost, in USD."""
-        return sum(self._holds)
+        return sum(self._holds, 0.0)
 
     @property
     def spent_usd(self) -> float:
         """Cost so far of everything whose price is known, in USD."""
-        return sum(row.cost_usd or 0.0 for row in self._rows.values())
+        return sum((row.cost_usd or 0.0 for row in self._rows.values()), 0.0)
 
     @property
     def unpriced(self) -> list[str]:

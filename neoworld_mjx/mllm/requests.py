@@ -18,7 +18,6 @@ from importlib import resources
 from typing import Any, Generic, Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
-from jaxtyping import UInt8
 from PIL import Image
 from pydantic import BaseModel
 
@@ -58,8 +57,12 @@ class Picture:
             raise ModelError(f"picture {self.label!r} must be PNG or JPEG bytes")
 
     @classmethod
-    def of(cls, label: str, rgb: UInt8[np.ndarray, "height width 3"]) -> "Picture":
-        """Encode an array of RGB bytes, shape [height, width, 3], as a PNG."""
+    def of(cls, label: str, rgb: np.ndarray) -> "Picture":
+        """Encode an array of RGB bytes, uint8 of shape [height, width, 3], as a PNG.
+
+        Raises:
+            ModelError: the array has another type or shape.
+        """
         if rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3:
             raise ModelError(
                 f"picture {label!r} must be uint8 of shape [height, width, 3], "

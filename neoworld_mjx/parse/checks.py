@@ -204,13 +204,13 @@ def _flags(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
             "warning",
             node,
             "environment",
-            len(node.articulation),
-            0,
+            float(len(node.articulation)),
+            0.0,
             "it is marked as environment but has movable parts, so it should be an object",
         )
     if not node.environment and node.label.lower().split(" ")[-1] in _SUPPORTS[1:]:
         yield _issue(
-            "warning", node, "environment", 0, 1, f"a {node.label} should be marked environment"
+            "warning", node, "environment", 0.0, 1.0, f"a {node.label} should be marked environment"
         )
     for name in node.occluded_by:
         other = tree.node(name)
@@ -221,13 +221,13 @@ def _flags(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
                 "warning",
                 node,
                 "occluded_by",
-                0,
-                0,
+                0.0,
+                0.0,
                 f"{name} cannot hide it: their boxes are apart",
             )
     if node.occluded and not node.occluded_by and not hidden_sides(tree, _unhidden(node)).any():
         yield _issue(
-            "warning", node, "occluded_by", 0, 1, "it is marked hidden; say by which objects"
+            "warning", node, "occluded_by", 0.0, 1.0, "it is marked hidden; say by which objects"
         )
 
 
@@ -274,8 +274,8 @@ def _attached(node: TreeNode, parent: TreeNode, child: Box3D, below: Box3D) -> I
             "error",
             node,
             "attached",
-            0,
-            0,
+            0.0,
+            0.0,
             f"it is attached to {parent.name} but does not reach it",
         )
 
@@ -346,7 +346,7 @@ def _issue(
         severity=severity,
         node=node.name,
         code=code,
-        value=float(value),
-        threshold=float(threshold),
+        value=value,
+        threshold=threshold,
         hint=hint,
     )
