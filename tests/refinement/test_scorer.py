@@ -94,7 +94,7 @@ def test_no_score_is_lost_or_given_to_another_candidate(model, rounds, tmp_path)
         ):
             seen = play(scorer, rounds)
         assert set(server.failures) == {"429", "500", "cut off", "invalid JSON"}
-        assert 1 < server.most_at_once <= 8
+        assert 1 < server.most_served_at_once <= 8
         assert len(server.first_pictures) == 1
     best = list(range(POP - 1, POP - 11, -1))
     for t, (layouts, poses) in enumerate(rounds):
