@@ -1,4 +1,4 @@
-"""Composing a scene: objects rescaled to their parsed boxes and snapped onto their supports.
+"""Compose a scene: rescale objects to their parsed boxes and snap them onto their supports.
 
 Paper Section 3.3, Step 4, and Appendix B: programs are written at a convenient size, so the parsed
 3D box gives each object its absolute scale; heights come from the support, not from the parse.
@@ -22,22 +22,23 @@ from ..spec import (
     TreeNode,
     bounds,
     scale,
+    scaled_state,
     support_frame,
 )
 from ..spec.opening import matching_joint, parsed_state
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
-from .lying import on_level, resting_tilt
-from .settled import settled
+from .resting_pose import on_level, resting_tilt
+from .settle import settle
 
-NOTED_TURN_DEG = 2.0
-"""From which on it is told that a thing lies otherwise on level ground than it was seen to."""
-NOTED_SLANT_DEG = 10.0
-"""The same for things on a dish or a slope, whose tilt a picture hardly tells."""
+NOTED_TILT_DEG = 2.0
+"""Change of the tilt from which on a note says that an object rests otherwise than parsed."""
+NOTED_SLOPE_TILT_DEG = 10.0
+"""The same on a dish or a slope, where a picture hardly shows the tilt."""
 
 
 @dataclass(frozen=True)
 class Composed:
-    """A composed scene and what could not be taken over from the parse."""
+    """A composed scene, and how it departs from the parse."""
 
     scene: SceneSpec
     scales: dict[str, float]
@@ -73,23 +74,19 @@ def compose(
     for node in tree.top_down():
         state = _joint_state(node, objects[node.name], notes)
         spec, scales[node.name], residual = rescaled(objects[node.name], node, state)
-        joints = {joint.name: joint for joint in spec.joints}
-        factor = scales[node.name]
-        state = {
-            k: v * (factor if joints[k].type == "prismatic" else 1.0) for k, v in state.items()
-        }
+        state = scaled_state(spec, state, scales[node.name])
         placed[node.name] = _place(node, tree, placed, spec, state, residual, notes)
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
     gap = (options or ComposeOptions()).gap_m
-    return Composed(snapped(scene, gap), scales, tuple(notes))
+    return Composed(snap(scene, gap), scales, tuple(notes))
 
 
-def snapped(scene: SceneSpec, gap: float = 1e-4) -> SceneSpec:
+def snap(scene: SceneSpec, gap: float = 1e-4) -> SceneSpec:
     """Set every object down on the surface under its footprint, `gap` [m] above it."""
     # Jitted, so that it rounds as the same function does in a rollout.
     arrangement = arrange(scene, gap=gap)
-    snap = jax.jit(lambda layouts: heights(arrangement, layouts))
-    z = np.asarray(snap(Layout.zero(1, len(scene.objects)))[0], float)
+    heights_of = jax.jit(lambda layouts: heights(arrangement, layouts))
+    z = np.asarray(heights_of(Layout.zero(1, len(scene.objects)))[0], float)
     objects = [
         item.model_copy(update={"z": float(h)}) if flag else item
         for item, h, flag in zip(scene.objects, z, arrangement.snapped, strict=True)
@@ -127,7 +124,7 @@ def _joint_state(node: TreeNode, spec: ObjectSpec, notes: list[str]) -> dict[str
         if part.opening > 0:
             notes.append(
                 f"{node.name}: the parse shows {part.part} open by {part.opening:.0%}, but no "
-                f"joint of the program fits it (joints: {names}); left closed"
+                f"joint of the program fits it (joints: {names}); composition left it closed"
             )
     return state
 
@@ -146,23 +143,25 @@ def _place(
         parent = placed[node.parent]
         if link is not None and link not in [part.name for part in parent.spec.parts]:
             joint = matching_joint(parent.spec, link, "prismatic")
-            found = None if joint is None else joint.child
+            other = None if joint is None else joint.child
             notes.append(
-                f"{node.name}: {node.parent} has no part {link!r}; placed on "
-                f"{'the whole object' if found is None else found}"
+                f"{node.name}: {node.parent} has no part {link!r}; composition placed it on "
+                f"{'the whole object' if other is None else other}"
             )
-            link = found
-        seen = _parsed_pose(tree.node(node.parent))
-        origin = seen.then(_origin_in_box(parent.spec, parent.joint_state))
+            link = other
+        parent_box = _parsed_pose(tree.node(node.parent))
+        origin = parent_box.then(_origin_in_box(parent.spec, parent.joint_state))
         frame = support_frame(parent, origin, link)
     box = _parsed_pose(node, tilted=False)
     here = frame.inverse().then(box).then(_origin_in_box(spec, state))
     level = on_level(node, tree)
-    tilt, aside = _lying(node, spec, state, notes) if level else (node.base_tilt, np.zeros(3))
-    here = here.then(pose(aside))
+    tilt, shift = _rest(node, spec, state, notes) if level else (node.base_tilt, np.zeros(3))
+    here = here.then(pose(shift))
     fixed = node.fixed_base
     if fixed and node.parent is not None and not placed[node.parent].static:
-        notes.append(f"{node.name}: {node.parent} is free to move, so it cannot be fixed to it")
+        notes.append(
+            f"{node.name}: {node.parent} is free to move, so composition did not fix it there"
+        )
         fixed = False
     _, depth = tree.camera.project(node.box3d.corners(node.base_tilt).mean(axis=0))
     item = SceneObject(
@@ -187,33 +186,42 @@ def _place(
     lies = not (item.static or level or np.allclose(item.base_tilt, IDENTITY))
     if node.parent is None or not lies or node.relation not in ("on", "in"):
         return item
-    # What lies on a dish or a slope is held by it: only on level ground is its rest its own.
-    found = settled(placed[node.parent], item)
-    if found is None:
-        notes.append(f"{node.name}: as tilted in the parse it finds no rest on {node.parent}")
+    # On a dish or a slope the resting pose depends on the parent: a simulation finds it.
+    resting = settle(placed[node.parent], item)
+    if resting is None:
+        notes.append(
+            f"{node.name}: composition kept the parsed tilt, at which it does not rest on "
+            f"{node.parent}"
+        )
         return item
-    turned = float(np.degrees(angle_between(item.base_tilt, found.base_tilt)))
-    if turned > NOTED_SLANT_DEG:
-        notes.append(f"{node.name}: turned by {turned:.0f} degrees, as it rests on {node.parent}")
-    return found
+    tilted = float(np.degrees(angle_between(item.base_tilt, resting.base_tilt)))
+    if tilted > NOTED_SLOPE_TILT_DEG:
+        shift = 1e3 * float(np.hypot(*np.subtract(resting.xy, item.xy)))
+        notes.append(
+            f"{node.name}: settling it on {node.parent} tilted it by {tilted:.0f} deg and moved it "
+            f"by {shift:.0f} mm sideways and {1e3 * (resting.z - item.z):+.0f} mm in height"
+        )
+    return resting
 
 
-def _lying(
+def _rest(
     node: TreeNode, spec: ObjectSpec, state: dict[str, float], notes: list[str]
 ) -> tuple[Quat, NDArray]:
-    """Return the tilt at which a thing that lies comes to rest, and how far its origin shifts [m]."""
-    seen = node.base_tilt
-    upright = np.allclose(seen, IDENTITY)
+    """Return the tilt of a lying object's resting pose, and the shift of its origin [m]."""
+    parsed = node.base_tilt
+    upright = np.allclose(parsed, IDENTITY)
     if upright or node.fixed_base or node.environment:
-        return seen, np.zeros(3)
-    tilt = resting_tilt(spec, state, seen)
+        return parsed, np.zeros(3)
+    tilt = resting_tilt(spec, state, parsed)
     if tilt is None:
-        notes.append(f"{node.name}: as tilted in the parse it does not rest on any side near that")
-        return seen, np.zeros(3)
-    turned = float(np.degrees(angle_between(seen, tilt)))
-    if turned > NOTED_TURN_DEG:
-        notes.append(f"{node.name}: turned by {turned:.0f} degrees, onto the side it rests on")
-    before, after = (np.mean(bounds(spec, state, quat), axis=0) for quat in (seen, tilt))
+        notes.append(
+            f"{node.name}: composition kept the parsed tilt, near which it has no resting pose"
+        )
+        return parsed, np.zeros(3)
+    tilted = float(np.degrees(angle_between(parsed, tilt)))
+    if tilted > NOTED_TILT_DEG:
+        notes.append(f"{node.name}: composition tilted it by {tilted:.1f} deg to its resting pose")
+    before, after = (np.mean(bounds(spec, state, quat), axis=0) for quat in (parsed, tilt))
     return tilt, (before - after) * [1.0, 1.0, 0.0]
 
 

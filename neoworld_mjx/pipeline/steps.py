@@ -130,7 +130,7 @@ def verify_objects(context: StepContext) -> None:
 
 
 def _verify_object(context: StepContext, node: TreeNode, tree: SceneTree) -> None:
-    from ..compose.lying import alone, on_level
+    from ..compose.resting_pose import on_level, pose_without_scene
     from ..verify import verify_and_repair, write_overlay
 
     run, options = context.run, context.config.verify
@@ -143,7 +143,7 @@ def _verify_object(context: StepContext, node: TreeNode, tree: SceneTree) -> Non
         if out is None:
             return
         object_ = _read_object(spec)
-        tilt, fixed_base = alone(node, object_, level=level)
+        tilt, fixed_base = pose_without_scene(node, object_, level=level)
         result = verify_and_repair(
             object_,
             options,
@@ -187,7 +187,7 @@ def compose_scene(context: StepContext) -> None:
         (out / "compose" / "scales.json").write_text(json.dumps(composed.scales, indent=1) + "\n")
         _write_picture(composed.scene, config.render, out / "pictures" / "before.png")
         for note in composed.notes:
-            run.fallback("compose", "a composition without it", note)
+            run.fallback("compose", "a pose other than the parsed one", note)
 
 
 def refine_layout(context: StepContext) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..mllm import Picture
 from ..render import View, render_object, to_png
-from ..render.picture import corners
+from ..render.scene_images import visible_vertices
 from ..spec import Camera, ObjectSpec, TreeNode
 from ..spec.opening import with_prerequisites
 from ..spec.pose import conjugate, from_yaw, quat_mul, rotate
@@ -57,7 +57,7 @@ def view_from(
     spec: ObjectSpec, state: Mapping[str, float], node: TreeNode, camera: Camera | None
 ) -> View:
     """Return a view of an object at its own origin, from the direction in which the camera sees it."""
-    points = corners(spec, state)
+    points = visible_vertices(spec, state)
     if camera is None:
         return View.framing(points, width=WIDTH, height=HEIGHT)
     turn = conjugate(quat_mul(from_yaw(node.box3d.yaw), np.array(node.base_tilt)))

@@ -1,4 +1,4 @@
-"""Where a picture is taken from: any pinhole camera, and views that frame an object."""
+"""View: any pinhole camera, and those that frame an object."""
 
 import math
 from typing import NamedTuple

@@ -26,7 +26,7 @@ class Extrusion(BaseShape):
 
     type: Literal["extrusion"] = "extrusion"
     outline: Loop = Field(min_length=3, max_length=128)
-    holes: tuple[Loop, ...] = Field((), max_length=64)
+    holes: tuple[Loop, ...] = Field(default=(), max_length=64)
     height: Length
 
     @model_validator(mode="after")

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ..mllm import Picture
 from ..render import View, render_scene, to_png
-from ..render.picture import corners
+from ..render.scene_images import visible_vertices
 from ..spec import SceneObject, SceneSpec
 from ..spec.opening import prerequisite_state
 from .battery import Battery
@@ -117,7 +117,7 @@ def _strip(label: str, items: list[SceneObject], titles: list[str]) -> Strip:
     points = []
     for item in items:
         turn = Rotation.from_quat(np.roll(item.base_tilt, -1))
-        own = turn.apply(corners(item.spec, item.joint_state)) + [*item.xy, item.z]
+        own = turn.apply(visible_vertices(item.spec, item.joint_state)) + [*item.xy, item.z]
         points.append(own)
     view = View.framing(np.vstack(points), width=WIDTH, height=HEIGHT)
     sheet = Image.new("RGB", (WIDTH * len(items), HEIGHT + BAND), "white")

@@ -16,7 +16,7 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 56, 16, 14, 42
 
 
 @dataclass(frozen=True)
-class Line:
+class Series:
     """A line of a chart; points that are not finite are left out."""
 
     label: str
@@ -36,7 +36,7 @@ class Band:
 
 
 def line_chart(
-    lines: Sequence[Line],
+    lines: Sequence[Series],
     *,
     y_label: str,
     x_label: str = "iteration",
@@ -150,7 +150,7 @@ def _frame(ticks, py, count, px, x_label: str, y_label: str) -> str:
     return "".join(parts)
 
 
-def _line(line: Line, px, py) -> str:
+def _line(line: Series, px, py) -> str:
     dash = ' stroke-dasharray="5 4"' if line.dashed else ""
     runs: list[list[str]] = [[]]
     dots = []

@@ -1,23 +1,34 @@
-"""How the search of Step 5 went, drawn from refine/history.npz."""
+"""Convergence of the search of Step 5, drawn from refine/history.npz."""
 
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import charts
-from .charts import Band, Line
+from .charts import Band, Series
 from .page import Html, missing, section, table
+
+TERMS = ("d_pen", "d_drift", "s_sem", "prior")
+"""Reward terms of runs whose history does not name them."""
+LABELS = {
+    "d_pen": ("D_pen (sum over pairs), mm", 1000.0),
+    "d_drift": ("D_drift (sum), stability bounds", 1.0),
+    "s_sem": ("S_sem", 1.0),
+    "prior": ("prior, squared sigmas", 1.0),
+}
+"""Label and unit of the built-in terms, and the factor to that unit."""
 
 
 def convergence(path: Path) -> Html:
     """Draw rewards, terms and the share of valid candidates over iterations.
 
     Args:
-        path: history.npz with `absolute`, `d_pen`, `d_drift`, `s_sem`, `valid`, `status`, all of
-            shape [iteration, candidate], and `log_scale` [iteration, candidate, object].
+        path: history.npz with `absolute`, `valid`, `status` and one array under each of `term_names`,
+            all of shape [iteration, candidate], `term_weights` [term], and `log_scale` [iteration,
+            candidate, object].
     """
     title = "Convergence of the search"
     try:
@@ -31,19 +42,40 @@ def convergence(path: Path) -> Html:
     if absolute is None or absolute.ndim != 2 or absolute.size == 0:
         return section(title, missing("refine/history.npz holds no rewards."))
     drawn = [_rewards(absolute), _valid(history)]
-    drawn += [_term(history, key, label) for key, label in _TERMS if key in history]
+    drawn += [_term(history, term) for term in _terms(history)]
     body = f'<div class="charts">{"".join(drawn)}</div>'
     return section(title, body, _table(history))
 
 
 PRUNED, NOT_DRAWN = 5, -1
-"""Statuses in the history of what was not rolled out, and of places that stayed empty."""
+"""Statuses in the history of pruned candidates, and of the places of candidates not drawn."""
 
-_TERMS = (
-    ("d_pen", "D_pen (sum over pairs), mm"),
-    ("d_drift", "D_drift (sum), stability bounds"),
-    ("s_sem", "S_sem"),
-)
+
+class TermHistory(NamedTuple):
+    """A reward term in the history."""
+
+    name: str
+    label: str
+    values: NDArray
+    """In the unit of its label, [iteration, candidate]."""
+
+
+def _terms(history: dict[str, NDArray]) -> list[TermHistory]:
+    names = [str(name) for name in history.get("term_names", TERMS)]
+    weights = history.get("term_weights", np.full(len(names), np.nan))
+    terms = []
+    for name, weight in zip(names, weights, strict=True):
+        if name in history:
+            label, factor = LABELS.get(name, (name, 1.0))
+            weighted = f"{label}, weight {weight:g}" if np.isfinite(weight) else label
+            terms.append(TermHistory(name, weighted, np.asarray(history[name], float) * factor))
+    return terms
+
+
+def _best(history: dict[str, NDArray]) -> NDArray:
+    """Return the index of the candidate of best reward of each iteration [iteration]."""
+    absolute = history["absolute"]
+    return np.where(np.isfinite(absolute), absolute, -np.inf).argmax(axis=1)
 
 
 def _finite(values: NDArray) -> NDArray:
@@ -63,9 +95,9 @@ def _rewards(absolute: NDArray) -> str:
     so_far = np.fmax.accumulate(best)
     return charts.line_chart(
         [
-            Line("best so far", so_far, "var(--c3)", dashed=True),
-            Line("best", best, "var(--c1)"),
-            Line("mean", _over(absolute, np.mean), "var(--c2)"),
+            Series("best so far", so_far, "var(--c3)", dashed=True),
+            Series("best", best, "var(--c1)"),
+            Series("mean", _over(absolute, np.mean), "var(--c2)"),
         ],
         band=Band(
             "middle 80 %",
@@ -82,11 +114,11 @@ def _valid(history: dict[str, NDArray]) -> str:
     drawn, pruned = _counts(history)
     rolled = np.maximum(drawn - pruned, 1)
     lines = [
-        Line("valid of those rolled out", 100.0 * history["valid"].sum(1) / rolled, "var(--c3)")
+        Series("valid of those rolled out", 100.0 * history["valid"].sum(1) / rolled, "var(--c3)")
     ]
     if pruned.any():
         lines.append(
-            Line("pruned", 100.0 * pruned / np.maximum(drawn, 1), "var(--c2)", dashed=True)
+            Series("pruned", 100.0 * pruned / np.maximum(drawn, 1), "var(--c2)", dashed=True)
         )
     return charts.line_chart(lines, y_label="candidates, %", limits=(0.0, 100.0))
 
@@ -100,16 +132,14 @@ def _counts(history: dict[str, NDArray]) -> tuple[NDArray, NDArray]:
     return np.sum(status != NOT_DRAWN, axis=1), np.sum(status == PRUNED, axis=1)
 
 
-def _term(history: dict[str, NDArray], key: str, label: str) -> str:
-    values = np.asarray(history[key], float) * (1000.0 if key == "d_pen" else 1.0)
-    best = np.where(np.isfinite(history["absolute"]), history["absolute"], -np.inf).argmax(axis=1)
-    chosen = np.take_along_axis(values, best[:, None], axis=1)[:, 0]
+def _term(history: dict[str, NDArray], term: TermHistory) -> str:
+    chosen = np.take_along_axis(term.values, _best(history)[:, None], axis=1)[:, 0]
     return charts.line_chart(
         [
-            Line("candidate of best reward", chosen, "var(--c1)"),
-            Line("mean", _over(values, np.mean), "var(--c2)"),
+            Series("candidate of best reward", chosen, "var(--c1)"),
+            Series("mean", _over(term.values, np.mean), "var(--c2)"),
         ],
-        y_label=label,
+        y_label=term.label,
     )
 
 
@@ -119,7 +149,8 @@ def _table(history: dict[str, NDArray]) -> Html:
     drawn, pruned = _counts(history)
     failed = drawn - pruned - np.sum(np.isfinite(absolute), axis=1)
     heads = ["#iteration", "#best", "#mean", "#drawn", "#pruned", "#valid", "#failed"]
-    heads.append("#mean log scale")
+    terms, chosen = _terms(history), _best(history)
+    heads += ["#mean log scale", *(f"#{term.name} of best" for term in terms)]
     rows = []
     for i in range(len(absolute)):
         valid = f"{int(np.sum(history['valid'][i]))}" if "valid" in history else ""
@@ -127,5 +158,6 @@ def _table(history: dict[str, NDArray]) -> Html:
         if "log_scale" in history:
             scale = f"{float(np.nanmean(history['log_scale'][i])):+.4f}"
         counts = [drawn[i], pruned[i], valid, failed[i]]
-        rows.append([i + 1, f"{best[i]:.4f}", f"{mean[i]:.4f}", *counts, scale])
+        values = [f"{term.values[i, chosen[i]]:.4g}" for term in terms]
+        rows.append([i + 1, f"{best[i]:.4f}", f"{mean[i]:.4f}", *counts, scale, *values])
     return table(heads, rows)

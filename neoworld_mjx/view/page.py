@@ -1,4 +1,4 @@
-"""The page around a report: style, tables, pictures as data URIs. All text from outside is escaped."""
+"""Building blocks of a report page: style, tables, pictures as data URIs; all text is escaped."""
 
 import base64
 import io
@@ -131,7 +131,7 @@ def card(name: str, value: object, limit: str = "", passed: bool | None = None) 
 
 
 def picture(path: Path, caption: str) -> Html:
-    """Embed a picture file, shrunk if it is large; an absent or broken one is said to be so."""
+    """Embed a picture file, shrunk if it is large; a note stands for an absent or broken one."""
     if not path.is_file():
         return Html(
             f"<figure>{missing('not there yet')}<figcaption>{text(caption)}</figcaption></figure>"

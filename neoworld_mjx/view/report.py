@@ -1,7 +1,7 @@
-"""report.html: a run at a glance, in one file that needs no server and no network.
+"""Write report.html: a run on one page that needs no server and no network.
 
-Reads what the run folder has and says what is not there yet, so that it can be written after any
-step. It judges nothing itself: verdicts and numbers are those in run.json and verify.json.
+It shows what the run folder has and names what is missing, so that it can be written after any
+step. Verdicts and numbers are those in run.json and verify.json.
 """
 
 import json
@@ -57,8 +57,8 @@ def _safely(title: str, draw: Callable[[], Html]) -> Html:
     try:
         return draw()
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-        said = f"{type(error).__name__}: {error}"
-        return section(title, missing(f"A file of this run does not fit: {said}"))
+        cause = f"{type(error).__name__}: {error}"
+        return section(title, missing(f"A file of this run does not fit: {cause}"))
 
 
 def _head(run: dict[str, Any], title: str) -> Html:
@@ -92,18 +92,20 @@ def _fallbacks(run: dict[str, Any]) -> Html:
 
 
 def _numbers(run: dict[str, Any]) -> Html:
-    found = run["metrics"]
-    if not found:
+    metrics = run["metrics"]
+    if not metrics:
         return section("Numbers", missing(f"Measured after refine; {where(run)}."))
     limits = run["config"]["refine"]
     cards = []
 
     def add(key: str, name: str, shown: str, limit: str = "", passed: bool | None = None) -> None:
-        if key in found:
-            cards.append(card(name, shown if found[key] is not None else "unknown", limit, passed))
+        if key in metrics:
+            cards.append(
+                card(name, shown if metrics[key] is not None else "unknown", limit, passed)
+            )
 
     def number(key: str) -> float:
-        value = found.get(key)
+        value = metrics.get(key)
         return math.nan if value is None else float(value)
 
     pairs = number("s_pen")
@@ -116,7 +118,7 @@ def _numbers(run: dict[str, Any]) -> Html:
         f"limit {deepest * 1000:g} mm",
         depth <= deepest,
     )
-    stable = found.get("s_stab")
+    stable = metrics.get("s_stab")
     fell = "" if stable is None else "free fall"
     add("s_stab", "S-Stab", "stable" if stable else "not stable", fell, stable)
     drift, furthest = number("max_drift_m"), limits["max_drift_m"]
@@ -129,7 +131,12 @@ def _numbers(run: dict[str, Any]) -> Html:
     )
     turn, widest = number("max_tilt_deg"), limits["max_tilt_deg"]
     add("max_tilt_deg", "largest turn", f"{turn:.2f}°", f"limit {widest:g}°", turn < widest)
-    add("movable", "movable objects", f"{number('movable'):.0f}", f"of {found.get('objects', '?')}")
+    add(
+        "movable",
+        "movable objects",
+        f"{number('movable'):.0f}",
+        f"of {metrics.get('objects', '?')}",
+    )
     scale = number("mean_log_scale")
     percent = f"mean size {100 * math.expm1(scale):+.1f} %" if math.isfinite(scale) else ""
     add("mean_log_scale", "mean log scale", f"{scale:+.4f}", percent)
@@ -204,9 +211,9 @@ def _settings(run: dict[str, Any]) -> Html:
 
 def _differences(default: Any, given: Any, at: str = "") -> list[tuple[str, Any, Any]]:
     if isinstance(default, dict) and isinstance(given, dict):
-        found = []
+        differences = []
         for key in {*default, *given}:
             where = f"{at}.{key}" if at else str(key)
-            found += _differences(default.get(key), given.get(key), where)
-        return found
+            differences += _differences(default.get(key), given.get(key), where)
+        return differences
     return [] if default == given else [(at, default, given)]

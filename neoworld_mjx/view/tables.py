@@ -1,4 +1,4 @@
-"""The tables of a report: what was seen, what was made of it, and how it stands."""
+"""Tables of a report: parse, objects and verdicts, scene, joints, penetrations."""
 
 import json
 import math
@@ -39,7 +39,7 @@ def parsed(folder: Path, tree: dict[str, Any]) -> Html:
             ]
         )
     camera = tree["camera"]
-    seen = (
+    caption = (
         f"Camera {camera['height']:.2f} m high, pitched down "
         f"{math.degrees(camera['pitch']):.1f}°, vertical field of view "
         f"{math.degrees(camera['fovy']):.1f}°."
@@ -47,7 +47,7 @@ def parsed(folder: Path, tree: dict[str, Any]) -> Html:
     heads = ["object", "label", "stands", "#size, cm", "#yaw, deg", "notes"]
     return section(
         "Parse",
-        f'<div class="pictures" style="max-width:720px">{picture(folder / PARSED, seen)}</div>',
+        f'<div class="pictures" style="max-width:720px">{picture(folder / PARSED, caption)}</div>',
         table(heads, rows),
     )
 
@@ -59,15 +59,15 @@ def verdicts(folder: Path) -> Html:
         return section("Objects and their verdicts", missing("No objects yet."))
     parts = []
     for home in homes:
-        found = read_json(home / "verify.json")
-        passed = found.get("passed") if found else None
-        parts.append(f"<h3>{text(home.name)} {verdict(passed) if found else ''}</h3>")
+        verification = read_json(home / "verify.json")
+        passed = verification.get("passed") if verification else None
+        parts.append(f"<h3>{text(home.name)} {verdict(passed) if verification else ''}</h3>")
         shots = [(home / "crop.png", "photograph"), (home / "render.png", "program")]
         if any(path.is_file() for path, _ in shots):
             thumbs = "".join(picture(path, caption) for path, caption in shots)
             parts.append(f'<div class="thumbs">{thumbs}</div>')
         parts.append(_signals(read_json(home / "program.json") or {}))
-        if found is None:
+        if verification is None:
             parts.append(missing("No verify.json yet."))
             continue
         rows = [
@@ -78,16 +78,18 @@ def verdicts(folder: Path) -> Html:
                 _outcome(check.get("outcome"), doubtful=bool(check.get("doubtful"))),
                 check.get("hint") or check.get("evidence") or "",
             ]
-            for check in found.get("checks", [])
+            for check in verification.get("checks", [])
         ]
         parts.append(table(["check", "#value", "#threshold", "verdict", "note"], rows))
-        if seen := found.get("seen"):
-            parts.append(table(["seen by the critic in key frames"], [[what] for what in seen]))
+        if findings := verification.get("seen"):
+            parts.append(
+                table(["seen by the critic in key frames"], [[finding] for finding in findings])
+            )
     return section("Objects and their verdicts", *parts)
 
 
 def _signals(program: dict[str, Any]) -> Html:
-    """List what is left to say of an object's program, allowed overlaps with their reasons among it."""
+    """List the signals of an object's program, allowed overlaps with their reasons among them."""
     rows = [
         [
             signal["code"].replace("_", " "),
@@ -102,7 +104,7 @@ def _signals(program: dict[str, Any]) -> Html:
 
 
 def placed(scene: dict[str, Any]) -> Html:
-    """Show where scene.json puts the objects, and how far rescaling left them off their boxes."""
+    """Show the poses in scene.json, and the misfit of sizes to the parsed boxes after rescaling."""
     if not scene.get("objects"):
         return section("Scene", missing("No scene.json yet."))
     rows = []
@@ -209,7 +211,7 @@ def penetrations(run: dict[str, Any]) -> Html:
 
 
 def where(run: dict[str, Any]) -> str:
-    """Say how far a run has come."""
+    """Return the run's status and the steps done, in words."""
     done = [step for step in STEPS if any(n.partition("/")[0] == step for n in run["steps"])]
     return f"this run is {run['status']}, done so far: {', '.join(done) or 'nothing'}"
 
@@ -228,8 +230,8 @@ def _outcome(outcome: Any, *, doubtful: bool = False) -> Html:
         return Html(f"{verdict(passed=True)} only just")
     if outcome in ("PASS", "FAIL"):
         return verdict(outcome == "PASS")
-    said = {"SKIP": "skipped", "TOOL_FAILURE": "could not be tested"}.get(outcome, "unknown")
-    return Html(f'<span class="dim">{said}</span>')
+    words = {"SKIP": "skipped", "TOOL_FAILURE": "could not be tested"}.get(outcome, "unknown")
+    return Html(f'<span class="dim">{words}</span>')
 
 
 def _value(value: Any, unit: Any) -> str:

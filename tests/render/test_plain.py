@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from neoworld_mjx.render import render_plain, render_scene
-from neoworld_mjx.render.view import View
+from neoworld_mjx.render import View, render_plain, render_scene
 from tests.support import scenes
 
 

@@ -8,7 +8,7 @@ from PIL import Image
 
 from neoworld_mjx.physics.mjcf import to_mjspec
 from neoworld_mjx.render import View, render, render_object, render_scene, to_png
-from neoworld_mjx.render.cast import Caster
+from neoworld_mjx.render.ray_caster import RayCaster
 from neoworld_mjx.spec import (
     Box,
     Camera,
@@ -236,7 +236,7 @@ def test_every_ray_of_a_picture_meets_what_it_meets_alone():
     model = to_mjspec(cabinet, visual=True).compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    caster = Caster(model, data)
+    caster = RayCaster(model, data)
     eye = np.array([1.88, 1.03, 0.83])
     across, up = np.meshgrid(np.linspace(-0.35, 0.35, 60), np.linspace(-0.45, 0.1, 50))
     away = -eye[:2] / np.linalg.norm(eye[:2])

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from sample_shapes import SHAPES
 from scipy.spatial import cKDTree
 
 from neoworld_mjx.spec.convex import mass_properties
 from neoworld_mjx.spec.triangles import distance_to_triangles
+from tests.support.sample_shapes import SHAPES
 
 random = np.random.default_rng(3)
 

@@ -5,13 +5,13 @@ from typing import Annotated, get_args
 
 import numpy as np
 import pytest
-from sample_shapes import SHAPES
 
 from neoworld_mjx.spec import JointSpec, Mimic, ObjectSpec, PartSpec, Shape
 from neoworld_mjx.spec.base import Length, Number, ScalableSpec
 from neoworld_mjx.spec.base_shape import BaseShape, Point2
 from neoworld_mjx.spec.dimensions import LENGTH, UNSCALED, Motion
 from neoworld_mjx.spec.scale import joint_exponents, mimic_exponents
+from tests.support.sample_shapes import SHAPES
 
 
 def test_a_field_without_a_scaling_is_refused_when_its_class_is_defined():

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from neoworld_mjx.compose.compose import snapped
-from neoworld_mjx.render import Picture, render, to_png
+from neoworld_mjx.compose.compose import snap
+from neoworld_mjx.render import RenderedImage, render, to_png
 from neoworld_mjx.spec import (
     Box,
     Box2D,
@@ -51,7 +51,7 @@ class Known(NamedTuple):
     """A picture and what is in it."""
 
     scene: SceneSpec
-    picture: Picture
+    picture: RenderedImage
     truth: SceneTree
 
 
@@ -236,7 +236,7 @@ def _scene(
         else:
             kind = str(rng.choice([k for k in MAKERS if k != "chest"]))
             _place(rng, kind, items, kinds, taken, middle)
-    return snapped(SceneSpec(name="known", objects=tuple(items), camera=camera)), kinds
+    return snap(SceneSpec(name="known", objects=tuple(items), camera=camera)), kinds
 
 
 def _bears(item: SceneObject, items: list[SceneObject]) -> bool:
@@ -317,7 +317,7 @@ def _stack(
 
 
 def _truth(
-    scene: SceneSpec, kinds: dict[str, str], camera: Camera, picture: Picture
+    scene: SceneSpec, kinds: dict[str, str], camera: Camera, picture: RenderedImage
 ) -> SceneTree | None:
     """Write down what a picture shows; None if something in it is hidden for the most part."""
     poses = world_poses(scene)

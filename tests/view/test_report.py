@@ -13,7 +13,7 @@ from neoworld_mjx.refinement import outcome, prune
 from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.verify import Verdict
 from neoworld_mjx.view import convergence
-from neoworld_mjx.view.charts import Line, bars, line_chart, nice_ticks
+from neoworld_mjx.view.charts import Series, bars, line_chart, nice_ticks
 from neoworld_mjx.view.report import write_report
 
 EVIL = '<script>alert("x")</script><img src=http://evil/a.png>'
@@ -249,7 +249,7 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path):
     [[1.0], [2.0, 2.0, 2.0], [np.nan, np.inf], [0.0, np.nan, 3.0, -1e-9], [1e9, 1e-9, -1e9]],
 )
 def test_charts_are_well_formed_and_stay_inside(values):
-    drawn = line_chart([Line("<a>", np.array(values))], y_label="y & z")
+    drawn = line_chart([Series("<a>", np.array(values))], y_label="y & z")
     root = ET.fromstring(drawn)
     for circle in root.iter("circle"):
         assert 0 <= float(circle.get("cx", "nan")) <= 460
@@ -271,6 +271,23 @@ def test_ticks_are_round_and_cover(low, high):
     assert ticks[-1] >= high - 1e-12
     steps = np.diff(ticks)
     assert np.allclose(steps, steps[0])
+
+
+def test_every_reward_term_is_shown_by_name(tmp_path):
+    path = tmp_path / "history.npz"
+    _history(path, iterations=3, population=8)
+    with np.load(path) as data:
+        history = {key: data[key] for key in data.files}
+    words = _words(str(convergence.convergence(path)))
+    assert "S_sem" in words and "weight" not in words and "upright" not in words
+    history["term_names"] = np.array(["d_pen", "s_sem", "upright"])
+    history["term_weights"] = np.array([1.0, 2.0, 0.25])
+    history["upright"] = np.full((3, 8), 0.625)
+    np.savez(path, **history)
+    words = _words(str(convergence.convergence(path)))
+    assert "upright, weight 0.25" in words and "S_sem, weight 2" in words
+    assert "D_drift" not in words
+    assert "s_sem of best upright of best" in words and "0.625" in words
 
 
 def test_pruned_candidates_are_told_apart_from_failed_ones(tmp_path):

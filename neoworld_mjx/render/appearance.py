@@ -1,4 +1,4 @@
-"""How surfaces look: colour, gloss and procedural grain by the name of the material."""
+"""Appearance of surfaces: colour, gloss and procedural grain by the name of the material."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ _MATTE = ("cloth", "fabric", "paper", "cardboard", "rubber", "felt", "leather", 
 
 
 @dataclass(frozen=True)
-class Finish:
+class Appearance:
     """Optical properties per geom of a model."""
 
     colour: NDArray
@@ -33,8 +33,10 @@ class Finish:
     """Translation of the same [m], [geom, 3]."""
 
 
-def finish_of(model: mujoco.MjModel, data: mujoco.MjData, scene: SceneSpec | None = None) -> Finish:
-    """Look up how each geom looks.
+def appearance_of(
+    model: mujoco.MjModel, data: mujoco.MjData, scene: SceneSpec | None = None
+) -> Appearance:
+    """Look up the appearance of each geom.
 
     Args:
         model: the model; colours are its own.
@@ -70,16 +72,16 @@ def finish_of(model: mujoco.MjModel, data: mujoco.MjData, scene: SceneSpec | Non
     turn = data.xmat[owner].reshape(n, 3, 3)
     to_object = np.swapaxes(turn, 1, 2)
     offset = -np.einsum("nij,nj->ni", to_object, data.xpos[owner])
-    return Finish(linear(rgba[:, :3]), gloss, metal, grain, to_object, offset)
+    return Appearance(linear(rgba[:, :3]), gloss, metal, grain, to_object, offset)
 
 
-def albedo(finish: Finish, geom: NDArray, point: NDArray) -> NDArray:
+def albedo(appearance: Appearance, geom: NDArray, point: NDArray) -> NDArray:
     """Return the linear colour [n, 3] of geoms [n] at world points [n, 3] m."""
-    colour = finish.colour[geom]
-    rows = np.flatnonzero(finish.grain[geom])
+    colour = appearance.colour[geom]
+    rows = np.flatnonzero(appearance.grain[geom])
     if len(rows):
         g = geom[rows]
-        local = np.einsum("nij,nj->ni", finish.to_object[g], point[rows]) + finish.offset[g]
+        local = np.einsum("nij,nj->ni", appearance.to_object[g], point[rows]) + appearance.offset[g]
         colour[rows] *= _wood(local)[:, None]
     return colour
 
@@ -142,4 +144,4 @@ def display(light: NDArray) -> NDArray:
     return _DISPLAY[np.round(x * (_STEPS - 1)).astype(np.int64)]
 
 
-__all__ = ["Finish", "albedo", "display", "finish_of", "linear"]
+__all__ = ["Appearance", "albedo", "appearance_of", "display", "linear"]

@@ -24,7 +24,7 @@ FAR_BOX_M = 1e4
 
 @dataclass(frozen=True)
 class Hits:
-    """What rays meet first; one row a ray."""
+    """First hit of every ray, one row each."""
 
     geom: NDArray
     """Geom id, -1 for nothing, int32 [n]."""
@@ -36,15 +36,15 @@ class Hits:
     """Outward unit normal, smooth over meshes, [n, 3]; zero for nothing."""
 
 
-class Caster:
+class RayCaster:
     """A posed model, ready for rays."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, threads: int | None = None):
         self.model, self.data = _without_culling(model), data
         count = threads or min(4, os.cpu_count() or 1)
         self._datas = [data, *(copy.copy(data) for _ in range(count - 1))]
-        seen = model.geom_group == VISUAL_GROUP
-        self.shown: NDArray = seen if seen.any() else model.geom_group <= 2
+        visual = model.geom_group == VISUAL_GROUP
+        self.shown: NDArray = visual if visual.any() else model.geom_group <= 2
         """Which geoms are seen [geom]: the visual ones, or where a model has none, all."""
         self._groups = np.zeros(6, np.uint8)
         self._groups[np.unique(model.geom_group[self.shown])] = 1
@@ -190,4 +190,4 @@ def _barycentric(points: NDArray, corners: NDArray) -> NDArray:
     return np.stack([1.0 - s - t, s, t], axis=1)
 
 
-__all__ = ["Caster", "Hits"]
+__all__ = ["Hits", "RayCaster"]

@@ -1,8 +1,8 @@
-"""Things that lie: the parsed tilt is in round figures, the thing rests at its own.
+"""Resting poses on level ground: the tilt nearest to a parsed one at which an object is stable.
 
-A mushroom tipped by 90 degrees floats at its stem, as its cap is thicker. The search moves four numbers,
-tilt not among them, so it would have to prop such a thing up with others. Here it is let down, from how
-it was seen, until its centre of mass is as low as it gets: that is where it rests.
+A parsed tilt is a round figure: a mushroom tipped by 90 degrees would float at its stem, as its cap
+is thicker. The search does not move tilts, so the parsed tilt is followed downhill until the centre
+of mass is at a local minimum of height.
 """
 
 import numpy as np
@@ -13,9 +13,9 @@ from ..spec import ObjectSpec, Quat, SceneTree, TreeNode, inertial, link_poses, 
 from ..spec.convex import Piece
 from ..spec.pose import IDENTITY, conjugate, from_axis_angle, quat_mul, rotate
 
-MOST_RAD = np.radians(30.0)
-"""Beyond this the thing is held by something else, or was seen wrongly."""
-_FIRST_RAD, _LAST_RAD = np.radians(4.0), np.radians(0.01)
+MAX_TILT_RAD = np.radians(30.0)
+"""Beyond this the object is held by something else, or its parsed tilt is wrong."""
+_FIRST_STEP_RAD, _LAST_STEP_RAD = np.radians(4.0), np.radians(0.01)
 
 
 def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat | None:
@@ -24,13 +24,13 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
     Args:
         spec: the object.
         state: how its joints stand.
-        tilt: rotation before yaw, as it was seen.
+        tilt: parsed rotation before yaw.
 
     Returns:
         The tilt, or None if no rest is within 30 degrees.
     """
     moved = link_poses(spec, state)
-    solids = [
+    placed = [
         (piece, moved[part.name].then(at)) for part in spec.parts for _, piece, at in pieces(part)
     ]
     bodies = [(inertial(spec, part), moved[part.name]) for part in spec.parts]
@@ -40,55 +40,55 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
     def lowest(down: NDArray) -> NDArray:
         """Return each piece's furthest point that way, from the centre of mass [n, 3] m."""
         return (
-            np.array([at.apply(_furthest(s, rotate(conjugate(at.quat), down))) for s, at in solids])
+            np.array([at.apply(_furthest(s, rotate(conjugate(at.quat), down))) for s, at in placed])
             - centre
         )
 
-    seen = rotate(conjugate(np.array(tilt)), np.array([0.0, 0.0, -1.0]))
-    down, step = seen, _FIRST_RAD
+    parsed = rotate(conjugate(np.array(tilt)), np.array([0.0, 0.0, -1.0]))
+    down, step = parsed, _FIRST_STEP_RAD
     low = float((lowest(down) @ down).max())
     known = np.vstack([lowest(way) for way in (down, *_beside(down, step))])
-    while step > _LAST_RAD:
-        way, hoped = _lowered(known, down, step)
-        found = lowest(way)
-        known = np.vstack([known, found])
-        height = float((found @ way).max())
-        if low - height > max(0.5 * (low - hoped), 1e-9):
+    while step > _LAST_STEP_RAD:
+        way, predicted = _lowered(known, down, step)
+        points = lowest(way)
+        known = np.vstack([known, points])
+        height = float((points @ way).max())
+        if low - height > max(0.5 * (low - predicted), 1e-9):
             down, low = way, height
         else:
-            step *= 0.85  # What was found there is known now.
-        if down @ seen < np.cos(MOST_RAD):
+            step *= 0.85  # The points found there are known now.
+        if down @ parsed < np.cos(MAX_TILT_RAD):
             return None
-    return _turned(tilt, down, seen)
+    return _turned(tilt, down, parsed)
 
 
 def on_level(node: TreeNode, tree: SceneTree) -> bool:
-    """Tell whether a thing lies on level ground, rather than in something, on a dish or on a slope."""
+    """Tell whether an object is on an environment support, so on level ground: no dish, no slope."""
     carried = node.parent is not None and tree.node(node.parent).environment
     return carried and node.relation == "on"
 
 
-def alone(node: TreeNode, spec: ObjectSpec, *, level: bool) -> tuple[Quat, bool]:
-    """Return how an object stands when it is tried by itself on level ground, without its scene.
+def pose_without_scene(node: TreeNode, spec: ObjectSpec, *, level: bool) -> tuple[Quat, bool]:
+    """Return the tilt at which to verify an object by itself on level ground.
 
-    What lies is tried on the side that it will lie on. What is held by its scene, as it leans, hangs, or
+    A lying object is verified in its resting pose. One that its scene holds, as it leans, hangs, or
     is tilted in or on something that is not level, would by itself only fall.
 
     Args:
         node: the object, as parsed.
         spec: the object.
-        level: whether it lies on level ground in its scene.
+        level: whether it is on level ground in its scene.
 
     Returns:
-        Its tilt, and whether it is held.
+        Its tilt, and whether its scene holds it.
     """
-    seen = node.base_tilt
+    tilt = node.base_tilt
     if node.environment or node.fixed_base or node.relation in ("leaning", "attached"):
-        return seen, True
-    if np.allclose(seen, IDENTITY):
-        return seen, False
-    rest = resting_tilt(spec, {}, seen)
-    return (seen, not level) if rest is None else (rest, False)
+        return tilt, True
+    if np.allclose(tilt, IDENTITY):
+        return tilt, False
+    rest = resting_tilt(spec, {}, tilt)
+    return (tilt, not level) if rest is None else (rest, False)
 
 
 def _beside(down: NDArray, step: float) -> list[NDArray]:
@@ -98,19 +98,22 @@ def _beside(down: NDArray, step: float) -> list[NDArray]:
 
 
 def _lowered(points: NDArray, down: NDArray, step: float) -> tuple[NDArray, float]:
-    """Return the unit vector within a step of `down` along which no point [n, 3] is far, and how far.
+    """Minimise the extent of points [n, 3] along a direction within a step of `down`.
 
-    Seen from a direction the furthest of some points is a maximum of linear functions, whose valleys
-    have creases; a linear program walks along them.
+    The extent is a maximum of linear functions, whose valleys have creases; a linear program
+    follows them.
+
+    Returns:
+        The unit vector, and the extent along it [m].
     """
     across = np.linalg.svd(down[None])[2][1:]
-    found = linprog(
+    solution = linprog(
         [0.0, 0.0, 1.0],
         A_ub=np.column_stack([points @ across.T, -np.ones(len(points))]),
         b_ub=-points @ down,
         bounds=[(-step, step), (-step, step), (None, None)],
     )
-    way = down + found.x[:2] @ across
+    way = down + solution.x[:2] @ across
     way /= np.linalg.norm(way)
     return way, float((points @ way).max())
 

@@ -1,4 +1,4 @@
-"""Light: a soft key light, a sky that reaches into corners, and a floor that carries shadows.
+"""Lighting: a soft key light, a sky that reaches into corners, and a floor that carries shadows.
 
 Both lights are sampled at 16 points that neighbouring pixels share out among them in tiles of 4 by
 4; averaging over a tile, within one surface, then gives every pixel all 16. That is one shadow ray
@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .cast import Caster
-from .finish import linear
+from .appearance import linear
+from .ray_caster import RayCaster
 from .view import View
 
 TILE = 4
@@ -73,7 +73,7 @@ def lights(view: View, centre: NDArray, reach: float) -> Lights:
 
 
 def visibility(
-    caster: Caster,
+    caster: RayCaster,
     sources: Lights,
     surface: NDArray,
     point: NDArray,
@@ -96,17 +96,17 @@ def visibility(
     key, key_weight = np.zeros((h, w)), np.zeros((h, w))
     sky, sky_weight = np.zeros((h, w)), np.zeros((h, w))
     for k in range(TILE * TILE):
-        mine = (slice(k // TILE, None, TILE), slice(k % TILE, None, TILE))
-        facing_key = normal[mine] @ sources.key_direction
-        facing_sky = np.maximum(normal[mine] @ sources.sky_directions[k], 0.0)
+        tile = (slice(k // TILE, None, TILE), slice(k % TILE, None, TILE))
+        facing_key = normal[tile] @ sources.key_direction
+        facing_sky = np.maximum(normal[tile] @ sources.sky_directions[k], 0.0)
         for value, weight, source, share in (
             (key, key_weight, sources.key[k], (facing_key > 0).astype(float)),
             (sky, sky_weight, sources.sky[k], facing_sky),
         ):
             # What faces away needs no ray; nor does nothing, which has no normal.
             lit = share > 0
-            value[mine][lit] = share[lit] * caster.visible(source, lifted[mine][lit])
-            weight[mine] = share
+            value[tile][lit] = share[lit] * caster.visible(source, lifted[tile][lit])
+            weight[tile] = share
     fields = np.stack([key, key_weight, sky, sky_weight], axis=-1)
     # Once to either side, so that the mean is centred on the pixel.
     fields = _mean(fields, ((-1, 0, 1, 2), (-2, -1, 0, 1)), surface, point, normal, depth)

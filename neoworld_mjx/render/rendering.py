@@ -1,4 +1,4 @@
-"""Pictures by casting rays: colour, depth, normals and which object is where; no OpenGL.
+"""Render by casting rays: colour, depth, normals and object masks, without OpenGL.
 
 Depth, normals and segmentation are those of the ray through each pixel's centre, whatever the
 supersampling. Colour is smoothed at edges only: pixels whose neighbours show another surface are
@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from ..physics.mjcf import START, to_mjspec
 from ..spec import Camera, SceneSpec
-from .cast import Caster, Hits
-from .finish import Finish, albedo, display, finish_of
-from .light import FLOOR, FLOOR_COLOUR, Lights, lights, shade, surroundings, visibility
+from .appearance import Appearance, albedo, appearance_of, display
+from .lighting import FLOOR, FLOOR_COLOUR, Lights, lights, shade, surroundings, visibility
+from .ray_caster import Hits, RayCaster
 from .view import View
 
 
 @dataclass(frozen=True)
-class Picture:
-    """What a camera sees, [height, width]."""
+class RenderedImage:
+    """Image of a scene with its depth, normals and object masks, all [height, width]."""
 
     color: NDArray
     """Display colour (sRGB), uint8 [h, w, 3]."""
@@ -43,8 +43,8 @@ def render(
     height: int | None = None,
     supersample: int = 2,
     floor: bool = True,
-) -> Picture:
-    """Take a picture.
+) -> RenderedImage:
+    """Render a scene or a posed model.
 
     Args:
         scene: a scene, in its own poses and joint states; or a model with its data posed
@@ -61,36 +61,36 @@ def render(
     else:
         view = camera._replace(width=width or camera.width, height=height or camera.height)
     spec = scene if isinstance(scene, SceneSpec) else None
-    model, data = compiled(scene) if isinstance(scene, SceneSpec) else scene
-    caster = Caster(model, data)
-    studio = _Studio.of(caster, finish_of(model, data, spec), view, floor)
+    model, data = compile_posed(scene) if isinstance(scene, SceneSpec) else scene
+    caster = RayCaster(model, data)
+    stage = _Stage.of(caster, appearance_of(model, data, spec), view, floor)
 
     rows, columns = np.mgrid[: view.height, : view.width]
     pixels = np.stack([columns + 0.5, rows + 0.5], axis=-1)
-    seen = studio.look(view.rays(pixels.reshape(-1, 2)))
+    seen = stage.look(view.rays(pixels.reshape(-1, 2)))
     shape = (view.height, view.width)
     surface = seen.surface.reshape(shape)
     point, normal = seen.hits.point.reshape(*shape, 3), seen.hits.normal.reshape(*shape, 3)
     depth = ((seen.hits.point - view.eye) @ view.axes[:, 2]).reshape(shape)
     depth = np.where(surface == -1, np.inf, depth)
-    key, sky = visibility(caster, studio.lights, surface, point, normal, depth)
-    light = studio.shade(seen, key.ravel(), sky.ravel()).reshape(*shape, 3)
+    key, sky = visibility(caster, stage.lights, surface, point, normal, depth)
+    light = stage.shade(seen, key.ravel(), sky.ravel()).reshape(*shape, 3)
     color = display(light)
     if supersample > 1:
         edge = _edges(surface, point, normal, depth)
-        _smooth_edges(color, edge, studio, surface, point, normal, key, sky, supersample)
+        _smooth_edges(color, edge, stage, surface, point, normal, key, sky, supersample)
     objects, names = _objects(model)
-    found = surface >= 0
-    return Picture(
+    hit = surface >= 0
+    return RenderedImage(
         color=color,
-        depth=np.where(found, depth, np.inf),
-        normal=np.where(found[..., None], normal, 0.0),
-        segmentation=np.where(found, objects[np.maximum(surface, 0)], -1).astype(np.int32),
+        depth=np.where(hit, depth, np.inf),
+        normal=np.where(hit[..., None], normal, 0.0),
+        segmentation=np.where(hit, objects[np.maximum(surface, 0)], -1).astype(np.int32),
         names=names,
     )
 
 
-def compiled(scene: SceneSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
+def compile_posed(scene: SceneSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """Compile a scene with its visual geoms and pose it as the scene says."""
     model = to_mjspec(scene, visual=True).compile()
     data = mujoco.MjData(model)
@@ -109,7 +109,7 @@ def _objects(model: mujoco.MjModel) -> tuple[NDArray, tuple[str, ...]]:
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _RayHits:
     rays: NDArray
     hits: Hits
     surface: NDArray
@@ -117,9 +117,9 @@ class _Seen:
 
 
 @dataclass(frozen=True)
-class _Studio:
-    caster: Caster
-    finish: Finish
+class _Stage:
+    caster: RayCaster
+    appearance: Appearance
     view: View
     lights: Lights
     centre: NDArray
@@ -128,7 +128,7 @@ class _Studio:
     """Height of the floor [m]."""
 
     @classmethod
-    def of(cls, caster: Caster, finish: Finish, view: View, floor: bool) -> "_Studio":
+    def of(cls, caster: RayCaster, appearance: Appearance, view: View, floor: bool) -> "_Stage":
         model, data = caster.model, caster.data
         shown = np.flatnonzero(caster.shown & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE))
         turn = data.geom_xmat[shown].reshape(-1, 3, 3)
@@ -138,7 +138,7 @@ class _Studio:
         centre, reach = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
         return cls(
             caster,
-            finish,
+            appearance,
             view,
             lights(view, centre, reach),
             centre,
@@ -146,7 +146,7 @@ class _Studio:
             float(low[2]) if floor else None,
         )
 
-    def look(self, rays: NDArray) -> _Seen:
+    def look(self, rays: NDArray) -> _RayHits:
         hits = self.caster.hits(self.view.eye, rays)
         surface = hits.geom.astype(np.int64)
         down = rays[:, 2] < -1e-6
@@ -156,18 +156,18 @@ class _Studio:
             surface[on] = FLOOR
             hits.point[on] = self.view.eye + rays[on] * distance[on, None]
             hits.normal[on] = [0.0, 0.0, 1.0]
-        return _Seen(rays, hits, surface)
+        return _RayHits(rays, hits, surface)
 
-    def shade(self, seen: _Seen, key: NDArray, sky: NDArray) -> NDArray:
+    def shade(self, seen: _RayHits, key: NDArray, sky: NDArray) -> NDArray:
         """Return the light [n, 3] along each ray."""
         towards = self.lights.key_direction
         light = surroundings(seen.rays)
         body = np.flatnonzero(seen.surface >= 0)
         g = seen.surface[body]
         light[body] = shade(
-            albedo(self.finish, g, seen.hits.point[body]),
-            self.finish.gloss[g],
-            self.finish.metal[g],
+            albedo(self.appearance, g, seen.hits.point[body]),
+            self.appearance.gloss[g],
+            self.appearance.metal[g],
             seen.hits.normal[body],
             -seen.rays[body],
             key[body],
@@ -216,7 +216,7 @@ def _edges(surface: NDArray, point: NDArray, normal: NDArray, depth: NDArray) ->
 def _smooth_edges(
     color: NDArray,
     edge: NDArray,
-    studio: _Studio,
+    stage: _Stage,
     surface: NDArray,
     point: NDArray,
     normal: NDArray,
@@ -232,7 +232,7 @@ def _smooth_edges(
     du, dv = (grid.ravel() for grid in np.meshgrid(step, step))
     u = (columns[:, None] + du).ravel()
     v = (rows[:, None] + dv).ravel()
-    seen = studio.look(studio.view.rays(np.column_stack([u, v])))
+    seen = stage.look(stage.view.rays(np.column_stack([u, v])))
     row, column = np.repeat(rows, len(du)), np.repeat(columns, len(du))
     best = np.full(len(row), np.inf)
     lit, open_ = key[row, column].copy(), sky[row, column].copy()
@@ -247,10 +247,10 @@ def _smooth_edges(
             better = cost < best
             best[better] = cost[better]
             lit[better], open_[better] = key[r, c][better], sky[r, c][better]
-    shaded = studio.shade(seen, lit, open_).reshape(len(rows), -1, 3)
+    shaded = stage.shade(seen, lit, open_).reshape(len(rows), -1, 3)
     # Averaged as displayed: rims of bright surfaces would otherwise stay jagged.
     total = display(shaded).astype(np.int64).sum(axis=1)
     color[rows, columns] = ((2 * total + len(du)) // (2 * len(du))).astype(np.uint8)
 
 
-__all__ = ["Picture", "compiled", "render"]
+__all__ = ["RenderedImage", "compile_posed", "render"]

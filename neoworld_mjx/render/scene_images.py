@@ -1,4 +1,4 @@
-"""Pictures of scenes and single objects, and their PNG bytes."""
+"""Render scenes and single objects from views that frame them, and encode PNG."""
 
 import io
 from collections.abc import Mapping
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..spec import Camera, ObjectSpec, SceneObject, SceneSpec, bounds, link_poses, world_poses
-from .raycast import Picture, render
+from .rendering import RenderedImage, render
 from .view import View
 
 
@@ -19,8 +19,8 @@ def render_scene(
     width: int | None = None,
     height: int | None = None,
     supersample: int = 2,
-) -> Picture:
-    """Take a picture of a scene.
+) -> RenderedImage:
+    """Render a scene.
 
     Args:
         scene: the scene.
@@ -35,7 +35,9 @@ def render_scene(
         rows = height or columns * 2 // 3
         items = [item for item in scene.objects if not item.environment] or list(scene.objects)
         poses = world_poses(scene)
-        points = [poses[item.name].apply(corners(item.spec, item.joint_state)) for item in items]
+        points = [
+            poses[item.name].apply(visible_vertices(item.spec, item.joint_state)) for item in items
+        ]
         # From where a scene's own camera stands: the near side is -x.
         camera = View.framing(
             np.vstack(points), width=columns, height=rows, azimuth=np.radians(215)
@@ -51,8 +53,8 @@ def render_object(
     width: int = 480,
     height: int = 320,
     supersample: int = 2,
-) -> Picture:
-    """Take a picture of one object on a plain floor.
+) -> RenderedImage:
+    """Render one object on a plain floor.
 
     Args:
         spec: the object.
@@ -64,13 +66,13 @@ def render_object(
     """
     item = SceneObject(name=spec.name, spec=spec, joint_state=dict(joint_state or {}))
     if camera is None:
-        points = corners(spec, item.joint_state)
+        points = visible_vertices(spec, item.joint_state)
         camera = View.framing(points, width=width, height=height)
     scene = SceneSpec(name=spec.name, objects=(item,))
     return render(scene, camera, width=width, height=height, supersample=supersample)
 
 
-def corners(spec: ObjectSpec, joint_state: Mapping[str, float] | None = None) -> NDArray:
+def visible_vertices(spec: ObjectSpec, joint_state: Mapping[str, float] | None = None) -> NDArray:
     """Return the visible surface's vertices [n, 3] m in the object's frame, as posed."""
     moved = link_poses(spec, dict(joint_state or {}))
     points = [
@@ -85,12 +87,12 @@ def corners(spec: ObjectSpec, joint_state: Mapping[str, float] | None = None) ->
     return np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
 
 
-def to_png(picture: Picture | NDArray) -> bytes:
-    """Encode a picture's colour, or an array uint8 [h, w], [h, w, 3] or [h, w, 4], as PNG.
+def to_png(image: RenderedImage | NDArray) -> bytes:
+    """Encode an image's colour, or an array uint8 [h, w], [h, w, 3] or [h, w, 4], as PNG.
 
     The same array gives the same bytes; there is no time stamp in them.
     """
-    array = picture.color if isinstance(picture, Picture) else np.asarray(picture)
+    array = image.color if isinstance(image, RenderedImage) else np.asarray(image)
     if array.dtype != np.uint8:
         raise TypeError(f"a PNG needs uint8 pixels, got {array.dtype}")
     stream = io.BytesIO()
@@ -98,4 +100,4 @@ def to_png(picture: Picture | NDArray) -> bytes:
     return stream.getvalue()
 
 
-__all__ = ["render_object", "render_scene", "to_png"]
+__all__ = ["render_object", "render_scene", "to_png", "visible_vertices"]

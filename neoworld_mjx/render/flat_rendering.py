@@ -1,6 +1,6 @@
-"""Plain pictures, in a fraction of the time: flat colours, one light, outlines; no shadows or grain.
+"""Render with flat colours, one light and outlines, in a fraction of the time: no shadows or grain.
 
-For whoever looks at very many candidates and cares where things stand, not how they look.
+For many candidates, where the places of objects matter and not their looks.
 """
 
 import numpy as np
@@ -8,10 +8,10 @@ from jaxtyping import UInt8
 from numpy.typing import NDArray
 
 from ..spec import Camera, SceneSpec
-from .cast import Caster
-from .finish import display, linear
-from .light import FLOOR_COLOUR, HORIZON
-from .raycast import compiled
+from .appearance import display, linear
+from .lighting import FLOOR_COLOUR, HORIZON
+from .ray_caster import RayCaster
+from .rendering import compile_posed
 from .view import View
 
 _AMBIENT, _SKY, _KEY = 0.25, 0.3, 0.55
@@ -22,7 +22,7 @@ _OUTLINE = 0.45
 def render_plain(
     scene: SceneSpec, camera: Camera | View, *, width: int | None = None
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """Take a plain picture.
+    """Render with flat colours.
 
     Args:
         scene: the scene, in its own poses and joint states.
@@ -37,25 +37,25 @@ def render_plain(
     else:
         tall = round((width or camera.width) * camera.height / camera.width)
         view = camera._replace(width=width or camera.width, height=max(1, tall))
-    model, data = compiled(scene)
+    model, data = compile_posed(scene)
     rows, columns = np.mgrid[: view.height, : view.width]
     pixels = np.stack([columns + 0.5, rows + 0.5], axis=-1).reshape(-1, 2)
     rays = view.rays(pixels)
-    seen = Caster(model, data).hits(view.eye, rays, smooth=False)
+    hits = RayCaster(model, data).hits(view.eye, rays, smooth=False)
 
     rgba = model.geom_rgba.copy()
-    made = model.geom_matid >= 0
-    rgba[made] = model.mat_rgba[model.geom_matid[made]]
-    body = np.flatnonzero(seen.geom >= 0)
-    normal = seen.normal[body]
+    with_material = model.geom_matid >= 0
+    rgba[with_material] = model.mat_rgba[model.geom_matid[with_material]]
+    body = np.flatnonzero(hits.geom >= 0)
+    normal = hits.normal[body]
     # From over the left shoulder, so that the three sides of a box differ.
     towards = view.axes @ np.array([-0.5, -0.7, -0.5])
     facing = np.maximum(normal @ (towards / np.linalg.norm(towards)), 0.0)
     light = _AMBIENT + _SKY * (0.5 + 0.5 * normal[:, 2]) + _KEY * facing
     picture = np.where(rays[:, 2:] < 0.0, FLOOR_COLOUR, HORIZON)
-    picture[body] = linear(rgba[:, :3])[seen.geom[body]] * light[:, None]
+    picture[body] = linear(rgba[:, :3])[hits.geom[body]] * light[:, None]
 
-    owner = np.append(model.body_rootid[model.geom_bodyid], -1)[seen.geom]
+    owner = np.append(model.body_rootid[model.geom_bodyid], -1)[hits.geom]
     border = _borders(owner.reshape(view.height, view.width)).ravel()
     picture[border] *= _OUTLINE
     return display(picture).reshape(view.height, view.width, 3)

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.compose.compose import snapped
-from neoworld_mjx.compose.settled import settled
+from neoworld_mjx.compose.compose import snap
+from neoworld_mjx.compose.settle import settle
 from neoworld_mjx.measure.stability import scene_measure
 from neoworld_mjx.spec import (
     Box,
@@ -33,13 +33,13 @@ def on_saucer(xy=(0.0, 0.035)):
 
 
 def turned(objects):
-    scene = snapped(SceneSpec(objects=objects))
+    scene = snap(SceneSpec(objects=objects))
     return scene_measure(scene).tilt_deg["spoon"]
 
 
 def test_a_spoon_that_was_let_down_stays_as_it_lies():
     table, saucer, spoon = on_saucer()
-    rested = settled(saucer, spoon)
+    rested = settle(saucer, spoon)
     assert rested is not None
     assert turned((table, saucer, spoon)) > 4
     assert turned((table, saucer, rested)) < 1
@@ -47,12 +47,12 @@ def test_a_spoon_that_was_let_down_stays_as_it_lies():
     assert angle_between(rested.base_tilt, TILTED) < math.radians(30)
     # It is the same wherever the saucer stands, and however that is turned.
     moved = saucer.model_copy(update={"xy": (0.1, 0.2), "yaw": 1.0})
-    assert settled(moved, spoon) == rested
+    assert settle(moved, spoon) == rested
 
 
 def test_what_falls_off_is_left_as_it_was_seen():
     _, saucer, spoon = on_saucer(xy=(0.0, 0.2))
-    assert settled(saucer, spoon) is None
+    assert settle(saucer, spoon) is None
 
 
 def test_a_block_in_an_open_drawer_lies_flat_and_the_drawer_stays_open():
@@ -69,7 +69,7 @@ def test_a_block_in_an_open_drawer_lies_flat_and_the_drawer_stays_open():
         yaw=0.4,
         base_tilt=TILTED,
     )
-    rested = settled(cabinet, block)
+    rested = settle(cabinet, block)
     assert rested is not None
     assert rotate(rested.base_tilt, np.array([0.0, 0.0, 1.0]))[2] == pytest.approx(1.0, abs=1e-4)
     assert rested.xy == pytest.approx((0.0, 0.0), abs=0.015)
@@ -94,6 +94,6 @@ def test_what_overlaps_in_the_parent_itself_does_not_matter():
     block = scenes.single("block", (Box(size=(0.05, 0.06, 0.03)), (0, 0, 0.015)))
     case = SceneObject(name="case", spec=spec, environment=True)
     item = SceneObject(name="block", spec=block, parent="case", z=0.13, base_tilt=TILTED)
-    rested = settled(case, item)
+    rested = settle(case, item)
     assert rested is not None
     assert rested.z == pytest.approx(0.12, abs=5e-4)
