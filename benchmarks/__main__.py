@@ -8,8 +8,7 @@ from tyro.conf import DisallowNone, FlagCreatePairsOff
 
 from benchmarks.suites import SUITES
 from neoworld_mjx import cli
-from neoworld_mjx.arguments import suite_commands
-from neoworld_mjx.commands import run_suite
+from neoworld_mjx.commands.bench_commands import suite_commands
 
 
 def main(args: Sequence[str] | None = None) -> None:
@@ -21,7 +20,7 @@ def main(args: Sequence[str] | None = None) -> None:
         args=args,
         config=(FlagCreatePairsOff, DisallowNone),
     )
-    sys.exit(cli.run(command, run_suite))
+    sys.exit(cli.run(command))
 
 
 if __name__ == "__main__":

@@ -9,15 +9,14 @@ import logging
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any, Union
 
 import tyro
-from tyro.conf import DisallowNone, FlagCreatePairsOff
+from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes, subcommand
 
-from .arguments import Command, Common
 from .bench.suites import DEVELOPER_SUITES
-from .commands import COMMANDS, Answer
+from .commands import COMMANDS, Answer, Command
 from .errors import NeoWorldError
 
 BAD_INPUT, FAILED, BUG, INTERRUPTED = 2, 1, 70, 130
@@ -33,8 +32,12 @@ def main(args: Sequence[str] | None = None) -> None:
             file=sys.stderr,
         )
         sys.exit(BAD_INPUT)
+    choices = [
+        OmitSubcommandPrefixes[Annotated[command, subcommand(name)]]
+        for name, command in COMMANDS.items()
+    ]
     command: Any = tyro.cli(
-        Command,  # pyright: ignore[reportArgumentType]
+        Union[tuple(choices)],  # noqa: UP007
         prog="neoworld",
         description="One photograph in, a scene out that a robot can touch.",
         args=args,
@@ -43,17 +46,12 @@ def main(args: Sequence[str] | None = None) -> None:
     sys.exit(run(command))
 
 
-def run(command: Common, function: Callable[[Any], Answer] | None = None) -> int:
-    """Run a parsed command, print its answer and return the exit code.
-
-    Args:
-        command: the arguments.
-        function: what to run them with; by default the command of their type.
-    """
+def run(command: Command) -> int:
+    """Run a parsed command, print its answer and return the exit code."""
     _show_progress(quiet=command.quiet)
     with _reserved_stdout() as out:
         try:
-            answer = (function or COMMANDS[type(command)])(command)
+            answer = command.run()
             code = FAILED if answer.get("passed") is False else 0
         except NeoWorldError as error:
             answer, code = {"error": str(error)}, BAD_INPUT

@@ -2,49 +2,61 @@ import json
 import os
 import subprocess
 import sys
+from typing import NamedTuple
 
 import pytest
 from PIL import Image
 
-from neoworld_mjx import arguments, cli, commands, run_folder
-from neoworld_mjx.config import Config
+from neoworld_mjx import cli
+from neoworld_mjx.commands.doctor_command import DoctorCommand
+from neoworld_mjx.commands.object_commands import CheckCommand
+from neoworld_mjx.config import Config, list_options
 from neoworld_mjx.errors import ConfigError
+from neoworld_mjx.mllm import PROVIDERS
 from neoworld_mjx.run_folder import RunFolder
 
 
-def _neoworld(*args, **environment):
-    return subprocess.run(
-        [sys.executable, "-m", "neoworld_mjx.cli", *map(str, args)],
-        capture_output=True,
-        text=True,
-        env={**os.environ, **environment},
-        timeout=120,
-    )
+class Ended(NamedTuple):
+    returncode: int
+    stdout: str
+    stderr: str
 
 
-def _fails(done, *said):
-    assert done.returncode == 2, done.stderr
-    assert "Traceback" not in done.stderr
-    for words in said:
-        assert words in done.stderr
-    return done
+@pytest.fixture
+def neoworld(capfd):
+    """Run the command line in this process."""
+
+    def run(*words):
+        with pytest.raises(SystemExit) as ended:
+            cli.main([str(word) for word in words])
+        return Ended(ended.value.code, *capfd.readouterr())
+
+    return run
 
 
-def test_help_names_the_commands():
-    done = _neoworld("--help")
+def assert_refused(ended, *expected):
+    assert ended.returncode == 2, ended.stderr
+    assert "Traceback" not in ended.stderr
+    for words in expected:
+        assert words in ended.stderr
+
+
+def test_help_names_the_commands(neoworld):
+    done = neoworld("--help")
     assert done.returncode == 0
     for command in ("reconstruct", "check", "build", "render", "report", "doctor"):
         assert command in done.stdout
 
 
-@pytest.mark.parametrize("how", [(), ("--json",)])
-def test_a_reader_that_has_read_enough_is_no_error(how):
-    command = [sys.executable, "-m", "neoworld_mjx.cli", "doctor", *how]
+def test_a_reader_that_stops_early_is_no_error(tmp_path):
+    with RunFolder(tmp_path / "out", Config()):
+        pass
+    command = [sys.executable, "-m", "neoworld_mjx.cli", "report", str(tmp_path / "out")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
         running.stdout.close()
-        said = running.stderr.read().decode()
+        log = running.stderr.read().decode()
     assert running.returncode == 0
-    assert "BrokenPipe" not in said and "Traceback" not in said
+    assert "BrokenPipe" not in log and "Traceback" not in log
 
 
 def test_help_imports_nothing_heavy():
@@ -58,21 +70,25 @@ def test_help_imports_nothing_heavy():
     assert done.stdout.splitlines()[-1] == "[]", done.stderr
 
 
-def test_steps_are_those_of_a_run():
-    assert arguments.Step.__args__ == run_folder.STEPS
+def test_help_and_the_pages_of_options_name_every_provider(neoworld):
+    provider = next(option for option in list_options(Config) if option.path == "provider")
+    text = neoworld("reconstruct", "--help").stdout
+    for name in PROVIDERS:
+        assert name in provider.meaning
+        assert name in text
 
 
-def test_a_misspelt_flag_names_its_neighbour():
-    _fails(_neoworld("reconstruct", "a.png", "--out", "x", "--resum"), "--resume")
+def test_a_misspelt_flag_names_its_neighbour(neoworld):
+    assert_refused(neoworld("reconstruct", "a.png", "--out", "x", "--resum"), "--resume")
 
 
-def test_a_misspelt_command_names_the_commands():
-    _fails(_neoworld("reconstrut", "a.png"), "reconstruct", "doctor")
+def test_a_misspelt_command_names_the_commands(neoworld):
+    assert_refused(neoworld("reconstrut", "a.png"), "reconstruct", "doctor")
 
 
-def test_a_misspelt_step_names_the_steps():
-    done = _neoworld("reconstruct", "a.png", "--out", "x", "--until", "pars")
-    _fails(done, "parse", "export")
+def test_a_misspelt_step_names_the_steps(neoworld):
+    done = neoworld("reconstruct", "a.png", "--out", "x", "--until", "pars")
+    assert_refused(done, "parse", "export")
 
 
 @pytest.mark.parametrize(
@@ -84,40 +100,39 @@ def test_a_misspelt_step_names_the_steps():
         ("seed=[1", "not a YAML value"),
     ],
 )
-def test_wrong_settings_are_one_message(tmp_path, setting, said):
-    done = _neoworld("render", tmp_path, "--set", setting)
-    _fails(done, said)
+def test_wrong_settings_are_one_message(neoworld, tmp_path, setting, said):
+    done = neoworld("render", tmp_path, "--set", setting)
+    assert_refused(done, said)
     assert len(done.stderr.strip().splitlines()) == 1
 
 
-def test_a_misspelt_key_in_a_config_file_names_file_and_neighbour(tmp_path):
+def test_a_misspelt_key_in_a_config_file_names_file_and_neighbour(neoworld, tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text("refine:\n  rewards:\n    w_pen: 3\n")
-    done = _neoworld("check", tmp_path, "--config", file)
-    _fails(done, str(file), "refine.rewards", "did you mean 'reward'")
+    done = neoworld("check", tmp_path, "--config", file)
+    assert_refused(done, str(file), "refine.rewards", "did you mean 'reward'")
 
 
 def test_flags_win_over_settings_and_settings_over_the_file(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text("seed: 1\nrefine: {cem: {population: 4, iterations: 2}}\n")
     settings = ("refine.cem.population=8", "seed=2")
-    command = arguments.Check(target=tmp_path, config=file, set=settings)
-    config = commands._config(command, seed=3)
+    config = CheckCommand(target=tmp_path, config=file, set=settings).load_config({"seed": 3})
     assert (config.seed, config.refine.cem.population, config.refine.cem.iterations) == (3, 8, 2)
     with pytest.raises(ConfigError, match="set to a value already"):
-        commands._config(arguments.Check(target=tmp_path, set=("seed=1", "seed.x=1")))
+        CheckCommand(target=tmp_path, set=("seed=1", "seed.x=1")).load_config()
 
 
 @pytest.mark.parametrize("out_is_a_file", [True, False])
-def test_bad_input_is_one_message_and_leaves_no_folder(tmp_path, out_is_a_file):
+def test_bad_input_is_one_message_and_leaves_no_folder(neoworld, tmp_path, out_is_a_file):
     photo, out = tmp_path / "photo.png", tmp_path / "out"
     if out_is_a_file:
         Image.new("RGB", (64, 64)).save(photo)
         out.write_text("precious")
     else:
         photo.write_text("no picture")
-    done = _neoworld("reconstruct", photo, "--out", out, "--json", "--provider", "mailbox")
-    _fails(done, str(out if out_is_a_file else photo))
+    done = neoworld("reconstruct", photo, "--out", out, "--json", "--provider", "mailbox")
+    assert_refused(done, str(out if out_is_a_file else photo))
     assert json.loads(done.stdout).keys() == {"error"}
     assert out.exists() == out_is_a_file
 
@@ -131,22 +146,22 @@ block.part("body", material=wood).add(box((0.04, 0.04, 0.03)), at=(0, 0, 0), by=
 """
 
 
-def test_a_program_becomes_its_files(tmp_path):
+def test_a_program_becomes_its_files(neoworld, tmp_path):
     program = tmp_path / "block.py"
     program.write_text(PROGRAM)
-    done = _neoworld("build", program, "--out", tmp_path / "out", "--json")
+    done = neoworld("build", program, "--out", tmp_path / "out", "--json")
     assert done.returncode == 0, done.stdout + done.stderr
     assert json.loads(done.stdout)["object"] == "block"
     files = {path.name for path in (tmp_path / "out").iterdir()}
     assert files >= {"object.urdf", "object.usda", "object.xml", "program.py", "spec.json"}
-    _fails(_neoworld("build", program, "--out", tmp_path / "out"), "--overwrite")
-    assert _neoworld("check", program).returncode == 0
+    assert_refused(neoworld("build", program, "--out", tmp_path / "out"), "--overwrite")
+    assert neoworld("check", program).returncode == 0
 
 
-def test_a_program_that_fails_writes_nothing_and_exits_1(tmp_path):
+def test_a_program_that_fails_writes_nothing_and_exits_1(neoworld, tmp_path):
     program = tmp_path / "block.py"
     program.write_text(PROGRAM.replace("box(", "bax("))
-    done = _neoworld("build", program, "--out", tmp_path / "out", "--json")
+    done = neoworld("build", program, "--out", tmp_path / "out", "--json")
     assert done.returncode == 1, done.stderr
     assert "bax" in json.loads(done.stdout)["signals"][0]["message"]
     assert not (tmp_path / "out").exists()
@@ -161,44 +176,38 @@ def test_a_program_that_fails_writes_nothing_and_exits_1(tmp_path):
         ("scene.json", '{"objects": []}', "is not a scene: objects"),
     ],
 )
-def test_what_cannot_be_checked_is_one_message(tmp_path, name, content, said):
+def test_what_cannot_be_checked_is_one_message(neoworld, tmp_path, name, content, said):
     target = tmp_path / (name or "nothing.json")
     if content is not None:
         target.write_text(content)
-    _fails(_neoworld("check", target), said, str(target))
+    assert_refused(neoworld("check", target), said, str(target))
 
 
-def test_json_puts_an_error_on_stdout_and_on_stderr(tmp_path):
-    done = _neoworld("report", tmp_path, "--json")
-    _fails(done, "error: ", "not a run folder")
+def test_json_puts_an_error_on_stdout_and_on_stderr(neoworld, tmp_path):
+    done = neoworld("report", tmp_path, "--json")
+    assert_refused(done, "error: ", "not a run folder")
     answer = json.loads(done.stdout)
     assert "not a run folder" in answer["error"]
 
 
-def test_report_of_an_unfinished_run(tmp_path):
+def test_report_of_an_unfinished_run(neoworld, tmp_path):
     with RunFolder(tmp_path / "out", Config()):
         pass
-    done = _neoworld("report", tmp_path / "out", "--json")
+    done = neoworld("report", tmp_path / "out", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == {"report": str(tmp_path / "out" / "report.html")}
     assert (tmp_path / "out" / "report.html").stat().st_size > 1000
 
 
-def test_whatever_prints_meanwhile_stays_out_of_the_json(capfd):
-    command = arguments.Doctor(json=True)
-
+def test_prints_of_other_code_stay_out_of_the_json(capfd, monkeypatch):
     def noisy(_):
         print("from Python")
         os.system("echo from C")
         return {"a": 1}
 
-    before = commands.COMMANDS[arguments.Doctor]
-    commands.COMMANDS[arguments.Doctor] = noisy
-    try:
-        sys.stdout.flush()
-        assert cli.run(command) == 0
-    finally:
-        commands.COMMANDS[arguments.Doctor] = before
+    monkeypatch.setattr(DoctorCommand, "run", noisy)
+    sys.stdout.flush()
+    assert cli.run(DoctorCommand(json=True)) == 0
     out, err = capfd.readouterr()
     assert json.loads(out) == {"a": 1}
     assert "from C" in err
@@ -211,19 +220,21 @@ def test_exit_codes_of_errors(monkeypatch, capsys, raised, code):
     def fails(_):
         raise raised
 
-    monkeypatch.setitem(commands.COMMANDS, arguments.Doctor, fails)
-    assert cli.run(arguments.Doctor()) == code
+    monkeypatch.setattr(DoctorCommand, "run", fails)
+    assert cli.run(DoctorCommand()) == code
     assert capsys.readouterr().err.startswith("Traceback" if code == 70 else "error: ")
 
 
 def test_a_scene_that_fails_exits_1(monkeypatch):
-    monkeypatch.setitem(commands.COMMANDS, arguments.Doctor, lambda _: {"passed": False})
-    assert cli.run(arguments.Doctor(quiet=True)) == 1
+    monkeypatch.setattr(DoctorCommand, "run", lambda _: {"passed": False})
+    assert cli.run(DoctorCommand(quiet=True)) == 1
 
 
-def test_doctor_says_what_is_here_and_shows_no_key(tmp_path):
+def test_doctor_lists_what_is_installed_and_shows_no_key(neoworld, tmp_path, monkeypatch):
     secret = "sk-ant-very-secret"
-    done = _neoworld("doctor", "--json", ANTHROPIC_API_KEY=secret, NEOWORLD_CACHE=tmp_path)
+    monkeypatch.setenv("ANTHROPIC_API_KEY", secret)
+    monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path))
+    done = neoworld("doctor", "--json")
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
     assert answer["keys"]["ANTHROPIC_API_KEY"] is True

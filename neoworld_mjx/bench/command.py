@@ -22,7 +22,7 @@ from .physics import PhysicsRow, physics
 from .rows import collect, plain
 
 if TYPE_CHECKING:
-    from ..arguments import BenchChart
+    from ..commands.bench_commands import BenchChartCommand
 
 
 def physics_answer(o: suites.Physics) -> dict[str, Any]:
@@ -83,7 +83,7 @@ def refine_answer(o: suites.Refine, config: Config) -> dict[str, Any]:
     return {**summary(rows), "machine": machine(), "rows": plain(rows)}
 
 
-def chart_answer(o: "BenchChart") -> dict[str, Any]:
+def chart_answer(o: "BenchChartCommand") -> dict[str, Any]:
     """Draw the growth of cost from stored rows."""
     try:
         answer = json.loads(o.rows.read_text(encoding="utf-8"))

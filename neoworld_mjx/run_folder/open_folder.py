@@ -19,6 +19,7 @@ from typing import Any
 from ..config import Config
 from ..errors import NeoWorldError, RunError, choices
 from ..files import content_hash, write_atomic
+from ..step_names import STEPS
 from .run_json import read_run, running, strict_json
 from .staging import (
     STAGING,
@@ -30,7 +31,6 @@ from .staging import (
     set_aside,
 )
 
-STEPS = ("parse", "program", "verify", "compose", "refine", "export")
 _log = logging.getLogger(__name__)
 
 

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from neoworld_mjx import arguments, cli
+from neoworld_mjx import cli
 from neoworld_mjx.bench import physics as timing
 from neoworld_mjx.bench.agreement import ModelRow, VerdictRow, agreed, agreement
 from neoworld_mjx.bench.growth import growth, growth_svg
@@ -229,14 +229,18 @@ def test_the_kernel_is_taken_from_where_it_was_faster_for_good():
         dispatch(some[:1])
 
 
+def _exit_code(*words):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["bench", *words])
+    return ended.value.code
+
+
 def test_the_command_prints_rows(capfd, tmp_path, monkeypatch):
     monkeypatch.setattr(timing, "_in_a_process", measure)
     chart, rows = tmp_path / "growth.svg", tmp_path / "rows.json"
-    suite = arguments.BenchPhysics(
-        json=True, objects=(3,), population=(8,), engine=("native",), duration=0.1, chart=chart
-    )
-    command = arguments.Bench(task=arguments.BenchRun(suite=suite))
-    assert cli.run(command) == 0
+    options = ["--objects", "3", "--population", "8", "--engine", "native", "--duration", "0.1"]
+    options += ["--chart", str(chart), "--json"]
+    assert _exit_code("run", "physics", *options) == 0
     text = capfd.readouterr().out
     answer = json.loads(text)
     wanted = {"engine", "objects", "population", "steps", "early_stop", "candidates_per_s"}
@@ -245,13 +249,11 @@ def test_the_command_prints_rows(capfd, tmp_path, monkeypatch):
     assert len(answer["rows"]) == 2 and all(wanted <= set(row) for row in answer["rows"])
     assert answer["machine"]["versions"]["mujoco"] == mujoco.__version__
     rows.write_text(text)
-    again = arguments.BenchChart(rows=rows, out=tmp_path / "again.svg")
-    assert cli.run(arguments.Bench(task=again)) == 0
+    assert _exit_code("chart", str(rows), "--out", str(tmp_path / "again.svg")) == 0
     assert (tmp_path / "again.svg").read_bytes() == chart.read_bytes()
 
 
 def test_a_file_without_rows_is_named(tmp_path, capsys):
     (tmp_path / "x.json").write_text("{}")
-    task = arguments.BenchChart(rows=tmp_path / "x.json", out=tmp_path / "x.svg")
-    assert cli.run(arguments.Bench(task=task)) == 2
+    assert _exit_code("chart", str(tmp_path / "x.json"), "--out", str(tmp_path / "x.svg")) == 2
     assert "x.json is not what bench run physics --json prints" in capsys.readouterr().err

@@ -175,18 +175,18 @@ def test_scenes_must_be_there_and_different():
 
 
 def test_the_commands(tmp_path, capfd):
-    from neoworld_mjx.arguments import Ablate, Sweep
     from neoworld_mjx.cli import run as command
+    from neoworld_mjx.commands.sweep_commands import AblateCommand, SweepCommand
 
     path = tmp_path / "plan.yaml"
     path.write_text(yaml.safe_dump(plan(seeds=[0], drift=[1]) | {"scenes": ["crowded:2"]}))
-    assert command(Sweep(plan=path, out=tmp_path / "out", json=True)) == 0
+    assert command(SweepCommand(plan=path, out=tmp_path / "out", json=True)) == 0
     told = json.loads(capfd.readouterr().out)
     assert (told["runs"], told["points"][0]["n"]) == (1, 1)
     assert told["points"][0]["reward_low"] is None  # one run has no interval
-    assert command(Sweep(plan=path, out=tmp_path / "out", json=True)) == 2
+    assert command(SweepCommand(plan=path, out=tmp_path / "out", json=True)) == 2
     assert "--resume" in json.loads(capfd.readouterr().out)["error"]
-    assert command(Ablate(plan=path, out=tmp_path / "b", json=True)) == 2
+    assert command(AblateCommand(plan=path, out=tmp_path / "b", json=True)) == 2
     assert "unknown key axes" in json.loads(capfd.readouterr().out)["error"]
     assert not (tmp_path / "b").exists()
 

@@ -1,0 +1,28 @@
+"""The commands of `neoworld`: a dataclass each, whose fields are its flags and whose `run` does it.
+
+To add a command, write its class and add a row to `COMMANDS`. Heavy packages are imported inside of
+`run`, so that `--help` is quick.
+"""
+
+from .base_command import Answer, Command
+from .bench_commands import BenchCommand
+from .doctor_command import DoctorCommand
+from .object_commands import BuildCommand, CheckCommand
+from .run_commands import ReconstructCommand, RefineCommand, RenderCommand, ReportCommand
+from .sweep_commands import AblateCommand, SweepCommand
+
+COMMANDS: dict[str, type] = {
+    "reconstruct": ReconstructCommand,
+    "refine": RefineCommand,
+    "check": CheckCommand,
+    "build": BuildCommand,
+    "render": RenderCommand,
+    "report": ReportCommand,
+    "sweep": SweepCommand,
+    "ablate": AblateCommand,
+    "doctor": DoctorCommand,
+    "bench": BenchCommand,
+}
+"""Commands by name, in the order of the help."""
+
+__all__ = ["COMMANDS", "Answer", "Command"]

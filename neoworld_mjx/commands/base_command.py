@@ -1,0 +1,77 @@
+"""What all commands share: the flags of output, and the configuration."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tyro.conf import UseAppendAction
+
+from ..errors import ConfigError
+
+if TYPE_CHECKING:
+    from ..config import Config
+
+Answer = dict[str, Any]
+"""A JSON object; its entry "passed" decides the exit code."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """Options of every command."""
+
+    json: bool = False
+    """Print one JSON object on stdout, and everything else on stderr."""
+    quiet: bool = False
+    """Print no progress."""
+
+    def run(self) -> Answer:
+        """Do the work and return what is to be printed.
+
+        Raises:
+            NeoWorldError: the input is wrong.
+        """
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConfiguredCommand(Command):
+    """Options of the commands that take a configuration."""
+
+    config: Path | None = None
+    """YAML of options; only what differs from the defaults."""
+    set: UseAppendAction[tuple[str, ...]] = ()
+    """One option as KEY=VALUE, such as --set refine.cem.population=64; may be repeated."""
+
+    def load_config(self, flags: dict[str, Any] | None = None) -> "Config":
+        """Lay --set over the file, and the command's own flags over both.
+
+        Args:
+            flags: values by path of the option; None is a flag that was not given.
+        """
+        import yaml
+
+        from ..config import load_config
+
+        overrides: dict[str, Any] = {}
+        for setting in self.set:
+            key, equals, value = setting.partition("=")
+            if not equals or not key:
+                raise ConfigError(f"--set takes KEY=VALUE, such as seed=3, got {setting!r}")
+            try:
+                _put(overrides, key, yaml.safe_load(value))
+            except yaml.YAMLError:
+                raise ConfigError(f"--set {key}: {value!r} is not a YAML value") from None
+        for key, value in (flags or {}).items():
+            if value is not None:
+                _put(overrides, key, value)
+        return load_config(self.config, overrides)
+
+
+def _put(tree: dict[str, Any], key: str, value: Any) -> None:
+    *path, last = key.split(".")
+    for name in path:
+        inner = tree.setdefault(name, {})
+        if not isinstance(inner, dict):
+            raise ConfigError(f"--set {key}: {name} is set to a value already")
+        tree = inner
+    tree[last] = value

@@ -1,0 +1,98 @@
+"""The command bench: suites of the tables in `bench.suites` and `benchmarks.suites`, and charts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Union
+
+from tyro.conf import Positional, subcommand
+
+from ..bench.suites import SUITES, Suite
+from .base_command import Answer, Command, ConfiguredCommand
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchChartCommand(Command):
+    """Draw the growth of cost from the JSON that `bench run physics` printed."""
+
+    rows: Positional[Path]
+    """File with what `bench run physics --json` printed."""
+    out: Path
+    """SVG file to write."""
+    core: bool = False
+    """Draw processor time, which a busy machine does not change."""
+
+    def run(self) -> Answer:
+        """Draw the chart."""
+        from ..bench.command import chart_answer
+
+        return chart_answer(self)
+
+
+class SuiteCommand:
+    """Runs a benchmark suite; `suite_commands` adds the suite's options."""
+
+    suite: ClassVar[Suite]
+
+    def run(self) -> Answer:
+        """Run the suite."""
+        from ..cache import keep_compilations
+
+        keep_compilations()
+        function = self.suite.load()
+        if isinstance(self, ConfiguredCommand):
+            return function(self, self.load_config())
+        return function(self)
+
+
+def suite_commands(suites: Mapping[str, Suite]) -> Any:
+    """Return the union of the commands that run the suites of a table, for tyro."""
+    commands = []
+    for name, suite in suites.items():
+        bases = (SuiteCommand, suite.options, ConfiguredCommand if suite.configured else Command)
+        fields = {"__doc__": suite.options.__doc__, "__module__": __name__, "suite": suite}
+        command = dataclass(frozen=True, kw_only=True)(type(f"Bench{name.title()}", bases, fields))
+        commands.append(Annotated[command, subcommand(name)])
+    return Union[tuple(commands)]  # noqa: UP007
+
+
+if TYPE_CHECKING:
+    SuiteChoice = Any
+else:
+    SuiteChoice = suite_commands(SUITES)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchRunCommand:
+    """Run a benchmark."""
+
+    suite: SuiteChoice
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchCommand:
+    """Measure speed and agreement of engines, and the quality of refinement."""
+
+    task: (
+        Annotated[BenchRunCommand, subcommand("run")]
+        | Annotated[BenchChartCommand, subcommand("chart")]
+    )
+
+    @property
+    def inner(self) -> Any:
+        """The command at the end of the nested ones."""
+        return self.task.suite if isinstance(self.task, BenchRunCommand) else self.task
+
+    @property
+    def json(self) -> bool:
+        """See Command."""
+        return self.inner.json
+
+    @property
+    def quiet(self) -> bool:
+        """See Command."""
+        return self.inner.quiet
+
+    def run(self) -> Answer:
+        """Run the suite, or draw the chart."""
+        return self.inner.run()

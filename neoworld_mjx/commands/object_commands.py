@@ -1,0 +1,120 @@
+"""Commands of objects and scenes by themselves: check, build."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tyro.conf import Positional
+
+from ..errors import RunError, SpecError
+from .base_command import Answer, ConfiguredCommand
+
+if TYPE_CHECKING:
+    from ..program import Built
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckCommand(ConfiguredCommand):
+    """Check a scene or an object: every verdict with its number and threshold."""
+
+    target: Positional[Path]
+    """A run folder, a scene.json, a program (.py), a URDF or an MJCF file."""
+    fixed_base: bool = False
+    """Hold the object's base fixed: check only its joints."""
+    repair: bool = False
+    """Repair what a number says how to repair; a program's patch is written beside it."""
+    out: Path | None = None
+    """With --repair: folder to write the repaired object into, in every format."""
+
+    def run(self) -> Answer:
+        """Measure the scene, or verify the object."""
+        config = self.load_config()
+        suffix = self.target.suffix.lower()
+        if suffix in (".usd", ".usda", ".usdc", ".usdz"):
+            raise SpecError(f"{self.target}: USD is not read yet; check the URDF or MJCF beside it")
+        if suffix in (".py", ".urdf", ".xml", ".mjcf"):
+            from ..verify.checking import check_object
+
+            return check_object(
+                self.target,
+                config,
+                fixed_base=self.fixed_base,
+                mend=self.repair,
+                out=self.out,
+            )
+        if self.repair or self.fixed_base or self.out is not None:
+            raise SpecError(f"{self.target}: a scene is only measured; use refine to repair it")
+        from ..measure.stability import scene_measure
+        from ..spec import read_scene
+
+        limits = config.refine
+        measure = scene_measure(
+            read_scene(self.target),
+            duration=limits.check_duration_s,
+            timestep=limits.check_timestep_s,
+            max_depth=limits.max_depth_m,
+            max_drift=limits.max_drift_m,
+            max_tilt=limits.max_tilt_deg,
+        )
+        checks = [
+            ("max_depth_m", measure.max_depth_m, limits.max_depth_m, not measure.s_pen),
+            ("max_drift_m", measure.max_drift_m, limits.max_drift_m, measure.s_stab),
+            ("max_tilt_deg", measure.max_tilt_deg, limits.max_tilt_deg, measure.s_stab),
+        ]
+        return {
+            "target": str(self.target),
+            "passed": not measure.s_pen and measure.s_stab is not False,
+            "checks": [
+                {"name": name, "value": value, "threshold": limit, "passed": passed}
+                for name, value, limit, passed in checks
+            ],
+            **measure.model_dump(),
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class BuildCommand(ConfiguredCommand):
+    """Turn an object's program into URDF, USD, MJCF and pictures."""
+
+    program: Positional[Path]
+    """The program (.py)."""
+    out: Path
+    """Folder to write; a new or empty one."""
+    overwrite: bool = False
+    """Write into a folder that is not empty."""
+    watch: bool = False
+    """Build again whenever the program is saved, until Ctrl-C; each build prints a line."""
+
+    def run(self) -> Answer:
+        """Build the program and write its object in every format."""
+        from ..program.watch import watch, write_built
+        from ..verify.patch import overlay_path
+        from ..verify.patched import build_patched, read_program
+
+        out = self.out
+        if out.exists() and not out.is_dir():
+            raise RunError(f"{out} is a file; name a folder")
+        if out.is_dir() and any(out.iterdir()) and not self.overwrite:
+            raise RunError(f"{out} is not empty: name a new folder, or use --overwrite")
+        options = self.load_config().program
+        if self.watch:
+            read_program(self.program)  # Report a missing file at once.
+            beside = (overlay_path(self.program),)
+            build = lambda program: build_patched(program, options)
+            return {"folder": str(out), "builds": watch(self.program, out, build, beside)}
+        patched = build_patched(self.program, options)
+        built = patched.built
+        answer: Answer = {"passed": built.ok, "signals": _signals(built)}
+        if built.spec is None or not built.ok:
+            return answer
+        if patched.patch is not None:
+            answer["overlay"] = {
+                "changes": list(patched.patch.changes()),
+                "stale": list(patched.stale),
+            }
+        write_built(patched, out)
+        return {"object": built.spec.name, "folder": str(out), **answer}
+
+
+def _signals(built: "Built") -> list[dict[str, Any]]:
+    return [{"code": s.code, **s.model_dump(exclude_defaults=True)} for s in built.signals]

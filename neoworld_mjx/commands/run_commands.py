@@ -1,0 +1,141 @@
+"""Commands of a run: reconstruct, refine, render, report."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from tyro.conf import Positional, UseAppendAction, arg
+
+from ..engines import EngineChoice
+from ..errors import RunError
+from ..step_names import Step
+from .base_command import Answer, Command, ConfiguredCommand
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReconstructCommand(ConfiguredCommand):
+    """Turn a photograph into a scene that simulates."""
+
+    photo: Positional[Path]
+    """The photograph."""
+    out: Path
+    """Run folder to write; a new or empty one, or a run to go on with."""
+    provider: str | None = None
+    """Where models' answers come from: auto, anthropic, openai, replay or mailbox."""
+    engine: EngineChoice | None = None
+    """Physics engine of the refine step."""
+    seed: int | None = None
+    """Seed of the search."""
+    until: Step | None = None
+    """Stop after this step."""
+    resume: bool = False
+    """Go on with the run in --out: keep the finished steps whose inputs have not changed."""
+    start: Annotated[Step | None, arg(name="from")] = None
+    """Do this step of the run in --out again, and all after it."""
+    overwrite: bool = False
+    """Replace the run in --out."""
+    record: Path | None = None
+    """Record the models' answers on this tape, and take from it those that it holds."""
+    tape: UseAppendAction[tuple[Path, ...]] = ()
+    """Tape of answers, or folder of tapes, read before those of the package; may be repeated."""
+    mailbox: Path | None = None
+    """Folder of requests and answers, for the provider mailbox."""
+
+    def run(self) -> Answer:
+        """Run the five steps."""
+        from ..cache import keep_compilations
+        from ..pipeline import reconstruct
+
+        config = self.load_config(
+            {"provider": self.provider, "refine.rollout.engine": self.engine, "seed": self.seed}
+        )
+        keep_compilations()
+        result = reconstruct(
+            self.photo,
+            self.out,
+            config,
+            until=self.until,
+            resume=self.resume,
+            start=self.start,
+            overwrite=self.overwrite,
+            record=self.record,
+            mailbox=self.mailbox,
+            tapes=self.tape,
+        )
+        return result.summary()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefineCommand(ConfiguredCommand):
+    """Refine the composed scene of a run again, and export it; the steps before are kept.
+
+    Without --config and --set the options are those that the run was made with.
+    """
+
+    folder: Positional[Path]
+    """The run folder."""
+    engine: EngineChoice | None = None
+    """Physics engine."""
+    seed: int | None = None
+    """Seed of the search."""
+
+    def run(self) -> Answer:
+        """Refine and export."""
+        from ..cache import keep_compilations
+        from ..pipeline import refine_again
+
+        keep_compilations()
+        over: dict[str, Any] = {}
+        if self.seed is not None:
+            over["seed"] = self.seed
+        if self.engine is not None:
+            over["refine"] = {"rollout": {"engine": self.engine}}
+        config = None
+        if self.config is not None or self.set:
+            config = self.load_config({"refine.rollout.engine": self.engine, "seed": self.seed})
+        return refine_again(self.folder, config, over).summary()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderCommand(ConfiguredCommand):
+    """Take a picture of a scene."""
+
+    target: Positional[Path]
+    """A run folder or a scene.json."""
+    out: Path | None = None
+    """PNG file to write; by default render.png beside the scene."""
+    width: int | None = None
+    """Of the picture, in pixels."""
+
+    def run(self) -> Answer:
+        """Ray-cast the scene with its own camera."""
+        from ..files import write_atomic
+        from ..render import render_scene, to_png
+        from ..spec import read_scene
+
+        options = self.load_config().render
+        scene = read_scene(self.target)
+        folder = self.target if self.target.is_dir() else self.target.parent
+        out = self.out or folder / "render.png"
+        picture = render_scene(
+            scene, width=self.width or options.width, supersample=options.supersample
+        )
+        try:
+            write_atomic(out, to_png(picture))
+        except OSError as error:
+            raise RunError(f"cannot write {out}: {error.strerror}") from None
+        return {"picture": str(out), "size": [picture.color.shape[1], picture.color.shape[0]]}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportCommand(Command):
+    """Write report.html of a run, finished or not."""
+
+    folder: Positional[Path]
+    """The run folder."""
+
+    def run(self) -> Answer:
+        """Write the report."""
+        from ..view.report import write_report
+
+        return {"report": str(write_report(self.folder))}

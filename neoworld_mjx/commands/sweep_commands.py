@@ -1,0 +1,62 @@
+"""Commands that refine scenes many times: sweep, ablate."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from .base_command import Answer, Command
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepCommand(Command):
+    """Refine scenes with every combination of some options' values, with several seeds."""
+
+    plan: Positional[Path]
+    """YAML that names scenes, base options, axes and seeds."""
+    out: Path
+    """Folder to write results.parquet, table.md and sweep.json into; a new or empty one."""
+    resume: bool = False
+    """Go on with the sweep in --out: keep the runs that are there."""
+    overwrite: bool = False
+    """Replace the sweep in --out."""
+
+    def run(self) -> Answer:
+        """Run the sweep."""
+        return _run_plan(self, ablation=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AblateCommand(Command):
+    """Refine scenes with a base and named changes of it, and list their differences."""
+
+    plan: Positional[Path]
+    """YAML that names scenes, base options, variants and seeds."""
+    out: Path
+    """Folder to write results.parquet, table.md and sweep.json into; a new or empty one."""
+    resume: bool = False
+    """Go on with the ablation in --out: keep the runs that are there."""
+    overwrite: bool = False
+    """Replace the ablation in --out."""
+
+    def run(self) -> Answer:
+        """Run the ablation."""
+        return _run_plan(self, ablation=True)
+
+
+def _run_plan(command: SweepCommand | AblateCommand, *, ablation: bool) -> Answer:
+    from ..bench.named import named
+    from ..cache import keep_compilations
+    from ..sweeps import Case, ablate, answer, sweep
+
+    keep_compilations()
+    result = (ablate if ablation else sweep)(
+        command.plan,
+        command.out,
+        sources={
+            kind: lambda name, make=make: Case(**make(name)) for kind, make in named().items()
+        },
+        resume=command.resume,
+        overwrite=command.overwrite,
+    )
+    return answer(result, command.out)
