@@ -24,7 +24,7 @@ from neoworld_mjx.mllm.anthropic import Anthropic
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import SceneModel, compile_scene
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.refinement.asking import drawer
+from neoworld_mjx.refinement.score_worker import drawer
 from neoworld_mjx.refinement.scorer import SemanticScorer
 from neoworld_mjx.spec import Camera, SceneSpec
 from tests.support.messages import MessagesServer, levels_of

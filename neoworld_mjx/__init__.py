@@ -15,18 +15,22 @@ if TYPE_CHECKING:
     from .pipeline import reconstruct as reconstruct
     from .refinement import rewards as rewards
     from .refinement.cem import CEM as CEM
-    from .refinement.loop import refine as refine
+    from .refinement.cem import CEMParams as CEMParams
+    from .refinement.cem import CEMState as CEMState
+    from .refinement.scene_refinement import refine as refine
     from .sweeps.run import sweep as sweep
 
 __version__ = "0.1.0"
 
 _HOMES = {
     "CEM": "refinement.cem",
+    "CEMParams": "refinement.cem",
+    "CEMState": "refinement.cem",
     "Layout": "physics.layout",
     "SceneModel": "physics.model",
     "load_scene": "physics.model",
     "reconstruct": "pipeline",
-    "refine": "refinement.loop",
+    "refine": "refinement.scene_refinement",
     "rollout": "physics.simulate",
     "sweep": "sweeps.run",
 }
@@ -34,6 +38,8 @@ _MODULES = {"measure": "measure", "rewards": "refinement.rewards"}
 
 __all__ = [
     "CEM",
+    "CEMParams",
+    "CEMState",
     "Layout",
     "SceneModel",
     "load_scene",

@@ -1,23 +1,17 @@
-"""What a refinement is held against: sequential Algorithm 1, random search and CMA-ES."""
+"""Baselines of a refinement, as options of its loop: Algorithm 1, random search and CMA-ES."""
 
-import time
-from typing import Any, NamedTuple
+import math
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 from ..config import RefineOptions
-from ..errors import EngineError
-from ..physics.engine import EarlyStop, Engine, Rollout, record_steps, unplaceable
-from ..physics.layout import Layout, Poses
+from ..physics.engine import EarlyStop, Rollout, record_steps, unplaceable
+from ..physics.layout import Poses
 from ..physics.mjcf import to_mjspec
 from ..physics.model import SceneModel
 from ..physics.recorder import Recorder, joined
-from ..refinement.loop import Search
-from ..refinement.outcome import Round, choose
-from ..refinement.rewards import Scores, placed, score
 from ..spec import SceneSpec
 from ..spec.scene import rearranged
 from .verdicts import started
@@ -87,106 +81,23 @@ def algorithm1(options: RefineOptions) -> RefineOptions:
     )
 
 
-class Searched(NamedTuple):
-    """What a baseline found."""
+def with_budget(options: RefineOptions, optimizer: str, rollouts: int) -> RefineOptions:
+    """Return the options of another optimizer with at least as many rollouts, all of them made.
 
-    best: float
-    """Highest absolute reward."""
-    passed: bool
-    layout: Layout
-    to_valid_s: float
-    total_s: float
-    rollouts: int
+    Random search draws `cem.batch` candidates at once or a few less, CMA-ES CMA_POPULATION. Neither
+    stops before its budget is spent.
 
-
-def random_search(
-    scene: SceneModel, o: RefineOptions, engine: Engine, start: Layout, *, rollouts: int, seed: int
-) -> Searched:
-    """Draw candidates from the initial Gaussian about the start, and take the best."""
-    search = _Baseline(scene, o, engine, start)
-    key = jax.random.key(seed)
-    t = 0
-    while search.rollouts < rollouts:
-        state = search.search.state
-        cem = search.search.cem
-        drawn = cem.ask(jax.random.fold_in(key, t), state, search.search.params)
-        search.judge(drawn[: min(o.cem.batch, rollouts - search.rollouts)])
-        t += 1
-    return search.found()
-
-
-def cma_es(
-    scene: SceneModel, o: RefineOptions, engine: Engine, start: Layout, *, rollouts: int, seed: int
-) -> Searched:
-    """Run CMA-ES (evosax) on the absolute reward, in units of the initial deviations.
-
-    Raises:
-        EngineError: evosax is not installed.
+    Args:
+        options: of the refinement that it is compared with.
+        optimizer: `random` or `cma_es`.
+        rollouts: of that refinement.
     """
-    try:
-        from evosax.algorithms import CMA_ES
-    except ImportError:
-        raise EngineError("baseline cma_es needs evosax: install neoworld-mjx[baselines]") from None
-    search = _Baseline(scene, o, engine, start)
-    params, mean = search.search.params, search.search.state.mean
-    flat, unflat = _unit(params.sigma, mean)
-    es: Any = CMA_ES(population_size=CMA_POPULATION, solution=flat)
-    hyper = es.default_params
-    key = jax.random.key(seed)
-    state = es.init(jax.random.fold_in(key, 0), flat, hyper)
-    t = 0
-    while search.rollouts < rollouts:
-        t += 1
-        drawn, state = es.ask(jax.random.fold_in(key, 2 * t), state, hyper)
-        found = search.judge(jax.vmap(unflat)(drawn))
-        loss = jnp.where(jnp.isfinite(found.absolute), -found.absolute, 1e3)
-        state, _ = es.tell(jax.random.fold_in(key, 2 * t + 1), drawn, loss, state, hyper)
-    return search.found()
-
-
-def _unit(sigma: Layout, mean: Layout) -> tuple[jax.Array, Any]:
-    """Return zero in units of sigma over what moves, and the map from there to a layout."""
-    leaves, tree = jax.tree.flatten(jax.tree.map(lambda x: x[0], sigma))
-    about = jax.tree.leaves(jax.tree.map(lambda x: x[0], mean))
-    free = [np.flatnonzero(np.asarray(leaf).ravel() > 0) for leaf in leaves]
-    ends = np.cumsum([0, *(len(f) for f in free)])
-
-    def unflat(x: jax.Array) -> Layout:
-        made = []
-        for leaf, middle, rows, a, b in zip(leaves, about, free, ends[:-1], ends[1:], strict=True):
-            moved = middle.ravel().at[rows].add(x[a:b] * leaf.ravel()[rows])
-            made.append(moved.reshape(leaf.shape))
-        return jax.tree.unflatten(tree, made)
-
-    return jnp.zeros(int(ends[-1])), unflat
-
-
-class _Baseline:
-    """Scores, clock and choice as a refinement has them, for a search that draws by itself."""
-
-    def __init__(self, scene: SceneModel, o: RefineOptions, engine: Engine, start: Layout) -> None:
-        self.scene, self.o = scene, o
-        clock: dict[str, float] = dict.fromkeys(("descent", "rollout", "score"), 0.0)
-        self.search = Search(scene, o, engine, clock, start)
-        self.rounds: list[Round] = []
-        self.rollouts = 0
-        self.start = start
-
-    def judge(self, layouts: Layout) -> Scores:
-        s = self.search
-        layouts = s.project(layouts, len(self.rounds))
-        before = placed(self.scene, layouts, s.w)
-        found = score(self.scene, layouts, s.rollout(before.start), s.w, (), before)
-        s.note(jax.block_until_ready(found))
-        self.rounds.append((layouts, before.start, found))
-        self.rollouts += layouts.yaw.shape[0]
-        return found
-
-    def found(self) -> Searched:
-        total = time.perf_counter() - self.search.began
-        chosen = choose(self.scene, self.rounds, self.o, self.start)
-        t, k = chosen.index
-        best = max(float(np.asarray(s.absolute).max()) for _, _, s in self.rounds)
-        layout = self.rounds[t][0][k : k + 1] if t >= 0 else self.start
-        to_valid = self.search.first_valid_s
-        return Searched(best, chosen.passed, layout, to_valid, total, self.rollouts)
+    population = CMA_POPULATION if optimizer == "cma_es" else options.cem.batch
+    iterations = max(1, math.ceil(rollouts / population))
+    if optimizer == "random":
+        population = math.ceil(rollouts / iterations)
+    cem = {"population": max(2, population), "iterations": iterations, "patience": iterations + 1}
+    cem |= {"first": 0, "credit": "scene", "prune": False}
+    return options.model_copy(
+        update={"optimizer": optimizer, "cem": options.cem.model_copy(update=cem)}
+    )

@@ -17,9 +17,9 @@ from ..physics.engine import Engine
 from ..physics.exact import snap_exactly
 from ..physics.model import SceneModel
 from ..physics.simulate import open_engine
-from ..refinement.loop import compiled, refine
-from ..refinement.outcome import measured, passes
-from .baselines import OneByOne, Searched, algorithm1, cma_es, random_search
+from ..refinement.outcome import Refined, measured, passes
+from ..refinement.scene_refinement import compile_for_search, refine
+from .baselines import OneByOne, algorithm1, with_budget
 from .refine_scenes import LARGE, SCENES, errors, photographed, start
 
 BASELINES = ("algorithm1", "random", "cma_es")
@@ -90,32 +90,34 @@ def refinements(
     for name in scenes or SCENES:
         if name not in every:
             raise EngineError(f"scene: {choices(name, list(every))}")
-        model = compiled(photographed(name), o)
+        model = compile_for_search(photographed(name), o)
         runner = open_engine(engine)  # pyright: ignore[reportArgumentType]
         cold: float | None = None
         for seed in range(seeds):
             case = _Case(name, model, seed, o)
-            first = _ours(case, "ours", o, runner)[1]
+            first = _refined(case, "ours", o, runner)[1]
             cold = first if seed == 0 else cold
-            row, _ = _ours(case, "ours", o, runner)
+            row, _ = _refined(case, "ours", o, runner)
             yield row.model_copy(update={"cold_s": cold if seed == 0 else None})
             if seed >= baseline_seeds:
                 continue
             if "algorithm1" in baselines:
                 # Nothing but scoring is compiled here: a run of a few candidates warms it up.
-                yield _ours(case, "algorithm1", algorithm1(o), OneByOne())[0]
-            if not {"random", "cma_es"} & set(baselines):
+                yield _refined(case, "algorithm1", algorithm1(o), OneByOne())[0]
+            compared = [method for method in ("random", "cma_es") if method in baselines]
+            if not compared:
                 continue
-            _ours(case, "ours/plain", plain, runner)
-            other, _ = _ours(case, "ours/plain", plain, runner)
+            _refined(case, "ours/plain", plain, runner)
+            other, _ = _refined(case, "ours/plain", plain, runner)
             yield other
-            for method, search in (("random", random_search), ("cma_es", cma_es)):
-                if method in baselines:
-                    for label, how, most in (("", o, row), ("/plain", plain, other)):
-                        at = (model, how, runner, case.start)
-                        search(*at, rollouts=o.cem.batch, seed=seed)  # compiles
-                        found = search(*at, rollouts=max(most.rollouts, 1), seed=seed)
-                        yield case.row(method + label, found)
+            for method in compared:
+                for label, of, most in (("", o, row), ("/plain", plain, other)):
+                    budget = with_budget(of, method, max(most.rollouts, 1))
+                    once = budget.cem.model_copy(update={"iterations": 1})
+                    _refined(
+                        case, method, budget.model_copy(update={"cem": once}), runner
+                    )  # compiles
+                    yield _refined(case, method + label, budget, runner)[0]
 
 
 class _Case:
@@ -126,47 +128,40 @@ class _Case:
         self.start = start(model, seed)
         self.open_loop = passes(measured(snap_exactly(model.apply(self.start, 0)), o), o)
 
-    def row(self, method: str, found: Searched, **more: Any) -> RefineRow:
-        """Put what a method found into a row."""
-        before, after = errors(self.model, self.start), errors(self.model, found.layout)
+    def row(self, method: str, refined: Refined) -> RefineRow:
+        """Describe the outcome of a method."""
+        before, after = errors(self.model, self.start), errors(self.model, refined.layout)
         moves = np.asarray(self.model.optimised)
+        to_valid = refined.seconds["to_valid"]
         return RefineRow(
             scene=self.name,
             objects=int(moves.sum()),
             seed=self.seed,
             method=method,
             open_loop_valid=self.open_loop,
-            valid=found.passed,
-            time_to_valid_s=None if np.isnan(found.to_valid_s) else found.to_valid_s,
-            time_total_s=found.total_s,
-            reward=found.best,
-            rollouts=found.rollouts,
+            valid=refined.passed,
+            time_to_valid_s=None if np.isnan(to_valid) else to_valid,
+            time_total_s=refined.seconds["search"],
+            reward=float(refined.history["absolute"].max()),
+            rollouts=refined.rollouts,
+            pruned=refined.pruned,
+            iterations=refined.iterations,
             xy_error_start_m=before["xy_m"],
             xy_error_end_m=after["xy_m"],
             yaw_error_start_deg=before["yaw_deg"],
             yaw_error_end_deg=after["yaw_deg"],
             scale_error_start=before["scale"],
             scale_error_end=after["scale"],
-            mean_log_scale=float(np.mean(np.asarray(found.layout.log_scale[0])[moves])),
-            **more,
+            mean_log_scale=float(np.mean(np.asarray(refined.layout.log_scale[0])[moves])),
         )
 
 
-def _ours(case: _Case, method: str, o: RefineOptions, engine: Engine) -> tuple[RefineRow, float]:
+def _refined(case: _Case, method: str, o: RefineOptions, engine: Engine) -> tuple[RefineRow, float]:
     """Refine; return the row and the seconds that the whole call took."""
     began = time.perf_counter()
-    found = refine(case.model, o, seed=case.seed, start=case.start, engine=engine)
+    refined = refine(case.model, o, seed=case.seed, start=case.start, engine=engine)
     spent = time.perf_counter() - began
-    as_searched = Searched(
-        best=float(found.history["absolute"].max()),
-        passed=found.passed,
-        layout=found.layout,
-        to_valid_s=found.seconds["to_valid"],
-        total_s=found.seconds["search"],
-        rollouts=found.rollouts,
-    )
-    row = case.row(method, as_searched, pruned=found.pruned, iterations=found.iterations)
-    return row, spent
+    return case.row(method, refined), spent
 
 
 def summary(rows: Sequence[RefineRow]) -> dict[str, Any]:

@@ -65,8 +65,8 @@ class CEMOptions(Options):
     prune: bool = option(
         True,
         "Do not roll out candidates that cannot become elites; changes no elite. Only with "
-        "`normalisation: fixed`, and neither with a user's own terms nor with scores by a model, "
-        "which have no known bound.",
+        "`normalisation: fixed`, with reward terms that all have a bound, and without scores by a "
+        "model.",
     )
     batch: int = option(16, "Candidates rolled out at once while pruning.", ge=1)
     stop_gain: float = traced(
@@ -155,8 +155,8 @@ class RewardOptions(Options):
     )
     terms: dict[str, float] = traced(
         {},
-        'Your own reward terms: import path "package.module:function" to weight. Weights are '
-        "traced; other terms are another program.",
+        'Further reward terms and their weights: your own by import path "package.module:function", '
+        "built-in ones by name. Weights are traced; other terms are another program.",
     )
 
 
@@ -233,6 +233,12 @@ class SemanticOptions(Options):
 class RefineOptions(Options):
     """Step 5 as a whole: search, rewards, rollouts and the final check."""
 
+    optimizer: str = static(
+        _PROGRAM,
+        "cem",
+        "cem, cma_es (extra `baselines`), random, or the import path of your own, "
+        '"package.module:function", which builds one from the scene and the options `cem`.',
+    )
     cem: CEMOptions = CEMOptions()
     descent: DescentOptions = DescentOptions()
     reward: RewardOptions = RewardOptions()

@@ -1,6 +1,20 @@
 """Step 5: CEM-based scene refinement (paper Section 3.3, Algorithm 1)."""
 
 from .cem import CEM, CEMParams, CEMState, open_cem
-from .loop import Refined, refine
+from .optimizer import OPTIMIZERS, Optimizer, open_optimizer
+from .outcome import Refined
+from .rewards import Term
+from .scene_refinement import refine
 
-__all__ = ["CEM", "CEMParams", "CEMState", "Refined", "open_cem", "refine"]
+__all__ = [
+    "CEM",
+    "OPTIMIZERS",
+    "CEMParams",
+    "CEMState",
+    "Optimizer",
+    "Refined",
+    "Term",
+    "open_cem",
+    "open_optimizer",
+    "refine",
+]

@@ -1,14 +1,14 @@
 """The Cross-Entropy Method over layouts (paper Algorithm 1), as init / ask / tell.
 
-What shapes arrays (population, elites) is static; every number is traced, so a sweep over numbers,
-seeds included, is one `vmap`; the options declare which they are.
+What shapes arrays is static; every number is traced, so a sweep over numbers, seeds included, is one
+`vmap`.
 """
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Key
 
 from ..config import CEMOptions
 from ..physics.layout import Layout
@@ -24,7 +24,6 @@ class CEMParams(eqx.Module):
     """Smallest standard deviation, as a fraction of the initial one."""
     smoothing: Float[Array, ""]
     """Weight of the old mean and deviation in an update; 0 is Algorithm 1."""
-    stop_gain: Float[Array, ""]
 
 
 class CEMState(eqx.Module):
@@ -32,46 +31,28 @@ class CEMState(eqx.Module):
 
     mean: Layout
     std: Layout
-    iteration: Int[Array, ""]
-    elite_mean: Float[Array, ""]
-    """Mean absolute reward of the last elites; -inf before the first."""
-    gain: Float[Array, ""]
-    """By how much `elite_mean` rose in the last update; inf before the second."""
 
 
 class CEM(eqx.Module):
-    """Algorithm 1 with a fixed population and number of elites."""
+    """The sampling and fitting of Algorithm 1; follows `optimizer.Optimizer`."""
 
-    population: int = eqx.field(static=True)
-    elites: int = eqx.field(static=True)
+    params: CEMParams
+    elite_ratio: float = eqx.field(static=True)
+    """rho: K = rho N candidates are elites."""
     zero_candidate: bool = eqx.field(static=True, default=True)
+    """Whether the mean itself is the first candidate."""
 
-    def init(self, scene: SceneModel, params: CEMParams, mean: Layout | None = None) -> CEMState:
-        """Start at the composed scene, or at `mean`, with the initial deviations."""
-        zero = jax.tree.map(jnp.zeros_like, params.sigma)
-        return CEMState(
-            zero if mean is None else mean,
-            params.sigma,
-            jnp.asarray(0),
-            jnp.asarray(-jnp.inf),
-            jnp.asarray(jnp.inf),
-        )
+    def init(self, mean: Layout | None = None) -> CEMState:
+        """Start at `mean`, the composed scene by default, with the initial deviations."""
+        zero = jax.tree.map(jnp.zeros_like, self.params.sigma)
+        return CEMState(zero if mean is None else mean, self.params.sigma)
 
-    def ask(self, key: Key[Array, ""], state: CEMState, params: CEMParams) -> Layout:
+    def ask(self, key: Key[Array, ""], state: CEMState, population: int) -> Layout:
         """Draw a population; `key` is consumed.
 
-        With `zero_candidate` the first is the mean, which at first is the composed scene. Objects whose deviation is zero
-        (environment supports) stay where they are.
+        Objects whose deviation is zero (environment supports) stay where they are.
         """
-        del params
-        keys = jax.random.split(key, 3)
-        draws = [
-            mean + std * jax.random.normal(k, (self.population, *mean.shape[1:]))
-            for k, mean, std in zip(
-                keys, jax.tree.leaves(state.mean), jax.tree.leaves(state.std), strict=True
-            )
-        ]
-        drawn = Layout(*draws)
+        drawn = draw(key, state.mean, state.std, population)
         if not self.zero_candidate:
             return drawn
         return jax.tree.map(lambda leaf, mean: leaf.at[0].set(mean[0]), drawn, state.mean)
@@ -81,85 +62,89 @@ class CEM(eqx.Module):
         state: CEMState,
         layouts: Layout,
         reward: Float[Array, " pop"],
-        absolute: Float[Array, " pop"],
-        params: CEMParams,
+        *,
+        absolute: Float[Array, " pop"] | None = None,
         credit: Float[Array, "pop object"] | None = None,
     ) -> CEMState:
         """Fit the Gaussian to the top-K candidates.
 
         Args:
             state: before.
-            layouts: the population of the last `ask`.
+            layouts: the candidates.
             reward: what they are ranked by; -inf or NaN never becomes an elite, and when fewer than
                 K candidates are finite only those count.
-            absolute: the reward by which iterations are compared.
-            params: hyperparameters.
+            absolute: not used.
             credit: the reward by objects; given, each object's numbers are fitted to the K
                 candidates that are best for it.
         """
-        reward = jnp.where(jnp.isfinite(reward), reward, -jnp.inf)
-        # A stable sort, so that equal rewards are taken in the order of the population.
-        best = jnp.argsort(-reward, stable=True)[: self.elites]
-        weight = jnp.isfinite(reward[best]).astype(jnp.float32)
+        del absolute
+        elites = elite_count(self.elite_ratio, len(reward))
+        best, weight = elite_rows(reward, elites)
         total = jnp.maximum(jnp.sum(weight), 1.0)
         any_finite = jnp.sum(weight) > 0
 
         count = layouts.yaw.shape[1]
-        rows, mine = jnp.repeat(best[:, None], count, 1), jnp.repeat(weight[:, None], count, 1)
+        rows, weights = jnp.repeat(best[:, None], count, 1), jnp.repeat(weight[:, None], count, 1)
         if credit is not None:
             credit = jnp.where(jnp.isfinite(reward)[:, None], credit, -jnp.inf)
-            rows = jnp.argsort(-credit, axis=0, stable=True)[: self.elites]
-            mine = jnp.isfinite(reward)[rows].astype(jnp.float32)
+            rows = jnp.argsort(-credit, axis=0, stable=True)[:elites]
+            weights = jnp.isfinite(reward)[rows].astype(jnp.float32)
 
         def fit(
             leaf: Float[Array, "pop object ..."], old: Array, old_std: Array, sigma: Array
         ) -> tuple[Array, Array]:
             chosen = leaf[rows, jnp.arange(count)]
-            w = (mine / total).reshape(*mine.shape, *(1,) * (leaf.ndim - 2))
+            w = (weights / total).reshape(*weights.shape, *(1,) * (leaf.ndim - 2))
             mean = jnp.sum(chosen * w, axis=0, keepdims=True)
             std = jnp.sqrt(jnp.sum((chosen - mean) ** 2 * w, axis=0, keepdims=True))
-            keep = params.smoothing
+            keep = self.params.smoothing
             mean = keep * old + (1 - keep) * mean
-            std = jnp.maximum(keep * old_std + (1 - keep) * std, params.floor * sigma)
+            std = jnp.maximum(keep * old_std + (1 - keep) * std, self.params.floor * sigma)
             return jnp.where(any_finite, mean, old), jnp.where(any_finite, std, old_std)
 
-        fitted = [
-            fit(*leaves)
-            for leaves in zip(
-                *(jax.tree.leaves(t) for t in (layouts, state.mean, state.std, params.sigma)),
-                strict=True,
-            )
-        ]
-        finite = jnp.where(weight > 0, absolute[best], 0.0)
-        elite_mean = jnp.where(any_finite, jnp.sum(finite) / total, -jnp.inf)
-        return CEMState(
-            Layout(*(mean for mean, _ in fitted)),
-            Layout(*(std for _, std in fitted)),
-            state.iteration + 1,
-            elite_mean,
-            jnp.where(state.iteration > 0, elite_mean - state.elite_mean, jnp.inf),
-        )
+        trees = (layouts, state.mean, state.std, self.params.sigma)
+        fitted = [fit(*of) for of in zip(*(jax.tree.leaves(t) for t in trees), strict=True)]
+        return CEMState(Layout(*(mean for mean, _ in fitted)), Layout(*(std for _, std in fitted)))
 
 
-def open_cem(scene: SceneModel, options: CEMOptions) -> tuple[CEM, CEMParams]:
-    """Build the method and its hyperparameters for a scene.
+def draw(key: Key[Array, ""], mean: Layout, std: Layout, population: int) -> Layout:
+    """Draw candidates from a diagonal Gaussian; `key` is consumed."""
+    keys = jax.random.split(key, 3)
+    of = zip(keys, jax.tree.leaves(mean), jax.tree.leaves(std), strict=True)
+    return Layout(*(m + s * jax.random.normal(k, (population, *m.shape[1:])) for k, m, s in of))
+
+
+def elite_count(elite_ratio: float, population: int) -> int:
+    """Return K = rho N, at least 1."""
+    return max(1, round(elite_ratio * population))
+
+
+def elite_rows(reward: Float[Array, " pop"], elites: int) -> tuple[Array, Float[Array, " elite"]]:
+    """Return the best candidates in order, and a weight of 0 for those that are not finite."""
+    reward = jnp.where(jnp.isfinite(reward), reward, -jnp.inf)
+    # A stable sort, so that equal rewards are taken in the order of the population.
+    best = jnp.argsort(-reward, stable=True)[:elites]
+    return best, jnp.isfinite(reward[best]).astype(jnp.float32)
+
+
+def initial_sigma(scene: SceneModel, options: CEMOptions) -> Layout:
+    """Return the initial standard deviations, pop axis of length 1 (paper Appendix B).
 
     sigma_xy is a fraction of each object's horizontal bounding-box diagonal; supports of the
-    environment get zero (paper Appendix B).
+    environment get zero.
     """
     moves = scene.optimised.astype(jnp.float32)
     xy = options.sigma_xy * scene.diagonal * moves
-    sigma = Layout(
+    return Layout(
         jnp.repeat(xy[None, :, None], 2, axis=-1),
         (np.radians(options.sigma_yaw_deg) * moves)[None],
         (options.sigma_log_scale * moves)[None],
     )
-    cem = CEM(
-        options.population,
-        max(1, round(options.elite_ratio * options.population)),
-        options.zero_candidate,
-    )
+
+
+def open_cem(scene: SceneModel, options: CEMOptions) -> CEM:
+    """Build CEM with its hyperparameters for a scene."""
     f32 = lambda x: jnp.asarray(x, jnp.float32)
-    return cem, CEMParams(
-        sigma, f32(options.sigma_floor), f32(options.smoothing), f32(options.stop_gain)
-    )
+    sigma = initial_sigma(scene, options)
+    params = CEMParams(sigma, f32(options.sigma_floor), f32(options.smoothing))
+    return CEM(params, options.elite_ratio, options.zero_candidate)

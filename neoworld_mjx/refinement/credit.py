@@ -1,4 +1,4 @@
-"""Credit by objects: whose rewards choose an object's elites.
+"""Credit assignment by contact component: whose rewards choose an object's elites.
 
 With many objects hardly any candidate is good everywhere, and elites of the whole scene say little
 of any one object. An object's own terms say more; those of what it touches belong to them.
@@ -11,18 +11,18 @@ from jaxtyping import Array, Bool, Float
 from ..config import CEMOptions
 from ..physics.model import SceneModel
 from ..spec import world_poses
-from .rewards import Scores
 
 REACH = 3.0
 """Standard deviations of position within which two objects may come to touch."""
 
 
-def partners(scene: SceneModel, options: CEMOptions) -> np.ndarray:
-    """Return which objects' terms count for which, [object, object] of 0 and 1.
+def contact_components(
+    scene: SceneModel, options: CEMOptions
+) -> Float[np.ndarray, "object object"]:
+    """Return which objects' terms count for which, as 0 and 1.
 
-    `object`: itself, what it stands on and what stands on it. `island`: all that it is connected to
-    by standing on or by being so near that noise may make them touch. Environment supports connect
-    nothing.
+    `object`: itself, its support and what it supports. `island`: all that it is connected to by
+    support or by being so near that noise may make them touch. Environment supports connect nothing.
     """
     spec = scene.spec
     count = len(spec.objects)
@@ -46,16 +46,20 @@ def partners(scene: SceneModel, options: CEMOptions) -> np.ndarray:
     return linked.astype(np.float32)
 
 
-def shared(
-    found: Scores, partners: np.ndarray | Array, by_object: bool | Bool[Array, ""] = True
+def assigned_credit(
+    credit: Float[Array, "pop object"],
+    reward: Float[Array, " pop"],
+    components: Float[Array, "object object"],
+    by_object: bool | Bool[Array, ""] = True,
 ) -> Float[Array, "pop object"]:
-    """Sum each object's credit over its partners; -inf for failed and pruned candidates.
+    """Sum each object's credit over its component; -inf for failed and pruned candidates.
 
     Args:
-        found: scores of a population.
-        partners: of `partners`.
+        credit: the reward by objects.
+        reward: of the whole scene.
+        components: of `contact_components`.
         by_object: False gives every object the reward of the scene, and so the scene's elites.
     """
-    fine = jnp.all(jnp.isfinite(found.credit), axis=1, keepdims=True)
-    own = jnp.where(fine, jnp.where(fine, found.credit, 0.0) @ partners, -jnp.inf)
-    return jnp.where(by_object, own, found.reward[:, None])
+    fine = jnp.all(jnp.isfinite(credit), axis=1, keepdims=True)
+    own = jnp.where(fine, jnp.where(fine, credit, 0.0) @ components, -jnp.inf)
+    return jnp.where(by_object, own, reward[:, None])

@@ -1,7 +1,7 @@
-"""What a search ends in: the winner, checked exactly, and everything that was tried."""
+"""The outcome of a refinement: the winner, checked exactly, and every candidate."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,14 +11,20 @@ from ..physics.exact import snap_exactly
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
 from ..spec import SceneSpec
-from .prune import PRUNED
-from .rewards import Scores
-
-Round = tuple[Layout, Poses, Scores]
-"""An iteration: its population, where it was placed, and how it scored."""
+from .objective import Objective, Scores
+from .pruning import PRUNED
 
 
-@dataclass(frozen=True)
+class Round(NamedTuple):
+    """An iteration of one run."""
+
+    layouts: Layout
+    poses: Poses
+    """Where the candidates were placed."""
+    scores: Scores
+
+
+@dataclass(frozen=True, repr=False)
 class Refined:
     """The outcome of a refinement."""
 
@@ -31,7 +37,9 @@ class Refined:
     layout: Layout
     """The winner's layout, pop axis of length 1."""
     history: dict[str, np.ndarray]
-    """Every candidate, leading axes [iteration, pop]; named as in `Scores` and `Layout`."""
+    """Every candidate, leading axes [iteration, pop]: `reward`, `absolute`, `status`, `valid`, each term
+    under its name, `xy`, `yaw`, `log_scale`; beside them `object_names`, `term_names` and
+    `term_weights`."""
     engine: str
     iterations: int
     winner: tuple[int, int]
@@ -48,7 +56,21 @@ class Refined:
     seconds: dict[str, float] = field(default_factory=dict)
     fallbacks: tuple[str, ...] = ()
     scoring: dict[str, Any] = field(default_factory=dict)
-    """What the semantic scorer says of itself: calls, failures, cost; empty without one."""
+    """Calls, failures and cost of the semantic scorer; empty without one."""
+
+    def __repr__(self) -> str:
+        """Return a few lines: how it ended, what was tried, and what the check measured."""
+        m, t = self.measure, self.seconds.get("search", float("nan"))
+        tilt = f"{m.max_drift_m * 1e3:.2f} mm, {m.max_tilt_deg:.2f} deg"
+        return (
+            f"Refined({self.scene.name}: {'passed' if self.passed else 'did not pass'} the check\n"
+            f"  {self.iterations} iterations, {self.rollouts} rollouts, {self.pruned} pruned, "
+            f"{t:.1f} s on {self.engine}; winner {self.winner}\n"
+            f"  depth {m.max_depth_m * 1e3:.2f} mm (was {self.before.max_depth_m * 1e3:.2f} mm), "
+            f"moved {tilt}\n"
+            f"  mean shift {self.mean_shift_m * 1e3:.1f} mm, turn {self.mean_turn_deg:.1f} deg, "
+            f"log scale {self.mean_log_scale:+.3f})"
+        )
 
     @property
     def rollouts(self) -> int:
@@ -114,8 +136,8 @@ def ranked(rounds: list[Round]) -> list[tuple[tuple[int, int], float]]:
     Returns:
         ((iteration, candidate), absolute reward) of each.
     """
-    valid = stacked([s.valid for _, _, s in rounds], False)
-    absolute = stacked([s.absolute for _, _, s in rounds], -np.inf)
+    valid = stacked([r.scores.valid for r in rounds], False)
+    absolute = stacked([r.scores.absolute for r in rounds], -np.inf)
     order = np.lexsort((-absolute.ravel(), ~valid.ravel()))
     pop = valid.shape[1]
     return [(divmod(int(k), pop), float(absolute.flat[k])) for k in order]
@@ -147,6 +169,7 @@ def outcome(
     chosen: Chosen,
     o: RefineOptions,
     *,
+    objective: Objective,
     start: Layout | None = None,
     engine: str,
     clock: dict[str, float],
@@ -161,6 +184,7 @@ def outcome(
         rounds: all iterations.
         chosen: the winner.
         o: options of the check.
+        objective: of the search.
         start: where the search started; None is the composed scene.
         engine: name of what rolled candidates out.
         clock: seconds spent, by step.
@@ -171,7 +195,7 @@ def outcome(
     t, k = chosen.index
     began = model.spec if start is None else model.apply(start, 0)
     count = len(model.names)
-    layout = rounds[t][0][k : k + 1] if t >= 0 else start or Layout.zero(1, count)
+    layout = rounds[t].layouts[k : k + 1] if t >= 0 else start or Layout.zero(1, count)
     moves = np.asarray(model.optimised)
     logs = np.asarray(layout.log_scale[0])[moves]
     shift = np.linalg.norm(np.asarray(layout.xy[0])[moves], axis=-1)
@@ -180,7 +204,10 @@ def outcome(
         fallbacks += (
             f"no candidate passed the final check in {chosen.tried} tries; the least bad is kept",
         )
-    history = _history(model, rounds)
+    if o.cem.prune and objective.unbounded:
+        names = ", ".join(objective.unbounded)
+        fallbacks += (f"every candidate was rolled out, as the reward term {names} has no bound",)
+    history = _history(model, rounds, objective)
     if semantic is not None:
         history["s_sem_from"] = semantic
     return Refined(
@@ -216,16 +243,21 @@ def stacked(rows: list[Any], fill: Any) -> np.ndarray:
     return stacked
 
 
-def _history(model: SceneModel, rounds: list[Round]) -> dict[str, np.ndarray]:
+def _history(model: SceneModel, rounds: list[Round], objective: Objective) -> dict[str, np.ndarray]:
     fill = {"reward": -np.inf, "absolute": -np.inf, "status": NOT_DRAWN, "valid": False}
-    names = ("reward", "absolute", "d_pen", "d_drift", "s_sem", "prior", "status", "valid")
     history = {
-        name: stacked([getattr(s, name) for _, _, s in rounds], fill.get(name, np.nan))
-        for name in names
+        name: stacked([getattr(r.scores, name) for r in rounds], empty)
+        for name, empty in fill.items()
     }
     history |= {
-        name: stacked([getattr(layout, name) for layout, _, _ in rounds], np.nan)
+        term.name: stacked([r.scores.terms[term.name] for r in rounds], np.nan)
+        for term in objective.terms
+    }
+    history |= {
+        name: stacked([getattr(r.layouts, name) for r in rounds], np.nan)
         for name in ("xy", "yaw", "log_scale")
     }
     history["object_names"] = np.array(model.names)
+    history["term_names"] = np.array([term.name for term in objective.terms])
+    history["term_weights"] = np.array([float(term.weight) for term in objective.terms], np.float32)
     return history

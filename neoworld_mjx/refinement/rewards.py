@@ -1,86 +1,249 @@
-"""Reward terms of Step 5 (paper Section 3.3) and how they are composed.
+"""Reward terms of Step 5 (paper Section 3.3): functions of (scene, layouts, rollout).
 
-A term maps (scene, layouts, rollout) to one number a candidate and is traceable by JAX. Terms of a
-user's own have the same shape and are named in a config by import path.
+`d_pen`, `d_drift` and `s_sem` are compiled on their first call for a shape, and may be called inside a
+`jax.jit`, `jax.vmap` or `jax.grad` of your own. A `Term` puts such a function, built in or a user's
+own, into the reward.
 """
 
-import importlib
+import inspect
 from collections.abc import Callable
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 from neoworld_kernels import pair_depth
 
-from ..config import RefineOptions, RewardOptions
 from ..errors import ConfigError
-from ..physics.engine import Rollout, RolloutStatus
+from ..physics.engine import Rollout
 from ..physics.layout import Layout, Poses, rotation
 from ..physics.model import SceneModel
 from ..spec.pose import angle_between
-from .semantic import Semantic, semantic_score
+from .semantic import semantic_score
 
 FIVE_DEGREES = float(np.radians(5.0))
 
-Term = Callable[[SceneModel, Layout, Rollout], Float[Array, " pop"]]
-
-__all__ = [
-    "Placed",
-    "Scores",
-    "Term",
-    "Weights",
-    "absolute_reward",
-    "bound",
-    "compose",
-    "d_drift",
-    "d_pen",
-    "departure",
-    "depths",
-    "drifts",
-    "placed",
-    "s_sem",
-    "score",
-    "user_terms",
-    "weights",
-]
+__all__ = ["Term", "TermValue", "d_drift", "d_pen", "drifts", "s_sem"]
 
 
-def depths(scene: SceneModel, poses: Poses) -> Float[Array, "pop object object"]:
-    """Sampled penetration depth [m] of i's surface samples in j's colliders, at [candidate, i, j].
+class TermValue(eqx.Module):
+    """A term's value of every candidate, with what a plain array does not say."""
+
+    value: Float[Array, " pop"]
+    """What the history keeps."""
+    charged: Float[Array, " pop"]
+    """What enters the reward: the value without the part that costs nothing."""
+    by_object: Float[Array, "pop object"] | None = None
+    """The same of each object, for credit assignment; None where it cannot be told."""
+
+
+TermFunction = Callable[[SceneModel, Layout, Rollout], Any]
+"""Maps (scene, layouts, rollout) to Float[Array, " pop"], or to a TermValue; traceable by JAX."""
+
+
+def _number(x: Any) -> Array:
+    return jnp.asarray(x, jnp.float32)
+
+
+def _number_or_none(x: Any) -> Array | None:
+    return None if x is None else _number(x)
+
+
+class Term(eqx.Module):
+    """One term of the reward: R(z) = sum of weight * normalised value over the terms.
+
+    Weight, scale and cap are traced, so a sweep over them is one `vmap`; which function it is, and
+    whether there are a scale and a cap, is static.
+    """
+
+    name: str = eqx.field(static=True)
+    """Key of its values in history.npz and in the rows of a sweep."""
+    fn: TermFunction
+    weight: Float[Array, ""] = eqx.field(converter=_number)
+    """Positive for a reward, negative for a cost."""
+    scale: Float[Array, ""] | None = eqx.field(converter=_number_or_none, default=None)
+    """The absolute reward counts value / (value + scale); None counts the value as it is."""
+    cap: Float[Array, ""] | None = eqx.field(converter=_number_or_none, default=None)
+    """The value is clipped at the cap and normalised; None counts it as it is."""
+    bound: TermFunction | Literal["exact"] | None = None
+    """Gives the best value that physics may lead to, from a rollout in which nothing has moved yet.
+    "exact": the value itself, as it does not depend on physics. None: unknown; nothing is pruned."""
+
+
+class MeasuredRollout(Rollout):
+    """A rollout beside the pair depths at its start, which terms share."""
+
+    depth: Float[Array, "pop object object"]
+    """Of `pair_depths`, at the placed poses [m]."""
+
+
+def measured_rollout(rollout: Rollout, depth: Float[Array, "pop object object"]) -> MeasuredRollout:
+    """Put the pair depths of the placed candidates beside their rollout."""
+    fields = {name: getattr(rollout, name) for name in Rollout.__dataclass_fields__}
+    return MeasuredRollout(**fields, depth=depth)
+
+
+def pair_depths(scene: SceneModel, poses: Poses) -> Float[Array, "pop object object"]:
+    """Measure sampled penetration depth [m] of i's surface samples in j's colliders, at [pop, i, j].
 
     Measured on the canonical colliders at the placed poses; zero between environment supports.
-
-    Args:
-        scene: the compiled scene.
-        poses: where the candidates' objects are placed.
     """
     turn = rotation(poses.quat)
-    found = pair_depth(poses.pos, turn, poses.scale, scene.samples, scene.colliders)
-    return jnp.where(scene.pair_mask, found, 0.0)
+    depth = pair_depth(poses.pos, turn, poses.scale, scene.samples, scene.colliders)
+    return jnp.where(scene.pair_mask, depth, 0.0)
 
 
-def d_pen(
-    scene: SceneModel, layouts: Layout, rollout: Rollout | None = None
-) -> Float[Array, " pop"]:
-    """D_pen: the sum over object pairs of their penetration depth [m]; differentiable.
+def deeper(depth: Float[Array, "pop object object"]) -> Float[Array, "pop object object"]:
+    """Take the deeper of a pair's two directions."""
+    return jnp.maximum(depth, jnp.swapaxes(depth, 1, 2))
 
-    A pair's depth is the deeper of its two directions. `rollout` is not used: the composed pose is
-    measured, before physics moves anything.
+
+def _placed(scene: SceneModel, layouts: Layout, rollout: Rollout | None) -> tuple[Poses, Array]:
+    """Return the placed poses and their pair depths, computed once where terms share them."""
+    if isinstance(rollout, MeasuredRollout):
+        return rollout.start, rollout.depth
+    poses = scene.place(layouts)
+    return poses, pair_depths(scene, poses)
+
+
+def penetration(scene: SceneModel, layouts: Layout, rollout: Rollout | None = None) -> TermValue:
+    """D_pen [m], and of each object the sum over its pairs; see `d_pen`."""
+    pair = deeper(_placed(scene, layouts, rollout)[1])
+    total = jnp.sum(jnp.triu(pair, 1), axis=(1, 2))
+    return TermValue(total, total, jnp.sum(pair, axis=2))
+
+
+def semantics(scene: SceneModel, layouts: Layout, rollout: Rollout | None = None) -> TermValue:
+    """S_sem by geometry, and of each object by the criteria that it takes part in."""
+    scored = semantic_score(scene, *_placed(scene, layouts, rollout))
+    return TermValue(scored.total, scored.total, scored.each)
+
+
+class Drift(eqx.Module):
+    """D_drift by the stability bounds, with a dead zone that costs nothing."""
+
+    distance: Float[Array, ""] = eqx.field(converter=_number)
+    """[m]"""
+    angle: Float[Array, ""] = eqx.field(converter=_number)
+    """[rad]"""
+    free: Float[Array, ""] = eqx.field(converter=_number, default=0.0)
+    """Drift of an object that costs nothing, in units of the bounds."""
+
+    def __call__(self, scene: SceneModel, layouts: Layout, rollout: Rollout) -> TermValue:
+        """Compute D_drift; see `d_drift`."""
+        each = drift_by_object(scene, rollout, self.distance, self.angle)
+        charged = jnp.maximum(each - self.free, 0.0)
+        return TermValue(jnp.sum(each, axis=1), jnp.sum(charged, axis=1), charged)
+
+
+def no_drift(scene: SceneModel, layouts: Layout, rollout: Rollout) -> TermValue:
+    """Bound D_drift from below before physics: nothing drifts."""
+    zero = jnp.zeros(layouts.yaw.shape[:2])
+    return TermValue(zero[:, 0], zero[:, 0], zero)
+
+
+class Prior(eqx.Module):
+    """Distance to the initial layout: the mean of (z / sigma)^2 over optimised objects and numbers.
+
+    It keeps what physics leaves open near the parse: without it elites wander, and shrinking
+    everything would lower D_pen. 1 is a typical draw.
     """
-    found = depths(scene, scene.place(layouts))
-    pair = jnp.maximum(found, jnp.swapaxes(found, 1, 2))
-    return jnp.sum(jnp.triu(pair, 1), axis=(1, 2))
+
+    sigma: Float[Array, " 3"] = eqx.field(converter=_number)
+    """Deviations of xy (over each object's diagonal), yaw [rad] and log scale."""
+    origin: Layout | None = None
+    """The initial layout, pop axis of length 1; None is the composed scene."""
+
+    def __call__(self, scene: SceneModel, layouts: Layout, rollout: Rollout | None) -> TermValue:
+        """Compute the prior."""
+        safe = jnp.maximum(self.sigma, 1e-6)
+        if self.origin is not None:
+            layouts = jax.tree.map(jnp.subtract, layouts, self.origin)
+        xy = jnp.sum((layouts.xy / (safe[0] * scene.diagonal[:, None])) ** 2, axis=-1)
+        each = (xy + (layouts.yaw / safe[1]) ** 2 + (layouts.log_scale / safe[2]) ** 2) / 4
+        each = jnp.where(scene.optimised, each, 0.0)
+        total = jnp.sum(each, axis=1) / jnp.maximum(jnp.sum(scene.optimised), 1)
+        return TermValue(total, total, each)
 
 
 def drifts(
     scene: SceneModel, rollout: Rollout
 ) -> tuple[Float[Array, "pop object"], Float[Array, "pop object"]]:
-    """Largest distance [m] and angle [rad] of each object from its layout pose, over all records."""
+    """Return each object's largest distance [m] and angle [rad] from its layout pose over time.
+
+    These are of its base; `joint_drift` measures its joints.
+    """
     far = jnp.linalg.norm(rollout.pos - rollout.start.pos[:, None], axis=-1)
     angle = angle_between(rollout.start.quat[:, None], rollout.quat, jnp)
     return jnp.max(far, axis=1), jnp.max(angle, axis=1)
+
+
+def drift_by_object(
+    scene: SceneModel,
+    rollout: Rollout,
+    distance: Float[Array, ""] | float,
+    angle: Float[Array, ""] | float,
+) -> Float[Array, "pop object"]:
+    """Return each object's largest drift in units of the stability bounds; 1 is just at a bound.
+
+    It is that of its base, where that is free, or of a joint, whichever is larger.
+    """
+    far, turned = drifts(scene, rollout)
+    base = jnp.where(scene.movable, jnp.maximum(far / distance, turned / angle), 0.0)
+    if not len(scene.static.joints):
+        return base
+    return jnp.maximum(base, joint_drift(scene, rollout, distance, angle))
+
+
+def joint_drift(
+    scene: SceneModel,
+    rollout: Rollout,
+    distance: Float[Array, ""] | float,
+    angle: Float[Array, ""] | float,
+) -> Float[Array, "pop object"]:
+    """Return how far an object's joints have moved by themselves, in units of the stability bounds.
+
+    A door that swings open has drifted by its angle over `angle` [rad], a drawer that slides out by
+    its way over `distance` [m]; an object counts its largest.
+    """
+    far = jnp.max(rollout.joint_shift, axis=1)
+    shift = far / jnp.where(scene.static.joint_slides, distance, angle)
+    pop, objects = shift.shape[0], len(scene.names)
+    return jnp.zeros((pop, objects)).at[:, scene.static.joint_object].max(shift)
+
+
+@eqx.filter_jit
+def _compiled(fn: TermFunction, scene: SceneModel, layouts: Layout, rollout: Any) -> Array:
+    return fn(scene, layouts, rollout).value
+
+
+def _call(fn: TermFunction, name: str, scene: Any, layouts: Any, rollout: Any) -> Array:
+    for value, kind, hint in (
+        (scene, SceneModel, "compile a scene with load_scene or compile_scene"),
+        (layouts, Layout, "candidates have a leading pop axis"),
+        (rollout, Rollout | None, "of neoworld_mjx.rollout"),
+    ):
+        if not isinstance(value, kind):
+            wanted = getattr(kind, "__name__", "Rollout")
+            raise TypeError(f"{name} takes a {wanted} ({hint}), got a {type(value).__name__}")
+    return _compiled(fn, scene, layouts, rollout)
+
+
+def d_pen(
+    scene: SceneModel, layouts: Layout, rollout: Rollout | None = None
+) -> Float[Array, " pop"]:
+    """D_pen: the sum over object pairs of their penetration depth [m].
+
+    A pair's depth is the deeper of its two directions. `rollout` is not used: the composed pose is
+    measured, before physics moves anything. Compiled; may be jitted, vmapped and differentiated with
+    respect to the layouts.
+
+    Raises:
+        TypeError: an argument is of another type, such as a path in place of a compiled scene.
+    """
+    return _call(penetration, "d_pen", scene, layouts, rollout)
 
 
 def d_drift(
@@ -93,309 +256,101 @@ def d_drift(
 ) -> Float[Array, " pop"]:
     """D_drift: the sum over objects of their largest drift, in units of the stability bounds.
 
-    An object counts the larger of its translation over `distance` [m] and its rotation over
-    `angle` [rad], so 1 is an object just at the bound.
+    An object counts the largest of its translation over `distance` [m], its rotation over `angle`
+    [rad], and the same of its joints, so 1 is an object just at the bound. Compiled; may be jitted, vmapped, and
+    differentiated with respect to the rollout's poses (rollouts themselves give no gradients).
+
+    Raises:
+        TypeError: an argument is of another type.
     """
-    return jnp.sum(_drift_each(scene, rollout, distance, angle), axis=1)
-
-
-def _drift_each(
-    scene: SceneModel,
-    rollout: Rollout,
-    distance: Float[Array, ""] | float,
-    angle: Float[Array, ""] | float,
-) -> Float[Array, "pop object"]:
-    far, turned = drifts(scene, rollout)
-    return jnp.where(scene.movable, jnp.maximum(far / distance, turned / angle), 0.0)
+    if rollout is None:
+        raise TypeError("d_drift takes a Rollout (of neoworld_mjx.rollout), got None")
+    return _call(Drift(distance, angle), "d_drift", scene, layouts, rollout)
 
 
 def s_sem(
     scene: SceneModel, layouts: Layout, rollout: Rollout | None = None
 ) -> Float[Array, " pop"]:
-    """S_sem in [0, 1] by the geometric scorer, of the composed pose; see `semantic`."""
-    poses = scene.place(layouts)
-    return semantic_score(scene, poses, depths(scene, poses)).total
+    """S_sem in [0, 1] by the geometric scorer, of the composed pose; see `semantic`.
 
-
-def departure(
-    scene: SceneModel,
-    layouts: Layout,
-    sigma: Float[Array, " 3"],
-    origin: Layout | None = None,
-) -> Float[Array, "pop object"]:
-    """Mean of (z / sigma)^2 over an optimised object's four numbers; 1 for a typical draw.
-
-    It keeps what physics leaves open near the parse: without it elites wander, and shrinking
-    everything would lower D_pen.
-
-    Args:
-        scene: the compiled scene.
-        layouts: the candidates.
-        sigma: deviations of xy (over each object's diagonal), yaw [rad] and log scale.
-        origin: what departures are counted from, pop axis of length 1; None is the composed scene.
-    """
-    safe = jnp.maximum(sigma, 1e-6)
-    if origin is not None:
-        layouts = jax.tree.map(jnp.subtract, layouts, origin)
-    xy = jnp.sum((layouts.xy / (safe[0] * scene.diagonal[:, None])) ** 2, axis=-1)
-    each = (xy + (layouts.yaw / safe[1]) ** 2 + (layouts.log_scale / safe[2]) ** 2) / 4
-    return jnp.where(scene.optimised, each, 0.0)
-
-
-class Weights(eqx.Module):
-    """Weights and scales of the reward; traced, so a sweep over them is one `vmap`."""
-
-    w_sem: Float[Array, ""]
-    w_pen: Float[Array, ""]
-    w_drift: Float[Array, ""]
-    w_prior: Float[Array, ""]
-    d_pen_cap: Float[Array, ""]
-    """[m]"""
-    d_drift_cap: Float[Array, ""]
-    drift_free: Float[Array, ""]
-    """Drift of an object that costs nothing, in units of the stability bounds."""
-    pen_scale: Float[Array, ""]
-    """[m]"""
-    distance: Float[Array, ""]
-    """Stability bound [m]."""
-    angle: Float[Array, ""]
-    """Stability bound [rad]."""
-    max_depth: Float[Array, ""]
-    """Depth [m] from which a candidate is invalid."""
-    sigma: Float[Array, " 3"]
-    """Initial deviations of xy (over the diagonal), yaw [rad] and log scale."""
-    user: Float[Array, " term"]
-    origin: Layout | None
-    """What the prior counts from, pop axis of length 1; None is the composed scene."""
-    normalisation: str = eqx.field(static=True)
-
-
-def weights(options: RefineOptions) -> Weights:
-    """Collect what the reward needs from a configuration."""
-    r = options.reward
-    f = lambda x: jnp.asarray(x, jnp.float32)
-    return Weights(
-        w_sem=f(r.w_sem),
-        w_pen=f(r.w_pen),
-        w_drift=f(r.w_drift),
-        w_prior=f(r.w_prior),
-        d_pen_cap=f(r.d_pen_cap_m),
-        d_drift_cap=f(r.d_drift_cap),
-        drift_free=f(r.drift_free),
-        pen_scale=f(r.pen_scale_m),
-        distance=f(r.drift_scale_m),
-        angle=f(np.radians(r.tilt_scale_deg)),
-        max_depth=f(options.max_depth_m),
-        sigma=f(
-            [
-                options.cem.sigma_xy,
-                np.radians(options.cem.sigma_yaw_deg),
-                options.cem.sigma_log_scale,
-            ]
-        ),
-        user=f(list(r.terms.values())).reshape(-1),
-        origin=None,
-        normalisation=r.normalisation,
-    )
-
-
-class Placed(eqx.Module):
-    """What candidates are judged by before anything moves."""
-
-    start: Poses
-    d_pen: Float[Array, " pop"]
-    """[m]"""
-    deepest: Float[Array, " pop"]
-    """Depth of the deepest pair [m]."""
-    s_sem: Float[Array, " pop"]
-    prior: Float[Array, " pop"]
-    pen_each: Float[Array, "pop object"]
-    """Sum of the depths of an object's pairs [m]."""
-    sem_each: Float[Array, "pop object"]
-    prior_each: Float[Array, "pop object"]
-
-
-class Scores(eqx.Module):
-    """Everything that one iteration's candidates are judged by, each of shape [pop]."""
-
-    d_pen: Float[Array, " pop"]
-    """[m]"""
-    d_drift: Float[Array, " pop"]
-    """NaN for candidates that were pruned, that is not rolled out."""
-    s_sem: Float[Array, " pop"]
-    """In [0, 1]."""
-    prior: Float[Array, " pop"]
-    """How far the layout is from the composed one; see `departure`."""
-    user: Float[Array, "term pop"]
-    """A user's own terms."""
-    valid: Bool[Array, " pop"]
-    """No sampled pair deeper than max_depth_m, no object past the stability bounds."""
-    status: Float[Array, " pop"]
-    reward: Float[Array, " pop"]
-    """As Algorithm 1 ranks; -inf for failed and pruned candidates."""
-    absolute: Float[Array, " pop"]
-    """With fixed scales, comparable between iterations; -inf for failed and pruned candidates."""
-    credit: Float[Array, "pop object"]
-    """The reward by objects, with fixed normalisation; see `shares`."""
-
-
-@eqx.filter_jit
-def placed(scene: SceneModel, layouts: Layout, w: Weights) -> Placed:
-    """Evaluate what needs no physics: D_pen, S_sem and the prior.
-
-    Args:
-        scene: the compiled scene.
-        layouts: the candidates.
-        w: weights and scales.
-    """
-    start = scene.place(layouts)
-    found = depths(scene, start)
-    pair = jnp.maximum(found, jnp.swapaxes(found, 1, 2))
-    semantic: Semantic = semantic_score(scene, start, found)
-    prior = departure(scene, layouts, w.sigma, w.origin)
-    free = jnp.maximum(jnp.sum(scene.optimised), 1)
-    return Placed(
-        start=start,
-        d_pen=jnp.sum(jnp.triu(pair, 1), axis=(1, 2)),
-        deepest=jnp.max(pair, axis=(1, 2)),
-        s_sem=semantic.total,
-        prior=jnp.sum(prior, axis=1) / free,
-        pen_each=jnp.sum(pair, axis=2),
-        sem_each=semantic.each,
-        prior_each=prior,
-    )
-
-
-@eqx.filter_jit
-def score(
-    scene: SceneModel,
-    layouts: Layout,
-    rollout: Rollout,
-    w: Weights,
-    terms: tuple[Term, ...] = (),
-    before: Placed | None = None,
-) -> Scores:
-    """Evaluate every term and compose the reward.
-
-    Args:
-        scene: the compiled scene.
-        layouts: the candidates.
-        rollout: their free fall.
-        w: weights, normalisation and scales.
-        terms: a user's own terms, in the order of `w.user`.
-        before: of `placed`, where it is known already.
-    """
-    b = placed(scene, layouts, w) if before is None else before
-    drift_each = _drift_each(scene, rollout, w.distance, w.angle)
-    moved = jnp.sum(drift_each, axis=1)
-    charged_each = jnp.maximum(drift_each - w.drift_free, 0.0)
-    charged = jnp.sum(charged_each, axis=1)
-    alive = ~jnp.isin(
-        rollout.status, jnp.array([int(RolloutStatus.FAILED), int(RolloutStatus.TRUNCATED)])
-    )
-    own = [jnp.asarray(term(scene, layouts, rollout), jnp.float32) for term in terms]
-    user = jnp.stack(own) if own else jnp.zeros((0, b.d_pen.shape[0]))
-    rest = w.w_sem * b.s_sem - w.w_prior * b.prior + jnp.sum(w.user[:, None] * user, axis=0)
-    alive &= jnp.isfinite(b.d_pen + moved + rest)
-    credit = (
-        w.w_sem * b.sem_each
-        - w.w_prior * b.prior_each
-        - w.w_pen * jnp.minimum(b.pen_each / w.d_pen_cap, 1.0)
-        - w.w_drift * jnp.minimum(charged_each / w.d_drift_cap, 1.0)
-    )
-    return Scores(
-        d_pen=b.d_pen,
-        d_drift=moved,
-        s_sem=b.s_sem,
-        prior=b.prior,
-        user=user,
-        valid=jnp.all(drift_each < 1.0, axis=1) & (b.deepest < w.max_depth) & alive,
-        status=rollout.status,
-        reward=compose(b.d_pen, charged, rest, alive, w),
-        absolute=absolute_reward(b.d_pen, charged, rest, alive, w),
-        credit=jnp.where(alive[:, None], credit, -jnp.inf),
-    )
-
-
-def bound(before: Placed, w: Weights) -> Float[Array, " pop"]:
-    """Upper bound of the reward under `fixed` normalisation, before anything moves.
-
-    The reward of a candidate that does not drift at all; a user's own terms are not bounded.
-    """
-    rest = w.w_sem * before.s_sem - w.w_prior * before.prior
-    upper = rest - w.w_pen * jnp.minimum(before.d_pen, w.d_pen_cap) / w.d_pen_cap
-    return jnp.where(jnp.isfinite(upper), upper, -jnp.inf)
-
-
-def compose(
-    pen: Float[Array, " pop"],
-    moved: Float[Array, " pop"],
-    rest: Float[Array, " pop"],
-    alive: Bool[Array, " pop"],
-    w: Weights,
-) -> Float[Array, " pop"]:
-    """R(z) = w_sem S_sem - w_pen D_pen - w_drift D_drift with normalised physical terms.
-
-    `iteration` maps each term's range over this iteration's candidates to [0, 1], after clipping at
-    the cap (the paper's; a term that all share counts zero). `fixed` is min(D / cap, 1).
-
-    Args:
-        pen: D_pen [m].
-        moved: D_drift.
-        rest: the terms that are not normalised, already weighted.
-        alive: candidates that did not fail; only these set the ranges.
-        w: weights and caps.
-
-    Returns:
-        Rewards, -inf where not alive.
-    """
-
-    def unit(d: Float[Array, " pop"], cap: Float[Array, ""]) -> Float[Array, " pop"]:
-        clipped = jnp.minimum(jnp.where(alive, d, cap), cap)
-        if w.normalisation == "fixed":
-            return clipped / cap
-        low = jnp.min(jnp.where(alive, clipped, cap))
-        high = jnp.max(jnp.where(alive, clipped, 0.0))
-        spread = high - low
-        return jnp.where(spread > 1e-12, (clipped - low) / jnp.maximum(spread, 1e-12), 0.0)
-
-    physical = w.w_pen * unit(pen, w.d_pen_cap) + w.w_drift * unit(moved, w.d_drift_cap)
-    return jnp.where(alive, rest - physical, -jnp.inf)
-
-
-def absolute_reward(
-    pen: Float[Array, " pop"],
-    moved: Float[Array, " pop"],
-    rest: Float[Array, " pop"],
-    alive: Bool[Array, " pop"],
-    w: Weights,
-) -> Float[Array, " pop"]:
-    """Reward with fixed scales, for keep-best, stopping, plots and baselines.
-
-    D / (D + scale) with the scales 1 mm and the stability bounds: half the weight is lost at the
-    scale, and it never saturates, so any two iterations can be compared.
-    """
-    physical = w.w_pen * pen / (pen + w.pen_scale) + w.w_drift * moved / (moved + 1.0)
-    return jnp.where(alive, rest - physical, -jnp.inf)
-
-
-def user_terms(options: RewardOptions) -> tuple[Term, ...]:
-    """Import a user's own terms, named "package.module:function" in a config.
+    `rollout` is not used. Compiled; may be jitted and vmapped. It counts in steps, so its gradient
+    is zero.
 
     Raises:
-        ConfigError: a path has no such form, or nothing callable is there.
+        TypeError: an argument is of another type.
     """
-    found = []
-    for path in options.terms:
-        module, _, name = path.partition(":")
-        try:
-            term = getattr(importlib.import_module(module), name)
-        except (ImportError, AttributeError, ValueError) as error:
+    return _call(semantics, "s_sem", scene, layouts, rollout)
+
+
+def term_value(term: Term, fn: TermFunction, *given: Any) -> TermValue:
+    """Call a term's function, and wrap the plain array that a user's own returns."""
+    value = fn(*given)
+    if isinstance(value, TermValue):
+        return value
+    value = jnp.asarray(value, jnp.float32)
+    return TermValue(value, value)
+
+
+def try_term(term: Term, scene: SceneModel, rollout: Rollout, layouts: Layout) -> None:
+    """Call a term once on a few candidates before the search.
+
+    Args:
+        term: a user's own.
+        scene: the compiled scene.
+        rollout: of the candidates; nothing moves in it.
+        layouts: the candidates.
+
+    Raises:
+        ConfigError: the term is no function, takes other arguments, raises, or returns anything but
+            one finite number a candidate. The message names the term, its file and its line.
+    """
+    pop = layouts.yaw.shape[0]
+    where = f"reward term {term.name} ({source(term.fn)})"
+    if not callable(term.fn):
+        raise ConfigError(f"{where} is not a function of (scene, layouts, rollout)")
+    try:
+        shape = eqx.filter_eval_shape(term.fn, scene, layouts, rollout)
+        if isinstance(shape, TermValue):
+            shape = shape.value
+        got = getattr(shape, "shape", None)
+        if got is None or not jnp.issubdtype(shape.dtype, jnp.number):
             raise ConfigError(
-                f"refine.reward.terms: cannot import {path!r} ({error}); "
-                "write it as package.module:function"
-            ) from None
-        if not callable(term):
-            raise ConfigError(f"refine.reward.terms: {path!r} is not a function")
-        found.append(term)
-    return tuple(found)
+                f"{where} must return an array of shape [pop], one number a candidate, "
+                f"got {_described(shape)}"
+            )
+        if got != (pop,):
+            raise ConfigError(
+                f"{where} must return shape [pop], here [{pop}] for {pop} candidates, got "
+                f"{list(got) if got else 'a scalar'}"
+            )
+        values = np.asarray(
+            eqx.filter_jit(term_value)(term, term.fn, scene, layouts, rollout).value
+        )
+    except ConfigError:
+        raise
+    except Exception as error:
+        text = str(error).strip().split("\n")[0]
+        raise ConfigError(
+            f"{where} cannot be called with (scene, layouts, rollout): {type(error).__name__}: {text}"
+        ) from error
+    if not np.isfinite(values).all():
+        raise ConfigError(
+            f"{where} returned {values[~np.isfinite(values)][0]} for "
+            f"{int((~np.isfinite(values)).sum())} of {pop} candidates in which nothing moves"
+        )
+
+
+def _described(value: Any) -> str:
+    if hasattr(value, "dtype"):
+        return f"dtype {value.dtype}"
+    return "None" if value is None else f"a {type(value).__name__}"
+
+
+def source(fn: Any) -> str:
+    """Return file:line of a function, as far as Python knows it."""
+    try:
+        inner = inspect.unwrap(fn)
+        inner = inner if inspect.isroutine(inner) or inspect.isclass(inner) else type(inner)
+        return f"{inspect.getsourcefile(inner)}:{inspect.getsourcelines(inner)[1]}"
+    except (TypeError, OSError, ValueError):
+        return f"{getattr(fn, '__module__', None) or 'a built-in'}, no source file"

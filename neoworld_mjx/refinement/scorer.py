@@ -24,9 +24,9 @@ from ..errors import ConfigError
 from ..mllm import Panel, Picture
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
-from .asking import Asking, Draw
-from .estimate import estimate
 from .score_log import Identity, Job, Recorded, Score, ScoreLog, Stage, layout_digest
+from .score_worker import Draw, ScoreWorkers
+from .surrogate import surrogate_scores
 
 
 class Mark(IntEnum):
@@ -74,7 +74,7 @@ class SemanticScorer:
         self._model = model
         self._sigma = cem or CEMOptions()
         self._moves = np.asarray(model.optimised)
-        self._source: Asking | Recorded
+        self._source: ScoreWorkers | Recorded
         if recorded is not None:
             # Read before the log is begun, which may be the same file.
             self._source = Recorded(recorded)
@@ -89,7 +89,7 @@ class SemanticScorer:
                 "add it to the scene, or choose geometric"
             )
         else:
-            self._source = Asking(panel, photo, self.options, draw)
+            self._source = ScoreWorkers(panel, photo, self.options, draw)
         self._log = ScoreLog(log)
         self._jobs: dict[Identity, Job] = {}
         self._geometric: dict[Identity, float] = {}
@@ -130,7 +130,7 @@ class SemanticScorer:
             if (iteration, k) in self._jobs:
                 continue
             alone = Layout(*(x[k : k + 1] for x in (host.xy, host.yaw, host.log_scale)))
-            drawn = isinstance(self._source, Asking)
+            drawn = isinstance(self._source, ScoreWorkers)
             scene = self._model.apply(host, k, placed) if drawn else None
             job = Job((iteration, k), rank, layout_digest(alone), alone, scene)
             jobs.append(job)
@@ -188,7 +188,7 @@ class SemanticScorer:
             rows = [self._numbers(self._jobs[key].layouts) for key in scored]
             told = [self._geometric[key] for key in scored]
             said = [self._known[key].value for key in scored]
-            values = estimate(
+            values = surrogate_scores(
                 self._numbers(layouts), base, np.concatenate(rows), np.array(told), np.array(said)
             )
         for key in scored:
@@ -223,7 +223,7 @@ class SemanticScorer:
     def summary(self) -> dict[str, Any]:
         """Return the figures for run.json; complete once closed."""
         everyone = [*self._known.values(), *self._left]
-        live = self._source if isinstance(self._source, Asking) else None
+        live = self._source if isinstance(self._source, ScoreWorkers) else None
         return {
             "scorer": "recorded" if live is None else "mllm",
             "submitted": len(self._jobs),

@@ -35,7 +35,7 @@ BOX_NOISE_PX, BOX_NOISE = 2.0, 0.02
 """What a parsed box edge may be off by: pixels, and a share of the box's size."""
 
 
-class View(NamedTuple):
+class PhotoView(NamedTuple):
     """The photograph's side, by object."""
 
     axes: np.ndarray
@@ -61,7 +61,7 @@ class View(NamedTuple):
         return np.sqrt(np.prod(self.boxes[:, 2:] - self.boxes[:, :2], axis=-1))
 
 
-def view(spec: SceneSpec) -> View:
+def photo_view(spec: SceneSpec) -> PhotoView:
     """Collect the photograph's side; what was not parsed is taken from the composed scene."""
     camera = spec.camera or _camera_for(spec)
     middle = np.tile([camera.width / 2, camera.height_px / 2], 2)
@@ -77,7 +77,7 @@ def view(spec: SceneSpec) -> View:
             far = away.mean() if far is None else far
         boxes.append(np.array(box) - middle)
         depth.append(far)
-    return View(
+    return PhotoView(
         camera.axes(),
         camera.position(),
         camera.focal,
@@ -94,9 +94,9 @@ def _camera_for(scene: SceneSpec) -> Camera:
 
 
 def projected(
-    scene: SceneModel, v: View, poses: Poses
+    scene: SceneModel, v: PhotoView, poses: Poses
 ) -> tuple[Float[Array, "pop object 4"], Float[Array, "pop object"]]:
-    """Project candidates' surface samples: 2D boxes as in `View.boxes` [px], and depths [m]."""
+    """Project candidates' surface samples: 2D boxes as in `PhotoView.boxes` [px], and depths [m]."""
     # Sums of products, which XLA fuses with the minima; small matrix products are slow on CPUs.
     turn = rotation(poses.quat) * poses.scale[..., None, None]
     gap = poses.pos - v.position
@@ -135,7 +135,7 @@ def semantic_score(
         poses: where the candidates' objects are placed.
         depths: their pairwise penetration [m].
     """
-    v = view(scene.spec)
+    v = photo_view(scene.spec)
     count = len(v.depth)
     boxes, depth = projected(scene, v, poses)
     own = jnp.mean(jnp.abs(boxes - v.boxes), axis=-1) / v.size
@@ -192,13 +192,13 @@ def _steps(x: Float[Array, "pop column"]) -> Float[Array, "pop column"]:
     return jnp.round(jnp.clip(x, 0.0, 1.0) * LEVELS) / LEVELS
 
 
-def misfit(scene: SceneModel, poses: Poses) -> Float[Array, " pop"]:
+def reprojection_error(scene: SceneModel, poses: Poses) -> Float[Array, " pop"]:
     """Squared distance of projected boxes from the photograph's, in units of its noise.
 
     Differentiable; beyond three units it grows linearly (Huber), as a parsed box may be plainly
     wrong. Only objects whose box shows all of them count.
     """
-    v = view(scene.spec)
+    v = photo_view(scene.spec)
     boxes, _ = projected(scene, v, poses)
     off = (boxes - v.boxes) / (BOX_NOISE_PX + BOX_NOISE * v.size[:, None])
     huber = jnp.where(jnp.abs(off) < 3.0, off**2 / 2, 3.0 * (jnp.abs(off) - 1.5))

@@ -7,7 +7,8 @@ from pathlib import Path
 from ..errors import SpecError, choices
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
-from ..spec import SceneSpec, read_scene
+from ..refinement.scene_refinement import read_composed
+from ..spec import SceneSpec
 
 
 @dataclass(frozen=True)
@@ -44,10 +45,4 @@ def case(name: str, sources: Mapping[str, Source]) -> Case:
         kinds = ", ".join(f"{kind}:NAME" for kind in sources)
         generated = f", nor is it one of {kinds}" if kinds else ""
         raise SpecError(f"scene {name}: no such file or folder{generated}")
-    if path.is_dir() and (path / COMPOSED).is_file():
-        path = path / COMPOSED
-    return Case(name, read_scene(path))
-
-
-COMPOSED = "compose/scene.json"
-"""Where a run folder keeps the scene as composed."""
+    return Case(name, read_composed(path))

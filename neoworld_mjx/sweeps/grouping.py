@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from ..config import RefineOptions, list_options, option_values
-from ..refinement.loop import early_stop_rule
+from ..refinement.batching import early_stop_rule
 
 _OPTIONS = tuple(list_options(RefineOptions))
 TRACED = tuple(each.path for each in _OPTIONS if each.kind == "traced")
@@ -19,7 +19,7 @@ _SHARED = {each.path: each.reason for each in _OPTIONS if each.kind == "traced" 
 """Traced options that also set where `rollout.early_stop` ends rollouts."""
 
 
-class Group(NamedTuple):
+class PointGroup(NamedTuple):
     """Points that are one computation."""
 
     members: tuple[int, ...]
@@ -39,7 +39,7 @@ def static_part(options: RefineOptions) -> str:
     return json.dumps(static, sort_keys=True)
 
 
-def grouped(every: Sequence[RefineOptions], *, fold: bool = True) -> list[Group]:
+def grouped(every: Sequence[RefineOptions], *, fold: bool = True) -> list[PointGroup]:
     """Split points into groups; without `fold` each is one by itself.
 
     All groups share the widest reach of snapping, so that one compiled scene serves them all.
@@ -47,7 +47,7 @@ def grouped(every: Sequence[RefineOptions], *, fold: bool = True) -> list[Group]
     groups: dict[str, list[int]] = {}
     for k, options in enumerate(every):
         groups.setdefault(static_part(options) if fold else str(k), []).append(k)
-    return [Group(tuple(members), _widest(every, members)) for members in groups.values()]
+    return [PointGroup(tuple(members), _widest(every, members)) for members in groups.values()]
 
 
 def _widest(every: Sequence[RefineOptions], members: Sequence[int]) -> RefineOptions:

@@ -1,7 +1,7 @@
 """Results of single runs, and the Parquet file that holds them."""
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +11,12 @@ from arro3.core import Array, DataType, Table
 
 from ..errors import RunError
 from ..files import write_atomic
+from ..measure import SceneMeasure
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
+from ..refinement.loop import SearchResult
 from ..refinement.outcome import Chosen, Refined
 from .cases import Case
-from .fold import Searched
 from .plan import plain
 
 Row = dict[str, Any]
@@ -28,6 +29,7 @@ COLUMNS: dict[str, type] = {
     "d_pen_m": float,
     "d_drift": float,
     "s_sem": float,
+    "prior": float,
     "iterations": int,
     "rollouts": int,
     "pruned": int,
@@ -43,71 +45,70 @@ COLUMNS: dict[str, type] = {
     "engine": str,
     "fingerprint": str,
 }
-"""What is known of a run; absent where it does not apply. `valid` is of the search, `passed` of the
-exact check; `reward` is the absolute one, of the winner, as are the terms. `seconds` is the time of
-the search: of runs in one computation an equal share, compiling included. Depth, drift and tilt are of the check."""
+"""Columns of a run; None where one does not apply. `valid` is of the search, `passed` of the exact
+check; `reward` is the absolute one, of the winner, as are the terms. `seconds` is the time of the
+search: of runs in one computation an equal share, compiling included. Depth, drift and tilt are of
+the check."""
 
 
-def row_of_refined(case: Case, model: SceneModel, found: Refined) -> Row:
+TERM = "term_"
+"""Prefix of the columns of reward terms that COLUMNS does not list."""
+_TERM_COLUMNS = {"d_pen": "d_pen_m", "d_drift": "d_drift", "s_sem": "s_sem", "prior": "prior"}
+
+
+def row_of_refined(case: Case, model: SceneModel, refined: Refined) -> Row:
     """Describe the outcome of a refinement by itself."""
-    t, k = found.winner
-    at = lambda name: found.history[name][t, k] if t >= 0 else None
-    to_valid = found.seconds["to_valid"]
-    return _row(
-        {
-            "valid": bool(t >= 0 and at("valid")),
-            "passed": found.passed,
-            "reward": at("absolute"),
-            "d_pen_m": at("d_pen"),
-            "d_drift": at("d_drift"),
-            "s_sem": at("s_sem"),
-            "iterations": found.iterations,
-            "rollouts": found.rollouts,
-            "pruned": found.pruned,
-            "seconds": found.seconds["search"],
-            "to_valid_s": None if np.isnan(to_valid) else to_valid,
-            "engine": found.engine,
-        },
-        (case, model, found.layout),
-        found.measure,
-    )
+    history = refined.history
+    to_valid = refined.seconds["to_valid"]
+    outcome = {
+        "passed": refined.passed,
+        "iterations": refined.iterations,
+        "rollouts": refined.rollouts,
+        "pruned": refined.pruned,
+        "seconds": refined.seconds["search"],
+        "to_valid_s": None if np.isnan(to_valid) else to_valid,
+        "engine": refined.engine,
+    }
+    t, k = refined.winner
+    values = None if t < 0 else {name: x[t, k] for name, x in history.items() if x.ndim == 2}
+    winner = _winner(values, history["term_names"])
+    return outcome | winner | _of_layout(case, model, refined.layout, refined.measure)
 
 
-def row_of_searched(
-    case: Case, model: SceneModel, found: Searched, chosen: Chosen, start: Layout | None
+def row_of_search(
+    case: Case, model: SceneModel, result: SearchResult, chosen: Chosen, start: Layout | None
 ) -> Row:
     """Describe the outcome of a run among others; the caller adds time and engine."""
+    outcome = {
+        "passed": chosen.passed,
+        "iterations": len(result.rounds),
+        "rollouts": result.rollouts,
+        "pruned": 0,
+    }
     t, k = chosen.index
+    layout, values = start or Layout.zero(1, len(model.names)), None
     if t >= 0:
-        layouts, _, scores = found.rounds[t]
-        layout = Layout(layouts.xy[k : k + 1], layouts.yaw[k : k + 1], layouts.log_scale[k : k + 1])
-        at = lambda name: getattr(scores, name)[k]
-    else:
-        layout = start or Layout.zero(1, len(model.names))
-        at = lambda name: None
-    return _row(
-        {
-            "valid": bool(t >= 0 and at("valid")),
-            "passed": chosen.passed,
-            "reward": at("absolute"),
-            "d_pen_m": at("d_pen"),
-            "d_drift": at("d_drift"),
-            "s_sem": at("s_sem"),
-            "iterations": found.iterations,
-            "rollouts": found.rollouts,
-            "pruned": 0,
-        },
-        (case, model, layout),
-        chosen.measure,
-    )
+        layouts, _, scores = result.rounds[t]
+        layout = layouts[k : k + 1]
+        values = {name: x[k] for name, x in scores.terms.items()}
+        values |= {"valid": scores.valid[k], "absolute": scores.absolute[k]}
+    winner = _winner(values, [term.name for term in result.problem.objective.terms])
+    return outcome | winner | _of_layout(case, model, layout, chosen.measure)
 
 
-def _row(known: Row, of: tuple[Case, SceneModel, Layout], measure: Any) -> Row:
-    case, model, layout = of
+def _winner(values: Mapping[str, Any] | None, terms: Iterable[Any]) -> Row:
+    """Return the columns of the winning candidate; None where every candidate failed."""
+    number = lambda name: None if values is None else float(values[name])
+    columns = {_TERM_COLUMNS.get(name, TERM + name): number(name) for name in map(str, terms)}
+    valid = values is not None and bool(values["valid"])
+    return {"valid": valid, "reward": number("absolute"), **columns}
+
+
+def _of_layout(case: Case, model: SceneModel, layout: Layout, measure: SceneMeasure) -> Row:
     moves = np.asarray(model.optimised)
     logs = np.asarray(layout.log_scale[0])[moves]
     off = case.errors(model, layout) if case.errors is not None else {}
-    return known | {
+    return {
         "mean_log_scale": float(logs.mean()) if len(logs) else 0.0,
         "max_depth_m": measure.max_depth_m,
         "max_drift_m": measure.max_drift_m,
@@ -139,7 +140,7 @@ def write_parquet(path: Path, rows: Sequence[Row], values: Sequence[str]) -> Non
     """
     kinds: dict[str, type] = {"scene": str, "point": str, "seed": int}
     kinds |= {name: _kind([row.get(name) for row in rows]) for name in values}
-    kinds |= COLUMNS
+    kinds |= COLUMNS | dict.fromkeys(term_columns(rows), float)
     table = Table.from_pydict(
         {
             name: Array([_cell(row.get(name), kind) for row in rows], type=_TYPES[kind])
@@ -185,6 +186,11 @@ def _cell(value: Any, kind: type) -> Any:
     if value is None:
         return None
     return kind(plain(value) if kind is str else value)
+
+
+def term_columns(rows: Sequence[Row]) -> list[str]:
+    """Return the columns of reward terms beyond COLUMNS that rows have, in order."""
+    return list(dict.fromkeys(name for row in rows for name in row if name.startswith(TERM)))
 
 
 Key = tuple[str, str, int]

@@ -18,17 +18,17 @@ from ..files import content_hash
 from ..physics.engine import Engine
 from ..physics.model import SceneModel
 from ..physics.simulate import open_engine
-from ..refinement.loop import compiled, refine
+from ..refinement.loop import SearchRun, search
 from ..refinement.outcome import choose
+from ..refinement.scene_refinement import compile_for_search, refine
 from ..run_folder import versions
 from ..spec import SceneSpec
 from .cases import Case, Source, case
 from .compiles import compilations
-from .fold import Run, search_folded
 from .folder import FORMAT, TABLE, SweepFolder
-from .grouping import TRACED, Group, grouped, reasons
+from .grouping import TRACED, PointGroup, grouped, reasons
 from .plan import Ablation, Plan, Point, points, read
-from .rows import Key, Row, row_of_refined, row_of_searched
+from .rows import Key, Row, row_of_refined, row_of_search
 from .table import differences, markdown, summary
 
 _log = logging.getLogger(__name__)
@@ -62,7 +62,7 @@ def sweep(
 ) -> Swept:
     """Refine scenes with every combination of some options' values, with several seeds.
 
-    Runs that differ in traced options alone are one computation; see `fold`. They are not pruned,
+    Runs that differ in traced options alone are one computation; see `refinement.loop.search`. They are not pruned,
     which changes no elite.
 
     Args:
@@ -157,18 +157,18 @@ def _run(
             reach = group.reach
             shape = (reach.rollout.timestep_s, reach.rollout.samples_per_object)
             if shape not in models:
-                models[shape] = compiled(scene.scene, reach)
+                models[shape] = compile_for_search(scene.scene, reach)
             rolls = engine or open_engine(reach.rollout.engine)
             runs = [
-                Run(
+                SearchRun(
                     at[k].options,
                     seed,
                     None if scene.start is None else scene.start(models[shape], seed),
                 )
                 for k, seed in asked
             ]
-            search = _folded if plan.fold else _apart
-            rows = search(scene, models[shape], runs, rolls, warm)
+            run_all = _folded if plan.fold else _apart
+            rows = run_all(scene, models[shape], runs, rolls, warm)
             for (k, seed), row in zip(asked, rows, strict=True):
                 key = (scene.name, at[k].label, seed)
                 head = {"scene": scene.name, "point": at[k].label, "seed": seed}
@@ -192,21 +192,30 @@ def _run(
 
 
 def _folded(
-    scene: Case, model: SceneModel, runs: Sequence[Run], engine: Engine, warm: set[str]
+    scene: Case, model: SceneModel, runs: Sequence[SearchRun], engine: Engine, warm: set[str]
 ) -> list[Row]:
-    """Run all at once."""
+    """Search all runs at once, without pruning, so that rollouts are few and large."""
     del warm
-    found, clock = search_folded(model, runs, engine)
-    more = {"seconds": clock["search"] / len(runs), "to_valid_s": None, "engine": engine.name}
+    clock: dict[str, float] = {}
+    results = search(model, [unpruned(run) for run in runs], engine, keep=False, clock=clock)
+    timing = {"seconds": clock["search"] / len(runs), "to_valid_s": None, "engine": engine.name}
     rows = []
-    for run, searched in zip(runs, found, strict=True):
-        chosen = choose(model, searched.rounds, run.options, run.start)
-        rows.append(row_of_searched(scene, model, searched, chosen, run.start) | more)
+    for run, result in zip(runs, results, strict=True):
+        chosen = choose(model, result.rounds, run.options, run.start)
+        rows.append(row_of_search(scene, model, result, chosen, run.start) | timing)
     return rows
 
 
+def unpruned(run: SearchRun) -> SearchRun:
+    """Return the run with every candidate rolled out, which changes no elite."""
+    o = run.options
+    return run._replace(
+        options=o.model_copy(update={"cem": o.cem.model_copy(update={"prune": False})})
+    )
+
+
 def _apart(
-    scene: Case, model: SceneModel, runs: Sequence[Run], engine: Engine, warm: set[str]
+    scene: Case, model: SceneModel, runs: Sequence[SearchRun], engine: Engine, warm: set[str]
 ) -> list[Row]:
     """Run one after the other, as `refine` does; the first of a kind also unmeasured before."""
     rows = []
@@ -239,7 +248,7 @@ def _fingerprints(
     plan: Plan | Ablation,
     at: Sequence[Point],
     cases: Sequence[Case],
-    groups: Sequence[Group],
+    groups: Sequence[PointGroup],
     engine: Engine | None,
 ) -> dict[Key, str]:
     """Return a hash of all that decides a run, in the order of the table's rows."""

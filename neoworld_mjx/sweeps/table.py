@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from .plan import BASE
-from .rows import Row
+from .rows import TERM, Row, term_columns
 from .stats import Estimate, mean, rate, rate_difference
 
 
@@ -25,6 +25,7 @@ SHOWN = (
     Shown("d_pen_m", "D_pen, mm", 1e3),
     Shown("d_drift", "D_drift"),
     Shown("s_sem", "S_sem"),
+    Shown("prior", "prior"),
     Shown("mean_log_scale", "mean log scale"),
     Shown("xy_error_m", "xy error, mm", 1e3, 1),
     Shown("yaw_error_deg", "yaw error, deg", 1.0, 2),
@@ -37,19 +38,24 @@ SHOWN = (
 RATES = ("passed", "valid")
 
 
+def shown_columns(rows: Sequence[Row]) -> list[Shown]:
+    """Return the table's columns: SHOWN, and the reward terms that SHOWN does not list."""
+    return [*SHOWN, *(Shown(name, name.removeprefix(TERM)) for name in term_columns(rows))]
+
+
 def summary(rows: Sequence[Row], points: Sequence[str]) -> list[dict[str, Any]]:
     """Sum up each point over scenes and seeds: n, and mean, low and high of each column."""
     return [
-        {"point": point, "n": len(mine), **_estimates(lambda n, mine=mine: _estimate(mine, n))}
+        {"point": point, "n": len(own), **_estimates(rows, lambda n, own=own: _estimate(own, n))}
         for point in points
-        for mine in [[row for row in rows if row["point"] == point]]
+        for own in [[row for row in rows if row["point"] == point]]
     ]
 
 
 def differences(rows: Sequence[Row], points: Sequence[str]) -> list[dict[str, Any]]:
     """Sum up each point's differences from the base, paired over scenes and seeds."""
     by = {(row["scene"], row["point"], row["seed"]): row for row in rows}
-    found = []
+    differing = []
     for point in points:
         if point == BASE:
             continue
@@ -58,14 +64,14 @@ def differences(rows: Sequence[Row], points: Sequence[str]) -> list[dict[str, An
             for (scene, at, seed), row in by.items()
             if at == point and (scene, BASE, seed) in by
         ]
-        estimates = _estimates(lambda name, pairs=pairs: _difference(pairs, name))
-        found.append({"point": point, "n": len(pairs), **estimates})
-    return found
+        estimates = _estimates(rows, lambda name, pairs=pairs: _difference(pairs, name))
+        differing.append({"point": point, "n": len(pairs), **estimates})
+    return differing
 
 
-def _estimates(of: Callable[[str], Estimate]) -> dict[str, Any]:
-    found = {shown.name: of(shown.name) for shown in SHOWN}
-    return {name: e._asdict() for name, e in found.items() if e.n}
+def _estimates(rows: Sequence[Row], of: Callable[[str], Estimate]) -> dict[str, Any]:
+    estimates = {shown.name: of(shown.name) for shown in shown_columns(rows)}
+    return {name: e._asdict() for name, e in estimates.items() if e.n}
 
 
 def _estimate(rows: Sequence[Row], name: str) -> Estimate:
@@ -97,7 +103,7 @@ def markdown(
 
 
 def _table(rows: Sequence[dict[str, Any]], *, signed: bool) -> str:
-    used = [shown for shown in SHOWN if any(shown.name in row for row in rows)]
+    used = [shown for shown in shown_columns(rows) if any(shown.name in row for row in rows)]
     titles = [f"{shown.title}, %" if shown.name in RATES else shown.title for shown in used]
     lines = [["point", "n", *titles]]
     lines += [
@@ -109,13 +115,13 @@ def _table(rows: Sequence[dict[str, Any]], *, signed: bool) -> str:
     return "".join(f"| {' | '.join(line)} |\n" for line in [lines[0], head, *lines[1:]])
 
 
-def _cell(found: dict[str, Any] | None, shown: Shown, n: int, signed: bool) -> str:
-    if found is None:
+def _cell(estimate: dict[str, Any] | None, shown: Shown, n: int, signed: bool) -> str:
+    if estimate is None:
         return ""
     sign = "+" if signed else ""
     number = lambda x, s="": f"{x * shown.factor:{s}.{shown.digits}f}"
-    text = number(found["mean"], sign)
-    if math.isfinite(found["low"]):
-        text += f" [{number(found['low'], sign)}, {number(found['high'], sign)}]"
+    text = number(estimate["mean"], sign)
+    if math.isfinite(estimate["low"]):
+        text += f" [{number(estimate['low'], sign)}, {number(estimate['high'], sign)}]"
     # Fewer than all runs have this figure, such as a time to valid where none was.
-    return text if found["n"] == n else f"{text} (n {found['n']})"
+    return text if estimate["n"] == n else f"{text} (n {estimate['n']})"

@@ -12,7 +12,7 @@ from neoworld_mjx.config import load_config
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import refine
-from neoworld_mjx.refinement.rewards import score, user_terms, weights
+from neoworld_mjx.refinement.objective import evaluate, open_objective, place
 from tests.support import scenes
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/write-a-reward.md"
@@ -31,13 +31,16 @@ def test_the_pages_term_is_short_and_is_used_from_its_config(tmp_path, monkeypat
     monkeypatch.delitem(sys.modules, "my_rewards", raising=False)
 
     options = load_config(tmp_path / "square.yaml").refine
-    (term,) = user_terms(options.reward)
     scene = compile_scene(scenes.blocks())
     layouts = jax.device_put(noisy_layouts(scene, 4))
     rollout = NativeEngine().rollout(scene, scene.place(layouts), duration=0.1)
-    with_term = score(scene, layouts, rollout, weights(options), (term,))
+
+    def scored(of):
+        objective = open_objective(of)
+        return evaluate(scene, layouts, place(scene, layouts, objective), rollout, objective)
+
     plain = options.model_copy(update={"reward": options.reward.model_copy(update={"terms": {}})})
-    without = score(scene, layouts, rollout, weights(plain))
+    with_term, without = scored(options), scored(plain)
     turned = 2 * np.arctan2(rollout.quat[:, -1, :, 3], rollout.quat[:, -1, :, 0])
     expected = np.cos(4 * turned[:, 1:]).mean(axis=1)
     assert np.allclose(with_term.reward - without.reward, expected, atol=1e-4)

@@ -1,6 +1,5 @@
 """What makes refinement faster: exact pruning, descent before physics, credit by objects."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,11 +11,12 @@ from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import open_cem, refine
-from neoworld_mjx.refinement.credit import partners, shared
-from neoworld_mjx.refinement.descent import descend
-from neoworld_mjx.refinement.prune import PRUNED, score_elites
-from neoworld_mjx.refinement.rewards import d_pen, placed, score, weights
-from neoworld_mjx.refinement.semantic import misfit
+from neoworld_mjx.refinement.credit import assigned_credit, contact_components
+from neoworld_mjx.refinement.gradient import refine_by_gradient
+from neoworld_mjx.refinement.objective import evaluate, open_objective, place
+from neoworld_mjx.refinement.pruning import PRUNED, RolloutPlan
+from neoworld_mjx.refinement.rewards import d_pen
+from neoworld_mjx.refinement.semantic import reprojection_error
 from tests.support import scenes
 
 
@@ -29,12 +29,16 @@ def crowd():
 @pytest.mark.parametrize("elites", [1, 12])
 def test_pruning_changes_no_elite(crowd, elites):
     scene, layouts = crowd
-    w = weights(RefineOptions())
-    engine = NativeEngine()
-    rollout = lambda poses: engine.rollout(scene, poses, duration=0.3)
-    every = score(scene, layouts, rollout(scene.place(layouts)), w)
-    before = placed(scene, layouts, w)
-    found = score_elites(scene, layouts, before, rollout, w, elites=elites, batch=8)
+    objective = open_objective(RefineOptions())
+    roll_out = lambda placed: NativeEngine().rollout(scene, placed.poses, duration=0.3)
+    placement = place(scene, layouts, objective)
+    every = evaluate(scene, layouts, placement, roll_out(placement), objective)
+    plan = RolloutPlan(placement, batch=8, elites=elites)
+    while (rows := plan.next()) is not None:
+        some, placed = jax.tree.map(lambda x, rows=rows: x[rows], (layouts, placement))
+        plan.add(evaluate(scene, some, placed, roll_out(placed), objective))
+    found = plan.scores()
+    assert plan.rolled_out == np.sum(np.asarray(found.status) != PRUNED)
     pruned = np.asarray(found.status) == PRUNED
     assert 0 < pruned.sum() < 96
     best = lambda s: np.argsort(-np.asarray(s.reward), kind="stable")[:elites]
@@ -68,74 +72,66 @@ def test_a_refinement_with_pruning_ends_where_one_without_does():
 
 def test_descent_leaves_interpenetration_and_finds_the_boxes(crowd):
     scene, layouts = crowd
-    _, params = open_cem(scene, CEMOptions())
+    sigma = open_cem(scene, CEMOptions()).params.sigma
     how = {"steps": 12, "rate": 0.2, "samples": 64}
-    moved = descend(scene, layouts, params.sigma, photo=False, **how)
+    moved = refine_by_gradient(scene, layouts, sigma, photo=False, **how)
     before, after = d_pen(scene, layouts), d_pen(scene, moved)
     assert float(jnp.median(after)) < 0.3 * float(jnp.median(before))
     table = scene.names.index("table")
     assert np.array_equal(moved.xy[:, table], layouts.xy[:, table])
     # The composed scene is what its own boxes show.
     how["steps"] = 60
-    seen = descend(scene, layouts[:4], params.sigma, photo=True, **how)
-    far = lambda some: np.asarray(misfit(scene, scene.place(some)))
+    seen = refine_by_gradient(scene, layouts[:4], sigma, photo=True, **how)
+    far = lambda some: np.asarray(reprojection_error(scene, scene.place(some)))
     assert far(seen).max() < 0.2 * far(layouts[:4]).min()
 
 
 def test_candidates_descend_each_by_itself(crowd):
     scene, layouts = crowd
-    _, params = open_cem(scene, CEMOptions())
+    sigma = open_cem(scene, CEMOptions()).params.sigma
     how = {"steps": 3, "rate": 0.2, "samples": 32, "photo": True}
-    several = descend(scene, layouts[:5], params.sigma, **how)
-    one = descend(scene, layouts[3:4], params.sigma, **how)
+    several = refine_by_gradient(scene, layouts[:5], sigma, **how)
+    one = refine_by_gradient(scene, layouts[3:4], sigma, **how)
     assert np.allclose(several.xy[3], one.xy[0], atol=1e-5)
 
 
 def test_credit_goes_to_what_stands_on_each_other():
     scene = compile_scene(scenes.blocks())
     spec = scene.spec
-    mine = partners(scene, CEMOptions(credit="object"))
-    assert np.array_equal(mine, mine.T) and np.all(np.diag(mine) == 1)
+    near = contact_components(scene, CEMOptions(credit="object"))
+    assert np.array_equal(near, near.T) and np.all(np.diag(near) == 1)
     table = spec.index("table")
     for k, item in enumerate(spec.objects):
         if item.parent not in (None, "table"):
-            assert mine[k, spec.index(item.parent)] == 1
-        assert mine[k, table] == (k == table)
-    wider = partners(scene, CEMOptions(credit="island"))
-    assert np.all(wider >= mine)
-    apart = partners(scene, CEMOptions(credit="island", sigma_xy=0.0))
+            assert near[k, spec.index(item.parent)] == 1
+        assert near[k, table] == (k == table)
+    wider = contact_components(scene, CEMOptions(credit="island"))
+    assert np.all(wider >= near)
+    apart = contact_components(scene, CEMOptions(credit="island", sigma_xy=0.0))
     assert apart.sum() <= wider.sum()
 
 
 def test_each_object_takes_the_elites_that_are_best_for_it():
     scene = compile_scene(scenes.blocks())
-    cem, params = open_cem(scene, CEMOptions(population=64, elite_ratio=0.1))
-    state = cem.init(scene, params)
-    layouts = cem.ask(jax.random.key(0), state, params)
+    cem = open_cem(scene, CEMOptions(elite_ratio=0.1))
+    state = cem.init()
+    layouts = cem.ask(jax.random.key(0), state, 64)
     # The first object wants to go right and the second left; no candidate does both best.
     one, two = np.flatnonzero(np.asarray(scene.optimised))[:2]
     credit = jnp.zeros((64, len(scene.names)))
     credit = credit.at[:, one].set(layouts.xy[:, one, 0]).at[:, two].set(-layouts.xy[:, two, 0])
-    told = cem.tell(state, layouts, jnp.zeros(64), jnp.zeros(64), params, credit)
+    fitted = cem.tell(state, layouts, jnp.zeros(64), credit=credit)
     best = np.sort(np.asarray(layouts.xy[:, one, 0]))[-6:]
-    assert float(told.mean.xy[0, one, 0]) == pytest.approx(best.mean(), rel=1e-4)
-    assert float(told.mean.xy[0, two, 0]) < 0 < float(told.mean.xy[0, one, 0])
+    assert float(fitted.mean.xy[0, one, 0]) == pytest.approx(best.mean(), rel=1e-4)
+    assert float(fitted.mean.xy[0, two, 0]) < 0 < float(fitted.mean.xy[0, one, 0])
 
 
-def test_failed_candidates_get_no_credit(crowd):
-    scene, layouts = crowd
-    found = score(
-        scene,
-        layouts[:2],
-        NativeEngine().rollout(scene, scene.place(layouts[:2])),
-        weights(RefineOptions()),
-    )
-    bad = found.credit.at[1, 0].set(-jnp.inf)
-    found = eqx.tree_at(lambda s: s.credit, found, bad)
-    every = np.ones((len(scene.names),) * 2, np.float32)
-    credit = shared(found, every)
-    assert np.allclose(credit[0], np.sum(found.credit[0])) and np.all(credit[1] == -np.inf)
-    assert np.array_equal(shared(found, every, False)[:, 0], found.reward)
+def test_failed_candidates_get_no_credit():
+    credit = jnp.array([[0.1, 0.2, 0.3], [-jnp.inf, 0.5, 0.5]])
+    reward, every = jnp.array([0.7, -jnp.inf]), jnp.ones((3, 3))
+    assigned = assigned_credit(credit, reward, every)
+    assert np.allclose(assigned[0], 0.6) and np.all(assigned[1] == -np.inf)
+    assert np.array_equal(assigned_credit(credit, reward, every, False)[:, 0], reward)
 
 
 def test_credit_by_objects_excludes_terms_of_the_whole_scene():

@@ -1,3 +1,6 @@
+import sys
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -5,11 +8,18 @@ import pytest
 
 from neoworld_mjx.config import RefineOptions, RewardOptions
 from neoworld_mjx.errors import ConfigError
-from neoworld_mjx.physics.engine import RolloutStatus
+from neoworld_mjx.physics.engine import RolloutStatus, unmoved
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import rewards
+from neoworld_mjx.refinement.objective import (
+    contribution,
+    evaluate,
+    named_terms,
+    open_objective,
+    place,
+)
 from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import random_layout
@@ -59,14 +69,7 @@ def test_drift_takes_the_worst_moment_and_the_worse_of_distance_and_angle():
     quat = np.broadcast_to(np.asarray(rollout.start.quat)[:, None], rollout.quat.shape).copy()
     half = np.radians(10.0) / 2
     quat[1, 0, ball] = [np.cos(half), np.sin(half), 0, 0]
-    made = rollout.__class__(
-        rollout.time,
-        jnp.asarray(pos),
-        jnp.asarray(quat),
-        rollout.status,
-        rollout.start,
-        rollout.steps,
-    )
+    made = eqx.tree_at(lambda r: (r.pos, r.quat), rollout, (jnp.asarray(pos), jnp.asarray(quat)))
     far, turned = rewards.drifts(scene, made)
     assert float(far[0, ball]) == pytest.approx(0.03, abs=1e-6)
     assert float(turned[1, ball]) == pytest.approx(np.radians(10.0), abs=1e-4)
@@ -74,37 +77,35 @@ def test_drift_takes_the_worst_moment_and_the_worse_of_distance_and_angle():
     assert found == pytest.approx(np.array([3.0, 2.0]), abs=1e-2)
 
 
-def weights(**change):
-    return rewards.weights(RefineOptions(reward=RewardOptions(**change)))
+def scored(scene, layouts, rollout, **reward):
+    objective = open_objective(RefineOptions(reward=RewardOptions(**reward)))
+    return evaluate(scene, layouts, place(scene, layouts, objective), rollout, objective)
 
 
 def test_iteration_normalisation_spans_zero_to_one_over_the_living():
-    pen = jnp.array([0.0, 0.001, 0.002, jnp.nan])
-    moved = jnp.array([1.0, 1.0, 1.0, 1.0])
+    term = rewards.Term("d", None, -1.0, cap=0.005)
+    value = jnp.array([0.0, 0.001, 0.002, jnp.nan])
     alive = jnp.array([True, True, True, False])
-    found = rewards.compose(pen, moved, jnp.zeros(4), alive, weights(normalisation="iteration"))
-    assert found[:3] == pytest.approx(np.array([0.0, -0.5, -1.0]))
-    assert float(found[3]) == -np.inf
+    assert contribution(term, value, alive, "iteration")[:3] == pytest.approx([0.0, -0.5, -1.0])
+    same = contribution(term, jnp.ones(4), alive, "iteration")
+    assert not np.any(np.asarray(same)[:3])
 
 
 def test_fixed_normalisation_clips_at_the_cap():
-    pen = jnp.array([0.0, 0.01, 5.0])
-    w = weights(normalisation="fixed", d_pen_cap_m=0.02)
-    found = rewards.compose(pen, jnp.zeros(3), jnp.zeros(3), jnp.ones(3, bool), w)
-    assert found == pytest.approx(np.array([0.0, -0.5, -1.0]))
+    term = rewards.Term("d", None, -1.0, cap=0.02)
+    found = contribution(term, jnp.array([0.0, 0.01, 5.0]), jnp.ones(3, bool), "fixed")
+    assert found == pytest.approx([0.0, -0.5, -1.0])
 
 
 def test_failed_candidates_score_minus_infinity_and_are_never_valid():
     scene = compile_scene(scenes.blocks())
     layouts = random_layout(scene, 4, spread=0.1)
     rollout = NativeEngine().rollout(scene, scene.place(layouts), duration=0.1)
-    status = rollout.status.at[1].set(int(RolloutStatus.FAILED))
-    broken = rollout.__class__(
-        rollout.time, rollout.pos, rollout.quat, status, rollout.start, rollout.steps
+    broken = eqx.tree_at(
+        lambda r: r.status, rollout, rollout.status.at[1].set(int(RolloutStatus.FAILED))
     )
-    found = rewards.score(scene, layouts, broken, weights())
-    assert float(found.reward[1]) == -np.inf
-    assert float(found.absolute[1]) == -np.inf
+    found = scored(scene, layouts, broken)
+    assert float(found.reward[1]) == float(found.absolute[1]) == -np.inf
     assert not bool(found.valid[1])
     assert np.all(np.isfinite(np.asarray(found.reward)[[0, 2, 3]]))
 
@@ -125,28 +126,61 @@ def test_s_sem_prefers_what_the_photo_shows():
 
 
 def higher_is_better(scene, layouts, rollout):
-    """A user's own term: the height of the highest object at the end."""
+    """Return the height of the highest object at the end [m]."""
     return jnp.max(rollout.pos[:, -1, :, 2], axis=-1)
 
 
-def test_a_users_own_term_counts():
+def test_a_users_own_term_counts_and_is_kept_by_its_name(monkeypatch):
     scene = compile_scene(scenes.blocks())
     layouts = random_layout(scene, 4, spread=0.1)
     rollout = NativeEngine().rollout(scene, scene.place(layouts), duration=0.1)
-    path = f"{__name__}:higher_is_better"
-    import sys
-
-    sys.modules.setdefault(__name__, sys.modules[higher_is_better.__module__])
-    options = RefineOptions(reward=RewardOptions(terms={path: 2.0}))
-    terms = rewards.user_terms(options.reward)
-    with_term = rewards.score(scene, layouts, rollout, rewards.weights(options), terms)
-    without = rewards.score(scene, layouts, rollout, rewards.weights(RefineOptions()))
-    gained = np.asarray(with_term.absolute - without.absolute)
-    expected = 2.0 * np.asarray(higher_is_better(scene, layouts, rollout))
-    assert gained == pytest.approx(expected, abs=1e-5)
+    monkeypatch.setitem(sys.modules, "own_rewards", sys.modules[higher_is_better.__module__])
+    with_term = scored(scene, layouts, rollout, terms={"own_rewards:higher_is_better": 2.0})
+    without = scored(scene, layouts, rollout)
+    height = np.asarray(higher_is_better(scene, layouts, rollout))
+    assert np.asarray(with_term.terms["higher_is_better"]) == pytest.approx(height)
+    assert np.asarray(with_term.absolute - without.absolute) == pytest.approx(2 * height, abs=1e-5)
 
 
-@pytest.mark.parametrize("path", ["nowhere.module:term", "math:no_such", "math", "math:pi"])
-def test_a_term_that_cannot_be_imported_is_named(path):
-    with pytest.raises(ConfigError, match="terms"):
-        rewards.user_terms(RewardOptions(terms={path: 1.0}))
+@pytest.mark.parametrize(
+    "path", ["nowhere.module:term", "math:no_such", "math", "math:pi", "d_pen"]
+)
+def test_a_term_that_cannot_be_found_is_named(path):
+    with pytest.raises(ConfigError, match=r"refine\.reward\.terms.*" + path):
+        named_terms(RefineOptions(reward=RewardOptions(terms={path: 1.0})))
+
+
+class TestCompiled:
+    """Rewards called from Python are compiled, and compose with transformations of JAX."""
+
+    def test_a_wrong_type_says_what_is_wanted(self):
+        scene = two_boxes(0.0)
+        zero = Layout.zero(1, 3)
+        for call, match in (
+            (lambda: rewards.d_pen("run/scene.json", zero), "SceneModel.*got a str"),
+            (lambda: rewards.s_sem(scene.spec, zero), "SceneModel.*got a SceneSpec"),
+            (lambda: rewards.d_pen(scene, np.zeros(3)), "Layout.*got a ndarray"),
+            (lambda: rewards.d_drift(scene, zero, None), "Rollout.*got None"),
+        ):
+            with pytest.raises(TypeError, match=match):
+                call()
+
+    def test_they_jit_vmap_and_differentiate(self):
+        scene = two_boxes(-0.01)
+        layouts = shifted(scene, 0.002, pop=2)
+        many = jax.tree.map(lambda x: jnp.stack([x, 2 * x, 0 * x]), layouts)
+        for term in (rewards.d_pen, rewards.s_sem):
+            plain = term(scene, layouts)
+            assert np.allclose(jax.jit(lambda z, t=term: t(scene, z))(layouts), plain, atol=1e-6)
+            mapped = jax.vmap(lambda z, t=term: t(scene, z))(many)
+            assert np.allclose(mapped[0], plain, atol=1e-6)
+        slope = jax.grad(lambda z: jnp.sum(rewards.d_pen(scene, z)))(layouts)
+        assert np.allclose(slope.xy[:, scene.names.index("b"), 0], -1.0, atol=1e-3)
+
+    def test_drift_is_differentiable_in_the_motion(self):
+        scene = two_boxes(0.05)
+        still = unmoved(scene, scene.place(Layout.zero(1, 3)))
+        drift = lambda dx: rewards.d_drift(
+            scene, Layout.zero(1, 3), eqx.tree_at(lambda r: r.pos, still, still.pos + dx)
+        )[0]
+        assert float(jax.grad(drift)(0.001)) == pytest.approx(2 * np.sqrt(3) / 0.01, rel=1e-3)

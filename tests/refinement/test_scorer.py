@@ -19,17 +19,17 @@ from neoworld_mjx.mllm import Panel, Picture, Tape
 from neoworld_mjx.mllm.anthropic import Anthropic
 from neoworld_mjx.mllm.replay import Replay
 from neoworld_mjx.physics.model import compile_scene
-from neoworld_mjx.refinement.ask_scores import (
+from neoworld_mjx.refinement.score_log import Score, read_scores
+from neoworld_mjx.refinement.score_request import (
     CRITERIA,
     Judgement,
     listing,
     score_request,
     system_text,
 )
-from neoworld_mjx.refinement.asking import drawer
-from neoworld_mjx.refinement.estimate import estimate
-from neoworld_mjx.refinement.score_log import Score, read_scores
+from neoworld_mjx.refinement.score_worker import drawer
 from neoworld_mjx.refinement.scorer import Mark, SemanticScorer
+from neoworld_mjx.refinement.surrogate import surrogate_scores
 from tests.support import scenes
 from tests.support.messages import MessagesServer, judged, levels_of
 
@@ -440,7 +440,7 @@ def test_the_page_gives_options_that_exist():
     assert sorted(named) == sorted(Score.model_fields)
 
 
-class TestEstimate:
+class TestSurrogate:
     def world(self, n, seed=0):
         """Truth falls off with the distance from an optimum; geometry sees it dimly and too well."""
         rng = np.random.default_rng(seed)
@@ -450,18 +450,18 @@ class TestEstimate:
 
     def test_without_scores_it_is_the_geometric_score(self):
         z, g, _ = self.world(10)
-        np.testing.assert_array_equal(estimate(z, g, z[:0], g[:0], g[:0]), g)
+        np.testing.assert_array_equal(surrogate_scores(z, g, z[:0], g[:0], g[:0]), g)
 
     def test_few_scores_leave_the_ranking_to_geometry(self):
         z, g, true = self.world(50)
-        found = estimate(z, g, z[:4], g[:4], true[:4])
+        found = surrogate_scores(z, g, z[:4], g[:4], true[:4])
         np.testing.assert_allclose(found - g, (found - g)[0])
         assert np.mean(np.abs(found - true)) < np.mean(np.abs(g - true))
 
     @pytest.mark.parametrize("seed", range(3))
     def test_many_scores_beat_geometry(self, seed):
         z, g, true = self.world(300, seed)
-        found = estimate(z[100:], g[100:], z[:100], g[:100], np.round(16 * true[:100]) / 16)
+        found = surrogate_scores(z[100:], g[100:], z[:100], g[:100], np.round(16 * true[:100]) / 16)
         assert np.all((found >= 0) & (found <= 1))
         shifted = g[100:] + np.mean(true[:100] - g[:100])
         error = np.sqrt(np.mean((found - true[100:]) ** 2))
@@ -470,5 +470,5 @@ class TestEstimate:
     def test_noise_is_not_learned(self):
         z, g, _ = self.world(200)
         noise = np.clip(g[:40] + np.random.default_rng(1).normal(0, 0.1, 40), 0, 1)
-        found = estimate(z[40:], g[40:], z[:40], g[:40], noise)
+        found = surrogate_scores(z[40:], g[40:], z[:40], g[:40], noise)
         assert np.sqrt(np.mean((found - g[40:]) ** 2)) < 0.04

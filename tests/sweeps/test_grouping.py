@@ -6,7 +6,7 @@ import pytest
 from neoworld_mjx.config import RefineOptions, list_options, option_values
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.refinement.cem import open_cem
-from neoworld_mjx.refinement.rewards import weights
+from neoworld_mjx.refinement.objective import open_objective
 from neoworld_mjx.sweeps.compiles import compilations
 from neoworld_mjx.sweeps.grouping import STATIC, TRACED, grouped, reasons
 from tests.support import scenes
@@ -25,7 +25,10 @@ def put(path, value):
 
 
 def traced(options):
-    return weights(options), open_cem(MODEL, options.cem)[1]
+    gain = np.float32(options.cem.stop_gain)
+    return eqx.filter(
+        (open_objective(options), open_cem(MODEL, options.cem), gain), eqx.is_array_like
+    )
 
 
 HOST = [
@@ -68,11 +71,12 @@ def test_weights_of_terms_are_traced_and_their_names_are_not():
         put("reward.terms", terms) for terms in ({"math:ceil": 1}, {"math:ceil": 2}, {})
     )
     assert jax.tree.structure(traced(one)) == jax.tree.structure(traced(two))
-    assert float(traced(two)[0].user[0]) == 2
+    assert float(traced(two)[0].terms[-1].weight) == 2
     assert [group.members for group in grouped([one, two, three])] == [(0, 1), (2,)]
 
 
 OTHERS = {
+    "optimizer": "random",
     "cem.population": 8,
     "cem.elite_ratio": 0.5,
     "cem.first": 7,

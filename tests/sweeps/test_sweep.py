@@ -36,7 +36,7 @@ def plan(seeds=(0, 1), **axes):
 @pytest.fixture(scope="module", autouse=True)
 def _compiled_once():
     """Most of the time of a small sweep is compiling its scene, which these tests share."""
-    kept, made = run.compiled, {}
+    kept, made = run.compile_for_search, {}
 
     def compiled(scene, o):
         key = (scene.model_dump_json(), o.cem.sigma_xy, o.rollout.timestep_s)
@@ -45,7 +45,7 @@ def _compiled_once():
         return made[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run, "compiled", compiled)
+        patch.setattr(run, "compile_for_search", compiled)
         yield
 
 
@@ -133,8 +133,10 @@ def test_what_is_done_stays_and_is_not_done_again(tmp_path, monkeypatch):
     about = json.loads((tmp_path / "sweep.json").read_text())
     assert (about["finished"], len(about["groups"])) == (False, 1)
     done = []
-    kept = run.search_folded
-    monkeypatch.setattr(run, "search_folded", lambda m, r, e: done.append(len(r)) or kept(m, r, e))
+    kept = run.search
+    monkeypatch.setattr(
+        run, "search", lambda m, r, e, **o: done.append(len(r)) or kept(m, r, e, **o)
+    )
     found = sweep(asked, tmp_path, cases=[SCENE], engine=NativeEngine(), resume=True)
     assert done == [1]
     assert len(found.about["groups"]) == 2

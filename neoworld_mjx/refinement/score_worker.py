@@ -24,8 +24,8 @@ from ..mllm.ledger import price_of
 from ..mllm.requests import digest
 from ..render import render_plain, render_scene
 from ..spec import SceneSpec
-from .ask_scores import Judgement, score_request
 from .score_log import Identity, Job, Score, Stage
+from .score_request import Judgement, score_request
 
 Draw = Callable[[SceneSpec], UInt8[ndarray, "height width 3"]]
 
@@ -46,7 +46,7 @@ def drawer(options: SemanticOptions) -> Draw:
     return draw
 
 
-class Asking:
+class ScoreWorkers:
     """The scores of a running model.
 
     Args:

@@ -1,4 +1,4 @@
-"""Adam on the differentiable terms: out of interpenetration, and towards the photograph's boxes.
+"""Gradient refinement: Adam steps out of interpenetration and towards the photograph's boxes.
 
 Physics tells good layouts from bad ones but not which way to go; penetration and projected boxes do.
 A few steps on them cost less than one rollout.
@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
-from neoworld_kernels import pair_depth
 
-from ..physics.layout import Layout, rotation
+from ..physics.layout import Layout
 from ..physics.model import SceneModel
-from .semantic import misfit
+from .rewards import deeper, pair_depths
+from .semantic import reprojection_error
 
 PEN_SCALE = (0.001, 0.0001)
 """Penetration [m] that costs as much as a box off by its noise, at the first step and at the last: at
@@ -21,7 +21,7 @@ first objects may pass through each other, at the end they must not."""
 
 
 @eqx.filter_jit
-def descend(
+def refine_by_gradient(
     scene: SceneModel,
     layouts: Layout,
     sigma: Layout,
@@ -34,7 +34,7 @@ def descend(
     """Move candidates down D_pen, staying near where they are.
 
     Minimises, for each candidate by itself, the sum of pair depths over PEN_SCALE, plus half the
-    squared departure from where it was drawn in units of `sigma`, plus, with `photo`, `misfit`.
+    squared distance from where it was drawn in units of `sigma`, plus, with `photo`, `reprojection_error`.
 
     Args:
         scene: the compiled scene.
@@ -42,25 +42,24 @@ def descend(
         sigma: standard deviations, pop axis of length 1; objects with none stay where they are.
         steps: of Adam.
         rate: length of a step in units of `sigma`; it falls to a tenth over the steps.
-        samples: surface samples of an object that are looked at, corners first.
+        samples: surface samples of an object that depths are taken at, corners first.
         photo: whether to follow the photograph's boxes too.
     """
     free = jax.tree.map(lambda s: (s > 0).astype(jnp.float32), sigma)
     start = jax.tree.map(lambda z, s: z / jnp.maximum(s, 1e-9), layouts, sigma)
-    few = scene.samples[:, :samples]
+    sampled = eqx.tree_at(lambda s: s.samples, scene, scene.samples[:, :samples])
 
     def loss(unit: Layout, i: Array) -> Float[Array, ""]:
         moved = jax.tree.map(
             lambda u, s, z, f: jnp.where(f > 0, u * s, z), unit, sigma, layouts, free
         )
         poses = scene.place(moved)
-        found = pair_depth(poses.pos, rotation(poses.quat), poses.scale, few, scene.colliders)
-        found = jnp.where(scene.pair_mask, found, 0.0)
+        depth = deeper(pair_depths(sampled, poses))
         hard = (1 / PEN_SCALE[0]) * (PEN_SCALE[0] / PEN_SCALE[1]) ** (i / max(steps - 1, 1))
-        cost = jnp.sum(jnp.maximum(found, jnp.swapaxes(found, 1, 2)), axis=(1, 2)) / 2 * hard
+        cost = jnp.sum(depth, axis=(1, 2)) / 2 * hard
         away = jax.tree.map(lambda u, z, f: jnp.sum(f * (u - z) ** 2) / 2, unit, start, free)
         cost = jnp.sum(cost) + sum(jax.tree.leaves(away))
-        return cost + jnp.sum(misfit(scene, poses)) if photo else cost
+        return cost + jnp.sum(reprojection_error(scene, poses)) if photo else cost
 
     adam = optax.adam(optax.cosine_decay_schedule(rate, steps, alpha=0.1), b1=0.8)
 

@@ -15,7 +15,7 @@ FEWEST = 6
 """Scored candidates from which layouts are regressed on at all."""
 
 
-def estimate(
+def surrogate_scores(
     layouts: NDArray,
     geometric: NDArray,
     scored_layouts: NDArray,

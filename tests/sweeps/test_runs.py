@@ -6,9 +6,12 @@ from neoworld_mjx.bench.refine_scenes import START
 from neoworld_mjx.bench.scenes import crowded, noisy_layouts
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.refinement.loop import compiled, refine
+from neoworld_mjx.refinement.algorithm import ask, update
+from neoworld_mjx.refinement.batching import map_runs
+from neoworld_mjx.refinement.loop import SearchRun, _opened, search
+from neoworld_mjx.refinement.objective import evaluate, place
 from neoworld_mjx.refinement.outcome import choose
-from neoworld_mjx.sweeps import fold
+from neoworld_mjx.refinement.scene_refinement import compile_for_search, refine
 from neoworld_mjx.sweeps.compiles import compilations
 
 ENGINE = NativeEngine()
@@ -36,32 +39,34 @@ def options(w_drift=1.0, *, population=24, iterations=4, **more):
 
 @pytest.fixture(scope="module")
 def model():
-    return compiled(crowded(3), options())
+    return compile_for_search(crowded(3), options())
 
 
 def started(model, settings, seeds):
     starts = {seed: noisy_layouts(model, 1, seed=seed, noise=START) for seed in seeds}
-    return [fold.Run(o, seed, starts[seed]) for o in settings for seed in seeds]
+    return [SearchRun(o, seed, starts[seed]) for o in settings for seed in seeds]
 
 
 def same_as_alone(model, runs):
     """Compare with separate refinements; return those."""
-    found, _ = fold.search_folded(model, runs, ENGINE)
+    found = search(model, runs, ENGINE, keep=False)
     alone = []
-    for run, mine in zip(runs, found, strict=True):
+    for run, result in zip(runs, found, strict=True):
         one = refine(model, run.options, seed=run.seed, start=run.start, engine=ENGINE)
-        chosen = choose(model, mine.rounds, run.options, run.start)
+        chosen = choose(model, result.rounds, run.options, run.start)
         t, k = chosen.index
-        layouts, _, scores = mine.rounds[t]
-        assert (mine.iterations, mine.rollouts) == (one.iterations, one.rollouts)
-        told = (t, chosen.tried, chosen.passed)
-        assert told == (one.winner[0], one.finalists_tried, one.passed)
-        mine_z = jax.tree.map(lambda x, k=k: x[k : k + 1], layouts)
-        for a, b in zip(jax.tree.leaves(mine_z), jax.tree.leaves(one.layout), strict=True):
+        layouts, _, scores = result.rounds[t]
+        assert (len(result.rounds), result.rollouts) == (one.iterations, one.rollouts)
+        ended = (t, chosen.tried, chosen.passed)
+        assert ended == (one.winner[0], one.finalists_tried, one.passed)
+        layout = jax.tree.map(lambda x, k=k: x[k : k + 1], layouts)
+        for a, b in zip(jax.tree.leaves(layout), jax.tree.leaves(one.layout), strict=True):
             np.testing.assert_array_equal(a, b)
         assert chosen.measure == one.measure
-        for name in ("d_pen", "d_drift", "s_sem", "reward", "absolute"):
+        for name in ("reward", "absolute"):
             assert getattr(scores, name)[k] == one.history[name][one.winner]
+        for name, values in scores.terms.items():
+            assert values[k] == one.history[name][one.winner]
         alone.append(one)
     return alone
 
@@ -101,20 +106,23 @@ def test_other_programs_are_as_alone_too(model, more):
 
 
 def test_a_vmap_over_tiles_comes_to_the_same_but_for_rounding(model):
-    runs = started(model, [options(0.5), options(2.0)], (0, 1, 2))
-    searches = fold._opened(model, runs[:5], ENGINE, {"descent": 0.0, "rollout": 0.0})
-    every = fold._stacked(searches, runs[:5])
-    # Four of five runs, out of order, in tiles of two; the sixth row is a filling.
-    order, count, t = np.array([4, 1, 0, 3, 0, 0]), np.asarray(4), np.asarray(0)
+    runs = started(model, [options(0.5), options(2.0)], (0, 1))[:3]
+    opened = _opened(model, runs, {"descent": 0.0}, (), None)
     found = {}
+    # Three runs in tiles of two: the second tile is filled up.
     for tile in (1, 2):
-        cem = searches[0].method(0)
-        layouts = fold._draw(cem, every, order, count, t, tile)
-        rollout = fold._rolled(searches[0], layouts, 4)
-        after = fold._judge(model, cem, (), every, layouts, rollout, order, count, tile, True)
-        live = jax.tree.map(lambda x: np.asarray(x)[:4], (layouts, *after[1:]))
-        found[tile] = (live, after[0].state)
-        assert np.asarray(after[0].state.iteration).tolist() == [1, 1, 0, 1, 1]
+        rows = [(r.problem, r.state, jax.random.key(r.run.seed), 24) for r in opened]
+        layouts = map_runs(ask, model, rows, tile)
+        rows = [(z, r.problem.objective) for z, r in zip(layouts, opened, strict=True)]
+        placements = map_runs(place, model, rows, tile)
+        rollouts = [ENGINE.rollout(model, p.poses, duration=0.2) for p in placements]
+        rows = [
+            (z, p, rollout, r.problem.objective)
+            for z, p, rollout, r in zip(layouts, placements, rollouts, opened, strict=True)
+        ]
+        scores = map_runs(evaluate, model, rows, tile)
+        rows = [(r.problem, r.state, z, s) for r, z, s in zip(opened, layouts, scores, strict=True)]
+        found[tile] = (layouts, scores, map_runs(update, model, rows, tile))
     pairs = zip(jax.tree.leaves(found[1]), jax.tree.leaves(found[2]), strict=True)
     for a, b in pairs:
         np.testing.assert_allclose(a, b, atol=2e-6)
@@ -123,7 +131,7 @@ def test_a_vmap_over_tiles_comes_to_the_same_but_for_rounding(model):
 def counted(model, runs):
     jax.clear_caches()
     before = compilations()
-    fold.search_folded(model, runs, ENGINE)
+    search(model, runs, ENGINE, keep=False)
     return compilations() - before
 
 

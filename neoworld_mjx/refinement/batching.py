@@ -1,0 +1,122 @@
+"""Runs x candidates: mapping pure functions over runs, and rolling the candidates of all runs out."""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..config import RefineOptions
+from ..physics.engine import EarlyStop, Engine, Rollout, unmoved
+from ..physics.layout import Poses
+from ..physics.model import SceneModel
+
+TILE = 8192
+"""Candidates that are drawn and scored at once, on accelerators."""
+SHAPES = 4
+"""Rollouts of a falling number of runs have at most so many shapes, each half of the one before."""
+
+
+def tile_of(runs: int, population: int) -> int:
+    """Return how many runs are drawn and scored at once."""
+    if jax.default_backend() == "cpu":
+        return 1
+    return max(1, min(runs, TILE // population))
+
+
+def map_runs(
+    fn: Callable[..., Any], scene: SceneModel, rows: Sequence[tuple[Any, ...]], tile: int
+) -> list[Any]:
+    """Call `fn(scene, *row)` for every run's row, `tile` runs at once by `vmap`.
+
+    The last tile is filled up by repeating its last row, so that one shape is compiled. With a tile of
+    one run `fn` is called as a single refinement calls it.
+    """
+    if tile == 1 or len(rows) == 1:
+        return [fn(scene, *row) for row in rows]
+    results = []
+    for first in range(0, len(rows), tile):
+        some = list(rows[first : first + tile])
+        stacked_rows = _stack([*some, *[some[-1]] * (tile - len(some))])
+        out = jax.device_get(_mapped(fn)(scene, stacked_rows))
+        results += [jax.tree.map(lambda x, k=k: x[k], out) for k in range(len(some))]
+    return results
+
+
+@functools.cache
+def _mapped(fn: Callable[..., Any]) -> Callable[..., Any]:
+    return eqx.filter_jit(lambda scene, rows: eqx.filter_vmap(lambda row: fn(scene, *row))(rows))
+
+
+def _stack(rows: Sequence[Any]) -> Any:
+    """Stack the arrays of equal trees; what is no array is taken from the first."""
+    arrays, rest = zip(*(eqx.partition(row, _is_array) for row in rows), strict=True)
+    return eqx.combine(jax.tree.map(lambda *x: jnp.stack(x), *arrays), rest[0])
+
+
+def _is_array(x: Any) -> bool:
+    return isinstance(x, jax.Array | np.ndarray | np.generic)
+
+
+def take(tree: Any, rows: np.ndarray | slice) -> Any:
+    """Take some candidates of a population, or the tree as it is for a slice of all."""
+    return tree if isinstance(rows, slice) else _take(tree, rows)
+
+
+@eqx.filter_jit
+def _take(tree: Any, rows: Any) -> Any:
+    return jax.tree.map(lambda leaf: leaf[rows], tree)
+
+
+def roll_out(
+    scene: SceneModel,
+    poses: Sequence[Poses],
+    engine: Engine,
+    o: RefineOptions,
+    runs: int,
+) -> list[Rollout]:
+    """Roll the placed candidates of several runs out at once.
+
+    They are filled up with candidates that no engine simulates, so that few shapes are compiled as
+    runs stop.
+    """
+    count, pop = len(poses), poses[0].scale.shape[0]
+    together = poses[0]
+    if runs > 1:
+        most = min(m for m in (-(-runs // 2**k) for k in range(SHAPES)) if m >= count)
+        host = jax.tree.map(lambda *x: np.concatenate([np.asarray(y) for y in x]), *poses)
+        fill = lambda x: np.pad(
+            x, [(0, (most - count) * pop), *[(0, 0)] * (x.ndim - 1)], constant_values=np.nan
+        )
+        together = jax.tree.map(lambda x: jnp.asarray(fill(x)), host)
+    r = o.rollout
+    if r.duration_s:
+        rollout = engine.rollout(
+            scene,
+            together,
+            duration=r.duration_s,
+            record_every=r.record_every_s,
+            early_stop=early_stop_rule(o) if r.early_stop else None,
+        )
+    else:
+        rollout = unmoved(scene, together)
+    jax.block_until_ready(rollout)
+    if runs == 1:
+        return [rollout]
+    host = jax.tree.map(np.asarray, rollout)
+    by_run = []
+    for k in range(count):
+        own = jax.tree.map(lambda x, k=k: jnp.asarray(x[k * pop : (k + 1) * pop]), host)
+        by_run.append(eqx.tree_at(lambda r: r.time, own, rollout.time))
+    return by_run
+
+
+def early_stop_rule(o: RefineOptions) -> EarlyStop:
+    """Return when rollouts may end early: past what the reward tells apart."""
+    return EarlyStop(
+        drift=o.reward.d_drift_cap * o.reward.drift_scale_m,
+        tilt=float(np.radians(o.reward.d_drift_cap * o.reward.tilt_scale_deg)),
+    )

@@ -1,0 +1,345 @@
+"""The objective of Step 5: the reward of its terms, and what makes a candidate valid."""
+
+import importlib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..config import RefineOptions
+from ..errors import ConfigError, choices
+from ..physics.engine import Rollout, RolloutStatus, record_steps, unmoved
+from ..physics.layout import Layout, Poses
+from ..physics.model import SceneModel
+from .rewards import (
+    Drift,
+    Prior,
+    Term,
+    TermValue,
+    deeper,
+    drift_by_object,
+    measured_rollout,
+    no_drift,
+    pair_depths,
+    penetration,
+    semantics,
+    term_value,
+    try_term,
+)
+
+TRIED = 5
+"""Candidates beyond the number of objects on which a user's term is tried, so that shapes differ."""
+
+
+def sigma_of(options: RefineOptions) -> Float[np.ndarray, " 3"]:
+    """Return the initial deviations of xy (over diagonals), yaw [rad] and log scale."""
+    c = options.cem
+    return np.array([c.sigma_xy, np.radians(c.sigma_yaw_deg), c.sigma_log_scale], np.float32)
+
+
+TERMS: dict[str, Callable[[RefineOptions], Term]] = {
+    "s_sem": lambda o: Term("s_sem", semantics, o.reward.w_sem, bound="exact"),
+    "prior": lambda o: Term("prior", Prior(sigma_of(o)), -o.reward.w_prior, bound="exact"),
+    "d_pen": lambda o: Term(
+        "d_pen",
+        penetration,
+        -o.reward.w_pen,
+        scale=o.reward.pen_scale_m,
+        cap=o.reward.d_pen_cap_m,
+        bound="exact",
+    ),
+    "d_drift": lambda o: Term(
+        "d_drift",
+        Drift(o.reward.drift_scale_m, np.radians(o.reward.tilt_scale_deg), o.reward.drift_free),
+        -o.reward.w_drift,
+        scale=1.0,
+        cap=o.reward.d_drift_cap,
+        bound=no_drift,
+    ),
+}
+"""The built-in terms. Those of ALWAYS have options of their own; another one is used when
+`refine.reward.terms` names it, with the weight given there."""
+ALWAYS = ("s_sem", "prior", "d_pen", "d_drift")
+RESERVED = ("reward", "absolute", "status", "valid", "xy", "yaw", "log_scale", "s_sem_from")
+RESERVED += ("object_names", "term_names", "term_weights")
+"""Keys of the history that no term may have as its name."""
+
+
+class Objective(eqx.Module):
+    """What candidates are judged by; numbers are traced, so a sweep over them is one `vmap`."""
+
+    terms: tuple[Term, ...]
+    max_depth: Float[Array, ""]
+    """Depth of a pair [m] from which a candidate is invalid."""
+    distance: Float[Array, ""]
+    """Stability bound of an object's translation [m]."""
+    angle: Float[Array, ""]
+    """Stability bound of its rotation [rad]."""
+    normalisation: str = eqx.field(static=True)
+    """`fixed` or `iteration`; see `contribution`."""
+
+    @property
+    def unbounded(self) -> tuple[str, ...]:
+        """Names of the terms without a bound, which switch pruning off."""
+        return tuple(term.name for term in self.terms if term.bound is None)
+
+
+def open_objective(
+    options: RefineOptions, origin: Layout | None = None, terms: Sequence[Term] = ()
+) -> Objective:
+    """Build the objective from options.
+
+    Args:
+        options: weights, scales, caps and bounds, and the names of further terms.
+        origin: initial layout that the prior counts from; None is the composed scene.
+        terms: further terms, besides those that the options name.
+
+    Raises:
+        ConfigError: a term cannot be found, or two have the same name.
+    """
+    f = lambda x: jnp.asarray(x, jnp.float32)
+    every = [TERMS[name](options) for name in ALWAYS] + named_terms(options) + list(terms)
+    names = [term.name for term in every]
+    for name in names:
+        if names.count(name) > 1 or name in RESERVED:
+            raise ConfigError(f"reward term {name}: the name is taken; give the term another one")
+    if origin is not None:
+        every = [
+            eqx.tree_at(lambda t: t.fn.origin, t, origin, is_leaf=lambda x: x is None)
+            if isinstance(t.fn, Prior)
+            else t
+            for t in every
+        ]
+    return Objective(
+        terms=tuple(every),
+        max_depth=f(options.max_depth_m),
+        distance=f(options.reward.drift_scale_m),
+        angle=f(np.radians(options.reward.tilt_scale_deg)),
+        normalisation=options.reward.normalisation,
+    )
+
+
+def named_terms(options: RefineOptions) -> list[Term]:
+    """Find the terms of `refine.reward.terms`: built-in ones by name, others by import path.
+
+    A term of an import path "package.module:function" is called by its function's name, or by the
+    whole path where that name is taken.
+
+    Raises:
+        ConfigError: a name is unknown, or a path has no such form or names no function.
+    """
+    terms: list[Term] = []
+    taken = {*TERMS, *RESERVED}
+    for path, weight in options.reward.terms.items():
+        if path in ALWAYS:
+            raise ConfigError(
+                f"refine.reward.terms: {path} is always there; weigh it by its option"
+            )
+        if path in TERMS:
+            terms.append(eqx.tree_at(lambda t: t.weight, TERMS[path](options), jnp.float32(weight)))
+            continue
+        fn = imported("refine.reward.terms", path, TERMS)
+        own = path.partition(":")[2]
+        terms.append(Term(path if own in taken else own, fn, weight))
+        taken.add(terms[-1].name)
+    return terms
+
+
+def imported(option: str, path: str, table: dict[str, Any]) -> Callable[..., Any]:
+    """Import what an option names as "package.module:function".
+
+    Args:
+        option: its path, for messages.
+        path: its value.
+        table: names that need no import.
+
+    Raises:
+        ConfigError: the path has no such form, or nothing callable is there.
+    """
+    module, _, name = path.partition(":")
+    try:
+        value = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ConfigError(
+            f"{option}: cannot import {path!r} ({error}); write it as package.module:function, or "
+            f"name a built-in one: {choices(path, table)}"
+        ) from None
+    if not callable(value):
+        raise ConfigError(f"{option}: {path!r} is not a function")
+    return value
+
+
+def try_terms(scene: SceneModel, objective: Objective, options: RefineOptions) -> None:
+    """Try every term that is not built in, once, before anything is simulated.
+
+    Raises:
+        ConfigError: see `rewards.try_term`.
+    """
+    own = [term for term in objective.terms if term.name not in TERMS]
+    if not own:
+        return
+    pop = len(scene.names) + TRIED
+    layouts = Layout.zero(pop, len(scene.names))
+    r = options.rollout
+    timestep = float(scene.static.mjm.opt.timestep)
+    records = record_steps(timestep, r.duration_s, r.record_every_s)[0] if r.duration_s else 1
+    still = still_rollout(scene, layouts, records)
+    for term in own:
+        try_term(term, scene, still, layouts)
+
+
+def still_rollout(scene: SceneModel, layouts: Layout, records: int) -> Rollout:
+    """Return a rollout in which nothing moves, with the pair depths that terms share."""
+    still = unmoved(scene, scene.place(layouts))
+    over_time = lambda x: jnp.repeat(x, records, axis=1)
+    still = eqx.tree_at(
+        lambda s: (s.time, s.pos, s.quat, s.joint_shift),
+        still,
+        (
+            0.1 * jnp.arange(1, records + 1),
+            over_time(still.pos),
+            over_time(still.quat),
+            over_time(still.joint_shift),
+        ),
+    )
+    return measured_rollout(still, jnp.zeros((*layouts.yaw.shape, layouts.yaw.shape[1])))
+
+
+class Placement(eqx.Module):
+    """Candidates where their layouts put them, and what is known of them before physics."""
+
+    poses: Poses
+    depth: Float[Array, "pop object object"]
+    """Of `pair_depths` [m]."""
+    values: dict[str, TermValue]
+    """Of the terms that do not depend on physics."""
+    bound: Float[Array, " pop"]
+    """Upper bound of the reward under `fixed` normalisation; -inf where it is not finite."""
+
+
+class Scores(eqx.Module):
+    """What an iteration's candidates are judged by."""
+
+    terms: dict[str, Float[Array, " pop"]]
+    """Every term's value by name; NaN for terms of candidates that were not rolled out."""
+    valid: Bool[Array, " pop"]
+    """No pair deeper than max_depth, no object past the stability bounds."""
+    status: Int[Array, " pop"]
+    """RolloutStatus; FAILED also where a term is not finite."""
+    reward: Float[Array, " pop"]
+    """As Algorithm 1 ranks; -inf for failed and pruned candidates."""
+    absolute: Float[Array, " pop"]
+    """With fixed scales, comparable between iterations; -inf for failed and pruned candidates."""
+    credit: Float[Array, "pop object"] | None
+    """The reward by objects, with fixed normalisation; None where a term has no such share."""
+
+
+@eqx.filter_jit
+def place(scene: SceneModel, layouts: Layout, objective: Objective) -> Placement:
+    """Place candidates, and evaluate the terms that need no physics."""
+    poses = scene.place(layouts)
+    depth = pair_depths(scene, poses)
+    still = measured_rollout(unmoved(scene, poses), depth)
+    values, bounds = {}, {}
+    for term in objective.terms:
+        if term.bound == "exact":
+            values[term.name] = term_value(term, term.fn, scene, layouts, still)
+        elif term.bound is not None:
+            bounds[term.name] = term_value(term, term.bound, scene, layouts, still)
+    every = jnp.ones(layouts.yaw.shape[0], bool)
+    upper = sum(
+        contribution(term, (values | bounds)[term.name].charged, every, "fixed")
+        for term in objective.terms
+        if term.bound is not None
+    )
+    return Placement(poses, depth, values, jnp.where(jnp.isfinite(upper), upper, -jnp.inf))
+
+
+@eqx.filter_jit
+def evaluate(
+    scene: SceneModel,
+    layouts: Layout,
+    placement: Placement,
+    rollout: Rollout,
+    objective: Objective,
+) -> Scores:
+    """Evaluate every term of every candidate, and compose the reward.
+
+    Args:
+        scene: the compiled scene.
+        layouts: the candidates.
+        placement: of `place`.
+        rollout: their free fall.
+        objective: terms and bounds.
+    """
+    measured = measured_rollout(rollout, placement.depth)
+    values = {
+        term.name: placement.values[term.name]
+        if term.bound == "exact"
+        else term_value(term, term.fn, scene, layouts, measured)
+        for term in objective.terms
+    }
+    failed = jnp.array([int(RolloutStatus.FAILED), int(RolloutStatus.TRUNCATED)])
+    alive = ~jnp.isin(rollout.status, failed)
+    finite = jnp.isfinite(sum(value.value + value.charged for value in values.values()))
+    alive &= finite
+    drift = drift_by_object(scene, rollout, objective.distance, objective.angle)
+    deepest = jnp.max(deeper(placement.depth), axis=(1, 2))
+    total = lambda part: sum(part(term, values[term.name].charged) for term in objective.terms)
+    reward = total(lambda t, x: contribution(t, x, alive, objective.normalisation))
+    shares = [
+        contribution(term, share, alive[:, None], "fixed")
+        for term in objective.terms
+        if (share := values[term.name].by_object) is not None
+    ]
+    credit = None
+    if len(shares) == len(objective.terms):
+        credit = jnp.where(alive[:, None], sum(shares), -jnp.inf)
+    return Scores(
+        terms={name: value.value for name, value in values.items()},
+        valid=jnp.all(drift < 1.0, axis=1) & (deepest < objective.max_depth) & alive,
+        status=jnp.where(
+            finite | (rollout.status == int(RolloutStatus.TRUNCATED)),
+            rollout.status,
+            int(RolloutStatus.FAILED),
+        ),
+        reward=jnp.where(alive, reward, -jnp.inf),
+        absolute=jnp.where(alive, total(absolute_contribution), -jnp.inf),
+        credit=credit,
+    )
+
+
+def contribution(term: Term, value: Array, alive: Array, normalisation: str) -> Array:
+    """Return what a term adds to the reward: its weight times its normalised value.
+
+    `fixed` is min(value / cap, 1). `iteration` maps the term's range over this iteration's candidates
+    to [0, 1], after clipping at the cap (the paper's; a term that all share counts zero). A term
+    without a cap counts as it is.
+
+    Args:
+        term: the term.
+        value: of the candidates [pop], or by objects [pop, object].
+        alive: candidates that did not fail; only these set the range.
+        normalisation: `fixed` or `iteration`.
+    """
+    if term.cap is None:
+        return term.weight * value
+    clipped = jnp.minimum(jnp.where(alive, value, term.cap), term.cap)
+    if normalisation == "fixed":
+        return term.weight * (clipped / term.cap)
+    low = jnp.min(jnp.where(alive, clipped, term.cap))
+    spread = jnp.max(jnp.where(alive, clipped, 0.0)) - low
+    unit = jnp.where(spread > 1e-12, (clipped - low) / jnp.maximum(spread, 1e-12), 0.0)
+    return term.weight * unit
+
+
+def absolute_contribution(term: Term, value: Float[Array, " pop"]) -> Float[Array, " pop"]:
+    """Return what a term adds to the absolute reward, which compares iterations.
+
+    value / (value + scale) never saturates: half the weight is lost at the scale. A term without a
+    scale counts as it is.
+    """
+    return term.weight * (value if term.scale is None else value / (value + term.scale))

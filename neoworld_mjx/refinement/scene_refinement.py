@@ -1,0 +1,191 @@
+"""Refining a composed scene: the search of Algorithm 1, and the exact check of its winner."""
+
+import functools
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ..config import EngineName, RefineOptions
+from ..mllm import Panel, Picture
+from ..physics.engine import Engine
+from ..physics.layout import Layout
+from ..physics.model import SceneModel, compile_scene
+from ..physics.simulate import open_engine
+from ..spec import SceneSpec, read_scene
+from .loop import SearchRun, search
+from .optimizer import Optimizer
+from .outcome import Refined, Round, choose, outcome, ranked, stacked
+from .rewards import Term
+from .scorer import Mark, SemanticScorer
+
+COMPOSED = "compose/scene.json"
+"""Where a run folder keeps the scene as composed."""
+
+
+def refine(
+    scene: SceneSpec | SceneModel | Path | str,
+    options: RefineOptions | None = None,
+    *,
+    seed: int = 0,
+    start: Layout | None = None,
+    engine: Engine | EngineName | None = None,
+    terms: Sequence[Term] = (),
+    optimizer: Optimizer | None = None,
+    photo: Picture | None = None,
+    panel: Panel | None = None,
+    scores: Path | None = None,
+    recorded: Path | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Refined:
+    """Refine a composed scene (paper Section 3.3, Step 5).
+
+    Stops after T iterations, or when the elites have gained less than `stop_gain` for `patience`
+    iterations and a valid candidate has been seen. The winner is the best valid candidate by
+    absolute reward that also passes an exact check; when none does, the best one that was tried is
+    returned with `passed` False.
+
+    Args:
+        scene: the composed scene; one that is compiled already saves that time again. A path names a
+            scene.json, or a run folder, whose scene is taken as composed.
+        options: of the search, the rewards, the rollouts and the check.
+        seed: of the population draws.
+        start: the layout that the search starts at, pop axis of length 1; zero by default.
+        engine: what rolls candidates out, or its name; opened from the options by default.
+        terms: reward terms besides those that the options name.
+        optimizer: in place of the one that the options name; see `optimizer.Optimizer`.
+        photo: the photograph, for semantic scores by a model.
+        panel: who gives them.
+        scores: file to log them in.
+        recorded: log of an earlier run whose scores, and their order of arrival, are followed.
+        progress: called with one line an iteration.
+
+    Raises:
+        ConfigError: options that exclude each other, a reward term that does not work, or scores by
+            a model without a photograph.
+        EngineError: the engine cannot run here.
+        SpecError: the path holds no scene.
+        TypeError: the scene is none of these.
+    """
+    o = options or RefineOptions()
+    steps = ("compile", "descent", "rollout", "score", "wait", "check")
+    clock: dict[str, float] = dict.fromkeys(steps, 0.0)
+    began = time.perf_counter()
+    model = open_scene(scene, o)
+    if engine is None or isinstance(engine, str):
+        engine = open_engine(engine or o.rollout.engine)
+    clock["compile"] = time.perf_counter() - began
+    scorer = None
+    if o.semantic.scorer == "mllm":
+        scorer = SemanticScorer(
+            model, photo, panel, o.semantic, cem=o.cem, log=scores, recorded=recorded
+        )
+    try:
+        (result,) = search(
+            model,
+            [SearchRun(o, seed, start)],
+            engine,
+            terms=terms,
+            optimizer=optimizer,
+            scorer=scorer,
+            clock=clock,
+            progress=progress,
+        )
+        rounds, marks = result.rounds, result.marks
+        began = time.perf_counter()
+        if scorer is not None:
+            scorer.await_for([index for index, _ in ranked(rounds)][: o.finalists])
+            weight = o.reward.w_sem
+            rounds = [
+                _with_late_scores(scorer, t, round_, marks[t], weight)
+                for t, round_ in enumerate(rounds)
+            ]
+        clock["wait"] += time.perf_counter() - began
+    finally:
+        if scorer is not None:
+            scorer.close()
+    began = time.perf_counter()
+    chosen = choose(model, rounds, o, start)
+    clock["check"] = time.perf_counter() - began
+    return outcome(
+        model,
+        rounds,
+        chosen,
+        o,
+        objective=result.problem.objective,
+        start=start,
+        engine=engine.name,
+        clock=clock | {"to_valid": result.first_valid_s},
+        semantic=None if scorer is None else stacked(marks, 0),
+        scoring=None if scorer is None else scorer.summary(),
+        fallbacks=() if scorer is None else scorer.fallbacks,
+    )
+
+
+def open_scene(scene: SceneSpec | SceneModel | Path | str, options: RefineOptions) -> SceneModel:
+    """Compile a scene for a refinement, or read and compile it; a compiled one is taken as it is.
+
+    Raises:
+        SpecError: the path holds no scene.
+        TypeError: the scene is neither a description, nor compiled, nor a path.
+    """
+    if isinstance(scene, SceneModel):
+        return scene
+    if isinstance(scene, Path | str):
+        scene = read_composed(Path(scene))
+    if not isinstance(scene, SceneSpec):
+        raise TypeError(
+            f"refine takes a SceneSpec, a SceneModel, or the path of a scene.json or run folder, got "
+            f"a {type(scene).__name__}"
+        )
+    return compile_for_search(scene, options)
+
+
+def read_composed(path: Path) -> SceneSpec:
+    """Read a scene.json, or the scene of a run folder as composed, before it was refined.
+
+    Raises:
+        SpecError: there is no scene.
+    """
+    composed = path / COMPOSED
+    return read_scene(composed if composed.is_file() else path)
+
+
+def compile_for_search(scene: SceneSpec, options: RefineOptions) -> SceneModel:
+    """Compile a scene as a search with these options needs it; the last few are kept."""
+    reach = max(1 / 3, 6.7 * options.cem.sigma_xy)
+    r = options.rollout
+    return _compiled(scene.to_json(), r.timestep_s, r.samples_per_object, reach)
+
+
+@functools.lru_cache(maxsize=4)
+def _compiled(scene: str, timestep: float, samples: int, reach: float) -> SceneModel:
+    # JAX compiles anew for another SceneModel, however equal.
+    spec = SceneSpec.model_validate_json(scene)
+    return compile_scene(spec, timestep=timestep, samples=samples, reach=reach)
+
+
+def _with_late_scores(
+    scorer: SemanticScorer, t: int, round_: Round, marks: np.ndarray, weight: float
+) -> Round:
+    """Enter the scores of an iteration that came after its elites were taken."""
+    s_sem = np.asarray(round_.scores.terms["s_sem"])
+    change = np.zeros(len(marks), np.float32)
+    for k in range(len(marks)):
+        late = scorer.known((t, k))
+        if late is not None and late.value is not None:
+            change[k] = late.value - float(s_sem[k])
+            marks[k] = Mark.SCORED
+    scores = eqx.tree_at(
+        lambda s: (s.terms["s_sem"], s.reward, s.absolute),
+        round_.scores,
+        (
+            jnp.asarray(s_sem + change),
+            round_.scores.reward + weight * change,
+            round_.scores.absolute + weight * change,
+        ),
+    )
+    return round_._replace(scores=scores)
