@@ -9,7 +9,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ..config import EngineName, RefineOptions
+from ..config import RefineOptions
+from ..engines import EngineChoice
 from ..mllm import Panel, Picture
 from ..physics.engine import Engine
 from ..physics.layout import Layout
@@ -32,7 +33,7 @@ def refine(
     *,
     seed: int = 0,
     start: Layout | None = None,
-    engine: Engine | EngineName | None = None,
+    engine: Engine | EngineChoice | None = None,
     terms: Sequence[Term] = (),
     optimizer: Optimizer | None = None,
     photo: Picture | None = None,
