@@ -67,6 +67,7 @@ def check_joints(
         _over_range(sweep, swept, result, options)
     if len(sweep.ranges) > 1:
         _together(sweep, result, options)
+    probe.place({})
     result.checks += _gaps(probe, options)
     for joint in spec.joints:
         if joint.type in ("revolute", "continuous") and joint.child not in helpers:

@@ -137,7 +137,7 @@ BROKEN = {
             f'<limit lower="0" upper="1" effort="1" velocity="1"/><mimic joint="{k}"/></joint>'
             for j, c, k in (("j", "b", "k"), ("k", "c", "j"))
         ) + "</robot>",
-        "follows itself in a circle",
+        "follows itself through other joints",
     ),
     "bad_mesh.urdf": (MESH.format("in.obj"), "holds no triangles"),
     "scene.usda": ("#usda 1.0", "USD is not read yet"),
