@@ -1,4 +1,4 @@
-"""The test that binds: compiling a rearranged scene equals writing leaves into a compiled one."""
+"""The test that binds: compiling a rearranged scene equals writing model fields into a compiled one."""
 
 import mujoco
 import numpy as np
@@ -57,7 +57,7 @@ def field_errors(ours, theirs):
 
 
 @pytest.mark.parametrize("make", [scenes.blocks, scenes.coffee, scenes.furnished, scenes.lamp])
-def test_leaves_equal_a_recompiled_scene(make):
+def test_model_fields_equal_a_recompiled_scene(make):
     scene = compile_scene(make())
     layouts = random_layout(scene, 4)
     poses = scene.place_exactly(layouts)
