@@ -2,9 +2,9 @@
 
     uv run python examples/program_from_picture.py cabinet.png --size 0.4 0.6 0.8 --out runs/cabinet
 
-The size is what one takes it for, in metres: front to back, across, up. With a key in the environment a
-model answers; with `--provider mailbox` every request becomes a folder in OUT/mailbox, and whoever looks
-into it writes response.json (docs/models.md). OUT gets program.py, program.json with all rounds, spec.json,
+The size is an estimate in metres: front to back, across, up. With a key in the environment a model
+answers; with `--provider mailbox` each request becomes a folder in OUT/mailbox, where response.json
+is the answer (docs/models.md). OUT gets program.py, program.json with all rounds, spec.json,
 and pictures of the object closed and opened; `neoworld build OUT/program.py` exports it.
 """
 
@@ -28,7 +28,7 @@ from neoworld_mjx.spec import Box2D, Box3D, Camera, PartState, TreeNode
 
 
 def described(args: argparse.Namespace, width: int, height: int) -> tuple[TreeNode, Camera]:
-    """Write down the object as a parse would, and a camera that sees it from the given direction."""
+    """Describe the object as a parse would, and a camera that sees it from that direction."""
     x, y, z = args.size
     away = 4 * math.hypot(x, y, z)
     node = TreeNode(

@@ -1,6 +1,6 @@
-"""Bind the answers of a tape to today's requests, after a prompt, a schema or a drawing has changed.
+"""Bind the answers of a tape to today's requests, after a prompt, schema or drawing has changed.
 
-A tape knows an answer by everything that was asked, so that a change of the guide loses it. This asks
+A tape finds an answer by the whole request, so a change of the guide loses it. This script asks
 the first steps again through the mailbox and answers each request with the old answer of the same
 name, for a person to look over with `git diff`:
 

@@ -2,8 +2,9 @@
 
     uv run python examples/score_objects.py examples/objects truth
 
-PROGRAMS is a program or a folder of them, TRUTH a folder with `<name>.json` for each (the form is in
-docs/objects.md) and, if there is one, `<name>.npz` with samples of its surface. Objects without a truth are
+PROGRAMS is a program or a folder of them, TRUTH a folder with `<name>.json` for each (its format is
+in docs/objects.md) and, if there is one, `<name>.npz` with surface samples. Objects without a truth
+are
 named and left out. The paper's row stands below, for comparison only.
 """
 
@@ -28,16 +29,20 @@ from neoworld_mjx.measure import (
 from neoworld_mjx.program import build
 
 HEAD = (
-    "| object | true | made | hits | extra | correct | miss % | type % all | type % hits | axis deg (n) "
+    "| object | true | made | hits | extra | correct | miss % | type % all | type % hits "
+    "| axis deg (n) "
     "| pivot (n) | limits (n) | CD x10 | F .01 | F .05 | CD x10 raw | F .05 raw | scale |"
 )
 PAPER = (
-    "| NeoWorld-Pro (theirs, Tables 1 and 2) | 245 | 268 | 216 | - | - | 11.83 | 18.78 | - | 28.52 | 0.19 "
+    "| NeoWorld-Pro (theirs, Tables 1 and 2) | 245 | 268 | 216 | - | - | 11.83 | 18.78 | - "
+    "| 28.52 | 0.19 "
     "| - | 0.1809 | 25.77 | 67.06 | - | - | - |"
 )
 NOTE = (
-    "The paper's row is of 245 joints of other objects. It decides a hit by showing a multimodal model\n"
-    "paired videos, and does not say how surfaces are normalised; ours is decided by geometry. The two\n"
+    "The paper's row is of 245 joints of other objects. It decides a hit by showing a multimodal "
+    "model\n"
+    "paired videos, and does not say how surfaces are normalised; ours is decided by geometry. The "
+    "two\n"
     "are not the same measure."
 )
 

@@ -1,8 +1,10 @@
-"""Write down the joints and the surface of a published MJCF model, to score programs against.
+r"""Write down the joints and the surface of a published MJCF model, to score programs against.
 
-    uv run python examples/truth_from_mjcf.py cabinet/model.xml --front=-y --name cabinet --out truth
+    uv run python examples/truth_from_mjcf.py cabinet/model.xml --front=-y --name cabinet \
+        --out truth
 
-OUT gets `<name>.json` and `<name>.npz`, as `score_objects.py` reads them. `--front` is the direction in which
+OUT gets `<name>.json` and `<name>.npz`, as `score_objects.py` reads them. `--front` is the
+direction in which
 the object's front faces in the model's own frame; the model does not say.
 """
 

@@ -63,7 +63,7 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
 
 
 def on_level(node: TreeNode, tree: SceneTree) -> bool:
-    """Tell whether an object is on an environment support, so on level ground: no dish, no slope."""
+    """Tell whether an object is on an environment support, so on level ground."""
     carried = node.parent is not None and tree.node(node.parent).environment
     return carried and node.relation == "on"
 

@@ -14,7 +14,7 @@ from ..spec.pose import angle_between, conjugate, from_yaw, pose, quat_mul, yaw_
 from .resting_pose import MAX_TILT_RAD
 
 FALL_M_S = 0.1
-"""Terminal speed of the fall: so much drag that the object neither bounces nor slides past its rest."""
+"""Terminal speed of the fall: the drag lets the object neither bounce nor slide past its rest."""
 MAX_DURATION_S, TIMESTEP_S, CHECK_INTERVAL_S = 4.0, 0.002, 0.1
 STILL_M_S, CREEP_M_S = 5e-4, 0.003
 """Speeds of an object's ends: below the first it rests; below the second at the end of the time its

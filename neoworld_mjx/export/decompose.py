@@ -1,9 +1,10 @@
-"""Convex pieces of meshes from elsewhere: by CoACD where it is installed, kept on disk by content."""
+"""Convex decomposition of imported meshes, by CoACD where it is installed, cached by content."""
 
 import hashlib
 import importlib.util
 import logging
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,14 +15,14 @@ from ..files import write_atomic
 
 _log = logging.getLogger(__name__)
 CLOSED, OPEN = (0.02, 96), (0.08, 16)
-"""Concavity that is left, over the mesh's size, and how many pieces there may be: of meshes that are closed,
-and of others: those are wrapped first, and finer pieces of that would cost a minute and still be too thick."""
+"""Remaining concavity over the mesh's size, and most pieces: of closed meshes, and of others, which
+are wrapped first; finer pieces of those would cost a minute and still be too thick."""
 MAX_CORNERS = 48
 VERSION = "3"
 THINNEST_M = 0.002
-"""Flat sheets are given this thickness, or they would be no bodies."""
+"""Thickness given to flat sheets, which have no volume otherwise."""
 CONVEX = 0.97
-"""Volume over that of the hull above which a mesh counts as convex."""
+"""Share of its hull's volume above which a mesh counts as convex."""
 
 
 def installed() -> bool:
@@ -138,7 +139,7 @@ def _coacd(vertices: NDArray, faces: NDArray) -> list[NDArray]:
     closed = bool(mesh.is_watertight)
     concavity, most = CLOSED if closed else OPEN
     try:
-        found = coacd.run_coacd(
+        parts = coacd.run_coacd(
             coacd.Mesh(mesh.vertices, mesh.faces) if closed else coacd.Mesh(vertices, faces),
             threshold=concavity,
             max_convex_hull=most,
@@ -158,12 +159,12 @@ def _coacd(vertices: NDArray, faces: NDArray) -> list[NDArray]:
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     return [
         hull_points(np.clip(np.asarray(points, float), low, high))
-        for points, _ in found
+        for points, _ in parts
         if len(points) >= 4
     ]
 
 
-def _keep(path, pieces: list[NDArray]) -> None:
+def _keep(path: Path, pieces: list[NDArray]) -> None:
     import io
 
     buffer = io.BytesIO()
@@ -174,7 +175,7 @@ def _keep(path, pieces: list[NDArray]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(path, buffer.getvalue())
     except OSError:
-        pass  # It costs time only.
+        pass  # The next run decomposes it again.
 
 
 __all__ = ["convex_pieces", "hull_points", "installed", "is_convex"]

@@ -273,11 +273,11 @@ class _Names:
 def _check_follow(joints: Sequence[JointSpec]) -> None:
     leaders = {joint.name: joint.mimic.joint for joint in joints if joint.mimic is not None}
     for start in leaders:
-        at, seen = start, set()
+        at, visited = start, set()
         while at in leaders:
-            if at in seen:
+            if at in visited:
                 raise SpecError(f"joint {at!r} follows itself through other joints")
-            seen.add(at)
+            visited.add(at)
             at = leaders[at]
 
 

@@ -111,12 +111,12 @@ def check_tree(path: Path, links: Sequence[str], joints: Sequence[tuple[str, str
             raise SpecError(f"{path}: link {child!r} is the child of two joints")
         parents[child] = parent
     for start in parents:
-        seen, at = {start}, start
+        visited, at = {start}, start
         while at in parents:
             at = parents[at]
-            if at in seen:
+            if at in visited:
                 raise SpecError(f"{path}: joints go in a circle through link {at!r}")
-            seen.add(at)
+            visited.add(at)
     roots = [link for link in links if link not in parents]
     if len(roots) != 1:
         raise SpecError(

@@ -99,7 +99,7 @@ def _fold_ball(name: str, links: list[Link], joints: list[JointSpec], notes: lis
 
 
 def _is_ball(*hinges: JointSpec) -> bool:
-    """Tell whether three hinges make a ball: one point, the axes x, y, z, equal losses and limits."""
+    """Tell whether three hinges make a ball: one point, axes x, y, z, equal losses and limits."""
     first, middle, _ = hinges
     same = all(
         h.type == first.type
@@ -121,8 +121,8 @@ def _check(path: Path, root: Any) -> None:
     """Refuse what makes yourdfpy fail without a message."""
     for joint in root.findall("joint"):
         for end in ("parent", "child"):
-            found = joint.find(end)
-            if found is None or not found.get("link"):
+            element = joint.find(end)
+            if element is None or not element.get("link"):
                 raise SpecError(f"{path}: joint {joint.get('name')!r} has no {end} link")
     for element in (*root.findall("link"), *root.findall("joint")):
         if not element.get("name"):
@@ -164,10 +164,10 @@ def _link(path: Path, link: Any, at: NDArray, colours: dict[str, Any], notes: li
 def _colour(material: Any, colours: dict[str, Any]) -> tuple[float, float, float, float]:
     if material is None:
         return (0.7, 0.7, 0.7, 1.0)
-    found = material.color.rgba if material.color is not None else colours.get(material.name)
-    if found is None:
+    rgba = material.color.rgba if material.color is not None else colours.get(material.name)
+    if rgba is None:
         return (0.7, 0.7, 0.7, 1.0)
-    r, g, b, a = (float(v) for v in found)
+    r, g, b, a = (float(v) for v in rgba)
     return r, g, b, a
 
 

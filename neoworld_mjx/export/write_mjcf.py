@@ -1,7 +1,7 @@
 """MJCF of a scene or one object: one self-contained file that compiles to the very same model.
 
-MuJoCo's own writer rounds to six digits. That moves bodies by micrometres, and for thin plates it
-can even break A + B >= C of the inertia, so every number is written again in full.
+MuJoCo's own writer rounds to six digits. That moves bodies by micrometres, and of thin plates it
+can break A + B >= C of the inertia, so every number is written again in full.
 """
 
 import xml.etree.ElementTree as ET
@@ -102,7 +102,7 @@ def _exact(element: ET.Element, source: Any, attributes: dict[str, str]) -> None
         element.set(attribute, numbers(values[: len(written.split())]))
 
 
-def _plain(values: Iterable[float]) -> list[float]:
+def _plain(values: Iterable[object]) -> list[float]:
     array = np.asarray(values)
     if array.dtype == np.float32 or np.array_equal(array, array.astype(np.float32)):
         # Shortest decimal that gives the same single-precision number.

@@ -75,14 +75,14 @@ def _add_lights(stage: Usd.Stage, path: Sdf.Path) -> None:
 
 
 def _add_camera(stage: Usd.Stage, path: Sdf.Path, camera: Camera) -> None:
-    made = UsdGeom.Camera.Define(stage, path)
-    set_pose(made, camera.pose())
+    prim = UsdGeom.Camera.Define(stage, path)
+    set_pose(prim, camera.pose())
     focal = 35.0
     tall = 2 * focal * math.tan(camera.fovy / 2)
-    made.CreateFocalLengthAttr(focal)
-    made.CreateVerticalApertureAttr(tall)
-    made.CreateHorizontalApertureAttr(tall * camera.width / camera.height_px)
-    made.CreateClippingRangeAttr(Gf.Vec2f(0.01, 1000.0))
+    prim.CreateFocalLengthAttr(focal)
+    prim.CreateVerticalApertureAttr(tall)
+    prim.CreateHorizontalApertureAttr(tall * camera.width / camera.height_px)
+    prim.CreateClippingRangeAttr(Gf.Vec2f(0.01, 1000.0))
 
 
 def _add_object(stage: Usd.Stage, path: Sdf.Path, item: SceneObject, at: Pose) -> None:

@@ -3,9 +3,9 @@
 A link's frame has its origin at its joint's anchor and the object's orientation, so origins are
 plain offsets. What URDF has no place for is left out: joint stiffness and armature, friction of
 surfaces, sites. Capsules become a cylinder and two balls, ellipsoids meshes. URDF knows no ball
-joint: it becomes three hinges <joint>_x, _y, _z through one point, with two links of next to no mass
-between them; each turns as far as the ball, the middle one at most a quarter turn. An element <neoworld>,
-which other readers ignore, names the balls, so that our reader restores them.
+joint: it becomes three hinges <joint>_x, _y, _z through one point, with two links of tiny mass
+between them; each turns as far as the ball, the middle one at most a quarter turn. An element
+<neoworld>, which other readers ignore, names the balls, so that our reader restores them.
 """
 
 import xml.etree.ElementTree as ET

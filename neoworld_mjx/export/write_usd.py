@@ -97,14 +97,14 @@ def quatf(quat: NDArray | tuple[float, ...]) -> Gf.Quatf:
 
 def _add_material(stage: Usd.Stage, base: Sdf.Path, material: Material) -> None:
     path = base.AppendChild("looks").AppendChild(material.name)
-    made = UsdShade.Material.Define(stage, path)
+    look = UsdShade.Material.Define(stage, path)
     shader = UsdShade.Shader.Define(stage, path.AppendChild("surface"))
     shader.CreateIdAttr("UsdPreviewSurface")
     shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(_colour(material))
     shader.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(material.rgba[3])
     shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.5)
-    made.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
-    physics = UsdPhysics.MaterialAPI.Apply(made.GetPrim())
+    look.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+    physics = UsdPhysics.MaterialAPI.Apply(look.GetPrim())
     physics.CreateStaticFrictionAttr(material.friction)
     physics.CreateDynamicFrictionAttr(material.friction)
     physics.CreateRestitutionAttr(0.0)
@@ -242,26 +242,26 @@ def _add_joint(
         "prismatic": UsdPhysics.PrismaticJoint,
         "ball": UsdPhysics.SphericalJoint,
     }
-    made = kind.get(joint.type, UsdPhysics.RevoluteJoint).Define(stage, path)
+    usd_joint = kind.get(joint.type, UsdPhysics.RevoluteJoint).Define(stage, path)
     links = base.AppendChild("links")
-    made.CreateBody0Rel().SetTargets([links.AppendChild(joint.parent)])
-    made.CreateBody1Rel().SetTargets([links.AppendChild(joint.child)])
+    usd_joint.CreateBody0Rel().SetTargets([links.AppendChild(joint.parent)])
+    usd_joint.CreateBody1Rel().SetTargets([links.AppendChild(joint.child)])
     token, turn = ("X", IDENTITY) if joint.type in ("fixed", "ball") else axis_frame(joint.axis)
-    made.CreateLocalPos0Attr(Gf.Vec3f(*(np.array(joint.pos) - parent_origin).tolist()))
-    made.CreateLocalPos1Attr(Gf.Vec3f(0.0))
-    made.CreateLocalRot0Attr(quatf(turn))
-    made.CreateLocalRot1Attr(quatf(turn))
+    usd_joint.CreateLocalPos0Attr(Gf.Vec3f(*(np.array(joint.pos) - parent_origin).tolist()))
+    usd_joint.CreateLocalPos1Attr(Gf.Vec3f(0.0))
+    usd_joint.CreateLocalRot0Attr(quatf(turn))
+    usd_joint.CreateLocalRot1Attr(quatf(turn))
     if joint.type == "fixed":
         return
     if joint.type == "ball":
-        _add_ball(made, joint)
+        _add_ball(usd_joint, joint)
         return
     unit = math.degrees(1.0) if turning else 1.0
-    made.CreateAxisAttr(token)
+    usd_joint.CreateAxisAttr(token)
     if joint.type != "continuous":
-        made.CreateLowerLimitAttr(joint.lower * unit)
-        made.CreateUpperLimitAttr(joint.upper * unit)
-    prim = made.GetPrim()
+        usd_joint.CreateLowerLimitAttr(joint.lower * unit)
+        usd_joint.CreateUpperLimitAttr(joint.upper * unit)
+    prim = usd_joint.GetPrim()
     if joint.stiffness or joint.damping or joint.effort is not None:
         # A drive towards 0 is the spring and damper of the joint itself.
         drive = UsdPhysics.DriveAPI.Apply(prim, "angular" if turning else "linear")
@@ -292,13 +292,13 @@ def _add_joint(
         )
 
 
-def _add_ball(made: UsdPhysics.SphericalJoint, joint: JointSpec) -> None:
+def _add_ball(usd_joint: UsdPhysics.SphericalJoint, joint: JointSpec) -> None:
     """Write the cone that a ball stays in; its twist about +X is not limited in USD."""
-    made.CreateAxisAttr("X")
+    usd_joint.CreateAxisAttr("X")
     cone = math.degrees(joint.upper) if joint.upper > 0 else -1.0
-    made.CreateConeAngle0LimitAttr(cone)
-    made.CreateConeAngle1LimitAttr(cone)
-    prim = made.GetPrim()
+    usd_joint.CreateConeAngle0LimitAttr(cone)
+    usd_joint.CreateConeAngle1LimitAttr(cone)
+    prim = usd_joint.GetPrim()
     for name in ("armature", "friction"):
         if getattr(joint, name):
             _attribute(prim, f"newton:{name}", getattr(joint, name))
@@ -314,9 +314,9 @@ def _attribute(prim: Usd.Prim, name: str, value: float) -> None:
 
 def axis_frame(axis: tuple[float, float, float]) -> tuple[str, tuple[float, ...]]:
     """Return a UsdPhysics axis token and the rotation (w, x, y, z) that takes it to `axis`."""
-    found = _AXES.get((float(axis[0]), float(axis[1]), float(axis[2])))
-    if found is not None:
-        return found, IDENTITY
+    token = _AXES.get((float(axis[0]), float(axis[1]), float(axis[2])))
+    if token is not None:
+        return token, IDENTITY
     x = np.array([1.0, 0.0, 0.0])
     a = np.array(axis)
     if a[0] < -1 + 1e-12:

@@ -135,7 +135,7 @@ _DISPLAY = np.round(
 
 
 def display(light: NDArray) -> NDArray:
-    """Turn linear light into display colour, uint8; over 1 it rolls off softly instead of clipping."""
+    """Turn linear light into display colour, uint8, rolling off softly towards 1 and above."""
     x = np.maximum(light, 0.0)
     knee = 0.7
     over = x - knee

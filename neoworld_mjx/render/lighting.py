@@ -148,7 +148,7 @@ def _dot(a: NDArray, b: NDArray) -> NDArray:
     return np.einsum("...x,...x->...", a, b)
 
 
-def _shift(a: NDArray, by: int, axis: int, fill: float) -> NDArray:
+def _shift(a: NDArray, by: int, axis: int, fill: float | int) -> NDArray:
     if by == 0:
         return a
     out = np.full_like(a, fill)
@@ -211,11 +211,11 @@ def shade(
     cosine = np.clip(np.sum(normal * towards_eye, axis=1), 0.0, 1.0)
     grazing = (1.0 - cosine) ** 5
     mirror = 2.0 * cosine[:, None] * normal - towards_eye
-    seen = surroundings(mirror, key_direction) * (0.25 + 0.75 * np.maximum(sky, key))[:, None]
+    mirrored = surroundings(mirror, key_direction) * (0.25 + 0.75 * np.maximum(sky, key))[:, None]
     share = np.where(gloss > 0, gloss + (1.0 - gloss) * grazing * 0.5, 0.0)[:, None]
     tint = np.where(metal[:, None], colour * 1.25, 1.0)
     body = np.where(metal, 0.45, 1.0)[:, None] * colour * light
-    return body * (1.0 - share) + seen * share * tint
+    return body * (1.0 - share) + mirrored * share * tint
 
 
 __all__ = ["FLOOR", "FLOOR_COLOUR", "Lights", "lights", "shade", "surroundings", "visibility"]

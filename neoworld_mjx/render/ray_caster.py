@@ -45,7 +45,7 @@ class RayCaster:
         self._datas = [data, *(copy.copy(data) for _ in range(count - 1))]
         visual = model.geom_group == VISUAL_GROUP
         self.shown: NDArray = visual if visual.any() else model.geom_group <= 2
-        """Which geoms are seen [geom]: the visual ones, or where a model has none, all."""
+        """Which geoms are drawn [geom]: the visual ones, or where a model has none, all."""
         self._groups = np.zeros(6, np.uint8)
         self._groups[np.unique(model.geom_group[self.shown])] = 1
         self._smooth: dict[int, _Smooth] = {}
@@ -119,9 +119,9 @@ class RayCaster:
 def _without_culling(model: mujoco.MjModel) -> mujoco.MjModel:
     """Return a copy whose bodies' outermost boxes hold every eye.
 
-    `mj_multiRay` leaves out bodies by the angles under which their boxes' corners are seen, and where
-    a box is not parallel to the world (that of a body with a turned inertial frame) it leaves out too
-    much: legs of tables and corners of cabinets vanish. An eye within the box sees all of it.
+    `mj_multiRay` culls bodies by the angles of their boxes' corners, and where a box is not
+    parallel to the world (that of a body with a turned inertial frame) it culls too much: legs of
+    tables and corners of cabinets vanish. An eye within the box sees all of it.
     """
     model = copy.copy(model)
     roots = model.body_bvhadr[model.body_bvhadr >= 0]
@@ -176,7 +176,7 @@ class _Smooth:
 
 
 def _key(normal: NDArray, offset: NDArray, place: NDArray) -> NDArray:
-    # Facets of one plane are told apart by place; planes, which a ray knows exactly, come first.
+    # Facets of one plane are distinguished by place; planes, which a ray knows exactly, come first.
     return np.column_stack([100.0 * normal, 100.0 * offset, place])
 
 

@@ -48,7 +48,7 @@ def render(
 
     Args:
         scene: a scene, in its own poses and joint states; or a model with its data posed
-            (`mj_kinematics` has run). Of a model with geoms in group 1 only those are seen. An
+            (`mj_kinematics` has run). Of a model with geoms in group 1 only those are drawn. An
             object of a model is a body of the world with all below it, in the model's order.
         camera: the camera.
         width: in pixels; None takes the camera's own, or follows from `height`.
@@ -67,14 +67,14 @@ def render(
 
     rows, columns = np.mgrid[: view.height, : view.width]
     pixels = np.stack([columns + 0.5, rows + 0.5], axis=-1)
-    seen = stage.look(view.rays(pixels.reshape(-1, 2)))
+    cast = stage.cast(view.rays(pixels.reshape(-1, 2)))
     shape = (view.height, view.width)
-    surface = seen.surface.reshape(shape)
-    point, normal = seen.hits.point.reshape(*shape, 3), seen.hits.normal.reshape(*shape, 3)
-    depth = ((seen.hits.point - view.eye) @ view.axes[:, 2]).reshape(shape)
+    surface = cast.surface.reshape(shape)
+    point, normal = cast.hits.point.reshape(*shape, 3), cast.hits.normal.reshape(*shape, 3)
+    depth = ((cast.hits.point - view.eye) @ view.axes[:, 2]).reshape(shape)
     depth = np.where(surface == -1, np.inf, depth)
     key, sky = visibility(caster, stage.lights, surface, point, normal, depth)
-    light = stage.shade(seen, key.ravel(), sky.ravel()).reshape(*shape, 3)
+    light = stage.shade(cast, key.ravel(), sky.ravel()).reshape(*shape, 3)
     color = display(light)
     if supersample > 1:
         edge = _edges(surface, point, normal, depth)
@@ -146,7 +146,7 @@ class _Stage:
             float(low[2]) if floor else None,
         )
 
-    def look(self, rays: NDArray) -> _RayHits:
+    def cast(self, rays: NDArray) -> _RayHits:
         hits = self.caster.hits(self.view.eye, rays)
         surface = hits.geom.astype(np.int64)
         down = rays[:, 2] < -1e-6
@@ -158,38 +158,38 @@ class _Stage:
             hits.normal[on] = [0.0, 0.0, 1.0]
         return _RayHits(rays, hits, surface)
 
-    def shade(self, seen: _RayHits, key: NDArray, sky: NDArray) -> NDArray:
+    def shade(self, cast: _RayHits, key: NDArray, sky: NDArray) -> NDArray:
         """Return the light [n, 3] along each ray."""
         towards = self.lights.key_direction
-        light = surroundings(seen.rays)
-        body = np.flatnonzero(seen.surface >= 0)
-        g = seen.surface[body]
+        light = surroundings(cast.rays)
+        body = np.flatnonzero(cast.surface >= 0)
+        g = cast.surface[body]
         light[body] = shade(
-            albedo(self.appearance, g, seen.hits.point[body]),
+            albedo(self.appearance, g, cast.hits.point[body]),
             self.appearance.gloss[g],
             self.appearance.metal[g],
-            seen.hits.normal[body],
-            -seen.rays[body],
+            cast.hits.normal[body],
+            -cast.rays[body],
             key[body],
             sky[body],
             towards,
         )
-        on = np.flatnonzero(seen.surface == FLOOR)
+        on = np.flatnonzero(cast.surface == FLOOR)
         n = len(on)
         lit = shade(
             np.tile(FLOOR_COLOUR, (n, 1)),
             np.zeros(n),
             np.zeros(n, bool),
-            seen.hits.normal[on],
-            -seen.rays[on],
+            cast.hits.normal[on],
+            -cast.rays[on],
             key[on],
             sky[on],
             towards,
         )
         # The floor fades into the horizon, so that it has no edge.
-        away = np.linalg.norm((seen.hits.point[on] - self.centre)[:, :2], axis=1) / self.reach
+        away = np.linalg.norm((cast.hits.point[on] - self.centre)[:, :2], axis=1) / self.reach
         fade = np.clip((away - 2.0) / 10.0, 0.0, 1.0)[:, None]
-        light[on] = lit + (surroundings(seen.rays[on] * [1, 1, 0]) - lit) * fade
+        light[on] = lit + (surroundings(cast.rays[on] * [1, 1, 0]) - lit) * fade
         return light
 
 
@@ -232,7 +232,7 @@ def _smooth_edges(
     du, dv = (grid.ravel() for grid in np.meshgrid(step, step))
     u = (columns[:, None] + du).ravel()
     v = (rows[:, None] + dv).ravel()
-    seen = stage.look(stage.view.rays(np.column_stack([u, v])))
+    cast = stage.cast(stage.view.rays(np.column_stack([u, v])))
     row, column = np.repeat(rows, len(du)), np.repeat(columns, len(du))
     best = np.full(len(row), np.inf)
     lit, open_ = key[row, column].copy(), sky[row, column].copy()
@@ -241,13 +241,13 @@ def _smooth_edges(
     for i in (0, -1, 1):
         for j in (0, -1, 1):
             r, c = np.clip(row + i, 0, h - 1), np.clip(column + j, 0, w - 1)
-            apart = np.linalg.norm(point[r, c] - seen.hits.point, axis=1)
-            turned = 1.0 - np.sum(normal[r, c] * seen.hits.normal, axis=1)
-            cost = np.where(surface[r, c] == seen.surface, apart * (1.0 + 20.0 * turned), np.inf)
+            apart = np.linalg.norm(point[r, c] - cast.hits.point, axis=1)
+            turned = 1.0 - np.sum(normal[r, c] * cast.hits.normal, axis=1)
+            cost = np.where(surface[r, c] == cast.surface, apart * (1.0 + 20.0 * turned), np.inf)
             better = cost < best
             best[better] = cost[better]
             lit[better], open_[better] = key[r, c][better], sky[r, c][better]
-    shaded = stage.shade(seen, lit, open_).reshape(len(rows), -1, 3)
+    shaded = stage.shade(cast, lit, open_).reshape(len(rows), -1, 3)
     # Averaged as displayed: rims of bright surfaces would otherwise stay jagged.
     total = display(shaded).astype(np.int64).sum(axis=1)
     color[rows, columns] = ((2 * total + len(du)) // (2 * len(du))).astype(np.uint8)

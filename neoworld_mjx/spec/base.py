@@ -52,7 +52,7 @@ class ScalableSpec(Spec):
                 raise TypeError(f"{cls.__name__}.{name} {error}") from None
 
     def scaled(self: _Scalable, s: float, motion: Motion = NO_JOINT) -> _Scalable:
-        """Return a copy with every number multiplied by the power of `s` that its field declares."""
+        """Return a copy with every number multiplied by the power of `s` of its field."""
         update: dict[str, object] = {}
         for name, scaling in self.scalings.items():
             value = getattr(self, name)

@@ -51,16 +51,16 @@ def hull(points: tuple[Vector, ...]) -> tuple[NDArray, NDArray]:
         raise ValueError(f"a convex piece needs 4 points in general position, got {len(p)}")
     try:
         # Unit size keeps qhull's absolute tolerances the same for a pin and a house.
-        found = ConvexHull((p - p.mean(axis=0)) / span)
+        qhull = ConvexHull((p - p.mean(axis=0)) / span)
     except QhullError:
         raise ValueError("a convex piece is flat") from None
-    used = np.sort(found.vertices)
+    used = np.sort(qhull.vertices)
     index = np.full(len(p), -1)
     index[used] = np.arange(len(used))
-    faces = index[found.simplices]
+    faces = index[qhull.simplices]
     v = p[used]
     normal = np.cross(v[faces[:, 1]] - v[faces[:, 0]], v[faces[:, 2]] - v[faces[:, 0]])
-    flip = np.sum(normal * found.equations[:, :3], axis=1) < 0
+    flip = np.sum(normal * qhull.equations[:, :3], axis=1) < 0
     faces[flip] = faces[flip][:, ::-1]
     return v, faces
 

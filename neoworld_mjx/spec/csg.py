@@ -3,7 +3,8 @@
 Colliders are an exact convex decomposition, made by cutting convex pieces along the planes of the
 others; so what a difference takes away is really open. Round operands count as polyhedra with
 `sectors` facets, whose corners lie on the true surface: colliders stay within
-r (1 - cos(pi / sectors)) of it. The surface that is seen comes from manifold3d and from finer facets.
+r (1 - cos(pi / sectors)) of it. The visual surface comes from manifold3d,
+with finer facets.
 """
 
 import itertools
@@ -55,8 +56,8 @@ class Operand(ScalableSpec):
 class CSG(BaseShape):
     """A solid made of others: all of them, the first without the rest, or what all share.
 
-    Operands are written at size 1; `factor` scales the whole, so that a scaled copy is cut up in the
-    very same way.
+    Operands are written at size 1; `factor` scales the whole, so that a scaled copy is cut up in
+    the very same way.
     """
 
     type: Literal["csg"] = "csg"

@@ -137,7 +137,7 @@ class RoundedBox(BaseShape):
 
 @lru_cache(maxsize=512)
 def _tiles(outline: Loop, holes: tuple[Loop, ...]) -> tuple[Loop, ...]:
-    """Merge triangles into convex polygons (Hertel and Mehlhorn, 1983: at most 4 times too many)."""
+    """Merge triangles into convex polygons (Hertel and Mehlhorn, 1983)."""
     loops = _wound(outline, holes)
     flat = np.vstack(loops)
     polygons = [list(map(int, t)) for t in _triangles(loops)]

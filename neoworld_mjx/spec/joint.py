@@ -1,4 +1,4 @@
-"""Joints of an object: type, axis, limits and dynamics, and what each is meant to do."""
+"""Joints of an object: type, axis, limits, dynamics and intent."""
 
 import math
 from collections.abc import Collection
@@ -28,7 +28,7 @@ class Mimic(ScalableSpec):
 
 
 class Intent(ScalableSpec):
-    """What a joint is meant to do, for checks to hold it against; physics ignores it."""
+    """Purpose of a joint, for checks to compare it with; physics ignores it."""
 
     type: JointType | None = None
     opens: Direction3 | None = None
@@ -67,7 +67,7 @@ class JointSpec(ScalableSpec):
     after: tuple[Name, ...] = Field(default=(), exclude_if=_is_empty)
     """Joints that must be fully open whenever this one is away from 0: a rack's, its door.
 
-    Checks hold it against that; physics ignores it."""
+    Checks test it; physics ignores it."""
     intent: Intent | None = Field(default=None, exclude_if=_is_empty)
 
     @field_validator("axis")
@@ -84,8 +84,8 @@ class JointSpec(ScalableSpec):
         if self.type == "ball":
             if self.lower != 0.0 or not 0.0 <= self.upper <= math.pi:
                 raise ValueError(
-                    f"joint {self.name}: a ball turns from 0 to at most pi (upper 0: no limit), got "
-                    f"{self.lower} to {self.upper}"
+                    f"joint {self.name}: a ball turns from 0 to at most pi (upper 0: no limit), "
+                    f"got {self.lower} to {self.upper}"
                 )
             if (self.mimic, self.effort, self.velocity) != (None, None, None):
                 raise ValueError(f"joint {self.name}: a ball has no mimic, effort or velocity")
@@ -100,7 +100,7 @@ def check_prerequisites(joint: JointSpec, by_name: dict[str, JointSpec]) -> None
     """
     if joint.after and (joint.type == "fixed" or joint.mimic is not None):
         raise ValueError(f"joint {joint.name}: what is fixed or follows another cannot wait")
-    waiting, seen = list(joint.after), set()
+    waiting, visited = list(joint.after), set()
     while waiting:
         name = waiting.pop()
         require_known(f"joint {joint.name}: after", name, by_name)
@@ -108,11 +108,11 @@ def check_prerequisites(joint: JointSpec, by_name: dict[str, JointSpec]) -> None
             raise ValueError(f"joint {joint.name}: waits for itself")
         if by_name[name].type not in ("revolute", "prismatic") or by_name[name].mimic is not None:
             raise ValueError(
-                f"joint {joint.name}: after takes revolute and prismatic joints that follow no other, "
-                f"got {name}"
+                f"joint {joint.name}: after takes revolute and prismatic joints that follow no "
+                f"other, got {name}"
             )
-        if name not in seen:
-            seen.add(name)
+        if name not in visited:
+            visited.add(name)
             waiting += by_name[name].after
 
 

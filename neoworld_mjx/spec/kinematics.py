@@ -32,10 +32,10 @@ def link_poses(spec: ObjectSpec, joint_state: Mapping[str, float]) -> dict[str, 
 
 def joint_value(spec: ObjectSpec, joint: JointSpec, joint_state: Mapping[str, float]) -> float:
     """Return where a joint stands, following mimics [rad or m]."""
-    seen = set()
+    visited = set()
     factor, offset = 1.0, 0.0
-    while joint.mimic is not None and joint.name not in seen:
-        seen.add(joint.name)
+    while joint.mimic is not None and joint.name not in visited:
+        visited.add(joint.name)
         offset += factor * joint.mimic.offset
         factor *= joint.mimic.multiplier
         joint = spec.joint(joint.mimic.joint)

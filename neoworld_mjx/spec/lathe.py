@@ -91,8 +91,8 @@ class Lathe(BaseShape):
         q = self.inner()
         floor = self.floor()
         if floor is not None:
-            # A scaled copy differs in the last bits and must come to the same pieces: heights that
-            # mean the floor's are made equal to it.
+            # A scaled copy differs in the last bits and must give the same pieces: heights within
+            # rounding of the floor's become equal to it.
             for points in (p, q):
                 points[np.abs(points[:, 1] - floor[1]) < self._rounding(), 1] = floor[1]
         quads = [np.array([p[i], p[i + 1], q[i + 1], q[i]]) for i in range(len(p) - 1)]
@@ -141,7 +141,7 @@ class Lathe(BaseShape):
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
         """Revolve the section, more finely than the colliders."""
-        # A multiple of the colliders' sectors, so that their corners are corners of the surface too.
+        # A multiple of the colliders' sectors: their corners are corners of the surface too.
         sectors = self.sectors * math.ceil(SECTORS / self.sectors)
         vertices, faces = revolved(self.section(), sectors, closed=self.is_ring())
         return vertices * [1.0, self.oval, 1.0], faces
@@ -194,7 +194,7 @@ class Lathe(BaseShape):
             return np.array([*foot, *p.tolist(), *head])
         outer, floor = profile, self.floor()
         if floor is not None and np.linalg.norm(profile - floor, axis=1).min() > 1e-9:
-            # The colliders are cut at the inner floor; their corners there belong to the surface, too.
+            # The colliders are cut at the inner floor; their corners there are the surface's too.
             outer = np.insert(profile, np.flatnonzero(profile[:, 1] >= floor[1])[0], floor, axis=0)
         return np.vstack([outer, self.inner()[::-1]])
 

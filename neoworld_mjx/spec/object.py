@@ -29,7 +29,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class Material(ScalableSpec):
-    """What a geom is made of."""
+    """Material of a geom: density, friction and colour."""
 
     name: Name
     density: Annotated[float, Field(gt=0, le=30000), UNSCALED]
@@ -48,7 +48,7 @@ class GeomSpec(ScalableSpec):
     quat: Rotation = IDENTITY
     material: Name
     role: Role = "both"
-    """Whether it is seen, collides, or both; only "both" and "collision" geoms have mass."""
+    """Whether it is visible, collides, or both; only "both" and "collision" geoms have mass."""
 
     @field_validator("quat")
     @classmethod
@@ -149,12 +149,12 @@ class ObjectSpec(ScalableSpec):
         if len(roots) != 1:
             raise ValueError(f"an object needs one root part, got {', '.join(roots) or 'none'}")
         for start in parents:
-            seen, at = {start}, start
+            visited, at = {start}, start
             while at in parents:
                 at = parents[at]
-                if at in seen:
+                if at in visited:
                     raise ValueError(f"joints form a cycle through part {at}")
-                seen.add(at)
+                visited.add(at)
         return self
 
     @property

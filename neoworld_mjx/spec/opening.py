@@ -1,4 +1,4 @@
-"""What open means: which joints the parse shows open, which wait for others, and which way they go."""
+"""Opening of joints: parsed openings, prerequisite joints, and the direction of opening."""
 
 import numpy as np
 
@@ -22,7 +22,7 @@ def matching_joint(spec: ObjectSpec, part: str, kind: str) -> JointSpec | None:
 
 
 def opening_value(joint: JointSpec, opening: float) -> float:
-    """Return where a joint stands when opened by a share of its range [rad or m].
+    """Return the position of a joint opened by a share of its range [rad or m].
 
     Closed is 0, or the limit nearest to it; open is the limit furthest from that, by convention the
     positive one. A continuous joint turns once.
@@ -35,11 +35,11 @@ def opening_value(joint: JointSpec, opening: float) -> float:
 
 
 def parsed_state(spec: ObjectSpec, node: TreeNode) -> tuple[dict[str, float], list[PartState]]:
-    """Return how an object's joints stand in the photograph.
+    """Return the joint values that the photograph shows.
 
     Args:
         spec: the object, at any size.
-        node: what the parse says of it.
+        node: its parse.
 
     Returns:
         Joint values [rad or m], and the parts of the parse that no joint fits.
@@ -56,7 +56,7 @@ def parsed_state(spec: ObjectSpec, node: TreeNode) -> tuple[dict[str, float], li
 
 
 def prerequisite_state(spec: ObjectSpec, joint: JointSpec) -> dict[str, float]:
-    """Return where the joints stand that a joint waits for, and those that these wait for [rad or m]."""
+    """Return the positions of the joints that must be open for a joint, recursively [rad or m]."""
     by_name = {other.name: other for other in spec.joints}
     state: dict[str, float] = {}
     waiting = list(joint.after)
@@ -71,12 +71,12 @@ def prerequisite_state(spec: ObjectSpec, joint: JointSpec) -> dict[str, float]:
 def with_prerequisites(
     spec: ObjectSpec, state: dict[str, float], *, opening: bool
 ) -> dict[str, float]:
-    """Return a state in which no joint is away from 0 without those that it waits for being open.
+    """Return a state in which every joint away from 0 has its prerequisites open.
 
     Args:
         spec: the object.
         state: joint values [rad or m].
-        opening: whether what a joint waits for is opened then; else the joint goes back to 0.
+        opening: whether to open missing prerequisites; else the joint goes back to 0.
     """
     state = dict(state)
     waiting = [joint for joint in spec.joints if joint.after]
@@ -91,14 +91,14 @@ def with_prerequisites(
     return state
 
 
-HARDLY = 0.15
-"""A middle that moves less than this share of what the part's size would let it opens no way."""
+MIN_TRAVEL = 0.15
+"""Least displacement of the middle, over that of the part's furthest point, with a direction."""
 
 
 def opening_alignment(spec: ObjectSpec, joint: JointSpec) -> float | None:
-    """Return the cosine between a child's way out of rest and the direction it is meant to take.
+    """Return the cosine between a child's first displacement and its intended direction.
 
-    The way is that of the middle of its bounding box over the first tenth of its range; None where the
+    The middle of its bounding box is followed over the first tenth of its range; None where the
     axis runs through that middle.
     """
     low, high = part_bounds(spec, spec.part(joint.child))
@@ -109,7 +109,7 @@ def opening_alignment(spec: ObjectSpec, joint: JointSpec) -> float | None:
     length = float(np.linalg.norm(way))
     if joint.type != "prismatic":
         reach = 0.1 * min(width, 1.0) * float(np.linalg.norm(high - low)) / 2
-        if length < HARDLY * reach:
+        if length < MIN_TRAVEL * reach:
             return None
     goal = np.array(joint.intent.opens if joint.intent and joint.intent.opens else (0, 0, 0), float)
     return float(way @ goal / max(length * float(np.linalg.norm(goal)), 1e-12))

@@ -79,13 +79,13 @@ def rotate(quat: ArrayLike, points: ArrayLike) -> NDArray:
 
 def _cross(a: NDArray, b: NDArray) -> NDArray:
     """Multiply vectors [..., 3]; np.cross does the same at three times the cost for single ones."""
-    found = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
     a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
     b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
-    found[..., 0] = a1 * b2 - a2 * b1
-    found[..., 1] = a2 * b0 - a0 * b2
-    found[..., 2] = a0 * b1 - a1 * b0
-    return found
+    product[..., 0] = a1 * b2 - a2 * b1
+    product[..., 1] = a2 * b0 - a0 * b2
+    product[..., 2] = a0 * b1 - a1 * b0
+    return product
 
 
 def matrix(quat: ArrayLike) -> NDArray:

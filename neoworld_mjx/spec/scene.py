@@ -40,7 +40,7 @@ class SceneObject(Spec):
     """In the parent's frame [rad]."""
     base_tilt: Quat = IDENTITY
     joint_state: dict[JointKey, Number] = {}
-    """Joint values [rad or m]; joints not named stand at 0. A ball has three: name.x, name.y, name.z."""
+    """Joint values [rad or m]; joints not named are at 0. A ball has name.x, name.y, name.z."""
     box2d: Box2D | None = None
     """Where the photograph shows it."""
     occluded: bool = False

@@ -122,7 +122,7 @@ class Sweep(BaseShape):
 
 
 def _first_side(unit: NDArray) -> NDArray:
-    """Return the direction across the plane of the first bend, across the horizontal if straight."""
+    """Return the normal of the first bend's plane; of a straight path, a horizontal normal."""
     for a, b in zip(unit[:-1], unit[1:], strict=True):
         k = np.cross(a, b)
         if np.linalg.norm(k) > 1e-6:

@@ -122,11 +122,11 @@ class SceneTree(Spec):
                     f"node {node.name} has no parent; only environment supports stand on nothing"
                 )
         for name in names:
-            at, seen = parents[name], {name}
+            at, visited = parents[name], {name}
             while at is not None:
-                if at in seen:
+                if at in visited:
                     raise ValueError(f"nodes form a cycle through {name}")
-                seen.add(at)
+                visited.add(at)
                 at = parents[at]
         return self
 

@@ -65,7 +65,7 @@ def line_chart(
         low, high = min(low, ticks[0]), max(high, ticks[-1])
     count = max(len(line.values) for line in lines)
 
-    def px(i: float) -> float:
+    def px(i: int) -> float:
         span = WIDTH - _LEFT - _RIGHT
         return _LEFT + span * (i / (count - 1) if count > 1 else 0.5)
 
@@ -101,7 +101,8 @@ def bars(items: Sequence[tuple[str, float]], unit: str) -> str:
         y = i * row
         length = max(1.0, (WIDTH - left - right) * value / top)
         parts.append(
-            f'<text class="tick" x="{left - 8}" y="{y + 17}" text-anchor="end">{escape(label)}</text>'
+            f'<text class="tick" x="{left - 8}" y="{y + 17}" text-anchor="end">'
+            f"{escape(label)}</text>"
             f'<rect x="{left}" y="{y + 5}" width="{length:.1f}" height="16" rx="2" '
             f'fill="var(--c1)"/>'
             f'<text class="tick" x="{left + length + 6:.1f}" y="{y + 17}">'

@@ -26,13 +26,13 @@ def convergence(path: Path) -> Html:
     """Draw rewards, terms and the share of valid candidates over iterations.
 
     Args:
-        path: history.npz with `absolute`, `valid`, `status` and one array under each of `term_names`,
-            all of shape [iteration, candidate], `term_weights` [term], and `log_scale` [iteration,
-            candidate, object].
+        path: history.npz with `absolute`, `valid`, `status` and an array under each of
+            `term_names`, all [iteration, candidate], `term_weights` [term], and `log_scale`
+            [iteration, candidate, object].
     """
     title = "Convergence of the search"
     try:
-        with np.load(path) as data:
+        with path.open("rb") as stream, np.load(stream) as data:
             history = {key: data[key] for key in data.files}
     except FileNotFoundError:
         return section(title, missing("No refine/history.npz yet."))

@@ -20,7 +20,8 @@ STYLE = """
   --good:#7acb98; --bad:#ff9a91; --warn:#f2cf7e; --warnbg:#332a14; --warnline:#6d5925; } }
 * { box-sizing: border-box; }
 body { margin:0; background:var(--ground); color:var(--ink); line-height:1.45;
-  font:15px/1.45 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
+  font:15px/1.45 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial,
+  sans-serif; }
 main { max-width:1120px; margin:0 auto; padding:28px 24px 60px; }
 h1 { font-size:26px; margin:0 0 2px; letter-spacing:-.01em; }
 h2 { font-size:17px; margin:0 0 12px; }
@@ -110,7 +111,8 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> Html:
         for row in rows
     )
     return Html(
-        f'<div class="scroll"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+        f'<div class="scroll"><table><thead><tr>{top}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div>"
     )
 
 

@@ -83,7 +83,7 @@ def verdicts(folder: Path) -> Html:
         parts.append(table(["check", "#value", "#threshold", "verdict", "note"], rows))
         if findings := verification.get("seen"):
             parts.append(
-                table(["seen by the critic in key frames"], [[finding] for finding in findings])
+                table(["findings of the critic in key frames"], [[finding] for finding in findings])
             )
     return section("Objects and their verdicts", *parts)
 

@@ -75,8 +75,10 @@ def test_what_could_not_be_carried_is_told(tmp_path):
             "<link name='tip'/>",
             "<joint name='w' type='fixed'><parent link='world'/><child link='base-link'/>"
             "<origin xyz='0 0 1'/></joint>",
-            "<joint name='j' type='floating'><parent link='base-link'/><child link='1arm'/></joint>",
-            "<joint name='k' type='revolute'><parent link='1arm'/><child link='tip'/><axis xyz='0 0 1'/>"
+            "<joint name='j' type='floating'><parent link='base-link'/>"
+            "<child link='1arm'/></joint>",
+            "<joint name='k' type='revolute'><parent link='1arm'/><child link='tip'/>"
+            "<axis xyz='0 0 1'/>"
             "<limit lower='0' upper='1' effort='1' velocity='1'/></joint>",
             "<transmission name='t'/>",
         )
@@ -164,7 +166,8 @@ def test_joints_drawn_away_from_zero_keep_their_ends(tmp_path):
 
 STOVE = """<mujoco><compiler boundmass="0.001" boundinertia="1e-6"/><worldbody><body name="stove">
 <geom type="box" size=".3 .3 .4" pos="0 0 .4" density="300"/>
-<body name="burner" pos="0 0 .81"><geom type="cylinder" size=".1 .01" contype="0" conaffinity="0" mass="0"/>
+<body name="burner" pos="0 0 .81">
+<geom type="cylinder" size=".1 .01" contype="0" conaffinity="0" mass="0"/>
 </body>
 <body name="knob" pos=".31 0 .7"><joint axis="1 0 0" range="0 90" limited="true"/>
 <geom type="box" size=".02 .02 .02" contype="0" conaffinity="0" mass="0.1"/></body>
@@ -175,7 +178,7 @@ def test_what_is_only_seen_joins_what_it_is_fixed_to(tmp_path):
     path = tmp_path / "stove.xml"
     path.write_text(STOVE)
     found = import_mjcf(path)
-    # The compiler's least mass is no mass of the burner's, and its place is not where that would be.
+    # The compiler's lower bound of the mass is not the burner's.
     assert [part.name for part in found.spec.parts] == ["stove", "knob"]
     assert [geom.role for geom in found.spec.part("stove").geoms] == ["collision", "visual"]
     assert found.spec.part("stove").mass == pytest.approx(300 * 0.6 * 0.6 * 0.8)

@@ -32,16 +32,16 @@ CASES = {
         (Cylinder(radius=0.05, height=0.3), (0, 0, 0)),
         (Cylinder(radius=0.03, height=0.3), (0, 0, 0), LYING),
     ),
-    "dish": made(
-        "difference", (BLOCK, (0, 0, 0)), (Sphere(radius=0.06), (0, 0, 0.05)), sectors=12
-    ),
+    "dish": made("difference", (BLOCK, (0, 0, 0)), (Sphere(radius=0.06), (0, 0, 0.05)), sectors=12),
     "cross": made(
         "union",
         (Cylinder(radius=0.05, height=0.3), (0, 0, 0)),
         (Cylinder(radius=0.03, height=0.3), (0, 0, 0), LYING),
     ),
     "row": made("union", *((Box(size=(0.1, 0.1, 0.1)), (0.1 * k, 0, 0)) for k in range(5))),
-    "dice": made("intersection", (Box(size=(0.1,) * 3), (0, 0, 0)), (Sphere(radius=0.07), (0, 0, 0))),
+    "dice": made(
+        "intersection", (Box(size=(0.1,) * 3), (0, 0, 0)), (Sphere(radius=0.07), (0, 0, 0))
+    ),
     "notched_cup": made(
         "difference",
         (Lathe(profile=((0, 0), (0.04, 0), (0.05, 0.1)), thickness=0.004), (0, 0, 0)),
@@ -54,7 +54,7 @@ CASES = {
         (Box(size=(0.08, 0.4, 0.04)), (0, 0, 0.05)),
         (Cylinder(radius=0.02, height=0.4), (0.04, 0, 0.05), LYING),
     ),
-}  # fmt: skip
+}
 
 
 def solid(shape) -> float:
@@ -136,7 +136,10 @@ def test_shapes_may_lie_in_each_other():
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: made("difference", (Box(size=(0.1,) * 3), (0, 0, 0)), (BLOCK, (0, 0, 0))), "nothing"),
+        (
+            lambda: made("difference", (Box(size=(0.1,) * 3), (0, 0, 0)), (BLOCK, (0, 0, 0))),
+            "nothing",
+        ),
         (lambda: made("intersection", (BLOCK, (0, 0, 0)), (BLOCK, (1, 0, 0))), "nothing"),
         (lambda: made("union", (BLOCK, (0, 0, 0)), (BLOCK, (1, 0, 0))), "falls into 2 solids"),
         (
@@ -147,14 +150,18 @@ def test_shapes_may_lie_in_each_other():
             lambda: made(
                 "difference",
                 (Box(size=(2, 2, 0.1)), (0, 0, 0)),
-                *((Sphere(radius=0.06), (0.15 * i - 1, 0.15 * k - 1, 0)) for i in range(8) for k in range(7)),
+                *(
+                    (Sphere(radius=0.06), (0.15 * i - 1, 0.15 * k - 1, 0))
+                    for i in range(8)
+                    for k in range(7)
+                ),
                 sectors=48,
             ),
             "convex pieces",
         ),
         (lambda: made("union", (BLOCK, (0, 0, 0))), "at least 2"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_says_why(make, words: str):
     with pytest.raises(ValidationError, match=words):
         make()

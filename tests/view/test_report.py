@@ -263,7 +263,9 @@ def test_bars_are_proportional():
     assert b == pytest.approx(2 * a, rel=0.01)
 
 
-@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.2, 0.7), (0.00012, 0.00013), (5, 9000)])
+@pytest.mark.parametrize(
+    ("low", "high"), [(0.0, 1.0), (-3.2, 0.7), (0.00012, 0.00013), (5.0, 9000.0)]
+)
 def test_ticks_are_round_and_cover(low, high):
     ticks = nice_ticks(low, high)
     assert 2 <= len(ticks) <= 8
