@@ -1,6 +1,8 @@
 """The command bench: suites of the tables in `bench.suites` and `benchmarks.suites`, and charts."""
 
-from collections.abc import Mapping
+import dataclasses
+import datetime
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Union
@@ -33,16 +35,35 @@ class SuiteCommand:
     """Runs a benchmark suite; `suite_commands` adds the suite's options."""
 
     suite: ClassVar[Suite]
+    suite_name: ClassVar[str]
 
     def run(self) -> Answer:
-        """Run the suite."""
+        """Run the suite; its answer also names the suite, the command and the date, as figures do."""
         from ..cache import keep_compilations
 
         keep_compilations()
         function = self.suite.load()
-        if isinstance(self, ConfiguredCommand):
-            return function(self, self.load_config())
-        return function(self)
+        configured = isinstance(self, ConfiguredCommand)
+        answer = function(self, self.load_config()) if configured else function(self)
+        in_package = self.suite.function.startswith("neoworld_mjx.")
+        program = "neoworld bench run" if in_package else "python -m benchmarks"
+        return {
+            "suite": self.suite_name,
+            "command": " ".join([program, self.suite_name, *self._changed_options()]),
+            "date": datetime.date.today().isoformat(),
+            **answer,
+        }
+
+    def _changed_options(self) -> Iterator[str]:
+        """Spell the options out that differ from their defaults, --json last."""
+        fields = dataclasses.fields(self)  # pyright: ignore[reportArgumentType]
+        for field in sorted(fields, key=lambda field: field.name == "json"):
+            value = getattr(self, field.name)
+            if value == field.default or field.name == "quiet":
+                continue
+            yield "--" + field.name.replace("_", "-")
+            if value is not True:
+                yield from map(str, value if isinstance(value, tuple) else (value,))
 
 
 def suite_commands(suites: Mapping[str, Suite]) -> Any:
@@ -50,7 +71,12 @@ def suite_commands(suites: Mapping[str, Suite]) -> Any:
     commands = []
     for name, suite in suites.items():
         bases = (SuiteCommand, suite.options, ConfiguredCommand if suite.configured else Command)
-        fields = {"__doc__": suite.options.__doc__, "__module__": __name__, "suite": suite}
+        fields = {
+            "__doc__": suite.options.__doc__,
+            "__module__": __name__,
+            "suite": suite,
+            "suite_name": name,
+        }
         command = dataclass(frozen=True, kw_only=True)(type(f"Bench{name.title()}", bases, fields))
         commands.append(Annotated[command, subcommand(name)])
     return Union[tuple(commands)]  # noqa: UP007

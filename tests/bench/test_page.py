@@ -1,0 +1,44 @@
+"""The page of figures, and the data files that it is written from."""
+
+import json
+
+import pytest
+from pydantic import ValidationError
+
+from benchmarks import page
+from benchmarks import suites as developer
+from neoworld_mjx import cli
+from neoworld_mjx.bench import suites
+
+NAMES = sorted(path.stem for path in page.FIGURES.iterdir() if path.stem != "page")
+
+
+def test_the_page_is_the_one_that_the_figures_give():
+    assert page.PAGE.read_text(encoding="utf-8") == page.page(), (
+        "stale: run `uv run python -m benchmarks.page`"
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_figure_is_on_the_page_with_device_and_n(name):
+    figure = page.read_figure(name)
+    assert f"### {figure.title}\n" in page.page()
+    assert figure.device and figure.n and figure.command
+    assert figure.suite is None or figure.suite in {*suites.SUITES, *developer.SUITES}
+    assert all(len(row) == len(figure.columns) for row in figure.rows)
+
+
+def test_a_figure_without_a_device_is_refused():
+    with pytest.raises(ValidationError, match="device"):
+        page.Figure.model_validate({"title": "a", "command": "b", "n": "1", "date": "2026-01-01"})
+
+
+def test_what_a_suite_prints_is_a_figure(capfd):
+    words = ["bench", "run", "agreement", "--scene", "stack", "--layouts", "2", "--json"]
+    with pytest.raises(SystemExit):
+        cli.main(words)
+    answer = json.loads(capfd.readouterr().out)
+    figure = page.from_answer(answer)
+    assert figure.command == "neoworld bench run agreement --scene stack --layouts 2 --json"
+    assert "cores" in figure.device and "mujoco" in figure.software
+    assert "| stack |" in page.markdown(figure)
