@@ -21,8 +21,8 @@ _PAGE_HEAD = """\
 # Options
 
 Every option with its default; `python -m neoworld_mjx.config` writes this page and
-[configs/default.yaml](../configs/default.yaml) from the declarations in `neoworld_mjx/config/`. Set
-options in a YAML file (`--config`) or one by one (`--set refine.cem.population=64`).
+`configs/default.yaml` from the declarations in `neoworld_mjx/config/`. Set options in a YAML file
+(`--config`) or one by one (`--set refine.cem.population=64`).
 
 A resumed run does a step again when the options of its group have changed (`parse`, `program`,
 `verify`, `compose`, `refine`), and then all steps that read its files. The last column says what a
