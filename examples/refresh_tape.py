@@ -20,7 +20,7 @@ from neoworld_mjx.pipeline import reconstruct
 
 
 def answer(mailbox: Path, texts: dict[str, str], done: threading.Event) -> None:
-    """Answer requests by their names until told to stop."""
+    """Answer requests by their names until `done` is set."""
     while not done.wait(0.1):
         for request in mailbox.glob("*/request.json"):
             response = request.with_name("response.json")

@@ -29,7 +29,7 @@ ACCEPT = 9.0
 class SceneAttempt:
     """One answer, with the results of its checks and its critique."""
 
-    seen: SceneSeen
+    answer: SceneSeen
     tree: SceneTree | None
     """Fitted where the fit helps; None if the answer gives no tree."""
     broken: str = ""
@@ -89,7 +89,7 @@ class Parsed:
         """Return all rounds as JSON."""
         rounds = [
             {
-                "answer": attempt.seen.model_dump(mode="json"),
+                "answer": attempt.answer.model_dump(mode="json"),
                 "broken": attempt.broken,
                 "checks": [issue.model_dump(mode="json") for issue in attempt.checks],
                 "fit": None if attempt.fit is None else attempt.fit.to_json(),
@@ -123,15 +123,15 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
             return attempt
         # 2D boxes alone, which no fit moves: the picture is the same on every machine.
         drawn = draw_parse(photo, attempt.tree)
-        request = judge_request(photo, attempt.seen, drawn)
+        request = judge_request(photo, attempt.answer, drawn)
         verdict = await ask_or_record(models, request, "no judge round", fallbacks)
         return replace(attempt, verdict=verdict)
 
     async def correct(attempts: Sequence[SceneAttempt]) -> SceneAttempt | None:
         last = attempts[-1]
-        request = parse_request(photo, last.seen, last.corrections)
+        request = parse_request(photo, last.answer, last.corrections)
         answer = await ask_or_record(models, request, "no mend round", fallbacks)
-        return None if answer is None or answer == last.seen else await _checked(photo, answer, o)
+        return None if answer is None or answer == last.answer else await _checked(photo, answer, o)
 
     first = (await models.ask(parse_request(photo))).value
     attempts = await revise(
@@ -149,13 +149,13 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
     return Parsed(tree, drawn.data, tuple(attempts), kept, tuple(fallbacks))
 
 
-async def _checked(photo: Photo, seen: SceneSeen, options: ParseOptions) -> SceneAttempt:
+async def _checked(photo: Photo, answer: SceneSeen, options: ParseOptions) -> SceneAttempt:
     """Fit an answer to its 2D boxes and check it."""
     try:
-        tree = to_tree(seen, photo)
+        tree = to_tree(answer, photo)
     except SpecError as error:
-        return SceneAttempt(seen, None, str(error))
+        return SceneAttempt(answer, None, str(error))
     report = None
     if options.fit:
         tree, report = await asyncio.to_thread(fit_tree, tree)
-    return SceneAttempt(seen, tree, checks=check_tree(tree), fit=report)
+    return SceneAttempt(answer, tree, checks=check_tree(tree), fit=report)

@@ -89,7 +89,7 @@ def parse_request(
     )
 
 
-def judge_request(photo: Photo, seen: SceneSeen, drawn: Picture) -> Request[SceneCritique]:
+def judge_request(photo: Photo, answer: SceneSeen, drawn: Picture) -> Request[SceneCritique]:
     """Return the request to the critic about an answer, drawn on the photo."""
     width, height = photo.size
     return Request(
@@ -97,17 +97,17 @@ def judge_request(photo: Photo, seen: SceneSeen, drawn: Picture) -> Request[Scen
         name="parse:judge",
         system=package_text(__package__, "critic"),
         prompt=JUDGE.format(
-            width=width, height=height, count=len(seen.objects), listing=listing(seen)
+            width=width, height=height, count=len(answer.objects), listing=listing(answer)
         ),
         schema=SceneCritique,
         pictures=[Picture.of("photo", photo.rgb), drawn],
     )
 
 
-def listing(seen: SceneSeen) -> str:
+def listing(answer: SceneSeen) -> str:
     """List an answer's objects for the critic, one per line."""
     lines = []
-    for item in seen.objects:
+    for item in answer.objects:
         box = item.box
         place = "no carrier" if item.parent is None else f"{item.relation} {item.parent}"
         if item.parent_link is not None:

@@ -171,13 +171,13 @@ class SceneSeen(_Answer):
         return self
 
 
-def to_tree(seen: SceneSeen, photo: Photo) -> SceneTree:
+def to_tree(answer: SceneSeen, photo: Photo) -> SceneTree:
     """Convert an answer into a scene tree in pixels of the upright original.
 
     Boxes are clipped at the picture's edges.
 
     Args:
-        seen: the answer, its boxes in pixels of the picture shown.
+        answer: the answer, its boxes in pixels of the picture shown.
         photo: the photograph that was shown.
 
     Raises:
@@ -188,7 +188,7 @@ def to_tree(seen: SceneSeen, photo: Photo) -> SceneTree:
     outside = [
         f"object {item.name}: box {_corners(item.box)} lies outside the picture, which is "
         f"{shown[0]} x {shown[1]} pixels"
-        for item in seen.objects
+        for item in answer.objects
         if item.box.left >= shown[0]
         or item.box.top >= shown[1]
         or item.box.right <= 0
@@ -198,7 +198,7 @@ def to_tree(seen: SceneSeen, photo: Photo) -> SceneTree:
         raise SpecError("; ".join(outside))
     per_pixel = (original[0] / shown[0], original[1] / shown[1])
     try:
-        return _tree(seen, per_pixel, original, clip=True)
+        return _tree(answer, per_pixel, original, clip=True)
     except ValidationError as error:
         raise SpecError(_phrase(error)) from None
 
@@ -221,13 +221,13 @@ def base_offset(size: Float[np.ndarray, "3"], yaw: float, tilt: Quat) -> Float[n
     return -rotate(from_yaw(yaw), [middle[0], middle[1], 0.0])[:2]
 
 
-def _problems(seen: SceneSeen) -> list[str]:
+def _problems(answer: SceneSeen) -> list[str]:
     """List the errors that the tree's own validation would not report clearly."""
     problems = []
-    if not seen.objects:
+    if not answer.objects:
         problems.append("objects is empty: list at least what carries the rest")
-    names = [item.name for item in seen.objects]
-    for item in seen.objects:
+    names = [item.name for item in answer.objects]
+    for item in answer.objects:
         where = f"object {item.name}"
         if not _NAME.match(item.name):
             problems.append(f"{where}: a name has letters, digits and underscores, at most 48")
@@ -249,8 +249,8 @@ def _problems(seen: SceneSeen) -> list[str]:
                 problems.append(
                     f"{where}: part {part.part!r} needs a name of letters, digits, underscores"
                 )
-        problems.extend(_link_problems(item, seen))
-    camera = seen.camera
+        problems.extend(_link_problems(item, answer))
+    camera = answer.camera
     if not 1 <= camera.fovy_deg <= 170:
         problems.append(f"camera: fovy_deg must lie in 1 .. 170, got {camera.fovy_deg:g}")
     if not -90 <= camera.pitch_deg <= 90:
@@ -258,8 +258,8 @@ def _problems(seen: SceneSeen) -> list[str]:
     return problems
 
 
-def _link_problems(item: ObjectSeen, seen: SceneSeen) -> list[str]:
-    parent = next((other for other in seen.objects if other.name == item.parent), None)
+def _link_problems(item: ObjectSeen, answer: SceneSeen) -> list[str]:
+    parent = next((other for other in answer.objects if other.name == item.parent), None)
     if item.parent_link is None or parent is None:
         return []
     parts = [part.part for part in parent.articulation]
@@ -272,17 +272,17 @@ def _link_problems(item: ObjectSeen, seen: SceneSeen) -> list[str]:
 
 
 def _tree(
-    seen: SceneSeen, per_pixel: tuple[float, float], size: tuple[int, int], *, clip: bool
+    answer: SceneSeen, per_pixel: tuple[float, float], size: tuple[int, int], *, clip: bool
 ) -> SceneTree:
     camera = Camera(
         width=size[0],
         height_px=size[1],
-        fovy=math.radians(seen.camera.fovy_deg),
-        height=seen.camera.height,
-        pitch=math.radians(seen.camera.pitch_deg),
-        roll=math.radians(seen.camera.roll_deg),
+        fovy=math.radians(answer.camera.fovy_deg),
+        height=answer.camera.height,
+        pitch=math.radians(answer.camera.pitch_deg),
+        roll=math.radians(answer.camera.roll_deg),
     )
-    nodes = tuple(_node(item, per_pixel, size if clip else None) for item in seen.objects)
+    nodes = tuple(_node(item, per_pixel, size if clip else None) for item in answer.objects)
     return SceneTree(camera=camera, nodes=nodes)
 
 

@@ -115,7 +115,7 @@ class _Round:
 
 
 def with_models(
-    made: Repaired,
+    repaired: Repaired,
     now: Battery,
     models: Panel,
     run: RunBattery,
@@ -128,7 +128,7 @@ def with_models(
     An object that passes is judged and not edited; so is every object with `rounds` 0.
 
     Args:
-        made: the result of direct repairs; edits that help are added to it.
+        repaired: the result of direct repairs; edits that help are added to it.
         now: the battery's run on it.
         models: answer as critic and reasoner.
         run: the battery with its options.
@@ -142,11 +142,11 @@ def with_models(
         BudgetError: the cost cap is reached.
         MissingAnswerError: a tape lacks the answer.
     """
-    return models.run(_edited(made, now, models, run, spec, rounds))
+    return models.run(_edited(repaired, now, models, run, spec, rounds))
 
 
 async def _edited(
-    made: Repaired, now: Battery, models: Panel, run: RunBattery, spec: ObjectSpec, rounds: int
+    repaired: Repaired, now: Battery, models: Panel, run: RunBattery, spec: ObjectSpec, rounds: int
 ) -> list[MotionCritique]:
     fallbacks: list[tuple[str, str]] = []
 
@@ -168,7 +168,9 @@ async def _edited(
         proposed = await ask_or_record(models, request, stage, fallbacks)
         if proposed is None or proposed.patch.empty:
             return None
-        edited = await asyncio.to_thread(try_patches, made, battery, [proposed.patch], run, spec)
+        edited = await asyncio.to_thread(
+            try_patches, repaired, battery, [proposed.patch], run, spec
+        )
         return None if edited is None or edited.verdict.passed else _Round(edited)
 
     attempts = await revise(
@@ -179,7 +181,7 @@ async def _edited(
         criticise=criticise,
         criticise_last=False,
     )
-    made.tried.extend(f"{stage}: {reason}" for stage, reason in fallbacks)
+    repaired.tried.extend(f"{stage}: {reason}" for stage, reason in fallbacks)
     return [attempt.critique for attempt in attempts if attempt.critique is not None]
 
 

@@ -1,8 +1,9 @@
-"""A scoring model behind the Messages API, with the delay and the share of failures that it is given.
+"""A scoring model behind the Messages API, with the delay and the share of failures that it is
+given.
 
-It answers scoring requests by the picture that it is shown, so that callers can tell whether an answer
-has come to the right place. Which calls fail depends on the picture and on how often it was sent, not
-on the order in which calls come.
+It answers scoring requests by the picture that it is shown, so that callers can tell whether an
+answer has come to the right place. Which calls fail depends on the picture and on how often it was
+sent, not on the order in which calls come.
 """
 
 import base64

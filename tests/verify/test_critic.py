@@ -5,7 +5,7 @@ import pytest
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import MissingAnswerError, ModelError
 from neoworld_mjx.mllm import Panel
-from neoworld_mjx.verify import Battery, Patch, Repaired, verify_and_repair
+from neoworld_mjx.verify import Battery, Patch, Repaired, verification, verify_and_repair
 from neoworld_mjx.verify.critic import (
     Finding,
     MotionCritique,
@@ -25,35 +25,52 @@ HARMS = Patch.model_validate({"joints": {"hinge": {"lower": -0.6}}})
 FOUND = MotionCritique(findings=[Finding(where="door", what="swings in")], verdict="edit")
 
 
-def tried(*answers):
-    battery = Battery(BAD)
-    made = Repaired(BAD, Patch(), battery.verdict, battery.verdict)
-    script = ScriptedModel(*answers)
-    with Panel(script) as models:
-        told = with_models(made, battery, models, Battery, BAD)
-    return made, told, script
+_BATTERIES: dict[str, Battery] = {}
 
 
-def test_strips_show_what_failed_with_labels():
-    battery = Battery(BAD)
+def battery_of(spec, *options, **pose) -> Battery:
+    """Return the battery's run on an object; each object is simulated once for all tests."""
+    key = f"{spec.to_json()} {options or VerifyOptions()} {pose}"
+    if key not in _BATTERIES:
+        _BATTERIES[key] = Battery(spec, *options, **pose)
+    return _BATTERIES[key]
+
+
+@pytest.fixture(autouse=True)
+def _each_object_is_simulated_once(monkeypatch):
+    monkeypatch.setattr(verification, "Battery", battery_of)
+
+
+def edited_by(*answers):
+    """Let models edit the bad cupboard; return the repairs, the critiques and the model."""
+    battery = battery_of(BAD)
+    repaired = Repaired(BAD, Patch(), battery.verdict, battery.verdict)
+    model = ScriptedModel(*answers)
+    with Panel(model) as models:
+        critiques = with_models(repaired, battery, models, battery_of, BAD)
+    return repaired, critiques, model
+
+
+def test_strips_show_failed_checks_with_labels():
+    battery = battery_of(BAD)
     found = strips(battery)
     assert 1 <= len(found) <= 3
     assert found[0].label == "joint_range depth:hinge"
     assert found[0].size == (880, 216)
     # The same object gives the same key on every machine; another one gives another.
     assert found[0].pixels == strips(Battery(BAD))[0].pixels
-    assert found[0].pixels != strips(Battery(objects.cupboard(lower=-0.5)))[0].pixels
+    assert found[0].pixels != strips(battery_of(objects.cupboard(lower=-0.5)))[0].pixels
 
 
-def test_nothing_doubtful_is_nothing_to_see():
-    battery = Battery(objects.cupboard())
+def test_a_sound_object_has_no_strips():
+    battery = battery_of(objects.cupboard())
     assert questionable(battery.verdict) == []
     assert "- none" in key_frames_request(battery).prompt
     assert strips(battery) == []
 
 
-def test_requests_tell_the_numbers_and_what_may_be_edited():
-    battery = Battery(BAD)
+def test_requests_state_numbers_and_editable_fields():
+    battery = battery_of(BAD)
     request = key_frames_request(battery)
     assert request.role == "critic"
     assert "FAIL joint_range depth:hinge" in request.prompt
@@ -68,8 +85,8 @@ def only_just():
     return objects.cupboard(lower=-0.0035)
 
 
-def test_what_only_just_passes_is_doubtful_and_shown():
-    battery = Battery(only_just())
+def test_a_value_just_within_its_threshold_is_doubtful_and_shown():
+    battery = battery_of(only_just())
     assert battery.verdict.passed
     (check,) = battery.verdict.doubtful
     assert (check.name, check.outcome, check.fault) == ("depth:hinge", "PASS", None)
@@ -96,12 +113,12 @@ def test_what_only_just_passes_is_doubtful_and_shown():
         (float("nan"), {"threshold": 1.0}, False),
     ],
 )
-def test_a_number_is_doubtful_near_its_threshold(value, limit, doubt):
+def test_a_value_is_doubtful_near_its_threshold(value, limit, doubt):
     found = judged("static", "x", value, Limit(unit="m", fault=Fault.PARTS_OVERLAP, **limit))
     assert found.doubtful is doubt
 
 
-def test_the_critic_sees_what_is_doubtful_and_no_edit_is_asked_for():
+def test_a_doubtful_object_is_shown_and_not_edited():
     script = ScriptedModel(FOUND)
     result = verify_and_repair(only_just(), models=Panel(script))
     assert [request.role for request in script.requests] == ["critic"]
@@ -113,18 +130,18 @@ def test_the_critic_sees_what_is_doubtful_and_no_edit_is_asked_for():
     assert script.requests == []  # Nothing in doubt: nobody is asked.
 
 
-def test_an_opinion_changes_no_outcome():
+def test_a_critique_changes_no_outcome():
     flipped = objects.cupboard(axis=(0, 0, -1))
     sound = verify_and_repair(flipped, models=Panel(ScriptedModel(MotionCritique(verdict="sound"))))
     assert not sound.verdict.passed
-    assert sound.verdict == Battery(flipped).verdict
+    assert sound.verdict == battery_of(flipped).verdict
     bad = verify_and_repair(
         only_just(), models=Panel(ScriptedModel(MotionCritique(verdict="reprogram")))
     )
-    assert bad.verdict == Battery(only_just()).verdict
+    assert bad.verdict == battery_of(only_just()).verdict
 
 
-def test_without_rounds_the_critic_looks_and_nothing_is_edited():
+def test_without_rounds_the_object_is_shown_and_not_edited():
     script = ScriptedModel(FOUND)
     result = verify_and_repair(BAD, VerifyOptions(rounds=0), models=Panel(script))
     assert (len(script.requests), result.seen) == (1, ("door: swings in",))
@@ -133,36 +150,36 @@ def test_without_rounds_the_critic_looks_and_nothing_is_edited():
 
 
 def test_an_edit_that_helps_is_kept():
-    made, told, _ = tried(FOUND, ProposedEdit(patch=MENDS))
-    assert made.after.passed
-    assert made.patch == MENDS
-    assert [seen.verdict for seen in told] == ["edit"]
+    repaired, critiques, _ = edited_by(FOUND, ProposedEdit(patch=MENDS))
+    assert repaired.after.passed
+    assert repaired.patch == MENDS
+    assert [seen.verdict for seen in critiques] == ["edit"]
 
 
 @pytest.mark.parametrize(
     "patch", [HARMS, Patch.model_validate({"parts": {"door": {"mass": 900.0}}})]
 )
 def test_an_edit_that_does_not_help_is_dropped_and_listed(patch):
-    made, _, _ = tried(FOUND, ProposedEdit(patch=patch))
-    assert made.patch.empty
-    assert made.after == made.before
-    assert len(made.tried) == 1
+    repaired, _, _ = edited_by(FOUND, ProposedEdit(patch=patch))
+    assert repaired.patch.empty
+    assert repaired.after == repaired.before
+    assert len(repaired.tried) == 1
 
 
-def test_what_must_be_programmed_anew_is_not_edited():
-    made, told, script = tried(MotionCritique(verdict="reprogram"))
-    assert (made.patch.empty, len(told), len(script.requests)) == (True, 1, 1)
+def test_an_object_to_be_reprogrammed_is_not_edited():
+    repaired, critiques, model = edited_by(MotionCritique(verdict="reprogram"))
+    assert (repaired.patch.empty, len(critiques), len(model.requests)) == (True, 1, 1)
 
 
-def test_a_server_that_fails_costs_the_edit_not_the_run():
-    made, told, _ = tried(ModelError("gone"))
-    assert told == []
-    assert "was not answered: gone" in made.tried[0]
+def test_a_failing_model_costs_the_edit_not_the_run():
+    repaired, critiques, _ = edited_by(ModelError("gone"))
+    assert critiques == []
+    assert "was not answered: gone" in repaired.tried[0]
     with pytest.raises(MissingAnswerError):
-        tried(MissingAnswerError("the tape has none"))
+        edited_by(MissingAnswerError("the tape has none"))
 
 
-def test_numbers_come_first():
+def test_direct_repairs_come_before_models():
     script = ScriptedModel()
     result = verify_and_repair(BAD, models=Panel(script))
     assert result.verdict.passed  # Cut by direct repair: nobody was asked.
