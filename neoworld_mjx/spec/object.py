@@ -61,11 +61,13 @@ class GeomSpec(ScalableSpec):
 
 
 class AuthoredInertia(ScalableSpec):
-    """Centre of mass and inertia of a part, where they are known better than by volume.
+    """Where a part's mass is and how it is spread, where that is known better than by volume.
 
-    Any numbers are accepted: the checks say whether a body can have them. Its mass is authored, so
-    moments go with s^2.
+    Nothing is asked of the numbers here: whether a body can have them is for the checks to say.
     """
+
+    # The docstring is part of a schema that models are sent (verify.critic), and tapes depend on it.
+    # The mass is authored, so moments go with s^2.
 
     pos: Point3
     """Centre of mass in the object's frame at rest [m]."""

@@ -9,6 +9,10 @@ from pydantic import create_model
 
 from neoworld_mjx.errors import ModelError
 from neoworld_mjx.mllm import Picture
+from neoworld_mjx.parse.prompts import SceneCritique
+from neoworld_mjx.parse.schema import SceneSeen
+from neoworld_mjx.program.ask import ProgramAnswer, ProgramCritique
+from neoworld_mjx.verify.critic import MotionCritique, ProposedEdit
 
 
 def test_key_is_fixed_for_good(make):
@@ -69,3 +73,19 @@ def test_a_renamed_class_with_its_former_title_keeps_the_key(make):
     assert after.json_schema == before.json_schema
     assert set(after.json_schema["$defs"]) == {"Depth"}
     assert after.key == before.key
+
+
+@pytest.mark.parametrize(
+    ("schema", "digest_start"),
+    [
+        (SceneSeen, "f5b183b4c52ad0a7"),
+        (SceneCritique, "2eefa6cca696c614"),
+        (ProgramAnswer, "137f314a91b7019c"),
+        (ProgramCritique, "b72b6c3d22dfdd0c"),
+        (MotionCritique, "84a3c2e836d4acfd"),
+        (ProposedEdit, "8d2b04cfc105d197"),
+    ],
+)
+def test_schemas_of_answers_are_fixed(make, schema, digest_start):
+    # Names, docstrings and descriptions are part of them: a change here breaks recorded tapes.
+    assert make.request(schema=schema).parts["schema"].startswith(digest_start)
