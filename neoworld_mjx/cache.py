@@ -39,9 +39,9 @@ def keep_compilations() -> Path | None:
 def make_room(share: float = 0.5) -> bool:
     """Drop what JAX has compiled before the process runs out of memory maps.
 
-    On CPUs every program maps memory some hundred times, JAX keeps programs of scenes that are gone,
-    and Linux allows 65 530 maps a process: after some thirty scenes compiling would fail. What is
-    needed again is compiled again.
+    On CPUs every program maps memory some hundred times, JAX keeps programs of scenes that are
+    gone, and Linux allows 65 530 maps a process: after some thirty scenes compiling would fail.
+    A program that is needed again is compiled again.
 
     Args:
         share: of the allowed maps from which programs are dropped.

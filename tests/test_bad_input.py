@@ -1,6 +1,6 @@
 """Bad input ends in exit code 2 and one message that names the thing and says what to do.
 
-No traceback, nothing written that looks like a finished run, and a run that is there stays as it is.
+No traceback, nothing written that looks like a finished run, and an earlier run stays unchanged.
 """
 
 import hashlib

@@ -83,7 +83,7 @@ def _finish(out: Path) -> str:
 
 
 def _kill(out: Path, after: float) -> None:
-    """Kill a run a time [s] after its first step began, as starting takes long without doing much."""
+    """Kill a run a time [s] after its first step began; starting itself takes long."""
     process = _start(out)
     assert process.stderr is not None
     process.stderr.readline()

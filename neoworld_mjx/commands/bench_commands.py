@@ -38,7 +38,7 @@ class SuiteCommand:
     suite_name: ClassVar[str]
 
     def run(self) -> Answer:
-        """Run the suite; its answer also names the suite, the command and the date, as figures do."""
+        """Run the suite; its answer also has the suite, the command and the date, for figures."""
         from ..cache import keep_compilations
 
         keep_compilations()

@@ -155,8 +155,9 @@ class RewardOptions(Options):
     )
     terms: dict[str, float] = traced(
         {},
-        'Further reward terms and their weights: your own by import path "package.module:function", '
-        "built-in ones by name. Weights are traced; other terms are another program.",
+        "Further reward terms and their weights: your own by import path "
+        '"package.module:function", built-in ones by name. Weights are traced; other terms are '
+        "another program.",
     )
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from ..errors import RunError
 from ..files import write_atomic
-from .rows import Row, key, read_parquet, write_parquet
+from .run_rows import Row, key, read_parquet, write_parquet
 
 RESULTS, TABLE, ABOUT = "results.parquet", "table.md", "sweep.json"
 FORMAT = "neoworld-sweep/1"

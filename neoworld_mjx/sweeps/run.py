@@ -28,7 +28,7 @@ from .compiles import compilations
 from .folder import FORMAT, TABLE, SweepFolder
 from .grouping import TRACED, PointGroup, grouped, reasons
 from .plan import Ablation, Plan, Point, points, read
-from .rows import Key, Row, row_of_refined, row_of_search
+from .run_rows import Key, Row, row_of_refined, row_of_search
 from .table import differences, markdown, summary
 
 _log = logging.getLogger(__name__)
@@ -39,7 +39,7 @@ class Swept:
     """What a sweep found."""
 
     rows: list[Row]
-    """One of each scene, point and seed; columns as in `rows.COLUMNS`."""
+    """One of each scene, point and seed; columns as in `run_rows.COLUMNS`."""
     points: list[dict[str, Any]]
     """Each point over scenes and seeds; see `table.summary`."""
     differences: list[dict[str, Any]]

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from .plan import BASE
-from .rows import TERM, Row, term_columns
+from .run_rows import TERM, Row, term_columns
 from .stats import Estimate, mean, rate, rate_difference
 
 

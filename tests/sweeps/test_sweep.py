@@ -9,7 +9,7 @@ from neoworld_mjx.bench.scenes import crowded
 from neoworld_mjx.errors import ConfigError, NeoWorldError, RunError
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.sweeps import Case, ablate, run, sweep
-from neoworld_mjx.sweeps.rows import COLUMNS, read_parquet
+from neoworld_mjx.sweeps.run_rows import COLUMNS, read_parquet
 
 SCENE = Case("two", crowded(2))
 BASE = {
