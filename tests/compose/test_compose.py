@@ -183,7 +183,7 @@ def test_a_block_in_an_open_drawer_is_carried_by_the_drawer():
     assert closed[1][0] < opened[1][0]
 
 
-def test_what_cannot_be_taken_over_is_said():
+def test_notes_name_departures_from_the_parse():
     cup = scenes.cup()
     made = composed(
         [
@@ -230,7 +230,7 @@ def mushroom():
     return ObjectSpec(name="mushroom", materials=(wood,), parts=(part,))
 
 
-def test_a_thing_that_lies_is_turned_onto_the_side_it_rests_on():
+def test_a_lying_object_is_tilted_to_its_resting_pose():
     forward = tuple(from_axis_angle((0.0, 1.0, 0.0), math.pi / 2).tolist())
     thing = mushroom()
     where = node("mushroom", thing, (1.0, 0.0, 0.0), yaw=0.3, base_tilt=forward)
@@ -250,7 +250,7 @@ def test_a_thing_that_lies_is_turned_onto_the_side_it_rests_on():
     assert np.allclose(middle, parsed, atol=1e-6)
 
 
-def test_what_leans_or_stands_keeps_its_tilt():
+def test_leaning_and_standing_objects_keep_their_tilt():
     back = tuple(from_axis_angle((0.0, -1.0, 0.0), 0.2).tolist())
     thing = mushroom()
     for more in (
@@ -278,7 +278,7 @@ def test_a_bottle_that_lies_at_some_angle_comes_to_lie_flat(degrees):
     assert angle_between(turned, tilt) < math.radians(abs(degrees - 90) + 10)
 
 
-def test_a_tilt_far_from_any_rest_is_left_and_told():
+def test_a_tilt_far_from_any_resting_pose_has_none():
     tilt = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(45)).tolist())
     wood = Material(name="wood", density=500, rgba=(0.6, 0.4, 0.2, 1))
     block = GeomSpec(name="b", shape=Box(size=(0.1, 0.1, 0.1)), pos=(0, 0, 0.05), material="wood")
@@ -287,7 +287,7 @@ def test_a_tilt_far_from_any_rest_is_left_and_told():
 
 
 @pytest.mark.parametrize("side", [0.035, 0.2])
-def test_what_lies_tilted_on_a_saucer_is_let_down_or_it_is_told_that_it_cannot(side):
+def test_an_object_tilted_on_a_saucer_is_settled_or_a_note_says_why_not(side):
     tilt = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(12)).tolist())
     bar = scenes.single("bar", (Box(size=(0.12, 0.014, 0.006)), (0, 0, 0)))
     made = composed(

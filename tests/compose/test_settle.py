@@ -37,7 +37,7 @@ def turned(objects):
     return scene_measure(scene).tilt_deg["spoon"]
 
 
-def test_a_spoon_that_was_let_down_stays_as_it_lies():
+def test_a_settled_spoon_is_stable():
     table, saucer, spoon = on_saucer()
     rested = settle(saucer, spoon)
     assert rested is not None
@@ -50,7 +50,7 @@ def test_a_spoon_that_was_let_down_stays_as_it_lies():
     assert settle(moved, spoon) == rested
 
 
-def test_what_falls_off_is_left_as_it_was_seen():
+def test_an_object_that_falls_off_has_no_resting_pose():
     _, saucer, spoon = on_saucer(xy=(0.0, 0.2))
     assert settle(saucer, spoon) is None
 
@@ -77,7 +77,7 @@ def test_a_block_in_an_open_drawer_lies_flat_and_the_drawer_stays_open():
     assert rested.z == pytest.approx(0.05, abs=5e-4)
 
 
-def test_what_overlaps_in_the_parent_itself_does_not_matter():
+def test_overlaps_within_the_parent_are_ignored():
     """Two drawers that are half a millimetre in each other, and a block on the case above them."""
     geom = lambda name, size, pos: GeomSpec(
         name=name, shape=Box(size=size), pos=pos, material="wood"

@@ -161,7 +161,7 @@ def test_the_formats_own_kinematics_agree(folder, cabinet):
                 assert np.allclose(frame[:3, :3], matrix(want.quat), atol=1e-7)
 
 
-def test_mujocos_urdf_loader_takes_ours_whole(folder, cabinet):
+def test_mujocos_urdf_loader_keeps_geoms_joints_and_masses(folder, cabinet):
     model = mujoco.MjModel.from_xml_path(str(folder / "alone" / "object.urdf"))
     own = to_mjspec(cabinet, visual=True).compile()
     assert np.sum(model.geom_group == 1) == np.sum(own.geom_group == 1)
@@ -209,7 +209,7 @@ def test_scene_xml_compiles_to_the_very_same_model(folder, scene):
     assert set(np.unique(read.geom_group)) == {1, 3}
 
 
-def test_thin_plates_survive_the_text():
+def test_inertias_of_thin_plates_stay_valid_in_mjcf():
     """Six digits, as MuJoCo writes them, can break A + B >= C of a plate's inertia."""
     broken = 0
     for k in range(20):
@@ -232,7 +232,7 @@ def test_thin_plates_survive_the_text():
 
 
 @pytest.mark.parametrize("name", ["physics", "box", "bowl", "fastened"])
-def test_everything_stands_in_its_place_in_both_scene_files(name, folder, scene):
+def test_links_have_their_world_poses_in_mjcf_and_usd_scenes(name, folder, scene):
     item = scene.object(name)
     at, moved = world_poses(scene)[name], link_poses(item.spec, item.joint_state)
     model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
@@ -298,7 +298,7 @@ def test_usd_joints_hold_in_the_scene_as_posed(folder, scene):
     assert checked == 12
 
 
-def test_usd_scene_says_what_moves(folder):
+def test_usd_scene_marks_static_bodies_and_fixed_bases(folder):
     stage = Usd.Stage.Open(str(folder / "scene.usda"))
     enabled = {
         str(p.GetPath()): UsdPhysics.RigidBodyAPI(p).GetRigidBodyEnabledAttr().Get()
@@ -379,7 +379,7 @@ def test_files_name_no_other_place(folder):
             assert str(folder) not in path.read_text()
 
 
-def test_what_cannot_be_written_says_so(cabinet, tmp_path):
+def test_an_unwritable_folder_is_an_export_error(cabinet, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ExportError, match="cannot write"):
         export_object(cabinet, tmp_path / "file")

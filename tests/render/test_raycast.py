@@ -63,7 +63,7 @@ def scene() -> SceneSpec:
     )
 
 
-def test_what_is_where_agrees_with_the_camera():
+def test_segmentation_and_depth_agree_with_the_camera():
     picture = render_scene(scene(), supersample=1)
     assert picture.color.shape == (150, 200, 3) and picture.color.dtype == np.uint8
     assert picture.names == ("table", "ball", "bowl")
@@ -148,7 +148,7 @@ def test_a_model_gives_the_geometry_of_its_scene():
     assert np.array_equal(one.depth, two.depth)
 
 
-def test_collision_only_models_can_be_seen_too():
+def test_models_without_visual_geoms_are_rendered():
     model = to_mjspec(scene()).compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -156,7 +156,7 @@ def test_collision_only_models_can_be_seen_too():
     assert set(np.unique(picture.segmentation)) >= {0, 1, 2}
 
 
-def test_joints_and_roles_are_seen():
+def test_joint_states_and_geom_roles_show_in_images():
     lid = PartSpec(
         name="lid",
         geoms=(

@@ -62,7 +62,7 @@ def solid(shape) -> float:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_pieces_fill_exactly_what_manifold_says(name: str):
+def test_pieces_have_the_volume_of_manifolds_boolean(name: str):
     shape = CASES[name]
     meshes = []
     for operand in shape.operands:
@@ -78,7 +78,7 @@ def test_pieces_fill_exactly_what_manifold_says(name: str):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_pieces_do_not_overlap_and_mujoco_takes_them(name: str):
+def test_pieces_do_not_overlap_and_compile_in_mujoco(name: str):
     shape = CASES[name]
     random = np.random.default_rng(0)
     corners = np.vstack([np.array(piece.vertices) for piece in shape.pieces()])
@@ -108,7 +108,7 @@ def test_the_surface_is_closed_and_has_normals(name: str):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_json_both_ways_to_the_byte(name: str):
+def test_json_round_trip_gives_the_same_bytes(name: str):
     shape, adapter = CASES[name], TypeAdapter(Shape)
     text = adapter.dump_json(shape)
     again = adapter.validate_json(text)
@@ -126,7 +126,7 @@ def test_a_scaled_copy_is_cut_in_the_same_way():
     assert np.allclose(shape.surface()[0] * 0.85, big.surface()[0], rtol=1e-14, atol=0)
 
 
-def test_shapes_may_lie_in_each_other():
+def test_csg_shapes_may_be_nested():
     inner = CASES["pocket"]
     outer = made("difference", (inner, (0, 0, 0)), (Box(size=(0.3, 0.02, 0.3)), (0.1, 0, 0.1)))
     again = TypeAdapter(Shape).validate_json(outer.model_dump_json())
@@ -162,6 +162,6 @@ def test_shapes_may_lie_in_each_other():
         (lambda: made("union", (BLOCK, (0, 0, 0))), "at least 2"),
     ],
 )
-def test_what_cannot_be_says_why(make, words: str):
+def test_impossible_csg_is_refused_with_the_reason(make, words: str):
     with pytest.raises(ValidationError, match=words):
         make()

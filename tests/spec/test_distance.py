@@ -73,7 +73,7 @@ def test_exact_and_by_triangles_agree(name: str):
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_volumes_by_counting(name: str):
+def test_volumes_equal_counted_random_points(name: str):
     shape, points = SHAPES[name], around(SHAPES[name], 2000)
     vertices, _ = shape.surface()
     room = float(np.prod(1.6 * np.ptp(vertices, axis=0)))

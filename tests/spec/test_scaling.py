@@ -40,7 +40,7 @@ def test_a_new_shape_scales_by_its_annotations_alone():
     }
 
 
-def test_every_shape_is_tried():
+def test_the_samples_have_every_shape():
     assert {type(shape) for shape in SHAPES.values()} == set(get_args(get_args(Shape)[0]))
 
 

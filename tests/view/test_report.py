@@ -134,7 +134,7 @@ def test_a_whole_run_shows_its_numbers_pictures_and_verdicts(finished):
         assert said in words, said
 
 
-def test_the_page_asks_nothing_of_the_network(finished):
+def test_the_page_loads_nothing_from_the_network(finished):
     html = write_report(finished).read_text()
     assert all(link.startswith("data:image/") for link in _Page(html).links)
     assert "script" not in _Page(html).tags
@@ -165,7 +165,7 @@ def test_allowed_overlaps_are_listed_with_their_reason(finished):
     assert "0.004" in page
 
 
-def test_what_only_just_passes_and_what_the_critic_saw_are_told(finished):
+def test_doubtful_checks_and_findings_of_the_critic_are_shown(finished):
     check = {"scenario": "static", "name": "part_depth:a:b", "outcome": "PASS", "value": 0.002}
     told = {
         "passed": True,
@@ -206,7 +206,7 @@ def test_text_from_models_is_escaped(finished):
     assert all(link.startswith("data:") for link in _Page(html).links)
 
 
-def test_a_run_stopped_early_says_what_is_not_there(tmp_path):
+def test_the_report_of_an_unfinished_run_names_what_is_missing(tmp_path):
     with RunFolder(tmp_path / "out", Config()) as run:
         with run.step("parse", {}) as stage:
             assert stage is not None
@@ -292,7 +292,7 @@ def test_every_reward_term_is_shown_by_name(tmp_path):
     assert "s_sem of best upright of best" in words and "0.625" in words
 
 
-def test_pruned_candidates_are_told_apart_from_failed_ones(tmp_path):
+def test_pruned_and_failed_candidates_are_counted_apart(tmp_path):
     assert (convergence.PRUNED, convergence.NOT_DRAWN) == (pruning.PRUNED, outcome.NOT_DRAWN)
     path = tmp_path / "history.npz"
     _history(path, iterations=2, population=8)
