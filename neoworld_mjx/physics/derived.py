@@ -95,8 +95,8 @@ def _rotated(quat: Any, v: Any) -> Any:
 def _rotational(m: mujoco.MjModel, dof: int) -> bool:
     joint = m.dof_jntid[dof]
     if m.jnt_type[joint] == FREE:
-        return dof - m.jnt_dofadr[joint] >= 3
-    return m.jnt_type[joint] != SLIDE
+        return bool(dof - m.jnt_dofadr[joint] >= 3)
+    return bool(m.jnt_type[joint] != SLIDE)
 
 
 @functools.lru_cache(maxsize=64)

@@ -76,7 +76,8 @@ class SceneModel(eqx.Module):
     """A compiled scene: one compile, any number of layouts.
 
     Pass it to jitted functions as it is: `static` is static, all else are arrays. `place`,
-    `model_fields` and rewards of placed poses may be jitted, vmapped and differentiated by layouts.
+    `model_fields` and rewards of placed poses may be jitted, vmapped and differentiated by layouts
+    (inside a function: the bound method itself has no hash for `jax.jit`).
     """
 
     static: StaticScene = eqx.field(static=True)

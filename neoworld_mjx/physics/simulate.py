@@ -5,14 +5,14 @@ from importlib import import_module
 
 import jax
 
-from ..engines import ENGINES, EngineChoice
+from ..engines import ENGINES
 from ..errors import EngineError, SpecError, choices
 from .engine import EarlyStop, Engine, Rollout
 from .layout import Layout
 from .model import SceneModel
 
 
-def open_engine(name: EngineChoice = "auto") -> Engine:
+def open_engine(name: str = "auto") -> Engine:
     """Return an engine by name.
 
     `auto` is warp on an NVIDIA GPU when it is installed, else mjx on an accelerator, else native.
@@ -42,7 +42,7 @@ def rollout(
     scene: SceneModel,
     layouts: Layout,
     *,
-    engine: EngineChoice | Engine = "auto",
+    engine: str | Engine = "auto",
     duration: float = 1.0,
     record_every: float = 0.1,
     early_stop: EarlyStop | None = None,
