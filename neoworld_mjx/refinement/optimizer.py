@@ -1,7 +1,7 @@
 """Optimizers of Algorithm 1's loop: the protocol, and the table of those that options name."""
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 from jaxtyping import Array, Float, Key
@@ -14,6 +14,7 @@ from .cma_es import open_cma_es
 from .objective import imported
 
 
+@runtime_checkable
 class Optimizer(Protocol):
     """Proposes layouts and learns from their rewards.
 
