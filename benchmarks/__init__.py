@@ -1,1 +1,3 @@
-"""Benchmarks for developers of the package: `python -m benchmarks SUITE`, from the root of a clone."""
+"""Benchmarks for developers of the package: `python -m benchmarks SUITE`, from the root of a
+clone.
+"""

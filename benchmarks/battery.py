@@ -1,7 +1,7 @@
 """The battery's runs of many objects at once: C MuJoCo on all cores beside MuJoCo Warp on one GPU.
 
-Of the battery only the slope is left out, whose contacts are of another kind. Both sides get the same
-starts and forces, and what they are timed on is simulation alone.
+Of the battery only the slope is left out, whose contacts are of another kind. Both sides get the
+same starts and forces, and what they are timed on is simulation alone.
 """
 
 import os
@@ -30,7 +30,8 @@ from tests.support.sound import FAMILIES, sound_objects
 SIZES = (1.0, 0.8, 1.25, 1.5)
 """Sizes that the sound objects are tried in, so that there are a hundred of them."""
 NEAR_M, NEAR_DEG, NEAR = 0.002, 1.0, 0.02
-"""How near each other two runs of the same scenario end that count as the same: so far, or this share of
+"""How near each other two runs of the same scenario end that count as the same: so far, or this
+share of
 how far that coordinate went."""
 REPEATS = 3
 
@@ -57,7 +58,8 @@ class BatteryRow(BaseModel):
     """Median of three more."""
     runs_per_s: float | None = None
     same_end: float | None = None
-    """Share of runs that end where C MuJoCo's do: every coordinate within 2 mm, 1 degree, or 2 % of how
+    """Share of runs that end where C MuJoCo's do: every coordinate within 2 mm, 1 degree, or 2 % of
+    how
     far it went."""
     failed: int = 0
     """Runs that ended in no number."""

@@ -1,7 +1,7 @@
 """Many objects' runs on a GPU: several objects a model, each model on a stream of its own.
 
-Objects of a model do not touch each other, and a world of it is one run of each of them. Two things let
-runs of different kinds share a model: what is held by a heavy base hangs high above the floor,
+Objects of a model do not touch each other, and a world of it is one run of each of them. Two things
+let runs of different kinds share a model: what is held by a heavy base hangs high above the floor,
 and gravity is each world's own.
 """
 
@@ -41,9 +41,11 @@ class Batch:
         self.count = len(prepared)
         order = sorted(range(self.count), key=lambda k: -len(prepared[k].runs))
         self.groups = [
-            (order[first : first + together], Group([prepared[k] for k in order[first : first + together]], self.device))
-            for first in range(0, self.count, together)
-        ]  # fmt: skip
+            (chosen, Group([prepared[k] for k in chosen], self.device))
+            for chosen in (
+                order[first : first + together] for first in range(0, self.count, together)
+            )
+        ]
 
     @property
     def models(self) -> int:

@@ -2,8 +2,9 @@
 
     uv run python -m benchmarks.page
 
-A figure is a YAML file with the fields of `Figure`, or the JSON that `neoworld bench run SUITE --json` or
-`python -m benchmarks SUITE --json` printed. `page.yaml` gives the introduction and the order.
+A figure is a YAML file with the fields of `Figure`, or the JSON that `neoworld bench run SUITE
+--json` or `python -m benchmarks SUITE --json` printed. `page.yaml` gives the introduction and the
+order.
 """
 
 import json
@@ -18,7 +19,7 @@ FIGURES = ROOT / "benchmarks" / "figures"
 PAGE = ROOT / "docs" / "benchmarks.md"
 HEAD = """# Benchmarks
 
-<!-- Written by `uv run python -m benchmarks.page` from benchmarks/figures; edit the figures there. -->
+<!-- Written by `uv run python -m benchmarks.page` from benchmarks/figures; edit those files. -->
 
     neoworld bench run physics --json > rows.json    # rollouts, beside the naive loop
     neoworld bench run agreement --json              # the same verdicts from every engine?
@@ -31,10 +32,10 @@ In a clone, for developers of the package:
     uv run python -m benchmarks programs --json      # hostile programs, mutants, build time
     uv run python -m benchmarks verify --json        # injected faults: detected, named, repaired
     uv run python -m benchmarks battery --json       # simulations of many objects at once
-    uv run python -m benchmarks scoring --json       # semantic scores by a slow server, beside physics
+    uv run python -m benchmarks scoring --json       # scores by a slow server
 
-`--seed` draws other scenes and layouts. Each figure below gives its command, device and number of repetitions (n).
-`benchmarks/airspeed` measures rollouts and kernels with [airspeed velocity](https://asv.readthedocs.io).
+`--seed` draws other scenes and layouts. Each figure below gives its command, device and
+number of repetitions (n). `benchmarks/airspeed` measures rollouts and kernels with [airspeed velocity](https://asv.readthedocs.io).
 
 ## What is measured
 

@@ -1,7 +1,8 @@
 """How well scoring by a model hides behind physics: either alone, both together, and a dead server.
 
-A server on this machine answers as slowly and unreliably as a real one. Physics is either a pause of
-a given length, which leaves the processor to drawing, or real rollouts on all cores, which do not.
+A server on this machine answers as slowly and unreliably as a real one. Physics is either a pause
+of a given length, which leaves the processor to drawing, or real rollouts on all cores, which do
+not.
 """
 
 import math

@@ -8,7 +8,9 @@ from neoworld_mjx.bench.suites import Suite
 
 @dataclass(frozen=True, kw_only=True)
 class Programs:
-    """Run hostile programs and mutants in the sandbox, and time a cabinet of 30 parts and 8 joints."""
+    """Run hostile programs and mutants in the sandbox, and time a cabinet of 30 parts and 8
+    joints.
+    """
 
     mutations: int = 5000
     """Mutants of the guide's programs; some 20 ms each."""
@@ -42,7 +44,9 @@ class Scoring:
 
 @dataclass(frozen=True, kw_only=True)
 class Verify:
-    """Put faults into valid objects, and count those that the battery detects, names and repairs."""
+    """Put faults into valid objects, and count those that the battery detects, names and
+    repairs.
+    """
 
     objects: int | None = None
     """Number of valid objects; by default all."""

@@ -1,8 +1,8 @@
 """The fault matrix: kinds of faults times magnitudes on sound objects; found, named, mended.
 
-What is counted: `detected` of `faults` that contradict physics or a declared intent failed the battery;
-`named` had the right name for a cause; `false_alarms` are sound objects that failed. The faint
-magnitudes contradict nothing and stand in the curve alone.
+What is counted: `detected` of `faults` that contradict physics or a declared intent failed the
+battery; `named` had the right name for a cause; `false_alarms` are sound objects that failed. The
+faint magnitudes contradict nothing and stand in the curve alone.
 """
 
 import os

@@ -1,4 +1,6 @@
-"""Fixtures and rules for every test: no keys, compilations kept between runs, shared example runs."""
+"""Fixtures and rules for every test: no keys, compilations kept between runs, shared example
+runs.
+"""
 
 import hashlib
 import json
@@ -55,7 +57,9 @@ def quick_config():
 
 @pytest.fixture(scope="session")
 def example_run(tmp_path_factory):
-    """The first command of the README, whole: its run folder, which tests only read, and its answer."""
+    """The first command of the README, whole: its run folder, which tests only read, and its
+    answer.
+    """
     out = tmp_path_factory.mktemp("example") / "out"
     command = [sys.executable, "-m", "neoworld_mjx.cli", "reconstruct", str(PHOTO)]
     done = subprocess.run(
@@ -69,7 +73,9 @@ def example_run(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def quick_run(tmp_path_factory, quick_config):
-    """A finished run of the example with few candidates: its folder, which tests only read or copy."""
+    """A finished run of the example with few candidates: its folder, which tests only read or
+    copy.
+    """
     from neoworld_mjx.pipeline import reconstruct
 
     out = tmp_path_factory.mktemp("quick") / "out"
@@ -81,7 +87,9 @@ def quick_run(tmp_path_factory, quick_config):
 
 @pytest.fixture(scope="session")
 def blocks_model():
-    """The compiled scene of `scenes.blocks`; what is jitted with it is compiled once for all tests."""
+    """The compiled scene of `scenes.blocks`; what is jitted with it is compiled once for all
+    tests.
+    """
     from neoworld_mjx.physics.model import compile_scene
     from tests.support import scenes
 

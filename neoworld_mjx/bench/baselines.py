@@ -67,7 +67,9 @@ def _placed_scene(scene: SceneModel, poses: Poses, k: int) -> SceneSpec:
 
 
 def algorithm1(options: RefineOptions) -> RefineOptions:
-    """Return the options of Algorithm 1 as the paper has it, with the N, T, weights and terms given."""
+    """Return the options of Algorithm 1 as the paper has it, with the N, T, weights and terms
+    given.
+    """
     o = options
     cem = {"first": 0, "credit": "scene", "prune": False, "zero_candidate": False}
     cem |= {"sigma_floor": 0.0, "smoothing": 0.0, "patience": 1}

@@ -1,4 +1,6 @@
-"""The suites of `neoworld bench`: each takes its options, logs rows as they come, and returns JSON."""
+"""The suites of `neoworld bench`: each takes its options, logs rows as they come, and returns
+JSON.
+"""
 
 import json
 import math

@@ -1,7 +1,7 @@
 """Twelve valid scenes with what a photograph would show of them, and starts as a parse leaves them.
 
-The search sees boxes and depths with noise, never the truth; its starts are off by as much as a rough
-parse is, so that hardly any of them holds.
+The search sees boxes and depths with noise, never the truth; its starts are off by as much as a
+rough parse is, so that hardly any of them holds.
 """
 
 import math

@@ -46,11 +46,15 @@ _EDGES = {"box": (0.075, 0.075, 0.075), "upper": (0.05, 0.05, 0.05), "inside": (
 """Mean edges of the boxes [m]."""
 
 _GAPS = ((3, -0.02), (6, -0.011), (10, 0.01), (20, 0.017), (40, 0.025))
-"""Clearance between neighbours [m] by number of objects: more pairs need more room to fail alike."""
+"""Clearance between neighbours [m] by number of objects: more pairs need more room to fail
+alike.
+"""
 
 
 class Noise(NamedTuple):
-    """Spread of layouts; the default is that of a rough parse, and fails 40 to 80 % of `crowded`."""
+    """Spread of layouts; the default is that of a rough parse, and fails 40 to 80 % of
+    `crowded`.
+    """
 
     xy: float = 0.14
     """Standard deviation, of an object's horizontal diagonal."""
@@ -93,7 +97,8 @@ def crowded(objects: int, *, seed: int = 0, gap: float | None = None) -> SceneSp
     Args:
         objects: how many, without the table.
         seed: of sizes and headings.
-        gap: clearance between neighbours [m]; by default such that 40 to 80 % of noisy layouts fail.
+        gap: clearance between neighbours [m]; by default such that 40 to 80 % of noisy layouts
+            fail.
     """
     rng = np.random.default_rng((seed, objects))
     if gap is None:

@@ -206,4 +206,6 @@ AGREEMENT: dict[str, tuple[Callable[[], SceneSpec], Noise]] = {
     "leaning": (leaning, Noise(xy=0.04, yaw=0.05, scales=_SCALES)),
     "mixed": (mixed, Noise(xy=0.22, scales=_SCALES)),
 }
-"""The scenes on which engines are compared, each with the noise that fails 30 to 70 % of layouts."""
+"""The scenes on which engines are compared, each with the noise that fails 30 to 70 % of
+layouts.
+"""

@@ -1,7 +1,7 @@
 """The table of benchmark suites: the options of each, and the function that runs it.
 
-A suite is a module with a function from options to a JSON object, and a row of `SUITES`. Nothing heavy
-is imported here, so that `--help` is quick; the function is imported when it is called.
+A suite is a module with a function from options to a JSON object, and a row of `SUITES`. Nothing
+heavy is imported here, so that `--help` is quick; the function is imported when it is called.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,9 @@ class Suite(NamedTuple):
     options: type
     """Dataclass of its options; its docstring is the help of the command."""
     function: str
-    """`package.module:function`, called with the options, and with the configuration if it takes one."""
+    """`package.module:function`, called with the options, and with the configuration if it takes
+    one.
+    """
     configured: bool = False
     """Whether it takes `--config` and `--set`."""
 
@@ -64,7 +66,9 @@ class Kernels:
     seed: int = 0
     """Seed of scenes and layouts."""
     pairs: int = 10_000
-    """Random pairs of convex shapes whose sampled depth is compared with the exact one; 0 for none."""
+    """Random pairs of convex shapes whose sampled depth is compared with the exact one; 0 for
+    none.
+    """
     table: Path | None = None
     """JSON file of measured devices to enter this one into: what `pair_depth` chooses by."""
 
@@ -85,7 +89,9 @@ class Agreement:
 
 @dataclass(frozen=True, kw_only=True)
 class Refine:
-    """Refine scenes with known truth from noisy starts, beside Algorithm 1, random search and CMA-ES."""
+    """Refine scenes with known truth from noisy starts, beside Algorithm 1, random search and
+    CMA-ES.
+    """
 
     scene: tuple[str, ...] = ()
     """Names of scenes; none takes all twelve. crowd_20 and crowd_40 are there too."""

@@ -1,7 +1,8 @@
 """How near an object's surface is to the true one: Chamfer distance and F-score of samples.
 
-Both surfaces are sampled evenly by area; lengths are divided by a diagonal, so thresholds are shares
-of the object's size. Samples are of all faces, the insides of drawers and cupboards included.
+Both surfaces are sampled evenly by area; lengths are divided by a diagonal, so thresholds are
+shares of the object's size. Samples are of all faces, the insides of drawers and cupboards
+included.
 """
 
 from collections.abc import Sequence
@@ -28,7 +29,9 @@ class Closeness(Spec):
     """How near two sets of samples are, lengths over the diagonal."""
 
     chamfer_x10: float
-    """Ten times the mean of the two mean distances to the nearest sample of the other, not squared."""
+    """Ten times the mean of the two mean distances to the nearest sample of the other, not
+    squared.
+    """
     f_01: float
     """Per cent: harmonic mean of the shares of samples within 0.01 of the other set, both ways."""
     f_05: float
@@ -56,10 +59,10 @@ def geometry_measure(
 ) -> GeometryMeasure:
     """Hold an object's surface against samples of the true one (paper Section 4, geometry).
 
-    The fit starts from each of the four quarter turns about the vertical, with both boxes' centres in
-    one place and both diagonals equal; from there nearest samples pull the made ones by a turn about the
-    vertical, a shift and one factor of size (least squares, some 30 steps). The start that ends
-    with the least Chamfer distance counts. Nothing is mirrored or tilted.
+    The fit starts from each of the four quarter turns about the vertical, with both boxes' centres
+    in one place and both diagonals equal; from there nearest samples pull the made ones by a turn
+    about the vertical, a shift and one factor of size (least squares, some 30 steps). The start
+    that ends with the least Chamfer distance counts. Nothing is mirrored or tilted.
 
     Args:
         predicted: the made object, or samples of it [n, 3] m in its canonical frame.
@@ -67,26 +70,26 @@ def geometry_measure(
         samples: how many to take of the made object.
         seed: of the samples.
     """
-    made = (
+    own = (
         surface_points(predicted, samples, seed) if isinstance(predicted, ObjectSpec) else predicted
     )
     true = np.asarray(truth, float)
     size = float(np.linalg.norm(np.ptp(true, axis=0)))
     tree = KDTree(true / size)
-    plain = closeness(made / size, true / size, tree)
+    plain = closeness(own / size, true / size, tree)
     best: tuple[Closeness, float, float] | None = None
     for turns in range(4):
-        fitted, turn, scale = _fitted(made @ quarter_turn(turns).T, true, tree, size)
-        found = closeness(fitted, true / size, tree)
-        if best is None or found.chamfer_x10 < best[0].chamfer_x10:
-            best = found, (90.0 * turns + np.degrees(turn) + 180.0) % 360.0 - 180.0, scale
+        fitted, turn, scale = _fitted(own @ quarter_turn(turns).T, true, tree, size)
+        fit = closeness(fitted, true / size, tree)
+        if best is None or fit.chamfer_x10 < best[0].chamfer_x10:
+            best = fit, (90.0 * turns + np.degrees(turn) + 180.0) % 360.0 - 180.0, scale
     assert best is not None
     return GeometryMeasure(
         unaligned=plain,
         aligned=best[0],
         turn_deg=best[1],
         scale=best[2],
-        samples=len(made),
+        samples=len(own),
         true_samples=len(true),
     )
 
@@ -142,18 +145,18 @@ def sampled(meshes: "Sequence[trimesh.Trimesh]", count: int, seed: int) -> NDArr
     return np.vstack(points)
 
 
-def _fitted(
-    made: NDArray, true: NDArray, tree: KDTree, size: float
-) -> tuple[NDArray, float, float]:
-    """Fit samples to the true ones; return them over the diagonal, the turn [rad] and the factor."""
+def _fitted(own: NDArray, true: NDArray, tree: KDTree, size: float) -> tuple[NDArray, float, float]:
+    """Fit samples to the true ones; return them over the diagonal, the turn [rad] and the
+    factor.
+    """
     goal = true / size
-    factor = size / float(np.linalg.norm(np.ptp(made, axis=0)))
-    points = (made - _middle(made)) * (factor / size) + _middle(goal)
+    factor = size / float(np.linalg.norm(np.ptp(own, axis=0)))
+    points = (own - _middle(own)) * (factor / size) + _middle(goal)
     turn, scale, last = 0.0, factor, np.inf
     kept = points, turn, scale
     for _ in range(ICP_STEPS):
         forth, near = tree.query(points)
-        back, mine = KDTree(points).query(goal)
+        back, nearest = KDTree(points).query(goal)
         cost = float(forth.mean() + back.mean())
         if last - cost < STOPS_AT * cost:
             break
@@ -161,7 +164,7 @@ def _fitted(
         kept = points, turn, scale
         # Pairs of both directions, so that neither set may hide in a corner of the other; each
         # direction weighs the same.
-        source = np.vstack([points, points[mine]])
+        source = np.vstack([points, points[nearest]])
         target = np.vstack([goal[near], goal])
         weight = (
             np.concatenate(

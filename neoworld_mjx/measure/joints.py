@@ -1,9 +1,9 @@
 """How well an object's joints agree with the truth: found, missed, extra, of which type and where.
 
 Joints are matched by what they carry and how they move it, never by name. Both objects are taken in
-the canonical frame (origin at the centre of the box's bottom, +x the front) and divided by their own
-diagonal, so that size plays no part. A joint that is missed is in no mean of axis, pivot or limits;
-every mean carries its n, and the counts stand beside it.
+the canonical frame (origin at the centre of the box's bottom, +x the front) and divided by their
+own diagonal, so that size plays no part. A joint that is missed is in no mean of axis, pivot or
+limits; every mean carries its n, and the counts stand beside it.
 """
 
 import math
@@ -19,8 +19,8 @@ from .parsing import Mean
 from .truth import ObjectTruth, TrueJoint, canonical, diagonal, truth_of
 
 GROWN = 0.02
-"""Share of the diagonal by which boxes are grown on each side before they are compared, so that thin
-fronts that stand a little apart still meet."""
+"""Share of the diagonal by which boxes are grown on each side before they are compared, so that
+thin fronts that stand a little apart still meet."""
 LEAST_AGREEMENT = 0.5
 """Least overlap (geometric mean of the two better directions) of two carried boxes of one thing."""
 PARALLEL_DEG = 5.0
@@ -45,8 +45,8 @@ class JointPair(Spec):
     pivot: float | None
     """Distance of the two lines over the diagonal; None unless both turn."""
     limits: float | None
-    """Intersection over union of the ranges, as one direction of motion; None where one turns and the
-    other slides, or the truth gives no range."""
+    """Intersection over union of the ranges, as one direction of motion; None where one turns and
+    the     other slides, or the truth gives no range."""
 
     @property
     def correct(self) -> bool:
@@ -90,29 +90,31 @@ def joint_measure(predicted: ObjectSpec | ObjectTruth, truth: ObjectTruth) -> Jo
     """Hold an object's joints against the true ones (paper Section 4, articulation).
 
     Two joints may be one if the boxes of what they carry, grown by 2 % of the diagonal, meet in all
-    three directions and agree in the better two (the depth behind a front is not seen in a picture).
-    Among those the Hungarian assignment with the largest sum of overlap and likeness of motion wins.
-    Motion is alike by the cosine between the two fields of velocity over the true joint's box, so
-    it knows of type, axis and pivot at once.
+    three directions and agree in the better two (the depth behind a front is not seen in a
+    picture). Among those the Hungarian assignment with the largest sum of overlap and likeness of
+    motion wins. Motion is alike by the cosine between the two fields of velocity over the true
+    joint's box, so it knows of type, axis and pivot at once.
 
     Args:
         predicted: the made object, or its joints in the form of a truth.
         truth: the real ones.
     """
-    mine = truth_of(predicted) if isinstance(predicted, ObjectSpec) else predicted
-    ours, theirs = _normalised(mine), _normalised(truth)
+    own = truth_of(predicted) if isinstance(predicted, ObjectSpec) else predicted
+    ours, theirs = _normalised(own), _normalised(truth)
     worth = np.zeros((len(theirs), len(ours)))
     for i, true in enumerate(theirs):
-        for j, made in enumerate(ours):
-            agreement = agree(made, true)
+        for j, estimate in enumerate(ours):
+            agreement = agree(estimate, true)
             if agreement >= LEAST_AGREEMENT:
-                worth[i, j] = agreement + alike(made, true) + float(np.mean(overlaps(made, true)))
+                worth[i, j] = (
+                    agreement + alike(estimate, true) + float(np.mean(overlaps(estimate, true)))
+                )
     rows, columns = linear_sum_assignment(worth, maximize=True)
     pairs = tuple(
         _pair(ours[j], theirs[i]) for i, j in zip(rows, columns, strict=True) if worth[i, j] > 0
     )
-    found, used = {p.true for p in pairs}, {p.predicted for p in pairs}
-    missed = tuple(joint.name for joint in theirs if joint.name not in found)
+    matched, used = {p.true for p in pairs}, {p.predicted for p in pairs}
+    missed = tuple(joint.name for joint in theirs if joint.name not in matched)
     extra = tuple(joint.name for joint in ours if joint.name not in used)
     return _summed(truth.name, pairs, missed, extra)
 
@@ -133,12 +135,12 @@ def agree(a: TrueJoint, b: TrueJoint) -> float:
     return math.sqrt(best[1] * best[2]) if best[0] > 0 else 0.0
 
 
-def alike(made: TrueJoint, true: TrueJoint) -> float:
+def alike(estimate: TrueJoint, true: TrueJoint) -> float:
     """Return the cosine, without sign, of the velocities of the true box's corners, 0 to 1."""
-    if "ball" in (made.type, true.type):
-        return float(made.type == true.type)
+    if "ball" in (estimate.type, true.type):
+        return float(estimate.type == true.type)
     corners = np.array(list(product(*zip(*true.moving_box, strict=True))))
-    one, two = _velocities(made, corners), _velocities(true, corners)
+    one, two = _velocities(estimate, corners), _velocities(true, corners)
     size = math.sqrt(float((one**2).sum() * (two**2).sum()))
     return abs(float((one * two).sum())) / size if size > 0 else 0.0
 
@@ -152,8 +154,9 @@ def line_angle_deg(a: NDArray, b: NDArray) -> float:
 def line_distance(p: NDArray, a: NDArray, q: NDArray, b: NDArray, near: NDArray) -> float:
     """Return the distance of the lines p + s a and q + t b.
 
-    Lines within 5 degrees of each other count as parallel: their distance is that of the second line's
-    point nearest to `near` from the first line. The exact one would be that of some far crossing.
+    Lines within 5 degrees of each other count as parallel: their distance is that of the second
+    line's point nearest to `near` from the first line. The exact one would be that of some far
+    crossing.
     """
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
     if line_angle_deg(a, b) < PARALLEL_DEG:
@@ -171,7 +174,7 @@ def _normalised(truth: ObjectTruth) -> list[TrueJoint]:
         x, y, z = v
         return x / size, y / size, z / size
 
-    found = []
+    joints = []
     for joint in canonical(truth).joints:
         limits = joint.limits
         if limits is not None and joint.type == "prismatic":
@@ -181,8 +184,8 @@ def _normalised(truth: ObjectTruth) -> list[TrueJoint]:
             "limits": limits,
             "moving_box": (small(joint.moving_box[0]), small(joint.moving_box[1])),
         }
-        found.append(joint.model_copy(update=update))
-    return found
+        joints.append(joint.model_copy(update=update))
+    return joints
 
 
 def overlaps(a: TrueJoint, b: TrueJoint) -> list[float]:
@@ -200,39 +203,39 @@ def _velocities(joint: TrueJoint, points: NDArray) -> NDArray:
     return np.cross(axis, points - np.array(joint.pivot))
 
 
-def _pair(made: TrueJoint, true: TrueJoint) -> JointPair:
-    a, b = np.array(made.axis), np.array(true.axis)
-    balls = "ball" in (made.type, true.type)
-    turn = not balls and "prismatic" not in (made.type, true.type)
+def _pair(estimate: TrueJoint, true: TrueJoint) -> JointPair:
+    a, b = np.array(estimate.axis), np.array(true.axis)
+    balls = "ball" in (estimate.type, true.type)
+    turn = not balls and "prismatic" not in (estimate.type, true.type)
     middle = np.mean(np.array(true.moving_box), axis=0)
-    distance = line_distance(np.array(made.pivot), a, np.array(true.pivot), b, middle)
+    distance = line_distance(np.array(estimate.pivot), a, np.array(true.pivot), b, middle)
     return JointPair(
         true=true.name,
-        predicted=made.name,
+        predicted=estimate.name,
         true_type=true.type,
-        predicted_type=made.type,
-        agreement=agree(made, true),
-        motion=alike(made, true),
+        predicted_type=estimate.type,
+        agreement=agree(estimate, true),
+        motion=alike(estimate, true),
         axis_deg=None if balls else line_angle_deg(a, b),
         pivot=distance if turn else None,
-        limits=_range_overlap(made, true, flipped=float(a @ b) < 0),
+        limits=_range_overlap(estimate, true, flipped=float(a @ b) < 0),
     )
 
 
-def _range_overlap(made: TrueJoint, true: TrueJoint, *, flipped: bool) -> float | None:
-    if "ball" in (made.type, true.type):
+def _range_overlap(estimate: TrueJoint, true: TrueJoint, *, flipped: bool) -> float | None:
+    if "ball" in (estimate.type, true.type):
         return None
-    if (made.type == "prismatic") != (true.type == "prismatic"):
+    if (estimate.type == "prismatic") != (true.type == "prismatic"):
         return None
-    endless = [joint.type == "continuous" for joint in (made, true)]
+    endless = [joint.type == "continuous" for joint in (estimate, true)]
     if all(endless):
         return 1.0
     if any(endless):
-        limits = true.limits if endless[0] else made.limits
+        limits = true.limits if endless[0] else estimate.limits
         return None if limits is None else min(1.0, (limits[1] - limits[0]) / (2 * math.pi))
-    if made.limits is None or true.limits is None:
+    if estimate.limits is None or true.limits is None:
         return None
-    low, high = (-made.limits[1], -made.limits[0]) if flipped else made.limits
+    low, high = (-estimate.limits[1], -estimate.limits[0]) if flipped else estimate.limits
     common = min(high, true.limits[1]) - max(low, true.limits[0])
     union = max(high, true.limits[1]) - min(low, true.limits[0])
     return max(common, 0.0) / union if union > 0 else 1.0
@@ -262,8 +265,8 @@ def _summed(
 
 
 def _mean(values: Sequence[float | None]) -> Mean:
-    found = [value for value in values if value is not None]
-    return Mean(value=float(np.mean(found)) if found else None, n=len(found))
+    known = [value for value in values if value is not None]
+    return Mean(value=float(np.mean(known)) if known else None, n=len(known))
 
 
 __all__ = [

@@ -1,7 +1,8 @@
 """How well a parse agrees with the truth: boxes, supports, sizes, depths and camera.
 
-Nodes are matched by their boxes alone, never by name or label. Each mean carries the number of things
-that it was taken over, and is None where there were none: nothing matched is not a zero error.
+Nodes are matched by their boxes alone, never by name or label. Each mean carries the number of
+things that it was taken over, and is None where there were none: nothing matched is not a zero
+error.
 """
 
 import math
@@ -88,7 +89,7 @@ class ParseMeasure(Spec):
 def parse_measure(parsed: SceneTree, truth: SceneTree) -> ParseMeasure:
     """Hold a parse against the truth, both of the same picture."""
     pairs = match(parsed, truth)
-    back = {mine: true for true, mine in pairs.items()}
+    back = {guess: true for true, guess in pairs.items()}
     objects = [
         (parsed.node(pairs[true.name]), true)
         for true in truth.nodes
@@ -109,20 +110,20 @@ def parse_measure(parsed: SceneTree, truth: SceneTree) -> ParseMeasure:
         matched=pairs,
         missed=tuple(name for name in missed_nodes if not truth.node(name).environment),
         extra=tuple(name for name in extra_nodes if not parsed.node(name).environment),
-        iou_2d=_mean(iou_2d(mine.box2d, true.box2d) for mine, true in objects),
-        iou_3d=_mean(iou_3d(upright(mine), upright(true)) for mine, true in objects),
+        iou_2d=_mean(iou_2d(guess.box2d, true.box2d) for guess, true in objects),
+        iou_3d=_mean(iou_3d(upright(guess), upright(true)) for guess, true in objects),
         iou_3d_scaled=_mean(
-            iou_3d(_scaled(upright(mine), parsed, truth, factor), upright(true))
-            for mine, true in objects
+            iou_3d(_scaled(upright(guess), parsed, truth, factor), upright(true))
+            for guess, true in objects
         ),
         scale=factor,
         position_m=_mean(
-            float(np.linalg.norm(_centre(mine) - _centre(true))) for mine, true in objects
+            float(np.linalg.norm(_centre(guess) - _centre(true))) for guess, true in objects
         ),
-        size_log=_mean(_size_error(mine, true) for mine, true in objects),
+        size_log=_mean(_size_error(guess, true) for guess, true in objects),
         yaw_deg=_mean(
-            _turn(mine.box3d.yaw, true.box3d.yaw)
-            for mine, true in objects
+            _turn(guess.box3d.yaw, true.box3d.yaw)
+            for guess, true in objects
             if max(true.box3d.size[:2]) > ROUND * min(true.box3d.size[:2])
         ),
         edge_precision=precision,
@@ -130,7 +131,7 @@ def parse_measure(parsed: SceneTree, truth: SceneTree) -> ParseMeasure:
         edge_f1=2 * hit / total if total else None,
         edges_true=edges_true,
         edges_parsed=edges_parsed,
-        relations=_mean(float(mine.relation == true.relation) for mine, true in edges),
+        relations=_mean(float(guess.relation == true.relation) for guess, true in edges),
         tree_distance=len(missed_nodes) + len(extra_nodes) + _elsewhere(parsed, truth, pairs),
         nodes_true=len(truth.nodes),
         nodes_parsed=len(parsed.nodes),
@@ -140,13 +141,13 @@ def parse_measure(parsed: SceneTree, truth: SceneTree) -> ParseMeasure:
             abs(math.log(a * d / (b * c)))
             for (a, c), (b, d) in combinations([(_extent(m), _extent(t)) for m, t in objects], 2)
         ),
-        occluded=_mean(float(mine.occluded == true.occluded) for mine, true in objects),
+        occluded=_mean(float(guess.occluded == true.occluded) for guess, true in objects),
         environment=_mean(
-            float(parsed.node(mine).environment == truth.node(true).environment)
-            for true, mine in pairs.items()
+            float(parsed.node(guess).environment == truth.node(true).environment)
+            for true, guess in pairs.items()
         ),
         parts=_mean(
-            _parts_found(mine, true) for mine, true in objects if len(true.articulation) > 0
+            _parts_found(guess, true) for guess, true in objects if len(true.articulation) > 0
         ),
         pitch_deg=math.degrees(camera.pitch - true_camera.pitch),
         roll_deg=math.degrees(camera.roll - true_camera.roll),
@@ -164,11 +165,11 @@ def match(parsed: SceneTree, truth: SceneTree) -> dict[str, str]:
     """
     worth = np.zeros((len(truth.nodes), len(parsed.nodes)))
     for i, true in enumerate(truth.nodes):
-        for j, mine in enumerate(parsed.nodes):
-            flat = iou_2d(mine.box2d, true.box2d)
+        for j, guess in enumerate(parsed.nodes):
+            flat = iou_2d(guess.box2d, true.box2d)
             if flat >= MATCH_IOU:
-                same = 0.1 * (mine.environment == true.environment)
-                worth[i, j] = flat + 0.5 * iou_3d(upright(mine), upright(true)) + same
+                same = 0.1 * (guess.environment == true.environment)
+                worth[i, j] = flat + 0.5 * iou_3d(upright(guess), upright(true)) + same
     rows, columns = linear_sum_assignment(worth, maximize=True)
     return {
         truth.nodes[i].name: parsed.nodes[j].name
@@ -181,36 +182,38 @@ def _edges(
     parsed: SceneTree, truth: SceneTree, back: dict[str, str]
 ) -> list[tuple[TreeNode, TreeNode]]:
     """Return parsed and true children of the support edges that both trees have."""
-    found = []
-    for mine in parsed.nodes:
-        if mine.parent is None or mine.name not in back or mine.parent not in back:
+    edges = []
+    for guess in parsed.nodes:
+        if guess.parent is None or guess.name not in back or guess.parent not in back:
             continue
-        true = truth.node(back[mine.name])
-        if true.parent == back[mine.parent]:
-            found.append((mine, true))
-    return found
+        true = truth.node(back[guess.name])
+        if true.parent == back[guess.parent]:
+            edges.append((guess, true))
+    return edges
 
 
 def _elsewhere(parsed: SceneTree, truth: SceneTree, pairs: dict[str, str]) -> int:
     """Count matched nodes that hang elsewhere in the tree."""
     count = 0
     for true_name, mine_name in pairs.items():
-        true, mine = truth.node(true_name).parent, parsed.node(mine_name).parent
+        true, guess = truth.node(true_name).parent, parsed.node(mine_name).parent
         wanted = None if true is None else pairs.get(true, "")
-        count += mine != wanted
+        count += guess != wanted
     return count
 
 
 def _mean(values: Iterable[float]) -> Mean:
-    found = list(values)
-    return Mean(value=float(np.mean(found)) if found else None, n=len(found))
+    known = list(values)
+    return Mean(value=float(np.mean(known)) if known else None, n=len(known))
 
 
 def _order(values: Sequence[tuple[float, float]]) -> Mean:
-    """Return the share of pairs whose (parsed, true) values have one order; true ties are left out."""
+    """Return the share of pairs whose (parsed, true) values have one order; true ties are left
+    out.
+    """
     return _mean(
-        float((mine - mine2) * (true - true2) > 0)
-        for (mine, true), (mine2, true2) in combinations(values, 2)
+        float((guess - mine2) * (true - true2) > 0)
+        for (guess, true), (mine2, true2) in combinations(values, 2)
         if abs(true - true2) > TIE * max(abs(true), abs(true2))
     )
 
@@ -229,25 +232,25 @@ def _extent(node: TreeNode) -> float:
     return float(np.prod(node.box3d.size) ** (1 / 3))
 
 
-def _size_error(mine: TreeNode, true: TreeNode) -> float:
+def _size_error(guess: TreeNode, true: TreeNode) -> float:
     def edges(box: Box3D) -> NDArray:
         return np.log([*sorted(box.size[:2]), box.size[2]])
 
-    return float(np.abs(edges(upright(mine)) - edges(upright(true))).mean())
+    return float(np.abs(edges(upright(guess)) - edges(upright(true))).mean())
 
 
 def _turn(a: float, b: float) -> float:
     return abs(math.degrees(math.remainder(a - b, 2 * math.pi)))
 
 
-def _parts_found(mine: TreeNode, true: TreeNode) -> float:
-    left = [state.type for state in mine.articulation]
-    found = 0
+def _parts_found(guess: TreeNode, true: TreeNode) -> float:
+    left = [state.type for state in guess.articulation]
+    matched = 0
     for state in true.articulation:
         if state.type in left:
             left.remove(state.type)
-            found += 1
-    return found / len(true.articulation)
+            matched += 1
+    return matched / len(true.articulation)
 
 
 def _scale(
@@ -255,8 +258,8 @@ def _scale(
 ) -> float | None:
     ratios = [
         _depth(truth, true) / depth
-        for mine, true in objects
-        if (depth := _depth(parsed, mine)) > 1e-6
+        for guess, true in objects
+        if (depth := _depth(parsed, guess)) > 1e-6
     ]
     return float(np.median(ratios)) if ratios else None
 

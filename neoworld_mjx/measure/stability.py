@@ -1,4 +1,6 @@
-"""S-Pen and S-Stab of one scene (the physical measures of the paper's scene table), by C MuJoCo alone."""
+"""S-Pen and S-Stab of one scene (the physical measures of the paper's scene table), by C MuJoCo
+alone.
+"""
 
 import mujoco
 import numpy as np
@@ -10,7 +12,7 @@ from ..spec.pose import angle_between
 
 
 class SceneMeasure(Spec):
-    """How a scene stands."""
+    """Penetration and stability of a scene."""
 
     objects: int
     movable: int
@@ -60,15 +62,15 @@ def scene_measure(
     names = [item.name for item in scene.objects if not item.static]
     bodies = [model.body(name).id for name in names]
     pos0, quat0 = data.xpos[bodies].copy(), data.xquat[bodies].copy()
-    far, tilt = np.zeros(len(names)), np.zeros(len(names))
+    shift, tilt = np.zeros(len(names)), np.zeros(len(names))
     for _ in range(round(duration / timestep)):
         mujoco.mj_step(model, data)
         pos, quat = data.xpos[bodies], data.xquat[bodies]
-        far = np.maximum(far, np.linalg.norm(pos - pos0, axis=1))
+        shift = np.maximum(shift, np.linalg.norm(pos - pos0, axis=1))
         tilt = np.maximum(tilt, np.degrees(angle_between(quat0, quat)))
-    diverged = not (np.isfinite(far).all() and np.isfinite(data.qpos).all())
+    diverged = not (np.isfinite(shift).all() and np.isfinite(data.qpos).all())
     at_end = {} if diverged else object_depths(scene, model, data)
-    stable = not diverged and bool(np.all(far < max_drift) and np.all(tilt < max_tilt))
+    stable = not diverged and bool(np.all(shift < max_drift) and np.all(tilt < max_tilt))
     deepest = max(at_start.values(), default=0.0)
     return SceneMeasure(
         objects=len(scene.objects),
@@ -78,9 +80,9 @@ def scene_measure(
         settled_depth_m=max(at_end.values(), default=0.0),
         depths_m={f"{a}|{b}": depth for (a, b), depth in at_start.items()},
         s_stab=stable if names else None,
-        max_drift_m=float(far.max(initial=0.0)) if not diverged else float("inf"),
+        max_drift_m=float(shift.max(initial=0.0)) if not diverged else float("inf"),
         max_tilt_deg=float(tilt.max(initial=0.0)) if not diverged else float("inf"),
-        drift_m=dict(zip(names, far.tolist(), strict=True)),
+        drift_m=dict(zip(names, shift.tolist(), strict=True)),
         tilt_deg=dict(zip(names, tilt.tolist(), strict=True)),
         duration_s=duration,
         diverged=diverged,

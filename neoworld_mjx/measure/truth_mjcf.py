@@ -1,4 +1,6 @@
-"""The truth about an object that somebody published as MJCF: its joints, and samples of what it shows."""
+"""The truth about an object that somebody published as MJCF: its joints, and samples of what it
+shows.
+"""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -38,10 +40,11 @@ def truth_of_mjcf(
 
     Args:
         path: the MJCF file, with its meshes where it says.
-        front: the direction in the model's world in which the object's front faces; it says so nowhere.
-        groups: of the geoms that are taken to be seen.
-        samples: of the surface.
-        seed: of the samples.
+        front: the direction in the model's world in which the object's front faces, which
+            MJCF cannot say.
+        groups: groups of the geoms that are taken to be visible.
+        samples: number of samples of the surface.
+        seed: seed of the samples.
 
     Returns:
         The truth, and samples [samples, 3] m in the same frame.

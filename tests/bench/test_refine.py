@@ -1,4 +1,6 @@
-"""The refinement benchmark: its scenes are valid, its starts are not, and its rows are of real runs."""
+"""The refinement benchmark: its scenes are valid, its starts are not, and its rows are of real
+runs.
+"""
 
 import numpy as np
 import pytest

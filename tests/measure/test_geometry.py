@@ -106,7 +106,9 @@ def test_a_fit_undoes_turn_shift_and_size(turn, factor):
 
 
 def test_a_shifted_box_is_unaligned_by_its_shift():
-    """A cube of edge 1 shifted by d along x; what every point of one is off the other, integrated."""
+    """A cube of edge 1 shifted by d along x; what every point of one is off the other,
+    integrated.
+    """
     d, count = 0.1, 20_000
     a = surface_points(thing(block((1, 1, 1))), count)
     found = geometry_measure(a, a + [d, 0, 0])

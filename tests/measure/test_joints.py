@@ -242,7 +242,7 @@ def test_pooling_counts_joints_not_objects():
 
 
 def test_a_made_object_is_read_with_all_that_hangs_on_a_joint():
-    spec = build(
+    built = build(
         "from neoworld_mjx.program.sdk import Object, box, cylinder\n"
         "o = Object('post')\n"
         "base = o.part('base', material='steel')\n"
@@ -253,7 +253,9 @@ def test_a_made_object_is_read_with_all_that_hangs_on_a_joint():
         "tip.add(box((0.05, 0.05, 0.2)), at=(0, 0, 0.3), by='bottom')\n"
         "o.continuous('turn', base, arm, at=(0, 0, 0), axis=(0, 0, 1))\n"
         "o.fixed('glue', arm, tip)\n"
-    ).spec
+    )
+    spec = built.spec
+    assert spec is not None, built.signals
     truth = truth_of(spec)
     assert [joint.name for joint in truth.joints] == ["turn"], "fixed joints are none"
     np.testing.assert_allclose(truth.joints[0].moving_box, [(-0.05, -0.05, 0.1), (0.05, 0.05, 0.5)])

@@ -25,7 +25,8 @@ ARM = """
      <joint name="reach" type="slide" axis="0 1 0" range="0 0.3" limited="true"/>
      <geom type="capsule" size="0.01 0.04"/>
     </body>
-    <body name="frame"><joint name="empty" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>
+    <body name="frame"><joint name="empty" axis="0 1 0"/>
+     <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>
    </body>
   </body>
  </worldbody>

@@ -1,1 +1,3 @@
-"""What several tests and developer benchmarks share: small scenes, known objects, hostile programs."""
+"""What several tests and developer benchmarks share: small scenes, known objects, hostile
+programs.
+"""

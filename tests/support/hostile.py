@@ -1,4 +1,6 @@
-"""Programs that mean harm, each with the codes that may come back for it, and what contains them."""
+"""Programs that mean harm, each with the codes that may come back for it, and what contains
+them.
+"""
 
 import os
 import time

@@ -296,7 +296,9 @@ def off_balance(spec: ObjectSpec, share: float) -> ObjectSpec | None:
 
 
 def stuck(spec: ObjectSpec, factor: float) -> ObjectSpec | None:
-    """Give a joint dry friction of a multiple of what a hand can overcome at its child's far end."""
+    """Give a joint dry friction of a multiple of what a hand can overcome at its child's far
+    end.
+    """
     joint = _joint(spec, "revolute", "prismatic")
     if joint is None:
         return None

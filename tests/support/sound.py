@@ -1,4 +1,5 @@
-"""Sound objects by the dozen, made by programs: what the battery must pass, and faults are put into.
+"""Sound objects by the dozen, made by programs: what the battery must pass, and faults are put
+into.
 
 Each family is a program with parameters; what its joints are meant to do is declared beside it.
 """
