@@ -1,6 +1,8 @@
 """The tables of suites, and the commands that they make."""
 
 import json
+import re
+from pathlib import Path
 
 import pytest
 
@@ -34,3 +36,11 @@ def test_a_developer_suite_prints_one_json_object(capfd):
         developer.main(arguments)
     (row,) = json.loads(capfd.readouterr().out)["rows"]
     assert (row["engine"], row["status"]) == ("native", "ok")
+
+
+def test_the_package_imports_nothing_of_tests_and_benchmarks():
+    root = Path(suites.__file__).parents[1]
+    imports = re.compile(r"^\s*(from|import) (tests|benchmarks)\b", re.MULTILINE)
+    modules = list(root.rglob("*.py"))
+    assert len(modules) > 100
+    assert [path for path in modules if imports.search(path.read_text(encoding="utf-8"))] == []
