@@ -1,7 +1,7 @@
 """Step 2: object programs, the SDK that they call, the sandbox that runs them, and their checks.
 
-`build` is resolved on first use, so that a program that imports `neoworld_mjx.program.sdk` under plain
-Python loads no sandbox.
+`build` is resolved on first use, so that a program that imports `neoworld_mjx.program.sdk` under
+plain Python loads no sandbox.
 """
 
 from typing import TYPE_CHECKING

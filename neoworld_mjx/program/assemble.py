@@ -1,22 +1,13 @@
-"""From what a program made to an ObjectSpec: structure first, then default friction, then origin."""
+"""Assemble an ObjectSpec from a program's objects: structure, default joint losses, origin."""
 
-import math
-
-import numpy as np
 from pydantic import ValidationError
 
 from .. import spec as S
 from ..config import describe
 from ..spec import Inertial
-from ..spec.pose import rotate
+from .joint_losses import default_losses
 from .sdk_object import Object
 from .signals import Signal, has_errors
-
-GRAVITY = 9.81
-SETTLING_S = 0.4
-"""Time in which a joint without authored damping loses its speed."""
-TURNING_FRICTION, SLIDING_FRICTION = 0.02, 0.1
-"""Dry friction of a joint without authored friction, over weight times lever, and over weight."""
 
 
 def assemble(made: list[Object]) -> tuple[S.ObjectSpec | None, list[Signal]]:
@@ -150,23 +141,5 @@ def _with_losses(joint: S.JointSpec, authored: dict[str, object], child: Inertia
     """Fill in damping and dry friction that the program left open, from the child's mass."""
     if joint.type == "fixed":
         return joint
-    if joint.type == "prismatic":
-        inertia, weight = child.mass, SLIDING_FRICTION * child.mass * GRAVITY
-    else:
-        arm = np.array(child.pos) - np.array(joint.pos)
-        if joint.type == "ball":
-            own = max(child.diagonal)  # it turns about any axis: take the slowest
-        else:
-            axis = np.array(joint.axis)
-            arm = arm - (arm @ axis) * axis
-            turned = rotate(np.array(child.quat) * [1, -1, -1, -1], axis)
-            own = turned**2 @ np.array(child.diagonal)
-        inertia = float(own) + child.mass * float(arm @ arm)
-        # The radius of gyration is the lever, so that a balanced knob holds still too.
-        weight = TURNING_FRICTION * child.mass * GRAVITY * math.sqrt(inertia / child.mass)
-    update = {}
-    if "damping" not in authored:
-        update["damping"] = inertia / SETTLING_S
-    if "friction" not in authored:
-        update["friction"] = weight
-    return joint.model_copy(update=update)
+    values = dict(zip(("damping", "friction"), default_losses(joint, child), strict=True))
+    return joint.model_copy(update={k: v for k, v in values.items() if k not in authored})

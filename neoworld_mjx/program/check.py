@@ -1,4 +1,4 @@
-"""Checks of a finished object that its program has no say in.
+"""Compile checks of an object (paper Section 3.2, Step 2), independent of its program.
 
 At rest: every part holds together, touches what it is attached to, and enters no other part. In
 motion: no two parts enter each other anywhere over the joints' ranges, one joint at a time and in
@@ -23,9 +23,9 @@ from .signals import Signal, deduplicated
 AXIS_SLACK = 0.05
 """How far an axis may pass beside the part it turns, over that part's diagonal."""
 LEAST_TURN_RAD, LEAST_SLIDE = 0.03, 0.01
-"""JointSweepChecks below these move nothing one would see; a slide counts over the child's diagonal."""
+"""Smallest range: of a turn, and of a slide over the child's diagonal."""
 OPENS_COSINE = 0.3
-"""Least cosine between the way that a part sets out and the way that its joint is declared to open."""
+"""Least cosine between the direction in which a part sets out and the declared one."""
 LONGEST_SLIDE = 1.5
 """Of a slide, over the object's diagonal."""
 
@@ -45,7 +45,7 @@ def check(
         allowances: overlaps that the program asks for by name.
 
     Returns:
-        What was found, each thing once; nothing when the object is sound.
+        Each finding once; nothing when the object is valid.
     """
     options = options or ProgramOptions()
     found = list(plausibility(spec))
@@ -115,7 +115,7 @@ def _loose(probe: Probe, options: ProgramOptions) -> list[Signal]:
         if joint is not None and not any(held.values()):
             found.append(_apart(probe, index, joint, options))
             held[next(iter(held))] = True
-        # The biggest island of the root part is the part; of others, islands may hang on the parent.
+        # The biggest island is the part; other islands may be attached to the parent instead.
         main = max(held, key=lambda r: (held[r], sum(at == r for at in group.values())))
         for root, attached in held.items():
             if root == main or attached:

@@ -1,4 +1,4 @@
-"""Whether a made object is what was asked for: its box, its movable parts, nothing lost on the way."""
+"""Compare an object with the parse: its box, its movable parts, and what a revision lost."""
 
 import ast
 from collections import Counter
@@ -17,7 +17,7 @@ SIZE_WARNS, SIZE_FAILS = 0.15, 1.0
 
 
 def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
-    """Yield how an object differs from what the parse asks for."""
+    """Yield the differences between an object and its node of the parse."""
     # The parse measures what it sees: parts that stand open stand open in its box, too.
     state, _ = parsed_state(spec, node)
     low, high = bounds(spec, state)
@@ -31,8 +31,9 @@ def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
         yield Signal(
             severity="error" if abs(edges[worst]) > PROPORTION_FAILS else "warning",
             code="proportions",
-            message=f"the object{_opened(node)} measures {shown} m, the box in the photo {asked} m; "
-            f"{'xyz'[worst]} is too {'large' if edges[worst] > 0 else 'small'} for the others",
+            message=f"the object{_opened(node)} measures {shown} m, "
+            f"the box in the photo {asked} m; {'xyz'[worst]} is too "
+            f"{'large' if edges[worst] > 0 else 'small'} for the others",
             value=float(edges[worst]),
             threshold=PROPORTION_WARNS,
             hint="fill the given box in all three directions; is the front at +x?",
@@ -58,8 +59,8 @@ def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
             yield Signal(
                 severity="error",
                 code="missing_joint",
-                message=f"the photo shows {count} {kind} parts ({', '.join(names)}), the program has "
-                f"{kinds[kind]}",
+                message=f"the photo shows {count} {kind} parts ({', '.join(names)}), "
+                f"the program has {kinds[kind]}",
                 value=kinds[kind],
                 threshold=count,
                 hint="make each a part of that name, with its joint",
@@ -103,7 +104,7 @@ def losses(before: ObjectSpec, after: ObjectSpec, removed: Sequence[str]) -> Ite
 
 
 def lost_checks(before: str, after: str, removed: Sequence[str]) -> Iterator[Signal]:
-    """Yield whether a program has fewer `assert` statements than the one before, unless it says so."""
+    """Yield a signal when a program dropped `assert` statements without saying so."""
     old, new = _asserts(before), _asserts(after)
     if new < old and not any("assert" in said for said in removed):
         yield Signal(

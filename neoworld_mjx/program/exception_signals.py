@@ -1,4 +1,4 @@
-"""From exceptions of programs to signals."""
+"""Turn exceptions of programs into signals."""
 
 from .session import LimitExceeded, Session
 from .signals import Signal

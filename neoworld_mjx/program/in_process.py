@@ -1,4 +1,4 @@
-"""Programs one trusts, run by CPython in this very process: no wall, no limits but the SDK's own."""
+"""Run a program by CPython in this very process, without isolation; the SDK's own limits hold."""
 
 import contextlib
 import io

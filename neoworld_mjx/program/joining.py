@@ -1,4 +1,4 @@
-"""What a program says of a joint, checked and made plain: anchors and directions may be words."""
+"""Validate what a program says of a joint; anchors and directions may be words."""
 
 import math
 from typing import Any

@@ -1,8 +1,9 @@
-"""The joint sweep: how deep the parts of an object enter each other, wherever its joints carry them.
+"""The joint sweep: how deep an object's parts enter each other wherever its joints carry them.
 
-Parts are measured at rest, over the range of each joint, and with all joints moved at once. Step 2's
-compile checks and Step 3's battery judge the same measurement by the same thresholds, so an object
-that passes the one passes the other. Depths are exact (`mj_geomDistance`), parent and child included.
+Parts are measured at rest, over the range of each joint, and with all joints moved at once.
+Step 2's compile checks and Step 3's battery judge the same measurement by the same thresholds, so
+an object that passes the one passes the other. Depths are exact (`mj_geomDistance`), those between
+parent and child included.
 """
 
 import itertools
@@ -212,7 +213,7 @@ def collides_at(
     allowed: Mapping[Pair, float],
     share: float = 1.0,
 ) -> bool:
-    """Tell whether any pair is deeper than a share of what is allowed with a joint at a position."""
+    """Tell whether any pair is deeper than a share of what is allowed at a joint position."""
     return any(
         -near.distance > share * allowed[pair]
         for _, depths in _poses(probe, joint, value, opened, pairs)
@@ -227,7 +228,7 @@ def sweep_together(
 ) -> dict[Pair, Overlap]:
     """Move all joints at once, and return the pairs that get too deep only then.
 
-    No joint moves without those open that it waits for. The sampled states are the same in every run.
+    No joint moves unless those that it waits for are open. The sampled states are always the same.
 
     Args:
         sweep: the object at rest and over each range.
@@ -262,7 +263,7 @@ def sweep_together(
 
 
 def joint_positions(joint: JointSpec, steps: int) -> NDArray:
-    """Return values that cover a joint's range, ascending [rad or m]; of a ball, its angle from rest.
+    """Return ascending values that cover a joint's range [rad or m]; a ball's are angles from rest.
 
     A limited range gets two positions more, close to its limits, where it meets what stops it.
     """
@@ -277,7 +278,7 @@ def joint_positions(joint: JointSpec, steps: int) -> NDArray:
 
 
 def joint_states(joint: JointSpec, value: float) -> list[State]:
-    """Return the states in which a joint stands at a value: a ball turned by it in 26 directions."""
+    """Return the states of a joint at a value: one, or for a ball its turns in 26 directions."""
     if joint.type != "ball":
         return [{joint.name: value}]
     names = [f"{joint.name}.{axis}" for axis in "xyz"]

@@ -6,9 +6,9 @@ the FAO/INFOODS Density Database 2.0 (food). Frictions are dry sliding coefficie
 or lacquered top, from the Engineering ToolBox tables of friction coefficients, rounded to 0.05;
 surface finish moves them by a third either way. Colours are plain choices.
 
-"insulated" is the wall of an appliance as a whole: two sheets of steel of 0.5 mm with 39 mm of rigid
-polyurethane foam between them, (2 * 0.5 * 7850 + 39 * 40) / 40 kg/m^3; makers of such panels (Metecno,
-Hark) state 40 to 45 kg/m^3 for the foam and 0.3 to 0.8 mm for the sheets.
+"insulated" is the wall of an appliance as a whole: two sheets of steel of 0.5 mm with 39 mm of
+rigid polyurethane foam between them, (2 * 0.5 * 7850 + 39 * 40) / 40 kg/m^3; makers of such panels
+(Metecno, Hark) state 40 to 45 kg/m^3 for the foam and 0.3 to 0.8 mm for the sheets.
 """
 
 from ..spec import Material

@@ -1,7 +1,7 @@
-"""Programs behind a wall: interpreted by worker processes that hold nothing but handles.
+"""Run a program in the Monty sandbox: worker processes that hold nothing but handles.
 
 The text is type-checked against the SDK's stubs first. A worker knows no files, no network and no
-imports besides `math` and its like; it runs under limits of time, memory, recursion, output and calls.
+imports besides `math` and its like; time, memory, recursion, output and calls are limited.
 The SDK's objects live here, and every value that crosses is checked by the SDK.
 """
 

@@ -22,8 +22,8 @@ def overlap_signals(
 ) -> list[Signal]:
     """Report every pair of parts that enter each other too deep, where they are deepest.
 
-    A joint that waits for others (`after`) is moved while these stand open, and in combinations only
-    then; they themselves are moved while it is at rest.
+    A joint that waits for others (`after`) is moved while these are open, in combinations too; they
+    themselves are moved while it is at rest.
     """
     sweep = sweep_joints(probe, options, allowances)
     signals = [
@@ -61,8 +61,8 @@ def _needless(sweep: JointSweep, swept: JointRange, options: ProgramOptions) -> 
                 code="after_needless",
                 joint=joint.name,
                 part=joint.child,
-                message=f"joint {joint.name!r} waits for {name!r}, but {other.child!r} is not in its "
-                "way when closed",
+                message=f"joint {joint.name!r} waits for {name!r}, but {other.child!r} is not "
+                "in its way when closed",
                 hint="leave after= out",
             )
         )
@@ -101,8 +101,8 @@ def _in_motion(
         f"{probe.names[a]!r}" + (f", with {' and '.join(joint.after)} open" if joint.after else ""),
         value=overlap.depth,
         threshold=allowed,
-        hint="check the sign of the axis (positive opens), the anchor, the range and the clearance; "
-        "what moves only when a door is open says after=",
+        hint="check the sign of the axis (positive opens), the anchor, the range and the "
+        "clearance; what moves only when a door is open says after=",
     )
 
 

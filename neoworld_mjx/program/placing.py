@@ -145,7 +145,7 @@ def hinge_of(
         what: for messages.
 
     Returns:
-        A point of the line, in the middle of the edge [3] m, and the axis [3] about which positive opens.
+        A point of the line, in the middle of the edge [3] m, and the axis [3]; positive opens.
     """
     words = [word for word in validate.text(where, what).split(".") if word != "hinge"]
     named = _named(words, what)
@@ -153,8 +153,9 @@ def hinge_of(
     thin = int(np.argmin(high - low))
     if len(named) != 1 or thin in named:
         raise ValueError(
-            f"{what} names one edge of a flat part, such as 'left.hinge'; this part is thinnest from "
-            f"{('back to front', 'right to left', 'bottom to top')[thin]}, got {validate.shown(where)}"
+            f"{what} names one edge of a flat part, such as 'left.hinge'; this part is thinnest "
+            f"from {('back to front', 'right to left', 'bottom to top')[thin]}, "
+            f"got {validate.shown(where)}"
         )
     middle = (low + high) / 2
     outward = 1

@@ -23,8 +23,8 @@ from .signals import Signal
 SMALLEST_M, LARGEST_M = 0.002, 20.0
 HEAVIEST_KG = 2000.0
 SOLID_KG_M3, DENSE_KG_M3 = 3000.0, 1500.0
-"""Mass over the volume of the convex hull: above the first only solid metal comes, above the second few
-things that stand on a table."""
+"""Mass over the volume of the convex hull: only solid metal exceeds the first, few things that
+stand on a table the second."""
 WEIGHED_KG, LIFTED_KG = 1.0, 8.0
 """Below the first a dense part is a fitting; above the second few hands lift it."""
 LIGHTEST_KG_M3 = 1.0
@@ -132,7 +132,7 @@ def _thin(spec: ObjectSpec, name: str) -> Iterator[Signal]:
 
 
 def _wall(shape: Shape) -> float:
-    """Return the stated thickness [m] of a shape that becomes meshes, infinite if it states none."""
+    """Return the stated thickness [m] of a shape made of meshes, infinite if it states none."""
     if isinstance(shape, Lathe):
         return shape.thickness or np.inf
     if isinstance(shape, Prism | Extrusion):
@@ -143,7 +143,7 @@ def _wall(shape: Shape) -> float:
 
 
 def _spanned(spec: ObjectSpec, name: str) -> float:
-    """Return the volume [m^3] of a part's convex hull: with what it encloses, without what it is in."""
+    """Return the volume [m^3] of a part's convex hull."""
     corners = []
     for _, piece, at in pieces(spec.part(name)):
         if piece.kind == "box":

@@ -144,6 +144,26 @@ class Probe:
         xpos[b] = kept
         return found
 
+    def separation(self, first: int, second: int, reach: float = 10.0) -> tuple[float, NDArray]:
+        """Return the signed distance of two parts [m] and the unit vector [3] from first to second.
+
+        Beyond `reach`, and where two pieces only touch, the vector points up.
+        """
+        up = np.array([0.0, 0.0, 1.0])
+        near = self.nearest(self.of_part(first), self.of_part(second), reach)
+        if near is None:
+            return reach, up
+        ends = np.zeros(6)
+        distance = mujoco.mj_geomDistance(
+            self._model, self._data, near.first, near.second, reach, ends
+        )
+        offset = ends[3:] - ends[:3]
+        length = float(np.linalg.norm(offset))
+        if length < 1e-9:
+            return distance, up
+        # The two ends of a penetration lie behind each other.
+        return distance, offset / length * (1.0 if distance >= 0 else -1.0)
+
     def of_part(self, part: int) -> NDArray:
         """Return the indices of a part's pieces."""
         return np.flatnonzero(self.owner == part)

@@ -1,7 +1,7 @@
 """Run a program's text and hand back an object or signals, never an exception.
 
-`monty`, the default, puts the program behind a wall; `cpython` runs it in this process, for programs one
-trusts. The same text gives the same object, to the byte.
+`monty`, the default, runs the program in a sandbox; `cpython` runs it in this process, without any
+isolation, for your own programs only. The same text gives the same object, to the byte.
 """
 
 import time
@@ -21,7 +21,7 @@ from .signals import Signal, deduplicated, has_errors
 
 @dataclass(frozen=True)
 class Built:
-    """What became of a program."""
+    """Result of running a program."""
 
     spec: ObjectSpec | None
     """The object; None when any signal is an error of the program itself."""

@@ -125,8 +125,9 @@ class Object:
         axis as well: the one about which positive moves it away from its parent.
         Damping [N m s/rad] and friction [N m] that are not given follow from the child's inertia
         and weight. With `mimic` it follows another joint: multiplier * q + offset.
-        `after` names what must be open first, doors or their joints: a rack's is its door. `opens` says
-        which way the child's middle sets out, such as "front"; it is held against the axis.
+        `after` names what must be open first, doors or their joints: a rack's is its door. `opens`
+        says which way the child's middle sets out, such as "front"; the compile checks compare it
+        with the axis.
         """
         given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent", "child")}
         return self._join("revolute", name, parent, child, given)
@@ -165,7 +166,7 @@ class Object:
         stiffness: float = 0.0,
         after: After = None,
     ) -> Joint:
-        """Let `child` turn about a point in all directions, by up to `swing` [rad] away from rest."""
+        """Let `child` turn about a point in all directions, by up to `swing` [rad] from rest."""
         given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent", "child")}
         return self._join("ball", name, parent, child, given)
 
@@ -346,8 +347,8 @@ class Object:
                 joint = item if item in self._joints else None
             if joint is None:
                 raise ValueError(
-                    f"{what} must be a part or a joint of this object, or a list of them, whose joint is "
-                    f"made before; got {validate.shown(given)}"
+                    f"{what} must be a part or a joint of this object, or a list of them, "
+                    f"whose joint is made before; got {validate.shown(given)}"
                 )
             if joint._fields["type"] not in ("revolute", "prismatic") or "mimic" in joint._fields:
                 raise ValueError(

@@ -1,8 +1,8 @@
 """The shapes that programs place: checked arguments in, shapes of the description out.
 
 Every function says where the shape's own origin lies. Sizes are full lengths in metres. A sandboxed
-program passes values of any type, so `validate` checks each argument and says what is wrong with it;
-`no_type_check` keeps other run-time type checkers from getting there first.
+program passes values of any type, so `validate` checks each argument and says what is wrong with
+it; `no_type_check` keeps other run-time type checkers from getting there first.
 """
 
 import math
@@ -27,19 +27,19 @@ _FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 @no_type_check
 def box(size: Vec3) -> Shape:
-    """Builder a box with full edge lengths (x, y, z), centred at its origin."""
+    """Make a box with full edge lengths (x, y, z), centred at its origin."""
     return _made(S.Box, 1, size=validate.lengths(size, "box size"))
 
 
 @no_type_check
 def sphere(radius: float) -> Shape:
-    """Builder a ball, centred."""
+    """Make a ball, centred."""
     return _made(S.Sphere, 1, radius=validate.length(radius, "sphere radius"))
 
 
 @no_type_check
 def capsule(radius: float, length: float) -> Shape:
-    """Builder a capsule along z, centred; `length` is of the straight part, without the round ends."""
+    """Make a capsule along z, centred; `length` leaves out the round ends."""
     return _made(
         S.Capsule,
         1,
@@ -50,7 +50,7 @@ def capsule(radius: float, length: float) -> Shape:
 
 @no_type_check
 def cylinder(radius: float, height: float) -> Shape:
-    """Builder a solid cylinder along z, centred."""
+    """Make a solid cylinder along z, centred."""
     return _made(
         S.Cylinder,
         1,
@@ -61,7 +61,7 @@ def cylinder(radius: float, height: float) -> Shape:
 
 @no_type_check
 def ellipsoid(radii: Vec3) -> Shape:
-    """Builder an ellipsoid with semi-axes (x, y, z), centred."""
+    """Make an ellipsoid with semi-axes (x, y, z), centred."""
     return _made(S.Ellipsoid, 1, radii=validate.lengths(radii, "ellipsoid radii"))
 
 
@@ -78,7 +78,7 @@ def prism(outline: Sequence[Point2], height: float) -> Shape:
 
 @no_type_check
 def hollow_box(size: Vec3, wall: float, open: Face | Sequence[Face] = "+z") -> Shape:
-    """Builder a box of walls of one thickness, centred, with the named faces left open."""
+    """Make a box of walls of one thickness, centred, with the named faces left open."""
     faces = [open] if isinstance(open, str) else validate.sequence(open, "hollow_box open", 0, 5)
     for face in faces:
         if face not in _FACES:
@@ -123,7 +123,7 @@ def lathe(
 
 @no_type_check
 def frustum(bottom_radius: float, top_radius: float, height: float) -> Shape:
-    """Builder a solid frustum along z, centred; one of the radii may be 0 for a cone."""
+    """Make a solid frustum along z, centred; one of the radii may be 0 for a cone."""
     radii = [
         0.0 if value == 0 else validate.length(value, f"frustum {what}")
         for value, what in ((bottom_radius, "bottom_radius"), (top_radius, "top_radius"))
@@ -135,7 +135,7 @@ def frustum(bottom_radius: float, top_radius: float, height: float) -> Shape:
 
 @no_type_check
 def tube(radius: float, wall: float, height: float, sectors: int = 12) -> Shape:
-    """Builder a pipe along z, centred, open at both ends; `radius` is the outer one."""
+    """Make a pipe along z, centred, open at both ends; `radius` is the outer one."""
     outer, half = validate.length(radius, "tube radius"), validate.length(height, "tube height") / 2
     thickness = validate.length(wall, "tube wall")
     if thickness >= outer:
@@ -147,7 +147,7 @@ def tube(radius: float, wall: float, height: float, sectors: int = 12) -> Shape:
 
 @no_type_check
 def rounded_box(size: Vec3, radius: float) -> Shape:
-    """Builder a box with full edge lengths, centred, with edges rounded by `radius`."""
+    """Make a box with full edge lengths, centred, with edges rounded by `radius`."""
     return _made(
         S.RoundedBox,
         1,
@@ -200,7 +200,7 @@ def sweep(
 
 @no_type_check
 def torus(radius: float, tube: float, arc: float = 2 * math.pi, sectors: int = 8) -> Shape:
-    """Builder a ring, or the part of it that spans `arc` [rad] about its +x side, around z, centred.
+    """Make a ring around z, or the part of it that spans `arc` [rad] about its +x side, centred.
 
     `radius` goes to the middle of the bar, `tube` is the bar's own radius.
     """
@@ -240,7 +240,7 @@ def extrusion(
 
 @no_type_check
 def bail(width: float, height: float, radius: float) -> Shape:
-    """Builder a loop handle: a round bar that rises along z from y = -width/2 and comes down at +width/2.
+    """Make a loop handle: a round bar that rises along z at y = -width/2 and returns at +width/2.
 
     `height` goes to the middle of the bar at its top; the origin lies between its two feet.
     """
@@ -266,7 +266,7 @@ def panel(
     holes: Sequence[Sequence[float]] = (),
     sectors: int = 16,
 ) -> Shape:
-    """Builder a flat board of `size` (x, y), along z, centred, with holes through it.
+    """Make a flat board of `size` (x, y), along z, centred, with holes through it.
 
     A hole is (x, y, radius), or (x, y, width, depth) of a rectangle; both at its middle.
     """

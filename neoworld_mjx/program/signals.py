@@ -1,4 +1,4 @@
-"""What is said about a program: signals with a code, a place, a number and a way out.
+"""Signals: findings about a program, each with a code, a place, a number and a hint.
 
 Failures of a program cross its border as these, never as exceptions.
 """

@@ -1,6 +1,6 @@
 """Write `sdk.pyi`, the type stubs that programs are checked against, from the SDK's own signatures.
 
-`python -m neoworld_mjx.program.stubs` says whether the file is up to date; with `--write` it writes it.
+`python -m neoworld_mjx.program.stubs` says whether the file is up to date; `--write` writes it.
 """
 
 import ast
@@ -35,7 +35,7 @@ def stub_text() -> str:
     for module in (shape_functions, patterns):
         definitions = _definitions(module)
         functions += [
-            _function(definitions[name], "") for name in definitions if name in sdk.__all__
+            _function(definitions[name], "") for name in definitions if hasattr(sdk, name)
         ]
     return "\n".join([*blocks, "".join(functions)])
 
@@ -77,7 +77,7 @@ def _public(name: str) -> bool:
 
 
 def _function(node: ast.stmt, indent: str) -> str:
-    """Write a signature as a formatter would: on one line, else indented, else one argument a line."""
+    """Write a signature on one line, else indented on its own, else one argument a line."""
     assert isinstance(node, ast.FunctionDef) and node.returns is not None
     result = ast.unparse(node.returns).replace('"', "").replace("'", "")
     arguments = _arguments(node.args)

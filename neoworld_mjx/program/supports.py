@@ -1,7 +1,7 @@
 """Programs for supports of the environment, written from their parsed boxes without asking a model.
 
-The paper takes them as static primitives: a slab for a floor, a counter or a wall. Only what is plainly a
-table, and stands free, gets legs.
+The paper takes them as static primitives: a slab for a floor, a counter or a wall. Only tables that
+stand free get legs.
 """
 
 from ..spec import TreeNode

@@ -1,7 +1,7 @@
-"""What programs pass to the SDK, checked and made plain; every message names the argument.
+"""Validate the arguments that programs pass to the SDK; every message names the argument.
 
-A sandboxed program hands over host values of unknown type: a number may be a string, a list may hold
-a million entries. Nothing reaches a description before it went through here.
+A sandboxed program passes values of unknown type: a number may be a string, a list may hold a
+million entries. Nothing reaches a description without being validated here.
 """
 
 import math

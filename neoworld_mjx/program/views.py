@@ -19,15 +19,15 @@ OPENED = 0.8
 
 
 @dataclass(frozen=True)
-class Drawn(Picture):
-    """A picture that is known by what it shows, not by its pixels.
+class DescribedPicture(Picture):
+    """A picture that tapes know by a description of its content, not by its pixels.
 
-    Cast rays round differently from one processor to the next, and a tape that knew this picture by its
-    pixels would not be found again elsewhere.
+    Cast rays round differently from one processor to the next, and a tape that knew this picture by
+    its pixels would not be found again elsewhere.
     """
 
     shows: str = ""
-    """The object, its state and the view, written down."""
+    """Description of the object, its state and the view."""
 
     @property
     def pixels(self) -> str:
@@ -35,7 +35,9 @@ class Drawn(Picture):
         return hashlib.sha256(self.shows.encode()).hexdigest()
 
 
-def draw(spec: ObjectSpec, node: TreeNode, camera: Camera | None, *, opened: bool = False) -> Drawn:
+def draw(
+    spec: ObjectSpec, node: TreeNode, camera: Camera | None, *, opened: bool = False
+) -> DescribedPicture:
     """Draw an object as the photo's camera would see it, filling the picture.
 
     Args:
@@ -50,13 +52,13 @@ def draw(spec: ObjectSpec, node: TreeNode, camera: Camera | None, *, opened: boo
     # Rounded, as the view's numbers carry rounding of their own.
     place = np.round(np.concatenate([view.eye, view.axes.ravel()]), 4).tolist()
     shows = f"{spec.to_json()}{sorted(state.items())}{place}{WIDTH}x{HEIGHT}"
-    return Drawn("opened" if opened else "made", to_png(seen), shows)
+    return DescribedPicture("opened" if opened else "made", to_png(seen), shows)
 
 
 def view_from(
     spec: ObjectSpec, state: Mapping[str, float], node: TreeNode, camera: Camera | None
 ) -> View:
-    """Return a view of an object at its own origin, from the direction in which the camera sees it."""
+    """Return a view of an object at its own origin, from the direction of the camera."""
     points = visible_vertices(spec, state)
     if camera is None:
         return View.framing(points, width=WIDTH, height=HEIGHT)

@@ -1,4 +1,4 @@
-"""Write what a program makes, files and pictures, and do it again whenever its text changes."""
+"""Write the files and pictures of a built program, again whenever its text changes."""
 
 import logging
 import time
@@ -20,7 +20,7 @@ POLL_S = 0.2
 
 @dataclass(frozen=True)
 class BuiltProgram:
-    """A program's text and what became of it."""
+    """A program's text and the result of building it."""
 
     text: str
     built: Built
@@ -74,8 +74,8 @@ def write_built(made: BuiltProgram, out: Path) -> frozenset[str]:
 def watch(program: Path, out: Path, make: Builder, beside: tuple[Path, ...] = ()) -> int:
     """Build a program now and after every change of its files, until interrupted.
 
-    Each time is told in one line of the log, and every signal in one of its own. What a program with
-    errors would have replaced stays as it was; so does the folder while the file is away.
+    Logs one line for each build and one for each signal. A program with errors replaces no file,
+    and the folder stays unchanged while the program's file is missing.
 
     Args:
         program: the file.

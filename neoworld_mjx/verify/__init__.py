@@ -1,4 +1,4 @@
-"""Step 3: object-level physics (paper Section 3.2): scenarios, numeric verdicts, restricted edits."""
+"""Step 3, object-level physics (paper Section 3.2): scenarios, verdicts, restricted edits."""
 
 from .battery import VERSION, Battery, verify
 from .patch import Patch, apply, overlay_path, read_overlay, write_overlay

@@ -1,7 +1,7 @@
-"""The battery: everything that is asked of an object by itself, as one verdict.
+"""The battery: all checks of an object by itself, as one verdict.
 
-Static measurements come first, then the sweep over all joints' ranges, then all scenarios of the object
-in one batched rollout. An error of the tool is a verdict of its own, never a pass.
+Static checks come first, then the sweep over all joints' ranges, then all scenarios of the object
+in one batched rollout. An error of the tool is an outcome of its own, never a pass.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,7 +25,7 @@ VERSION = "5"
 
 
 class Battery:
-    """One run of the battery, with what it measured: for repairs and pictures.
+    """One run of the battery, with its measurements for repairs and pictures.
 
     Args:
         spec: the object.
@@ -62,8 +62,8 @@ class Battery:
             return self.joint_checks.checks
 
         def moving() -> list[Check]:
-            sound = without_bad_inertia(spec, checks)
-            self.simulation = Simulation(sound, self.options, tilt, joint_state)
+            valid = without_bad_inertia(spec, checks)
+            self.simulation = Simulation(valid, self.options, tilt, joint_state)
             runs = list_scenarios(
                 self.simulation.groups, self.simulation.joints, self.options, fixed_base=fixed_base
             )

@@ -1,7 +1,7 @@
-"""Checks on an object that is only posed: overlaps over every range, gaps, pivots, declared intents.
+"""Check an object by posing it: overlaps over every range, gaps, pivots, declared intents.
 
-Gaps are measured where the object is drawn, at rest: a drawer that is pulled out of its carcass has not
-come apart.
+Gaps are measured where the object is drawn, at rest: a drawer that is pulled out of its carcass has
+not come apart.
 """
 
 from collections.abc import Iterator, Sequence
@@ -51,7 +51,7 @@ class JointChecks:
 def check_joints(
     spec: ObjectSpec, options: VerifyOptions, allowances: Sequence[Allowance] = ()
 ) -> JointChecks:
-    """Check overlaps at rest, over each joint's range and in combinations, gaps, pivots and intents.
+    """Check overlaps at rest, over ranges and in combinations, then gaps, pivots and intents.
 
     Args:
         spec: the object.
@@ -147,8 +147,8 @@ def _over_range(
 def _better_pivot(sweep: JointSweep, swept: JointRange) -> bool:
     """Tell whether a pivot within the part, on none of its edges, collides where an edge would not.
 
-    A hinge sits on an edge of the part that it turns. One that does not, and whose range would be free
-    if it did, is in the wrong place; one that sits on an edge has another fault.
+    A hinge sits on an edge of the part that it turns. One that does not, and whose range would be
+    free if it did, is in the wrong place; one that sits on an edge has another fault.
     """
     spec, joint = sweep.probe.spec, swept.joint
     low, high = part_bounds(spec, spec.part(joint.child))
@@ -178,7 +178,7 @@ def on_edge(joint: JointSpec, low: NDArray, high: NDArray) -> bool:
 
 
 def pivot_edges(joint: JointSpec, low: NDArray, high: NDArray) -> NDArray:
-    """Return points on the four edges of a box along a joint's axis [4, 3] m; none if it is askew."""
+    """Return points on a box's four edges along a joint's axis [4, 3] m; none if it is askew."""
     along = int(np.argmax(np.abs(joint.axis)))
     if abs(joint.axis[along]) < 0.99:
         return np.zeros((0, 3))

@@ -1,14 +1,12 @@
 """Key frames of what failed or is doubtful, as labelled strips for the critic to look at."""
 
-import hashlib
 import io
-from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image, ImageDraw
 from scipy.spatial.transform import Rotation
 
-from ..mllm import Picture
+from ..program.views import DescribedPicture
 from ..render import View, render_scene, to_png
 from ..render.scene_images import visible_vertices
 from ..spec import SceneObject, SceneSpec
@@ -22,25 +20,13 @@ WIDTH, HEIGHT, BAND = 220, 200, 16
 FRAMES, MOST = 4, 3
 
 
-@dataclass(frozen=True)
-class Strip(Picture):
-    """A strip that is known by what it shows, not by pixels that differ between processors."""
-
-    shows: str = ""
-
-    @property
-    def pixels(self) -> str:
-        """The sha256 of what is shown."""
-        return hashlib.sha256(self.shows.encode()).hexdigest()
-
-
 def questionable(verdict: Verdict) -> list[Check]:
     """Return the checks that failed, the worst first, then those that only just passed."""
     checks = [c for c in verdict.checks if c.outcome == "FAIL" or c.doubtful]
     return sorted(checks, key=lambda c: (c.doubtful, -c.margin))
 
 
-def strips(battery: Battery) -> list[Strip]:
+def strips(battery: Battery) -> list[DescribedPicture]:
     """Draw the runs and poses that failed or doubtful checks speak of, the worst first.
 
     Returns:
@@ -49,7 +35,7 @@ def strips(battery: Battery) -> list[Strip]:
     by_name = {trajectory.scenario.name: trajectory for trajectory in battery.trajectories}
     # Four frames of one value do not show which way a ball was turned; its evidence says so.
     balls = {j.name for j in battery.spec.joints if j.type == "ball"}
-    found: list[Strip] = []
+    found: list[DescribedPicture] = []
     shown: set[str] = set()
     for check in questionable(battery.verdict):
         if len(found) == MOST:
@@ -68,7 +54,7 @@ def strips(battery: Battery) -> list[Strip]:
     return found
 
 
-def _of_run(battery: Battery, trajectory: Trajectory, label: str) -> Strip:
+def _of_run(battery: Battery, trajectory: Trajectory, label: str) -> DescribedPicture:
     """Draw four moments of a run, on the floor or held."""
     simulation = battery.simulation
     assert simulation is not None
@@ -86,7 +72,7 @@ def _of_run(battery: Battery, trajectory: Trajectory, label: str) -> Strip:
     return _strip(label, items, titles)
 
 
-def _of_joint(battery: Battery, check: Check, label: str) -> Strip:
+def _of_joint(battery: Battery, check: Check, label: str) -> DescribedPicture:
     """Draw a joint from rest to where it was worst, with those open that it waits for."""
     worst = check.at if check.at is not None else 0.0
     joint = next(j for j in battery.spec.joints if j.name == check.joint)
@@ -112,7 +98,7 @@ def _posed(
     )
 
 
-def _strip(label: str, items: list[SceneObject], titles: list[str]) -> Strip:
+def _strip(label: str, items: list[SceneObject], titles: list[str]) -> DescribedPicture:
     """Put frames side by side, all seen from one place."""
     points = []
     for item in items:
@@ -136,7 +122,9 @@ def _strip(label: str, items: list[SceneObject], titles: list[str]) -> Strip:
         ]
         for i in items
     ]
-    return Strip(label, buffer.getvalue(), f"{label}{items[0].spec.to_json()}{states}{titles}")
+    return DescribedPicture(
+        label, buffer.getvalue(), f"{label}{items[0].spec.to_json()}{states}{titles}"
+    )
 
 
-__all__ = ["Strip", "questionable", "strips"]
+__all__ = ["questionable", "strips"]

@@ -1,4 +1,4 @@
-"""From what happened in the runs to checks with numbers: each asks one thing of one run."""
+"""Turn simulated trajectories into checks with numbers; each judges one thing of one scenario."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -31,7 +31,7 @@ ROUND = 0.01
 
 
 def checks_of(simulation: Simulation, trajectories: Iterable[Trajectory]) -> list[Check]:
-    """Judge all runs of an object."""
+    """Return the checks of all trajectories of an object."""
     by_kind: dict[str, list[Trajectory]] = {}
     for trajectory in trajectories:
         by_kind.setdefault(trajectory.scenario.kind, []).append(trajectory)
@@ -85,7 +85,7 @@ def falls(simulation: Simulation, trajectories: list[Trajectory]) -> list[Check]
                 _worst(
                     trajectory,
                     "tilt",
-                    _turned(trajectory.qpos[:, 3:7], trajectory.qpos[0, 3:7]),
+                    np.degrees(angle_between(trajectory.qpos[:, 3:7], trajectory.qpos[0, 3:7])),
                     limit,
                 )
             )
@@ -101,7 +101,7 @@ def falls(simulation: Simulation, trajectories: list[Trajectory]) -> list[Check]
             found.append(skipped("free_fall", name, "it is round below: a tilt rolls it"))
         else:
             limit = Limit(threshold=o.max_tilt_deg, unit="deg", fault=Fault.TOPPLES)
-            lean = _leaning(trajectory.qpos[-1:, 3:7], simulation.tilt)[0]
+            lean = np.degrees(tilt_between(simulation.tilt, trajectory.qpos[-1, 3:7]))
             found.append(judged("free_fall", name, float(lean), limit, evidence=_shown(trajectory)))
     return found
 
@@ -239,7 +239,7 @@ def slid(simulation: Simulation, trajectory: Trajectory) -> Check:
     kind, name = "tilt_until_slide", "slide"
     begin = round(STILL_S / o.timestep_s)
     moved = np.linalg.norm(trajectory.qpos[:, :2] - trajectory.qpos[begin, :2], axis=1)
-    turned = _turned(trajectory.qpos[:, 3:7], trajectory.qpos[begin, 3:7])
+    turned = np.degrees(angle_between(trajectory.qpos[:, 3:7], trajectory.qpos[begin, 3:7]))
     slope = np.degrees(slope_at(trajectory.time, o.duration_s))
     if _on_wheels(simulation):
         return skipped(kind, name, "it stands on wheels")
@@ -265,8 +265,8 @@ def broke(trajectory: Trajectory) -> Check:
     limit = Limit(threshold=0.0, unit="", fault=Fault.DIVERGES)
     name = f"finite:{trajectory.scenario.name}"
     return judged(
-        trajectory.scenario.kind, name, float("nan"), limit, joint=trajectory.scenario.joint, part=trajectory.scenario.part,
-        time=when, evidence=_shown(trajectory),
+        trajectory.scenario.kind, name, float("nan"), limit, joint=trajectory.scenario.joint,
+        part=trajectory.scenario.part, time=when, evidence=_shown(trajectory),
     )  # fmt: skip
 
 
@@ -286,7 +286,7 @@ def resting_depth(simulation: Simulation, trajectory: Trajectory) -> tuple[float
 def overshoot(simulation: Simulation, trajectory: Trajectory) -> tuple[float, str | None, float]:
     """Return how far joints go beyond their limits, over their range; which one and when.
 
-    JointSweepChecks shorter than 8 cm or 0.6 rad count as that long.
+    Ranges shorter than 8 cm or 0.6 rad count as that long.
     """
     model = simulation.model
     single = model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -307,8 +307,8 @@ def overshoot(simulation: Simulation, trajectory: Trajectory) -> tuple[float, st
 def stance(simulation: Simulation, slack: float = 0.0) -> tuple[float, float]:
     """Return how wide [m] what the object stands on is, and how far inside it the weight falls.
 
-    The margin is negative where the centre of mass lies beyond the base. What is at most `slack` [m]
-    higher than the lowest point counts as touching, and a millimetre always does.
+    The margin is negative where the centre of mass lies beyond the base. Pieces at most `slack` [m]
+    above the lowest point count as touching, and those within a millimetre always do.
     """
     spec, tilt = simulation.spec, pose((0, 0, 0), simulation.tilt)
     moved = link_poses(spec, simulation.state)
@@ -396,16 +396,6 @@ def _on_wheels(simulation: Simulation) -> bool:
         if simulation.floor in pair and g != simulation.floor
     }
     return bool(touching & wheels)
-
-
-def _turned(quats: NDArray, start: NDArray) -> NDArray:
-    """Return how far orientations [t, 4] are turned from one, in degrees."""
-    return np.degrees(angle_between(start, quats))
-
-
-def _leaning(quats: NDArray, rest: NDArray) -> NDArray:
-    """Return how far what was up at rest leans over [t] deg, turns about the vertical not counted."""
-    return np.degrees(tilt_between(rest, quats))
 
 
 def _worst(trajectory: Trajectory, name: str, values: NDArray, limit: Limit) -> Check:

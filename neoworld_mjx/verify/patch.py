@@ -1,8 +1,8 @@
-"""What Step 3 may change of an object, as a patch that can say nothing else (paper Section 3.2).
+"""Patches: the restricted edits that Step 3 may make to an object (paper Section 3.2).
 
-A patch names masses and inertias, joint limits, damping and friction, origins, and collision geometry.
-It has no words for parts, joints, axes, types, or what is seen. It is kept beside the program and laid
-over what the program makes, so it survives a rebuild.
+A patch edits masses and inertias, joint limits, damping and friction, origins, and collision
+geometry. It cannot express parts, joints, axes, types, or visual geometry. It is kept beside the
+program and applied to the object that the program makes, so it survives a rebuild.
 """
 
 from pathlib import Path

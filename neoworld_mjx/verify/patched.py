@@ -1,4 +1,4 @@
-"""A program's object with the patch that is kept beside the program laid over it: one way for all who build."""
+"""Build a program and apply the patch that is kept beside it."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,27 +1,24 @@
-"""Direct repairs where the answer is a number: proposed from what was measured, kept only if they help.
+"""Repair objects by numbers: patches proposed from measurements, kept only if they help.
 
-Each round takes the likeliest cause, tries a few patches against the whole battery, and keeps the best one
-that lowers the fault score and brings no fault that was not there before. Nothing is asked of a model here;
-what a model proposes is tried by the same rule (`tried`).
+Each round takes the likeliest cause, tries a few patches against the whole battery, and keeps the
+best one that lowers the fault score and brings no new fault. No model is asked; patches that a
+model proposes are tried by the same rule (`try_patches`).
 """
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 
-import mujoco
 import numpy as np
 
 from ..errors import SpecError
+from ..program.joint_losses import SETTLING_S, default_losses
+from ..program.probe import Probe
 from ..spec import JointSpec, ObjectSpec, Vec3, inertial, part_bounds
-from ..spec.pose import rotate
 from .battery import Battery
 from .joint_checks import on_edge, pivot_edges
 from .patch import GeomEdit, JointEdit, PartEdit, Patch, apply
 from .verdict import Check, Fault, Verdict
 
-SETTLING_S = 0.4
-"""Time in which a joint loses its speed, as for programs that state no damping."""
-TURNING_FRICTION, SLIDING_FRICTION = 0.02, 0.1
 GAP_M = 0.0005
 """Air that is left between parts that are moved apart or together."""
 GAIN = 0.05
@@ -31,7 +28,7 @@ RunBattery = Callable[[ObjectSpec], Battery]
 
 @dataclass
 class Repaired:
-    """What repairs came to."""
+    """Result of repairing an object."""
 
     spec: ObjectSpec
     patch: Patch
@@ -50,7 +47,7 @@ class Repaired:
 def repair(
     spec: ObjectSpec, run: RunBattery, *, rounds: int = 6, first: Battery | None = None
 ) -> Repaired:
-    """Mend an object as far as numbers tell how.
+    """Repair an object as far as numbers say how.
 
     Args:
         spec: the object.
@@ -215,7 +212,7 @@ def _together(battery: Battery, check: Check) -> Iterator[Patch]:
     moved = np.zeros(3)
     for _ in range(8):
         here, _ = apply(Patch(parts={joint.child: PartEdit(shift=vec(moved))}), spec)
-        gap, way = nearest(here, joint.parent, joint.child)
+        gap, way = separation(here, joint.parent, joint.child)
         if abs(gap - GAP_M) < 1e-4:
             break
         moved = moved - way * (gap - GAP_M)
@@ -246,7 +243,7 @@ def _apart(battery: Battery, check: Check) -> Iterator[Patch]:
     moved = np.zeros(3)
     for _ in range(8):
         here, _ = apply(Patch(parts={child: PartEdit(shift=vec(moved))}), spec)
-        gap, way = nearest(here, other, child)
+        gap, way = separation(here, other, child)
         if gap >= 0.5 * GAP_M:
             break
         moved = moved + way * (GAP_M - gap)
@@ -261,7 +258,7 @@ def _apart(battery: Battery, check: Check) -> Iterator[Patch]:
     good = []
     for shift in shifts:
         here, _ = apply(Patch(parts={child: PartEdit(shift=vec(shift))}), spec)
-        if nearest(here, other, child)[0] > -1e-3:
+        if separation(here, other, child)[0] > -1e-3:
             good.append(shift)
     good.sort(key=lambda s: float(np.linalg.norm(s)))
     for shift in good[:4]:
@@ -272,39 +269,15 @@ def _apart(battery: Battery, check: Check) -> Iterator[Patch]:
         yield Patch(geoms=edits)
 
 
-def nearest(spec: ObjectSpec, first: str, second: str) -> tuple[float, np.ndarray]:
-    """Return the signed distance of two parts at rest [m], and the unit way from the first to the second."""
-    from ..program.probe import Probe
-
+def separation(spec: ObjectSpec, first: str, second: str) -> tuple[float, np.ndarray]:
+    """Return the signed distance of two parts at rest [m] and the unit vector between them."""
     probe = Probe(spec)
-    a, b = (probe.of_part(probe.names.index(name)) for name in (first, second))
-    near = probe.nearest(a, b, 10.0)
-    if near is None:
-        return 10.0, np.array([0.0, 0.0, 1.0])
-    ends = np.zeros(6)
-    model, data = probe._model, probe._data
-    distance = mujoco.mj_geomDistance(model, data, near.first, near.second, 10.0, ends)
-    way = ends[3:] - ends[:3]
-    length = float(np.linalg.norm(way))
-    if length < 1e-9:
-        return distance, np.array([0.0, 0.0, 1.0])
-    # In depth the two ends lie behind each other.
-    return distance, way / length * (1.0 if distance >= 0 else -1.0)
+    return probe.separation(probe.names.index(first), probe.names.index(second))
 
 
 def losses(spec: ObjectSpec, joint: JointSpec) -> tuple[float, float]:
-    """Return damping and dry friction for a joint from what it carries, as for programs without."""
-    child = inertial(spec, spec.part(joint.child))
-    mass = child.mass
-    if joint.type == "prismatic":
-        return mass / SETTLING_S, SLIDING_FRICTION * mass * 9.81
-    axis = np.array(joint.axis)
-    arm = np.array(child.pos) - np.array(joint.pos)
-    arm = arm - (arm @ axis) * axis
-    own = rotate(np.array(child.quat) * [1, -1, -1, -1], axis) ** 2 @ np.array(child.diagonal)
-    inertia = float(own) + mass * float(arm @ arm)
-    friction = TURNING_FRICTION * mass * 9.81 * float(np.sqrt(max(inertia / mass, 0.0)))
-    return inertia / SETTLING_S, friction
+    """Return the damping and dry friction that a program's joint gets by default."""
+    return default_losses(joint, inertial(spec, spec.part(joint.child)))
 
 
 def vec(values: np.ndarray) -> Vec3:

@@ -1,7 +1,8 @@
-"""What is done to an object: falls, pushes, releases, drives and a slope, as numbers.
+"""Scenarios of an object: falls, pushes, releases, drives and a slope.
 
-A scenario says how the object starts and which forces act on it when; `Simulation.run` runs all scenarios of an
-object in one batch. The paper's two standard scenarios (Section 3.2, Step 3) are presets by name.
+A scenario says how the object starts and which forces act on it when; `Simulation.run` runs all
+scenarios of an object in one batch. The paper's two standard scenarios (Section 3.2, Step 3) are
+presets by name.
 """
 
 from dataclasses import dataclass, field
@@ -14,8 +15,8 @@ from ..config import VerifyOptions
 from .verdict import ScenarioKind
 
 World = Literal["free", "gripping", "held", "weightless"]
-"""Free on the floor; the same with contacts that do not creep; its base held fast, without floor; held,
-and without gravity too."""
+"""Free on the floor; the same with contacts that do not creep; its base held fast, without floor;
+held, and without gravity too."""
 SINGLE = ("revolute", "continuous", "prismatic")
 """Types of joints with one value; what has three is posed and pushed, but not driven."""
 STILL_S = 0.1

@@ -1,8 +1,8 @@
-"""The ground of the trial: one model for all scenarios of an object, rolled out as one batch.
+"""Simulate an object: one model for all of its scenarios, rolled out as one batch.
 
-The models of a batch differ in numbers alone, so the same object can be free, held or weightless: it is
-held by a base as heavy as a mountain. The floor itself has no friction; as MuJoCo takes the larger of
-two, what then holds is the object's own.
+The models of a batch differ in numbers alone, so the same object can be free, held or weightless: a
+large armature holds its base. The floor itself has no friction; as MuJoCo takes the larger of two
+frictions, the object's own acts.
 """
 
 import contextlib
@@ -25,7 +25,7 @@ from ..spec.pose import IDENTITY, from_axis_angle, quat_mul
 from .scenarios import SINGLE, STILL_S, Moving, Scenario, World, slope_at
 
 FLOOR = "floor_of_the_trial"
-MOUNTAIN = 1e6
+HOLDING_MASS = 1e6
 """How many times heavier than the object the base is that holds it."""
 CONTROL_BYTES = 64 << 20
 """Most memory for the forces of a batch; more scenarios than that are rolled out in turns."""
@@ -36,7 +36,7 @@ _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 
 @dataclass
 class Trajectory:
-    """What happened in one run; times in steps."""
+    """What an object did in one scenario."""
 
     scenario: Scenario
     time: NDArray
@@ -52,7 +52,7 @@ class Trajectory:
 
 
 class Simulation:
-    """An object on trial.
+    """An object compiled for simulation, free, held and weightless.
 
     Args:
         spec: the object.
@@ -91,7 +91,7 @@ class Simulation:
         self.size = high - low
         held = copy.copy(free)
         held.geom_contype[self.floor] = held.geom_conaffinity[self.floor] = 0
-        heavy = np.repeat([1.0, float(self.size @ self.size)], 3) * self.mass * MOUNTAIN
+        heavy = np.repeat([1.0, float(self.size @ self.size)], 3) * self.mass * HOLDING_MASS
         held.dof_armature[:6] = heavy
         mujoco.mj_setConst(held, mujoco.MjData(held))
         # At MuJoCo's own a lever of a few grams beside such a base is not solved, and trembles.
@@ -124,7 +124,7 @@ class Simulation:
         return self.models["free"]
 
     def model_of(self, scenario: Scenario) -> mujoco.MjModel:
-        """Return the model of a run: its world, with what is propped as hard to move as a mountain."""
+        """Return the model of a scenario: its world, propped joints held by large armatures."""
         if not scenario.propped:
             return self.models[scenario.world]
         key = (scenario.world, scenario.propped)
@@ -136,7 +136,7 @@ class Simulation:
             mujoco.mj_fullM(model, data, full)
             for joint in scenario.propped:
                 _, dof = self.address(joint)
-                model.dof_armature[dof] += MOUNTAIN * full[dof, dof]
+                model.dof_armature[dof] += HOLDING_MASS * full[dof, dof]
             mujoco.mj_setConst(model, mujoco.MjData(model))
             self._propped[key] = model
         return self._propped[key]

@@ -1,4 +1,4 @@
-"""What can be said of an object's mass, inertia and colliders without moving it."""
+"""Check an object's mass, inertia and colliders without moving it."""
 
 from collections.abc import Iterator
 
@@ -13,12 +13,12 @@ from ..spec.pose import Pose
 from .verdict import Check, Fault, Limit, judged
 
 MASS_RATIO = 10.0
-"""How much heavier, and ten times that how much lighter, an authored mass may be than by density."""
+"""Largest factor of an authored mass over that by density; its inverse may be ten times this."""
 DENSEST, LIGHTEST = 22000.0, 0.5
 """Mass over the colliders' volume [kg/m^3]: osmium, and less than any foam."""
 HEAVIEST_KG = 2000.0
 GYRATION = 30.0
-"""How many times smaller than by volume an authored inertia may be; a third of it, how much larger."""
+"""Largest factor of the inertia by volume over an authored one; its inverse may be a third."""
 COVER_SAMPLES = 240
 MISSING_SHARE = 0.2
 """Share of what is seen of a part that may be without a collider."""
@@ -27,7 +27,7 @@ PROUD_SHARE = 0.04
 
 
 def helper(part: PartSpec) -> bool:
-    """Tell whether a part is a bead that stands for a link without geometry.
+    """Tell whether a part is a stand-in for a link without geometry.
 
     It touches nothing, and its mass and inertia are those of a body whose extent nobody stated.
     """

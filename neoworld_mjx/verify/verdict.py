@@ -1,4 +1,4 @@
-"""What the battery says: checks with numbers, a closed list of faults, one verdict an object."""
+"""Checks with numbers, the closed list of faults, and the verdict on an object."""
 
 from enum import StrEnum
 from typing import Literal
@@ -52,8 +52,8 @@ class Fault(StrEnum):
 
 
 DOUBT = 0.8
-"""A number that passes is doubtful when it has used up this share of what its threshold allows: another
-time step or processor, or a little more load, moves such numbers by a fifth."""
+"""A value that passes is doubtful when it has used up this share of what its threshold allows:
+another time step or processor, or a little more load, moves such values by a fifth."""
 RANK = {fault: place for place, fault in enumerate(Fault)}
 """The order in which one fault explains another: the first is told as the cause."""
 
@@ -151,7 +151,7 @@ class Verdict(Spec):
 
     @property
     def score(self) -> float:
-        """The fault score: 0 is sound; each failed check counts 1 and how far it is beyond."""
+        """The fault score: 0 is valid; each failed check counts 1 and how far it is beyond."""
         bad = [check for check in self.checks if check.outcome in ("FAIL", "TOOL_FAILURE")]
         return sum(1.0 + 0.1 * check.margin for check in bad)
 
@@ -174,7 +174,7 @@ class Limit(BaseModel):
     """What there is nothing to say against; by default 0, or twice what must be reached."""
 
     def doubts(self, value: float) -> bool:
-        """Tell whether a number that passes has used up most of what lies between best and threshold."""
+        """Tell whether a passing value has used up most of what lies between best and threshold."""
         best = self.best if self.best is not None else 2 * self.threshold * self.least
         room = self.threshold - best
         return bool(room) and (value - best) / room >= DOUBT

@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 
 
 class VerificationResult(BaseModel):
-    """What Step 3 came to."""
+    """Result of Step 3 for one object."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -61,7 +61,7 @@ def verify_and_repair(
     models: Panel | None = None,
     keep: bool = True,
 ) -> VerificationResult:
-    """Try an object, and mend what numbers tell how to mend, in at most `options.rounds` rounds.
+    """Verify an object, and repair it by numbers in at most `options.rounds` rounds.
 
     Args:
         spec: the object.
@@ -69,7 +69,7 @@ def verify_and_repair(
         fixed_base: whether its base stays fastened.
         tilt: how it rests.
         allowed: overlaps that its program asks for.
-        models: critic and reasoner, who look at what numbers did not mend or only just passed; None
+        models: critic and reasoner, who look at what failed or only just passed; None
             asks nobody.
         keep: whether an earlier result for the same content may stand for this one, and is kept.
     """

@@ -1,4 +1,4 @@
-"""The stubs that programs are checked against are those of the SDK, and the sandbox exposes no more."""
+"""The stubs that programs are checked against are the SDK's, and the sandbox exposes no more."""
 
 import ast
 

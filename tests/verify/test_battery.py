@@ -231,7 +231,7 @@ def test_an_impossible_inertia_is_told_and_the_rest_is_tried_without_it():
 
 
 def tap():
-    """A tap whose handle turns about two axes, as files from elsewhere have it: a bead in between."""
+    """A tap whose handle turns about two axes by way of a link without geometry."""
     bead = Material(name="helper", density=400)
     spec = chest()
     block = geom("block", (0.1, 0.1, 0.1), (0, 0, 0.05))

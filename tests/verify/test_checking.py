@@ -1,4 +1,4 @@
-"""`neoworld check` on files from elsewhere: verdicts for whole ones, one clear message for broken ones."""
+"""`neoworld check` on files from elsewhere: verdicts, and one clear message for broken files."""
 
 import json
 

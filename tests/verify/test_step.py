@@ -76,7 +76,7 @@ def tilted(degrees):
 
 
 def stepped(tmp_path, spec, allowances=(), **more):
-    """Do step verify for one object on a table or in a cup; return its verify.json and fallbacks."""
+    """Do step verify for one object on a support; return its verify.json and fallbacks."""
     table, cup = objects.chest(), objects.cupboard()
     things = {
         "table": (node("table", table, environment=True), table),
