@@ -1,7 +1,7 @@
 """Doors, drawers and shelves as furniture has them, with the clearances that let them move."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, no_type_check
 
 from . import validate
 from .shape_functions import box, hollow_box
@@ -22,6 +22,7 @@ TRAVEL = 0.75
 """Of a drawer, over its depth."""
 
 
+@no_type_check
 def add_door(
     owner: Any,
     name: str,
@@ -69,6 +70,7 @@ def add_door(
     return part
 
 
+@no_type_check
 def add_drawer(
     owner: Any,
     name: str,
@@ -125,6 +127,7 @@ def add_drawer(
     return part
 
 
+@no_type_check
 def add_shelf(
     parent: Any,
     *,

@@ -66,6 +66,7 @@ class Shape:
         return Shape(self._spec, placed(self, at, rpy, by, "moved"))
 
 
+@no_type_check
 def placed(shape: Shape, at: Sequence[float], rpy: Sequence[float], by: str, what: str) -> Pose:
     """Return the pose of a shape's description when its origin, or its point `by`, goes to `at`."""
     where = np.array(validate.vector(at, f"{what}: at"))

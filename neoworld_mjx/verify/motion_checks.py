@@ -101,7 +101,7 @@ def falls(simulation: Simulation, trajectories: list[Trajectory]) -> list[Check]
             found.append(skipped("free_fall", name, "it is round below: a tilt rolls it"))
         else:
             limit = Limit(threshold=o.max_tilt_deg, unit="deg", fault=Fault.TOPPLES)
-            lean = np.degrees(tilt_between(simulation.tilt, trajectory.qpos[-1, 3:7]))
+            lean = np.degrees(tilt_between(simulation.tilt, trajectory.qpos[-1:, 3:7])[0])
             found.append(judged("free_fall", name, float(lean), limit, evidence=_shown(trajectory)))
     return found
 
