@@ -164,7 +164,7 @@ class RewardOptions(Options):
 class RolloutOptions(Options):
     """Free-fall rollouts of candidate layouts."""
 
-    engine: EngineChoice = static(_PROGRAM, "auto", ENGINES_HELP)
+    engine: EngineChoice = static(_PROGRAM, "auto", f"{ENGINES_HELP}.")
     duration_s: float = static(
         "all candidates of a rollout share it",
         1.0,
