@@ -235,7 +235,7 @@ def refine_layout(context: StepContext) -> None:
         (out / RESULT).write_text(json.dumps(summary, indent=1) + "\n")
         run.record("refine", seconds=refined.seconds)
         for note in refined.fallbacks:
-            run.fallback("refine", "a scene that does not pass", note)
+            run.fallback("refine", "a refinement without it", note)
 
 
 def export_files(context: StepContext) -> None:

@@ -237,7 +237,7 @@ def _place(
     if filled:
         fill = lambda x: np.resize(np.asarray(x), (most, *x.shape[1:]))
         layouts = [jax.tree.map(fill, z) for z in layouts]
-    rows = [(z, r.problem.objective) for r, z in zip(live, layouts, strict=True)]
+    rows = [(z, r.problem.objective.bounded) for r, z in zip(live, layouts, strict=True)]
     placements = jax.block_until_ready(map_runs(place, scene, rows, tile))
     if filled:
         cut = lambda x: jnp.asarray(np.asarray(x)[:pop])

@@ -1,5 +1,6 @@
 """The objective of Step 5: the reward of its terms, and what makes a candidate valid."""
 
+import dataclasses
 import importlib
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -80,6 +81,12 @@ class Objective(eqx.Module):
     """Stability bound of its rotation [rad]."""
     normalisation: str = eqx.field(static=True)
     """`fixed` or `iteration`; see `contribution`."""
+
+    @property
+    def bounded(self) -> "Objective":
+        """The same with only the terms that have a bound; all that `place` needs."""
+        bounded = tuple(term for term in self.terms if term.bound is not None)
+        return dataclasses.replace(self, terms=bounded)
 
     @property
     def unbounded(self) -> tuple[str, ...]:
@@ -239,7 +246,7 @@ class Scores(eqx.Module):
 
 @eqx.filter_jit
 def place(scene: SceneModel, layouts: Layout, objective: Objective) -> Placement:
-    """Place candidates, and evaluate the terms that need no physics."""
+    """Place candidates, and evaluate the terms that need no physics and the bounds of the others."""
     poses = scene.place(layouts)
     depth = pair_depths(scene, poses)
     still = measured_rollout(unmoved(scene, poses), depth)

@@ -1,0 +1,198 @@
+"""Reward terms and optimizers of a user's own, and drift of joints."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from neoworld_mjx.bench.scenes import crowded
+from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.errors import ConfigError
+from neoworld_mjx.physics.engine import RolloutStatus, unmoved
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.physics.native import NativeEngine
+from neoworld_mjx.refinement import OPTIMIZERS, Term, refine
+from neoworld_mjx.refinement.rewards import d_drift
+from neoworld_mjx.spec import Box, GeomSpec, JointSpec, ObjectSpec, PartSpec
+from tests.support import scenes
+
+SMALL = {
+    "cem": {"population": 12, "first": 0, "iterations": 2, "elite_ratio": 0.25},
+    "descent": {"warm_steps": 0, "project": "never"},
+    "rollout": {"duration_s": 0.0},
+    "check_duration_s": 0.05,
+    "finalists": 1,
+}
+
+
+def options(**change):
+    return RefineOptions.model_validate(SMALL | change)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return compile_scene(crowded(2), samples=16)
+
+
+def right(scene, layouts, rollout):
+    """Return how far the objects were moved to the right, in units of 10 cm."""
+    return jnp.mean(layouts.xy[..., 0], axis=1) / 0.1
+
+
+@pytest.mark.parametrize("name", OPTIMIZERS)
+def test_one_loop_runs_every_optimizer(scene, name):
+    if name == "cma_es":
+        pytest.importorskip("evosax", reason="CMA-ES needs the extra baselines")
+    term = Term("right", right, 200.0)
+    refined = refine(scene, options(optimizer=name), seed=3, terms=[term])
+    history = refined.history
+    assert history["right"].shape == history["reward"].shape == (2, 12)
+    assert list(history["term_names"]) == ["s_sem", "prior", "d_pen", "d_drift", "right"]
+    assert history["term_weights"][-1] == 200.0
+    static = ~np.asarray(scene.optimised)
+    assert not history["xy"][:, :, static].any()
+    gained = history["right"][1].mean() - history["right"][0].mean()
+    assert (gained > 0) == (name != "random")
+    assert "the reward term right has no bound" in refined.fallbacks[0]
+    assert repr(refined).count("\n") == 3
+
+
+class Still(eqx.Module):
+    """An optimizer that proposes its start again and again."""
+
+    def init(self, mean):
+        return mean
+
+    def ask(self, key, state, population):
+        return jax.tree.map(lambda leaf: jnp.repeat(leaf, population, axis=0), state)
+
+    def tell(self, state, layouts, reward, **_):
+        return state
+
+
+def test_an_optimizer_of_ones_own(scene):
+    assert not refine(scene, options(), optimizer=Still()).history["xy"].any()
+    with pytest.raises(ConfigError, match=r"refine\.optimizer: cannot import 'cmaes'.*cma_es"):
+        refine(scene, options(optimizer="cmaes"))
+
+
+def test_a_term_with_a_bound_is_pruned(scene):
+    term = Term("left", lambda s, z, r: -right(s, z, r), 1.0, bound="exact")
+    cem = SMALL["cem"] | {"population": 48, "iterations": 1, "elite_ratio": 0.03, "batch": 4}
+    every = refine(scene, options(cem=cem | {"prune": False}), terms=[term])
+    pruned = refine(scene, options(cem=cem), terms=[term])
+    assert pruned.pruned > 0 == every.pruned
+    assert pruned.fallbacks == every.fallbacks
+    assert pruned.history["reward"].max() == every.history["reward"].max()
+
+
+def scalar(scene, layouts, rollout):
+    return jnp.mean(layouts.yaw)
+
+
+def by_object(scene, layouts, rollout):
+    return layouts.yaw
+
+
+def raising(scene, layouts, rollout):
+    raise KeyError("cup")
+
+
+def two_arguments(scene, layouts):
+    return layouts.yaw[:, 0]
+
+
+def infinite(scene, layouts, rollout):
+    return jnp.log(jnp.zeros(layouts.yaw.shape[0]))
+
+
+@pytest.mark.parametrize(
+    ("fn", "message"),
+    [
+        (scalar, r"got a scalar"),
+        (by_object, r"must return shape \[pop\].*got \[8, 3\]"),
+        (raising, "KeyError: 'cup'"),
+        (two_arguments, "TypeError.*takes 2 positional arguments but 3"),
+        (infinite, "returned -inf for 8 of 8 candidates"),
+        (lambda *_: None, "must return an array of shape .*got None"),
+        (3.0, "is not a function of"),
+    ],
+)
+def test_a_term_is_tried_before_the_search(scene, fn, message):
+    with pytest.raises(ConfigError, match=message) as error:
+        refine(scene, options(), terms=[Term("own", fn, 1.0)])
+    where = "no source file" if fn == 3.0 else r"test_terms\.py:\d+"
+    assert error.match(rf"reward term own \(.*{where}\)")
+
+
+def test_a_name_that_is_taken_is_refused(scene):
+    with pytest.raises(ConfigError, match="reward term d_pen: the name is taken"):
+        refine(scene, options(), terms=[Term("d_pen", right, 1.0)])
+
+
+def test_a_candidate_that_a_term_makes_nan_has_failed(scene):
+    def sometimes(scene, layouts, rollout):
+        shift = jnp.sum(layouts.xy, axis=(1, 2))
+        return jnp.where(shift > 0.0, jnp.nan, shift)
+
+    refined = refine(scene, options(), terms=[Term("sometimes", sometimes, 1.0)])
+    history = refined.history
+    bad = np.isnan(history["sometimes"])
+    assert 0 < bad.sum() < bad.size
+    assert np.all(history["status"][bad] == RolloutStatus.FAILED)
+    assert np.all(history["reward"][bad] == -np.inf)
+    assert not bad[refined.winner]
+
+
+def test_a_scene_may_be_a_path_and_nothing_else(scene, tmp_path):
+    (tmp_path / "scene.json").write_text(scene.spec.to_json())
+    o = options(rollout={"duration_s": 0.0, "samples_per_object": 16})
+    by_path = refine(str(tmp_path), o, engine="native")
+    assert by_path.history["reward"].shape == (2, 12)
+    with pytest.raises(TypeError, match="refine takes a SceneSpec, a SceneModel, or the path"):
+        refine(3)
+
+
+def gate(tilt):
+    """A post on the ground whose leaf hangs on a hinge without friction, the axis tilted [rad]."""
+    post = GeomSpec(
+        name="post", shape=Box(size=(0.04, 0.04, 0.3)), pos=(0, 0, 0.15), material="wood"
+    )
+    leaf = GeomSpec(
+        name="leaf", shape=Box(size=(0.2, 0.01, 0.2)), pos=(0.13, 0, 0.17), material="wood"
+    )
+    hinge = JointSpec(
+        name="hinge",
+        type="revolute",
+        parent="post",
+        child="leaf",
+        pos=(0.025, 0, 0.15),
+        axis=(0.0, np.sin(tilt), np.cos(tilt)),
+        lower=-1.5,
+        upper=1.5,
+    )
+    parts = (PartSpec(name="post", geoms=(post,)), PartSpec(name="leaf", geoms=(leaf,)))
+    spec = ObjectSpec(name="gate", materials=(scenes.WOOD,), parts=parts, joints=(hinge,))
+    return scenes.on_table((spec, (0, 0), 0.0, {"fixed_base": True}))
+
+
+def test_a_door_that_swings_open_by_itself_has_drifted():
+    scene = compile_scene(gate(0.0), samples=16)
+    zero = Layout.zero(2, 2)
+    still = unmoved(scene, scene.place(zero))
+    assert np.all(np.asarray(d_drift(scene, zero, still)) == 0.0)
+    shift = still.joint_shift.at[1, 0, 0].set(np.radians(10.0))
+    swung = eqx.tree_at(lambda r: r.joint_shift, still, shift)
+    assert d_drift(scene, zero, swung) == pytest.approx([0.0, 2.0], rel=1e-5)
+
+
+@pytest.mark.parametrize(("tilt", "drifts"), [(0.0, False), (0.5, True)])
+def test_only_a_tilted_hinge_without_friction_drifts(tilt, drifts):
+    scene = compile_scene(gate(tilt), samples=16)
+    zero = Layout.zero(1, 2)
+    rollout = NativeEngine().rollout(scene, scene.place(zero), duration=0.3)
+    shift = float(np.max(np.asarray(rollout.joint_shift)))
+    assert (shift > np.radians(5.0)) == drifts
+    assert (float(d_drift(scene, zero, rollout)[0]) > 1.0) == drifts
