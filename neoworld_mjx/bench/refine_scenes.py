@@ -236,7 +236,7 @@ def photographed(name: str, *, seed: int = 0) -> SceneSpec:
 def _seen(scene: SceneSpec, rng: np.random.Generator) -> list[SceneObject]:
     camera = scene.camera
     assert camera is not None
-    poses, found = world_poses(scene), []
+    poses, objects = world_poses(scene), []
     for item in scene.objects:
         points = [at.apply(shape.surface()[0]) for shape, at in posed_shapes(item)]
         px, depth = camera.project(poses[item.name].apply(np.vstack(points)))
@@ -248,8 +248,8 @@ def _seen(scene: SceneSpec, rng: np.random.Generator) -> list[SceneObject]:
         box += np.concatenate([-narrow, narrow])
         far = float(depth.mean()) * (1 + DEPTH_NOISE * rng.normal())
         edges = dict(zip(("x0", "y0", "x1", "y1"), map(float, box), strict=True))
-        found.append(item.model_copy(update={"box2d": Box2D(**edges), "depth": far}))
-    return found
+        objects.append(item.model_copy(update={"box2d": Box2D(**edges), "depth": far}))
+    return objects
 
 
 def start(scene: SceneModel, seed: int) -> Layout:

@@ -114,17 +114,17 @@ def choose(
             break
         layouts, poses, _ = rounds[t]
         scene = snap_exactly(model.apply(layouts, k, poses))
-        found = measured(scene, o)
-        chosen = Chosen((t, k), scene, found, tried, passes(found, o))
+        measure = measured(scene, o)
+        chosen = Chosen((t, k), scene, measure, tried, passes(measure, o))
         if chosen.passed:
             return chosen
-        if fallback is None or _badness(found, o) < _badness(fallback.measure, o):
+        if fallback is None or _badness(measure, o) < _badness(fallback.measure, o):
             fallback = chosen
     if fallback is None:
         # Every candidate failed in physics: the start is all there is.
         scene = snap_exactly(model.spec if start is None else model.apply(start, 0))
-        found = measured(scene, o)
-        return Chosen((-1, -1), scene, found, o.finalists, passes(found, o))
+        measure = measured(scene, o)
+        return Chosen((-1, -1), scene, measure, o.finalists, passes(measure, o))
     return Chosen(
         fallback.index, fallback.scene, fallback.measure, min(o.finalists, len(order)), False
     )

@@ -1,4 +1,4 @@
-"""Asking a model about candidates while physics runs.
+"""Workers that request scores of candidates from a model while physics runs.
 
 Each worker takes the most urgent candidate, draws it, asks, and books the answer under the candidate's
 identity, which it has held all the time: in whatever order answers come, none can go to another
@@ -47,7 +47,7 @@ def drawer(options: SemanticOptions) -> Draw:
 
 
 class ScoreWorkers:
-    """The scores of a running model.
+    """Requests scores from a model, by a pool of worker threads.
 
     Args:
         panel: who is asked, as critic.
@@ -200,9 +200,9 @@ class ScoreWorkers:
                 return
             self._pictures[key] = []
         request = score_request(self._photo, Picture.of("candidate", rgb), job.scene)
-        told = {"picture": key[:16], "drawn_s": round(took, 4), "asked": _now()}
-        told |= self._answer(request)
-        self._book(key, job.score(**told, answered=_now()))
+        outcome = {"picture": key[:16], "drawn_s": round(took, 4), "asked": _now()}
+        outcome |= self._answer(request)
+        self._book(key, job.score(**outcome, answered=_now()))
 
     def _answer(self, request: Request[Judgement]) -> dict[str, Any]:
         """Ask, and return what a Score says of the answer."""
@@ -233,11 +233,11 @@ class ScoreWorkers:
             cost = 0.0
         else:
             cost = None if self._price is None else round(self._price.cost(answer.usage), 6)
-        said = answer.value
+        judgement = answer.value
         return {
-            "value": said.value,
-            "levels": said.levels,
-            "reasons": said.reasons,
+            "value": judgement.value,
+            "levels": judgement.levels,
+            "reasons": judgement.reasons,
             "model": answer.model,
             "cost_usd": cost,
         }

@@ -1,4 +1,4 @@
-"""S_sem by a model that looks: scores of the best candidates, which come while physics runs.
+"""S_sem by a model: scores of the best candidates, which arrive while physics runs.
 
     with SemanticScorer(model, photo, panel, options, log=path) as scorer:
         scorer.submit(t, scorer.best(reward), layouts, poses)     # returns at once
@@ -186,10 +186,10 @@ class SemanticScorer:
         values = base
         if scored:
             rows = [self._numbers(self._jobs[key].layouts) for key in scored]
-            told = [self._geometric[key] for key in scored]
-            said = [self._known[key].value for key in scored]
+            base_scores = np.array([self._geometric[key] for key in scored])
+            model_scores = np.array([self._known[key].value for key in scored])
             values = surrogate_scores(
-                self._numbers(layouts), base, np.concatenate(rows), np.array(told), np.array(said)
+                self._numbers(layouts), base, np.concatenate(rows), base_scores, model_scores
             )
         for key in scored:
             if key[0] == iteration:

@@ -153,11 +153,11 @@ def semantic_score(
     size = jnp.sqrt(jnp.prod(boxes[..., 2:] - boxes[..., :2], axis=-1) + 1e-9)
 
     # Depth ordering: the parsed difference of depth must keep its sign, and near ties may be either.
-    told = v.depth[first] - v.depth[second]
-    seen = depth[:, first] - depth[:, second]
+    parsed = v.depth[first] - v.depth[second]
+    own = depth[:, first] - depth[:, second]
     slack = 0.02 * (v.depth[first] + v.depth[second]) / 2
-    order = 0.5 + 0.5 * (np.sign(told) * seen + slack) / slack
-    order = jnp.where(np.abs(told) < slack, 1.0, order)
+    order = 0.5 + 0.5 * (np.sign(parsed) * own + slack) / slack
+    order = jnp.where(np.abs(parsed) < slack, 1.0, order)
 
     # Relative size: log ratio of projected sizes; where one is partly hidden, of depths and scales.
     full = v.whole[first] & v.whole[second]
@@ -168,18 +168,18 @@ def semantic_score(
 
     # Relative orientation: direction from one object to the other in the picture. Objects drawn
     # almost concentrically have no direction; their offset is compared with their size instead.
-    told_way = v.centre[second] - v.centre[first]
-    seen_way = centre[:, second] - centre[:, first]
+    parsed_way = v.centre[second] - v.centre[first]
+    own_way = centre[:, second] - centre[:, first]
     reach = np.maximum(
-        np.linalg.norm(told_way, axis=-1), 0.5 * np.maximum(v.size[first], v.size[second])
+        np.linalg.norm(parsed_way, axis=-1), 0.5 * np.maximum(v.size[first], v.size[second])
     )
-    off = jnp.linalg.norm(seen_way - told_way, axis=-1) / reach
+    off = jnp.linalg.norm(own_way - parsed_way, axis=-1) / reach
     turn = 1.0 - 2.0 * jnp.arcsin(jnp.minimum(off / 2, 1.0)) / TURN_TOLERANCE
 
     hidden = jnp.maximum(depths[:, first, second], depths[:, second, first])
     apart = 1.0 - hidden / SEEN_DEPTH
 
-    # Half of orientation is told by pairs and half by boxes.
+    # Pairs decide half of orientation, boxes the other half.
     pairs = (_steps(order) + _steps(relative) + _steps(turn) / 2 + _steps(apart)) / 4
     member = np.zeros((len(first), count))
     member[np.arange(len(first)), first] = member[np.arange(len(first)), second] = 1.0

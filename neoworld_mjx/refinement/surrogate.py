@@ -1,9 +1,9 @@
-"""Estimates for candidates that no model has scored, from those that one has.
+"""Surrogate of the model's score for candidates that it has not scored.
 
-What is estimated is by how much the model's score departs from the geometric one: a mean departure, and
-where the scored candidates show that it can be told from the layout, a ridge regression on the
-layout's standardised numbers, their squares, and the geometric score. Without evidence the departure
-is zero, so that few scores leave the geometric score as it is.
+It predicts the difference between the model's score and the geometric one: its mean and, where the
+scored candidates show that the layout predicts it, a ridge regression on the layout's standardised
+numbers, their squares, and the geometric score. Without evidence the difference is zero, so that a
+handful of scores leaves the geometric score as it is.
 """
 
 import numpy as np
@@ -40,13 +40,13 @@ def surrogate_scores(
     geometric = np.asarray(geometric, float)
     if not count:
         return np.clip(geometric, 0.0, 1.0)
-    departure = np.asarray(scores, float) - scored_geometric
+    difference = np.asarray(scores, float) - scored_geometric
     # As if one more candidate had been scored just as geometry scores it.
-    mean = departure.sum() / (count + 1)
-    known, asked = _features(scored_layouts, scored_geometric), _features(layouts, geometric)
+    mean = difference.sum() / (count + 1)
+    known, wanted = _features(scored_layouts, scored_geometric), _features(layouts, geometric)
     centre = known.mean(axis=0)
-    told = _regressed(known - centre, departure - mean, asked - centre)
-    return np.clip(geometric + mean + told, 0.0, 1.0)
+    predicted = _regressed(known - centre, difference - mean, wanted - centre)
+    return np.clip(geometric + mean + predicted, 0.0, 1.0)
 
 
 def _features(layouts: NDArray, geometric: NDArray) -> NDArray:
@@ -55,10 +55,10 @@ def _features(layouts: NDArray, geometric: NDArray) -> NDArray:
     return np.concatenate([z, z**2 - 1.0, 5.0 * np.asarray(geometric, float)[:, None]], axis=1)
 
 
-def _regressed(known: NDArray, rest: NDArray, asked: NDArray) -> NDArray:
-    """Predict `rest` at `asked` by ridge regression, shrunk by what it saves on candidates left out."""
+def _regressed(known: NDArray, rest: NDArray, wanted: NDArray) -> NDArray:
+    """Predict `rest` at `wanted` by ridge regression, shrunk by what it saves on candidates left out."""
     count = len(rest)
-    nothing = np.zeros(len(asked))
+    nothing = np.zeros(len(wanted))
     if count < FEWEST or not np.any(rest):
         return nothing
     # Principal axes, by the smaller of the two Gram matrices.
@@ -68,16 +68,16 @@ def _regressed(known: NDArray, rest: NDArray, asked: NDArray) -> NDArray:
     square, turn = square[kept], turn[:, kept]
     axes = known.T @ turn / np.sqrt(square) if wide else turn
     along = known @ axes
-    seen = along.T @ rest
+    projected = along.T @ rest
     base = float(np.mean(rest**2))
     best, slopes = base, None
     for penalty in LAMBDAS:
         weight = 1.0 / (square + penalty)
         # The residual of a candidate that is left out follows from the hat matrix's diagonal.
-        out = (rest - along @ (weight * seen)) / (1.0 - (along**2) @ weight)
+        out = (rest - along @ (weight * projected)) / (1.0 - (along**2) @ weight)
         error = float(np.mean(out**2))
         if error < best:
-            best, slopes = error, axes @ (weight * seen)
+            best, slopes = error, axes @ (weight * projected)
     if slopes is None:
         return nothing
-    return (1.0 - best / base) * (asked @ slopes)
+    return (1.0 - best / base) * (wanted @ slopes)

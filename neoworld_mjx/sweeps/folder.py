@@ -1,4 +1,4 @@
-"""The folder of a sweep: results.parquet, table.md and sweep.json, written whole after every group."""
+"""The folder of a sweep: results.parquet, table.md and sweep.json, rewritten after every group."""
 
 import json
 from collections.abc import Sequence
@@ -76,15 +76,15 @@ class SweepFolder:
         Raises:
             RunError: there are rows that are not asked for, which would be lost.
         """
-        found = {key(row): row for row in self.rows}
-        lost = [at for at in found if at not in wanted]
+        held = {key(row): row for row in self.rows}
+        lost = [at for at in held if at not in wanted]
         if lost:
             scene, point, seed = lost[0]
             raise RunError(
                 f"{self.path} has {len(lost)} rows that are not asked for now, such as scene {scene}, "
                 f"point {point}, seed {seed}: use --overwrite, or name a new folder"
             )
-        return {at: row for at, row in found.items() if row["fingerprint"] == wanted[at]}
+        return {at: row for at, row in held.items() if row["fingerprint"] == wanted[at]}
 
     def write(self, rows: Sequence[Row], values: Sequence[str], table: str) -> None:
         """Write all rows so far and their table.

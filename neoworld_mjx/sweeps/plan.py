@@ -101,7 +101,7 @@ def points(plan: Plan | Ablation) -> list[Point]:
     base = shared.model_dump(mode="json")
     if isinstance(plan, Plan):
         return _grid(plan.axes, base)
-    found = [Point(BASE, {"variant": BASE}, shared.refine)]
+    variants = [Point(BASE, {"variant": BASE}, shared.refine)]
     for name, values in plan.variants.items():
         if name == BASE:
             raise ConfigError(f"variants: {BASE!r} is the name of the options without changes")
@@ -110,10 +110,10 @@ def points(plan: Plan | Ablation) -> list[Point]:
         options = _changed(base, values, f"variants: {name}")
         if options == shared.refine:
             raise ConfigError(f"variants: {name!r} sets options to what the base has already")
-        found.append(Point(name, {"variant": name}, options))
-    if len(found) == 1:
+        variants.append(Point(name, {"variant": name}, options))
+    if len(variants) == 1:
         raise ConfigError("variants: name at least one, with the options that it changes")
-    return found
+    return variants
 
 
 def _grid(axes: dict[str, list[Any]], base: dict[str, Any]) -> list[Point]:
@@ -122,7 +122,7 @@ def _grid(axes: dict[str, list[Any]], base: dict[str, Any]) -> list[Point]:
             raise ConfigError(f"axes: {path} has no values")
         for value in values:
             _changed(base, {path: value}, "axes")
-    found: dict[str, Point] = {}
+    grid: dict[str, Point] = {}
     for combination in itertools.product(*axes.values()):
         options = _changed(base, dict(zip(axes, combination, strict=True)), "axes")
         # The values as the options have them: 1 and 1.0 are one point.
@@ -131,10 +131,10 @@ def _grid(axes: dict[str, list[Any]], base: dict[str, Any]) -> list[Point]:
         label = ", ".join(
             f"{path.removeprefix(ROOT + '.')} {_shown(values[path])}" for path in axes
         )
-        if label in found:
+        if label in grid:
             raise ConfigError(f"axes: the point {label} comes twice")
-        found[label] = Point(label or BASE, values, options)
-    return list(found.values())
+        grid[label] = Point(label or BASE, values, options)
+    return list(grid.values())
 
 
 def _changed(base: dict[str, Any], values: Mapping[str, Any], where: str) -> RefineOptions:
@@ -181,10 +181,10 @@ def _check_path(path: str, where: str) -> None:
 
 
 def _at(tree: dict[str, Any], path: str) -> Any:
-    found: Any = tree
+    value: Any = tree
     for name in path.split("."):
-        found = found[name]
-    return found
+        value = value[name]
+    return value
 
 
 def _shown(value: Any) -> str:

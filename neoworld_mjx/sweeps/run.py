@@ -36,7 +36,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Swept:
-    """What a sweep found."""
+    """The result of a sweep or an ablation."""
 
     rows: list[Row]
     """One of each scene, point and seed; columns as in `run_rows.COLUMNS`."""
@@ -139,11 +139,11 @@ def _run(
         about["finished"] = finished
         for name in ("seconds", "compilations"):
             about[name] = sum(group[name] for group in about["groups"])
-        found = _swept(kind, rows, [point.label for point in at], about)
+        swept = _swept(kind, rows, [point.label for point in at], about)
         if folder is not None:
-            folder.write(rows, columns, found.table)
+            folder.write(rows, columns, swept.table)
             folder.write_about(about)
-        return found
+        return swept
 
     for scene in cases:
         models: dict[tuple[float, int], SceneModel] = {}
@@ -225,23 +225,23 @@ def _apart(
         if text not in warm:
             warm.add(text)
             refine(model, run.options, seed=run.seed, start=run.start, engine=engine)
-        found = refine(model, run.options, seed=run.seed, start=run.start, engine=engine)
-        rows.append(row_of_refined(scene, model, found))
+        refined = refine(model, run.options, seed=run.seed, start=run.start, engine=engine)
+        rows.append(row_of_refined(scene, model, refined))
     return rows
 
 
 def _cases(
     plan: Plan | Ablation, given: Sequence[Case | SceneSpec], sources: Mapping[str, Source]
 ) -> list[Case]:
-    found = [case(name, sources) for name in plan.scenes]
-    found += [item if isinstance(item, Case) else Case(item.name, item) for item in given]
-    if not found:
+    cases = [case(name, sources) for name in plan.scenes]
+    cases += [item if isinstance(item, Case) else Case(item.name, item) for item in given]
+    if not cases:
         raise ConfigError("scenes: name at least one, as a scene.json, a run folder or KIND:NAME")
-    names = [item.name for item in found]
+    names = [item.name for item in cases]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ConfigError(f"scenes: {', '.join(twice)} comes twice")
-    return found
+    return cases
 
 
 def _fingerprints(
@@ -258,15 +258,15 @@ def _fingerprints(
         "engine": None if engine is None else engine.name,
         "sigma_xy": groups[0].reach.cem.sigma_xy,
     }
-    found = {}
+    fingerprints = {}
     for scene in cases:
         described = content_hash(scene.scene)
         for point in at:
             options = option_values(point.options)
             for seed in plan.seeds:
                 decides = [shared, scene.name, described, options, seed]
-                found[scene.name, point.label, seed] = content_hash(decides)[:16]
-    return found
+                fingerprints[scene.name, point.label, seed] = content_hash(decides)[:16]
+    return fingerprints
 
 
 def _about(
@@ -305,7 +305,7 @@ def _swept(kind: str, rows: list[Row], labels: list[str], about: dict[str, Any])
     return Swept(rows, summed, against, markdown(kind.capitalize(), summed, against, notes), about)
 
 
-def answer(found: Swept, out: Path) -> dict[str, Any]:
+def answer(swept: Swept, out: Path) -> dict[str, Any]:
     """Return what the command prints."""
     flat = lambda rows: [
         {"point": row["point"], "n": row["n"]}
@@ -320,10 +320,10 @@ def answer(found: Swept, out: Path) -> dict[str, Any]:
     return {
         "folder": str(out),
         "table": str(out / TABLE),
-        "runs": len(found.rows),
-        "seconds": found.about["seconds"],
-        "compilations": found.about["compilations"],
-        "static": found.about["static"],
-        "points": flat(found.points),
-        **({"differences": flat(found.differences)} if found.differences else {}),
+        "runs": len(swept.rows),
+        "seconds": swept.about["seconds"],
+        "compilations": swept.about["compilations"],
+        "static": swept.about["static"],
+        "points": flat(swept.points),
+        **({"differences": flat(swept.differences)} if swept.differences else {}),
     }

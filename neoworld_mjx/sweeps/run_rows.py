@@ -176,10 +176,10 @@ def read_parquet(path: Path) -> list[Row]:
 
 def _kind(values: Sequence[Any]) -> type:
     """Return the one type that holds all values of an axis."""
-    found = {type(plain(value)) for value in values if value is not None}
-    if found == {int, float}:
+    kinds = {type(plain(value)) for value in values if value is not None}
+    if kinds == {int, float}:
         return float
-    return found.pop() if len(found) == 1 else str
+    return kinds.pop() if len(kinds) == 1 else str
 
 
 def _cell(value: Any, kind: type) -> Any:
@@ -197,5 +197,5 @@ Key = tuple[str, str, int]
 
 
 def key(row: Mapping[str, Any]) -> Key:
-    """Return what a row is found by: scene, point and seed."""
+    """Return the key of a row: scene, point and seed."""
     return row["scene"], row["point"], row["seed"]

@@ -53,8 +53,8 @@ def test_one_loop_runs_every_optimizer(scene, name):
     assert history["term_weights"][-1] == 200.0
     static = ~np.asarray(scene.optimised)
     assert not history["xy"][:, :, static].any()
-    gained = history["right"][1].mean() - history["right"][0].mean()
-    assert (gained > 0) == (name != "random")
+    gain = history["right"][1].mean() - history["right"][0].mean()
+    assert gain > 0 or name == "random"
     assert "the reward term right has no bound" in refined.fallbacks[0]
     assert repr(refined).count("\n") == 3
 
