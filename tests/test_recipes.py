@@ -124,3 +124,24 @@ def joint_type_everywhere(tmp_path, kind):
     if kind != "fixed":  # MJCF and URDF readers may merge links that are welded together.
         for reader, file in ((read_mjcf, "object.xml"), (read_urdf, "object.urdf")):
             assert kind in [joint.type for joint in reader(tmp_path / kind / file).joints], file
+
+
+def test_the_architecture_page_names_what_there_is():
+    root = Path(__file__).parents[1]
+    text = (root / "docs" / "architecture.md").read_text(encoding="utf-8")
+    named = re.findall(r"`([\w/]+\.py): (\w+)(?:\.(\w+))?`", text)
+    assert len(named) > 15
+    for file, name, member in named:
+        files = [
+            p
+            for p in (root / "neoworld_mjx").rglob(file.rpartition("/")[2])
+            if p.as_posix().endswith(file)
+        ]
+        assert len(files) == 1, file
+        assert re.search(rf"(def|class) {member or name}\b", files[0].read_text()), (file, name)
+    table = text.partition("## Algorithm 1")[2]
+    for code in re.findall(r"\| `([^`|]+)` \|$|; `([^`|]+)` \|$", table, re.M):
+        line = next(filter(None, code))
+        if "..." not in line:
+            sources = (p.read_text() for p in (root / "neoworld_mjx" / "refinement").glob("*.py"))
+            assert any(line in source for source in sources), line

@@ -1,6 +1,6 @@
 """Algorithm 1 of the paper as data and pure functions: propose, evaluate, update, converged.
 
-`loop.search` calls them for one run or many; docs/architecture-algorithm1.md puts them beside the
+`loop.search` calls them for one run or many; docs/architecture.md puts them beside the
 paper's lines. `evaluate` stands in `objective`.
 """
 
