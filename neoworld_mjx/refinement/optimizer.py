@@ -15,6 +15,7 @@ from .objective import imported
 
 
 @runtime_checkable
+@runtime_checkable
 class Optimizer(Protocol):
     """Proposes layouts and learns from their rewards.
 

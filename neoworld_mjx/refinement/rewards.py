@@ -60,7 +60,8 @@ class Term(eqx.Module):
 
     name: str = eqx.field(static=True)
     """Key of its values in history.npz and in the rows of a sweep."""
-    fn: TermFunction
+    fn: Any
+    """A TermFunction; `try_term` says what is wrong with anything else."""
     weight: Float[Array, ""] = eqx.field(converter=_number)
     """Positive for a reward, negative for a cost."""
     scale: Float[Array, ""] | None = eqx.field(converter=_number_or_none, default=None)

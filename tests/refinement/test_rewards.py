@@ -157,10 +157,10 @@ class TestCompiled:
         scene = two_boxes(0.0)
         zero = Layout.zero(1, 3)
         for call, match in (
-            (lambda: rewards.d_pen("run/scene.json", zero), "SceneModel.*got a str"),
-            (lambda: rewards.s_sem(scene.spec, zero), "SceneModel.*got a SceneSpec"),
-            (lambda: rewards.d_pen(scene, np.zeros(3)), "Layout.*got a ndarray"),
-            (lambda: rewards.d_drift(scene, zero, None), "Rollout.*got None"),
+            (lambda: rewards.d_pen("run/scene.json", zero), "SceneModel"),
+            (lambda: rewards.s_sem(scene.spec, zero), "SceneModel"),
+            (lambda: rewards.d_pen(scene, np.zeros(3)), "Layout"),
+            (lambda: rewards.d_drift(scene, zero, None), "Rollout"),
         ):
             with pytest.raises(TypeError, match=match):
                 call()
