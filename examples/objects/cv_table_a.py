@@ -12,8 +12,8 @@ from neoworld_mjx.program.sdk import (
     tube,
 )
 
-# Desk, given box 0.53 x 1.19 x 0.95 m: a drawer under the top; behind it a slanted back with an open
-# compartment, a sliding door before it, and a lever in two slots; a push button on the top.
+# Desk, given box 0.53 x 1.19 x 0.95 m: a drawer under the top; behind it a slanted back with an
+# open compartment, a sliding door before it, and a lever in two slots; a push button on the top.
 Y, DESK, BACK = 1.19, 0.61, 0.90  # width, height of the top, height of the slanted back
 X0, X1 = -0.235, 0.235  # back and front of the top
 LEG, SLAB = 0.06, 0.05

@@ -3,8 +3,8 @@ import math
 
 from neoworld_mjx.program.sdk import Object, box, cylinder, extrusion, hollow_box, sweep
 
-# Microwave oven, given box 0.375 x 0.52 x 0.29 m: a door with a window, hinged on the viewer's left (-y), its
-# handle beside the control panel; a plate turns inside.
+# Microwave oven, given box 0.375 x 0.52 x 0.29 m: a door with a window, hinged on the viewer's left
+# (-y), its handle beside the control panel; a plate turns inside.
 X, Y, Z = 0.375, 0.52, 0.29
 PULL, FRONT, WALL = 0.042, 0.03, 0.012
 DEPTH = X - PULL - FRONT

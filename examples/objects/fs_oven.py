@@ -3,8 +3,8 @@ import math
 
 from neoworld_mjx.program.sdk import Object, box, cylinder, grid, hollow_box, tube
 
-# Kitchen range, given box 0.74 x 0.557 x 1.335 m: an oven with a flap, a drawer under it, four burners; above
-# it, held to the wall, a box with four knobs and a toggle lever.
+# Kitchen range, given box 0.74 x 0.557 x 1.335 m: an oven with a flap, a drawer under it, four
+# burners; above it, held to the wall, a box with four knobs and a toggle lever.
 Y, TOP, Z = 0.557, 0.90, 1.335
 DEPTH, FRONT, PULL = 0.67, 0.03, 0.04
 LOW, HIGH = 0.22, 0.747  # the flap's lower and upper edge

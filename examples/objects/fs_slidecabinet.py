@@ -3,8 +3,8 @@ import math
 
 from neoworld_mjx.program.sdk import Object, box, cylinder, hollow_box
 
-# Cabinet, given box 0.53 x 0.68 x 0.30 m: its right half (+y) is closed by a fixed panel, its left half by a
-# panel that slides to the right in front of that.
+# Cabinet, given box 0.53 x 0.68 x 0.30 m: its right half (+y) is closed by a fixed panel, its left
+# half by a panel that slides to the right in front of that.
 X, Y, Z = 0.53, 0.68, 0.30
 PULL, FRONT, WALL = 0.065, 0.024, 0.018
 DEPTH = X - PULL - FRONT

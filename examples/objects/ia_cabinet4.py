@@ -1,8 +1,8 @@
 # Written by hand through the mailbox, from a picture of the object alone.
 from neoworld_mjx.program.sdk import Object, box, hollow_box, sweep
 
-# Wall cabinet, given box 0.36 x 0.90 x 0.72 m: a front of two flaps that folds upwards. Only the lower
-# flap has a handle: pulling it lifts the upper one, and the two fold together.
+# Wall cabinet, given box 0.36 x 0.90 x 0.72 m: a front of two flaps that folds upwards. Only the
+# lower flap has a handle: pulling it lifts the upper one, and the two fold together.
 X, Y, Z = 0.36, 0.90, 0.72
 PULL, FRONT, WALL = 0.028, 0.018, 0.018
 DEPTH = X - PULL - FRONT

@@ -1,8 +1,8 @@
 # Written by hand through the mailbox, from a picture of the object alone.
 from neoworld_mjx.program.sdk import Object, box, hollow_box, sweep
 
-# Base cabinet without a worktop, given box 0.545 x 0.60 x 0.75 m: three drawers, low, middle and high, whose
-# fronts cover the whole carcass.
+# Base cabinet without a worktop, given box 0.545 x 0.60 x 0.75 m: three drawers, low, middle and
+# high, whose fronts cover the whole carcass.
 X, Y, Z = 0.545, 0.60, 0.75
 PULL, FRONT, WALL = 0.03, 0.018, 0.018
 DEPTH = X - PULL - FRONT

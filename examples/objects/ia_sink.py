@@ -3,8 +3,8 @@ import math
 
 from neoworld_mjx.program.sdk import Object, box, cylinder, extrusion, sweep
 
-# Sink with a tap, given box 0.53 x 0.50 x 0.60 m: the tap stands behind the basin (-x), its spout points
-# to the front over it.
+# Sink with a tap, given box 0.53 x 0.50 x 0.60 m: the tap stands behind the basin (-x), its spout
+# points to the front over it.
 X, Y, DEEP, Z = 0.44, 0.50, 0.205, 0.60  # of the basin with its rim; the whole height
 RIM, WALL = 0.018, 0.003
 TAP = -X / 2 - 0.06

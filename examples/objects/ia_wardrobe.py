@@ -1,7 +1,8 @@
 # Written by hand through the mailbox, from a picture of the object alone.
 from neoworld_mjx.program.sdk import Object, box, cylinder, hollow_box, sweep
 
-# Wardrobe, given box 0.56 x 1.08 x 2.00 m: two tall doors that meet in the middle, on four short legs.
+# Wardrobe, given box 0.56 x 1.08 x 2.00 m: two tall doors that meet in the middle, on four short
+# legs.
 X, Y, Z = 0.56, 1.08, 2.00
 PULL, FRONT, WALL, LEG = 0.035, 0.020, 0.020, 0.12
 DEPTH = X - PULL - FRONT

@@ -3,8 +3,8 @@ import math
 
 from neoworld_mjx.program.sdk import Object, box, cylinder, extrusion
 
-# Basin mixer, given box 0.163 x 0.066 x 0.162 m: a square column with a spout to the front (+x); the head on
-# it, with a lever, turns for warm and cold and tips up to open.
+# Basin mixer, given box 0.163 x 0.066 x 0.162 m: a square column with a spout to the front (+x);
+# the head on it, with a lever, turns for warm and cold and tips up to open.
 U = 0.115  # height of the column; the rest is measured by it
 HALF, SPOUT = 0.215 * U, 0.13 * U
 BASE = 0.08 * U

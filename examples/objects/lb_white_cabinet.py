@@ -3,8 +3,8 @@ import math
 
 from neoworld_mjx.program.sdk import Object, box, cylinder, hollow_box
 
-# Chest, given box 0.47 x 0.58 x 0.50 m: three equal drawers with thick bar handles under a top that laps
-# over at the sides and in front.
+# Chest, given box 0.47 x 0.58 x 0.50 m: three equal drawers with thick bar handles under a top that
+# laps over at the sides and in front.
 X, Y, Z = 0.47, 0.58, 0.50
 TOP, LAP, WALL, FRONT, PULL = 0.018, 0.02, 0.018, 0.018, 0.065
 DEPTH = X - FRONT - PULL

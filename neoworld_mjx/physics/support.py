@@ -190,9 +190,9 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
 
     It is the highest surface under the object's footprint; or, for an object inside its parent,
     such as a can on a lower shelf, the highest surface below pieces that leave it room. Of the two
-    the one nearer to the composed height is taken. An object with relation "in" is never lifted onto
-    the rim: surfaces above the middle of the composed object are left out, so that it enters walls
-    instead, where D_pen has a gradient that leads out.
+    the one nearer to the composed height is taken. An object with relation "in" is never lifted
+    onto the rim: surfaces above the middle of the composed object are left out, so that it enters
+    walls instead, where D_pen has a gradient that leads out.
 
     Args:
         scene: the composed scene.

@@ -85,8 +85,8 @@ def open_problem(
             )
         if o.semantic.scorer == "mllm":
             raise ConfigError(
-                "refine.cem.credit: a model scores the whole scene; choose auto or scene, or scorer "
-                "geometric"
+                "refine.cem.credit: a model scores the whole scene; choose auto or scene, or "
+                "scorer geometric"
             )
     by_object = o.cem.credit != "scene" and not own and o.semantic.scorer != "mllm"
     return Problem(
@@ -139,8 +139,8 @@ def propose(
         state: of the run.
         key: of the run; the iteration is folded in.
         population: N.
-        projection: steps, rate and samples of the gradient refinement; None leaves the draws as they
-            are, as the paper does.
+        projection: steps, rate and samples of the gradient refinement; None leaves the draws as
+            they are, as the paper does.
     """
     layouts = ask(scene, problem, state, key, population)
     if projection is None:

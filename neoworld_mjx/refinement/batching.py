@@ -1,4 +1,4 @@
-"""Runs x candidates: mapping pure functions over runs, and rolling the candidates of all runs out."""
+"""Map pure functions over runs, and roll out the candidates of all runs together."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -32,8 +32,8 @@ def map_runs(
 ) -> list[Any]:
     """Call `fn(scene, *row)` for every run's row, `tile` runs at once by `vmap`.
 
-    The last tile is filled up by repeating its last row, so that one shape is compiled. With a tile of
-    one run `fn` is called as a single refinement calls it.
+    The last tile is filled up by repeating its last row, so that one shape is compiled. With a tile
+    of one run `fn` is called as a single refinement calls it.
     """
     if tile == 1 or len(rows) == 1:
         return [fn(scene, *row) for row in rows]

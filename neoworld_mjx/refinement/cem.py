@@ -1,7 +1,7 @@
 """The Cross-Entropy Method over layouts (paper Algorithm 1), as init / ask / tell.
 
-What shapes arrays is static; every number is traced, so a sweep over numbers, seeds included, is one
-`vmap`.
+Options that set array shapes are static; every other number is traced, so a sweep over numbers,
+seeds included, is one `vmap`.
 """
 
 import equinox as eqx

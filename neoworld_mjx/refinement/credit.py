@@ -21,8 +21,9 @@ def contact_components(
 ) -> Float[np.ndarray, "object object"]:
     """Return which objects' terms count for which, as 0 and 1.
 
-    `object`: itself, its support and what it supports. `island`: all that it is connected to by
-    support or by being so near that noise may make them touch. Environment supports connect nothing.
+    `object`: itself, its support and what it supports. `island`: all objects connected to it by
+    support, or by being so near that noise may make them touch. Environment supports connect
+    nothing.
     """
     spec = scene.spec
     count = len(spec.objects)

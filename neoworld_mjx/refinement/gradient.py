@@ -1,7 +1,7 @@
 """Gradient refinement: Adam steps out of interpenetration and towards the photograph's boxes.
 
-Physics tells good layouts from bad ones but not which way to go; penetration and projected boxes do.
-A few steps on them cost less than one rollout.
+Physics tells good layouts from bad ones but gives no direction; penetration and projected boxes
+do. A few steps on them cost less than one rollout.
 """
 
 import equinox as eqx
@@ -16,8 +16,10 @@ from .rewards import deeper, pair_depths
 from .semantic import reprojection_error
 
 PEN_SCALE = (0.001, 0.0001)
-"""Penetration [m] that costs as much as a box off by its noise, at the first step and at the last: at
-first objects may pass through each other, at the end they must not."""
+"""Penetration [m] that costs as much as a box off by its noise, at the first and at the last step.
+
+At first objects may pass through each other, at the end they must not.
+"""
 
 
 @eqx.filter_jit
@@ -34,7 +36,8 @@ def refine_by_gradient(
     """Move candidates down D_pen, staying near where they are.
 
     Minimises, for each candidate by itself, the sum of pair depths over PEN_SCALE, plus half the
-    squared distance from where it was drawn in units of `sigma`, plus, with `photo`, `reprojection_error`.
+    squared distance from where it was drawn in units of `sigma`, plus, with `photo`,
+    `reprojection_error`.
 
     Args:
         scene: the compiled scene.

@@ -1,7 +1,7 @@
 """The loop of Algorithm 1, over one run or many.
 
-The host keeps the clock, the lines of progress, which rollouts to make and the requests for scores by
-a model; all else are the pure functions of `algorithm` and `objective`. A sweep is this loop over
+The host keeps the clock, prints progress, chooses the rollouts to make and requests scores from a
+model; all else are the pure functions of `algorithm` and `objective`. A sweep is this loop over
 many runs, a refinement over one. On accelerators those functions are mapped over runs by `vmap`, in
 tiles. On a CPU nothing is gained by that, and sums would round differently than in a refinement by
 itself: there a tile is one run, and every number is that of a separate refinement, to the last bit.
@@ -291,7 +291,7 @@ class _Evaluation(NamedTuple):
         plan: RolloutPlan,
         scorer: SemanticScorer,
     ) -> np.ndarray:
-        """Roll the population of a single run out while a model scores the best; return the marks."""
+        """Roll out the population of one run while a model scores the best; return the marks."""
         t = len(r.rounds)
         scorer.submit(t, scorer.best(np.asarray(placement.bound)), layouts, placement.poses)
         rollouts = self.roll_out([placement])

@@ -32,7 +32,7 @@ from .rewards import (
 )
 
 TRIED = 5
-"""Candidates beyond the number of objects on which a user's term is tried, so that shapes differ."""
+"""Candidates beyond the number of objects on which a user's term is tried, for distinct shapes."""
 
 
 def sigma_of(options: RefineOptions) -> Float[np.ndarray, " 3"]:
@@ -246,7 +246,7 @@ class Scores(eqx.Module):
 
 @eqx.filter_jit
 def place(scene: SceneModel, layouts: Layout, objective: Objective) -> Placement:
-    """Place candidates, and evaluate the terms that need no physics and the bounds of the others."""
+    """Place candidates, and evaluate terms that need no physics and the bounds of the others."""
     poses = scene.place(layouts)
     depth = pair_depths(scene, poses)
     still = measured_rollout(unmoved(scene, poses), depth)
@@ -322,9 +322,9 @@ def evaluate(
 def contribution(term: Term, value: Array, alive: Array, normalisation: str) -> Array:
     """Return what a term adds to the reward: its weight times its normalised value.
 
-    `fixed` is min(value / cap, 1). `iteration` maps the term's range over this iteration's candidates
-    to [0, 1], after clipping at the cap (the paper's; a term that all share counts zero). A term
-    without a cap counts as it is.
+    `fixed` is min(value / cap, 1). `iteration` maps the term's range over this iteration's
+    candidates to [0, 1], after clipping at the cap (as the paper does; a term with the same value
+    for all candidates counts zero). A term without a cap counts as it is.
 
     Args:
         term: the term.

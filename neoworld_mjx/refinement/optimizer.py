@@ -19,8 +19,8 @@ from .objective import imported
 class Optimizer(Protocol):
     """Proposes layouts and learns from their rewards.
 
-    Methods are pure and traceable by JAX. An `equinox.Module` whose numbers are arrays can be mapped
-    over the runs of a sweep.
+    Methods are pure and traceable by JAX. An `equinox.Module` whose numbers are arrays can be
+    mapped over the runs of a sweep.
     """
 
     def init(self, mean: Layout) -> Any:

@@ -37,8 +37,8 @@ class Refined:
     layout: Layout
     """The winner's layout, pop axis of length 1."""
     history: dict[str, np.ndarray]
-    """Every candidate, leading axes [iteration, pop]: `reward`, `absolute`, `status`, `valid`, each term
-    under its name, `xy`, `yaw`, `log_scale`; beside them `object_names`, `term_names` and
+    """Every candidate, leading axes [iteration, pop]: `reward`, `absolute`, `status`, `valid`, each
+    term under its name, `xy`, `yaw`, `log_scale`; beside them `object_names`, `term_names` and
     `term_weights`."""
     engine: str
     iterations: int

@@ -1,8 +1,8 @@
 """Exact pruning: candidates that cannot become elites are not rolled out.
 
 Under `fixed` normalisation physics can only lower a reward whose terms all have a bound. Candidates
-are rolled out in the order of their bounds, until the next bound is below the K-th best reward known:
-no candidate after that can be among the K best.
+are rolled out in the order of their bounds, until the next bound is below the K-th best known
+reward: no candidate after that can be among the K best.
 """
 
 import jax.numpy as jnp
@@ -46,8 +46,8 @@ class RolloutPlan:
 
         Without a batch they are a slice of all.
 
-        The last batch is filled up with candidates that were in it already, so that all batches have
-        one shape and one compilation.
+        The last batch repeats some of its candidates, so that all batches share one shape and one
+        compilation.
         """
         pop = len(self._upper)
         if self._batch is None:

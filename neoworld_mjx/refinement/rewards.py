@@ -1,8 +1,8 @@
 """Reward terms of Step 5 (paper Section 3.3): functions of (scene, layouts, rollout).
 
-`d_pen`, `d_drift` and `s_sem` are compiled on their first call for a shape, and may be called inside a
-`jax.jit`, `jax.vmap` or `jax.grad` of your own. A `Term` puts such a function, built in or a user's
-own, into the reward.
+`d_pen`, `d_drift` and `s_sem` are compiled on their first call for a shape, and may be called
+inside your own `jax.jit`, `jax.vmap` or `jax.grad`. A `Term` puts such a function, built in or a
+user's own, into the reward.
 """
 
 import inspect
@@ -70,7 +70,9 @@ class Term(eqx.Module):
     """The value is clipped at the cap and normalised; None counts it as it is."""
     bound: TermFunction | Literal["exact"] | None = None
     """Gives the best value that physics may lead to, from a rollout in which nothing has moved yet.
-    "exact": the value itself, as it does not depend on physics. None: unknown; nothing is pruned."""
+
+    "exact": the value itself, as it does not depend on physics. None: unknown; nothing is pruned.
+    """
 
 
 class MeasuredRollout(Rollout):
@@ -87,7 +89,7 @@ def measured_rollout(rollout: Rollout, depth: Float[Array, "pop object object"])
 
 
 def pair_depths(scene: SceneModel, poses: Poses) -> Float[Array, "pop object object"]:
-    """Measure sampled penetration depth [m] of i's surface samples in j's colliders, at [pop, i, j].
+    """Measure the penetration depth [m] of i's surface samples in j's colliders, at [pop, i, j].
 
     Measured on the canonical colliders at the placed poses; zero between environment supports.
     """
@@ -238,8 +240,8 @@ def d_pen(
     """D_pen: the sum over object pairs of their penetration depth [m].
 
     A pair's depth is the deeper of its two directions. `rollout` is not used: the composed pose is
-    measured, before physics moves anything. Compiled; may be jitted, vmapped and differentiated with
-    respect to the layouts.
+    measured, before physics moves anything. Compiled; may be jitted, vmapped and differentiated
+    with respect to the layouts.
 
     Raises:
         TypeError: an argument is of another type, such as a path in place of a compiled scene.
@@ -258,8 +260,9 @@ def d_drift(
     """D_drift: the sum over objects of their largest drift, in units of the stability bounds.
 
     An object counts the largest of its translation over `distance` [m], its rotation over `angle`
-    [rad], and the same of its joints, so 1 is an object just at the bound. Compiled; may be jitted, vmapped, and
-    differentiated with respect to the rollout's poses (rollouts themselves give no gradients).
+    [rad], and the same of its joints, so 1 is an object just at the bound. Compiled; may be jitted,
+    vmapped, and differentiated with respect to the rollout's poses (rollouts themselves give no
+    gradients).
 
     Raises:
         TypeError: an argument is of another type.
@@ -332,7 +335,8 @@ def try_term(term: Term, scene: SceneModel, rollout: Rollout, layouts: Layout) -
     except Exception as error:
         text = str(error).strip().split("\n")[0]
         raise ConfigError(
-            f"{where} cannot be called with (scene, layouts, rollout): {type(error).__name__}: {text}"
+            f"{where} cannot be called with (scene, layouts, rollout): "
+            f"{type(error).__name__}: {text}"
         ) from error
     if not np.isfinite(values).all():
         raise ConfigError(

@@ -50,8 +50,8 @@ def refine(
     returned with `passed` False.
 
     Args:
-        scene: the composed scene; one that is compiled already saves that time again. A path names a
-            scene.json, or a run folder, whose scene is taken as composed.
+        scene: the composed scene; one that is compiled already saves that time again. A path names
+            a scene.json, or a run folder, whose scene is taken as composed.
         options: of the search, the rewards, the rollouts and the check.
         seed: of the population draws.
         start: the layout that the search starts at, pop axis of length 1; zero by default.
@@ -139,8 +139,8 @@ def open_scene(scene: SceneSpec | SceneModel | Path | str, options: RefineOption
         scene = read_composed(Path(scene))
     if not isinstance(scene, SceneSpec):
         raise TypeError(
-            f"refine takes a SceneSpec, a SceneModel, or the path of a scene.json or run folder, got "
-            f"a {type(scene).__name__}"
+            f"refine takes a SceneSpec, a SceneModel, or the path of a scene.json or run folder, "
+            f"got a {type(scene).__name__}"
         )
     return compile_for_search(scene, options)
 

@@ -1,8 +1,8 @@
-"""Semantic scores as they are kept: one line of scores.jsonl each, and a run that follows them.
+"""Records semantic scores, one line of scores.jsonl each, and lets a later run reuse them.
 
-A line tells which candidate was scored, what the model said, when it was asked and when it answered,
-and in which iteration the score was first used. When scores need not be waited for, that iteration
-depends on the server; a run that follows a record uses each score where the recorded run did.
+A line holds the candidate's identity, the model's answer, the times of request and answer, and the
+iteration in which the score was first used. Unless a run waits for scores, that iteration depends
+on the server; a run that follows a record uses each score in the iteration of the recorded run.
 """
 
 import hashlib
@@ -178,7 +178,8 @@ class Recorded:
                 what = "no score" if score is None else "the score of another layout"
                 raise ModelError(
                     f"{self._path} has {what} for candidate {candidate} of iteration {iteration}: "
-                    f"it follows only the run it was recorded in (same scene, options, seed, engine)"
+                    f"it follows only the run it was recorded in "
+                    f"(same scene, options, seed, engine)"
                 )
             self._put.append(score)
 

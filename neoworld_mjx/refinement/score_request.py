@@ -1,7 +1,7 @@
-"""What a model is asked about a candidate: four criteria against the photograph (Appendix B).
+"""The request that scores a candidate: four criteria against the photograph (Appendix B).
 
-The system text and the photograph come first and are the same for every candidate of a run, so that a
-server that caches prompts is paid for them once.
+The system text and the photograph come first and are the same for every candidate of a run, so that
+a server that caches prompts is paid for them once.
 """
 
 from functools import cache

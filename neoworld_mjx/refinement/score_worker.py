@@ -1,8 +1,8 @@
 """Workers that request scores of candidates from a model while physics runs.
 
-Each worker takes the most urgent candidate, draws it, asks, and books the answer under the candidate's
-identity, which it has held all the time: in whatever order answers come, none can go to another
-candidate. Pictures that are equal pixel by pixel are asked about once.
+Each worker takes the most urgent candidate, draws it, sends the request, and stores the answer
+under the identity of that candidate, so the order of answers does not matter. Pictures that are
+equal pixel by pixel are requested once.
 """
 
 import heapq
@@ -30,7 +30,7 @@ from .score_request import Judgement, score_request
 Draw = Callable[[SceneSpec], UInt8[ndarray, "height width 3"]]
 
 AHEAD = 2
-"""Candidates drawn beyond those that may be asked at once, so that a free place is taken at once."""
+"""Candidates drawn beyond the limit of concurrent requests, so that no worker waits for drawing."""
 _DROPPED = "not waited for: the search had ended"
 
 

@@ -47,10 +47,10 @@ class SemanticScorer:
         options: how many are asked about, and what is waited for.
         cem: whose deviations layouts are measured in for the estimates.
         log: scores.jsonl, begun anew.
-        recorded: scores.jsonl of an earlier run. Its scores are used, each where it was used there;
-            nothing is drawn and nobody asked.
-        draw: draws a candidate's scene as RGB bytes [height, width, 3]; default: as composed, through
-            the parsed camera.
+        recorded: scores.jsonl of an earlier run. Each score is used in the iteration that used it
+            there; nothing is drawn and no request is sent.
+        draw: draws a candidate's scene as RGB bytes [height, width, 3]; default: as composed,
+            through the parsed camera.
 
     Raises:
         ConfigError: nobody can be asked, the scene has no camera, or costs cannot be bounded.
@@ -140,9 +140,9 @@ class SemanticScorer:
     def collect(self, iteration: int) -> list[Score]:
         """Take in scores before an iteration's elites are fitted, and return the new ones.
 
-        With `wait: all` everything that was submitted is waited for, so that what comes out does
-        not depend on the order in which answers come. With `bounded` what was submitted `late`
-        iterations ago or earlier is waited for, with `none` nothing; what else has come is taken too.
+        `wait: all` waits for every submitted candidate, so that the result does not depend on the
+        order of answers. `bounded` waits for those submitted `late` iterations ago or earlier,
+        `none` for none. Other answers that have arrived are taken in too.
         """
         wait, late = self.options.wait, self.options.late
         newest = {"all": iteration, "bounded": iteration - late, "none": -1}[wait]
@@ -174,8 +174,8 @@ class SemanticScorer:
             geometric: its geometric scores.
 
         Returns:
-            S_sem in [0, 1], float32, and for each candidate a `Mark`: scored by the model, estimated
-            from scored candidates, or geometric as long as none is scored.
+            S_sem in [0, 1], float32, and for each candidate a `Mark`: scored by the model,
+            estimated from scored candidates, or geometric as long as none is scored.
         """
         base = np.asarray(geometric, float)
         for key in self._jobs:
@@ -210,8 +210,8 @@ class SemanticScorer:
             by = "geometry alone" if len(failed) == len(everyone) else "estimates"
             unasked = sum(score.asked is None for score in failed)
             return (
-                f"S_sem by {by}, as {unasked} of {len(self._jobs)} candidates were not asked about: "
-                f"{self.stopped}",
+                f"S_sem by {by}, as {unasked} of {len(self._jobs)} candidates were not asked "
+                f"about: {self.stopped}",
             )
         if failed:
             return (
@@ -259,7 +259,7 @@ class SemanticScorer:
         return scores
 
     def _numbers(self, layouts: Layout) -> np.ndarray:
-        """Standardise layouts: the four numbers of optimised objects over their first deviations."""
+        """Divide the four numbers of each optimised object by their initial standard deviations."""
         o, moves = self._sigma, self._moves
         diagonal = np.asarray(self._model.diagonal, float)[moves]
         xy = np.asarray(layouts.xy, float)[:, moves] / (_some(o.sigma_xy) * diagonal[:, None])

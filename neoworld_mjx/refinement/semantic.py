@@ -42,7 +42,7 @@ class PhotoView(NamedTuple):
     position: np.ndarray
     focal: float
     boxes: np.ndarray
-    """2D boxes (left, top, right, bottom) relative to the middle of the picture [px], [object, 4]."""
+    """2D boxes [object, 4]: left, top, right, bottom from the middle of the picture [px]."""
     depth: np.ndarray
     """Distance along the view [m]."""
     judged: np.ndarray
@@ -96,7 +96,7 @@ def _camera_for(scene: SceneSpec) -> Camera:
 def projected(
     scene: SceneModel, v: PhotoView, poses: Poses
 ) -> tuple[Float[Array, "pop object 4"], Float[Array, "pop object"]]:
-    """Project candidates' surface samples: 2D boxes as in `PhotoView.boxes` [px], and depths [m]."""
+    """Project candidates' surface samples to 2D boxes [px] and depths [m], as in `PhotoView`."""
     # Sums of products, which XLA fuses with the minima; small matrix products are slow on CPUs.
     turn = rotation(poses.quat) * poses.scale[..., None, None]
     gap = poses.pos - v.position
@@ -152,7 +152,7 @@ def semantic_score(
     centre = (boxes[..., :2] + boxes[..., 2:]) / 2
     size = jnp.sqrt(jnp.prod(boxes[..., 2:] - boxes[..., :2], axis=-1) + 1e-9)
 
-    # Depth ordering: the parsed difference of depth must keep its sign, and near ties may be either.
+    # Depth ordering: the parsed difference of depth must keep its sign; near ties may be either.
     parsed = v.depth[first] - v.depth[second]
     own = depth[:, first] - depth[:, second]
     slack = 0.02 * (v.depth[first] + v.depth[second]) / 2

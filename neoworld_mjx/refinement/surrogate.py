@@ -56,7 +56,7 @@ def _features(layouts: NDArray, geometric: NDArray) -> NDArray:
 
 
 def _regressed(known: NDArray, rest: NDArray, wanted: NDArray) -> NDArray:
-    """Predict `rest` at `wanted` by ridge regression, shrunk by what it saves on candidates left out."""
+    """Predict `rest` at `wanted` by ridge regression, shrunk by its gain on left-out candidates."""
     count = len(rest)
     nothing = np.zeros(len(wanted))
     if count < FEWEST or not np.any(rest):

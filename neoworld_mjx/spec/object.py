@@ -66,7 +66,7 @@ class AuthoredInertia(ScalableSpec):
     Nothing is asked of the numbers here: whether a body can have them is for the checks to say.
     """
 
-    # The docstring is part of a schema that models are sent (verify.critic), and tapes depend on it.
+    # The docstring is part of a schema sent to models (verify.critic), and tapes depend on it.
     # The mass is authored, so moments go with s^2.
 
     pos: Point3

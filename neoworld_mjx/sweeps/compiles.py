@@ -11,7 +11,7 @@ class _Count:
 
 
 def compilations() -> int:
-    """Return how many programs JAX has built since the first call; taken from a cache they count too."""
+    """Count the programs that JAX has built or read from a cache since the first call."""
     if not _Count.listening:
         _Count.listening = True
         jax.monitoring.register_event_duration_secs_listener(_heard)

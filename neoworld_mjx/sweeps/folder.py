@@ -81,8 +81,8 @@ class SweepFolder:
         if lost:
             scene, point, seed = lost[0]
             raise RunError(
-                f"{self.path} has {len(lost)} rows that are not asked for now, such as scene {scene}, "
-                f"point {point}, seed {seed}: use --overwrite, or name a new folder"
+                f"{self.path} has {len(lost)} rows that are not asked for now, such as scene "
+                f"{scene}, point {point}, seed {seed}: use --overwrite, or name a new folder"
             )
         return {at: row for at, row in held.items() if row["fingerprint"] == wanted[at]}
 

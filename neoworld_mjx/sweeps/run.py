@@ -62,8 +62,8 @@ def sweep(
 ) -> Swept:
     """Refine scenes with every combination of some options' values, with several seeds.
 
-    Runs that differ in traced options alone are one computation; see `refinement.loop.search`. They are not pruned,
-    which changes no elite.
+    Runs that differ in traced options alone are one computation; see `refinement.loop.search`. They
+    are not pruned, which changes no elite.
 
     Args:
         plan: a YAML file, or what it would hold.
@@ -299,8 +299,8 @@ def _swept(kind: str, rows: list[Row], labels: list[str], about: dict[str, Any])
     notes = (
         "Means over scenes and seeds with 95 % intervals: Wilson's for rates, Student's t for the "
         "others. n counts runs. Runs on one scene are alike, so intervals over few scenes are too "
-        "narrow for others. The reward is by each point's own weights: where weights differ, compare "
-        "what it is made of."
+        "narrow for others. The reward is by each point's own weights: where weights differ, "
+        "compare what it is made of."
     )
     return Swept(rows, summed, against, markdown(kind.capitalize(), summed, against, notes), about)
 

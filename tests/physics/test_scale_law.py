@@ -1,4 +1,4 @@
-"""The test that binds: compiling a rearranged scene equals writing model fields into a compiled one."""
+"""Compiling a rearranged scene equals writing model fields into a compiled one."""
 
 import mujoco
 import numpy as np

@@ -106,7 +106,8 @@ def test_mirror_images():
 def test_a_moved_shape_is_where_it_was_put():
     text = HEAD + (
         "s = box((0.1, 0.2, 0.3)).moved((0, 0, 1), (0, 0, 1.5707963267948966), by='bottom')\n"
-        "print([round(v, 6) for v in s.size], round(s.volume, 9), round(s.distance((0, 0, 1.4)), 9))\n"
+        "print([round(v, 6) for v in s.size], round(s.volume, 9), "
+        "round(s.distance((0, 0, 1.4)), 9))\n"
         "p.add(s, at=body.anchor('top'), by='bottom')\n"
         "o.fixed('f', body, p)\n"
     )

@@ -82,7 +82,9 @@ o = Object("thing")
 body = o.part("body", material="oak")
 body.add(box((0.4, 0.4, 0.4)))
 p = o.part("p", material="oak")
-p.add(box({"(0.4, 0.4, 0.02)" if lid else "(0.02, 0.4, 0.4)"}), at=body.anchor("{place}"), by="{by}")
+p.add(
+    box({"(0.4, 0.4, 0.02)" if lid else "(0.02, 0.4, 0.4)"}), at=body.anchor("{place}"), by="{by}"
+)
 """
     if slides:
         text += f"o.prismatic('j', body, p, axis={axis}, range=(0, 0.1))\n"

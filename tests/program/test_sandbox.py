@@ -153,7 +153,8 @@ from neoworld_mjx.program.sdk import Object, box, cylinder, difference, mirror, 
 o = Object("thing")
 p = o.part("body", material="oak")
 holes = [cylinder(0.013, 0.3).moved(at, rpy=(0.3, 0.2, 0)) for at in mirror((0.05, 0.03, 0), "x")]
-p.add(union(difference(box((0.2, 0.1, 0.06)), *holes), sphere(0.04).moved((0, 0, 0.03))), by="bottom")
+base = difference(box((0.2, 0.1, 0.06)), *holes)
+p.add(union(base, sphere(0.04).moved((0, 0, 0.03))), by="bottom")
 q = o.part("knob", material="steel")
 q.add(sphere(0.01), at=p.anchor("top"), by="bottom")
 o.ball("neck", p, q, at="centre", swing=0.4)

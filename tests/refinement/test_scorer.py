@@ -1,4 +1,4 @@
-"""Semantic scores by a model: whose they are, what is waited for, and what happens when none come."""
+"""Semantic scores by a model: identity, waiting, and failure."""
 
 import json
 import re
@@ -442,7 +442,7 @@ def test_the_page_gives_options_that_exist():
 
 class TestSurrogate:
     def world(self, n, seed=0):
-        """Truth falls off with the distance from an optimum; geometry sees it dimly and too well."""
+        """Truth falls off with the distance from an optimum; geometry estimates it with bias."""
         rng = np.random.default_rng(seed)
         z = rng.normal(size=(n, 12))
         true = np.clip(0.9 - 0.03 * np.sum((z - 0.3) ** 2, axis=1), 0, 1)

@@ -126,14 +126,15 @@ BROKEN = {
         "at most 1000 are read",
     ),
     "memory.xml": (
-        '<mujoco><size nuser_geom="2000000000"/><worldbody><body><geom size="1"/></body></worldbody>'
-        "</mujoco>",
+        '<mujoco><size nuser_geom="2000000000"/><worldbody><body><geom size="1"/></body>'
+        "</worldbody></mujoco>",
         "at most 1000 are read",
     ),
     "follow.urdf": (
         '<robot name="r">' + "".join(LINK.format(n) for n in "abc")
         + "".join(
-            f'<joint name="{j}" type="revolute"><parent link="a"/><child link="{c}"/><axis xyz="0 0 1"/>'
+            f'<joint name="{j}" type="revolute"><parent link="a"/><child link="{c}"/>'
+            '<axis xyz="0 0 1"/>'
             f'<limit lower="0" upper="1" effort="1" velocity="1"/><mimic joint="{k}"/></joint>'
             for j, c, k in (("j", "b", "k"), ("k", "c", "j"))
         ) + "</robot>",
@@ -188,7 +189,8 @@ PROGRAM = """from neoworld_mjx.program.sdk import Object, box, hollow_box
 o = Object("crate")
 body = o.part("body", material="oak")
 shell = body.add(hollow_box((0.3, 0.4, 0.5), 0.018, open="+x"), by="bottom")
-door = o.door("door", body, x=shell.anchor("front")[0], y=(-0.2, 0.2), z=(0, {high}), hinge="left"{more})
+front = shell.anchor("front")[0]
+door = o.door("door", body, x=front, y=(-0.2, 0.2), z=(0, {high}), hinge="left"{more})
 o.site("grip", door, door.anchor("front"))
 """
 
@@ -196,7 +198,8 @@ o.site("grip", door, door.anchor("front"))
 def test_a_patch_is_kept_beside_a_program_and_survives_a_rebuild(checked, tmp_path, capfd):
     program = tmp_path / "crate.py"
     program.write_text(PROGRAM.format(high=0.5, more="").replace(
-        'o.site', 'o._joints[0]._fields["damping"] = 0.0\no._joints[0]._fields["friction"] = 0.0\no.site'
+        'o.site',
+        'o._joints[0]._fields["damping"] = 0.0\no._joints[0]._fields["friction"] = 0.0\no.site',
     ))  # fmt: skip
     trust = ("--set", "program.sandbox=cpython")
     code, answer, _ = checked(program, *trust)
