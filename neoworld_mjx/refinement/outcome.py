@@ -31,9 +31,9 @@ class Refined:
     scene: SceneSpec
     """The winner, snapped exactly."""
     measure: SceneMeasure
-    """Of the winner."""
+    """Final check of the winner."""
     before: SceneMeasure
-    """Of the composed scene, snapped exactly."""
+    """The same check of the composed scene, snapped exactly."""
     layout: Layout
     """The winner's layout, pop axis of length 1."""
     history: dict[str, np.ndarray]
@@ -46,20 +46,20 @@ class Refined:
     """(iteration, candidate)."""
     finalists_tried: int
     mean_log_scale: float
-    """Over optimised objects, of the winner."""
+    """Mean over the winner's optimised objects."""
     mean_shift_m: float
     """Mean distance of optimised objects from the composed layout, in their parents' frames."""
     mean_turn_deg: float
     """Mean angle of yaw between the winner and the composed layout."""
     passed: bool
-    """Whether the winner holds in the final check."""
+    """True if the winner passes the final check."""
     seconds: dict[str, float] = field(default_factory=dict)
     fallbacks: tuple[str, ...] = ()
     scoring: dict[str, Any] = field(default_factory=dict)
     """Calls, failures and cost of the semantic scorer; empty without one."""
 
     def __repr__(self) -> str:
-        """Return a few lines: how it ended, what was tried, and what the check measured."""
+        """Summarise the search and the final check in a few lines."""
         m, t = self.measure, self.seconds.get("search", float("nan"))
         tilt = f"{m.max_drift_m * 1e3:.2f} mm, {m.max_tilt_deg:.2f} deg"
         return (
@@ -74,18 +74,18 @@ class Refined:
 
     @property
     def rollouts(self) -> int:
-        """Candidates that were rolled out."""
+        """Number of candidates that were rolled out."""
         return int(np.sum(~np.isin(self.history["status"], (PRUNED, NOT_DRAWN))))
 
     @property
     def pruned(self) -> int:
-        """Candidates that were decided without being rolled out."""
+        """Number of candidates that were pruned, without a rollout."""
         return int(np.sum(self.history["status"] == PRUNED))
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """A winner."""
+    """The winner, with its final check."""
 
     index: tuple[int, int]
     scene: SceneSpec
@@ -95,7 +95,7 @@ class Chosen:
 
 
 def passes(measure: SceneMeasure, o: RefineOptions) -> bool:
-    """Whether a scene holds: no pair too deep, before or after settling, and nothing moved."""
+    """Return whether no pair is too deep, before or after settling, and nothing moved."""
     deep = max(measure.max_depth_m, measure.settled_depth_m) > o.max_depth_m
     return not deep and not measure.diverged and measure.s_stab is not False
 
@@ -103,9 +103,9 @@ def passes(measure: SceneMeasure, o: RefineOptions) -> bool:
 def choose(
     model: SceneModel, rounds: list[Round], o: RefineOptions, start: Layout | None = None
 ) -> Chosen:
-    """Take the best valid candidate by absolute reward that also holds in an exact check.
+    """Choose the best valid candidate by absolute reward that also passes the exact check.
 
-    When none of the first `finalists` does, the least bad of them is taken.
+    When none of the first `finalists` passes, the least bad of them is chosen.
     """
     fallback: Chosen | None = None
     order = ranked(rounds)
@@ -177,7 +177,7 @@ def outcome(
     scoring: dict[str, Any] | None = None,
     fallbacks: tuple[str, ...] = (),
 ) -> Refined:
-    """Put the outcome together.
+    """Assemble the outcome of a refinement.
 
     Args:
         model: the compiled scene.
@@ -185,15 +185,15 @@ def outcome(
         chosen: the winner.
         o: options of the check.
         objective: of the search.
-        start: where the search started; None is the composed scene.
-        engine: name of what rolled candidates out.
+        start: layout at which the search started; None is the composed scene.
+        engine: name of the physics engine.
         clock: seconds spent, by step.
-        semantic: how each candidate's S_sem came about [iteration, pop], as in `scorer.Mark`.
-        scoring: what the semantic scorer says of itself.
-        fallbacks: what had to be done without so far.
+        semantic: source of each candidate's S_sem [iteration, pop], as in `scorer.Mark`.
+        scoring: summary of the semantic scorer.
+        fallbacks: sentences on what earlier steps replaced or left out.
     """
     t, k = chosen.index
-    began = model.spec if start is None else model.apply(start, 0)
+    start_scene = model.spec if start is None else model.apply(start, 0)
     count = len(model.names)
     layout = rounds[t].layouts[k : k + 1] if t >= 0 else start or Layout.zero(1, count)
     moves = np.asarray(model.optimised)
@@ -213,7 +213,7 @@ def outcome(
     return Refined(
         scene=chosen.scene,
         measure=chosen.measure,
-        before=measured(snap_exactly(began), o),
+        before=measured(snap_exactly(start_scene), o),
         layout=layout,
         history=history,
         engine=engine,
@@ -231,11 +231,11 @@ def outcome(
 
 
 NOT_DRAWN = -1
-"""Status, in the history, of places that an iteration with fewer candidates leaves empty."""
+"""Status, in the history, of entries beyond the population of an iteration."""
 
 
 def stacked(rows: list[Any], fill: Any) -> np.ndarray:
-    """Stack iterations, the shorter ones filled up to the largest population."""
+    """Stack iterations; fill shorter ones up to the largest population."""
     full = np.asarray(max(rows, key=len))
     stacked = np.full((len(rows), *full.shape), fill, full.dtype)
     for t, row in enumerate(rows):

@@ -26,36 +26,36 @@ Stage = int | Literal["final"]
 
 
 class Score(BaseModel):
-    """What became of asking about one candidate."""
+    """The outcome of scoring one candidate."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     iteration: int
     candidate: int
     rank: int
-    """Place among the candidates asked about with it, 0 first."""
+    """Rank among the candidates submitted with it, 0 first."""
     layout: str
     """Digest of the candidate's layout."""
     value: float | None = None
-    """S_sem in [0, 1]; None when no score could be had."""
+    """S_sem in [0, 1]; None when scoring failed."""
     levels: dict[str, int] | None = None
-    """Of each criterion, 0 to 4."""
+    """Level of each criterion, 0 to 4."""
     reasons: dict[str, str] | None = None
     picture: str | None = None
     """Digest of the candidate's pixels."""
     drawn_s: float | None = None
-    """Seconds that the picture took."""
+    """Seconds to draw the picture."""
     model: str = ""
     asked: str | None = None
-    """UTC."""
+    """Time of the request, UTC."""
     answered: str | None = None
     cached: bool = False
-    """Taken from another candidate with the very same picture."""
+    """True if copied from another candidate whose picture is equal."""
     cost_usd: float | None = None
     """None where it is unknown."""
     error: str | None = None
     used: Stage | None = None
-    """Where it was first used; None if it never was."""
+    """Stage of its first use; None if it was never used."""
 
     @property
     def identity(self) -> Identity:
@@ -76,7 +76,7 @@ class Job:
     """The candidate's scene; None where nothing will be drawn."""
 
     def score(self, **given: object) -> Score:
-        """Make the score of this candidate."""
+        """Make a score of this candidate with the given fields."""
         iteration, candidate = self.identity
         return Score.model_validate(
             {
@@ -100,7 +100,7 @@ class ScoreLog:
     """Writes scores.jsonl, whole lines at a time.
 
     Args:
-        path: the file, begun anew; None keeps nothing.
+        path: the file, replaced if it exists; None writes nothing.
 
     Raises:
         ModelError: the file cannot be written.
@@ -131,7 +131,7 @@ def read_scores(path: Path) -> list[Score]:
     """Read a scores.jsonl.
 
     Raises:
-        ModelError: the file cannot be read, or a line is no score.
+        ModelError: the file cannot be read, or a line is not a valid score.
     """
     try:
         lines = Path(path).read_text(encoding="utf-8").splitlines()
@@ -149,10 +149,10 @@ def read_scores(path: Path) -> list[Score]:
 
 
 class Recorded:
-    """Gives the scores of an earlier run, each where that run first used it.
+    """Replays the scores of an earlier run, each in the stage of its first use.
 
     Args:
-        path: its scores.jsonl.
+        path: scores.jsonl of that run.
 
     Raises:
         ModelError: the file cannot be read.
@@ -166,30 +166,30 @@ class Recorded:
         self._put: list[Score] = []
 
     def put(self, jobs: Sequence[Job]) -> None:
-        """Look candidates up.
+        """Look up the scores of candidates.
 
         Raises:
-            ModelError: the record does not hold one of them, or for another layout.
+            ModelError: the record lacks a candidate, or holds it with another layout.
         """
         for job in jobs:
             score = self._scores.get(job.identity)
             iteration, candidate = job.identity
             if score is None or score.layout != job.layout:
-                what = "no score" if score is None else "the score of another layout"
+                content = "no score" if score is None else "the score of another layout"
                 raise ModelError(
-                    f"{self._path} has {what} for candidate {candidate} of iteration {iteration}: "
-                    f"it follows only the run it was recorded in "
+                    f"{self._path} has {content} for candidate {candidate} of iteration "
+                    f"{iteration}: it follows only the run it was recorded in "
                     f"(same scene, options, seed, engine)"
                 )
             self._put.append(score)
 
     def take(self, stage: Stage, must: Collection[Identity], *, rest: bool) -> list[Score]:
-        """Return what the recorded run used at a stage, ordered by identity."""
+        """Return the scores that the recorded run first used at a stage, ordered by identity."""
         return sorted(
             (s for s in self._put if s.used == stage and (rest or s.identity in must)),
             key=lambda score: score.identity,
         )
 
     def close(self) -> list[Score]:
-        """Return what was never used."""
+        """Return the scores that were never used."""
         return sorted((s for s in self._put if s.used is None), key=lambda s: s.identity)

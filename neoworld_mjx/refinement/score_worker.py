@@ -35,7 +35,7 @@ _DROPPED = "not waited for: the search had ended"
 
 
 def drawer(options: SemanticOptions) -> Draw:
-    """Return what draws a candidate as composed, through the parsed camera."""
+    """Return a function that draws a candidate as composed, through the parsed camera."""
 
     def draw(scene: SceneSpec) -> UInt8[ndarray, "height width 3"]:
         assert scene.camera is not None
@@ -50,9 +50,9 @@ class ScoreWorkers:
     """Requests scores from a model, by a pool of worker threads.
 
     Args:
-        panel: who is asked, as critic.
+        panel: its critic gives the scores.
         photo: the photograph.
-        options: time limit, when to give up, and the cost from which no more is asked.
+        options: time limit, failures in a row before giving up, and the bound on costs.
         draw: draws a candidate; called by one thread at a time.
 
     Raises:
@@ -63,7 +63,7 @@ class ScoreWorkers:
         self, panel: Panel, photo: Picture, options: SemanticOptions, draw: Draw | None = None
     ) -> None:
         self.stopped: str | None = None
-        """Why no more is asked, if so."""
+        """The reason why requests have ended, or None."""
         self.drawing_s = 0.0
         self._panel, self._photo, self._options = panel, photo, options
         self._draw = draw or drawer(options)
@@ -77,30 +77,30 @@ class ScoreWorkers:
         self._changed = threading.Condition()
         self._drawing = threading.Lock()
         self._queue: list[tuple[tuple[bool, int, int, int], Job]] = []
-        """A heap: what is waited for first, then by iteration, rank and order of coming."""
+        """A heap: awaited candidates first, then by iteration, rank and order of submission."""
         self._count = 0
-        self._out: dict[Identity, Job] = {}
-        """Asked about or about to be, without an outcome."""
-        self._came: dict[Identity, Score] = {}
-        """Outcomes that were not taken yet."""
+        self._pending: dict[Identity, Job] = {}
+        """Candidates without an outcome yet."""
+        self._outcomes: dict[Identity, Score] = {}
+        """Outcomes not taken yet."""
         self._pictures: dict[str, Score | list[tuple[Job, float]]] = {}
-        """By digest: the score, or the other candidates that wait for it."""
-        self._asked: set[Future[Answer[Judgement]]] = set()
+        """By digest: the score, or the candidates that wait for it and their drawing times."""
+        self._requests: set[Future[Answer[Judgement]]] = set()
         self._failed_in_row = 0
-        self._dead = self._closed = False
+        self._gave_up = self._closed = False
         self._crash: BaseException | None = None
         self._threads: list[threading.Thread] = []
 
     @property
     def cost_usd(self) -> float:
-        """What asking has cost so far, as far as prices are known; failed calls included."""
+        """The cost of all requests so far where prices are known, failed calls included."""
         return self._panel.ledger.spent_usd - self._spent_before
 
     def put(self, jobs: Sequence[Job]) -> None:
-        """Have candidates scored; returns at once."""
+        """Queue candidates for scoring and return at once."""
         with self._changed:
             for job in jobs:
-                self._out[job.identity] = job
+                self._pending[job.identity] = job
                 if self.stopped is not None:
                     self._finish(job.score(error=f"not asked: {self.stopped}"))
                 else:
@@ -119,45 +119,49 @@ class ScoreWorkers:
         """Wait for outcomes and return them, ordered by identity, each once.
 
         Args:
-            stage: plays no part here; a record needs it.
-            must: what is waited for, before all else that is still to be asked. Once the server is
-                given up only what has come counts.
-            rest: whether to return also what else has come.
+            stage: stored as the first use of each score.
+            must: candidates to wait for, requested before all others. After giving up on the server
+                none is waited for.
+            rest: return also the outcomes of other candidates that have arrived.
         """
         must = set(must)
         with self._changed:
             self._queue = [((job.identity not in must, *key[1:]), job) for key, job in self._queue]
             heapq.heapify(self._queue)
-            self._changed.wait_for(lambda: self._crash or self._dead or must.isdisjoint(self._out))
+            self._changed.wait_for(
+                lambda: self._crash or self._gave_up or must.isdisjoint(self._pending)
+            )
             if self._crash is not None:
                 raise self._crash
-            ready = [key for key in self._came if rest or key in must]
-            return [self._came.pop(key).model_copy(update={"used": stage}) for key in sorted(ready)]
+            ready = [key for key in self._outcomes if rest or key in must]
+            return [
+                self._outcomes.pop(key).model_copy(update={"used": stage}) for key in sorted(ready)
+            ]
 
     def close(self) -> list[Score]:
-        """Ask nothing more and return what was not taken, ordered by identity."""
+        """End all requests and return the outcomes not taken, ordered by identity."""
         with self._changed:
             self._closed = True
             self._queue.clear()
-            asked = list(self._asked)
+            requests = list(self._requests)
             self._changed.notify_all()
-        for future in asked:
+        for future in requests:
             future.cancel()
         for thread in self._threads:
             thread.join()
         with self._changed:
-            for job in list(self._out.values()):
+            for job in list(self._pending.values()):
                 self._finish(job.score(error=_DROPPED))
-            left, self._came = self._came, {}
-        return [left[key] for key in sorted(left)]
+            remaining, self._outcomes = self._outcomes, {}
+        return [remaining[key] for key in sorted(remaining)]
 
-    # What follows runs in the workers.
+    # The methods below run in the workers.
 
     def _work(self) -> None:
         while (job := self._next()) is not None:
             try:
                 self._serve(job)
-            except BaseException as error:  # A worker that died in silence would be waited for.
+            except BaseException as error:  # Else `take` would wait forever.
                 with self._changed:
                     self._crash = error
                     self._changed.notify_all()
@@ -180,44 +184,44 @@ class ScoreWorkers:
             with self._drawing:
                 began = time.perf_counter()
                 rgb = self._draw(job.scene)
-                took = time.perf_counter() - began
-                self.drawing_s += took
+                draw_s = time.perf_counter() - began
+                self.drawing_s += draw_s
         except (NeoWorldError, ValueError, mujoco.FatalError) as error:
             with self._changed:
                 self._finish(job.score(error=f"cannot be drawn: {error}"))
             return
         key = digest(f"{rgb.shape}".encode() + rgb.tobytes())
         with self._changed:
-            known = self._pictures.get(key)
-            if isinstance(known, Score):
-                self._finish(_same(job, took, known))
+            earlier = self._pictures.get(key)
+            if isinstance(earlier, Score):
+                self._finish(_same(job, draw_s, earlier))
                 return
-            if known is not None:
-                known.append((job, took))
+            if earlier is not None:
+                earlier.append((job, draw_s))
                 return
             if self.stopped is not None or self._closed:
                 self._finish(job.score(error=f"not asked: {self.stopped or _DROPPED}"))
                 return
             self._pictures[key] = []
         request = score_request(self._photo, Picture.of("candidate", rgb), job.scene)
-        outcome = {"picture": key[:16], "drawn_s": round(took, 4), "asked": _now()}
+        outcome = {"picture": key[:16], "drawn_s": round(draw_s, 4), "asked": _now()}
         outcome |= self._answer(request)
         self._book(key, job.score(**outcome, answered=_now()))
 
     def _answer(self, request: Request[Judgement]) -> dict[str, Any]:
-        """Ask, and return what a Score says of the answer."""
-        # A person who answers takes as long as it takes.
-        longest = self._options.timeout_s if self._panel.provider.online else None
+        """Send a request; return the fields of a `Score` that the answer or its failure sets."""
+        # A person who answers has no time limit.
+        timeout = self._options.timeout_s if self._panel.provider.online else None
         future = self._panel.ask_soon(request)
         with self._changed:
-            self._asked.add(future)
+            self._requests.add(future)
             if self._closed:
                 future.cancel()
         try:
-            answer = future.result(longest)
+            answer = future.result(timeout)
         except TimeoutError:
             future.cancel()
-            return {"error": f"no answer in {longest:g} s; see refine.semantic.timeout_s"}
+            return {"error": f"no answer in {timeout:g} s; see refine.semantic.timeout_s"}
         except CancelledError:
             return {"error": _DROPPED}
         except BudgetError as error:
@@ -228,7 +232,7 @@ class ScoreWorkers:
             return {"error": str(error)}
         finally:
             with self._changed:
-                self._asked.discard(future)
+                self._requests.discard(future)
         if not self._panel.provider.online:
             cost = 0.0
         else:
@@ -243,45 +247,45 @@ class ScoreWorkers:
         }
 
     def _book(self, key: str, score: Score) -> None:
-        """Keep a score for its candidate and for those that wait for the same picture."""
+        """Store a score for its candidate and for those that wait for the same picture."""
         with self._changed:
             others = self._pictures.pop(key)
             if score.value is not None:
                 self._pictures[key] = score
             self._finish(score)
             assert not isinstance(others, Score)
-            for job, took in others:
-                self._finish(_same(job, took, score))
+            for job, draw_s in others:
+                self._finish(_same(job, draw_s, score))
             if score.value is not None:
                 self._failed_in_row = 0
             elif not self._closed:
                 self._failed_in_row += 1
                 if self._failed_in_row >= self._options.give_up_after and self.stopped is None:
-                    self._dead = True
+                    self._gave_up = True
                     self._stop(
                         f"{self._failed_in_row} scores failed one after the other; "
                         f"the last: {score.error}"
                     )
 
-    # With the lock held.
+    # The methods below need the lock held.
 
     def _finish(self, score: Score) -> None:
-        if self._out.pop(score.identity, None) is not None:
-            self._came[score.identity] = score
+        if self._pending.pop(score.identity, None) is not None:
+            self._outcomes[score.identity] = score
             self._changed.notify_all()
 
-    def _stop(self, why: str) -> None:
-        self.stopped = self.stopped or why
+    def _stop(self, reason: str) -> None:
+        self.stopped = self.stopped or reason
         queue, self._queue = self._queue, []
         for _, job in queue:
             self._finish(job.score(error=f"not asked: {self.stopped}"))
         self._changed.notify_all()
 
 
-def _same(job: Job, took: float, score: Score) -> Score:
-    """Give a candidate the score of another with the very same picture."""
+def _same(job: Job, draw_s: float, score: Score) -> Score:
+    """Copy to a candidate the score of another whose picture is equal."""
     kept = score.model_dump(exclude={"iteration", "candidate", "rank", "layout"})
-    return job.score(**kept | {"drawn_s": round(took, 4), "cached": True, "cost_usd": 0.0})
+    return job.score(**kept | {"drawn_s": round(draw_s, 4), "cached": True, "cost_usd": 0.0})
 
 
 def _now() -> str:

@@ -6,8 +6,8 @@
         scorer.collect(t)                                         # waits as options.wait says
         s_sem, marks = scorer.fill(t, layouts, geometric)         # of every candidate
 
-Before the winner is chosen, `await_for` waits for the finalists' scores, and `fill` gives what is
-then known of any iteration.
+Before the winner is chosen, `await_for` waits for the finalists' scores, and `fill` returns S_sem
+of any iteration by the scores known then.
 """
 
 import time
@@ -30,7 +30,7 @@ from .surrogate import surrogate_scores
 
 
 class Mark(IntEnum):
-    """Where a candidate's S_sem comes from."""
+    """The source of a candidate's S_sem."""
 
     GEOMETRIC = 0
     ESTIMATED = 1
@@ -43,17 +43,18 @@ class SemanticScorer:
     Args:
         model: the compiled scene.
         photo: the photograph; not needed to follow a record.
-        panel: who is asked, as critic; not needed to follow a record.
-        options: how many are asked about, and what is waited for.
-        cem: whose deviations layouts are measured in for the estimates.
-        log: scores.jsonl, begun anew.
+        panel: its critic gives the scores; not needed to follow a record.
+        options: the number of candidates to score, and the scores to wait for.
+        cem: its standard deviations scale layouts for the estimates.
+        log: scores.jsonl to write; an existing file is replaced.
         recorded: scores.jsonl of an earlier run. Each score is used in the iteration that used it
             there; nothing is drawn and no request is sent.
         draw: draws a candidate's scene as RGB bytes [height, width, 3]; default: as composed,
             through the parsed camera.
 
     Raises:
-        ConfigError: nobody can be asked, the scene has no camera, or costs cannot be bounded.
+        ConfigError: the photograph or the panel is missing, the scene has no camera, or
+            costs cannot be bounded.
         ModelError: a file cannot be read or written.
     """
 
@@ -94,16 +95,16 @@ class SemanticScorer:
         self._jobs: dict[Identity, Job] = {}
         self._geometric: dict[Identity, float] = {}
         self._known: dict[Identity, Score] = {}
-        """Everything taken so far, failures included."""
+        """All scores taken so far, failures included."""
         self._left: list[Score] = []
         self._closed = False
 
     def best(self, reward: Float[ArrayLike, " pop"], top: int | None = None) -> list[int]:
-        """Return the candidates to ask about, best first; what is not finite never is one.
+        """Return the candidates to score, best first, without those of non-finite reward.
 
         Args:
-            reward: what they are ranked by; equal ones in the order of the population.
-            top: how many; default: as the options say.
+            reward: ranks the candidates; equal ones keep the order of the population.
+            top: the most candidates to return; default: `options.top`.
         """
         given = np.asarray(reward, float)
         order = np.argsort(-np.where(np.isfinite(given), given, -np.inf), kind="stable")
@@ -112,13 +113,13 @@ class SemanticScorer:
     def submit(
         self, iteration: int, candidates: Sequence[int], layouts: Layout, poses: Poses
     ) -> None:
-        """Have candidates scored; returns at once, and passes over those that are already.
+        """Submit candidates for scoring and return at once; skip those submitted before.
 
         Args:
-            iteration: that they belong to.
-            candidates: their places in the population, the most urgent first.
+            iteration: of the candidates.
+            candidates: their indices in the population, the most urgent first.
             layouts: the whole population.
-            poses: where `SceneModel.place` or a rollout put it, for the heights.
+            poses: of the population, by `SceneModel.place` or a rollout; they give the heights.
 
         Raises:
             ModelError: a record is followed, and this run is not the one that was recorded.
@@ -138,7 +139,7 @@ class SemanticScorer:
         self._source.put(jobs)
 
     def collect(self, iteration: int) -> list[Score]:
-        """Take in scores before an iteration's elites are fitted, and return the new ones.
+        """Take in scores before the elites of an iteration are fitted; return the new ones.
 
         `wait: all` waits for every submitted candidate, so that the result does not depend on the
         order of answers. `bounded` waits for those submitted `late` iterations ago or earlier,
@@ -150,23 +151,23 @@ class SemanticScorer:
         return self._take(iteration, must, rest=True)
 
     def await_for(self, identities: Iterable[Identity]) -> list[Score]:
-        """Wait for scores that are still out, before all others, and return those that are new.
+        """Wait for the scores of some candidates before all others, and return the new ones.
 
         Args:
-            identities: (iteration, candidate); what was never submitted is passed over.
+            identities: (iteration, candidate); candidates never submitted are skipped.
         """
         must = [key for key in identities if key in self._jobs and key not in self._known]
         return self._take("final", must, rest=False)
 
     def known(self, identity: Identity) -> Score | None:
-        """Return the score of a candidate, if it has come and did not fail."""
+        """Return the score of a candidate; None while it is pending or if it failed."""
         score = self._known.get(identity)
         return score if score is not None and score.value is not None else None
 
     def fill(
         self, iteration: int, layouts: Layout, geometric: Float[ArrayLike, " pop"]
     ) -> tuple[Float[np.ndarray, " pop"], Int8[np.ndarray, " pop"]]:
-        """Return S_sem of a whole population by what is known now.
+        """Return S_sem of a whole population from the scores known now.
 
         Args:
             iteration: of the population.
@@ -198,16 +199,16 @@ class SemanticScorer:
 
     @property
     def stopped(self) -> str | None:
-        """Why no more is asked, if so."""
+        """The reason why requests have ended, or None."""
         return self._source.stopped
 
     @property
     def fallbacks(self) -> tuple[str, ...]:
-        """What had to be done without, in sentences."""
-        everyone = list(self._known.values())
-        failed = [score for score in everyone if score.error is not None]
+        """Sentences on the scores that are missing; empty when all arrived."""
+        scores = list(self._known.values())
+        failed = [score for score in scores if score.error is not None]
         if self.stopped is not None:
-            by = "geometry alone" if len(failed) == len(everyone) else "estimates"
+            by = "geometry alone" if len(failed) == len(scores) else "estimates"
             unasked = sum(score.asked is None for score in failed)
             return (
                 f"S_sem by {by}, as {unasked} of {len(self._jobs)} candidates were not asked "
@@ -215,20 +216,20 @@ class SemanticScorer:
             )
         if failed:
             return (
-                f"S_sem by estimates for {len(failed)} of {len(everyone)} candidates whose scores "
+                f"S_sem by estimates for {len(failed)} of {len(scores)} candidates whose scores "
                 f"failed; the first: {failed[0].error}",
             )
         return ()
 
     def summary(self) -> dict[str, Any]:
         """Return the figures for run.json; complete once closed."""
-        everyone = [*self._known.values(), *self._left]
+        scores = [*self._known.values(), *self._left]
         live = self._source if isinstance(self._source, ScoreWorkers) else None
         return {
             "scorer": "recorded" if live is None else "mllm",
             "submitted": len(self._jobs),
             "scored": sum(s.value is not None for s in self._known.values()),
-            "equal_pictures": sum(s.cached for s in everyone),
+            "equal_pictures": sum(s.cached for s in scores),
             "failed": sum(s.error is not None for s in self._known.values()),
             "unused": len(self._left),
             "stopped": self.stopped,
@@ -238,7 +239,7 @@ class SemanticScorer:
         }
 
     def close(self) -> None:
-        """Ask nothing more; what is still out is dropped and said so in the log."""
+        """End all requests; the log marks pending candidates as dropped."""
         if not self._closed:
             self._closed = True
             self._left = self._source.close()

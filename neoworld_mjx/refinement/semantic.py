@@ -1,8 +1,8 @@
-"""S_sem by geometry: how well the composed poses agree with the photograph's relations.
+"""S_sem by geometry: agreement of the composed poses with the photograph's relations.
 
-The paper's four criteria (Appendix B), each in steps, the mean of the four taken. The photograph's
-side is the parsed 2D boxes and depths, seen through the parsed camera; a candidate's side is where
-its surface samples are projected. Relations are scored by pairs of objects; orientation also by how
+S_sem is the mean of the paper's four criteria (Appendix B), each rounded to steps. They compare the
+parsed 2D boxes and depths, seen through the parsed camera, with the projection of a candidate's
+surface samples. Relations are scored by pairs of objects; orientation also by how
 each object fills its own box, since that is all that a box says about a heading.
 """
 
@@ -20,7 +20,7 @@ from ..physics.sampling import surface_samples
 from ..spec import Camera, SceneSpec, world_poses
 
 SAMPLES = 256
-"""Surface samples that an object's 2D box is taken from where none was parsed."""
+"""Surface samples that give the 2D box of an object without a parsed one."""
 LEVELS = 20
 """Steps of a score: 0, 1/20, ... 1."""
 SIZE_TOLERANCE = 0.4
@@ -32,11 +32,11 @@ BOX_TOLERANCE = 0.25
 SEEN_DEPTH = 0.01
 """Penetration [m] at which an intersection is certainly visible."""
 BOX_NOISE_PX, BOX_NOISE = 2.0, 0.02
-"""What a parsed box edge may be off by: pixels, and a share of the box's size."""
+"""Noise of a parsed box edge: pixels, and a share of the box's size."""
 
 
 class PhotoView(NamedTuple):
-    """The photograph's side, by object."""
+    """The photograph's camera, boxes and depths, by object."""
 
     axes: np.ndarray
     position: np.ndarray
@@ -46,9 +46,9 @@ class PhotoView(NamedTuple):
     depth: np.ndarray
     """Distance along the view [m]."""
     judged: np.ndarray
-    """Objects that count: not environment supports."""
+    """True for objects that count, which are all but environment supports."""
     whole: np.ndarray
-    """Objects whose 2D box shows all of them."""
+    """True for objects whose 2D box shows all of them."""
 
     @property
     def centre(self) -> np.ndarray:
@@ -62,21 +62,21 @@ class PhotoView(NamedTuple):
 
 
 def photo_view(spec: SceneSpec) -> PhotoView:
-    """Collect the photograph's side; what was not parsed is taken from the composed scene."""
+    """Collect the photograph's boxes and depths; the composed scene gives those not parsed."""
     camera = spec.camera or _camera_for(spec)
     middle = np.tile([camera.width / 2, camera.height_px / 2], 2)
     poses = world_poses(spec)
     boxes, depth = [], []
     for item in spec.objects:
-        box, far = item.box2d and item.box2d.as_tuple(), item.depth
-        if box is None or far is None:
+        box, distance = item.box2d and item.box2d.as_tuple(), item.depth
+        if box is None or distance is None:
             with jax.ensure_compile_time_eval():
                 points = np.asarray(surface_samples(item, SAMPLES), float)
-            px, away = camera.project(poses[item.name].apply(points))
-            box = [*px.min(axis=0), *px.max(axis=0)] if box is None else box
-            far = away.mean() if far is None else far
+            pixels, distances = camera.project(poses[item.name].apply(points))
+            box = [*pixels.min(axis=0), *pixels.max(axis=0)] if box is None else box
+            distance = distances.mean() if distance is None else distance
         boxes.append(np.array(box) - middle)
-        depth.append(far)
+        depth.append(distance)
     return PhotoView(
         camera.axes(),
         camera.position(),
@@ -122,7 +122,7 @@ class Semantic(eqx.Module):
 
     total: Float[Array, " pop"]
     each: Float[Array, "pop object"]
-    """By the criteria that an object takes part in; 1 for those that are not judged."""
+    """Score by the criteria that involve an object; 1 for objects that are not judged."""
 
 
 def semantic_score(
@@ -133,7 +133,7 @@ def semantic_score(
     Args:
         scene: the compiled scene.
         poses: where the candidates' objects are placed.
-        depths: their pairwise penetration [m].
+        depths: pairwise penetration [m] of the candidates' objects.
     """
     v = photo_view(scene.spec)
     count = len(v.depth)
@@ -193,7 +193,7 @@ def _steps(x: Float[Array, "pop column"]) -> Float[Array, "pop column"]:
 
 
 def reprojection_error(scene: SceneModel, poses: Poses) -> Float[Array, " pop"]:
-    """Squared distance of projected boxes from the photograph's, in units of its noise.
+    """Return the squared distance of projected boxes from the photograph's, in units of its noise.
 
     Differentiable; beyond three units it grows linearly (Huber), as a parsed box may be plainly
     wrong. Only objects whose box shows all of them count.

@@ -18,13 +18,15 @@ class Case:
     name: str
     scene: SceneSpec
     start: Callable[[SceneModel, int], Layout] | None = None
-    """Where the search with a seed starts, pop axis of length 1; by default the composed scene."""
+    """Gives the layout at which the search with a seed starts, pop axis of length 1.
+
+    None starts at the composed scene."""
     errors: Callable[[SceneModel, Layout], dict[str, float]] | None = None
-    """How far a layout is from the truth, where that is known."""
+    """Measures the errors of a layout from the truth; None where that is unknown."""
 
 
 Source = Callable[[str], Case]
-"""Makes a scene by the name after the colon."""
+"""Makes a scene from the name after the colon."""
 
 
 def case(name: str, sources: Mapping[str, Source]) -> Case:

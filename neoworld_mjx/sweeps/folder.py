@@ -14,24 +14,24 @@ FORMAT = "neoworld-sweep/1"
 
 
 class SweepFolder:
-    """Where a sweep writes; rows of an earlier part of it are in `rows`."""
+    """The output folder of a sweep; `rows` holds the rows of an earlier part of it."""
 
     def __init__(self, path: Path, kind: str, *, resume: bool, overwrite: bool) -> None:
-        """Create the folder, or go on in one.
+        """Create the folder, or continue in an existing one.
 
         Args:
             path: the folder.
             kind: sweep or ablation.
-            resume: keep the rows that are there and asked for again.
-            overwrite: delete what an earlier sweep wrote, and only that.
+            resume: keep existing rows that the plan asks for again.
+            overwrite: delete the files of an earlier sweep, and no others.
 
         Raises:
-            RunError: the path is a file, cannot be written, or holds what may not be touched.
+            RunError: the path is a file, cannot be written, or holds files that must stay.
         """
         self.path = Path(path)
         self.rows: list[Row] = []
         self.groups: list[dict[str, Any]] = []
-        """What sweep.json said of the computations that `rows` come from."""
+        """The computations that made `rows`, as sweep.json lists them."""
         if self.path.exists() and not self.path.is_dir():
             raise RunError(f"{path} is a file; name a folder")
         try:
@@ -46,14 +46,16 @@ class SweepFolder:
     def _enter(self, kind: str, resume: bool, overwrite: bool) -> None:
         try:
             about = json.loads((self.path / ABOUT).read_text(encoding="utf-8"))
-            ours = about["format"] == FORMAT and isinstance(about["kind"], str)
+            is_sweep = about["format"] == FORMAT and isinstance(about["kind"], str)
         except (OSError, ValueError, KeyError, TypeError):
-            ours, about = False, {}
-        if not ours:
+            is_sweep, about = False, {}
+        if not is_sweep:
             raise RunError(f"{self.path} is not empty and holds no {kind}: name a new folder")
-        held = about["kind"]
-        if held != kind:
-            raise RunError(f"{self.path} holds another kind of run, {held}: name a new folder")
+        existing_kind = about["kind"]
+        if existing_kind != kind:
+            raise RunError(
+                f"{self.path} holds another kind of run, {existing_kind}: name a new folder"
+            )
         if overwrite:
             for name in (RESULTS, TABLE):
                 (self.path / name).unlink(missing_ok=True)
@@ -76,15 +78,15 @@ class SweepFolder:
         Raises:
             RunError: there are rows that are not asked for, which would be lost.
         """
-        held = {key(row): row for row in self.rows}
-        lost = [at for at in held if at not in wanted]
+        existing = {key(row): row for row in self.rows}
+        lost = [at for at in existing if at not in wanted]
         if lost:
             scene, point, seed = lost[0]
             raise RunError(
                 f"{self.path} has {len(lost)} rows that are not asked for now, such as scene "
                 f"{scene}, point {point}, seed {seed}: use --overwrite, or name a new folder"
             )
-        return {at: row for at, row in held.items() if row["fingerprint"] == wanted[at]}
+        return {at: row for at, row in existing.items() if row["fingerprint"] == wanted[at]}
 
     def write(self, rows: Sequence[Row], values: Sequence[str], table: str) -> None:
         """Write all rows so far and their table.

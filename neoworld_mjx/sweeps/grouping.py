@@ -12,9 +12,9 @@ from ..refinement.batching import early_stop_rule
 
 _OPTIONS = tuple(list_options(RefineOptions))
 TRACED = tuple(each.path for each in _OPTIONS if each.kind == "traced")
-"""Paths under `refine` of the options that are arrays: other values compile nothing anew."""
+"""Paths under `refine` of the options that are arrays: other values need no compilation."""
 STATIC = {each.path: each.reason for each in _OPTIONS if each.kind == "static"}
-"""Paths of the options whose other values are another computation, and why."""
+"""Options whose other values are another computation: the reason, by path."""
 _SHARED = {each.path: each.reason for each in _OPTIONS if each.kind == "traced" and each.reason}
 """Traced options that also set where `rollout.early_stop` ends rollouts."""
 
@@ -40,7 +40,7 @@ def static_part(options: RefineOptions) -> str:
 
 
 def grouped(every: Sequence[RefineOptions], *, fold: bool = True) -> list[PointGroup]:
-    """Split points into groups; without `fold` each is one by itself.
+    """Split points into groups; without `fold` each is a group of its own.
 
     All groups share the widest reach of snapping, so that one compiled scene serves them all.
     """
@@ -57,7 +57,7 @@ def _widest(every: Sequence[RefineOptions], members: Sequence[int]) -> RefineOpt
 
 
 def reasons(every: Sequence[RefineOptions], *, fold: bool = True) -> list[str]:
-    """Say which static options split the points into groups, one line each."""
+    """List the static options that split the points into groups, one line each."""
     tables = [option_values(options) for options in every]
     count = len({static_part(options) for options in every})
     if count == 1 or not fold:
@@ -65,11 +65,11 @@ def reasons(every: Sequence[RefineOptions], *, fold: bool = True) -> list[str]:
     lines = []
     stops = any(options.rollout.early_stop for options in every)
     split = STATIC | _SHARED if stops else STATIC
-    for name, why in split.items():
+    for name, reason in split.items():
         values = list(dict.fromkeys(json.dumps(table[name]) for table in tables))
         if len(values) > 1:
             shown = ", ".join(value.strip('"') for value in values)
-            lines.append(f"refine.{name} = {shown} ({why}): compiles {len(values)} times")
+            lines.append(f"refine.{name} = {shown} ({reason}): compiles {len(values)} times")
     if len({tuple(table["reward.terms"]) for table in tables}) > 1:
         lines.append("refine.reward.terms: other terms are another program")
     return [*lines, f"so {len(every)} points are {count} computations of a scene"]

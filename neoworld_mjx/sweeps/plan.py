@@ -1,4 +1,4 @@
-"""What a sweep or an ablation asks for: a YAML file, wholly checked before anything runs."""
+"""Plans of sweeps and ablations: YAML files, validated in full before anything runs."""
 
 import itertools
 import json
@@ -22,7 +22,7 @@ class _Request(Options):
     config: Path | None = None
     """YAML of options that all points share."""
     base: dict[str, Any] = {}
-    """Options laid over those."""
+    """Options that override those of `config`."""
     seeds: tuple[int, ...] = Field(default=(0, 1, 2, 3), min_length=1)
 
 
@@ -32,7 +32,7 @@ class Plan(_Request):
     axes: dict[str, list[Any]] = {}
     """Values by the path of an option, such as `refine.reward.w_drift`."""
     fold: bool = True
-    """Whether runs that differ in traced options alone are one computation."""
+    """Runs that differ in traced options alone are one computation."""
 
 
 class Ablation(_Request):
@@ -41,7 +41,7 @@ class Ablation(_Request):
     variants: dict[str, dict[str, Any]] = {}
     """By name: values by the paths of options."""
     fold: bool = False
-    """As of a sweep. Runs by themselves are timed and pruned as a user's are."""
+    """As in `Plan`. Separate runs are timed and pruned as a single refinement is."""
 
 
 class Point(NamedTuple):
@@ -49,7 +49,7 @@ class Point(NamedTuple):
 
     label: str
     values: dict[str, Any]
-    """What sets it apart, by column."""
+    """The values that distinguish it, by column."""
     options: RefineOptions
 
 
@@ -60,7 +60,7 @@ Request = TypeVar("Request", Plan, Ablation)
 
 
 def read(source: Request | Mapping[str, Any] | Path | str, kind: type[Request]) -> Request:
-    """Read a plan from a YAML file or a mapping; one that is read already stays as it is.
+    """Read a plan from a YAML file or a mapping; an instance of `kind` is returned as it is.
 
     Raises:
         ConfigError: the file is missing or no YAML mapping, or a key or value is wrong.
@@ -88,7 +88,7 @@ def read(source: Request | Mapping[str, Any] | Path | str, kind: type[Request]) 
 
 
 def points(plan: Plan | Ablation) -> list[Point]:
-    """Validate every setting that a plan asks for.
+    """Validate and list the points of a plan.
 
     Raises:
         ConfigError: an axis names no option, has no values or one of a wrong type, or a value comes
@@ -97,7 +97,7 @@ def points(plan: Plan | Ablation) -> list[Point]:
     shared = load_config(plan.config, plan.base)
     if shared.refine.semantic.scorer != "geometric":
         raise ConfigError("refine.semantic.scorer: sweeps score by geometry; choose geometric")
-    # What the file and `base` say is told apart from defaults only by what they set.
+    # Points override the complete options of the base, defaults included.
     base = shared.model_dump(mode="json")
     if isinstance(plan, Plan):
         return _grid(plan.axes, base)

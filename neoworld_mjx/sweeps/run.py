@@ -39,15 +39,15 @@ class Swept:
     """The result of a sweep or an ablation."""
 
     rows: list[Row]
-    """One of each scene, point and seed; columns as in `run_rows.COLUMNS`."""
+    """One row of each scene, point and seed; columns as in `run_rows.COLUMNS`."""
     points: list[dict[str, Any]]
-    """Each point over scenes and seeds; see `table.summary`."""
+    """Summary of each point over scenes and seeds; see `table.summary`."""
     differences: list[dict[str, Any]]
-    """Of an ablation: each variant from the base; see `table.differences`."""
+    """Differences of an ablation's variants from the base; see `table.differences`."""
     table: str
     """Both, as Markdown."""
     about: dict[str, Any] = field(default_factory=dict)
-    """What sweep.json holds."""
+    """The content of sweep.json."""
 
 
 def sweep(
@@ -66,18 +66,18 @@ def sweep(
     are not pruned, which changes no elite.
 
     Args:
-        plan: a YAML file, or what it would hold.
+        plan: a plan, or its YAML file or mapping.
         out: folder to write results.parquet, table.md and sweep.json into; None writes nothing.
         cases: scenes besides those that the plan names.
-        sources: what makes scenes that the plan names as KIND:NAME.
-        engine: what rolls candidates out; opened from the options by default.
+        sources: by KIND, functions that make the scenes named as KIND:NAME.
+        engine: the physics engine; opened from the options by default.
         resume: go on with the sweep in `out`.
         overwrite: replace the sweep in `out`.
 
     Raises:
-        ConfigError: the plan is wrong; nothing has run then.
+        ConfigError: the plan is wrong; raised before anything runs.
         SpecError: there is no such scene.
-        RunError: the folder may not be touched.
+        RunError: the folder cannot be written, or holds files that must stay.
     """
     return _run(read(plan, Plan), out, cases, sources or {}, engine, resume, overwrite)
 
@@ -92,7 +92,7 @@ def ablate(
     resume: bool = False,
     overwrite: bool = False,
 ) -> Swept:
-    """Refine scenes with a base and named changes of it, and tell their differences.
+    """Refine scenes with a base and named changes of it, and estimate their differences.
 
     Runs are by themselves unless the plan says `fold`, the first of a kind twice, so that none is
     timed while it compiles. See `sweep` for arguments and errors.
@@ -124,18 +124,18 @@ def _run(
         _log.info("static: %s", line)
     wanted = _fingerprints(plan, at, cases, groups, engine)
     folder = None
-    known: dict[Key, Row] = {}
+    done: dict[Key, Row] = {}
     if out is not None:
         folder = SweepFolder(Path(out), kind, resume=resume, overwrite=overwrite)
-        known = folder.keep(wanted)
-        if known:
-            _log.info("%d of %d runs are there already", len(known), total)
+        done = folder.keep(wanted)
+        if done:
+            _log.info("%d of %d runs are there already", len(done), total)
     columns = list(at[0].values)
     about = _about(kind, plan, at, lines)
     about["groups"] = folder.groups if folder is not None else []
 
-    def kept(finished: bool) -> Swept:
-        rows = [known[key] for key in wanted if key in known]
+    def save(finished: bool) -> Swept:
+        rows = [done[key] for key in wanted if key in done]
         about["finished"] = finished
         for name in ("seconds", "compilations"):
             about[name] = sum(group[name] for group in about["groups"])
@@ -149,46 +149,46 @@ def _run(
         models: dict[tuple[float, int], SceneModel] = {}
         warm: set[str] = set()
         for number, group in enumerate(groups, start=1):
-            asked = [(k, seed) for k in group.members for seed in plan.seeds]
-            asked = [(k, s) for k, s in asked if (scene.name, at[k].label, s) not in known]
-            if not asked:
+            pending = [(k, seed) for k in group.members for seed in plan.seeds]
+            pending = [(k, s) for k, s in pending if (scene.name, at[k].label, s) not in done]
+            if not pending:
                 continue
-            start, built = time.perf_counter(), compilations()
+            start, compile_count = time.perf_counter(), compilations()
             reach = group.reach
             shape = (reach.rollout.timestep_s, reach.rollout.samples_per_object)
             if shape not in models:
                 models[shape] = compile_for_search(scene.scene, reach)
-            rolls = engine or open_engine(reach.rollout.engine)
+            rollout_engine = engine or open_engine(reach.rollout.engine)
             runs = [
                 SearchRun(
                     at[k].options,
                     seed,
                     None if scene.start is None else scene.start(models[shape], seed),
                 )
-                for k, seed in asked
+                for k, seed in pending
             ]
             run_all = _folded if plan.fold else _apart
-            rows = run_all(scene, models[shape], runs, rolls, warm)
-            for (k, seed), row in zip(asked, rows, strict=True):
+            rows = run_all(scene, models[shape], runs, rollout_engine, warm)
+            for (k, seed), row in zip(pending, rows, strict=True):
                 key = (scene.name, at[k].label, seed)
                 head = {"scene": scene.name, "point": at[k].label, "seed": seed}
-                known[key] = head | at[k].values | row | {"fingerprint": wanted[key]}
-            spent, built = time.perf_counter() - start, compilations() - built
+                done[key] = head | at[k].values | row | {"fingerprint": wanted[key]}
+            elapsed, compile_count = time.perf_counter() - start, compilations() - compile_count
             about["groups"].append(
                 {
                     "scene": scene.name,
                     "points": [at[k].label for k in group.members],
                     "runs": len(runs),
-                    "seconds": spent,
-                    "compilations": built,
+                    "seconds": elapsed,
+                    "compilations": compile_count,
                 }
             )
             _log.info(
                 "%s, group %d of %d: %d runs in %.1f s, %d programs compiled",
-                *(scene.name, number, len(groups), len(runs), spent, built),
+                *(scene.name, number, len(groups), len(runs), elapsed, compile_count),
             )
-            kept(False)
-    return kept(True)
+            save(False)
+    return save(True)
 
 
 def _folded(
@@ -217,7 +217,7 @@ def unpruned(run: SearchRun) -> SearchRun:
 def _apart(
     scene: Case, model: SceneModel, runs: Sequence[SearchRun], engine: Engine, warm: set[str]
 ) -> list[Row]:
-    """Run one after the other, as `refine` does; the first of a kind also unmeasured before."""
+    """Refine runs one by one; the first of each kind runs twice, so that compiling is not timed."""
     rows = []
     for run in runs:
         kind = {name: v for name, v in option_values(run.options).items() if name not in TRACED}
@@ -251,7 +251,7 @@ def _fingerprints(
     groups: Sequence[PointGroup],
     engine: Engine | None,
 ) -> dict[Key, str]:
-    """Return a hash of all that decides a run, in the order of the table's rows."""
+    """Return a hash of every run's inputs, in the order of the table's rows."""
     shared = {
         "versions": versions(),
         "fold": plan.fold,
@@ -260,12 +260,12 @@ def _fingerprints(
     }
     fingerprints = {}
     for scene in cases:
-        described = content_hash(scene.scene)
+        scene_hash = content_hash(scene.scene)
         for point in at:
             options = option_values(point.options)
             for seed in plan.seeds:
-                decides = [shared, scene.name, described, options, seed]
-                fingerprints[scene.name, point.label, seed] = content_hash(decides)[:16]
+                inputs = [shared, scene.name, scene_hash, options, seed]
+                fingerprints[scene.name, point.label, seed] = content_hash(inputs)[:16]
     return fingerprints
 
 
@@ -306,7 +306,7 @@ def _swept(kind: str, rows: list[Row], labels: list[str], about: dict[str, Any])
 
 
 def answer(swept: Swept, out: Path) -> dict[str, Any]:
-    """Return what the command prints."""
+    """Return the JSON answer of the command."""
     flat = lambda rows: [
         {"point": row["point"], "n": row["n"]}
         | {

@@ -20,7 +20,7 @@ from .cases import Case
 from .plan import plain
 
 Row = dict[str, Any]
-"""One run: scene, point, seed, what sets the point apart, and what came of it."""
+"""One run: scene, point, seed, the values of the point, and the results."""
 
 COLUMNS: dict[str, type] = {
     "valid": bool,
@@ -57,7 +57,7 @@ _TERM_COLUMNS = {"d_pen": "d_pen_m", "d_drift": "d_drift", "s_sem": "s_sem", "pr
 
 
 def row_of_refined(case: Case, model: SceneModel, refined: Refined) -> Row:
-    """Describe the outcome of a refinement by itself."""
+    """Return the columns of a single refinement."""
     history = refined.history
     to_valid = refined.seconds["to_valid"]
     outcome = {
@@ -78,7 +78,7 @@ def row_of_refined(case: Case, model: SceneModel, refined: Refined) -> Row:
 def row_of_search(
     case: Case, model: SceneModel, result: SearchResult, chosen: Chosen, start: Layout | None
 ) -> Row:
-    """Describe the outcome of a run among others; the caller adds time and engine."""
+    """Return the columns of one run of a search; the caller adds time and engine."""
     outcome = {
         "passed": chosen.passed,
         "iterations": len(result.rounds),
@@ -107,15 +107,15 @@ def _winner(values: Mapping[str, Any] | None, terms: Iterable[Any]) -> Row:
 def _of_layout(case: Case, model: SceneModel, layout: Layout, measure: SceneMeasure) -> Row:
     moves = np.asarray(model.optimised)
     logs = np.asarray(layout.log_scale[0])[moves]
-    off = case.errors(model, layout) if case.errors is not None else {}
+    errors = case.errors(model, layout) if case.errors is not None else {}
     return {
         "mean_log_scale": float(logs.mean()) if len(logs) else 0.0,
         "max_depth_m": measure.max_depth_m,
         "max_drift_m": measure.max_drift_m,
         "max_tilt_deg": measure.max_tilt_deg,
-        "xy_error_m": off.get("xy_m"),
-        "yaw_error_deg": off.get("yaw_deg"),
-        "scale_error": off.get("scale"),
+        "xy_error_m": errors.get("xy_m"),
+        "yaw_error_deg": errors.get("yaw_deg"),
+        "scale_error": errors.get("scale"),
     }
 
 
@@ -128,12 +128,12 @@ _TYPES: dict[type, Any] = {
 
 
 def write_parquet(path: Path, rows: Sequence[Row], values: Sequence[str]) -> None:
-    """Write rows, replacing the file at once.
+    """Write rows, replacing the file atomically.
 
     Args:
         path: of the file.
         rows: the runs.
-        values: columns that tell points apart.
+        values: columns that distinguish points.
 
     Raises:
         RunError: the file cannot be written.
@@ -163,7 +163,7 @@ def read_parquet(path: Path) -> list[Row]:
     """
     try:
         data = path.read_bytes()
-        # The reader ends the process's thread on other files, so they are told apart first.
+        # The reader ends the process's thread on other files, so they are rejected first.
         if data[:4] != b"PAR1" or data[-4:] != b"PAR1":
             raise RunError(f"{path} is not a Parquet file")
         table = arro3.io.read_parquet(path).read_all()

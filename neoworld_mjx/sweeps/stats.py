@@ -11,7 +11,7 @@ Z = float(stats.norm.ppf(0.975))
 
 
 class Estimate(NamedTuple):
-    """A mean or a rate with its 95 % interval; NaN where there is too little to say."""
+    """A mean or a rate with its 95 % interval; NaN where there are too few values."""
 
     mean: float
     low: float
@@ -48,16 +48,16 @@ def rate_difference(hits: Sequence[bool], others: Sequence[bool]) -> Estimate:
     width also where all pairs agree. `mean` is the plain difference.
 
     Args:
-        hits: of each pair.
-        others: of each pair, what is subtracted.
+        hits: first outcome of each pair.
+        others: second outcome of each pair, subtracted.
     """
     n = len(hits)
     if n == 0:
         return Estimate(math.nan, math.nan, math.nan, 0)
     gained = sum(bool(a) and not b for a, b in zip(hits, others, strict=True))
     lost = sum(bool(b) and not a for a, b in zip(hits, others, strict=True))
-    more = n + 2.0
-    centre = (gained - lost) / more
-    spread = (gained + lost + 1.0) / more - centre**2
-    half = Z * math.sqrt(max(spread, 0.0) / more)
+    adjusted_n = n + 2.0
+    centre = (gained - lost) / adjusted_n
+    spread = (gained + lost + 1.0) / adjusted_n - centre**2
+    half = Z * math.sqrt(max(spread, 0.0) / adjusted_n)
     return Estimate((gained - lost) / n, max(-1.0, centre - half), min(1.0, centre + half), n)

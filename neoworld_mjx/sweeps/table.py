@@ -54,15 +54,15 @@ def summary(rows: Sequence[Row], points: Sequence[str]) -> list[dict[str, Any]]:
 
 def differences(rows: Sequence[Row], points: Sequence[str]) -> list[dict[str, Any]]:
     """Sum up each point's differences from the base, paired over scenes and seeds."""
-    by = {(row["scene"], row["point"], row["seed"]): row for row in rows}
+    row_at = {(row["scene"], row["point"], row["seed"]): row for row in rows}
     differing = []
     for point in points:
         if point == BASE:
             continue
         pairs = [
-            (row, by[scene, BASE, seed])
-            for (scene, at, seed), row in by.items()
-            if at == point and (scene, BASE, seed) in by
+            (row, row_at[scene, BASE, seed])
+            for (scene, at, seed), row in row_at.items()
+            if at == point and (scene, BASE, seed) in row_at
         ]
         estimates = _estimates(rows, lambda name, pairs=pairs: _difference(pairs, name))
         differing.append({"point": point, "n": len(pairs), **estimates})
@@ -123,5 +123,5 @@ def _cell(estimate: dict[str, Any] | None, shown: Shown, n: int, signed: bool) -
     text = number(estimate["mean"], sign)
     if math.isfinite(estimate["low"]):
         text += f" [{number(estimate['low'], sign)}, {number(estimate['high'], sign)}]"
-    # Fewer than all runs have this figure, such as a time to valid where none was.
+    # Some runs lack this value, such as the time to valid of a run that never was valid.
     return text if estimate["n"] == n else f"{text} (n {estimate['n']})"
