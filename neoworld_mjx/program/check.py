@@ -21,7 +21,7 @@ from .probe import OutOfTime, Probe, line_box_distance
 from .signals import Signal, deduplicated
 
 AXIS_SLACK = 0.05
-"""How far an axis may pass beside the part it turns, over that part's diagonal."""
+"""Distance by which an axis may pass beside the part it turns, over that part's diagonal."""
 LEAST_TURN_RAD, LEAST_SLIDE = 0.03, 0.01
 """Smallest range: of a turn, and of a slide over the child's diagonal."""
 OPENS_COSINE = 0.3

@@ -15,7 +15,7 @@ from ..spec.pose import conjugate, from_yaw, quat_mul, rotate
 
 WIDTH, HEIGHT = 448, 384
 OPENED = 0.8
-"""How far joints stand open in the second picture, over their range."""
+"""Share of their range by which joints stand open in the second picture."""
 
 
 @dataclass(frozen=True)

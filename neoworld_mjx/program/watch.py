@@ -15,7 +15,7 @@ from .views import opened_state
 log = logging.getLogger(__name__)
 
 POLL_S = 0.2
-"""How often a watched program's file is looked at."""
+"""Interval between looks at a watched program's file."""
 
 
 @dataclass(frozen=True)

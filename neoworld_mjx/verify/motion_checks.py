@@ -23,7 +23,7 @@ JOINT_SPEED = 0.03
 STIRRED = 0.02
 """Share of its range by which a joint may move by itself."""
 BEGINS_M = 0.001
-"""What has moved so far on a slope has begun to slide."""
+"""Movement on a slope that counts as sliding."""
 COASTED_S = 0.5
 SHORT_M, SHORT_RAD = 0.08, 0.6
 ROUND = 0.01

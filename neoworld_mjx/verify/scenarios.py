@@ -20,7 +20,7 @@ held, and without gravity too."""
 SINGLE = ("revolute", "continuous", "prismatic")
 """Types of joints with one value; what has three is posed and pushed, but not driven."""
 STILL_S = 0.1
-"""How long a joint is left alone before it is driven."""
+"""Time a joint rests before it is driven."""
 TILT_FROM_S, STEEPEST_DEG = 0.3, 70.0
 """When the slope begins to rise, and how steep it is at the end."""
 DIRECTIONS = {

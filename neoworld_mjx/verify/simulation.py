@@ -26,7 +26,7 @@ from .scenarios import SINGLE, STILL_S, Moving, Scenario, World, slope_at
 
 FLOOR = "floor_of_the_trial"
 HOLDING_MASS = 1e6
-"""How many times heavier than the object the base is that holds it."""
+"""Mass of the base that holds the object, over the object's mass."""
 CONTROL_BYTES = 64 << 20
 """Most memory for the forces of a batch; more scenarios than that are rolled out in turns."""
 G = 9.81

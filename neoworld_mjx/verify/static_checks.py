@@ -23,7 +23,7 @@ COVER_SAMPLES = 240
 MISSING_SHARE = 0.2
 """Share of what is seen of a part that may be without a collider."""
 PROUD_SHARE = 0.04
-"""How far colliders may stand out of what is seen, over the part's diagonal."""
+"""Distance by which colliders may stand out of the visible shape, over the part's diagonal."""
 
 
 def helper(part: PartSpec) -> bool:
