@@ -16,7 +16,7 @@ import tyro
 from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes, subcommand
 
 from .bench.suites import DEVELOPER_SUITES
-from .commands import COMMANDS, Answer, Command
+from .commands import COMMANDS, Answer, Runnable
 from .errors import NeoWorldError
 
 BAD_INPUT, FAILED, BUG, INTERRUPTED = 2, 1, 70, 130
@@ -46,7 +46,7 @@ def main(args: Sequence[str] | None = None) -> None:
     sys.exit(run(command))
 
 
-def run(command: Command) -> int:
+def run(command: Runnable) -> int:
     """Run a parsed command, print its answer and return the exit code."""
     _show_progress(quiet=command.quiet)
     with _reserved_stdout() as out:

@@ -20,36 +20,44 @@ TIMED = {"run.json", "report.html", ".lock"}
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory) -> tuple[Path, float]:
-    """An undisturbed run, and how long its steps take once everything is compiled [s]."""
+def whole(tmp_path_factory) -> Path:
+    """An undisturbed run."""
     out = tmp_path_factory.mktemp("whole") / "out"
     _finish(out)
-    process = _start(out.with_name("again"))
+    return out
+
+
+@pytest.fixture(scope="module")
+def seconds(whole) -> float:
+    """How long the steps of a run take once everything is compiled [s]."""
+    process = _start(whole.with_name("again"))
     assert process.stderr is not None
     process.stderr.readline()
     begun = time.perf_counter()
     process.communicate()
     seconds = time.perf_counter() - begun
-    assert _contents(out) == _contents(out.with_name("again"))
-    return out, seconds
+    assert _contents(whole) == _contents(whole.with_name("again"))
+    return seconds
 
 
-def test_a_run_killed_three_times_ends_like_one_left_alone(whole, tmp_path):
-    undisturbed, seconds = whole
-    draw = random.Random(3)
+def test_a_run_killed_in_verification_and_in_the_search_ends_like_one_left_alone(whole, tmp_path):
     out = tmp_path / "out"
-    for _ in range(3):
-        _kill(out, draw.uniform(0.0, 0.5) * seconds)
+    for begun in ("verify/", "refine"):
+        process = _start(out)
+        assert process.stderr is not None
+        assert any(line.startswith(begun) for line in process.stderr), f"{begun} never began"
+        process.kill()
+        process.communicate()
         done = _steps(out)
+    assert len(done) >= 10
     _go_on(out, done)
-    assert _contents(out) == _contents(undisturbed)
+    assert _contents(out) == _contents(whole)
 
 
 @pytest.mark.slow
-def test_runs_killed_at_twenty_moments_end_like_one_left_alone(whole, tmp_path):
-    undisturbed, seconds = whole
+def test_runs_killed_at_twenty_moments_end_like_one_left_alone(whole, seconds, tmp_path):
     draw = random.Random(20)
-    expected = _contents(undisturbed)
+    expected = _contents(whole)
     at = []
     for i in range(20):
         out = tmp_path / f"out{i}"

@@ -4,7 +4,7 @@ To add a command, write its class and add a row to `COMMANDS`. Heavy packages ar
 `run`, so that `--help` is quick.
 """
 
-from .base_command import Answer, Command
+from .base_command import Answer, Command, Runnable
 from .bench_commands import BenchCommand
 from .doctor_command import DoctorCommand
 from .object_commands import BuildCommand, CheckCommand
@@ -25,4 +25,4 @@ COMMANDS: dict[str, type] = {
 }
 """Commands by name, in the order of the help."""
 
-__all__ = ["COMMANDS", "Answer", "Command"]
+__all__ = ["COMMANDS", "Answer", "Command", "Runnable"]

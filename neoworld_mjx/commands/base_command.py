@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from tyro.conf import UseAppendAction
 
@@ -13,6 +13,25 @@ if TYPE_CHECKING:
 
 Answer = dict[str, Any]
 """A JSON object; its entry "passed" decides the exit code."""
+
+
+@runtime_checkable
+class Runnable(Protocol):
+    """What the command line runs: a command, or one of commands nested in another."""
+
+    @property
+    def json(self) -> bool:
+        """Whether one JSON object is printed."""
+        ...
+
+    @property
+    def quiet(self) -> bool:
+        """Whether no progress is printed."""
+        ...
+
+    def run(self) -> Answer:
+        """Do the work and return what is to be printed."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)

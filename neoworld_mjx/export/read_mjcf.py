@@ -167,7 +167,8 @@ def _link(
         if link.name in stated:
             mass, moments = stated[link.name]
         link.mass, link.com = mass, data.xipos[b].copy()
-        link.inertia = turn @ np.diag(moments) @ turn.T
+        with np.errstate(invalid="ignore", over="ignore"):  # Refused later, by name.
+            link.inertia = turn @ np.diag(moments) @ turn.T
     return link
 
 

@@ -79,8 +79,7 @@ def verify_and_repair(
     if keep and (found := _read(place)) is not None:
         return found
 
-    def run(made: ObjectSpec) -> Battery:
-        return Battery(made, o, fixed_base=fixed_base, tilt=tilt, allowed=allowed)
+    run = lambda made: Battery(made, o, fixed_base=fixed_base, tilt=tilt, allowed=allowed)
 
     first = run(spec)
     made = repair(spec, run, rounds=o.rounds, first=first)

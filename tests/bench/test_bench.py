@@ -2,6 +2,8 @@ import json
 import math
 import xml.etree.ElementTree as ET
 
+import equinox as eqx
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from neoworld_mjx.bench.scenes import COUNTS, Noise, crowded, noisy_layouts
 from neoworld_mjx.bench.six import AGREEMENT
 from neoworld_mjx.bench.verdicts import compare, motion, naive_loop
 from neoworld_mjx.errors import EngineError
-from neoworld_mjx.physics.engine import Rollout, RolloutStatus
+from neoworld_mjx.physics.engine import RolloutStatus
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 
@@ -126,13 +128,13 @@ def test_a_wrong_law_of_scale_is_found(monkeypatch):
     from neoworld_mjx.bench import agreement as comparing
     from neoworld_mjx.physics import native
 
-    right = native.leaves
+    right = native.model_fields
 
-    def wrong(scene, layouts, poses, xp):
-        found = right(scene, layouts, poses, xp)
-        return {**found, "body_inertia": found["body_inertia"] * 1.000001}
+    def wrong(scene, poses, xp):
+        fields = right(scene, poses, xp)
+        return {**fields, "body_inertia": fields["body_inertia"] * 1.000001}
 
-    monkeypatch.setattr(native, "leaves", wrong)
+    monkeypatch.setattr(native, "model_fields", wrong)
     row = next(iter(comparing.agreement(["stack"], (), layouts=2)))
     assert isinstance(row, ModelRow) and not row.passed
     assert "body_inertia" in row.loose_fields
@@ -177,13 +179,13 @@ def test_an_engine_that_cannot_run_is_a_reason(monkeypatch):
 
 def test_an_engine_with_other_verdicts_gets_no_rate(monkeypatch):
     class Frozen:
-        def rollout(self, scene, layouts, **options):
-            found = NativeEngine().rollout(
-                scene, scene.place(layouts), duration=options["duration"]
+        def rollout(self, scene, poses, **options):
+            real = NativeEngine().rollout(scene, poses, duration=options["duration"])
+            pos, quat = (
+                jnp.broadcast_to(start[:, None], moved.shape)
+                for start, moved in ((real.start.pos, real.pos), (real.start.quat, real.quat))
             )
-            still = np.broadcast_to(np.asarray(found.start.pos)[:, None], found.pos.shape)
-            turned = np.broadcast_to(np.asarray(found.start.quat)[:, None], found.quat.shape)
-            return Rollout(found.time, still, turned, found.status, found.start, found.steps)
+            return eqx.tree_at(lambda r: (r.pos, r.quat), real, (pos, quat))
 
     monkeypatch.setattr(timing, "open_engine", lambda name: Frozen())
     row = next(physics((3,), (24,), ("native",), early_stop=(False,), apart=False))

@@ -232,9 +232,13 @@ def test_the_fastest_is_chosen_by_device_and_size(mixed, monkeypatch):
 
 
 def test_auto_takes_what_was_chosen(mixed, monkeypatch):
-    taken = []
-    monkeypatch.setattr(penetration_depth, "pair_depth_culled", lambda *_: taken.append("culled"))
-    monkeypatch.setattr(penetration_depth, "pair_depth_reference", lambda *_: taken.append("jnp"))
+    taken, none = [], jnp.zeros((70, 7, 7))
+    monkeypatch.setattr(
+        penetration_depth, "pair_depth_culled", lambda *_: taken.append("culled") or none
+    )
+    monkeypatch.setattr(
+        penetration_depth, "pair_depth_reference", lambda *_: taken.append("jnp") or none
+    )
     pair_depth(*mixed.where, mixed.samples, mixed.colliders)
     monkeypatch.setattr(penetration_depth, "choose", lambda *_: "jnp")
     pair_depth(*mixed.where, mixed.samples, mixed.colliders)

@@ -109,6 +109,6 @@ def test_without_simulation_only_the_final_check_tells_what_falls():
     )
     found = refine(scene, options, seed=0)
     assert not found.passed and not found.measure.s_stab
-    assert np.nanmax(found.history["d_drift"]) == 0.0
+    assert np.nanmax(found.history["d_drift"]) < 1e-6
     simulated = options.model_copy(update={"rollout": RolloutOptions(duration_s=0.5)})
     assert np.nanmin(refine(scene, simulated, seed=0).history["d_drift"]) > 1.0

@@ -368,8 +368,8 @@ def test_a_tape_repeats_the_scores_without_a_server(model, rounds, tmp_path):
 
 def test_candidates_that_are_not_finite_are_never_asked_about(model):
     with SemanticScorer(model, PHOTO, Panel(Replay(Tape(), "none")), options(top=3)) as scorer:
-        assert scorer.best([0.1, np.nan, 0.5, -np.inf, 0.5, np.inf]) == [2, 4, 0]
-        assert scorer.best([0.1, 0.2], top=1) == [1]
+        assert scorer.best(np.array([0.1, np.nan, 0.5, -np.inf, 0.5, np.inf])) == [2, 4, 0]
+        assert scorer.best(np.array([0.1, 0.2]), top=1) == [1]
 
 
 def test_without_a_photo_or_a_camera_it_says_what_to_do(model):

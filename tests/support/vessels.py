@@ -5,6 +5,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.physics.mjcf import to_mjspec
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.spec import ObjectSpec, bounds
@@ -114,7 +115,8 @@ class Held(NamedTuple):
 
 def vessel(name: str) -> ObjectSpec:
     """Build one of `VESSELS`."""
-    made = run(_HEAD + VESSELS[name])
+    # Run-time type checks of the tests slow the SDK down.
+    made = run(_HEAD + VESSELS[name], ProgramOptions(timeout_s=10.0))
     assert made.spec is not None, made.signals
     return made.spec
 

@@ -29,7 +29,7 @@ def test_paired_rates_cover_the_truth():
         first = rng.random(60) < 0.7
         # A pair's second outcome is the first one's, but for a tenth that get worse.
         second = first & (rng.random(60) > truth / 0.7)
-        found = rate_difference(list(second), list(first))
+        found = rate_difference(second.tolist(), first.tolist())
         inside += found.low <= -truth <= found.high
     assert 0.92 <= inside / 500 <= 0.99
     agreed = rate_difference([True] * 10, [True] * 10)
