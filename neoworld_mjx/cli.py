@@ -36,8 +36,9 @@ def main(args: Sequence[str] | None = None) -> None:
         OmitSubcommandPrefixes[Annotated[command, subcommand(name)]]
         for name, command in COMMANDS.items()
     ]
+    every: Any = Union[tuple(choices)]  # noqa: UP007
     command: Any = tyro.cli(
-        Union[tuple(choices)],  # noqa: UP007
+        every,
         prog="neoworld",
         description="One photograph in, a scene out that a robot can touch.",
         args=args,

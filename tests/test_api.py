@@ -1,5 +1,6 @@
 """The public names, README's example of them, and errors for arguments of a wrong type."""
 
+import inspect
 import re
 import shutil
 from pathlib import Path
@@ -44,4 +45,4 @@ def test_the_readme_example_runs(quick_run, tmp_path, monkeypatch, capsys):
 )
 def test_reconstruct_names_an_argument_of_a_wrong_type(arguments, message):
     with pytest.raises(ConfigError, match=message):
-        nw.reconstruct(*arguments)
+        inspect.unwrap(nw.reconstruct)(*arguments)

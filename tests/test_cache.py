@@ -1,5 +1,7 @@
 """Compiled programs are dropped before the process runs out of memory maps."""
 
+import inspect
+
 import jax
 import pytest
 
@@ -26,6 +28,6 @@ def test_programs_are_dropped_when_maps_run_short(compiled):
 
 
 def test_a_new_scene_makes_room(compiled, monkeypatch):
-    monkeypatch.setattr(make_room, "__defaults__", (0.0,))
+    monkeypatch.setattr(inspect.unwrap(make_room), "__defaults__", (0.0,))
     compile_scene(scenes.blocks())
     assert compiled._cache_size() == 0

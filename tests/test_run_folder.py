@@ -312,21 +312,25 @@ def test_killed_at_random_moments_it_resumes_to_the_same_files(tmp_path):
             stdout=subprocess.PIPE,
         )
 
-    assert start(tmp_path / "whole").wait() == 0
+    with start(tmp_path / "whole") as process:
+        pass
+    assert process.returncode == 0
     (tmp_path / "log").unlink()
     draw = random.Random(0)
     out = tmp_path / "killed"
     kills = 0
     while True:
-        process = start(out)
-        assert process.stdout is not None
-        process.stdout.readline()
-        time.sleep(draw.uniform(0, 0.05 + 0.03 * kills))  # Longer and longer: machines are busy.
-        done = read_run(out)["steps"] if (out / "run.json").exists() else {}
-        for name, entry in done.items():
-            assert all((out / path).exists() for path in entry["outputs"]), name
-        process.send_signal(signal.SIGKILL)
-        if process.wait() == 0:
+        with start(out) as process:
+            assert process.stdout is not None
+            process.stdout.readline()
+            time.sleep(
+                draw.uniform(0, 0.05 + 0.03 * kills)
+            )  # Longer and longer: machines are busy.
+            done = read_run(out)["steps"] if (out / "run.json").exists() else {}
+            for name, entry in done.items():
+                assert all((out / path).exists() for path in entry["outputs"]), name
+            process.send_signal(signal.SIGKILL)
+        if process.returncode == 0:
             break
         kills += 1
         assert kills < 40

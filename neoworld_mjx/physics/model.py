@@ -116,7 +116,7 @@ class SceneModel(eqx.Module):
         """Object names, in the order of the object axis."""
         return self.static.names
 
-    @eqx.filter_jit(inline=True)
+    @eqx.filter_jit(inline=True)  # pyright: ignore[reportCallIssue]
     def place(self, layouts: Layout) -> Poses:
         """Place every object of every candidate; see `layout.place`.
 

@@ -26,7 +26,7 @@ def open_engine(name: str = "auto") -> Engine:
         raise EngineError(f"engine: {choices(name, ['auto', *ENGINES])}")
     module, _, cls = ENGINES[name].location.partition(":")
     # By its name: an engine's module imports the vocabulary, and nothing here may import it.
-    return getattr(import_module(module, __package__.rpartition(".")[0]), cls)()
+    return getattr(import_module(module, __name__.rsplit(".", 2)[0]), cls)()
 
 
 def _open_automatic() -> Engine:

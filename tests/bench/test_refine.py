@@ -61,6 +61,7 @@ def test_the_sequential_engine_says_what_native_says():
     assert np.array_equal(one.status, two.status) and np.array_equal(one.steps, two.steps)
 
 
+@pytest.mark.slow
 def test_rows_and_their_summary():
     pytest.importorskip("evosax", reason="baseline cma_es needs the extra baselines")
     rows = list(refinements(("tower",), seeds=1, options=SMALL))

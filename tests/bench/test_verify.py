@@ -25,6 +25,7 @@ def test_sound_objects_are_made_the_same_way_each_time():
     assert len({spec.name for spec in one}) == 4
 
 
+@pytest.mark.slow
 def test_a_row_of_the_matrix():
     rows = list(verify_matrix(2, ("no_damping", "limits_into_carcass"), workers=1))
     found = summary(rows)

@@ -28,7 +28,7 @@ CASES = [*((name, False) for name in HOSTILE), *((name, True) for name in list(H
 def test_every_hostile_program_ends_in_a_signal(name: str, type_check: bool):
     memory, peak = resident_mb(), peak_mb()
     # On a busy machine the bound of 3 s says nothing; `python -m benchmarks programs` holds it.
-    # Run-time type checks of the tests slow the SDK down, which counts for what needs most of a second.
+    # Run-time type checks of the tests slow the SDK down; this one needs most of a second anyway.
     seconds = 5.0 if name == "long_chain" else 1.0
     options = ProgramOptions(type_check=type_check, timeout_s=seconds)
     end = contain(name, options, within_s=20.0)

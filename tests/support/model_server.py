@@ -10,10 +10,10 @@ import socketserver
 import struct
 import threading
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 GOOD = '{"name": "red"}'
-Script = Callable[["ModelServer", socket.socket, dict[str, Any]], None]
+Script = Callable[[Any, socket.socket, dict[str, Any]], None]
 
 
 class ModelServer:
@@ -35,7 +35,7 @@ class ModelServer:
         self.closing = threading.Event()
         self._at_once = 0
 
-    def __enter__(self) -> "ModelServer":
+    def __enter__(self) -> Self:
         serve = self._serve
 
         class Connection(socketserver.BaseRequestHandler):
