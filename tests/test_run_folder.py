@@ -313,7 +313,7 @@ def test_killed_at_random_moments_it_resumes_to_the_same_files(tmp_path):
         )
 
     with start(tmp_path / "whole") as process:
-        pass
+        process.communicate()
     assert process.returncode == 0
     (tmp_path / "log").unlink()
     draw = random.Random(0)
