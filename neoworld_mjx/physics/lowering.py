@@ -39,17 +39,6 @@ def lowered(scene: SceneModel) -> SceneModel:
     return dataclasses.replace(scene, static=dataclasses.replace(static, mjm=mjm))
 
 
-def lowering_error(scene: SceneModel) -> float:
-    """Return the largest distance [m] between a lowered collider's surface and the true one's."""
-    m, worst = scene.static.mjm, 0.0
-    for kind, size in zip(m.geom_type, m.geom_size, strict=True):
-        if kind == _CYLINDER:
-            worst = max(worst, float(size[0]) * (_prism_factor() - 1))
-        elif kind == _ELLIPSOID:
-            worst = max(worst, float(max(size)) * (_ball()[1] - 1))
-    return worst
-
-
 def polyhedron(kind: int, size: NDArray) -> NDArray:
     """Return the corners [n, 3] of the polyhedron that replaces a MuJoCo cylinder or ellipsoid."""
     if kind == _ELLIPSOID:
