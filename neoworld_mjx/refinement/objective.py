@@ -148,7 +148,9 @@ def named_terms(options: RefineOptions) -> list[Term]:
         if path in TERMS:
             terms.append(eqx.tree_at(lambda t: t.weight, TERMS[path](options), jnp.float32(weight)))
             continue
-        fn = imported("refine.reward.terms", path, TERMS)
+        fn = imported(
+            "refine.reward.terms", path, {n: t for n, t in TERMS.items() if n not in ALWAYS}
+        )
         own = path.partition(":")[2]
         terms.append(Term(path if own in taken else own, fn, weight))
         taken.add(terms[-1].name)
@@ -170,9 +172,10 @@ def imported(option: str, path: str, table: dict[str, Any]) -> Callable[..., Any
     try:
         value = getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError, ValueError) as error:
+        named = f", or name a built-in one: {choices(path, table)}" if table else ""
         raise ConfigError(
-            f"{option}: cannot import {path!r} ({error}); write it as package.module:function, or "
-            f"name a built-in one: {choices(path, table)}"
+            f"{option}: cannot import {path!r} ({error}); "
+            f"write it as package.module:function{named}"
         ) from None
     if not callable(value):
         raise ConfigError(f"{option}: {path!r} is not a function")
