@@ -1,8 +1,8 @@
-"""Many objects' runs on a GPU: several objects a model, each model on a stream of its own.
+"""Runs of many objects on a GPU: several objects in each model, each model on its own stream.
 
-Objects of a model do not touch each other, and a world of it is one run of each of them. Two things
-let runs of different kinds share a model: what is held by a heavy base hangs high above the floor,
-and gravity is each world's own.
+Objects of a model do not collide with each other, and a world of it is one run of each of them.
+Runs of different kinds share a model because held objects hang high above the floor and each world
+has its own gravity.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics.mjcf import to_mjspec
 
 LIFT = 10.0
-"""How much higher what is held hangs [m]."""
+"""Height [m] by which held objects are lifted."""
 AT_ONCE = 10
 """Steps in one launch of a graph."""
 ITERATIONS = 50
@@ -49,11 +49,11 @@ class Batch:
 
     @property
     def models(self) -> int:
-        """How many models the objects are in."""
+        """Number of models."""
         return len(self.groups)
 
     def run(self) -> list[NDArray]:
-        """Simulate all runs; return qpos at the end [runs, nq] of each object."""
+        """Simulate all runs; return the final qpos [runs, nq] of each object."""
         for _, group in self.groups:
             group.begin()
         steps = self.groups[0][1].steps
@@ -61,11 +61,11 @@ class Batch:
             for _, group in self.groups:
                 group.advance()
         wp.synchronize_device(self.device)
-        found: list[Any] = [None] * self.count
+        ends: list[Any] = [None] * self.count
         for rows, group in self.groups:
             for k, end in zip(rows, group.ends(), strict=True):
-                found[k] = end
-        return found
+                ends[k] = end
+        return ends
 
 
 class Group:
@@ -93,11 +93,11 @@ class Group:
         q = v = 0
         b = 1
         for p, at in zip(objects, self.world, strict=True):
-            own = p.trial.model
-            mine, dofs = slice(q, q + own.nq), slice(v, v + own.nv)
+            own = p.simulation.model
+            columns, dofs = slice(q, q + own.nq), slice(v, v + own.nv)
             bodies = slice(b, b + own.nbody - 1)
-            qpos[:, mine] = p.starts[0, 1 : 1 + own.nq]
-            qpos[at, mine] = p.starts[:, 1 : 1 + own.nq]
+            qpos[:, columns] = p.starts[0, 1 : 1 + own.nq]
+            qpos[at, columns] = p.starts[:, 1 : 1 + own.nq]
             qpos[at, q + 2] += _lift(p)
             qvel[at, dofs] = p.starts[:, 1 + own.nq : 1 + own.nq + own.nv]
             for w, model in zip(at, p.models, strict=True):
@@ -109,7 +109,7 @@ class Group:
             joint[:, at, dofs] = p.forces[:, :, : own.nv].transpose(1, 0, 2)
             on = p.forces[:, :, own.nv :].reshape(len(at), self.steps, own.nbody, 6)
             body[:, at, bodies] = on[:, :, 1:].transpose(1, 0, 2, 3)
-            self.qpos_of.append(mine)
+            self.qpos_of.append(columns)
             q, v, b = q + own.nq, v + own.nv, b + own.nbody - 1
         gravity = np.tile(mjm.opt.gravity, (worlds, 1))
         gravity[heavy:] = 0.0
@@ -135,7 +135,7 @@ class Group:
             self.graph: Any = None
 
     def begin(self) -> None:
-        """Put all worlds at their starts."""
+        """Reset all worlds to their initial states."""
         with wp.ScopedDevice(self.device), wp.ScopedStream(self.stream):
             d = self.data
             wp.copy(d.qpos, self.start[0])
@@ -151,7 +151,7 @@ class Group:
                 self.begin()
 
     def advance(self) -> None:
-        """Go AT_ONCE steps on."""
+        """Simulate AT_ONCE more steps."""
         if self.graph is not None:
             wp.capture_launch(self.graph, stream=self.stream)
             return
@@ -170,12 +170,12 @@ class Group:
             names = ", ".join(flag.name or "" for flag in mjw.OverflowType if flag & flags)
             raise EngineError(f"something of some worlds did not fit: {names}")
         qpos = self.data.qpos.numpy().astype(float)
-        found = []
-        for p, at, mine in zip(self.objects, self.world, self.qpos_of, strict=True):
-            end = qpos[at, mine]
+        ends = []
+        for p, at, columns in zip(self.objects, self.world, self.qpos_of, strict=True):
+            end = qpos[at, columns]
             end[:, 2] -= _lift(p)
-            found.append(end)
-        return found
+            ends.append(end)
+        return ends
 
     def _step(self) -> None:
         d = self.data
@@ -194,33 +194,33 @@ def _lift(p: Prepared) -> NDArray:
 
 
 def _one_model(objects: Sequence[Prepared]) -> mujoco.MjModel:
-    """Compile objects into one model; each can touch itself and the floor alone."""
-    options = objects[0].trial.options
-    whole = mujoco.MjSpec()
-    whole.compiler.degree = False
-    whole.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
-    whole.compiler.alignfree = False
-    whole.option.timestep = options.timestep_s
-    whole.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    floor = whole.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE)
+    """Compile objects into one model; each collides only with itself and the floor."""
+    options = objects[0].simulation.options
+    mjspec = mujoco.MjSpec()
+    mjspec.compiler.degree = False
+    mjspec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+    mjspec.compiler.alignfree = False
+    mjspec.option.timestep = options.timestep_s
+    mjspec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    floor = mjspec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE)
     floor.size, floor.friction, floor.condim = [0, 0, 1.0], [0.0, 0.0, 0.0], 3
     floor.contype, floor.conaffinity = 0, (1 << len(objects)) - 1
     for k, p in enumerate(objects):
-        one = to_mjspec(p.trial.spec, timestep=options.timestep_s)
-        for key in list(one.keys):
-            one.delete(key)
-        for geom in one.geoms:
+        attached = to_mjspec(p.simulation.spec, timestep=options.timestep_s)
+        for key in list(attached.keys):
+            attached.delete(key)
+        for geom in attached.geoms:
             if geom.contype or geom.conaffinity:
                 geom.contype = geom.conaffinity = 1 << k
-        whole.attach(one, prefix=f"{k}:", frame=whole.worldbody.add_frame())
-    mjm = whole.compile()
+        mjspec.attach(attached, prefix=f"{k}:", frame=mjspec.worldbody.add_frame())
+    mjm = mjspec.compile()
     v = 0
     for k, p in enumerate(objects):
-        own = p.trial.model
+        own = p.simulation.model
         if [mjm.joint(mjm.dof_jntid[v + i]).name for i in range(own.nv)] != [
             f"{k}:{own.joint(own.dof_jntid[i]).name}" for i in range(own.nv)
         ]:
-            raise EngineError(f"{p.trial.spec.name}: its joints are not in one row")
+            raise EngineError(f"{p.simulation.spec.name}: its joints are not in one row")
         mjm.dof_solimp[v : v + own.nv] = own.dof_solimp
         v += own.nv
     mjm.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
@@ -229,7 +229,7 @@ def _one_model(objects: Sequence[Prepared]) -> mujoco.MjModel:
 
 
 def _room(objects: Sequence[Prepared]) -> tuple[int, int]:
-    """Count contacts and constraints with C MuJoCo; return what a world gets of each."""
+    """Return the contacts and constraints to allocate for a world, counted with C MuJoCo."""
     contacts = constraints = 0
     for p in objects:
         most_contacts = most_constraints = 0
@@ -258,6 +258,3 @@ def _load(
 @wp.kernel
 def _tick(time: wp.array(dtype=wp.int32), most: int):
     time[0] = wp.min(time[0] + 1, most - 1)
-
-
-__all__ = ["Batch", "Group"]

@@ -24,15 +24,23 @@ HEAD = """# Benchmarks
     neoworld bench run physics --json > rows.json    # rollouts, beside the naive loop
     neoworld bench run agreement --json              # the same verdicts from every engine?
     neoworld bench run kernels --json                # the penetration term
+    neoworld bench make --out data --json            # the data set: categories and thirty scenes
+    neoworld bench run scenes --out results --json   # methods on thirty scenes, with a table
     neoworld bench run refine --json                 # refinement from noisy starts
+    neoworld bench run photos --json                 # errors of each step, forty scenes with truth
+    neoworld bench run photos --semantic --json      # how often S_sem prefers the truth
     neoworld bench chart rows.json --out growth.svg  # cost over the number of objects
 
 In a clone, for developers of the package:
 
     uv run python -m benchmarks programs --json      # hostile programs, mutants, build time
+    uv run python -m benchmarks inputs --json        # generated hostile inputs, each watched
+    uv run python -m benchmarks faults --json        # kills, full disks, lost providers
     uv run python -m benchmarks verify --json        # injected faults: detected, named, repaired
     uv run python -m benchmarks battery --json       # simulations of many objects at once
     uv run python -m benchmarks scoring --json       # scores by a slow server
+    uv run python -m benchmarks motion --json        # objects in foreign simulators
+    uv run python -m benchmarks round-trips --json   # objects in MJCF, URDF and USD, and back
 
 `--seed` draws other scenes and layouts. Each figure below gives its command, device and
 number of repetitions (n). `benchmarks/airspeed` measures rollouts and kernels with [airspeed velocity](https://asv.readthedocs.io).

@@ -1,10 +1,13 @@
-"""Programs: whether the sandbox and cavities hold, mutants crash, how long a cabinet takes."""
+"""Programs: hostile programs and mutants in the sandbox, cavities of vessels, build times."""
 
 import logging
 import statistics
+import subprocess
+import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -80,17 +83,19 @@ cabinet.fixed("nails", top, back)
 def programs(
     *,
     hostile: bool = True,
+    neighbours: int = 0,
     mutations: int = 5000,
     repeats: int = 9,
     seed: int = 0,
 ) -> dict[str, Any]:
-    """Run the hostile programs, mutants of the guide's, and time the cabinet.
+    """Run hostile programs and mutants of the guide's programs, and time the cabinet.
 
     Args:
-        hostile: whether to run the hostile ones.
-        mutations: how many mutants.
-        repeats: of each timing; medians are told.
-        seed: of the mutations.
+        hostile: whether to run hostile programs.
+        neighbours: processes that keep the cores busy beside them.
+        mutations: number of mutants.
+        repeats: repetitions of each timing; the result has medians.
+        seed: seed of the mutations.
 
     Raises:
         ConfigError: a number is out of range.
@@ -98,10 +103,11 @@ def programs(
     if mutations < 0 or repeats < 1:
         raise ConfigError("mutations must not be negative, repeats at least 1")
     ends = []
-    for name in HOSTILE if hostile else ():
-        ends.append(contain(name))
-        if ends[-1].why:
-            log.info(f"hostile {name}: {ends[-1].why}")
+    with _busy(neighbours):
+        for name in HOSTILE if hostile else ():
+            ends.append(contain(name))
+            if ends[-1].why:
+                log.info(f"hostile {name}: {ends[-1].why}")
     log.info(f"hostile programs: {sum(not e.why for e in ends)} of {len(ends)} contained")
     bad = crashed(seed, mutations)
     log.info(f"mutants: {len(bad)} of {mutations} crashed")
@@ -124,12 +130,12 @@ def programs(
 
 
 def cabinet_times(repeats: int) -> dict[str, Any]:
-    """Time the cabinet: program to description, checks over its joints' ranges, three exports."""
+    """Time building the cabinet, its checks over its joints' ranges, and its three exports."""
     options = ProgramOptions(check_timeout_s=30.0)
     built = run(CABINET, options)
     assert built.spec is not None, built.signals
     spec = built.spec
-    found = check(spec, options, built.lines)
+    signals = check(spec, options, built.lines)
     others = Others()
     with tempfile.TemporaryDirectory() as folder:
         times = {
@@ -143,7 +149,7 @@ def cabinet_times(repeats: int) -> dict[str, Any]:
         "cores_others_used": others.cores(),
         "parts": len(spec.parts),
         "joints": sum(joint.type != "fixed" for joint in spec.joints),
-        "signals": [signal.phrase() for signal in found],
+        "signals": [signal.phrase() for signal in signals],
     }
 
 
@@ -157,6 +163,24 @@ def _median_ms(work: Callable[[], Any], repeats: int) -> float:
     return statistics.median(times)
 
 
+@contextmanager
+def _busy(count: int) -> Iterator[None]:
+    """Keep cores busy while the block runs."""
+    loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for loop in loops:
+            loop.kill()
+            loop.wait()
+
+
 def answer(o: Programs) -> dict[str, Any]:
     """Test the sandbox and time a cabinet."""
-    return programs(hostile=not o.no_hostile, mutations=o.mutations, repeats=o.repeats, seed=o.seed)
+    return programs(
+        hostile=not o.no_hostile,
+        neighbours=o.neighbours,
+        mutations=o.mutations,
+        repeats=o.repeats,
+        seed=o.seed,
+    )

@@ -1,8 +1,7 @@
-"""How well scoring by a model hides behind physics: either alone, both together, and a dead server.
+"""Overlap of scoring by a model with physics: either alone, both together, and a dead server.
 
-A server on this machine answers as slowly and unreliably as a real one. Physics is either a pause
-of a given length, which leaves the processor to drawing, or real rollouts on all cores, which do
-not.
+A server on this machine is as slow and unreliable as a real one. Physics is either a pause of a
+given length, which leaves the processor to drawing, or rollouts on all cores.
 """
 
 import math
@@ -55,17 +54,17 @@ class ScoringRow(BaseModel):
     """`both_s` over the larger of the two alone."""
     submitted: int
     scored: int
-    """Until the end, finalists awaited."""
+    """Scores that arrived by the end, after waiting for finalists."""
     misplaced: int
-    """Scores that are not the server's for their candidate's own picture."""
+    """Scores that differ from the server's for the candidate's own picture."""
     calls: int
     failed_calls: int
     drawing_s: float
-    """Of both together, in one thread beside physics."""
+    """Drawing time while both run, in one thread beside physics."""
     dead_server_s: float
-    """Both together when nobody listens."""
+    """Both together without a server."""
     dead_stopped: str | None
-    """What is said then."""
+    """Message of the scorer in that case."""
 
 
 def scoring(
@@ -89,26 +88,26 @@ def scoring(
 
     Args:
         wait: all, bounded or none.
-        objects: on the table.
-        iterations: of the search.
+        objects: number of objects on the table.
+        iterations: iterations of the search.
         top: candidates of an iteration that are scored.
-        delay_s: how long the server takes for a call.
-        at_once: calls that it answers at once.
+        delay_s: time of a call to the server [s].
+        at_once: calls that the server answers at once.
         failing: share of its calls that fail.
-        physics_s: physics of one iteration alone.
+        physics_s: time of physics in one iteration alone [s].
         real: whether physics is rollouts on all cores, repeated until `physics_s` are filled;
             otherwise it is a pause.
         population: candidates of an iteration.
         backoff_s: first wait after a failed call.
-        late: with bounded, iterations.
-        seed: of layouts and failures.
-        options: what else scoring is told.
+        late: iterations that scores may be late by, if `wait` is bounded.
+        seed: seed of layouts and failures.
+        options: further options of scoring.
     """
     o = (options or SemanticOptions()).model_copy(
         update={"scorer": "mllm", "top": top, "wait": wait, "late": late}
     )
     model = compile_scene(_seen(crowded(objects)), samples=32)
-    # As wide as the search draws.
+    # As much noise as the search samples.
     draws = [
         noisy_layouts(model, population, seed=seed + t, noise=Noise(xy=0.05))
         for t in range(iterations)
@@ -133,16 +132,16 @@ def scoring(
                 scorer.await_for([(t, k) for t in range(iterations) for k in range(population)])
 
             with scorer:
-                took = _timed(run)
-        return took, scorer, panel
+                duration = _timed(run)
+        return duration, scorer, panel
 
-    given = {"delay_s": delay_s, "at_once": at_once, "failing": failing, "seed": seed}
-    with MessagesServer(**given) as server:
+    server_options = {"delay_s": delay_s, "at_once": at_once, "failing": failing, "seed": seed}
+    with MessagesServer(**server_options) as server:
         scored_alone, _, _ = search(server.url, lambda _: None)
-    with MessagesServer(**given) as server:
+    with MessagesServer(**server_options) as server:
         both, scorer, panel = search(server.url, physics)
     draw = drawer(o)
-    told = scorer.summary()
+    summary = scorer.summary()
     misplaced = 0
     for t, (layouts, poses) in enumerate(rounds):
         for k in scorer.best(geometric):
@@ -162,21 +161,21 @@ def scoring(
         scoring_s=round(scored_alone, 3),
         both_s=round(both, 3),
         ratio=round(both / max(alone, scored_alone), 3),
-        submitted=told["submitted"],
-        scored=told["scored"],
+        submitted=summary["submitted"],
+        scored=summary["scored"],
         misplaced=misplaced,
         calls=panel.ledger.to_json()["calls"],
         failed_calls=sum(server.failures.values()),
-        drawing_s=told["drawing_s"],
+        drawing_s=summary["drawing_s"],
         dead_server_s=round(dead, 3),
         dead_stopped=silent.stopped,
     )
 
 
 def _timed(run: Callable[[], object]) -> float:
-    began = time.perf_counter()
+    start = time.perf_counter()
     run()
-    return time.perf_counter() - began
+    return time.perf_counter() - start
 
 
 def _physics(model: SceneModel, layouts: Layout, seconds: float, real: bool) -> Physics:
@@ -184,18 +183,18 @@ def _physics(model: SceneModel, layouts: Layout, seconds: float, real: bool) -> 
         return lambda _: time.sleep(seconds)
     engine = NativeEngine()
     engine.rollout(model, model.place(layouts))
-    took = float(
+    duration = float(
         np.median([_timed(lambda: engine.rollout(model, model.place(layouts))) for _ in range(3)])
     )
-    times = max(1, round(seconds / took))
-    # The same work whatever stands beside it, not the same time.
+    times = max(1, round(seconds / duration))
+    # The amount of work is fixed, not its time.
     return lambda population: [engine.rollout(model, model.place(population)) for _ in range(times)]
 
 
 @contextmanager
 def _panel(url: str, at_once: int, backoff_s: float) -> Iterator[Panel]:
-    asked = MLLMOptions(base_url=url, concurrency=at_once)
-    with Panel(Anthropic(asked), asked, backoff_s=backoff_s) as panel:
+    options = MLLMOptions(base_url=url, concurrency=at_once)
+    with Panel(Anthropic(options), options, backoff_s=backoff_s) as panel:
         yield panel
 
 
@@ -206,12 +205,12 @@ def _nobody() -> str:
 
 
 def _seen(scene: SceneSpec) -> SceneSpec:
-    """Set a scene down before a camera that sees all of it."""
-    away = 1.3 * max(math.hypot(*item.xy) for item in scene.objects) + 0.5
+    """Return a scene moved in front of a camera that sees all of it."""
+    away = 1.3 * max(math.hypot(*obj.xy) for obj in scene.objects) + 0.5
     camera = Camera(width=600, height_px=400, fovy=0.6, height=0.75 * away, pitch=0.62)
     objects = tuple(
-        item if item.parent is not None else item.model_copy(update={"xy": (away, 0.0)})
-        for item in scene.objects
+        obj if obj.parent is not None else obj.model_copy(update={"xy": (away, 0.0)})
+        for obj in scene.objects
     )
     return scene.model_copy(update={"camera": camera, "objects": objects})
 

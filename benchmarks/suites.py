@@ -1,7 +1,10 @@
 """The table of developer suites: the options of each, and the function that runs it."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
+
+from tyro.conf import UseAppendAction
 
 from neoworld_mjx.bench.suites import Suite
 
@@ -18,6 +21,8 @@ class Programs:
     """Repetitions of each timing; the answer gives medians."""
     no_hostile: bool = False
     """Leave the hostile programs out; they take a minute."""
+    neighbours: int = 0
+    """Processes that keep the cores busy beside the hostile programs."""
     seed: int = 0
     """Seed of the mutations."""
 
@@ -70,10 +75,105 @@ class Battery:
     """Objects that share a model on the GPU."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Templates:
+    """Build every template at its defaults and as drawn, check it, and run the battery on it."""
+
+    name: tuple[str, ...] = ()
+    """Templates; none takes all."""
+    seeds: int = 3
+    """Drawn instances of each, besides its defaults."""
+    sheet: Path | None = None
+    """Picture to draw of all of them, at rest and opened."""
+    workers: int = 0
+    """Processes; 0 takes all cores."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Readers:
+    """Let foreign programs read exported objects, and compare masses, joints, colliders and poses.
+
+    Their environments contradict each other, so several may be named; a reader is taken from the
+    first that has it. The extra `readers` installs those that live beside this package.
+    """
+
+    python: UseAppendAction[tuple[Path, ...]] = ()
+    """Another interpreter that has readers; may be repeated."""
+    object: UseAppendAction[tuple[str, ...]] = ()
+    """Program of examples/objects; may be repeated, none takes all."""
+    reader: UseAppendAction[tuple[str, ...]] = ()
+    """Reader; may be repeated, none takes all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """Let foreign programs simulate exported objects: 2 s of rest, and a joint pulled for 0.5 s."""
+
+    python: UseAppendAction[tuple[Path, ...]] = ()
+    """Another interpreter that has simulators; may be repeated."""
+    object: tuple[str, ...] = ("drawer_cabinet", "nightstand", "microwave", "door")
+    """Templates to simulate."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoundTrips:
+    """Write objects as MJCF, URDF and USD, read them again, and compare what came back."""
+
+    templates: int = 24
+    """Templates, one drawn instance of each; beside them go all of examples/objects."""
+    random: int = 24
+    """Random trees with every kind of joint."""
+    assets: Path | None = None
+    """Folder with further objects, <name>/model.xml."""
+    seed: int = 0
+    """Seed of the templates and trees."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """Read generated hostile inputs of every kind, each watched, in a process that may die."""
+
+    count: int = 1000
+    """Number of inputs; some 100 ms each."""
+    seed: int = 0
+    """Seed of the first; the others follow."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Faults:
+    """Strike runs by faults at random moments, and go on with them."""
+
+    count: int = 200
+    """Number of faults; some seconds each."""
+    seed: int = 0
+    """Seed of the first; the others follow."""
+    until: str = "verify"
+    """Last step of the runs; refine and export are struck by an engine that returns NaN, too."""
+    photo: str = "coffee.png"
+    """A photograph in `examples`; microwave.jpg and drawers.png show things with joints."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decisions:
+    """Check what refinements wrote, of the examples and of disturbed scenes, and compare."""
+
+    scenes: int = 50
+    """Number of disturbed scenes; some seconds each."""
+    seed: int = 0
+    """Seed of the first; the others follow."""
+
+
 SUITES = {
+    "decisions": Suite(Decisions, "benchmarks.decisions:answer"),
+    "faults": Suite(Faults, "benchmarks.faults:answer"),
+    "inputs": Suite(Inputs, "benchmarks.inputs:answer"),
+    "readers": Suite(Readers, "benchmarks.readers:answer"),
+    "motion": Suite(Motion, "benchmarks.motion:answer"),
+    "round-trips": Suite(RoundTrips, "benchmarks.round_trips:answer"),
     "programs": Suite(Programs, "benchmarks.programs:answer"),
     "verify": Suite(Verify, "benchmarks.verify:answer"),
     "battery": Suite(Battery, "benchmarks.battery:answer"),
+    "templates": Suite(Templates, "benchmarks.templates:answer"),
     "scoring": Suite(Scoring, "benchmarks.scoring:answer"),
 }
 """What `python -m benchmarks NAME` runs."""

@@ -1,8 +1,8 @@
-"""The fault matrix: kinds of faults times magnitudes on sound objects; found, named, mended.
+"""The fault matrix: kinds of faults times magnitudes in valid objects; detected, named, repaired.
 
-What is counted: `detected` of `faults` that contradict physics or a declared intent failed the
-battery; `named` had the right name for a cause; `false_alarms` are sound objects that failed. The
-faint magnitudes contradict nothing and stand in the curve alone.
+`faults` contradict physics or a declared intent. Of them, `detected` failed the battery, and
+`named` did so with the right fault as the cause. `false_alarms` are valid objects that failed. The
+faint magnitudes contradict nothing and are part of the curve alone.
 """
 
 import os
@@ -22,8 +22,8 @@ from neoworld_mjx.errors import ConfigError, choices
 from neoworld_mjx.spec import ObjectSpec
 from neoworld_mjx.verify.battery import Battery
 from neoworld_mjx.verify.repairs import repair
-from tests.support.injected import KINDS, Kind
-from tests.support.sound import sound_objects
+from tests.support.injected_faults import KINDS, Kind
+from tests.support.valid_objects import valid_objects
 
 
 class FaultRow(BaseModel):
@@ -33,7 +33,7 @@ class FaultRow(BaseModel):
     kind: str
     magnitude: float
     counts: bool
-    """Whether it contradicts anything; a faint one does not."""
+    """Whether it contradicts physics or an intent; a faint one does not."""
     detected: bool
     named: bool
     cause: str = ""
@@ -45,8 +45,8 @@ class FaultRow(BaseModel):
     changes: list[str] = []
 
 
-class SoundRow(BaseModel):
-    """One sound object."""
+class ValidRow(BaseModel):
+    """One valid object."""
 
     object: str
     joints: int
@@ -59,15 +59,15 @@ def verify_matrix(
     objects: int | None = None,
     kinds: Sequence[str] = (),
     *,
-    mend: bool = True,
+    with_repair: bool = True,
     workers: int = 0,
-) -> Iterator[SoundRow | FaultRow]:
-    """Try sound objects, then each of them with each fault.
+) -> Iterator[ValidRow | FaultRow]:
+    """Run the battery on valid objects, then on each of them with each fault.
 
     Args:
-        objects: how many; None is all.
-        kinds: names of kinds; none is all.
-        mend: whether what can be repaired is.
+        objects: number of valid objects; None is all.
+        kinds: names of kinds of faults; none is all.
+        with_repair: whether to repair the faults that can be repaired.
         workers: processes; 0 is one a core.
 
     Raises:
@@ -77,13 +77,13 @@ def verify_matrix(
     for name in kinds:
         if name not in known:
             raise ConfigError(f"kind of fault: {choices(name, list(known))}")
-    made = list(sound_objects(objects))
-    for spec in made:
+    specs = list(valid_objects(objects))
+    for spec in specs:
         yield _sound(spec)
     tasks = [
-        (spec, kind, magnitude, mend)
+        (spec, kind, magnitude, with_repair)
         for kind in (known[name] for name in kinds or known)
-        for spec in made
+        for spec in specs
         for magnitude in _magnitudes(kind)
     ]
     workers = workers or os.cpu_count() or 1
@@ -98,19 +98,19 @@ def verify_matrix(
 
 def _magnitudes(kind: Kind) -> list[float]:
     faint = [] if kind.faint is None else [kind.faint]
-    # A kind without degrees, such as an axis reversed, is tried once.
+    # A kind without magnitudes, such as a reversed axis, has one run.
     return [*faint, *dict.fromkeys(kind.magnitudes)]
 
 
 def _sent(task: tuple[ObjectSpec, Kind, float, bool]) -> tuple[str, str, float, bool]:
-    spec, kind, magnitude, mend = task
-    return spec.to_json(), kind.name, magnitude, mend
+    spec, kind, magnitude, with_repair = task
+    return spec.to_json(), kind.name, magnitude, with_repair
 
 
-def _sound(spec: ObjectSpec) -> SoundRow:
+def _sound(spec: ObjectSpec) -> ValidRow:
     start = time.perf_counter()
     verdict = Battery(spec).verdict
-    return SoundRow(
+    return ValidRow(
         object=spec.name,
         joints=sum(joint.type != "fixed" for joint in spec.joints),
         passed=verdict.passed,
@@ -119,8 +119,8 @@ def _sound(spec: ObjectSpec) -> SoundRow:
     )
 
 
-def _fault(text: str, name: str, magnitude: float, mend: bool) -> FaultRow | None:
-    """Put one fault into one object; None where the object has nothing to put it into."""
+def _fault(text: str, name: str, magnitude: float, with_repair: bool) -> FaultRow | None:
+    """Inject one fault into one object; None if the object cannot have it."""
     spec = ObjectSpec.model_validate_json(text)
     kind = next(kind for kind in KINDS if kind.name == name)
     broken = kind.inject(spec, magnitude)
@@ -135,36 +135,36 @@ def _fault(text: str, name: str, magnitude: float, mend: bool) -> FaultRow | Non
         magnitude=magnitude,
         counts=magnitude != kind.faint,
         detected=not verdict.passed,
-        named=verdict.cause in kind.means,
+        named=verdict.cause in kind.causes,
         cause=str(verdict.cause or ""),
         found=[str(fault) for fault in verdict.faults],
         repairable=kind.repairable and magnitude != kind.faint,
     )
-    if not (mend and row.repairable and row.detected):
+    if not (with_repair and row.repairable and row.detected):
         return row
-    made = repair(broken, run, first=first)
+    repaired = repair(broken, run, first=first)
     return row.model_copy(
         update={
-            "repaired": made.after.passed,
-            "worse": made.after.score > made.before.score,
-            "changes": list(made.changes),
+            "repaired": repaired.after.passed,
+            "worse": repaired.after.score > repaired.before.score,
+            "changes": list(repaired.changes),
         }
     )
 
 
-def summary(rows: Sequence[SoundRow | FaultRow]) -> dict[str, Any]:
-    """Count rows up; each share stands beside what it is a share of."""
-    sound = [row for row in rows if isinstance(row, SoundRow)]
+def summary(rows: Sequence[ValidRow | FaultRow]) -> dict[str, Any]:
+    """Sum rows up; each share has its denominator beside it."""
+    valid = [row for row in rows if isinstance(row, ValidRow)]
     faults = [row for row in rows if isinstance(row, FaultRow)]
     counted = [row for row in faults if row.counts]
-    fixable = [row for row in counted if row.repairable]
-    tried = [row for row in fixable if row.repaired is not None]
+    repairable = [row for row in counted if row.repairable]
+    attempted = [row for row in repairable if row.repaired is not None]
     share = lambda part, whole: round(part / whole, 4) if whole else None
     detected, named = sum(r.detected for r in counted), sum(r.named for r in counted)
-    alarms = sum(not row.passed for row in sound)
-    repaired = sum(bool(row.repaired) for row in fixable)
+    alarms = sum(not row.passed for row in valid)
+    repaired = sum(bool(row.repaired) for row in repairable)
     return {
-        "objects": len(sound),
+        "objects": len(valid),
         "kinds": len({row.kind for row in counted}),
         "faults": len(counted),
         "detected": detected,
@@ -172,18 +172,18 @@ def summary(rows: Sequence[SoundRow | FaultRow]) -> dict[str, Any]:
         "named": named,
         "named_share": share(named, len(counted)),
         "false_alarms": alarms,
-        "false_alarms_share": share(alarms, len(sound)),
-        "repairable": len(fixable),
-        "repair_tried": len(tried),
+        "false_alarms_share": share(alarms, len(valid)),
+        "repairable": len(repairable),
+        "repair_tried": len(attempted),
         "repaired": repaired,
-        "repaired_share": share(repaired, len(fixable)),
+        "repaired_share": share(repaired, len(repairable)),
         "made_worse": sum(row.worse for row in faults),
-        "battery_s": median(row.battery_s for row in sound) if sound else None,
-        "battery_max_s": max((row.battery_s for row in sound), default=None),
+        "battery_s": median(row.battery_s for row in valid) if valid else None,
+        "battery_max_s": max((row.battery_s for row in valid), default=None),
         "matrix": [
             _line(kind, faults) for kind in KINDS if any(r.kind == kind.name for r in faults)
         ],
-        "sound": [row.model_dump() for row in sound],
+        "sound": [row.model_dump() for row in valid],
         "missed": [
             {"object": r.object, "kind": r.kind, "magnitude": r.magnitude, "cause": r.cause}
             for r in counted
@@ -191,7 +191,7 @@ def summary(rows: Sequence[SoundRow | FaultRow]) -> dict[str, Any]:
         ],
         "unrepaired": [
             {"object": r.object, "kind": r.kind, "magnitude": r.magnitude}
-            for r in tried
+            for r in attempted
             if not r.repaired
         ],
     }
@@ -202,16 +202,16 @@ def _line(kind: Kind, rows: list[FaultRow]) -> dict[str, Any]:
     counted = [row for row in own if row.counts]
     curve = []
     for magnitude in _magnitudes(kind):
-        here = [row for row in own if row.magnitude == magnitude]
-        if here:
+        at_magnitude = [row for row in own if row.magnitude == magnitude]
+        if at_magnitude:
             curve.append(
                 {
                     "magnitude": magnitude,
                     "counts": magnitude != kind.faint,
-                    "n": len(here),
-                    "detected": sum(row.detected for row in here),
-                    "named": sum(row.named for row in here),
-                    "repaired": sum(bool(row.repaired) for row in here),
+                    "n": len(at_magnitude),
+                    "detected": sum(row.detected for row in at_magnitude),
+                    "named": sum(row.named for row in at_magnitude),
+                    "repaired": sum(bool(row.repaired) for row in at_magnitude),
                 }
             )
     return {
@@ -225,10 +225,7 @@ def _line(kind: Kind, rows: list[FaultRow]) -> dict[str, Any]:
     }
 
 
-__all__ = ["FaultRow", "SoundRow", "summary", "verify_matrix"]
-
-
 def answer(o: Verify) -> dict[str, Any]:
-    """Put faults into valid objects."""
-    rows = collect(verify_matrix(o.objects, o.kind, mend=not o.no_repair, workers=o.workers))
+    """Inject faults into valid objects."""
+    rows = collect(verify_matrix(o.objects, o.kind, with_repair=not o.no_repair, workers=o.workers))
     return {**summary(rows), "machine": machine()}

@@ -6,9 +6,17 @@ Names are resolved on first use, so that importing the package loads neither JAX
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from .engines import share_gpu_memory
+
 if TYPE_CHECKING:
     from . import measure as measure
+    from .environments.controlled_scene import ResetNoise as ResetNoise
+    from .environments.gym_environment import gym_env as gym_env
+    from .environments.mjx_environment import mjx_env as mjx_env
+    from .physics.gripper import Gripper as Gripper
     from .physics.layout import Layout as Layout
+    from .physics.mjx_model import mjx_batch as mjx_batch
+    from .physics.mjx_model import mjx_step as mjx_step
     from .physics.model import SceneModel as SceneModel
     from .physics.model import load_scene as load_scene
     from .physics.simulate import rollout as rollout
@@ -22,13 +30,21 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
+share_gpu_memory()  # Before JAX starts; later it has no effect.
+
 _HOMES = {
     "CEM": "refinement.cem",
     "CEMParams": "refinement.cem",
     "CEMState": "refinement.cem",
+    "Gripper": "physics.gripper",
     "Layout": "physics.layout",
+    "ResetNoise": "environments.controlled_scene",
     "SceneModel": "physics.model",
+    "gym_env": "environments.gym_environment",
     "load_scene": "physics.model",
+    "mjx_batch": "physics.mjx_model",
+    "mjx_env": "environments.mjx_environment",
+    "mjx_step": "physics.mjx_model",
     "reconstruct": "pipeline",
     "refine": "refinement.scene_refinement",
     "rollout": "physics.simulate",
@@ -40,10 +56,16 @@ __all__ = [
     "CEM",
     "CEMParams",
     "CEMState",
+    "Gripper",
     "Layout",
+    "ResetNoise",
     "SceneModel",
+    "gym_env",
     "load_scene",
     "measure",
+    "mjx_batch",
+    "mjx_env",
+    "mjx_step",
     "reconstruct",
     "refine",
     "rewards",

@@ -1,4 +1,4 @@
-"""Where compiled programs are kept between runs."""
+"""The folder of the cache of compiled programs and results."""
 
 import os
 from pathlib import Path

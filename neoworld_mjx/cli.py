@@ -15,16 +15,25 @@ from typing import Annotated, Any, Union
 import tyro
 from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes, subcommand
 
+from . import __version__
 from .bench.suites import DEVELOPER_SUITES
 from .commands import COMMANDS, Answer, Runnable
 from .errors import NeoWorldError
+from .names import printable
 
+REPORT = (
+    "This is a fault of neoworld, not of your input. A run can go on with --resume. To report it, "
+    "run the same command with --debug and send what it prints with the output of neoworld doctor"
+)
 BAD_INPUT, FAILED, BUG, INTERRUPTED = 2, 1, 70, 130
 
 
 def main(args: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
     args = sys.argv[1:] if args is None else args
+    if list(args) == ["--version"]:
+        print(f"neoworld {__version__}")
+        sys.exit(0)
     if tuple(args[:2]) == ("bench", "run") and args[2:3] and args[2] in DEVELOPER_SUITES:
         print(
             f"error: the suite {args[2]} needs a clone of the repository; there, run: "
@@ -55,14 +64,19 @@ def run(command: Runnable) -> int:
             answer = command.run()
             code = FAILED if answer.get("passed") is False else 0
         except NeoWorldError as error:
+            _show_traceback(command)
             answer, code = {"error": str(error)}, BAD_INPUT
+        except MemoryError:
+            _show_traceback(command)
+            lack = "there is not enough memory: ask for less, such as fewer candidates, a shorter "
+            answer, code = {"error": f"{lack}duration or a smaller picture"}, BAD_INPUT
         except KeyboardInterrupt:
             answer, code = {"error": "interrupted; go on with --resume"}, INTERRUPTED
         except Exception as error:
-            traceback.print_exc()
-            answer, code = {"error": f"internal: {type(error).__name__}: {error}"}, BUG
+            _show_traceback(command)
+            answer, code = {"error": f"internal: {type(error).__name__}: {error}. {REPORT}"}, BUG
         if "error" in answer:
-            print(f"error: {answer['error']}", file=sys.stderr)
+            print(f"error: {printable(str(answer['error']))}", file=sys.stderr)
         try:
             if command.json:
                 # NaN and Infinity are no JSON: they become null.
@@ -78,10 +92,22 @@ def run(command: Runnable) -> int:
     return code
 
 
+class _PrintableFormatter(logging.Formatter):
+    """Writes what hides or moves text on a terminal as escapes; names may come from strangers."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return printable(super().format(record))
+
+
+def _show_traceback(command: Runnable) -> None:
+    if getattr(command, "debug", False):
+        traceback.print_exc()
+
+
 def _show_progress(*, quiet: bool) -> None:
     """Send the package's log to stderr as plain lines."""
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter("%(message)s"))
+    handler.setFormatter(_PrintableFormatter("%(message)s"))
     log = logging.getLogger("neoworld_mjx")
     log.handlers = [handler]  # Not added: a second command in one process would say all twice.
     log.setLevel(logging.ERROR if quiet else logging.INFO)
@@ -96,7 +122,7 @@ def _reserved_stdout() -> Iterator[Any]:
     try:
         with (
             contextlib.redirect_stdout(sys.stderr),
-            os.fdopen(os.dup(kept), "w", encoding="utf-8") as out,
+            os.fdopen(os.dup(kept), "w", encoding="utf-8", errors="backslashreplace") as out,
         ):
             yield out
     finally:
@@ -135,6 +161,8 @@ _TABLES = {
     ),
     "points": ("point", "n", "passed", "reward", "d_drift", "s_sem", "rollouts", "seconds"),
     "differences": ("point", "n", "passed", "reward", "d_drift", "s_sem", "rollouts", "seconds"),
+    "missing": ("what", "costs", "mend"),
+    "examples": ("name", "objects", "joints", "shows", "licence", "photo"),
     "matrix": ("kind", "n", "detected", "named", "repaired"),
 }
 """Lists that are shown as a table, and their columns; those that no row has are left out."""
@@ -159,7 +187,7 @@ def _plain(value: Any) -> str:
         return f"{value:.5g}"
     if value is None or isinstance(value, bool):
         return {None: "unknown", True: "yes", False: "no"}[value]
-    return str(value)
+    return printable(str(value))
 
 
 if __name__ == "__main__":

@@ -4,6 +4,8 @@ To add an engine, write a module with a class that implements `physics.engine.En
 EngineError from its constructor where it cannot run, and add its row here.
 """
 
+import importlib.util
+import os
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 
@@ -11,9 +13,9 @@ class EngineEntry(NamedTuple):
     """A row of the table."""
 
     location: str
-    """Where the class is: "module:Class", the module relative to this package."""
+    """Location of the class: "module:Class", the module relative to this package."""
     purpose: str
-    """What the engine is for."""
+    """Purpose of the engine, in words."""
     accelerator: bool
     """Whether `auto` takes the engine only where JAX has an accelerator."""
     agreement: float
@@ -31,9 +33,10 @@ ENGINES: dict[str, EngineEntry] = {
         ".physics.native:NativeEngine", "CPUs, by C MuJoCo on all cores", False, 0.99
     ),
 }
-"""Engines by name. `auto` opens the first that can run here."""
+"""Engines by name. `auto` takes, for each rollout, the one that costs least of those that can run
+here."""
 
-ENGINES_HELP = "Physics engine; auto takes the first that can run here: " + "; ".join(
+ENGINES_HELP = "Physics engine; auto takes the one that costs least here: " + "; ".join(
     f"{name}: {entry.purpose}" for name, entry in ENGINES.items()
 )
 
@@ -43,3 +46,13 @@ if TYPE_CHECKING:
 else:
     EngineName = Literal[tuple(ENGINES)]
     EngineChoice = Literal[("auto", *ENGINES)]
+
+
+def share_gpu_memory() -> None:
+    """Let JAX take a GPU's memory as it needs it, so that Warp finds some beside it.
+
+    JAX takes three quarters when it starts by default. Nothing changes where the variable is set,
+    where Warp is not installed, or once JAX has started.
+    """
+    if importlib.util.find_spec("mujoco_warp") is not None:
+        os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")

@@ -1,14 +1,17 @@
 import json
 import os
+import re
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 from PIL import Image
 
 from neoworld_mjx import cli
-from neoworld_mjx.commands.doctor_command import DoctorCommand
+from neoworld_mjx.commands.doctor_command import NEEDS, DoctorCommand
 from neoworld_mjx.commands.object_commands import CheckCommand
 from neoworld_mjx.config import Config, list_options
 from neoworld_mjx.errors import ConfigError
@@ -42,10 +45,10 @@ def assert_refused(ended, *expected):
 
 
 def test_help_names_the_commands(neoworld):
-    done = neoworld("--help")
-    assert done.returncode == 0
+    completed = neoworld("--help")
+    assert completed.returncode == 0
     for command in ("reconstruct", "check", "build", "render", "report", "doctor"):
-        assert command in done.stdout
+        assert command in completed.stdout
 
 
 def test_a_reader_that_stops_early_is_no_error(tmp_path):
@@ -66,8 +69,8 @@ def test_help_imports_nothing_heavy():
         "except SystemExit: pass\n"
         "print(sorted({'jax', 'mujoco', 'pydantic', 'numpy', 'pxr', 'PIL'} & set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.stdout.splitlines()[-1] == "[]", done.stderr
+    completed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert completed.stdout.splitlines()[-1] == "[]", completed.stderr
 
 
 def test_help_and_the_pages_of_options_name_every_provider(neoworld):
@@ -87,8 +90,8 @@ def test_a_misspelt_command_names_the_commands(neoworld):
 
 
 def test_a_misspelt_step_names_the_steps(neoworld):
-    done = neoworld("reconstruct", "a.png", "--out", "x", "--until", "pars")
-    assert_refused(done, "parse", "export")
+    completed = neoworld("reconstruct", "a.png", "--out", "x", "--until", "pars")
+    assert_refused(completed, "parse", "export")
 
 
 @pytest.mark.parametrize(
@@ -101,16 +104,16 @@ def test_a_misspelt_step_names_the_steps(neoworld):
     ],
 )
 def test_wrong_settings_are_one_message(neoworld, tmp_path, setting, said):
-    done = neoworld("render", tmp_path, "--set", setting)
-    assert_refused(done, said)
-    assert len(done.stderr.strip().splitlines()) == 1
+    completed = neoworld("render", tmp_path, "--set", setting)
+    assert_refused(completed, said)
+    assert len(completed.stderr.strip().splitlines()) == 1
 
 
 def test_a_misspelt_key_in_a_config_file_names_file_and_neighbour(neoworld, tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text("refine:\n  rewards:\n    w_pen: 3\n")
-    done = neoworld("check", tmp_path, "--config", file)
-    assert_refused(done, str(file), "refine.rewards", "did you mean 'reward'")
+    completed = neoworld("check", tmp_path, "--config", file)
+    assert_refused(completed, str(file), "refine.rewards", "did you mean 'reward'")
 
 
 def test_flags_win_over_settings_and_settings_over_the_file(tmp_path):
@@ -131,9 +134,9 @@ def test_bad_input_is_one_message_and_leaves_no_folder(neoworld, tmp_path, out_i
         out.write_text("precious")
     else:
         photo.write_text("no picture")
-    done = neoworld("reconstruct", photo, "--out", out, "--json", "--provider", "mailbox")
-    assert_refused(done, str(out if out_is_a_file else photo))
-    assert json.loads(done.stdout).keys() == {"error"}
+    completed = neoworld("reconstruct", photo, "--out", out, "--json", "--provider", "mailbox")
+    assert_refused(completed, str(out if out_is_a_file else photo))
+    assert json.loads(completed.stdout).keys() == {"error"}
     assert out.exists() == out_is_a_file
 
 
@@ -149,9 +152,9 @@ block.part("body", material=wood).add(box((0.04, 0.04, 0.03)), at=(0, 0, 0), by=
 def test_a_program_becomes_its_files(neoworld, tmp_path):
     program = tmp_path / "block.py"
     program.write_text(PROGRAM)
-    done = neoworld("build", program, "--out", tmp_path / "out", "--json")
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert json.loads(done.stdout)["object"] == "block"
+    completed = neoworld("build", program, "--out", tmp_path / "out", "--json")
+    assert completed.returncode == 0, completed.stdout + completed.stderr
+    assert json.loads(completed.stdout)["object"] == "block"
     files = {path.name for path in (tmp_path / "out").iterdir()}
     assert files >= {"object.urdf", "object.usda", "object.xml", "program.py", "spec.json"}
     assert_refused(neoworld("build", program, "--out", tmp_path / "out"), "--overwrite")
@@ -161,9 +164,9 @@ def test_a_program_becomes_its_files(neoworld, tmp_path):
 def test_a_program_that_fails_writes_nothing_and_exits_1(neoworld, tmp_path):
     program = tmp_path / "block.py"
     program.write_text(PROGRAM.replace("box(", "bax("))
-    done = neoworld("build", program, "--out", tmp_path / "out", "--json")
-    assert done.returncode == 1, done.stderr
-    assert "bax" in json.loads(done.stdout)["signals"][0]["message"]
+    completed = neoworld("build", program, "--out", tmp_path / "out", "--json")
+    assert completed.returncode == 1, completed.stderr
+    assert "bax" in json.loads(completed.stdout)["signals"][0]["message"]
     assert not (tmp_path / "out").exists()
 
 
@@ -184,18 +187,18 @@ def test_what_cannot_be_checked_is_one_message(neoworld, tmp_path, name, content
 
 
 def test_json_puts_an_error_on_stdout_and_on_stderr(neoworld, tmp_path):
-    done = neoworld("report", tmp_path, "--json")
-    assert_refused(done, "error: ", "not a run folder")
-    answer = json.loads(done.stdout)
+    completed = neoworld("report", tmp_path, "--json")
+    assert_refused(completed, "error: ", "not a run folder")
+    answer = json.loads(completed.stdout)
     assert "not a run folder" in answer["error"]
 
 
 def test_report_of_an_unfinished_run(neoworld, tmp_path):
     with RunFolder(tmp_path / "out", Config()):
         pass
-    done = neoworld("report", tmp_path / "out", "--json")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == {"report": str(tmp_path / "out" / "report.html")}
+    completed = neoworld("report", tmp_path / "out", "--json")
+    assert completed.returncode == 0, completed.stderr
+    assert json.loads(completed.stdout) == {"report": str(tmp_path / "out" / "report.html")}
     assert (tmp_path / "out" / "report.html").stat().st_size > 1000
 
 
@@ -222,7 +225,39 @@ def test_exit_codes_of_errors(monkeypatch, capsys, raised, code):
 
     monkeypatch.setattr(DoctorCommand, "run", fails)
     assert cli.run(DoctorCommand()) == code
-    assert capsys.readouterr().err.startswith("Traceback" if code == 70 else "error: ")
+    assert capsys.readouterr().err.startswith("error: ")
+
+
+@pytest.mark.parametrize(("raised", "code"), [(ConfigError("bad"), 2), (ValueError("odd"), 70)])
+def test_only_debug_shows_the_traceback(monkeypatch, capsys, raised, code):
+    def fails(_):
+        raise raised
+
+    monkeypatch.setattr(DoctorCommand, "run", fails)
+    assert cli.run(DoctorCommand()) == code
+    message = capsys.readouterr().err
+    assert "Traceback" not in message
+    assert ("--debug" in message and "--resume" in message) == (code == 70)
+    assert cli.run(DoctorCommand(debug=True)) == code
+    assert capsys.readouterr().err.startswith("Traceback")
+
+
+def test_too_little_memory_says_to_ask_for_less(monkeypatch, capsys):
+    def fails(_):
+        raise MemoryError("Unable to allocate 3 PiB")
+
+    monkeypatch.setattr(DoctorCommand, "run", fails)
+    assert cli.run(DoctorCommand()) == 2
+    assert "there is not enough memory: ask for less" in capsys.readouterr().err
+
+
+def test_names_move_no_text_on_the_terminal(monkeypatch, capsys):
+    def fails(_):
+        raise ConfigError("no file \x1b[2J\u202e\ud800.png")
+
+    monkeypatch.setattr(DoctorCommand, "run", fails)
+    cli.run(DoctorCommand())
+    assert capsys.readouterr().err == "error: no file \\x1b[2J\\u202e\\ud800.png\n"
 
 
 def test_a_scene_that_fails_exits_1(monkeypatch):
@@ -234,11 +269,30 @@ def test_doctor_lists_what_is_installed_and_shows_no_key(neoworld, tmp_path, mon
     secret = "sk-ant-very-secret"
     monkeypatch.setenv("ANTHROPIC_API_KEY", secret)
     monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path))
-    done = neoworld("doctor", "--json")
-    assert done.returncode == 0, done.stderr
-    answer = json.loads(done.stdout)
+    completed = neoworld("doctor", "--json")
+    assert completed.returncode == 0, completed.stderr
+    answer = json.loads(completed.stdout)
     assert answer["keys"]["ANTHROPIC_API_KEY"] is True
-    assert secret not in done.stdout + done.stderr
+    assert secret not in completed.stdout + completed.stderr
     assert answer["cache"]["folder"] == str(tmp_path)
     assert answer["engines"]["native"] == "ready"
     assert answer["versions"]["mujoco"]
+    missing = {entry["what"] for entry in answer["missing"]}
+    assert "a model's key" not in missing and ("extra warp" in missing) == (
+        answer["engines"]["warp"] != "ready"
+    )
+
+
+@pytest.mark.parametrize("need", NEEDS, ids=lambda need: need.what)
+def test_doctor_names_extras_that_exist(need):
+    extras = tomllib.loads(Path("pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert isinstance(need.present(), bool)
+    for name in re.findall(r"neoworld-mjx\[(\w+)\]", need.mend):
+        assert name in extras
+
+
+def test_the_version_is_that_of_the_package(neoworld):
+    completed = neoworld("--version")
+    version = tomllib.loads(Path("pyproject.toml").read_text())["project"]["version"]
+    assert (completed.returncode, completed.stdout) == (0, f"neoworld {version}\n")
+    assert f"version: {version}" in Path("CITATION.cff").read_text()

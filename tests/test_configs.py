@@ -4,7 +4,7 @@ import pytest
 import yaml
 
 from neoworld_mjx.config import Config, list_options, load_config
-from neoworld_mjx.config.pages import default_yaml, options_page
+from neoworld_mjx.config.pages import default_yaml, departures_page, options_page
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 
@@ -25,7 +25,9 @@ def test_every_configuration_loads_and_survives_a_round_trip(path):
 def test_pages_of_options_are_what_the_declarations_give():
     stale = "write them anew: python -m neoworld_mjx.config"
     assert (CONFIGS / "default.yaml").read_text() == default_yaml(), stale
-    assert (CONFIGS.parent / "docs" / "options.md").read_text() == options_page(), stale
+    docs = CONFIGS.parent / "docs"
+    assert (docs / "options.md").read_text() == options_page(), stale
+    assert (docs / "departures.md").read_text() == departures_page(CONFIGS.parent), stale
 
 
 def test_default_spells_out_every_option_with_its_default():
@@ -48,19 +50,29 @@ def test_an_option_says_what_it_means(option):
         assert value in option.meaning
 
 
-def test_paper_switches_every_departure_from_algorithm_1_off():
-    config = load_config(CONFIGS / "paper.yaml")
-    cem, reward = config.refine.cem, config.refine.reward
-    assert not cem.zero_candidate
-    assert (cem.smoothing, cem.sigma_floor, reward.w_prior) == (0.0, 0.0, 0.0)
-    assert reward.normalisation == "iteration"
-    assert reward.terms == {}
-    assert not config.refine.rollout.early_stop
-    assert (cem.first, cem.credit, cem.prune, reward.drift_free) == (0, "scene", False, 0.0)
-    descent = config.refine.descent
-    assert (descent.warm_steps, descent.project) == (0, "never")
-    assert config.refine.finalists == 1
+DEPARTURES = [option for option in list_options(Config) if option.departure is not None]
+
+
+@pytest.mark.parametrize("option", DEPARTURES, ids=lambda option: option.path)
+def test_paper_switches_a_departure_off(option):
+    given = yaml.safe_load((CONFIGS / "paper.yaml").read_text())
+    for step in option.path.split("."):
+        assert step in given, f"configs/paper.yaml must set {option.path}"
+        given = given[step]
+    assert given == option.departure.value != option.default
+    assert option.departure.reason.endswith(".")
+
+
+def test_departures_are_there():
+    groups = {option.path.split(".")[0] for option in DEPARTURES}
+    assert groups == {"parse", "program", "verify", "compose", "refine"}
+    assert len(DEPARTURES) >= 20
+
+
+def test_paper_states_what_the_appendix_states():
+    cem = load_config(CONFIGS / "paper.yaml").refine.cem
     assert (cem.sigma_xy, cem.sigma_yaw_deg, cem.sigma_log_scale) == (0.05, 15.0, 0.1)
+    assert cem.smoothing == 0.0
 
 
 def test_paper_names_every_option_of_the_search_and_the_reward():

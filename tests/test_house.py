@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,9 @@ LIBRARY = sorted(
     path
     for folder in ("neoworld_mjx", "kernels/neoworld_kernels")
     for path in (ROOT / folder).rglob("*.py")
+    if path.parent.name != "programs"
 )
+"""Modules; object programs are no modules."""
 TEXTS = sorted(
     path
     for folder in ("neoworld_mjx", "kernels", "configs", "docs", "tests", "notebooks", "examples")
@@ -39,7 +42,7 @@ def _repeated(names):
     places = {}
     for name, path in names:
         places.setdefault(name, []).append(_name(path))
-    return {name: found for name, found in places.items() if len(found) > 1}
+    return {name: result for name, result in places.items() if len(result) > 1}
 
 
 def test_every_module_has_a_name_of_its_own():
@@ -77,14 +80,14 @@ def test_module(path):
 
 
 def test_no_file_holds_a_path_of_a_machine_or_an_unfinished_mark():
-    found = []
+    result = []
     for path in TEXTS:
         if path == Path(__file__):
             continue
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
             if MACHINE_PATHS.search(line) or re.search(r"\b(TODO|FIXME|XXX)\b", line):
-                found.append(f"{_name(path)}:{number}: {line.strip()[:80]}")
-    assert not found, "\n".join(found)
+                result.append(f"{_name(path)}:{number}: {line.strip()[:80]}")
+    assert not result, "\n".join(result)
 
 
 def test_importing_the_package_is_light():
@@ -92,18 +95,20 @@ def test_importing_the_package_is_light():
         "import sys, neoworld_mjx\n"
         "print(sorted({'jax', 'mujoco', 'pxr', 'trimesh', 'anthropic'} & set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    completed = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert completed.stdout.strip() == "[]"
 
 
 def test_imports_go_one_way():
-    done = subprocess.run(
+    completed = subprocess.run(
         [Path(sys.executable).with_name("lint-imports"), "--no-logo"],
         cwd=ROOT,
         capture_output=True,
         text=True,
     )
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert completed.returncode == 0, completed.stdout + completed.stderr
 
 
 def test_links_between_pages_lead_somewhere():
@@ -120,3 +125,25 @@ def test_the_readme_gives_the_command_that_ci_runs():
     command = "uv run --extra dev pytest -n 2 --dist loadfile"
     assert command in (ROOT / "README.md").read_text(encoding="utf-8")
     assert (ROOT / ".ci" / "run").read_text(encoding="utf-8").rstrip().endswith(command)
+
+
+def test_annotations_are_checked_at_every_call():
+    import jax.numpy as jnp
+    from beartype.roar import BeartypeCallHintViolation
+    from neoworld_kernels.convex_pieces import PieceGroup, signed_distance
+
+    from neoworld_mjx.cache import make_room
+    from neoworld_mjx.physics.layout import Layout
+    from neoworld_mjx.spec.convex import Piece
+
+    rows = jnp.zeros((1, 3))
+    wrong: dict[str, Callable[[], object]] = {
+        "type": lambda: make_room("half"),  # pyright: ignore[reportArgumentType]
+        "type of a field": lambda: Piece("ball"),  # pyright: ignore[reportArgumentType]
+        "shape": lambda: signed_distance("box", jnp.zeros((4, 2)), PieceGroup(*[rows] * 6)),
+        "shape of a field": lambda: Layout(jnp.zeros((2, 3, 2)), jnp.zeros((2, 3)), jnp.zeros(2)),
+        "named axis": lambda: Layout(jnp.zeros((2, 3, 2)), jnp.zeros((2, 3)), jnp.zeros((2, 4))),
+    }
+    for what, call in wrong.items():
+        with pytest.raises(BeartypeCallHintViolation):
+            print(what, call())

@@ -21,7 +21,7 @@ def import_nodes(tree):
     """Imports at any depth of a module, but those for type checkers alone."""
     for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-            yield from (found for branch in node.orelse for found in import_nodes(branch))
+            yield from (result for branch in node.orelse for result in import_nodes(branch))
             continue
         if isinstance(node, ast.Import | ast.ImportFrom):
             yield node
@@ -57,19 +57,19 @@ def import_graph():
 
 def cycle(graph):
     """A list of modules that import each other in a circle, or None."""
-    done, path = set(), []
+    completed, path = set(), []
 
     def visit(name):
         if name in path:
             return [*path[path.index(name) :], name]
-        if name in done:
+        if name in completed:
             return None
         path.append(name)
         for target in sorted(graph[name]):
             if circle := visit(target):
                 return circle
         path.pop()
-        done.add(name)
+        completed.add(name)
         return None
 
     return next(filter(None, map(visit, sorted(graph))), None)

@@ -1,16 +1,21 @@
 """The bundled example, from the photograph to files that other programs load."""
 
 import json
+import re
+import shutil
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from PIL import Image
 
-from neoworld_mjx.errors import RunError
+from neoworld_mjx import refinement
+from neoworld_mjx.errors import EngineError, RunError
 from neoworld_mjx.pipeline import reconstruct, refine_again
 from neoworld_mjx.spec import SceneSpec, SceneTree
 
+ROOT = Path(__file__).parents[1]
 OBJECTS = ["table", "saucer", "cup", "spoon"]
 
 
@@ -24,6 +29,7 @@ def test_the_command_prints_one_object_that_says_how_the_scene_stands(example_ru
     assert answer["max_drift_m"] < 0.01
     assert abs(answer["mean_log_scale"]) < 0.1
     assert answer["fallbacks"] == []
+    assert {note["step"] for note in answer["notes"]} <= {"parse", "compose", "refine"}
     assert set(answer["seconds"]) == {"parse", "program", "verify", "compose", "refine", "export"}
     assert Path(answer["scene"]).is_file()
     assert answer["mllm"]["provider"] == "replay"
@@ -54,8 +60,8 @@ def test_mujoco_alone_finds_the_scene_standing(example_run):
             if owner[a] != owner[b]:
                 reach = model.geom_rbound[a] + model.geom_rbound[b]
                 if np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]) < reach:
-                    found = mujoco.mj_geomDistance(model, data, a, b, 0.01, None)
-                    depth = max(depth, -found)
+                    result = mujoco.mj_geomDistance(model, data, a, b, 0.01, None)
+                    depth = max(depth, -result)
     assert far < 0.01
     assert angle < 5.0
     assert 0 < depth < 1e-3  # they touch, and no more
@@ -120,6 +126,19 @@ def test_the_same_tape_and_seed_give_the_same_bytes(tmp_path, photo, quick_confi
         assert (tmp_path / path).read_bytes() == (quick_run / path).read_bytes(), path
 
 
+def test_the_readme_example_runs(quick_run, tmp_path, monkeypatch, capsys):
+    shutil.copytree(quick_run, tmp_path / "out")
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    monkeypatch.chdir(tmp_path)
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
+    names = {}
+    exec(code, names)
+    printed = capsys.readouterr().out
+    assert printed.startswith("Result('out': ")
+    assert "objects: table, saucer, cup, spoon" in printed
+    assert np.isfinite(names["again"].history["absolute"].max())
+
+
 def test_refining_again_keeps_the_steps_before(tmp_path, photo, quick_config):
     first = reconstruct(photo, tmp_path / "run", quick_config, until="compose")
     assert first.passed is None
@@ -137,3 +156,33 @@ def test_refining_what_is_not_composed_is_refused(tmp_path, photo, quick_config)
     reconstruct(photo, tmp_path / "run", quick_config, until="parse")
     with pytest.raises(RunError, match="composed"):
         refine_again(tmp_path / "run")
+
+
+def test_pictures_are_parts_of_their_steps_and_do_not_repeat_them(tmp_path, photo, quick_config):
+    out = tmp_path / "run"
+    reconstruct(photo, out, quick_config, until="compose")
+    steps = json.loads((out / "run.json").read_text())["steps"]
+    assert [*steps["compose/picture"]["outputs"]] == ["pictures/before.png"]
+    wider = quick_config.model_copy(
+        update={"render": quick_config.render.model_copy(update={"width": 70})}
+    )
+    reconstruct(photo, out, wider, until="compose", resume=True)
+    again = json.loads((out / "run.json").read_text())["steps"]
+    changed = [name for name in steps if steps[name] != again[name]]
+    assert changed == ["compose/picture"]
+    with Image.open(out / "pictures" / "before.png") as before:
+        assert before.width == 70
+
+
+def test_what_was_composed_is_drawn_even_when_the_search_fails(
+    tmp_path, photo, quick_config, monkeypatch
+):
+    def fails(*args, **options):
+        raise EngineError("no engine")
+
+    monkeypatch.setattr(refinement, "refine", fails)
+    with pytest.raises(EngineError):
+        reconstruct(photo, tmp_path / "run", quick_config)
+    assert (tmp_path / "run" / "pictures" / "before.png").is_file()
+    steps = json.loads((tmp_path / "run" / "run.json").read_text())["steps"]
+    assert "compose/picture" in steps and "refine" not in steps

@@ -14,7 +14,7 @@ TEXT = (Path(__file__).parents[1] / "AGENTS.md").read_text(encoding="utf-8")
 RECIPES = dict(
     re.findall(r"^### (.+?)\n(.*?)(?=^##)", TEXT.partition("## Recipes")[2], re.M | re.S)
 )
-BLOCK = re.compile(r'```python title="([\w.]+)"\n(.*?)```', re.S)
+BLOCK = re.compile(r'```(?:python|yaml) title="([\w.]+)"\n(.*?)```', re.S)
 SEARCH = {
     "cem": {"population": 8, "iterations": 2, "first": 0, "patience": 9},
     "descent": {"warm_steps": 0, "project": "never"},
@@ -25,7 +25,8 @@ SEARCH = {
 
 
 def test_there_is_a_recipe_for_each_usual_addition():
-    kinds = "reward term, optimizer, engine, composite shape, joint type, command, benchmark suite"
+    kinds = "reward term, optimizer, engine, composite shape, template, joint type, command"
+    kinds += ", benchmark suite"
     for kind in kinds.split(", "):
         assert any(kind in title for title in RECIPES), kind
 
@@ -50,6 +51,7 @@ def test_recipe(title, tmp_path, monkeypatch, capfd, blocks_model):
             monkeypatch.setitem(table, name, row)
     before = [dict(table) for table in (ENGINES, COMMANDS, SUITES)]
     monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.chdir(tmp_path)
     blocks = BLOCK.findall(RECIPES[title])
     assert blocks and blocks[-1][0] == "check"
     modules = [name for name, _ in blocks if name != "check"]
@@ -78,43 +80,17 @@ def joint_type_everywhere(tmp_path, kind):
     from neoworld_mjx.export import export_object, read_mjcf, read_urdf, read_usd
     from neoworld_mjx.physics.mjcf import to_mjspec
     from neoworld_mjx.program.joint_sweep import joint_positions, joint_states
-    from neoworld_mjx.spec import (
-        Box,
-        GeomSpec,
-        JointSpec,
-        Material,
-        ObjectSpec,
-        PartSpec,
-        link_poses,
-        scale,
-    )
+    from neoworld_mjx.spec import Box, ObjectSpec, link_poses, scale
+    from tests.support.mechanisms import WOOD, geom, joint, part
 
-    wood = Material(name="wood", density=600, friction=0.5, rgba=(0.5, 0.3, 0.1, 1))
-    part = lambda name, z: PartSpec(
-        name=name,
-        geoms=(
-            GeomSpec(
-                name=f"{name}_box", shape=Box(size=(0.1, 0.1, 0.1)), pos=(0, 0, z), material="wood"
-            ),
-        ),
-    )
-    joint = JointSpec(
-        name="joint",
-        type=kind,
-        parent="base",
-        child="top",
-        pos=(0, 0, 0.1),
-        upper=0.0 if kind == "fixed" else 0.5,
-    )
-    made = ObjectSpec(
-        name="thing",
-        materials=(wood,),
-        parts=(part("base", 0.0), part("top", 0.1)),
-        joints=(joint,),
-    )
+    block, upper = Box(size=(0.1, 0.1, 0.1)), 0.0 if kind == "fixed" else 0.5
+    base = part("base", geom("base_box", block))
+    top = part("top", geom("top_box", block, (0, 0, 0.1)))
+    turns = joint("joint", kind, "base", "top", (0, 0, 0.1), upper=upper)
+    made = ObjectSpec(name="thing", materials=(WOOD,), parts=(base, top), joints=(turns,))
     assert scale(made, 2.0).joint("joint").pos == (0, 0, 0.2)
     if kind != "fixed":
-        states = [s for v in joint_positions(joint, 3) for s in joint_states(joint, v)]
+        states = [s for v in joint_positions(turns, 3) for s in joint_states(turns, v)]
         moved = {(*p.pos, *p.quat) for p in (link_poses(made, s)["top"] for s in states)}
         assert len(moved) > 2, "kinematics do not move it"
     model = to_mjspec(made).compile()

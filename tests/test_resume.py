@@ -48,9 +48,9 @@ def test_a_run_killed_in_verification_and_in_the_search_ends_like_one_left_alone
         assert any(line.startswith(begun) for line in process.stderr), f"{begun} never began"
         process.kill()
         process.communicate()
-        done = _steps(out)
-    assert len(done) >= 10
-    _go_on(out, done)
+        completed = _steps(out)
+    assert len(completed) >= 10
+    _go_on(out, completed)
     assert _contents(out) == _contents(whole)
 
 
@@ -63,9 +63,9 @@ def test_runs_killed_at_twenty_moments_end_like_one_left_alone(whole, seconds, t
         out = tmp_path / f"out{i}"
         moment = draw.uniform(0, seconds)
         _kill(out, moment)
-        done = _steps(out)
-        at.append(f"killed after {moment:.1f} s with {len(done)} parts of steps done")
-        _go_on(out, done)
+        completed = _steps(out)
+        at.append(f"killed after {moment:.1f} s with {len(completed)} parts of steps done")
+        _go_on(out, completed)
         assert _contents(out) == expected, at[-1]
     print(*at, sep="\n")
     # The moments fall on all of the run, not only on its start.
@@ -124,9 +124,9 @@ def _steps(out: Path) -> dict[str, dict[str, int]]:
 
 def _contents(out: Path) -> dict[str, bytes]:
     files = [path for path in out.rglob("*") if path.is_file()]
-    found = {str(p.relative_to(out)): p.read_bytes() for p in files if p.name not in TIMED}
+    result = {str(p.relative_to(out)): p.read_bytes() for p in files if p.name not in TIMED}
     assert {"scene.xml", "scene.usda", "scene.json", "tree.json", "refine/history.npz"} <= set(
-        found
+        result
     )
-    assert "objects/cup/object.usda" in found
-    return found
+    assert "objects/cup/object.usda" in result
+    return result

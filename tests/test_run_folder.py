@@ -235,6 +235,33 @@ def test_seconds_add_up_over_the_parts_of_a_step(tmp_path):
         assert 0.04 <= run.seconds()["program"] < 1.0
 
 
+def test_waiting_for_answers_is_counted_by_step(tmp_path):
+    with RunFolder(tmp_path / "out", Config()) as run:
+        awaited = [0.0]
+        run.waited = lambda: awaited[0]
+        began = run.now()
+        awaited[0] = 3.0
+        for name in ("program/cup", "program/spoon"):
+            with run.step(name, {}, begun=began):
+                awaited[0] += 2.0
+            began = run.now()
+        with run.step("compose", {}):
+            pass
+        assert run.waiting() == {"program": 7.0, "compose": 0.0}
+    assert read_run(tmp_path / "out")["steps"]["program/cup"]["waiting_s"] == 5.0
+
+
+def test_a_clock_that_is_set_back_leaves_a_run_that_goes_on(tmp_path, monkeypatch):
+    clock = iter([100.0, -900.0])
+    with RunFolder(tmp_path / "out", Config()) as run:
+        monkeypatch.setattr(time, "perf_counter", lambda: next(clock, 0.0))
+        with run.step("parse", {}):
+            pass
+        monkeypatch.undo()
+    with RunFolder(tmp_path / "out", Config(), resume=True) as again:
+        assert again.seconds() == {"parse": 0.0}
+
+
 def test_header_values_stay_out_of_run_json(tmp_path):
     headers = {"x-mine": "hunter2", "authorization": "${TOKEN}"}
     with RunFolder(tmp_path / "out", load_config(None, {"mllm": {"headers": headers}})):
@@ -326,8 +353,8 @@ def test_killed_at_random_moments_it_resumes_to_the_same_files(tmp_path):
             time.sleep(
                 draw.uniform(0, 0.05 + 0.03 * kills)
             )  # Longer and longer: machines are busy.
-            done = read_run(out)["steps"] if (out / "run.json").exists() else {}
-            for name, entry in done.items():
+            completed = read_run(out)["steps"] if (out / "run.json").exists() else {}
+            for name, entry in completed.items():
                 assert all((out / path).exists() for path in entry["outputs"]), name
             process.send_signal(signal.SIGKILL)
         if process.returncode == 0:

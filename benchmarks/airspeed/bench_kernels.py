@@ -24,10 +24,10 @@ class FastPairDepth:
         }
         self.call = calls[implementation]
         try:
-            found = np.asarray(self.call(*self.where))
+            depths = np.asarray(self.call(*self.where))
         except Exception as error:
             raise NotImplementedError(str(error)) from None
-        gap = np.abs(found - np.asarray(calls["jnp"](*self.where))).max()
+        gap = np.abs(depths - np.asarray(calls["jnp"](*self.where))).max()
         assert gap <= TOLERANCE, f"differs from the reference by {gap} m"
 
     def time_depth(self, *_):

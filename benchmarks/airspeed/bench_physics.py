@@ -31,16 +31,16 @@ class _Rollouts:
         self._validate()
 
     def once(self):
-        found = self.engine.rollout(
+        rollout = self.engine.rollout(
             self.scene, self.scene.place(self.layouts), early_stop=self.rule
         )
-        return jax.block_until_ready(found)
+        return jax.block_until_ready(rollout)
 
     def _validate(self):
-        few = self.layouts[:16]
-        loop = naive_loop(self.scene, few, self.scene.place_exactly(few))
-        told = compare(loop.motion, motion(self.scene, self.found)[:16])
-        assert (told.share(near=False) or 1.0) >= 0.9, "verdicts differ from the naive loop's"
+        first = self.layouts[:16]
+        loop = naive_loop(self.scene, first, self.scene.place_exactly(first))
+        agreement = compare(loop.motion, motion(self.scene, self.found)[:16])
+        assert (agreement.share(near=False) or 1.0) >= 0.9, "verdicts differ from the naive loop's"
 
     def time_rollout(self, *_):
         self.once()

@@ -1,9 +1,11 @@
 """Array operations of neoworld_mjx, one a module: a plain `jnp` reference and faster kernels."""
 
-from .convex_pieces import Colliders, PieceGroup, signed_distance
+from .convex_pieces import SPARE, Colliders, PieceGroup, signed_distance
+from .culled import sorted_samples
 from .penetration_depth import PairDepthTuning, pair_depth, pair_depth_culled, pair_depth_reference
 
 __all__ = [
+    "SPARE",
     "Colliders",
     "PairDepthTuning",
     "PieceGroup",
@@ -11,4 +13,5 @@ __all__ = [
     "pair_depth_culled",
     "pair_depth_reference",
     "signed_distance",
+    "sorted_samples",
 ]

@@ -15,7 +15,7 @@ Plane = Callable[[Array, int], Array]
 
 
 def depths(
-    kind: str, local: list[list[Array]], size: list[Array], plane: Plane, faces: int
+    kind: str, local: list[list[Array]], size: list[Array], plane: Plane, faces: int | Array
 ) -> list[Array]:
     """Depths below the surface of points given by components; rough or unfinished outside.
 
@@ -72,7 +72,9 @@ def depths(
     return list(lax.fori_loop(0, faces, one, start))
 
 
-def bound(kind: str, point: list[Array], size: list[Array], plane: Plane, faces: int) -> Array:
+def bound(
+    kind: str, point: list[Array], size: list[Array], plane: Plane, faces: int | Array
+) -> Array:
     """Bound the distance to the surface from below; grows no faster than the way covered."""
     if kind == "capsule":
         return -finished(kind, depths(kind, [point], size, plane, faces)[0], size)

@@ -5,6 +5,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+SPARE = 1e6
+"""Offset of a spare half-space, which holds every point [m]."""
+
 
 class PieceGroup(NamedTuple):
     """Convex pieces of one kind, in the frames of the objects that own them."""
@@ -18,7 +21,9 @@ class PieceGroup(NamedTuple):
     size: Float[Array, "piece 3"]
     """MuJoCo's geom_size [m]; unused entries are zero."""
     planes: Float[Array, "piece face 4"]
-    """Outward half-spaces n.x <= d of polytopes; spare rows are (0, 0, 0, 1e6)."""
+    """Outward half-spaces n.x <= d of polytopes; spare rows, last, are (0, 0, 0, SPARE)."""
+    extent: Float[Array, "piece 2 3"]
+    """Lowest and highest corner of each piece's bounding box in its own frame [m]."""
 
 
 class Colliders(NamedTuple):

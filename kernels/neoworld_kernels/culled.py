@@ -1,44 +1,77 @@
 """Deepest penetration, looked for only where something can touch: for CPUs.
 
 Objects of a scene are mostly apart, and of two that touch most surface samples are far from the
-contact. Samples are cut into compact blocks, and a block is looked at, for a piece and a candidate,
-only if its bounding sphere reaches the piece. Those that are left are collected into chunks of a
-fixed size, so that vectors stay full however few candidates a pair of objects touches in.
+contact. A piece and an object are looked at only if, for some candidate, the bounding box of the
+one reaches the bounding sphere of the other; of that object's samples only the blocks of BLOCK
+consecutive ones whose bounding spheres reach it, too. So it is fastest when samples that follow one
+another lie near one another; see `sorted_samples`.
 
 The search says which sample is deepest in which piece. Its depth is then computed anew, which makes
 the result differentiable at the cost of one distance a pair of objects.
+
+What is near is known only at run time, so loops have as many turns as needed, and what is padded
+costs next to nothing. All kinds of pieces are two families, since XLA's time grows with the number
+of branches: those that sizes define, whose few formulas are all computed and one chosen, and those
+that planes define.
 """
 
-import functools
-import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
+from numpy.typing import NDArray
 
-from .blocks import Blocks, ObjectPoses, dot, members, sample_blocks, touching
 from .coarse_distance import depths, finished, folded
-from .convex_pieces import Colliders, PieceGroup, distance
+from .convex_pieces import SPARE, Colliders, PieceGroup, distance
 
 BLOCK = 32
 """Samples in a block, at most."""
-CHUNK = 2048
-"""Blocks that are looked at together, each for its own piece and candidate."""
-LUMP = 4
-"""Samples of a block that one pass over a chunk looks at."""
-SLAB = 512
-"""Candidates that are searched together, which bounds the memory."""
+UNROLL = 4
+"""Planes that one pass over a block's samples looks at."""
+ROUND = ("box", "capsule", "cylinder", "ellipsoid")
+"""Kinds that sizes define; the others are polytopes, repeated or not."""
 
 Index = Int[Array, "object object pop"]
+
+
+class ObjectPoses(NamedTuple):
+    """Poses of all candidates' objects; candidates last, so that vectors run along them."""
+
+    pos: Float[Array, "object 3 pop"]
+    rot: Float[Array, "object 3 3 pop"]
+    scale: Float[Array, "object pop"]
+
+
+class Pieces(NamedTuple):
+    """Pieces of all kinds: first those that sizes define, then those that planes define."""
+
+    all: PieceGroup
+    """Without planes."""
+    code: Int[Array, " round"]
+    """Index in ROUND of each of the first."""
+    planes: Float[Array, "flat face 4"]
+    times: Float[Array, " flat"]
+    """How often each of the rest is repeated about its frame's z axis; 1 is not at all."""
+    faces: Int[Array, " flat"]
+    """Planes of each that are not spare."""
+
+
+class Blocks(NamedTuple):
+    """Samples of all objects in blocks, with bounding spheres."""
+
+    points: Float[Array, "object block sample 3"]
+    centre: Float[Array, "object block 3"]
+    radius: Float[Array, "object block"]
 
 
 class Deepest(NamedTuple):
     """Which sample of i is deepest in which piece of j; all zero where none is inside."""
 
-    inside: Bool[Array, "object object pop"]
+    depth: Float[Array, "object object pop"]
     sample: Index
     piece: Index
     """Counted through all kinds."""
@@ -53,7 +86,7 @@ def pair_depth_culled(
     samples: Float[Array, "object sample 3"],
     colliders: Colliders,
 ) -> Float[Array, "pop object object"]:
-    """Compute what `pair_depth_reference` does, culling by bounding spheres. Differentiable.
+    """Compute what `pair_depth_reference` does, culling by bounding volumes. Differentiable.
 
     Of samples that are equally deep one gives the gradient. Every depth of an object whose pose is
     not finite is NaN.
@@ -68,182 +101,324 @@ def pair_depth_culled(
     pop, count = scale.shape
     if not any(len(group.owner) for group in colliders) or not pop or not samples.size:
         return jnp.zeros((pop, count, count), pos.dtype)
-    placed = ObjectPoses(jnp.transpose(pos, (2, 1, 0)), jnp.transpose(rot, (2, 3, 1, 0)), scale.T)
-    fixed = jax.tree.map(lax.stop_gradient, (placed, samples, colliders))
-    depth = _depth_at(_search_slabs(*fixed), placed, samples, colliders)
-    finite = jnp.isfinite(jnp.sum(placed.pos, 0) + jnp.sum(placed.rot, (0, 1)) + placed.scale)
+    placed = ObjectPoses(jnp.transpose(pos, (1, 2, 0)), jnp.transpose(rot, (1, 2, 3, 0)), scale.T)
+    pieces = join_pieces(colliders)
+    deepest = _search(*jax.tree.map(lax.stop_gradient, (placed, sample_blocks(samples), pieces)))
+    depth = _value(deepest, placed, samples, pieces)
+    finite = jnp.isfinite(jnp.sum(placed.pos, 1) + jnp.sum(placed.rot, (1, 2)) + placed.scale)
     depth = jnp.where(finite[:, None] & finite, depth, jnp.nan)
     return jnp.transpose(depth, (2, 0, 1))
 
 
-def _search_slabs(
-    placed: ObjectPoses, samples: Float[Array, "object sample 3"], colliders: Colliders
-) -> Deepest:
-    pop = placed.scale.shape[-1]
-    search = functools.partial(_search, blocks=sample_blocks(samples, BLOCK), colliders=colliders)
-    slabs = -(-pop // SLAB)
-    if slabs == 1:
-        return search(placed)
-    each = -(-pop // slabs)
+def sorted_samples(
+    samples: Float[NDArray, "object sample 3"], first: int = 2 * BLOCK
+) -> Float[NDArray, "object sample 3"]:
+    """Order each object's samples so that every BLOCK consecutive ones lie near one another.
 
-    def cut(x: Array) -> Array:
-        x = jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, each * slabs - pop)], mode="edge")
-        return jnp.moveaxis(x.reshape(*x.shape[:-1], slabs, each), -2, 0)
-
-    deepest = lax.map(search, jax.tree.map(cut, placed))
-    whole = lambda x: jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1)[..., :pop]
-    return jax.tree.map(whole, deepest)
-
-
-def _search(placed: ObjectPoses, blocks: Blocks, colliders: Colliders) -> Deepest:
-    count, pop = placed.scale.shape
-    number = len(blocks.radius)
-    mask = touching(placed, blocks, colliders)
-    _, member = members(mask.reshape(-1))
-    # Kinds follow one another; each starts a chunk of its own, since chunks are of one kind.
-    groups = [(k, g) for k, g in zip(Colliders._fields, colliders, strict=True) if len(g.owner)]
-    lengths = [len(g.owner) for _, g in groups]
-    cuts = [sum(lengths[:k]) for k in range(1, len(groups))]
-    sums = jnp.stack([jnp.sum(part, dtype=jnp.int32) for part in jnp.split(mask, cuts)])
-    ends = jnp.cumsum(sums)
-    chunk = min(CHUNK, mask.size)
-    chunks = jnp.cumsum(-(-sums // chunk))
-    first = jnp.asarray([0, *cuts], jnp.int32)
-    owner = jnp.concatenate([g.owner for _, g in groups])
-    own_pos = jnp.concatenate([g.pos for _, g in groups]).T
-    own_rot = jnp.transpose(jnp.concatenate([g.rot for _, g in groups]), (1, 2, 0))
-    poses = ObjectPoses(*(x.reshape(*x.shape[:-2], -1) for x in placed))
-
-    def address(index: Array) -> tuple[Array, ...]:
-        here = member(index)
-        candidate, block = here % pop, here // pop % number
-        piece = here // (pop * number)
-        i, o = block // (number // count), owner[piece]
-        slot = (i * count + o) * pop + candidate
-        return block, piece, i * pop + candidate, o * pop + candidate, slot
-
-    def compose(piece: Array, one: Array, two: Array) -> tuple[Any, ...]:
-        one_, two_ = (ObjectPoses(*(x[..., k] for x in poses)) for k in (one, two))
-        return *_motion(one_, two_, own_pos[:, piece], own_rot[..., piece]), two_.scale
-
-    def look(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        k, depth, sample, of_piece, of_face = carry
-        kind = jnp.searchsorted(chunks, k, side="right")
-        begun = jnp.where(kind > 0, chunks[kind - 1], 0)
-        index = ends[kind] - sums[kind] + (k - begun) * chunk + jnp.arange(chunk)
-        block, piece, one, two, slot = _apart(k, address, index)
-        turn, shift, scale = _apart(k, compose, piece, one, two)
-        inside = [functools.partial(_inside, name, blocks, group) for name, group in groups]
-        value, which, face = lax.switch(kind, inside, turn, shift, block, piece - first[kind])
-        value = jnp.where(index < ends[kind], value * scale, 0.0)
-        depth = depth.at[slot].max(value)
-        wins = (value > 0) & (value >= depth[slot])
-        to = jnp.where(wins, slot, depth.size)
-        new = ((sample, which), (of_piece, piece), (of_face, face))
-        return k + 1, depth, *(old.at[to].set(x, mode="drop") for old, x in new)
-
-    none = jnp.zeros(count * count * pop, jnp.int32)
-    start = (jnp.int32(0), none.astype(jnp.float32), none, none, none)
-    _, *best = lax.while_loop(lambda carry: carry[0] < chunks[-1], look, start)
-    depth, *where = (x.reshape(count, count, pop) for x in best)
-    return Deepest(depth > 0, *where)
-
-
-def _apart(k: Array, stage: Callable[..., Any], *inputs: Array) -> Any:
-    """Compute a stage in a computation of its own.
-
-    XLA would fuse it into all that follows and compute it for every sample anew. It does not see
-    that the condition always holds.
+    Args:
+        samples: surface points, the most important ones first.
+        first: so many stay the first ones, in another order among themselves.
     """
-    shapes = jax.eval_shape(stage, *inputs)
-    zeros = lambda *_: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-    return lax.cond(k >= 0, stage, zeros, *inputs)
+
+    def halved(points: NDArray) -> NDArray:
+        if len(points) <= BLOCK:
+            return points
+        order = np.argsort(points[:, np.argmax(np.ptp(points, axis=0))], kind="stable")
+        half = -(-len(points) // (2 * BLOCK)) * BLOCK
+        return np.concatenate([halved(points[order[:half]]), halved(points[order[half:]])])
+
+    return np.stack([np.concatenate([halved(x[:first]), halved(x[first:])]) for x in samples])
 
 
-def _motion(
-    one: ObjectPoses, two: ObjectPoses, pos: Float[Array, "3 item"], rot: Float[Array, "3 3 item"]
-) -> tuple[list[list[Array]], list[Array]]:
-    """Compose x -> turn x + shift, from one's frame at scale 1 into a piece's of two."""
-    gap, ratio = one.pos - two.pos, one.scale / two.scale
-    turn = [[ratio * dot(two.rot[:, m], one.rot[:, c]) for m in range(3)] for c in range(3)]
-    shift = [dot(two.rot[:, m], gap) / two.scale - pos[m] for m in range(3)]
-    axes = range(3)
-    return [[dot(rot[:, a], turn[c]) for c in axes] for a in axes], [
-        dot(rot[:, a], shift) for a in axes
-    ]
+def join_pieces(colliders: Colliders) -> Pieces:
+    """Join the pieces of all kinds, in the order of `Colliders`."""
+    flat = (colliders.polytope, colliders.sector)
+    most = max(g.planes.shape[1] for g in flat)
+    most += -most % UNROLL
+    spare = np.array([0.0, 0.0, 0.0, SPARE], np.float32)
+    fill = lambda g: jnp.broadcast_to(spare, (len(g.owner), most - g.planes.shape[1], 4))
+    planes = jnp.concatenate([jnp.concatenate([g.planes, fill(g)], axis=1) for g in flat])
+    join = lambda leaf: jnp.concatenate([getattr(group, leaf) for group in colliders])
+    counts = [len(getattr(colliders, kind).owner) for kind in ROUND]
+    return Pieces(
+        all=PieceGroup(
+            join("owner"), join("pos"), join("rot"), join("size"), planes[:, :0], join("extent")
+        ),
+        code=jnp.asarray(np.repeat(np.arange(len(ROUND), dtype=np.int32), counts)),
+        planes=planes,
+        times=jnp.concatenate(
+            [jnp.ones(len(colliders.polytope.owner)), colliders.sector.size[:, 0]]
+        ),
+        faces=jnp.sum(planes[..., 3] < SPARE / 2, axis=1, dtype=jnp.int32),
+    )
 
 
-def _inside(
-    kind: str,
+def sample_blocks(samples: Float[Array, "object sample 3"]) -> Blocks:
+    """Cut samples into blocks of consecutive ones."""
+    count, number, _ = samples.shape
+    size = min(BLOCK, number)
+    points = jnp.pad(samples, ((0, 0), (0, -number % size), (0, 0)), mode="edge")
+    points = points.reshape(count, -1, size, 3)
+    return Blocks(points, *_sphere(points))
+
+
+def _sphere(points: Float[Array, "... sample 3"]) -> tuple[Array, Array]:
+    centre = (points.min(axis=-2) + points.max(axis=-2)) / 2
+    radius = jnp.sqrt(jnp.max(jnp.sum((points - centre[..., None, :]) ** 2, axis=-1), axis=-1))
+    # A hair more, so that rounding never culls what touches.
+    return centre, radius * 1.00001 + 1e-6
+
+
+def touching(
+    placed: ObjectPoses, blocks: Blocks, pieces: PieceGroup
+) -> Bool[Array, "piece object"]:
+    """Tell whether an object's bounding sphere reaches a piece's bounding box in any candidate.
+
+    A pose that is not a number touches nothing.
+    """
+    centre, radius = _sphere(blocks.points.reshape(blocks.points.shape[0], -1, 3))
+    at = jnp.sum(placed.rot * centre[:, None, :, None], axis=2) * placed.scale[:, None] + placed.pos
+    owner = pieces.owner
+    turn, size = placed.rot[owner], placed.scale[owner]
+    middle = pieces.pos + jnp.sum(pieces.rot * jnp.mean(pieces.extent, axis=1)[:, None], axis=-1)
+    axes = [jnp.sum(turn * pieces.rot[:, None, :, a, None], axis=2) for a in range(3)]
+    origin = jnp.sum(turn * middle[:, None, :, None], axis=2) * size[:, None] + placed.pos[owner]
+    half = (pieces.extent[:, 1] - pieces.extent[:, 0])[..., None] / 2 * size[:, None]
+    gap = [at[:, k] - origin[:, None, k] for k in range(3)]
+    square = 0.0
+    for a in range(3):
+        along = sum(gap[k] * axes[a][:, None, k] for k in range(3))
+        beyond = jnp.maximum(jnp.abs(along) - half[:, None, a], 0.0)
+        square = square + beyond * beyond
+    near = jnp.any(square < (radius[:, None] * placed.scale) ** 2, axis=-1)
+    return near & (owner[:, None] != jnp.arange(len(radius)))
+
+
+def _search(placed: ObjectPoses, blocks: Blocks, pieces: Pieces) -> Deepest:
+    count, pop = placed.scale.shape
+    cut = len(pieces.code)
+    near = touching(placed, blocks, pieces.all)
+    none = jnp.zeros((count, count, pop), jnp.int32)
+    deepest = Deepest(none.astype(jnp.float32), none, none, none)
+    for first, last in ((0, cut), (cut, len(near))):
+        if last > first:
+            pairs, number = true_indices(near[first:last])
+
+            def look(k: Array, deepest: Deepest, pairs: Array = pairs, first: int = first):
+                piece, i = first + pairs[k] // count, pairs[k] % count
+                return _deeper(deepest, placed, blocks, pieces, piece, i, planes=first == cut)
+
+            deepest = lax.fori_loop(0, number, look, deepest)
+    return deepest
+
+
+def true_indices(mask: Bool[Array, "*shape"]) -> tuple[Int[Array, " flat"], Int[Array, ""]]:
+    """Return the flat indices of what is true, in order, and how many there are."""
+    flat = mask.reshape(-1)
+    place = jnp.where(flat, jnp.cumsum(flat, dtype=jnp.int32) - 1, flat.size)
+    order = jnp.zeros(flat.size, jnp.int32)
+    order = order.at[place].set(jnp.arange(flat.size, dtype=jnp.int32), mode="drop")
+    return order, jnp.sum(flat, dtype=jnp.int32)
+
+
+DepthOf = Callable[[list[Array]], Array]
+"""Maps points in a piece's frame, given by components, to their depth below its surface."""
+
+
+def _deeper(
+    deepest: Deepest,
+    placed: ObjectPoses,
     blocks: Blocks,
-    group: PieceGroup,
-    turn: list[list[Array]],
-    shift: list[Array],
-    block: Int[Array, " item"],
-    row: Int[Array, " item"],
-) -> tuple[Float[Array, " item"], Int[Array, " item"], Int[Array, " item"]]:
-    """Find the sample of each block that is deepest in each piece: depth, sample, nearest face."""
-    number = len(blocks.points)
-    lump = math.gcd(LUMP, number)
-    faces = group.planes.shape[1]
-    planes = jnp.transpose(group.planes, (1, 2, 0))[..., row]
-    size = list(group.size.T[:, row])
+    pieces: Pieces,
+    piece: Int[Array, ""],
+    i: Int[Array, ""],
+    planes: bool,
+) -> Deepest:
+    """Look for deeper samples of object i in a piece, for all candidates.
+
+    Args:
+        deepest: so far.
+        placed: all objects of all candidates.
+        blocks: all samples.
+        pieces: all pieces.
+        piece: index of the piece.
+        i: index of the object.
+        planes: whether planes define the piece, and not its size.
+    """
+    o = pieces.all.owner[piece]
+    pos, rot, size = pieces.all.pos[piece], pieces.all.rot[piece], placed.scale[o]
+    low, high = pieces.all.extent[piece]
+    # From i's frame at scale 1 into the piece's: x -> turn x + shift.
+    ratio = placed.scale[i] / size
+    one, two = placed.rot[i], placed.rot[o]
+    between = [[ratio * dot(two[:, m], one[:, c]) for m in range(3)] for c in range(3)]
+    gap = placed.pos[i] - placed.pos[o]
+    away = [dot(two[:, m], gap) / size - pos[m] for m in range(3)]
+    turn = [[dot(rot[:, a], between[c]) for c in range(3)] for a in range(3)]
+    shift = [dot(rot[:, a], away) for a in range(3)]
     at = lambda x: [dot(turn[a], x) + shift[a] for a in range(3)]
+    spheres = at([blocks.centre[i, :, c, None] for c in range(3)])
+    beyond = [
+        jnp.maximum(jnp.maximum(x - h, lo - x), 0.0)
+        for x, lo, h in zip(spheres, low, high, strict=True)
+    ]
+    near = dot(beyond, beyond) < (blocks.radius[i, :, None] * ratio) ** 2
+    near = jnp.any(near, axis=1)
 
-    def some(g: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        best, which = carry
-        points = lax.dynamic_slice_in_dim(blocks.points, g * lump, lump)
-        local = at([points[:, c, block] for c in range(3)])
-        (values,) = depths(kind, [local], size, lambda f, c: planes[f, c], faces)
-        top, at_top = jnp.max(values, axis=0), jnp.argmax(values, axis=0).astype(which.dtype)
-        return jnp.maximum(best, top), jnp.where(top > best, g * lump + at_top, which)
+    depth_of = _by_planes(pieces, piece) if planes else _by_size(pieces, piece)
 
-    low = (jnp.full(block.shape, -1e6), jnp.zeros_like(block))
-    best, which = lax.fori_loop(0, number // lump, some, low)
-    face = jnp.zeros_like(block)
-    if faces:
-        x, y, z = at([blocks.points[which, c, block] for c in range(3)])
-        if kind == "sector":
-            x, y = folded(x, y, size[0])
-        gap = planes[:, 3] - planes[:, 0] * x - planes[:, 1] * y - planes[:, 2] * z
-        face = jnp.argmin(gap, axis=0).astype(face.dtype)
-    return finished(kind, best, size), blocks.which[which, block], face
+    def look(b: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        points = blocks.points[i, b]
+        number = len(points)
+        values = depth_of(at([points[:, c, None] for c in range(3)]))
+        top = jnp.max(values, axis=0)
+        index = jnp.arange(number, dtype=jnp.int32)[:, None]
+        which = b * number + jnp.min(jnp.where(values == top, index, number - 1), axis=0)
+        best, sample = carry
+        return jnp.maximum(best, top), jnp.where(top > best, which, sample)
+
+    none = jnp.zeros(size.shape, jnp.int32)
+    best, sample = lax.fori_loop(
+        0,
+        len(near),
+        lambda b, carry: lax.cond(near[b], look, lambda _, kept: kept, b, carry),
+        (none.astype(jnp.float32), none),
+    )
+    face = none
+    if planes:
+        points = blocks.points[i].reshape(-1, 3)
+        face = _nearest_plane(pieces, piece, at([points[sample, c] for c in range(3)]))
+    best = best * size
+    wins = best > deepest.depth[i, o]
+    new = (best, sample, jnp.broadcast_to(piece, best.shape), face)
+    return Deepest(
+        *(
+            old.at[i, o].set(jnp.where(wins, x, old[i, o]))
+            for old, x in zip(deepest, new, strict=True)
+        )
+    )
+
+
+def _by_size(pieces: Pieces, piece: Array) -> DepthOf:
+    size, code = pieces.all.size[piece], pieces.code[piece]
+    # Sizes of other kinds may be zero, by which ellipsoids divide.
+    safe = jnp.where(code == ROUND.index("ellipsoid"), size, 1.0)
+
+    def depth(local: list[Array]) -> Array:
+        value = jnp.zeros_like(local[0])
+        for c, kind in enumerate(ROUND):
+            sizes = list(safe if kind == "ellipsoid" else size)
+            own = finished(kind, depths(kind, [local], sizes, lambda f, k: f, 0)[0], sizes)
+            value = jnp.where(code == c, own, value)
+        return value
+
+    return depth
+
+
+def _by_planes(pieces: Pieces, piece: Array) -> DepthOf:
+    row = piece - len(pieces.code)
+    planes, times = pieces.planes[row], pieces.times[row]
+
+    def depth(local: list[Array]) -> Array:
+        x, y, z = lax.cond(times > 1.0, lambda p: _folded(p, times), list, local)
+
+        def nearer(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+            least, some = carry
+            for a, b, c, d in some:
+                least = jnp.minimum(least, ((d - a * x) - b * y) - c * z)
+            return least, following(k + 1)
+
+        # Taken a turn ahead: XLA vectorises no loop that looks an index up.
+        following = lambda k: lax.dynamic_slice_in_dim(planes, k * UNROLL, UNROLL)
+        turns = -(-pieces.faces[row] // UNROLL)
+        return lax.fori_loop(0, turns, nearer, (x * 0.0 + SPARE, following(0)))[0]
+
+    return depth
+
+
+def _nearest_plane(
+    pieces: Pieces, piece: Array, local: list[Float[Array, " pop"]]
+) -> Int[Array, " pop"]:
+    """Return the plane that each point in a piece's frame is next to."""
+    row = piece - len(pieces.code)
+    planes, times = pieces.planes[row], pieces.times[row]
+    x, y, z = lax.cond(times > 1.0, lambda p: _folded(p, times), list, local)
+    n = planes[:, :, None]
+    return jnp.argmin(((n[:, 3] - n[:, 0] * x) - n[:, 1] * y) - n[:, 2] * z, axis=0)
+
+
+def _folded(local: list[Array], times: Array) -> list[Array]:
+    x, y, z = local
+    return [*folded(x, y, times), z]
+
+
+@jax.custom_vjp
+def _value(
+    deepest: Deepest, placed: ObjectPoses, samples: Float[Array, "object sample 3"], pieces: Pieces
+) -> Float[Array, "object object pop"]:
+    """Return the depths that were found; their gradient is that of `_depth_at`."""
+    del placed, samples, pieces
+    return deepest.depth
+
+
+def _value_forward(*inputs: Any) -> tuple[Array, tuple[Any, ...]]:
+    return inputs[0].depth, inputs
+
+
+def _value_backward(inputs: tuple[Any, ...], grad: Array) -> tuple[Any, ...]:
+    deepest, placed, samples, pieces = inputs
+    pull = jax.vjp(lambda p, s: _depth_at(deepest, p, s, pieces), placed, samples)[1]
+    return None, *pull(grad), None
+
+
+_value.defvjp(_value_forward, _value_backward)
 
 
 def _depth_at(
     deepest: Deepest,
     placed: ObjectPoses,
     samples: Float[Array, "object sample 3"],
-    colliders: Colliders,
+    pieces: Pieces,
 ) -> Float[Array, "object object pop"]:
     """Compute the depth of the deepest samples, as `pair_depth_reference` does of all."""
     who = jnp.arange(len(samples))[:, None, None]
-    x = jnp.moveaxis(samples[who, deepest.sample], -1, 0)
-    groups = [(k, g) for k, g in zip(Colliders._fields, colliders, strict=True) if len(g.owner)]
-    pos = jnp.concatenate([g.pos for _, g in groups]).T[:, deepest.piece]
-    rot = jnp.transpose(jnp.concatenate([g.rot for _, g in groups]), (1, 2, 0))
-    rot = rot[..., deepest.piece]
-    size = jnp.concatenate([g.size for _, g in groups]).T[:, deepest.piece]
+    first = lambda x: jnp.moveaxis(x, -1, 0)
+    x = first(samples[who, deepest.sample])
+    # One row a piece, since a CPU gathers rows much faster than their numbers one by one.
+    a = pieces.all
+    cut, flat = len(pieces.code), len(pieces.times)
+    code = jnp.concatenate([pieces.code.astype(a.pos.dtype), jnp.full(flat, -1.0)])
+    times = jnp.concatenate([jnp.ones(cut), pieces.times])
+    columns = [a.pos, a.rot.reshape(-1, 9), a.size, code[:, None], times[:, None]]
+    row = first(jnp.concatenate(columns, axis=1)[deepest.piece])
+    pos, rot, size = row[:3], row[3:12].reshape(3, 3, *row.shape[1:]), row[12:15]
+    code, times = row[15], row[16]
     # Sums of products, since matrix products may be TF32. World to piece: undo the owner's pose and
     # scale, then the piece's own pose.
-    turn = placed.rot[:, :, None]
-    point = jnp.sum(placed.rot[:, :, :, None] * x, axis=1) * placed.scale[:, None]
+    own = jnp.transpose(placed.rot, (1, 2, 0, 3))
+    turn, at = own[:, :, None], jnp.swapaxes(placed.pos, 0, 1)
+    point = jnp.sum(own[:, :, :, None] * x, axis=1) * placed.scale[:, None]
     origin = jnp.sum(turn * pos, axis=1) * placed.scale
-    d = (point + placed.pos[:, :, None]) - (origin + placed.pos[:, None])
+    d = (point + at[:, :, None]) - (origin + at[:, None])
     d = jnp.sum(turn * d[:, None], axis=0) / placed.scale
     local = jnp.sum(rot * d[:, None], axis=0)
-    depth = jnp.zeros_like(local[0])
-    first = 0
-    for kind, group in groups:
-        number, faces = group.planes.shape[:2]
-        row = deepest.piece - first
-        here = deepest.inside & (row >= 0) & (row < number)
-        planes = jnp.zeros((0, 4, *row.shape))
-        if faces:
-            planes = jnp.moveaxis(group.planes[row, deepest.face], -1, 0)[None]
+    far = jnp.zeros_like(local[0])
+    for c, kind in enumerate(ROUND if cut else ()):
         # Sizes of other kinds may be zero, by which gradients would not be numbers.
-        piece = PieceGroup(row, pos, rot, jnp.where(here, size, 1.0), planes)
-        inside = -distance(kind, local[0], local[1], local[2], piece) * placed.scale
-        depth = jnp.where(here, jnp.maximum(inside, 0.0), depth)
-        first += number
-    return depth
+        sizes = jnp.where(code == c, size, 1.0)
+        group = PieceGroup(code, pos, rot, sizes, code, code)
+        far = jnp.where(code == c, distance(kind, local[0], local[1], local[2], group), far)
+    if flat:
+        b, c, z = _folded(list(local), times)
+        x, y = jnp.where(times > 1.0, b, local[0]), jnp.where(times > 1.0, c, local[1])
+        most = pieces.planes.shape[1]
+        index = jnp.maximum(deepest.piece - cut, 0) * most + deepest.face
+        n = first(pieces.planes.reshape(-1, 4)[index])
+        beyond = n[0] * x + n[1] * y + n[2] * z - n[3]
+        far = jnp.where(code < 0, beyond, far)
+    return jnp.where(deepest.depth > 0, jnp.maximum(-far * placed.scale, 0.0), 0.0)
+
+
+def dot(a: Any, b: Any) -> Array:
+    """Multiply threes of arrays elementwise and add up; not a matrix product, which may be TF32."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -12,7 +12,7 @@ from jax.experimental import pallas as pl
 from jaxtyping import Array, Float, Int
 
 from .coarse_distance import bound, depths, finished
-from .convex_pieces import Colliders
+from .convex_pieces import SPARE, Colliders
 
 GRANULE = 4
 """Samples that lie side by side in memory."""
@@ -20,7 +20,7 @@ GRANULE = 4
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PairDepthTuning:
-    """How the kernel is cut up."""
+    """Block sizes of the kernel."""
 
     block: int = 256
     """Candidates a program works on; a thread holds block / 128 of them."""
@@ -48,8 +48,7 @@ class _Pieces(NamedTuple):
     first: Int[Array, " bound"]
     """Index of each object's first piece; one more entry for the end."""
     table: Float[Array, "piece column"]
-    """pos 3, rot 9 by rows, size 3, 1 spare so that planes are aligned, then 4 a plane."""
-    faces: int
+    """pos 3, rot 9 by rows, size 3, number of planes that are not spare, then 4 a plane."""
 
 
 def _pieces(colliders: Colliders, count: int) -> list[_Pieces]:
@@ -60,10 +59,11 @@ def _pieces(colliders: Colliders, count: int) -> list[_Pieces]:
             continue
         order = jnp.argsort(group.owner)
         first = jnp.searchsorted(group.owner[order], jnp.arange(count + 1)).astype(jnp.int32)
-        columns = [group.pos, group.rot.reshape(n, 9), group.size, jnp.zeros((n, 1))]
+        faces = jnp.sum(group.planes[..., 3] < SPARE / 2, axis=1, keepdims=True)
+        columns = [group.pos, group.rot.reshape(n, 9), group.size, faces]
         columns.append(group.planes.reshape(n, -1))
         table = jnp.concatenate(columns, axis=1)[order].astype(jnp.float32)
-        pieces.append(_Pieces(kind, first, table, group.planes.shape[1]))
+        pieces.append(_Pieces(kind, first, table))
     return pieces
 
 
@@ -110,7 +110,7 @@ def pair_depth_kernel(
     for some in [groups] if t.fused else [[g] for g in groups]:
         body = functools.partial(
             _pair_depth_kernel,
-            kinds=[(g.kind, g.faces) for g in some],
+            kinds=[g.kind for g in some],
             samples=points.shape[1] * GRANULE,
             tuning=t,
         )
@@ -179,7 +179,7 @@ def _pair_depth_kernel(
     points_ref: Any,  # [object, sample / 4, 3, 4]
     sphere_ref: Any,  # [object, 4]
     *refs: Any,  # of each kind: first [object + 1], table [piece, column]; last: out [i, o, pop]
-    kinds: list[tuple[str, int]],
+    kinds: list[str],
     samples: int,
     tuning: PairDepthTuning,
 ) -> None:
@@ -205,17 +205,17 @@ def _pair_depth_kernel(
         reach = sphere_ref[i, 3] * ratio
         # Computed zeros have the layout of what is loaded, which loops must keep.
         depth = size * 0.0
-        for g, (kind, faces) in enumerate(kinds):
+        for g, kind in enumerate(kinds):
             first_ref, table_ref = refs[2 * g], refs[2 * g + 1]
 
             def piece(
                 k: Array,
                 depth: Array,
                 kind: str = kind,
-                faces: int = faces,
                 table_ref: Any = table_ref,
             ) -> Array:
                 p = [table_ref[k, c] for c in range(15)]
+                faces = table_ref[k, 15].astype(jnp.int32)
                 plane = lambda f, c: table_ref[k, 16 + 4 * f + c]
                 own = [shift[r] - p[r] for r in range(3)]
                 move = [

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from ..engines import ENGINES
 from ..errors import EngineError, choices
@@ -20,6 +19,7 @@ from ..physics.model import FREE, SceneModel, compile_scene
 from ..physics.native import open_batch
 from ..physics.simulate import open_engine
 from .fields import SINGLE, field_errors, loose_fields
+from .rows import Row
 from .scenes import noisy_layouts
 from .six import AGREEMENT
 from .verdicts import compare, motion, naive_loop, started
@@ -30,12 +30,6 @@ NUDGE = 1e-13
 """Far below what any contact can tell [m]."""
 BIT_STEPS, FALL_STEPS, FALL = 100, 100, 2.0
 """Steps compared bit by bit, steps of the contact-free fall, and the room under each object [m]."""
-
-
-class Row(BaseModel):
-    """A row of a table; None where a column does not apply."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class ModelRow(Row):
@@ -59,7 +53,7 @@ class ModelRow(Row):
     fall_error_m: float
     """Largest difference from the recompiled model throughout a fall without contact."""
     passed: bool
-    """Of fields, bits and fall; `first_step_share` is judged over all scenes."""
+    """Whether fields, bits and fall agree; `first_step_share` is checked over all scenes."""
 
 
 class VerdictRow(Row):

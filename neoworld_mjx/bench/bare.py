@@ -1,4 +1,4 @@
-"""The least that any JAX engine can do: `jax.vmap` over `mjx.step` in a scan, and nothing else."""
+"""The least that any JAX engine can do: `jax.vmap` over `mjx_step` in a scan, and nothing else."""
 
 from collections.abc import Callable
 from typing import Any
@@ -24,11 +24,11 @@ def bare_scan(
         steps: of each candidate.
         chunk: candidates simulated at once.
     """
-    model, carried = mjx_engine._on_device(scene)
+    model = mjx_engine.on_device(scene)
     pop = layouts.yaw.shape[0]
     parts = []
     for first in range(0, pop, chunk):
-        few = jax.tree.map(lambda leaf, at=first: leaf[at : at + chunk], layouts)
-        parts.append(mjx_engine._prepare(model, carried, carried.place(few))[:2])
+        chunk_layouts = jax.tree.map(lambda leaf, at=first: leaf[at : at + chunk], layouts)
+        parts.append(mjx_engine.prepare(scene, scene.place(chunk_layouts))[:2])
     jax.block_until_ready(parts)
     return lambda: [mjx_engine.bare_scan(model, fields, qpos, 1, steps) for fields, qpos in parts]

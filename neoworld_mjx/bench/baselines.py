@@ -41,8 +41,8 @@ class OneByOne:
         failed = unplaceable(poses)
         parts = []
         for k in range(len(failed)):
-            one = slice(k, k + 1)
-            recorder = Recorder(scene.static, poses[one], records, every, None, failed[one])
+            row = slice(k, k + 1)
+            recorder = Recorder(scene.static, poses[row], records, every, None, failed[row])
             if not failed[k]:
                 model, data = started(to_mjspec(_placed_scene(scene, poses, k), timestep=timestep))
                 for t in range(records):
@@ -58,8 +58,8 @@ def _placed_scene(scene: SceneModel, poses: Poses, k: int) -> SceneSpec:
     """Describe candidate k with every object placed in the world instead of on its parent."""
     alone = {"parent": None, "parent_link": None, "xy": (0.0, 0.0), "yaw": 0.0}
     objects = tuple(
-        item.model_copy(update={**alone, "base_tilt": tuple(poses.quat[k, i].tolist())})
-        for i, item in enumerate(scene.spec.objects)
+        obj.model_copy(update={**alone, "base_tilt": tuple(poses.quat[k, i].tolist())})
+        for i, obj in enumerate(scene.spec.objects)
     )
     flat = scene.spec.model_copy(update={"objects": objects})
     yaw, pos = np.zeros(len(objects)), poses.pos[k]

@@ -4,6 +4,7 @@ JSON.
 
 import json
 import math
+import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,10 +22,10 @@ from .kernels import dispatch, kernels
 from .machine import machine
 from .penetration import accuracy, random_pairs
 from .physics import PhysicsRow, physics
-from .rows import collect, plain
+from .rows import collect, log, plain
 
 if TYPE_CHECKING:
-    from ..commands.bench_commands import BenchChartCommand
+    from ..commands.bench_commands import BenchChartCommand, BenchMakeCommand, BenchTableCommand
 
 
 def physics_answer(o: suites.Physics) -> dict[str, Any]:
@@ -70,6 +71,11 @@ def agreement_answer(o: suites.Agreement) -> dict[str, Any]:
 
 def refine_answer(o: suites.Refine, config: Config) -> dict[str, Any]:
     """Refine from noisy starts, with the configuration's options of refinement."""
+    if o.real:
+        from .real_scenes import real_refinements
+
+        real = real_refinements(o.scene, seed=o.seed, options=config.refine, engine=o.engine)
+        return {"machine": machine(), "scenes": plain(collect(real))}
     from .refine import refinements, summary
 
     rows = collect(
@@ -83,6 +89,110 @@ def refine_answer(o: suites.Refine, config: Config) -> dict[str, Any]:
         )
     )
     return {**summary(rows), "machine": machine(), "rows": plain(rows)}
+
+
+def photos_answer(o: suites.Photos, config: Config) -> dict[str, Any]:
+    """Measure errors by step, or how often S_sem prefers the truth."""
+    from . import photo_semantics, photos
+
+    scenes = o.scenes or (photos.QUICK if o.quick else ())
+    if o.semantic:
+        rows = collect(photo_semantics.semantic_rows(scenes, draws=o.draws))
+        lower = [row.lower for row in rows]
+        return {
+            "lower_mean": sum(lower) / len(lower),
+            "lower_least": min(lower),
+            "machine": machine(),
+            "rows": plain(rows),
+        }
+    measured = collect(
+        photos.photo_rows(
+            scenes,
+            search=not o.no_search,
+            seed=o.seed,
+            compose_options=config.compose,
+            refine_options=photos.searching_little(config.refine) if o.quick else config.refine,
+            engine=o.engine,
+        )
+    )
+    answer = {**photos.photo_summary(measured), "machine": machine(), "rows": plain(measured)}
+    for line in photos.lines(answer):
+        log.info(line)
+    return answer
+
+
+def scenes_answer(o: suites.SceneSet, config: Config) -> dict[str, Any]:
+    """Run methods on the scenes of the benchmark."""
+    from .dataset.scene_runs import chosen_scenes, run_scenes
+    from .dataset.scene_summary import summarise
+
+    if o.starts < 1:
+        raise ConfigError(f"--starts must be 1 or more, got {o.starts}")
+    rows = run_scenes(
+        chosen_scenes(o.scenes),
+        o.method,
+        starts=o.starts,
+        seed=o.seed,
+        refine=config.refine,
+        compose=config.compose,
+        workers=o.workers,
+        out=o.out,
+    )
+    return {**summarise(rows), "machine": machine()}
+
+
+def make_answer(o: "BenchMakeCommand") -> dict[str, Any]:
+    """Write the data set."""
+    from .dataset.make_dataset import make_dataset
+
+    return make_dataset(o.out, seed=o.seed, workers=o.workers or os.cpu_count() or 1)
+
+
+def table_answer(o: "BenchTableCommand") -> dict[str, Any]:
+    """Write the tables of a folder of results."""
+    from .dataset.scene_table import write_tables
+
+    return write_tables(o.folder)
+
+
+def tasks_answer(o: suites.Tasks) -> dict[str, Any]:
+    """Check tasks on truth."""
+    from .tasks.catalogue import all_tasks, find_task
+    from .tasks.task_checks import check_tasks, summarised
+
+    if not 0 <= o.directions <= 64:
+        raise ConfigError(f"--directions takes 0 to 64, got {o.directions}")
+    tasks = [find_task(name) for name in o.task] or list(all_tasks())
+    rows = collect(check_tasks(tasks, o.directions))
+    return {**summarised(rows), "machine": machine(), "rows": plain(rows)}
+
+
+def plans_answer(o: suites.Plans, config: Config) -> dict[str, Any]:
+    """Ask a model for plans."""
+    from ..mllm import open_panel
+    from .tasks.catalogue import all_tasks, find_task
+    from .tasks.model_plans import plan_figures, plan_rows
+
+    if not 0 <= o.offset <= 1 or not 0 <= o.rounds <= 20:
+        raise ConfigError(
+            f"--offset takes 0 to 1 m and --rounds 0 to 20, got {o.offset:g} and {o.rounds}"
+        )
+    tasks = [find_task(name) for name in o.task] or list(all_tasks())
+    tapes = () if o.tape is None else (o.tape,)
+    with open_panel(
+        config.mllm, o.provider, tapes=tapes, mailbox=o.mailbox, record=o.record
+    ) as models:
+        rows = collect(
+            plan_rows(
+                models,
+                tasks,
+                rounds=o.rounds,
+                offset_m=o.offset,
+                feedback=o.feedback,
+                seed=o.seed,
+            )
+        )
+    return {**plan_figures(rows), "machine": machine(), "rows": plain(rows)}
 
 
 def chart_answer(o: "BenchChartCommand") -> dict[str, Any]:

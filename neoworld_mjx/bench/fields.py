@@ -3,33 +3,33 @@
 import mujoco
 import numpy as np
 
-# Search structures (bounding-volume trees, hull graphs) break ties by rounding; they decide how
-# fast, not what, is found. Meshes are compared where they lie: MuJoCo turns each to its principal
-# axes, and a symmetric one has several.
+# Search structures (bounding-volume trees, hull graphs) break ties by rounding, which changes how
+# fast a result is found but not which. Meshes are compared in the body frame: MuJoCo turns each to
+# its principal axes, and a symmetric one has several.
 _SKIP = ("names", "paths", "bvh_", "oct_", "mesh_", "key_qpos")
 SINGLE = ("mesh_vertices", "dof_length")
-"""What MuJoCo keeps in single precision, or derives from that."""
+"""Fields that MuJoCo stores in single precision, or derives from such."""
 
 
 def meshes_in_bodies(model: mujoco.MjModel) -> dict[str, np.ndarray]:
-    """Return the vertices [m] of every mesh geom in its body's frame, in an order of their own."""
-    found = {}
+    """Return the vertices [m] of every mesh geom in its body's frame, in MuJoCo's order."""
+    vertices = {}
     for g in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
         mesh = model.geom_dataid[g]
         at, n = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-        turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, model.geom_quat[g])
-        found[model.geom(g).name] = (
-            model.mesh_vert[at : at + n] @ turn.reshape(3, 3).T + model.geom_pos[g]
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, model.geom_quat[g])
+        vertices[model.geom(g).name] = (
+            model.mesh_vert[at : at + n] @ rotation.reshape(3, 3).T + model.geom_pos[g]
         )
-    return found
+    return vertices
 
 
 def field_errors(ours: mujoco.MjModel, theirs: mujoco.MjModel) -> dict[str, float]:
     """Return the largest difference of each field, relative to the field's largest value.
 
-    Integer fields count 0 or inf. "mesh_vertices" stands for how far any vertex of a mesh lies from
-    the nearest of its twin, over the mesh's extent.
+    Integer fields count 0 or inf. "mesh_vertices" is the largest distance of a vertex from the
+    nearest vertex of the other mesh, over its extent.
     """
     errors = {"mesh_vertices": 0.0}
     ours_at, theirs_at = meshes_in_bodies(ours), meshes_in_bodies(theirs)

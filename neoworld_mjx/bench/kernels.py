@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from neoworld_kernels import Colliders, pair_depth, pair_depth_culled, pair_depth_reference
-from pydantic import BaseModel, ConfigDict
 
 from ..errors import EngineError
 from ..physics.layout import Poses, rotation
 from ..physics.model import SceneModel, compile_scene
+from .rows import Row
 from .scenes import Noise, crowded, noisy_layouts
 
 REPEATS = 7
@@ -29,10 +29,8 @@ TOLERANCE = 1e-5
 Depth = Callable[..., Float[Array, "pop object object"]]
 
 
-class KernelRow(BaseModel):
+class KernelRow(Row):
     """One implementation at one size; None where it cannot run."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     implementation: str
     objects: int

@@ -1,4 +1,4 @@
-"""What a figure was measured on, and how much memory it took."""
+"""The machine that figures are measured on, its load, and the peak memory."""
 
 import os
 import platform
@@ -22,7 +22,7 @@ def machine() -> dict[str, Any]:
         "load": [round(x, 2) for x in os.getloadavg()],
         "devices": [f"{d.platform}: {d.device_kind}" for d in jax.devices()],
         "python": platform.python_version(),
-        "versions": {name: found for name in _PACKAGES if (found := _version(name))},
+        "versions": {name: version for name in _PACKAGES if (version := _version(name))},
     }
 
 
@@ -39,14 +39,14 @@ def peak_mib() -> tuple[float, float | None]:
 
 
 class Others:
-    """How many cores other processes kept busy, on average, between its making and `cores`."""
+    """Mean number of cores that other processes keep busy, from its creation on."""
 
     def __init__(self) -> None:
-        """Begin to count."""
+        """Begin to measure."""
         self._began = self._now()
 
     def cores(self) -> float | None:
-        """Return the count so far; None where the system does not tell."""
+        """Return the mean so far; None where the system does not report it."""
         if self._began is None or (now := self._now()) is None:
             return None
         wall, busy, own = (b - a for a, b in zip(self._began, now, strict=True))

@@ -1,6 +1,6 @@
-"""How well sampled penetration tells what MuJoCo measures exactly, over random pairs of colliders.
+"""Accuracy of sampled penetration against MuJoCo's exact depth, over random pairs of colliders.
 
-D_pen looks at a fixed number of surface points, so it misses shallow overlaps and underrates some.
+D_pen samples a fixed number of surface points, so it misses or underestimates shallow overlaps.
 """
 
 import itertools
@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Array
 from neoworld_kernels import Colliders, PieceGroup, pair_depth_reference
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
@@ -21,6 +20,7 @@ from ..physics.exact import geom_distance, start_state
 from ..physics.sampling import surface_samples
 from ..spec import Box, Capsule, Cylinder, Ellipsoid, Mesh, SceneObject, SceneSpec, Shape, Sphere
 from ..spec.pose import matrix
+from .rows import Row
 from .scenes import single
 
 KINDS = ("box", "sphere", "capsule", "cylinder", "ellipsoid", "polytope")
@@ -30,7 +30,7 @@ OVERLAP = 0.03
 """Largest overlap [m] along the direction in which two colliders are pushed together."""
 
 FAR = np.float32(1e3)
-"""Where pieces are put that should touch nothing [m]."""
+"""Distance [m] at which pieces are placed that must touch nothing."""
 
 
 class Pairs(NamedTuple):
@@ -42,38 +42,36 @@ class Pairs(NamedTuple):
     sampled: NDArray
 
 
-class AccuracyRow(BaseModel):
-    """What sampling makes of the pairs of two kinds."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class AccuracyRow(Row):
+    """Accuracy of sampling over the pairs of two kinds."""
 
     first: str
     second: str
     pairs: int
     touching: int
     deep: int
-    """Deeper than `DEEP`."""
+    """Number of pairs deeper than `DEEP`."""
     missed: float
-    """Share of the touching pairs that sampling calls apart."""
+    """Share of the touching pairs that sampling finds apart."""
     missed_deep: float
-    """Share of the deep ones."""
+    """Share of the deep pairs that sampling finds apart."""
     spearman: float
     """Rank correlation of sampled and exact depth over the touching pairs."""
     ratio: float
     """Median of sampled over exact depth of the deep pairs."""
     false: int
-    """Pairs that sampling calls deeper than 10 micrometres and MuJoCo apart."""
+    """Number of pairs that sampling finds deeper than 10 micrometres and MuJoCo apart."""
 
 
 def accuracy(pairs: Pairs) -> list[AccuracyRow]:
     """Sum up pairs by kinds; the first row, of "all", is over all of them."""
     low, high = pairs.kinds.min(axis=1), pairs.kinds.max(axis=1)
-    found = [_row("all", "all", pairs, np.ones(len(low), bool))]
+    rows = [_row("all", "all", pairs, np.ones(len(low), bool))]
     for a, b in itertools.combinations_with_replacement(range(len(KINDS)), 2):
         where = (low == a) & (high == b)
         if where.any():
-            found.append(_row(KINDS[a], KINDS[b], pairs, where))
-    return found
+            rows.append(_row(KINDS[a], KINDS[b], pairs, where))
+    return rows
 
 
 def _row(first: str, second: str, pairs: Pairs, where: NDArray) -> AccuracyRow:
@@ -95,38 +93,38 @@ def _row(first: str, second: str, pairs: Pairs, where: NDArray) -> AccuracyRow:
 
 
 def random_pairs(count: int = 10_000, *, samples: int = 256, each: int = 8, seed: int = 0) -> Pairs:
-    """Push random colliders of all kinds into each other and measure how deep, both ways.
+    """Measure the depth of random pairs of overlapping colliders, exactly and by sampling.
 
-    Two colliders of 2 to 10 cm are turned at random and set along a random direction so that their
-    extents along it overlap by up to `OVERLAP`; of how deep they then are nothing is fixed.
+    Two colliders of 2 to 10 cm get random orientations, and positions along a random direction such
+    that their extents along it overlap by up to `OVERLAP`; their depth may be smaller.
 
     Args:
-        count: of pairs.
+        count: number of pairs.
         samples: surface samples of each solid.
-        each: how many different colliders of each kind there are.
-        seed: of colliders and poses.
+        each: number of different colliders of each kind.
+        seed: seed of colliders and poses.
     """
     rng = np.random.default_rng(seed)
     # Two sets, one for each side: MuJoCo's geoms are in one place at a time.
-    items = tuple(
+    objects = tuple(
         SceneObject(
             name=f"{kind}_{k}", spec=single(kind, (_shape(kind, rng), (0, 0, 0))), z=float(k)
         )
         for k, kind in enumerate(np.repeat(KINDS, 2 * each).tolist())
     )
-    points = np.stack([np.asarray(surface_samples(item, samples)) for item in items])
+    points = np.stack([np.asarray(surface_samples(obj, samples)) for obj in objects])
     kinds = rng.integers(len(KINDS), size=(count, 2))
     pick = 2 * each * kinds + 2 * rng.integers(each, size=(count, 2)) + [0, 1]
     rot = Rotation.from_quat(rng.normal(size=(2 * count, 4))).as_matrix().reshape(count, 2, 3, 3)
     along = rng.normal(size=(count, 3))
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    # How far each reaches towards the other.
+    # Extent of each towards the other.
     towards = np.einsum("nkij,ni->nkj", rot, along) * [[[1.0], [-1.0]]]
     reach = np.max(np.einsum("nksj,nkj->nks", points[pick], towards), axis=-1).sum(axis=1)
     gap = reach - rng.uniform(0, OVERLAP, count)
     pos = np.stack([np.zeros((count, 3)), along * gap[:, None]], axis=1)
-    exact = _exact(items, pick, pos, rot)
-    return Pairs(kinds, exact, _sampled(items, points, pick, pos, rot))
+    exact = _exact(objects, pick, pos, rot)
+    return Pairs(kinds, exact, _sampled(objects, points, pick, pos, rot))
 
 
 def _shape(kind: str, rng: np.random.Generator) -> Shape:
@@ -147,44 +145,41 @@ def _shape(kind: str, rng: np.random.Generator) -> Shape:
     return Mesh(vertices=rows, faces=((0, 1, 2),))
 
 
-def _exact(items: tuple[SceneObject, ...], pick: NDArray, pos: NDArray, rot: NDArray) -> NDArray:
-    model, data = start_state(SceneSpec(name="pairs", objects=items))
-    geom = np.array([model.body(item.name).geomadr[0] for item in items])
+def _exact(objects: tuple[SceneObject, ...], pick: NDArray, pos: NDArray, rot: NDArray) -> NDArray:
+    model, data = start_state(SceneSpec(name="pairs", objects=objects))
+    geom = np.array([model.body(obj.name).geomadr[0] for obj in objects])
     own = np.array([matrix(model.geom_quat[g]) for g in geom])
     at = pos + np.einsum("nkij,nkj->nki", rot, model.geom_pos[geom][pick])
     turned = rot @ own[pick]
-    found = np.zeros(len(pick))
+    distances = np.zeros(len(pick))
     for n, (a, b) in enumerate(geom[pick].tolist()):
         data.geom_xpos[[a, b]] = at[n]
         data.geom_xmat[[a, b]] = turned[n].reshape(2, 9)
-        found[n] = geom_distance(model, data, a, b, 1e-3)
-    return np.maximum(-found, 0.0)
+        distances[n] = geom_distance(model, data, a, b, 1e-3)
+    return np.maximum(-distances, 0.0)
 
 
 def _sampled(
-    items: tuple[SceneObject, ...], points: NDArray, pick: NDArray, pos: NDArray, rot: NDArray
+    objects: tuple[SceneObject, ...], points: NDArray, pick: NDArray, pos: NDArray, rot: NDArray
 ) -> NDArray:
-    found = []
-    for group in collect_colliders(items):
-        owner, *rest = (np.asarray(x) for x in group)
+    groups = []
+    for group in collect_colliders(objects):
+        owner, *arrays = (np.asarray(x) for x in group)
         if not len(owner):
-            empty = (np.zeros((len(pick), *np.shape(x)), np.float32) for x in rest)
-            found.append((np.zeros((len(pick), 0), np.int32), *empty))
+            empty = (np.zeros((len(pick), *np.shape(x)), np.float32) for x in arrays)
+            groups.append((np.zeros((len(pick), 0), np.int32), *empty))
             continue
         # Every pair has a piece of each kind on both sides; those of other kinds are far away.
         row = np.searchsorted(owner, pick).clip(max=len(owner) - 1)
-        at, *others = (x[row] for x in rest)
+        at, *others = (x[row] for x in arrays)
         side = np.tile(np.array([0, 1], np.int32), (len(pick), 1))
-        found.append((side, at + FAR * (owner[row] != pick)[..., None], *others))
-    every_pair = Colliders(*(PieceGroup(*map(jnp.asarray, rows)) for rows in found))
-    one = jnp.ones((1, 2))
+        groups.append((side, at + FAR * (owner[row] != pick)[..., None], *others))
+    every_pair = Colliders(*(PieceGroup(*map(jnp.asarray, rows)) for rows in groups))
+    unit = jnp.ones((1, 2))
 
     def deeper(pos: Array, rot: Array, samples: Array, own: Colliders) -> Array:
-        return jnp.max(pair_depth_reference(pos[None], rot[None], one, samples, own))
+        return jnp.max(pair_depth_reference(pos[None], rot[None], unit, samples, own))
 
     f32 = lambda x: jnp.asarray(x, jnp.float32)
     every = jax.jit(jax.vmap(deeper))
     return np.asarray(every(f32(pos), f32(rot), f32(points[pick]), every_pair), float)
-
-
-__all__ = ["DEEP", "KINDS", "AccuracyRow", "Pairs", "accuracy", "random_pairs"]

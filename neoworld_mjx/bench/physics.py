@@ -25,6 +25,7 @@ from ..physics.model import SceneModel, compile_scene
 from ..physics.simulate import open_engine
 from .bare import bare_scan
 from .machine import Others, peak_mib
+from .rows import Row
 from .scenes import COUNTS, crowded, noisy_layouts
 from .verdicts import Loop, compare, motion, naive_loop
 
@@ -53,21 +54,19 @@ class Task(BaseModel):
     budget_s: float = 60.0
 
 
-class PhysicsRow(BaseModel):
+class PhysicsRow(Row):
     """A row of the table; None where a column does not apply or was not reached."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     engine: str
     objects: int
     population: int
     steps: int
-    """Of a candidate that runs to its end."""
+    """Time steps of a candidate that runs to its end."""
     early_stop: bool
     candidates_per_s: float | None = None
     naive_candidates_per_s: float | None = None
     bare_scan_candidates_per_s: float | None = None
-    """Of `jax.vmap` over `mjx.step` with the same leaves and nothing else; engine mjx only."""
+    """Rate of `jax.vmap` over `mjx.step` alone, with the same batched fields; engine mjx only."""
     core_ms: float | None = None
     """Processor time of a candidate [ms], all threads together; engine native only. Unlike rates it
     does not suffer from other processes."""
@@ -82,14 +81,14 @@ class PhysicsRow(BaseModel):
     """Simulated steps, those of stopped candidates left out."""
     mean_steps: float | None = None
     single_thread_steps_per_s: float | None = None
-    """Of mj_step in the naive loop."""
+    """Rate of `mj_step` in the naive loop."""
     peak_mib: float | None = None
     """Largest resident memory of the row's process, imports included."""
     device_peak_mib: float | None = None
     others_cores: float | None = None
     """Cores that other processes kept busy while this row was timed; rates suffer from them."""
     verdict_agreement: float | None = None
-    """With the naive loop, over `compared` layouts, those near a bound included."""
+    """Agreement with the naive loop over `compared` layouts, including those near a bound."""
     verdict_agreement_clear: float | None = None
     """The same without the layouts that move 0.5 to 2 times a bound."""
     compared: int = 0
@@ -113,7 +112,7 @@ class Measured(BaseModel):
     failed_share: float
     stable_share: float
     motion: list[float]
-    """Of the first candidates, in units of the bounds."""
+    """Largest motion of the first candidates, in units of the bounds."""
     peak_mib: float
     device_peak_mib: float | None
     others_cores: float | None
@@ -221,14 +220,14 @@ def _in_a_process(task: Task) -> Measured | str:
         out = Path(folder) / "row.json"
         command = [sys.executable, "-m", __name__, task.model_dump_json(), str(out)]
         try:
-            done = subprocess.run(
+            process = subprocess.run(
                 command, capture_output=True, text=True, timeout=task.budget_s + _START_S
             )
         except subprocess.TimeoutExpired:
             return "skipped: budget"
         if not out.exists():
-            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            return f"skipped: process ended with {done.returncode}: {last[:200]}"
+            last = (process.stderr.strip().splitlines() or ["no message"])[-1]
+            return f"skipped: process ended with {process.returncode}: {last[:200]}"
         result = json.loads(out.read_text(encoding="utf-8"))
     return result if isinstance(result, str) else Measured.model_validate(result)
 
@@ -239,7 +238,7 @@ def measure(task: Task) -> Measured | str:
     Returns:
         Measurements, or the reason why the row was skipped.
     """
-    began = time.perf_counter()
+    start = time.perf_counter()
     try:
         engine = open_engine(task.engine)
     except EngineError as error:
@@ -262,8 +261,8 @@ def measure(task: Task) -> Measured | str:
     steady: list[float] = []
     core: list[float] = []
     others = Others()
-    left = lambda: task.budget_s - (time.perf_counter() - began)
-    while len(steady) < REPEATS and left() > (steady[-1] if steady else 0.0):
+    remaining = lambda: task.budget_s - (time.perf_counter() - start)
+    while len(steady) < REPEATS and remaining() > (steady[-1] if steady else 0.0):
         t0, c0 = time.perf_counter(), time.process_time()
         rollout = once()
         steady.append(time.perf_counter() - t0)
@@ -273,7 +272,7 @@ def measure(task: Task) -> Measured | str:
     host, device = peak_mib()
     bare = []
     if task.engine == "mjx" and not task.early_stop:
-        bare = _time_bare(scene, layouts, rollout, task, left())
+        bare = _time_bare(scene, layouts, rollout, task, remaining())
     return Measured(
         first_s=first,
         steady_s=steady,

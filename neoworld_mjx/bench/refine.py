@@ -1,7 +1,7 @@
-"""How soon refinement reaches a valid scene, how near the truth it ends, and what others reach.
+"""Time of refinement to a valid scene, its final error, and both for baselines.
 
-Ours is timed warm, on the second of two runs from a start; the first of a scene, with compiling,
-stands beside it. Time to valid ends with the batch that holds the first valid candidate.
+The time of ours is that of the second of two runs from a start; `cold_s` is that of the first run
+of a scene, with compilation. Time to valid ends with the batch of the first valid candidate.
 """
 
 import time
@@ -9,42 +9,41 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from ..config import RefineOptions
 from ..errors import EngineError, choices
+from ..measure import measured, passes
 from ..physics.engine import Engine
 from ..physics.exact import snap_exactly
 from ..physics.model import SceneModel
 from ..physics.simulate import open_engine
-from ..refinement.outcome import Refined, measured, passes
+from ..refinement.outcome import Refined
 from ..refinement.scene_refinement import compile_for_search, refine
 from .baselines import OneByOne, algorithm1, with_budget
 from .refine_scenes import LARGE, SCENES, errors, photographed, start
+from .rows import Row
 
 BASELINES = ("algorithm1", "random", "cma_es")
 
 
-class RefineRow(BaseModel):
+class RefineRow(Row):
     """One method on one scene from one start."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     scene: str
     objects: int
     seed: int
     method: str
-    """ours, algorithm1, random or cma_es; `/plain` without descent."""
+    """ours, algorithm1, random or cma_es; `/plain` without gradient refinement."""
     open_loop_valid: bool
-    """Whether the start holds, snapped exactly."""
+    """Whether the start is valid, snapped exactly."""
     valid: bool
-    """Whether the end holds."""
+    """Whether the result is valid."""
     time_to_valid_s: float | None
     """None where no candidate was valid."""
     time_total_s: float
     """Without the exact check of the winner."""
     cold_s: float | None = None
-    """Of the first run of this scene, with compiling."""
+    """Time of the first run of this scene, with compilation."""
     reward: float
     """Highest absolute reward."""
     rollouts: int
@@ -57,7 +56,7 @@ class RefineRow(BaseModel):
     scale_error_start: float
     scale_error_end: float
     mean_log_scale: float
-    """Of the end against the truth, over the objects that move."""
+    """Mean log scale of the movable objects at the end, relative to the truth."""
 
 
 def refinements(
@@ -201,9 +200,9 @@ def _figures(rows: Sequence[RefineRow]) -> dict[str, Any]:
 def _wins(ours: Sequence[RefineRow], others: Sequence[RefineRow]) -> dict[str, Any]:
     """On how many scenes our mean absolute reward is the higher one, over the seeds both ran."""
     gains: dict[str, list[float]] = {}
-    mine = {(r.scene, r.seed): r.reward for r in ours}
+    own = {(r.scene, r.seed): r.reward for r in ours}
     for r in others:
-        if (r.scene, r.seed) in mine:
-            gains.setdefault(r.scene, []).append(mine[r.scene, r.seed] - r.reward)
+        if (r.scene, r.seed) in own:
+            gains.setdefault(r.scene, []).append(own[r.scene, r.seed] - r.reward)
     ahead = [scene for scene, gain in gains.items() if np.mean(gain) > 0]
     return {"scenes": len(ahead), "of": len(gains), "behind": sorted(set(gains) - set(ahead))}

@@ -14,6 +14,7 @@ from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..physics.support import posed_shapes
 from ..spec import Box, Box2D, Camera, Cylinder, HollowBox, SceneObject, SceneSpec, world_poses
+from .photo_scenes import see
 from .scenes import (
     CERAMIC,
     TOP,
@@ -30,7 +31,7 @@ from .six import cabinet, stack
 BOX_NOISE_PX, BOX_NOISE, DEPTH_NOISE = 2.0, 0.02, 0.02
 """Noise of the photograph's boxes [px] and as a share of their sizes, and of depths as a share."""
 START = Noise(xy=0.08, yaw=math.radians(20.0), log_scale=0.12)
-"""How far starts are from the truth; xy in horizontal diagonals."""
+"""Noise of starts around the truth; xy in horizontal diagonals."""
 GAP = 0.004
 """Clearance between neighbours of the truth [m]."""
 
@@ -215,7 +216,7 @@ LARGE: dict[str, Callable[[], SceneSpec]] = {"crowd_20": _crowd(20), "crowd_40":
 def photographed(name: str, *, seed: int = 0) -> SceneSpec:
     """Return a scene with a camera before it and the noisy boxes and depths that it would see.
 
-    Boxes are of whole objects, also where others hide them; they are taken from the visual meshes.
+    Boxes are of what is visible, taken from a ray-cast picture.
 
     Args:
         name: of `SCENES` or `LARGE`.
@@ -230,23 +231,21 @@ def photographed(name: str, *, seed: int = 0) -> SceneSpec:
     camera = Camera(width=640, height_px=480, fovy=0.9, height=0.9 * away, pitch=0.73)
     scene = scene.model_copy(update={"camera": camera, "objects": (base, *scene.objects[1:])})
     rng = np.random.default_rng((seed, len(name), *name.encode()))
-    return scene.model_copy(update={"objects": tuple(_seen(scene, rng))})
+    return scene.model_copy(update={"objects": tuple(_noisy(see(scene), rng))})
 
 
-def _seen(scene: SceneSpec, rng: np.random.Generator) -> list[SceneObject]:
-    camera = scene.camera
-    assert camera is not None
-    poses, objects = world_poses(scene), []
+def _noisy(scene: SceneSpec, rng: np.random.Generator) -> list[SceneObject]:
+    """Disturb what a photograph shows of a scene's objects."""
+    objects = []
     for item in scene.objects:
-        points = [at.apply(shape.surface()[0]) for shape, at in posed_shapes(item)]
-        px, depth = camera.project(poses[item.name].apply(np.vstack(points)))
-        box = np.array([*px.min(axis=0), *px.max(axis=0)])
+        assert item.box2d is not None and item.depth is not None
+        box = np.array(item.box2d.as_tuple())
         size = math.sqrt(np.prod(box[2:] - box[:2]))
         box += rng.normal(size=4) * math.hypot(BOX_NOISE_PX, BOX_NOISE * size)
         # However few pixels show it, a detector gives it one.
         narrow = np.maximum(1.0 - (box[2:] - box[:2]), 0.0) / 2
         box += np.concatenate([-narrow, narrow])
-        far = float(depth.mean()) * (1 + DEPTH_NOISE * rng.normal())
+        far = item.depth * (1 + DEPTH_NOISE * rng.normal())
         edges = dict(zip(("x0", "y0", "x1", "y1"), map(float, box), strict=True))
         objects.append(item.model_copy(update={"box2d": Box2D(**edges), "depth": far}))
     return objects

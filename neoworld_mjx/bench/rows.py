@@ -4,14 +4,21 @@ import logging
 from collections.abc import Iterable
 from typing import Any, TypeVar
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ConfigDict
 
 log = logging.getLogger(__name__)
 
-Row = TypeVar("Row", bound=BaseModel)
+
+class Row(BaseModel):
+    """Base of the rows of tables: frozen, closed against unknown fields."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-def collect(rows: Iterable[Row]) -> list[Row]:
+_Row = TypeVar("_Row", bound=BaseModel)
+
+
+def collect(rows: Iterable[_Row]) -> list[_Row]:
     """Measure all rows, and log each as soon as it is there."""
     collected = []
     for row in rows:

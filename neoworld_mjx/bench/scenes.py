@@ -39,7 +39,7 @@ TOP = 0.04
 """Thickness of the table, whose top is the plane z = TOP of its own frame [m]."""
 
 _KINDS = ("box", "cylinder", "upper", "container", "inside", "prism", "ball", "rod")
-"""What the objects of a crowded scene are, in turn; `inside` lies in the container before it and
+"""Kinds of the objects of a crowded scene, in turn; `inside` lies in the container before it and
 `upper` stands on the box before it."""
 
 _EDGES = {"box": (0.075, 0.075, 0.075), "upper": (0.05, 0.05, 0.05), "inside": (0.035, 0.03, 0.03)}
@@ -103,7 +103,7 @@ def crowded(objects: int, *, seed: int = 0, gap: float | None = None) -> SceneSp
     rng = np.random.default_rng((seed, objects))
     if gap is None:
         gap = float(np.interp(math.log(objects), *_log_table(_GAPS)))
-    made: list[SceneObject] = []
+    items: list[SceneObject] = []
     discs: list[tuple[int, float]] = []
     latest: dict[str, SceneObject] = {}
     for k in range(objects):
@@ -119,11 +119,11 @@ def crowded(objects: int, *, seed: int = 0, gap: float | None = None) -> SceneSp
             item = standing(spec, "table", (0.0, 0.0), TOP, yaw)
             discs.append((k, radius))
         latest[kind] = item
-        made.append(item)
+        items.append(item)
     spots, extent = _rows([radius for _, radius in discs], gap)
     for (k, _), spot in zip(discs, spots, strict=True):
-        made[k] = made[k].model_copy(update={"xy": spot})
-    return SceneSpec(name=f"crowded_{objects}", objects=(table(*extent), *made))
+        items[k] = items[k].model_copy(update={"xy": spot})
+    return SceneSpec(name=f"crowded_{objects}", objects=(table(*extent), *items))
 
 
 def _log_table(rows: tuple[tuple[int, float], ...]) -> tuple[list[float], list[float]]:

@@ -78,7 +78,7 @@ class Agreement:
     """Compare engines with MuJoCo on recompiled scenes: fields, bits, first steps, verdicts."""
 
     scene: tuple[str, ...] = ()
-    """Of stack, cluttered, cabinet, container, leaning and mixed; none takes all six."""
+    """Scenes, of stack, cluttered, cabinet, container, leaning and mixed; none takes all six."""
     engine: tuple[EngineName, ...] = ("native",)
     """Engines whose verdicts are compared."""
     layouts: int = 64
@@ -95,10 +95,14 @@ class Refine:
 
     scene: tuple[str, ...] = ()
     """Names of scenes; none takes all twelve. crowd_20 and crowd_40 are there too."""
+    real: bool = False
+    """Refine the composed scenes of five photographs instead, which have no known truth."""
+    seed: int = 0
+    """Seed of the searches with `--real`."""
     seeds: int = 5
     """Starts of each scene."""
     baseline_seeds: int = 1
-    """How many of the starts the baselines take; Algorithm 1 takes half a minute each."""
+    """Starts of each scene for the baselines; Algorithm 1 takes half a minute each."""
     baseline: tuple[Literal["algorithm1", "random", "cma_es"], ...] = (
         "algorithm1",
         "random",
@@ -109,13 +113,113 @@ class Refine:
     """Engine that rolls candidates out."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Photos:
+    """Take disturbed answers to forty scenes with known truth through fit, composition and search,
+    and tell each step's errors and the objects that it made worse; needs no model.
+    """
+
+    scenes: tuple[int, ...] = ()
+    """Numbers of scenes; none takes all: 0 to 19 are tuned on, 20 to 39 held out."""
+    quick: bool = False
+    """Take two scenes, and search little."""
+    no_search: bool = False
+    """Whether to refine; half a minute a scene on two cores."""
+    semantic: bool = False
+    """Tell instead how often S_sem scores the truth, seen without noise, higher than displacements
+    of one object by 1 to 5 cm."""
+    draws: int = 200
+    """Displacements of each scene with `--semantic`."""
+    seed: int = 0
+    """Seed of the searches."""
+    engine: EngineChoice = "native"
+    """Engine that rolls candidates out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneSet:
+    """Run methods on the thirty scenes of the benchmark, each start with noise of its own, beside
+    gravity alone, gradient refinement alone, the search without simulation and Algorithm 1.
+    """
+
+    scenes: tuple[str, ...] = ()
+    """Names of scenes, or one number of scenes; none takes all."""
+    starts: int = 2
+    """Starts of each scene; those with odd numbers are the evaluation half."""
+    method: tuple[
+        Literal[
+            "ours",
+            "open_loop",
+            "gravity",
+            "gradient",
+            "no_simulation",
+            "algorithm1",
+            "random",
+            "cma_es",
+        ],
+        ...,
+    ] = ("ours", "open_loop", "gravity", "gradient", "no_simulation", "algorithm1")
+    """Methods; random and cma_es make as many rollouts as ours."""
+    seed: int = 0
+    """Seed of noise and searches."""
+    workers: int = 0
+    """Processes; 0 takes one for every two cores."""
+    out: Path | None = None
+    """Folder of results.parquet; rows that are there already are not run again."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tasks:
+    """Check the manipulation tasks on truth: reference plans succeed, nothing is true without a
+    plan, and plans fail when the object concerned is elsewhere.
+    """
+
+    task: tuple[str, ...] = ()
+    """Names of tasks; none takes all."""
+    directions: int = 4
+    """Directions in which the object concerned is displaced by half its size; 0 for none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plans:
+    """Ask a model for plans of the manipulation tasks, and carry them out; what fails is told back,
+    and may then refine the layout, as in Section 4.4 of the paper.
+    """
+
+    task: tuple[str, ...] = ()
+    """Names of tasks; none takes all."""
+    provider: str = "auto"
+    """Who answers: auto, anthropic, openai, mailbox or replay."""
+    tape: Path | None = None
+    """Tape to replay."""
+    mailbox: Path | None = None
+    """Folder of the mailbox."""
+    record: Path | None = None
+    """Tape to record the answers on."""
+    rounds: int = 2
+    """Most revisions of a plan."""
+    offset: float = 0.0
+    """How far the named objects are moved in the scene that is told [m]."""
+    feedback: bool = False
+    """Whether a plan that fails refines the layout that it was made for."""
+    seed: int = 0
+    """Seed of the offsets and the refinement."""
+
+
 SUITES = {
+    "scenes": Suite(SceneSet, "neoworld_mjx.bench.command:scenes_answer", configured=True),
     "physics": Suite(Physics, "neoworld_mjx.bench.command:physics_answer"),
     "kernels": Suite(Kernels, "neoworld_mjx.bench.command:kernels_answer"),
     "agreement": Suite(Agreement, "neoworld_mjx.bench.command:agreement_answer"),
     "refine": Suite(Refine, "neoworld_mjx.bench.command:refine_answer", configured=True),
+    "tasks": Suite(Tasks, "neoworld_mjx.bench.command:tasks_answer"),
+    "plans": Suite(Plans, "neoworld_mjx.bench.command:plans_answer", configured=True),
+    "photos": Suite(Photos, "neoworld_mjx.bench.command:photos_answer", configured=True),
 }
-"""What `neoworld bench run NAME` runs."""
+"""Suites that `neoworld bench run NAME` runs."""
 
-DEVELOPER_SUITES = ("battery", "programs", "scoring", "verify")
-"""What `python -m benchmarks NAME` runs from a clone."""
+DEVELOPER_SUITES = (
+    *("battery", "decisions", "faults", "inputs", "motion", "programs"),
+    *("readers", "round-trips", "scoring", "templates", "verify"),
+)
+"""Suites that `python -m benchmarks NAME` runs from a clone."""

@@ -32,7 +32,7 @@ def motion(scene: SceneModel, rollout: Rollout) -> Float[np.ndarray, " pop"]:
 
 
 class Loop(NamedTuple):
-    """What the obvious loop found for the first candidates of a population."""
+    """Results of the naive loop for the first candidates of a population."""
 
     motion: Float[np.ndarray, " some"]
     """Largest motion in units of the bounds."""
@@ -80,11 +80,11 @@ def naive_loop(
     """
     timestep = scene.static.mjm.opt.timestep
     records, every = record_steps(timestep, duration, record_every)
-    found: list[float] = []
+    moved: list[float] = []
     compiling, stepping, cpu = [], [], 0.0
     began = time.perf_counter()
     for k in range(poses.scale.shape[0]):
-        if found and time.perf_counter() - began > budget:
+        if moved and time.perf_counter() - began > budget:
             break
         spec = to_mjspec(scene.apply(layouts, k, poses), timestep=timestep)
         t0, c0 = time.perf_counter(), time.thread_time()
@@ -94,8 +94,8 @@ def naive_loop(
         stepping.append(time.perf_counter() - t1)
         cpu += time.thread_time() - c0
         compiling.append(t1 - t0)
-        found.append(_farthest(model, path))
-    return Loop(np.array(found), np.array(compiling), np.array(stepping), cpu, records * every)
+        moved.append(_farthest(model, path))
+    return Loop(np.array(moved), np.array(compiling), np.array(stepping), cpu, records * every)
 
 
 def started(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -135,10 +135,10 @@ def _farthest(model: mujoco.MjModel, path: np.ndarray) -> float:
 
 
 class Compared(NamedTuple):
-    """How often two verdicts on the same layouts are the same."""
+    """Comparison of two verdicts on the same layouts."""
 
     stable: Bool[np.ndarray, " pop"]
-    """By the reference."""
+    """Whether each layout is stable by the reference."""
     near: Bool[np.ndarray, " pop"]
     """Within `NEAR` of a bound by the reference."""
     same: Bool[np.ndarray, " pop"]

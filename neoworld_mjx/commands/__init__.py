@@ -7,17 +7,26 @@ To add a command, write its class and add a row to `COMMANDS`. Heavy packages ar
 from .base_command import Answer, Command, Runnable
 from .bench_commands import BenchCommand
 from .doctor_command import DoctorCommand
+from .examples_command import ExamplesCommand
+from .export_command import ExportCommand
 from .object_commands import BuildCommand, CheckCommand
 from .run_commands import ReconstructCommand, RefineCommand, RenderCommand, ReportCommand
 from .sweep_commands import AblateCommand, SweepCommand
+from .template_command import TemplateCommand
+from .view_command import AnnotateCommand, ViewCommand
 
 COMMANDS: dict[str, type] = {
     "reconstruct": ReconstructCommand,
+    "examples": ExamplesCommand,
     "refine": RefineCommand,
     "check": CheckCommand,
     "build": BuildCommand,
+    "template": TemplateCommand,
+    "export": ExportCommand,
     "render": RenderCommand,
     "report": ReportCommand,
+    "view": ViewCommand,
+    "annotate": AnnotateCommand,
     "sweep": SweepCommand,
     "ablate": AblateCommand,
     "doctor": DoctorCommand,

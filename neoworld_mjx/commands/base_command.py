@@ -1,4 +1,4 @@
-"""What all commands share: the flags of output, and the configuration."""
+"""Base of all commands: the flags of output, and the configuration."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ Answer = dict[str, Any]
 
 @runtime_checkable
 class Runnable(Protocol):
-    """What the command line runs: a command, or one of commands nested in another."""
+    """A command that the command line runs, or a group of nested commands."""
 
     @property
     def json(self) -> bool:
@@ -42,6 +42,8 @@ class Command:
     """Print one JSON object on stdout, and everything else on stderr."""
     quiet: bool = False
     """Print no progress."""
+    debug: bool = False
+    """Show the traceback of an error."""
 
     def run(self) -> Answer:
         """Do the work and return what is to be printed.
@@ -67,9 +69,8 @@ class ConfiguredCommand(Command):
         Args:
             flags: values by path of the option; None is a flag that was not given.
         """
-        import yaml
-
-        from ..config import load_config
+        from ..config import load_config, parse_yaml
+        from ..reading import keep_bounds
 
         overrides: dict[str, Any] = {}
         for setting in self.set:
@@ -77,13 +78,15 @@ class ConfiguredCommand(Command):
             if not equals or not key:
                 raise ConfigError(f"--set takes KEY=VALUE, such as seed=3, got {setting!r}")
             try:
-                _put(overrides, key, yaml.safe_load(value))
-            except yaml.YAMLError:
+                _put(overrides, key, parse_yaml(value))
+            except ValueError:
                 raise ConfigError(f"--set {key}: {value!r} is not a YAML value") from None
         for key, value in (flags or {}).items():
             if value is not None:
                 _put(overrides, key, value)
-        return load_config(self.config, overrides)
+        config = load_config(self.config, overrides)
+        keep_bounds(config.files)
+        return config
 
 
 def _put(tree: dict[str, Any], key: str, value: Any) -> None:

@@ -31,6 +31,40 @@ class BenchChartCommand(Command):
         return chart_answer(self)
 
 
+@dataclass(frozen=True, kw_only=True)
+class BenchMakeCommand(Command):
+    """Write the benchmark's data set: objects of all categories, and the scenes with pictures,
+    masks, depth, boxes, trees and joints.
+    """
+
+    out: Path
+    """Folder to write; what is there already and the same is left alone."""
+    seed: int | None = None
+    """Draw one instance of each category; by default programs have their own parameters."""
+    workers: int = 0
+    """Processes; 0 takes all cores."""
+
+    def run(self) -> Answer:
+        """Write the data set."""
+        from ..bench.command import make_answer
+
+        return make_answer(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchTableCommand(Command):
+    """Write table.md, table.csv and table.tex of what `bench run scenes --out` measured."""
+
+    folder: Positional[Path]
+    """Folder with results.parquet."""
+
+    def run(self) -> Answer:
+        """Write the tables."""
+        from ..bench.command import table_answer
+
+        return table_answer(self)
+
+
 class SuiteCommand:
     """Runs a benchmark suite; `suite_commands` adds the suite's options."""
 
@@ -59,7 +93,7 @@ class SuiteCommand:
         fields = dataclasses.fields(self)  # pyright: ignore[reportArgumentType]
         for field in sorted(fields, key=lambda field: field.name == "json"):
             value = getattr(self, field.name)
-            if value == field.default or field.name == "quiet":
+            if value == field.default or field.name in ("quiet", "debug"):
                 continue
             yield "--" + field.name.replace("_", "-")
             if value is not True:
@@ -97,10 +131,12 @@ class BenchRunCommand:
 
 @dataclass(frozen=True, kw_only=True)
 class BenchCommand:
-    """Measure speed and agreement of engines, and the quality of refinement."""
+    """Make the benchmark, and measure methods, engines and refinement on it."""
 
     task: (
         Annotated[BenchRunCommand, subcommand("run")]
+        | Annotated[BenchMakeCommand, subcommand("make")]
+        | Annotated[BenchTableCommand, subcommand("table")]
         | Annotated[BenchChartCommand, subcommand("chart")]
     )
 

@@ -1,7 +1,10 @@
 """The command doctor: what is installed here and what can run."""
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import NamedTuple
 
 from ..errors import NeoWorldError
 from .base_command import Answer, Command
@@ -9,9 +12,82 @@ from .base_command import Answer, Command
 _KEYS = ("ANTHROPIC_API_KEY", "OPENAI_API_KEY")
 
 
+class Need(NamedTuple):
+    """Something that a machine may lack."""
+
+    what: str
+    present: Callable[[], bool]
+    costs: str
+    """What cannot be done, or is slow, without it."""
+    mend: str
+    """Command that brings it."""
+
+
+def _installed(package: str) -> Callable[[], bool]:
+    return lambda: find_spec(package) is not None
+
+
+def _key() -> bool:
+    return any(os.environ.get(name) for name in _KEYS)
+
+
+def _gpu_seen() -> bool:
+    """Return whether JAX uses the NVIDIA GPU that the machine has, if it has one."""
+    from shutil import which
+
+    import jax
+
+    return which("nvidia-smi") is None or any(d.platform == "gpu" for d in jax.devices())
+
+
+def _cached() -> bool:
+    from ..cache import cache_folder
+
+    return cache_folder().is_dir()
+
+
+NEEDS = (
+    Need(
+        *("a model's key", _key),
+        "photographs of your own need answers by hand (--provider mailbox); the examples do not",
+        "export ANTHROPIC_API_KEY=..., or OPENAI_API_KEY=... with the extra openai",
+    ),
+    Need(
+        *("JAX on the GPU", _gpu_seen),
+        "the engine mjx runs on the CPU, hundreds of times slower",
+        "pip install 'neoworld-mjx[cuda]'",
+    ),
+    Need(
+        *("extra warp", lambda: _installed("warp")() and _installed("mujoco_warp")()),
+        "no engine warp, the fastest on NVIDIA GPUs for large populations",
+        "pip install 'neoworld-mjx[warp]'",
+    ),
+    Need(
+        *("extra openai", _installed("openai")),
+        "no provider openai, nor servers that speak its protocol",
+        "pip install 'neoworld-mjx[openai]'",
+    ),
+    Need(
+        *("extra baselines", _installed("evosax")),
+        "no refine.optimizer cma_es",
+        "pip install 'neoworld-mjx[baselines]'",
+    ),
+    Need(
+        *("extra plot", _installed("matplotlib")),
+        "sweeps end without a figure",
+        "pip install 'neoworld-mjx[plot]'",
+    ),
+    Need(
+        *("compilations of an earlier run", _cached),
+        "the first run compiles for half a minute or more; later ones do not",
+        "uv run neoworld reconstruct examples/coffee.png --out out",
+    ),
+)
+
+
 @dataclass(frozen=True, kw_only=True)
 class DoctorCommand(Command):
-    """Say what is installed here and what can run."""
+    """Say what is installed here, what can run, and what each missing thing costs."""
 
     def run(self) -> Answer:
         """Look at this machine."""
@@ -34,6 +110,11 @@ class DoctorCommand(Command):
             "cache": {"folder": str(kept), "exists": kept.is_dir()},
             "keys": {name: bool(os.environ.get(name)) for name in _KEYS},
             "tapes": tapes,
+            "missing": [
+                {"what": need.what, "costs": need.costs, "mend": need.mend}
+                for need in NEEDS
+                if not need.present()
+            ],
             "versions": versions(),
         }
 

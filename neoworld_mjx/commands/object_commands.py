@@ -11,6 +11,7 @@ from .base_command import Answer, ConfiguredCommand
 
 if TYPE_CHECKING:
     from ..program import Built
+    from ..spec import SceneSpec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +19,7 @@ class CheckCommand(ConfiguredCommand):
     """Check a scene or an object: every verdict with its number and threshold."""
 
     target: Positional[Path]
-    """A run folder, a scene.json, a program (.py), a URDF or an MJCF file."""
+    """A run folder, a scene.json, a program (.py), a URDF, MJCF or USD file."""
     fixed_base: bool = False
     """Hold the object's base fixed: check only its joints."""
     repair: bool = False
@@ -30,54 +31,46 @@ class CheckCommand(ConfiguredCommand):
         """Measure the scene, or verify the object."""
         config = self.load_config()
         suffix = self.target.suffix.lower()
-        if suffix in (".usd", ".usda", ".usdc", ".usdz"):
-            raise SpecError(f"{self.target}: USD is not read yet; check the URDF or MJCF beside it")
-        if suffix in (".py", ".urdf", ".xml", ".mjcf"):
+        notes: list[str] = []
+        scene: SceneSpec | None = None
+        from ..export.importing_scene import FILES, ImportedScene, import_file
+
+        imported = import_file(self.target) if suffix in FILES else None
+        if isinstance(imported, ImportedScene):
+            scene, notes = imported.spec, list(imported.notes)
+        elif imported is not None or suffix == ".py":
             from ..verify.checking import check_object
 
             return check_object(
                 self.target,
                 config,
+                imported=imported,
                 fixed_base=self.fixed_base,
-                mend=self.repair,
+                repair=self.repair,
                 out=self.out,
             )
         if self.repair or self.fixed_base or self.out is not None:
             raise SpecError(f"{self.target}: a scene is only measured; use refine to repair it")
-        from ..measure.stability import scene_measure
+        from ..measure import measured, scene_checks
         from ..spec import read_scene
 
-        limits = config.refine
-        measure = scene_measure(
-            read_scene(self.target),
-            duration=limits.check_duration_s,
-            timestep=limits.check_timestep_s,
-            max_depth=limits.max_depth_m,
-            max_drift=limits.max_drift_m,
-            max_tilt=limits.max_tilt_deg,
-        )
-        checks = [
-            ("max_depth_m", measure.max_depth_m, limits.max_depth_m, not measure.s_pen),
-            ("max_drift_m", measure.max_drift_m, limits.max_drift_m, measure.s_stab),
-            ("max_tilt_deg", measure.max_tilt_deg, limits.max_tilt_deg, measure.s_stab),
-        ]
+        measure = measured(scene or read_scene(self.target), config.refine)
+        checks = scene_checks(measure, config.refine)
         return {
             "target": str(self.target),
-            "passed": not measure.s_pen and measure.s_stab is not False,
-            "checks": [
-                {"name": name, "value": value, "threshold": limit, "passed": passed}
-                for name, value, limit, passed in checks
-            ],
+            **({"notes": notes} if notes else {}),
+            "passed": all(check.passed for check in checks),
+            "checks": [check.model_dump() for check in checks],
             **measure.model_dump(),
         }
 
 
 @dataclass(frozen=True, kw_only=True)
 class BuildCommand(ConfiguredCommand):
-    """Turn an object's program into URDF, USD, MJCF and pictures."""
+    """Turn an object's program, or its URDF, MJCF or USD, into every format and pictures."""
 
     program: Positional[Path]
-    """The program (.py)."""
+    """The program (.py), or a URDF, MJCF or USD file with one object."""
     out: Path
     """Folder to write; a new or empty one."""
     overwrite: bool = False
@@ -97,6 +90,8 @@ class BuildCommand(ConfiguredCommand):
         if out.is_dir() and any(out.iterdir()) and not self.overwrite:
             raise RunError(f"{out} is not empty: name a new folder, or use --overwrite")
         options = self.load_config().program
+        if self.program.suffix.lower() != ".py":
+            return self._convert()
         if self.watch:
             read_program(self.program)  # Report a missing file at once.
             beside = (overlay_path(self.program),)
@@ -114,6 +109,22 @@ class BuildCommand(ConfiguredCommand):
             }
         write_built(patched, out)
         return {"object": built.spec.name, "folder": str(out), **answer}
+
+    def _convert(self) -> Answer:
+        """Write the object of another program's file."""
+        from ..program.watch import spec_files, write_files
+        from ..verify.checking import import_object
+
+        if self.watch:
+            raise SpecError(f"{self.program}: only programs (.py) are watched")
+        imported = import_object(self.program)
+        write_files(spec_files(imported.spec), self.out)
+        return {
+            "object": imported.spec.name,
+            "folder": str(self.out),
+            "passed": True,
+            "notes": list(imported.notes),
+        }
 
 
 def _signals(built: "Built") -> list[dict[str, Any]]:

@@ -17,11 +17,11 @@ class ReconstructCommand(ConfiguredCommand):
     """Turn a photograph into a scene that simulates."""
 
     photo: Positional[Path]
-    """The photograph."""
+    """The photograph, or the name of one that `neoworld examples` lists."""
     out: Path
     """Run folder to write; a new or empty one, or a run to go on with."""
     provider: str | None = None
-    """Where models' answers come from: auto, anthropic, openai, replay or mailbox."""
+    """Source of models' answers: auto, anthropic, openai, replay or mailbox."""
     engine: EngineChoice | None = None
     """Physics engine of the refine step."""
     seed: int | None = None
@@ -45,13 +45,14 @@ class ReconstructCommand(ConfiguredCommand):
         """Run the five steps."""
         from ..cache import keep_compilations
         from ..pipeline import reconstruct
+        from ..pipeline.bundled_examples import photo_of
 
         config = self.load_config(
             {"provider": self.provider, "refine.rollout.engine": self.engine, "seed": self.seed}
         )
         keep_compilations()
         result = reconstruct(
-            self.photo,
+            photo_of(self.photo),
             self.out,
             config,
             until=self.until,
@@ -105,7 +106,7 @@ class RenderCommand(ConfiguredCommand):
     out: Path | None = None
     """PNG file to write; by default render.png beside the scene."""
     width: int | None = None
-    """Of the picture, in pixels."""
+    """Width of the picture, in pixels."""
 
     def run(self) -> Answer:
         """Ray-cast the scene with its own camera."""

@@ -9,17 +9,22 @@ from .base_command import Answer, Command
 
 
 @dataclass(frozen=True, kw_only=True)
-class SweepCommand(Command):
-    """Refine scenes with every combination of some options' values, with several seeds."""
+class PlanCommand(Command):
+    """What running any plan takes."""
 
     plan: Positional[Path]
-    """YAML that names scenes, base options, axes and seeds."""
+    """YAML that names scenes, base options, seeds, and the axes or variants."""
     out: Path
     """Folder to write results.parquet, table.md and sweep.json into; a new or empty one."""
     resume: bool = False
-    """Go on with the sweep in --out: keep the runs that are there."""
+    """Go on with the runs in --out: keep those that are there."""
     overwrite: bool = False
-    """Replace the sweep in --out."""
+    """Replace the runs in --out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepCommand(PlanCommand):
+    """Refine scenes with every combination of some options' values, with several seeds."""
 
     def run(self) -> Answer:
         """Run the sweep."""
@@ -27,24 +32,15 @@ class SweepCommand(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AblateCommand(Command):
+class AblateCommand(PlanCommand):
     """Refine scenes with a base and named changes of it, and list their differences."""
-
-    plan: Positional[Path]
-    """YAML that names scenes, base options, variants and seeds."""
-    out: Path
-    """Folder to write results.parquet, table.md and sweep.json into; a new or empty one."""
-    resume: bool = False
-    """Go on with the ablation in --out: keep the runs that are there."""
-    overwrite: bool = False
-    """Replace the ablation in --out."""
 
     def run(self) -> Answer:
         """Run the ablation."""
         return _run_plan(self, ablation=True)
 
 
-def _run_plan(command: SweepCommand | AblateCommand, *, ablation: bool) -> Answer:
+def _run_plan(command: PlanCommand, *, ablation: bool) -> Answer:
     from ..bench.named import named
     from ..cache import keep_compilations
     from ..sweeps import Case, ablate, answer, sweep

@@ -6,13 +6,13 @@ Paper Section 3.3, Step 4, and Appendix B: programs are written at a convenient 
 
 from dataclasses import dataclass
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from ..config import ComposeOptions
 from ..errors import SpecError
-from ..physics.layout import Layout, arrange, heights
+from ..physics.layout import Layout, arrange
+from ..physics.scene_arrays import snapped_heights
 from ..spec import (
     ObjectSpec,
     Quat,
@@ -59,7 +59,7 @@ def compose(
     Args:
         tree: the parse.
         objects: an object for every node, by node name.
-        options: clearance under snapped objects.
+        options: clearance under snapped objects, and whether tilted ones settle.
         name: of the scene.
 
     Raises:
@@ -68,6 +68,7 @@ def compose(
     missing = [node.name for node in tree.nodes if node.name not in objects]
     if missing:
         raise SpecError(f"no object for node {', '.join(missing)}; there are {sorted(objects)}")
+    options = options or ComposeOptions()
     notes: list[str] = []
     placed: dict[str, SceneObject] = {}
     scales: dict[str, float] = {}
@@ -76,20 +77,19 @@ def compose(
         spec, scales[node.name], residual = rescaled(objects[node.name], node, state)
         state = scaled_state(spec, state, scales[node.name])
         placed[node.name] = _place(node, tree, placed, spec, state, residual, notes)
+        if options.settle:
+            placed[node.name] = _settled(node, tree, placed, notes)
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
-    gap = (options or ComposeOptions()).gap_m
-    return Composed(snap(scene, gap), scales, tuple(notes))
+    return Composed(snap(scene, options.gap_m), scales, tuple(notes))
 
 
 def snap(scene: SceneSpec, gap: float = 1e-4) -> SceneSpec:
     """Set every object down on the surface under its footprint, `gap` [m] above it."""
-    # Jitted, so that it rounds as the same function does in a rollout.
     arrangement = arrange(scene, gap=gap)
-    heights_of = jax.jit(lambda layouts: heights(arrangement, layouts))
-    z = np.asarray(heights_of(Layout.zero(1, len(scene.objects)))[0], float)
+    z = snapped_heights(arrangement, Layout.zero(1, len(scene.objects)))
     objects = [
-        item.model_copy(update={"z": float(h)}) if flag else item
-        for item, h, flag in zip(scene.objects, z, arrangement.snapped, strict=True)
+        obj.model_copy(update={"z": float(h)}) if flag else obj
+        for obj, h, flag in zip(scene.objects, z, arrangement.snapped, strict=True)
     ]
     return scene.model_copy(update={"objects": tuple(objects)})
 
@@ -157,14 +157,18 @@ def _place(
     level = on_level(node, tree)
     tilt, shift = _rest(node, spec, state, notes) if level else (node.base_tilt, np.zeros(3))
     here = here.then(pose(shift))
-    fixed = node.fixed_base
+    fixed = node.fastened
     if fixed and node.parent is not None and not placed[node.parent].static:
         notes.append(
             f"{node.name}: {node.parent} is free to move, so composition did not fix it there"
         )
         fixed = False
+    elif fixed and not node.fixed_base and not node.environment:
+        notes.append(f"{node.name}: composition fastened it to {node.parent}, as it is attached")
+    elif node.relation == "attached" and not fixed:
+        notes.append(f"{node.name}: composition left it loose, held by {node.held_by}")
     _, depth = tree.camera.project(node.box3d.corners(node.base_tilt).mean(axis=0))
-    item = SceneObject(
+    return SceneObject(
         name=node.name,
         spec=spec,
         parent=node.parent,
@@ -183,23 +187,32 @@ def _place(
         parsed_size=node.box3d.size,
         scale_residual=residual,
     )
-    lies = not (item.static or level or np.allclose(item.base_tilt, IDENTITY))
+
+
+def _settled(
+    node: TreeNode, tree: SceneTree, placed: dict[str, SceneObject], notes: list[str]
+) -> SceneObject:
+    """Return an object as it rests on its parent, where it lies tilted there.
+
+    On a dish or a slope the resting pose depends on the parent: a simulation finds it.
+    """
+    obj = placed[node.name]
+    lies = not (obj.static or on_level(node, tree) or np.allclose(obj.base_tilt, IDENTITY))
     if node.parent is None or not lies or node.relation not in ("on", "in"):
-        return item
-    # On a dish or a slope the resting pose depends on the parent: a simulation finds it.
-    resting = settle(placed[node.parent], item)
+        return obj
+    resting = settle(placed[node.parent], obj)
     if resting is None:
         notes.append(
             f"{node.name}: composition kept the parsed tilt, at which it does not rest on "
             f"{node.parent}"
         )
-        return item
-    tilted = float(np.degrees(angle_between(item.base_tilt, resting.base_tilt)))
+        return obj
+    tilted = float(np.degrees(angle_between(obj.base_tilt, resting.base_tilt)))
     if tilted > NOTED_SLOPE_TILT_DEG:
-        shift = 1e3 * float(np.hypot(*np.subtract(resting.xy, item.xy)))
+        shift = 1e3 * float(np.hypot(*np.subtract(resting.xy, obj.xy)))
         notes.append(
             f"{node.name}: settling it on {node.parent} tilted it by {tilted:.0f} deg and moved it "
-            f"by {shift:.0f} mm sideways and {1e3 * (resting.z - item.z):+.0f} mm in height"
+            f"by {shift:.0f} mm sideways and {1e3 * (resting.z - obj.z):+.0f} mm in height"
         )
     return resting
 
@@ -210,7 +223,7 @@ def _rest(
     """Return the tilt of a lying object's resting pose, and the shift of its origin [m]."""
     parsed = node.base_tilt
     upright = np.allclose(parsed, IDENTITY)
-    if upright or node.fixed_base or node.environment:
+    if upright or node.fastened or node.environment:
         return parsed, np.zeros(3)
     tilt = resting_tilt(spec, state, parsed)
     if tilt is None:

@@ -47,14 +47,14 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
     parsed = rotate(conjugate(np.array(tilt)), np.array([0.0, 0.0, -1.0]))
     down, step = parsed, _FIRST_STEP_RAD
     low = float((lowest(down) @ down).max())
-    known = np.vstack([lowest(way) for way in (down, *_beside(down, step))])
+    known = np.vstack([lowest(direction) for direction in (down, *_beside(down, step))])
     while step > _LAST_STEP_RAD:
-        way, predicted = _lowered(known, down, step)
-        points = lowest(way)
+        direction, predicted = _lowered(known, down, step)
+        points = lowest(direction)
         known = np.vstack([known, points])
-        height = float((points @ way).max())
+        height = float((points @ direction).max())
         if low - height > max(0.5 * (low - predicted), 1e-9):
-            down, low = way, height
+            down, low = direction, height
         else:
             step *= 0.85  # The points found there are known now.
         if down @ parsed < np.cos(MAX_TILT_RAD):
@@ -63,8 +63,8 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
 
 
 def on_level(node: TreeNode, tree: SceneTree) -> bool:
-    """Tell whether an object is on an environment support, so on level ground."""
-    carried = node.parent is not None and tree.node(node.parent).environment
+    """Tell whether an object is on an environment support made from its box: on level ground."""
+    carried = node.parent is not None and tree.node(node.parent).slab
     return carried and node.relation == "on"
 
 
@@ -83,7 +83,7 @@ def pose_without_scene(node: TreeNode, spec: ObjectSpec, *, level: bool) -> tupl
         Its tilt, and whether its scene holds it.
     """
     tilt = node.base_tilt
-    if node.environment or node.fixed_base or node.relation in ("leaning", "attached"):
+    if node.environment or node.fastened or node.relation in ("leaning", "attached"):
         return tilt, True
     if np.allclose(tilt, IDENTITY):
         return tilt, False
@@ -113,9 +113,9 @@ def _lowered(points: NDArray, down: NDArray, step: float) -> tuple[NDArray, floa
         b_ub=-points @ down,
         bounds=[(-step, step), (-step, step), (None, None)],
     )
-    way = down + solution.x[:2] @ across
-    way /= np.linalg.norm(way)
-    return way, float((points @ way).max())
+    direction = down + solution.x[:2] @ across
+    direction /= np.linalg.norm(direction)
+    return direction, float((points @ direction).max())
 
 
 def _furthest(piece: Piece, d: NDArray) -> NDArray:

@@ -26,12 +26,12 @@ JOINT_DRAG = 1e6
 """Drag of joints over that of the fall: they keep their parsed positions."""
 
 
-def settle(parent: SceneObject, item: SceneObject) -> SceneObject | None:
+def settle(parent: SceneObject, obj: SceneObject) -> SceneObject | None:
     """Let an object come to rest on its parent alone, in a simulation with strong drag.
 
     Args:
         parent: its parent, which does not move.
-        item: the object; it is first lifted until it touches nothing.
+        obj: the object; it is first lifted until it touches nothing.
 
     Returns:
         The object with the heading, tilt and place of its resting pose, or None if it has none
@@ -42,14 +42,14 @@ def settle(parent: SceneObject, item: SceneObject) -> SceneObject | None:
     """
     as_root = {"parent": None, "parent_link": None, "environment": True, "xy": (0.0, 0.0)}
     base = parent.model_copy(update={**as_root, "z": 0.0, "yaw": 0.0})
-    scene = SceneSpec(name="rest", objects=(base, item))
+    scene = SceneSpec(name="rest", objects=(base, obj))
     try:
         model = to_mjspec(scene, timestep=TIMESTEP_S).compile()
     except ValueError as error:
-        raise SpecError(f"{item.name} on {parent.name}: {error}") from None
-    root = model.body(item.name)
+        raise SpecError(f"{obj.name} on {parent.name}: {error}") from None
+    root = model.body(obj.name)
     dofs = model.jnt_dofadr[int(root.jntadr[0])] + np.arange(6)
-    size = float(np.linalg.norm(np.subtract(*bounds(item.spec, item.joint_state, item.base_tilt))))
+    size = float(np.linalg.norm(np.subtract(*bounds(obj.spec, obj.joint_state, obj.base_tilt))))
     drag = float(root.subtreemass[0]) * float(np.linalg.norm(scene.gravity)) / FALL_M_S
     model.dof_damping[:] = JOINT_DRAG * drag
     model.dof_damping[dofs] = np.repeat([drag, drag * (size / 2) ** 2], 3)
@@ -65,18 +65,18 @@ def settle(parent: SceneObject, item: SceneObject) -> SceneObject | None:
     if not speed < CREEP_M_S:
         return None
     at = world_poses(scene)
-    frame = support_frame(base, at[base.name], item.parent_link)
-    end = frame.inverse().then(pose(data.body(item.name).xpos, data.body(item.name).xquat))
-    heading = yaw_of(quat_mul(end.quat, conjugate(frame.inverse().then(at[item.name]).quat)))
-    tilt = quat_mul(conjugate(from_yaw(item.yaw + heading)), end.quat)
-    shift = float(np.linalg.norm(end.pos[:2] - np.array(item.xy)))
-    if angle_between(item.base_tilt, tilt) > MAX_TILT_RAD or shift > MAX_SHIFT * size:
+    frame = support_frame(base, at[base.name], obj.parent_link)
+    end = frame.inverse().then(pose(data.body(obj.name).xpos, data.body(obj.name).xquat))
+    heading = yaw_of(quat_mul(end.quat, conjugate(frame.inverse().then(at[obj.name]).quat)))
+    tilt = quat_mul(conjugate(from_yaw(obj.yaw + heading)), end.quat)
+    shift = float(np.linalg.norm(end.pos[:2] - np.array(obj.xy)))
+    if angle_between(obj.base_tilt, tilt) > MAX_TILT_RAD or shift > MAX_SHIFT * size:
         return None
-    return item.model_copy(
+    return obj.model_copy(
         update={
             "xy": tuple(end.pos[:2].tolist()),
             "z": float(end.pos[2]),
-            "yaw": item.yaw + heading,
+            "yaw": obj.yaw + heading,
             "base_tilt": tuple((tilt / np.linalg.norm(tilt)).tolist()),
         }
     )

@@ -1,9 +1,10 @@
 """Every option of the package: declared once, validated, read from YAML.
 
-`python -m neoworld_mjx.config` writes `configs/default.yaml` and `docs/options.md` from the
-declarations.
+`python -m neoworld_mjx.config` writes `configs/default.yaml`, `docs/options.md` and
+`docs/departures.md` from the declarations.
 """
 
+from .file_options import FileOptions
 from .model_options import MLLMOptions, Role, RoleOptions
 from .object_options import (
     ComposeOptions,
@@ -13,7 +14,7 @@ from .object_options import (
     RenderOptions,
     VerifyOptions,
 )
-from .options import Option, Options, list_options, option_values
+from .options import Departure, Option, Options, list_options, option_values
 from .run_config import Config, describe, load_config, merged
 from .search_options import (
     CEMOptions,
@@ -23,12 +24,15 @@ from .search_options import (
     RolloutOptions,
     SemanticOptions,
 )
+from .yaml_files import parse_yaml, read_yaml
 
 __all__ = [
     "CEMOptions",
     "ComposeOptions",
     "Config",
+    "Departure",
     "DescentOptions",
+    "FileOptions",
     "JointSweepOptions",
     "MLLMOptions",
     "Option",
@@ -48,4 +52,6 @@ __all__ = [
     "load_config",
     "merged",
     "option_values",
+    "parse_yaml",
+    "read_yaml",
 ]

@@ -1,4 +1,4 @@
-"""Write configs/default.yaml and docs/options.md of the checkout that this package lies in."""
+"""Write the pages of options of the checkout that this package lies in."""
 
 from pathlib import Path
 

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from .options import Options, option
+from .options import Departure, Options, option
 
 
 class ParseOptions(Options):
@@ -10,11 +10,23 @@ class ParseOptions(Options):
 
     critic_rounds: int = option(1, "Times that the critic may send the parse back.", ge=0)
     max_side_px: int = option(
-        1568, "Longer side of the picture that the model is shown.", unit="px", ge=64
+        1568, "Longer side of the picture that the model is shown.", unit="px", ge=64, le=8192
+    )
+    min_side_px: int = option(
+        512,
+        "Least longer side of that picture: smaller photos are shown enlarged by a whole factor.",
+        unit="px",
+        ge=16,
+        le=1024,
     )
     fit: bool = option(
         True,
-        "Fit camera and 3D boxes to the 2D boxes by least squares, where that brings them closer.",
+        "Fit camera and 3D boxes to the 2D boxes by least squares, object by object, as far as the "
+        "picture contradicts the answer.",
+        departure=Departure(
+            False,
+            "A model judges sizes and distances less exactly than it draws boxes around things.",
+        ),
     )
 
 
@@ -35,23 +47,31 @@ class JointSweepOptions(Options):
         unit="m",
         ge=0,
     )
-    sweep_steps: int = option(13, "Positions tried over each joint's range.", ge=3)
-    sweep_combinations: int = option(16, "States tried with all joints moved at once.", ge=0)
+    sweep_steps: int = option(13, "Positions tried over each joint's range.", ge=3, le=1000)
+    sweep_combinations: int = option(
+        16, "States tried with all joints moved at once.", ge=0, le=10_000
+    )
 
 
 class ProgramOptions(JointSweepOptions):
     """Step 2, procedural asset programming."""
 
+    stages: Literal["one", "three"] = option(
+        "one",
+        "one: a whole program at once. three: a program for geometry, one for articulation on the "
+        "accepted geometry, one for export, each with debug and critic rounds of its own.",
+        departure=Departure("three", "One request for an object's program in place of three."),
+    )
     debug_rounds: int = option(
         1, "Times that a program that fails is sent back with its errors.", ge=0
     )
     critic_rounds: int = option(1, "Times that the critic may send a program back.", ge=0)
-    geometry_critic: bool = option(True, "Show the critic the object at rest.")
+    geometry_critic: bool = option(True, "Have a critic judge shapes and colours.")
     articulation_critic: bool = option(
-        True, "Show the critic the object opened, where it has joints that move."
+        True, "Have a critic judge joints, by a call of its own, where any joint moves."
     )
-    accept_score: float = option(
-        8.0, "Score by the critic from which no further round is requested.", ge=0, le=10
+    export_critic: bool = option(
+        True, "With three stages, have a critic judge the object that its URDF gives back."
     )
     sandbox: Literal["monty", "cpython"] = option(
         "monty",
@@ -80,8 +100,8 @@ class ProgramOptions(JointSweepOptions):
 class VerifyOptions(JointSweepOptions):
     """Step 3, object-level physics."""
 
-    duration_s: float = option(2.0, "Simulated time of each scenario.", unit="s", gt=0)
-    timestep_s: float = option(0.002, "Time step of the simulation.", unit="s", gt=0)
+    duration_s: float = option(2.0, "Simulated time of each scenario.", unit="s", gt=0, le=100)
+    timestep_s: float = option(0.002, "Time step of the simulation.", unit="s", ge=1e-4, le=0.1)
     drop_height_m: float = option(0.005, "Height of the free fall.", unit="m", ge=0)
     impulse_ns_per_kg: float = option(
         0.3,
@@ -89,7 +109,9 @@ class VerifyOptions(JointSweepOptions):
         unit="N s/kg",
         ge=0,
     )
-    push_duration_s: float = option(0.1, "Time over which the impulse is spread.", unit="s", gt=0)
+    push_duration_s: float = option(
+        0.1, "Time over which the impulse is spread.", unit="s", gt=0, le=100
+    )
     max_drift_m: float = option(0.01, "Largest displacement in a scenario.", unit="m", gt=0)
     max_tilt_deg: float = option(5.0, "Largest rotation in a scenario.", unit="deg", gt=0)
     max_rest_speed: float = option(
@@ -105,7 +127,7 @@ class VerifyOptions(JointSweepOptions):
         0.05, "Largest travel beyond a joint limit, over the joint's range.", gt=0
     )
     joint_push_s: float = option(
-        0.5, "Time in which a free joint is pushed across its range.", unit="s", gt=0
+        0.5, "Time in which a free joint is pushed across its range.", unit="s", gt=0, le=100
     )
     min_mobility: float = option(
         0.9,
@@ -145,16 +167,45 @@ class VerifyOptions(JointSweepOptions):
     rounds: int = option(
         6, "Repairs of an object that may be tried; 0 leaves objects unchanged.", ge=0
     )
-    critic: bool = option(
-        False,
-        "Show the critic key frames of checks that failed or only just passed, and try its edits "
-        "of what failed.",
+    direct_repairs: bool = option(
+        True,
+        "Repair by what a failed check measures, before a model is asked.",
+        departure=Departure(False, "A number that says what is wrong costs no call of a model."),
+    )
+    critic: Literal["auto", "always", "never"] = option(
+        "auto",
+        "auto: where a model answers, show the critic key frames of checks that failed or only "
+        "just passed, and try the reasoner's edits of what failed. always: show it every object in "
+        "the two standard scenarios besides; a tape must hold its answers. never: ask nobody.",
+        departure=Departure("always", "Calls about objects that plainly pass find nothing."),
+    )
+    films: Literal["questionable", "always", "never"] = option(
+        "questionable",
+        "Write the two standard scenarios as GIFs for people: questionable, of objects with a "
+        "check that failed or only just passed; always, of all; never.",
     )
 
 
 class ComposeOptions(Options):
     """Step 4, scene composition."""
 
+    refit: bool = option(
+        True,
+        "Before it, fit camera, positions, sizes and headings to the 2D boxes once more, by the "
+        "built shapes. It acts only where `parse.fit` does.",
+        departure=Departure(
+            False,
+            "Built shapes fill their boxes otherwise than the cuboids of the first fit.",
+        ),
+    )
+    settle: bool = option(
+        True,
+        "Let what lies tilted on a dish or a slope come to rest there by simulation.",
+        departure=Departure(
+            False,
+            "The search moves no tilts, and at its parsed tilt hardly anything rests.",
+        ),
+    )
     gap_m: float = option(
         1e-4,
         "Clearance left between a child and the surface that it is snapped onto.",
@@ -166,5 +217,5 @@ class ComposeOptions(Options):
 class RenderOptions(Options):
     """Ray-cast pictures."""
 
-    width: int = option(480, "Width of pictures.", unit="px", ge=16)
+    width: int = option(480, "Width of pictures.", unit="px", ge=16, le=8192)
     supersample: int = option(2, "Rays per pixel and axis at edges.", ge=1, le=4)

@@ -13,17 +13,26 @@ from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import PydanticUndefined
 
 Kind = Literal["host", "traced", "static"]
-"""What a change of an option costs in the search.
+"""Cost of a change of an option in the search.
 
 host: nothing, the value acts outside of compiled code. traced: nothing, the value is an array that
 compiled code takes. static: compiled code is another one, for the option's reason.
 """
 
 
+class Departure(NamedTuple):
+    """Where a default departs from the paper."""
+
+    value: Any
+    """What the paper does; `configs/paper.yaml` sets it."""
+    reason: str
+    """Why the default is another, as one English sentence."""
+
+
 class Options(BaseModel):
     """Base of all option groups: frozen, and closed against unknown keys."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Option(NamedTuple):
@@ -31,44 +40,59 @@ class Option(NamedTuple):
 
     path: str
     default: Any
-    """As JSON and YAML hold it."""
+    """As in JSON and YAML."""
     meaning: str
     unit: str
     kind: Kind
     reason: str
-    """Why an option is static; of a traced one why it can still split a sweep, else empty."""
+    """Reason why an option is static, or why a traced one can split a sweep; else empty."""
     values: tuple[str, ...]
     """The valid names, where the option takes one of a few."""
     bounds: str
     """Such as ">= 0"; empty without."""
+    departure: Departure | None
+    """Where the default departs from the paper; None where it does not, or the paper leaves it
+    open."""
 
 
-def option(default: Any, meaning: str, *, unit: str = "", **bounds: Any) -> Any:
+def option(default: Any, meaning: str, **more: Any) -> Any:
     """Declare an option that acts outside of compiled code.
 
     Args:
         default: the value without a configuration.
         meaning: one or two English sentences.
-        unit: of the value.
-        bounds: `ge`, `gt`, `le` and `lt`.
+        more: `unit` of the value; `departure` from the paper; `ge`, `gt`, `le` and `lt`.
     """
-    return _declared(default, meaning, unit, "host", "", bounds)
+    return _declared(default, meaning, "host", **more)
 
 
-def traced(default: Any, meaning: str, *, unit: str = "", reason: str = "", **bounds: Any) -> Any:
-    """Declare an option whose value is an array in compiled code; see `Option.reason`."""
-    return _declared(default, meaning, unit, "traced", reason, bounds)
+def traced(default: Any, meaning: str, **more: Any) -> Any:
+    """Declare an option whose value is an array in compiled code.
+
+    Args:
+        default: the value without a configuration.
+        meaning: one or two English sentences.
+        more: as of `option`, and a `reason`; see `Option.reason`.
+    """
+    return _declared(default, meaning, "traced", **more)
 
 
-def static(reason: str, default: Any, meaning: str, *, unit: str = "", **bounds: Any) -> Any:
+def static(reason: str, default: Any, meaning: str, **more: Any) -> Any:
     """Declare an option whose other values compile another program; `reason` says why."""
-    return _declared(default, meaning, unit, "static", reason, bounds)
+    return _declared(default, meaning, "static", reason=reason, **more)
 
 
 def _declared(
-    default: Any, meaning: str, unit: str, kind: Kind, reason: str, bounds: dict[str, Any]
+    default: Any,
+    meaning: str,
+    kind: Kind,
+    *,
+    unit: str = "",
+    reason: str = "",
+    departure: Departure | None = None,
+    **bounds: Any,
 ) -> Any:
-    extra: dict[str, Any] = {"unit": unit, "kind": kind, "reason": reason}
+    extra: dict[str, Any] = {"unit": unit, "kind": kind, "reason": reason, "departure": departure}
     return Field(default=default, description=meaning, json_schema_extra=extra, **bounds)
 
 
@@ -100,6 +124,7 @@ def list_options(group: Options | type[Options], at: str = "") -> Iterator[Optio
             reason=str(extra["reason"]),
             values=_names(field.annotation),
             bounds=", ".join(map(_bound, field.metadata)),
+            departure=extra["departure"],  # pyright: ignore[reportArgumentType]
         )
 
 

@@ -1,4 +1,4 @@
-"""Write the pages that list every option: configs/default.yaml and docs/options.md."""
+"""Write the pages that list options: configs/default.yaml, docs/options.md, docs/departures.md."""
 
 import textwrap
 from collections.abc import Iterator
@@ -35,6 +35,58 @@ change costs in the search itself, and so in a [sweep](how-to/sweeps.md) over it
 """
 
 
+_DEPARTURES_HEAD = """\
+# Departures
+
+Where the defaults depart from the paper, why, and what comes of it. `configs/paper.yaml`
+switches all of it off, and a test holds that file against this list;
+`python -m neoworld_mjx.config` writes the page from the declarations in `neoworld_mjx/config/`.
+
+Three departures have no switch: MuJoCo in place of Isaac Sim; valid candidates go before others of
+higher reward, those nearer to the photograph first; and the returned layout is snapped exactly onto
+its supports before it is checked.
+
+Effects are those of [the ablation](benchmarks.md#what-each-part-of-refinement-does), with all
+defaults and with this one option as in the paper. Means over {n}. What has no
+figures there was not ablated.
+
+| option | here | paper | why | valid | xy error, mm | rollouts | search, s |
+|---|---|---|---|---|---|---|---|
+"""
+_ABLATION = "configs/ablations/refine.yaml"
+_ABLATED = "benchmarks/figures/refine_ablation.yaml"
+_EFFECTS = (1, 5, 8, 9)
+"""Columns of the ablation's figures that the page of departures shows."""
+
+
+def departures_page(root: Path) -> str:
+    """Return docs/departures.md: every option whose default departs from the paper.
+
+    Args:
+        root: a checkout of the repository, for the ablation's variants and figures.
+    """
+    figures = yaml.safe_load((root / _ABLATED).read_text(encoding="utf-8"))
+    rows = {row[0]: [row[k] for k in _EFFECTS] for row in figures["rows"]}
+    variants = yaml.safe_load((root / _ABLATION).read_text(encoding="utf-8"))["variants"]
+    named = {(*change.items(),)[0]: name for name, change in variants.items() if len(change) == 1}
+    text = [_DEPARTURES_HEAD.replace("{n}", figures["n"])]
+    for option in list_options(Config):
+        if option.departure is None:
+            continue
+        value = option.departure.value
+        effect = rows.get(named.get((option.path, value), ""))
+        cells = [f"`{option.path}`", f"`{_shown(option.default)}`", f"`{_shown(value)}`"]
+        cells.append(option.departure.reason)
+        for before, after in zip(rows["as it is"], effect or [""] * len(_EFFECTS), strict=True):
+            cells.append(f"{before} and {after}" if effect else "")
+        text.append(f"| {' | '.join(cells)} |\n")
+    return "".join(text)
+
+
+def _shown(value: object) -> str:
+    return yaml.safe_dump(value, default_flow_style=True).split("\n")[0]
+
+
 def default_yaml() -> str:
     """Return configs/default.yaml: every option under its meaning."""
     return _YAML_HEAD + "".join(_yaml_group(Config(), "", ""))
@@ -46,7 +98,8 @@ def options_page() -> str:
 
 
 def write_pages(root: Path) -> None:
-    """Write both pages into a checkout of the repository."""
+    """Write all pages into a checkout of the repository."""
+    (root / "docs" / "departures.md").write_text(departures_page(root), encoding="utf-8")
     (root / "configs" / "default.yaml").write_text(default_yaml(), encoding="utf-8")
     (root / "docs" / "options.md").write_text(options_page(), encoding="utf-8")
 
@@ -87,7 +140,7 @@ def _page_group(group: Options, at: str, title: str) -> Iterator[str]:
 
 
 def _row(option: Option) -> str:
-    default = yaml.safe_dump(option.default, default_flow_style=True).split("\n")[0]
+    default = _shown(option.default)
     valid = ", ".join(option.values) or option.bounds
     cells = [f"`{option.path}`", f"`{default}`", valid, option.unit, option.meaning, _cost(option)]
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n"

@@ -9,10 +9,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import BaseModel, ValidationError
 
 from ..errors import ConfigError, choices
+from .file_options import FileOptions
 from .model_options import MLLMOptions
 from .object_options import (
     ComposeOptions,
@@ -23,6 +23,7 @@ from .object_options import (
 )
 from .options import Options, option
 from .search_options import RefineOptions
+from .yaml_files import read_yaml
 
 _UNSHOWN = ("headers", "base_url")
 """Options whose wrong values are not shown, as they may hold keys."""
@@ -44,6 +45,7 @@ class Config(Options):
     compose: ComposeOptions = ComposeOptions()
     refine: RefineOptions = RefineOptions()
     render: RenderOptions = RenderOptions()
+    files: FileOptions = FileOptions()
 
     def fingerprint(self) -> str:
         """Return 16 hex digits that change whenever any option changes."""
@@ -64,7 +66,7 @@ def load_config(path: Path | None = None, overrides: dict[str, Any] | None = Non
     """
     data: dict[str, Any] = {}
     if path is not None:
-        data = _read_yaml(path)
+        data = _read_mapping(path)
     data = merged(data, overrides or {})
     try:
         return Config.model_validate(data)
@@ -100,13 +102,8 @@ def _keys_at(model: type[BaseModel], path: tuple[Any, ...]) -> list[str]:
     return sorted(model.model_fields)
 
 
-def _read_yaml(path: Path) -> dict[str, Any]:
-    try:
-        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"cannot read config {path}: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"config {path} is not valid YAML: {error}") from None
+def _read_mapping(path: Path) -> dict[str, Any]:
+    data = read_yaml(path, "config")
     if data is None:
         return {}
     if not isinstance(data, dict):

@@ -7,7 +7,7 @@ against the parameters that the search really compiles with.
 from typing import Literal
 
 from ..engines import ENGINES_HELP, EngineChoice
-from .options import Options, option, static, traced
+from .options import Departure, Options, option, static, traced
 
 _PROGRAM, _SHAPE = "is another program", "shapes arrays"
 _EARLY_STOP = "ends rollouts early"
@@ -17,8 +17,8 @@ _EARLY_STOP = "ends rollouts early"
 class CEMOptions(Options):
     """The Cross-Entropy Method (Algorithm 1 and Appendix B of the paper)."""
 
-    population: int = static(_SHAPE, 256, "Candidates of an iteration.", ge=2)
-    iterations: int = option(8, "Largest number of iterations.", ge=1)
+    population: int = static(_SHAPE, 256, "Candidates of an iteration.", ge=2, le=100_000)
+    iterations: int = option(8, "Largest number of iterations.", ge=1, le=10_000)
     elite_ratio: float = static(
         _SHAPE, 0.05, "Elites over candidates: K = elite_ratio * population.", gt=0, le=1
     )
@@ -35,7 +35,12 @@ class CEMOptions(Options):
         0.1, "Initial standard deviation of the logarithm of the scale.", ge=0
     )
     sigma_floor: float = traced(
-        0.02, "Smallest standard deviation, as a fraction of the initial one.", ge=0
+        0.02,
+        "Smallest standard deviation, as a fraction of the initial one.",
+        ge=0,
+        departure=Departure(
+            0.0, "Elites that agree in one number would freeze it for the rest of the search."
+        ),
     )
     smoothing: float = traced(
         0.0,
@@ -47,6 +52,7 @@ class CEMOptions(Options):
         _PROGRAM,
         True,
         "Always evaluate the mean itself as a candidate; at first that is the composed layout.",
+        departure=Departure(False, "What nothing is wrong with should be found at once."),
     )
     first: int = static(
         _SHAPE,
@@ -54,6 +60,10 @@ class CEMOptions(Options):
         "Population of the first iteration, if smaller than `population`: that iteration mostly "
         "shows where the initial layout fails. 0 is `population`.",
         ge=0,
+        departure=Departure(
+            0,
+            "It mostly shows where the layout fails, and fewer candidates tell that.",
+        ),
     )
     credit: Literal["auto", "scene", "object", "island"] = static(
         _PROGRAM,
@@ -61,20 +71,42 @@ class CEMOptions(Options):
         "Reward that elites are chosen by. scene: the scene's. object: for each object that of the "
         "terms that it takes part in. island: that of all objects that it may come to touch. auto: "
         "the scene's from the first valid candidate on, by object before.",
+        departure=Departure(
+            "scene",
+            "While nothing is valid, each object learns from the candidates that are good for it.",
+        ),
     )
     prune: bool = option(
         True,
         "Do not roll out candidates that cannot become elites; changes no elite. Only with "
         "`normalisation: fixed`, with reward terms that all have a bound, and without scores by a "
         "model.",
+        departure=Departure(
+            False, "Candidates that cannot become elites need no rollout; the elites stay the same."
+        ),
     )
     batch: int = option(16, "Candidates rolled out at once while pruning.", ge=1)
+    stop_by: Literal["best", "elites"] = option(
+        "best",
+        "Whose gain ends the search. best: that of the best valid candidate so far. elites: that "
+        "of the elites' mean absolute reward, as in Algorithm 1.",
+        departure=Departure("elites", "The result is the best candidate, not the elites."),
+    )
     stop_gain: float = traced(
-        0.005,
-        "Stop when the elites' mean absolute reward gains less than this in an iteration.",
-        ge=0,
+        0.005, "Stop when an iteration gains less absolute reward than this.", ge=0
     )
     patience: int = option(2, "Iterations in a row that must gain less; 1 is Algorithm 1.", ge=1)
+    keep_sound: bool = option(
+        True,
+        "Leave objects alone that overlap nothing, hold still, and agree with the photograph where "
+        "they stand; they are let go when two iterations without them found nothing valid, first "
+        "those that the others may come to touch. What only disagrees with the photograph moves "
+        "once the others are valid. Algorithm 1 moves all, and so do reward terms of "
+        "your own, scores by a model and other optimizers.",
+        departure=Departure(
+            False, "What stands where the photograph shows it can only be moved away from there."
+        ),
+    )
 
 
 class DescentOptions(Options):
@@ -86,12 +118,18 @@ class DescentOptions(Options):
         "Steps of the initial layout towards the photograph's boxes and out of penetration; 0 "
         "starts at the composed scene.",
         ge=0,
+        departure=Departure(
+            0, "Gradients of boxes and penetration show the way that draws have to find."
+        ),
     )
     project: Literal["never", "needed", "always"] = static(
         _PROGRAM,
         "needed",
         "Move candidates out of penetration: never, always, or in iterations before the first "
         "valid candidate (needed).",
+        departure=Departure(
+            "never", "Hardly any draw of a crowded scene is free of interpenetration by itself."
+        ),
     )
     project_steps: int = static(
         _PROGRAM, 6, "Steps that move a candidate out of penetration.", ge=1
@@ -99,7 +137,9 @@ class DescentOptions(Options):
     rate: float = static(
         _PROGRAM, 0.2, "Length of a step.", unit="initial standard deviations", gt=0
     )
-    samples: int = static(_SHAPE, 64, "Surface samples of an object in these steps.", ge=8)
+    samples: int = static(
+        _SHAPE, 64, "Surface samples of an object in these steps.", ge=8, le=10_000
+    )
 
 
 class RewardOptions(Options):
@@ -113,12 +153,19 @@ class RewardOptions(Options):
         "Weight of the prior, the distance to the initial layout: the mean of (z / sigma)^2 over "
         "objects and their four numbers, sigma being the initial standard deviation.",
         ge=0,
+        departure=Departure(
+            0.0,
+            "What physics leaves open would wander, and all shrink to overlap less.",
+        ),
     )
     normalisation: Literal["iteration", "fixed"] = static(
         _PROGRAM,
         "fixed",
         "Normalisation of D_pen and D_drift. iteration: over the candidates of the iteration. "
         "fixed: by the caps below.",
+        departure=Departure(
+            "iteration", "Rewards of iterations can be compared, and bounded before physics."
+        ),
     )
     d_pen_cap_m: float = traced(0.005, "D_pen is clipped here.", unit="m", gt=0)
     d_drift_cap: float = traced(
@@ -136,6 +183,10 @@ class RewardOptions(Options):
         "objects settle when they are set down.",
         unit="drift scales",
         ge=0,
+        departure=Departure(
+            0.0,
+            "Everything settles a little, which would cost valid candidates reward.",
+        ),
     )
     pen_scale_m: float = traced(
         0.001,
@@ -172,17 +223,29 @@ class RolloutOptions(Options):
         "sees whether they are stable.",
         unit="s",
         ge=0,
+        le=100,
     )
     timestep_s: float = static(
-        "belongs to the compiled scene", 0.004, "Time step of the simulation.", unit="s", gt=0
+        "belongs to the compiled scene",
+        0.004,
+        "Time step of the simulation.",
+        unit="s",
+        ge=1e-4,
+        le=0.1,
     )
-    record_every_s: float = static(_SHAPE, 0.1, "Time between recorded poses.", unit="s", gt=0)
+    record_every_s: float = static(_SHAPE, 0.1, "Time between recorded poses.", unit="s", ge=0.001)
     early_stop: bool = static(
         _PROGRAM,
         True,
-        "End a candidate's rollout once it has settled, or has drifted past the cap.",
+        "End a candidate's rollout once it has settled, lingers past the bounds of stability, or "
+        "has drifted past the cap.",
+        departure=Departure(
+            False, "Most candidates rest or have failed long before the time is over."
+        ),
     )
-    samples_per_object: int = static(_SHAPE, 256, "Surface samples of an object for D_pen.", ge=16)
+    samples_per_object: int = static(
+        _SHAPE, 256, "Surface samples of an object for D_pen.", ge=16, le=10_000
+    )
 
 
 class SemanticOptions(Options):
@@ -192,11 +255,18 @@ class SemanticOptions(Options):
         "geometric",
         "geometric: from the parsed boxes and depths, for every candidate. mllm: the critic scores "
         "a picture of the best candidates while physics runs; needs a photograph.",
+        departure=Departure(
+            "mllm",
+            "A call for each candidate is slow and dear; geometry scores all for nothing.",
+        ),
     )
     top: int = option(
         8,
         "Candidates of an iteration that the model scores; a surrogate scores the others.",
         ge=1,
+        departure=Departure(
+            256, "With scores by a model, it looks at the best candidates of an iteration alone."
+        ),
     )
     wait: Literal["all", "bounded", "none"] = option(
         "all",
@@ -245,13 +315,31 @@ class RefineOptions(Options):
     reward: RewardOptions = RewardOptions()
     rollout: RolloutOptions = RolloutOptions()
     semantic: SemanticOptions = SemanticOptions()
-    check_duration_s: float = option(2.0, "Simulated time of the final check.", unit="s", gt=0)
-    check_timestep_s: float = option(0.002, "Time step of the final check.", unit="s", gt=0)
+    check_duration_s: float = option(
+        2.0, "Simulated time of the final check.", unit="s", gt=0, le=100
+    )
+    check_timestep_s: float = option(
+        0.002, "Time step of the final check.", unit="s", ge=1e-4, le=0.1
+    )
     max_drift_m: float = option(0.01, "Largest displacement in the final check.", unit="m", gt=0)
     max_tilt_deg: float = option(5.0, "Largest rotation in the final check.", unit="deg", gt=0)
     max_depth_m: float = traced(
         0.001, "Largest penetration of a valid candidate and in the final check.", unit="m", gt=0
     )
     finalists: int = option(
-        16, "Number of the best candidates that may be tried in the final check.", ge=1
+        16,
+        "Number of the best candidates that may be tried in the final check.",
+        ge=1,
+        departure=Departure(
+            1,
+            "The best one by coarse rollouts may fail the finer check, and the next pass.",
+        ),
+    )
+    returns: int = option(
+        8,
+        "Final checks to spend on putting back what the search moved without need: where the scene "
+        "stays valid and agrees as well with the photograph. 0 leaves it where the winner has it, "
+        "and so do reward terms of your own, and scores by a model.",
+        ge=0,
+        departure=Departure(0, "What is right where it was composed should not be moved."),
     )

@@ -1,6 +1,7 @@
 """URDF, USD and MJCF of objects and scenes, and back."""
 
-from .importing import Imported, import_mjcf, import_urdf
+from .handles import Frame, frames
+from .importing import Imported, import_mjcf, import_urdf, import_usd
 from .mechanism import Mechanism, mechanism
 from .read_mjcf import read_mjcf
 from .read_urdf import read_urdf
@@ -12,12 +13,15 @@ from .write_urdf import urdf_text
 from .write_usd import usd_text
 
 __all__ = [
+    "Frame",
     "Imported",
     "Mechanism",
     "export_object",
     "export_scene",
+    "frames",
     "import_mjcf",
     "import_urdf",
+    "import_usd",
     "mechanism",
     "mjcf_text",
     "object_files",

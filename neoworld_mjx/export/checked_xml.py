@@ -2,21 +2,30 @@
 
 import re
 import xml.etree.ElementTree as ET
+from collections import Counter
 from collections.abc import Iterator
 from math import inf
 from pathlib import Path
 
 from ..errors import SpecError
+from ..files import MIB, read_bytes
+from ..reading import bounds_of_files
 
-MAX_BYTES, MAX_DEPTH, MAX_ELEMENTS = 64 << 20, 100, 200_000
+MAX_ELEMENTS = 200_000
 _DECLARED = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
 _WORDS = ("name", "file", "filename", "class", "childclass", "mesh", "material", "texture", "joint")
 _NONE = re.compile(r"^[+-]?(nan|inf|infinity|1\.?#.*)$", re.IGNORECASE)
-MOST = {"count": 1000, "width": 16384, "height": 16384, "nrow": 4096, "ncol": 4096} | {
-    f"nuser_{kind}": 1000
-    for kind in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
+MOST = {
+    **{"count": 1000, "width": 16384, "height": 16384, "nrow": 4096, "ncol": 4096},
+    **{"dim": 1000, "nuserdata": 10_000, "nkey": 10_000},
+    **{
+        f"nuser_{kind}": 1000
+        for kind in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
+    },
 }
-"""What one number can make a reader build a great many of, and how many are read."""
+"""Largest values of attributes by which one number could make a reader allocate much memory."""
+MAX_OF = {"link": 400, "body": 1000, "geom": 10_000, "joint": 2000, "mesh": 2000, "include": 100}
+"""Most elements of a kind: far above what an object needs, and below what takes minutes."""
 
 
 def read_xml(path: Path) -> ET.Element:
@@ -26,12 +35,11 @@ def read_xml(path: Path) -> ET.Element:
         SpecError: it cannot be read, is cut off, declares entities, is nested absurdly deep, or
             holds a number that is none.
     """
+    bounds = bounds_of_files()
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, bounds.max_text_mib * MIB)
     except OSError as error:
         raise SpecError(f"cannot read {path}: {error.strerror}") from None
-    if len(data) > MAX_BYTES:
-        raise SpecError(f"{path} has {len(data) >> 20} MB; at most {MAX_BYTES >> 20} are read")
     for text in (data, data[:4096].replace(b"\0", b"")):  # UTF-16 hides it behind zeros.
         if _DECLARED.search(text):
             raise SpecError(f"{path} declares a document type or entities, which are not read")
@@ -44,8 +52,8 @@ def read_xml(path: Path) -> ET.Element:
                 depth += 1 if event == "start" else -1
                 count += event == "start"
                 root = element if root is None else root
-                if depth > MAX_DEPTH:
-                    raise SpecError(f"{path} is nested more than {MAX_DEPTH} elements deep")
+                if depth > bounds.max_depth:
+                    raise SpecError(f"{path} is nested more than {bounds.max_depth} elements deep")
                 if count > MAX_ELEMENTS:
                     raise SpecError(f"{path} holds more than {MAX_ELEMENTS} elements")
         parser.close()
@@ -53,6 +61,12 @@ def read_xml(path: Path) -> ET.Element:
         raise SpecError(f"{path} is not whole XML: {error}") from None
     if root is None:
         raise SpecError(f"{path} is empty")
+    counts = _repeated(root)
+    if counts.total() > MAX_ELEMENTS:
+        raise SpecError(f"{path} repeats to more than {MAX_ELEMENTS} elements")
+    for tag, most in MAX_OF.items():
+        if counts[tag] > most:
+            raise SpecError(f"{path} holds more than {most} elements <{tag}>, which are not read")
     for element in root.iter():
         for key, value in element.attrib.items():
             if key in _WORDS:
@@ -62,8 +76,6 @@ def read_xml(path: Path) -> ET.Element:
                 raise SpecError(f"{what} is no number")
             if any(abs(_number(word)) > MOST.get(key, inf) for word in value.split()):
                 raise SpecError(f"{what}: at most {MOST[key]} are read")
-    if _repeated(root) > MAX_ELEMENTS:
-        raise SpecError(f"{path} repeats to more than {MAX_ELEMENTS} elements")
     return root
 
 
@@ -75,10 +87,17 @@ def _number(word: str) -> float:
         return 0.0
 
 
-def _repeated(element: ET.Element) -> float:
-    """Return how many elements there are once all are repeated as often as they say."""
-    times = _number(element.get("count") or "1") if element.tag == "replicate" else 1.0
-    return max(times, 1.0) * (1 + sum(map(_repeated, element)))
+def _repeated(root: ET.Element) -> Counter[str]:
+    """Return how many elements of each tag there are once all are repeated as often as they say."""
+    counts: Counter[str] = Counter()
+    waiting = [(root, 1.0)]
+    while waiting:
+        element, times = waiting.pop()
+        if element.tag == "replicate":
+            times *= max(_number(element.get("count") or "1"), 1.0)
+        counts[element.tag] += min(int(times), MAX_ELEMENTS + 1)
+        waiting += [(child, min(times, 1e9)) for child in element]
+    return counts
 
 
 def _elements(parser: ET.XMLPullParser) -> Iterator[tuple[str, ET.Element]]:
@@ -104,6 +123,3 @@ def inside(path: Path, named: str, below: str = "") -> Path:
     if not target.is_file():
         raise SpecError(f"{path} names {named!r}, and there is no such file")
     return target
-
-
-__all__ = ["MAX_DEPTH", "inside", "read_xml"]

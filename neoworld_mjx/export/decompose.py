@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cache import cache_folder
+from ..errors import RunError
 from ..files import write_atomic
+from ..reading import read_arrays
 
 _log = logging.getLogger(__name__)
 CLOSED, OPEN = (0.02, 96), (0.08, 16)
@@ -48,13 +50,18 @@ def convex_pieces(vertices: NDArray, faces: NDArray) -> list[NDArray]:
         key.update(value.encode() if isinstance(value, str) else value.tobytes())
     kept = cache_folder() / "coacd" / f"{key.hexdigest()}.npz"
     try:
-        with np.load(kept, allow_pickle=False) as stored:
-            return [stored[name] for name in stored.files]
-    except (OSError, ValueError, KeyError):
-        pass
+        stored = [np.asarray(p, float) for p in read_arrays(kept, RunError).values()]
+        if stored and all(_is_piece(points) for points in stored):
+            return stored
+    except (RunError, TypeError, ValueError):
+        pass  # It is made again.
     pieces = _coacd(vertices, faces) or whole
     _keep(kept, pieces)
     return pieces
+
+
+def _is_piece(points: NDArray) -> bool:
+    return points.ndim == 2 and points.shape[1] == 3 and bool(np.isfinite(points).all())
 
 
 def flat(vertices: NDArray) -> bool:
@@ -176,6 +183,3 @@ def _keep(path: Path, pieces: list[NDArray]) -> None:
         write_atomic(path, buffer.getvalue())
     except OSError:
         pass  # The next run decomposes it again.
-
-
-__all__ = ["convex_pieces", "hull_points", "installed", "is_convex"]

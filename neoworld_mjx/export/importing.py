@@ -1,8 +1,7 @@
-"""Turn mechanisms read from URDF and MJCF files into ObjectSpecs, and note what was lost."""
+"""Turn mechanisms read from URDF, MJCF and USD files into ObjectSpecs, and note what was lost."""
 
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ from pydantic import ValidationError
 
 from ..config import describe
 from ..errors import SpecError
+from ..names import identifier
 from ..spec import (
     AuthoredInertia,
     GeomSpec,
@@ -19,22 +19,30 @@ from ..spec import (
     Mesh,
     ObjectSpec,
     PartSpec,
+    Site,
     Sphere,
+    bounds,
     recentred,
 )
+from ..spec.base import Vec3
 from ..spec.base_shape import BaseShape
+from ..spec.forest import name_on_cycle
 from ..spec.mesh import HELPER, UNKNOWN
 from ..spec.pose import from_matrix
+from .checked_usd import open_usd
 from .decompose import convex_pieces, hull_points, installed
-from .mechanism import Link, LinkShape, Mechanism, Triangles
+from .mechanism import Link, LinkShape, Mechanism, Triangles, triple
 from .read_mjcf import read_mjcf
 from .read_urdf import read_urdf
+from .read_usd import one_object
 
 DENSITY = 400.0
 """Density [kg/m^3] assumed of links that state no mass: furniture's."""
 PLACEHOLDER_M = 0.001
 """Radius of the ball that stands for a link without geometry."""
 MAX_LINKS = 400
+MAX_DENSITY = 30000.0
+"""Largest density that a material of a description has [kg/m^3]."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +51,11 @@ class Imported:
 
     spec: ObjectSpec
     notes: tuple[str, ...]
-    """What was left out, and what was assumed."""
+    """Omissions and assumptions, in words."""
+    origin: Vec3 = (0.0, 0.0, 0.0)
+    """Where the object's origin is in the file's frame [m]."""
+    joints: dict[str, str] = field(default_factory=dict)
+    """Names of the spec's joints by those of the file."""
 
 
 def import_urdf(path: Path) -> Imported:
@@ -66,6 +78,16 @@ def import_mjcf(path: Path) -> Imported:
     return to_object(read_mjcf(path))
 
 
+def import_usd(path: Path, object_path: str | None = None) -> Imported:
+    """Read a USD file with one object, or one prim of it.
+
+    Raises:
+        SpecError: the file is broken or hostile, names a layer that is not there or lies outside
+            its folder, there is no such prim, or it holds several objects.
+    """
+    return to_object(one_object(path, open_usd(Path(path)), object_path))
+
+
 def to_object(mechanism: Mechanism) -> Imported:
     """Make an object of links and joints.
 
@@ -81,7 +103,7 @@ def to_object(mechanism: Mechanism) -> Imported:
     name, by_name, notes = mechanism.name, mechanism.links, mechanism.notes
     if len(by_name) > MAX_LINKS:
         raise SpecError(f"{name} has {len(by_name)} links; at most {MAX_LINKS} are read")
-    kept = _without_empty(by_name, mechanism.joints, notes)
+    kept, owner = _without_empty(by_name, mechanism.joints, notes)
     names = _Names()
     materials: dict[tuple, Material] = {}
     parts = []
@@ -114,17 +136,32 @@ def to_object(mechanism: Mechanism) -> Imported:
             materials=tuple(materials.values()),
             parts=tuple(parts),
             joints=tuple(map(JointSpec.model_validate, joints)),
+            sites=tuple(
+                Site(
+                    name=names.take(site.name, "site"),
+                    part=labels[owner[site.part]],
+                    pos=site.pos,
+                )
+                for site in mechanism.sites
+            ),
         )
     except ValidationError as error:
         raise SpecError(f"{name}: {describe(error, ObjectSpec)}") from None
-    return Imported(recentred(spec), tuple(dict.fromkeys(notes)))
+    low, high = bounds(spec)
+    origin = ((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2])
+    return Imported(recentred(spec), tuple(dict.fromkeys(notes)), triple(np.array(origin)), titles)
 
 
 def _without_empty(
     links: dict[str, Link], joints: list[JointSpec], notes: list[str]
-) -> list[JointSpec]:
-    """Merge links without geometry with what they are fixed to; give the others a ball."""
+) -> tuple[list[JointSpec], dict[str, str]]:
+    """Merge links without geometry with what they are fixed to; give the others a ball.
+
+    Returns:
+        The joints that are left, and for every link the one that it is part of now.
+    """
     changed = True
+    owner = {name: name for name in links}
     while changed:
         changed = False
         for joint in joints:
@@ -137,6 +174,7 @@ def _without_empty(
             kept, merged = (parent, child) if parent.shapes else (child, parent)
             _merge(kept, merged)
             del links[merged.name]
+            owner = {k: kept.name if v == merged.name else v for k, v in owner.items()}
             joints.remove(joint)
             joints[:] = [_renamed(j, merged.name, kept.name) for j in joints]
             changed = True
@@ -151,7 +189,7 @@ def _without_empty(
                 link.mass, link.com, link.inertia = 1e-3, at[:3, 3], np.eye(3) * 1e-6
             radius = f"{PLACEHOLDER_M * 1e3:g} mm"
             notes.append(f"link {link.name} has no geometry: a ball of {radius} stands for it")
-    return joints
+    return joints, owner
 
 
 def _merge(kept: Link, merged: Link) -> None:
@@ -207,7 +245,8 @@ def _part(
         raise SpecError(f"link {link.name} has no geometry that could collide")
     mass, inertia = link.mass, None
     if mass is None:
-        notes.append(f"link {link.name} states no mass: {DENSITY:g} kg/m^3 is assumed")
+        if not any(item.density for item in link.shapes if item.role != "visual"):
+            notes.append(f"link {link.name} states no mass: {DENSITY:g} kg/m^3 is assumed")
     elif mass <= 0:
         notes.append(f"link {link.name} states a mass of {mass:g} kg")
         mass = 1e-9
@@ -239,13 +278,14 @@ def _mesh(triangles: Triangles, hull: bool, link: str, notes: list[str]) -> Mesh
 
 
 def _material(item: LinkShape, materials: dict[tuple, Material], helper: bool) -> str:
-    key = (item.rgba, item.friction, helper)
+    key = (item.rgba, item.friction, helper, item.name, item.density)
     if key not in materials:
-        stem = HELPER if helper else UNKNOWN
-        same = sum(material.name.startswith(stem) for material in materials.values())
+        # A name of the file stays only with a density: what is "unknown" has an assumed one.
+        known = item.name and item.density is not None and 0 < item.density <= MAX_DENSITY
+        stem = HELPER if helper else item.name if known else UNKNOWN
         materials[key] = Material(
-            name=stem if same == 0 else f"{stem}_{same}",
-            density=DENSITY,
+            name=identifier(stem, "material", {m.name for m in materials.values()}),
+            density=item.density if known and item.density is not None else DENSITY,
             friction=min(max(item.friction, 0.0), 10.0),
             rgba=tuple(min(max(v, 0.0), 1.0) for v in item.rgba),  # pyright: ignore[reportArgumentType]
         )
@@ -261,24 +301,13 @@ class _Names:
     def take(self, name: str, kind: str) -> str:
         """Return a name made of letters, digits and underscores that is not taken yet."""
         taken = self.taken.setdefault(kind, set())
-        plain = re.sub(r"[^A-Za-z0-9_]", "_", name)[:44] or kind
-        plain = plain if plain[0].isalpha() else f"{kind[0]}_{plain}"[:44]
-        label, k = plain, 1
-        while label in taken:
-            label, k = f"{plain}_{k}", k + 1
+        label = identifier(name, kind, taken)
         taken.add(label)
         return label
 
 
 def _check_follow(joints: Sequence[JointSpec]) -> None:
     leaders = {joint.name: joint.mimic.joint for joint in joints if joint.mimic is not None}
-    for start in leaders:
-        at, visited = start, set()
-        while at in leaders:
-            if at in visited:
-                raise SpecError(f"joint {at!r} follows itself through other joints")
-            visited.add(at)
-            at = leaders[at]
-
-
-__all__ = ["Imported", "import_mjcf", "import_urdf", "to_object"]
+    looped = name_on_cycle(leaders)
+    if looped is not None:
+        raise SpecError(f"joint {looped!r} follows itself through other joints")

@@ -1,15 +1,25 @@
 """Triangles out of mesh files from elsewhere."""
 
+import io
+import json
+import re
+import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
+from ..files import MIB, read_bytes
+from ..reading import bounds_of_files
 from ..spec.mesh import MAX_VERTICES
+from .checked_xml import inside
 
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf", ".dae")
-MAX_BYTES = 256 << 20
+_DECLARED = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
+_MAX_INSTANCES = 16
+"""Nodes of a DAE file that stand for others: each could double what there is."""
 
 
 def load_mesh(path: Path) -> tuple[NDArray, NDArray]:
@@ -20,17 +30,29 @@ def load_mesh(path: Path) -> tuple[NDArray, NDArray]:
     """
     import trimesh
 
-    if path.suffix.lower() not in SUFFIXES:
+    kind = path.suffix.lower()
+    if kind not in SUFFIXES:
         raise SpecError(f"{path}: meshes are read from {', '.join(SUFFIXES)}")
-    if path.stat().st_size > MAX_BYTES:
-        raise SpecError(f"{path} has over {MAX_BYTES >> 20} MB")
+    data = _data(path)
+    _check_claims(path, kind, data)
     try:
-        loaded = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+        loaded = trimesh.load(
+            io.BytesIO(data),
+            file_type=kind[1:],
+            resolver=_buffers(path),
+            force="mesh",
+            process=False,
+            skip_materials=True,
+        )
         vertices, faces = np.array(loaded.vertices, float), np.array(loaded.faces, np.int64)  # pyright: ignore[reportAttributeAccessIssue]
+    except SpecError:
+        raise
     except Exception as error:  # a library's border
         raise SpecError(f"{path} is no mesh: {type(error).__name__}: {error}"[:300]) from None
-    if len(faces) == 0 or len(vertices) < 3:
+    if len(faces) == 0 or len(vertices) < 3 or faces.ndim != 2 or vertices.ndim != 2:
         raise SpecError(f"{path} holds no triangles")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise SpecError(f"{path}: a face names a corner that is not there")
     if not np.isfinite(vertices).all():
         raise SpecError(f"{path} holds numbers that are none")
     vertices, index = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)
@@ -43,4 +65,65 @@ def load_mesh(path: Path) -> tuple[NDArray, NDArray]:
     return vertices, faces
 
 
-__all__ = ["load_mesh"]
+def _data(path: Path) -> bytes:
+    try:
+        return read_bytes(path, bounds_of_files().max_mesh_mib * MIB)
+    except OSError as error:
+        raise SpecError(f"cannot read {path}: {error.strerror}") from None
+
+
+def _check_claims(path: Path, kind: str, data: bytes) -> None:
+    """Refuse a file that claims more than it has, or refers to itself again and again."""
+    if kind == ".dae":
+        if _DECLARED.search(data) or _DECLARED.search(data[:4096].replace(b"\0", b"")):
+            raise SpecError(f"{path} declares a document type or entities, which are not read")
+        if data.count(b"instance_node") > _MAX_INSTANCES:
+            raise SpecError(f"{path} has more than {_MAX_INSTANCES} instances of nodes")
+    if kind == ".ply":
+        claims = re.findall(rb"element\s+\S+\s+(\d+)", data[: data.find(b"end_header") + 1])
+        if any(len(number) > 12 or int(number) > len(data) for number in claims):
+            raise SpecError(f"{path} claims more elements than it has bytes")
+    if kind in (".glb", ".gltf"):
+        _check_accessors(path, data)
+
+
+def _check_accessors(path: Path, data: bytes) -> None:
+    text = data
+    if data[:4] == b"glTF" and len(data) >= 20:
+        (length,) = struct.unpack_from("<I", data, 12)
+        text = data[20 : 20 + length]
+    try:
+        accessors = json.loads(text).get("accessors", [])
+        counts = [accessor["count"] for accessor in accessors]
+        most = bounds_of_files().max_mesh_mib * MIB
+        fits = all(isinstance(n, int) and 0 <= n <= most for n in counts) and sum(counts) <= most
+    except (ValueError, AttributeError, KeyError, TypeError, RecursionError):
+        raise SpecError(f"{path} is no glTF: its JSON cannot be read") from None
+    # Every accessor needs a view of bytes; without one it stands for any number of zeros.
+    if not fits or any("bufferView" not in accessor for accessor in accessors):
+        raise SpecError(f"{path} claims more vertices than it has bytes")
+
+
+def _buffers(path: Path) -> Any:
+    """Return a resolver by which a glTF file reaches its buffers beside it, and nothing else."""
+    from trimesh.resolvers import Resolver
+
+    class Buffers(Resolver):
+        def __init__(self) -> None:
+            pass
+
+        def get(self, key: str) -> bytes:
+            if not str(key).endswith(".bin"):
+                raise FileNotFoundError(key)
+            return _data(inside(path, str(key)))
+
+        def keys(self) -> list[str]:
+            return []
+
+        def namespaced(self, namespace: str) -> Resolver:
+            raise FileNotFoundError(namespace)
+
+        def write(self, name: str, data: bytes) -> None:
+            raise PermissionError(name)
+
+    return Buffers()

@@ -4,8 +4,9 @@ Every reader gives one, in the file's root frame with all joints at 0; `importin
 ObjectSpec of it.
 """
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
-from ..spec import JointSpec, Mimic, ObjectSpec, inertial
+from ..spec import JointSpec, Mimic, ObjectSpec, Site, inertial
 from ..spec.base_shape import BaseShape
+from ..spec.forest import name_on_cycle
 from ..spec.object import Role
 from ..spec.pose import matrix
 
@@ -33,6 +35,10 @@ class LinkShape:
     friction: float = 0.5
     hull: bool = False
     """Whether the mesh collides as its convex hull, whatever its form."""
+    name: str = ""
+    """Name of the material, where the file gives one."""
+    density: float | None = None
+    """Density of the material [kg/m^3], where the file states it."""
 
 
 @dataclass
@@ -46,11 +52,11 @@ class Link:
     com: NDArray | None = None
     """Centre of mass [m], [3]."""
     inertia: NDArray | None = None
-    """About it, along the root frame's axes [kg m^2], [3, 3]."""
+    """Inertia about it, along the root frame's axes [kg m^2], [3, 3]."""
     origin: NDArray = field(default_factory=lambda: np.zeros(3))
-    """Of the link's own frame in the file [m], [3]."""
+    """Origin of the link's own frame in the file [m], [3]."""
     visual_only: bool = False
-    """Whether it is there to be seen only, without mass or colliders."""
+    """Whether it is only visible, without mass or colliders."""
 
 
 @dataclass
@@ -60,14 +66,33 @@ class Mechanism:
     name: str
     links: dict[str, Link]
     joints: list[JointSpec]
+    sites: list[Site] = field(default_factory=list)
+    """Named points of links, with the names of the file."""
     notes: list[str] = field(default_factory=list)
-    """What the reader left out or assumed."""
+    """Omissions and assumptions of the reader, in words."""
 
     @property
     def root(self) -> str:
         """Name of the link without a parent."""
         children = {joint.child for joint in self.joints}
         return next(name for name in self.links if name not in children)
+
+
+@dataclass
+class Assembly:
+    """One object of a file that may hold several: its mechanism, and where it is."""
+
+    path: str
+    """Its name in the file."""
+    mechanism: Mechanism
+    frame: NDArray
+    """Rigid transform from the mechanism's frame to the world [4, 4] m, Z up."""
+    fixed: bool
+    """Whether it cannot move as a whole."""
+    state: dict[str, float] = field(default_factory=dict)
+    """Values of its joints in the file's scene [rad or m]; a ball's have .x, .y and .z."""
+    bare: bool = False
+    """Whether it is geometry without a rigid body."""
 
 
 def mechanism(spec: ObjectSpec) -> Mechanism:
@@ -84,7 +109,31 @@ def mechanism(spec: ObjectSpec) -> Mechanism:
             inertia=turn @ np.diag(mass.diagonal) @ turn.T,
             origin=origins.get(part.name, np.zeros(3)),
         )
-    return Mechanism(spec.name, links, list(spec.joints))
+    return Mechanism(spec.name, links, list(spec.joints), list(spec.sites))
+
+
+def transformed(own: Mechanism, into: NDArray) -> Mechanism:
+    """Return a mechanism in another frame, `into` [4, 4] being the rigid transform to it."""
+    turn, shift = into[:3, :3], into[:3, 3]
+    place = lambda point: turn @ np.asarray(point) + shift
+    links = {
+        name: replace(
+            link,
+            shapes=[replace(shape, at=into @ shape.at) for shape in link.shapes],
+            com=None if link.com is None else place(link.com),
+            inertia=None if link.inertia is None else turn @ link.inertia @ turn.T,
+            origin=place(link.origin),
+        )
+        for name, link in own.links.items()
+    }
+    joints = [
+        joint.model_copy(
+            update={"pos": triple(place(joint.pos)), "axis": triple(turn @ np.array(joint.axis))}
+        )
+        for joint in own.joints
+    ]
+    sites = [unchecked_site(site.name, site.part, place(site.pos)) for site in own.sites]
+    return Mechanism(own.name, links, joints, sites, own.notes)
 
 
 def check_tree(path: Path, links: Sequence[str], joints: Sequence[tuple[str, str, str]]) -> str:
@@ -99,24 +148,21 @@ def check_tree(path: Path, links: Sequence[str], joints: Sequence[tuple[str, str
         SpecError: a name is unknown or repeated, a link has two parents, links form a cycle, or
             there are several roots.
     """
-    twice = {link for link in links if list(links).count(link) > 1}
-    if twice:
-        raise SpecError(f"{path}: link {sorted(twice)[0]!r} is there twice")
+    known = set(links)
+    if len(known) < len(links):
+        twice = sorted(link for link, count in Counter(links).items() if count > 1)
+        raise SpecError(f"{path}: link {twice[0]!r} is there twice")
     parents: dict[str, str] = {}
     for name, parent, child in joints:
         for end in (parent, child):
-            if end not in links:
+            if end not in known:
                 raise SpecError(f"{path}: joint {name!r} names link {end!r}, which is not there")
         if child in parents:
             raise SpecError(f"{path}: link {child!r} is the child of two joints")
         parents[child] = parent
-    for start in parents:
-        visited, at = {start}, start
-        while at in parents:
-            at = parents[at]
-            if at in visited:
-                raise SpecError(f"{path}: joints go in a circle through link {at!r}")
-            visited.add(at)
+    looped = name_on_cycle(parents)
+    if looped is not None:
+        raise SpecError(f"{path}: joints go in a circle through link {looped!r}")
     roots = [link for link in links if link not in parents]
     if len(roots) != 1:
         raise SpecError(
@@ -135,19 +181,12 @@ def unchecked_joint(**fields: Any) -> JointSpec:
     return JointSpec.model_construct(**fields)
 
 
+def unchecked_site(name: str, part: str, pos: NDArray) -> Site:
+    """Make a site with the names of its file, unchecked; importing renames and checks it."""
+    return Site.model_construct(name=name, part=part, pos=triple(pos))
+
+
 def triple(values: NDArray) -> tuple[float, float, float]:
     """Turn three numbers of NumPy into plain ones."""
     x, y, z = (float(v) for v in values)
     return x, y, z
-
-
-__all__ = [
-    "Link",
-    "LinkShape",
-    "Mechanism",
-    "check_tree",
-    "mechanism",
-    "triple",
-    "unchecked_joint",
-    "unchecked_mimic",
-]

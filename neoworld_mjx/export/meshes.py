@@ -78,28 +78,16 @@ def mesh_files(spec: ObjectSpec) -> dict[str, str]:
 
 def obj(vertices: NDArray, faces: NDArray, *, smooth: bool = False) -> str:
     """Write a triangle mesh as Wavefront OBJ, with normals per corner where `smooth`."""
-    lines = [f"v {numbers(np.round(v, 9))}" for v in vertices]
+    lines = [f"v {numbers(v)}" for v in np.round(vertices, 9).tolist()]
+    corners = (faces + 1).tolist()
     if not smooth:
-        lines += [f"f {a} {b} {c}" for a, b, c in faces + 1]
+        lines += [f"f {a} {b} {c}" for a, b, c in corners]
         return "\n".join(lines) + "\n"
     normals = np.round(corner_normals(vertices, faces).reshape(-1, 3), 6) + 0.0
     unique, index = np.unique(normals, axis=0, return_inverse=True)
-    index = index.reshape(-1, 3) + 1
-    lines += [f"vn {numbers(n)}" for n in unique]
+    lines += [f"vn {numbers(n)}" for n in unique.tolist()]
     lines += [
-        "f " + " ".join(f"{v}//{n}" for v, n in zip(face, corner, strict=True))
-        for face, corner in zip(faces + 1, index, strict=True)
+        f"f {a}//{i} {b}//{j} {c}//{k}"
+        for (a, b, c), (i, j, k) in zip(corners, (index.reshape(-1, 3) + 1).tolist(), strict=True)
     ]
     return "\n".join(lines) + "\n"
-
-
-__all__ = [
-    "collision_file",
-    "mesh_files",
-    "number",
-    "numbers",
-    "obj",
-    "piece_mesh",
-    "urdf_primitive",
-    "visual_file",
-]

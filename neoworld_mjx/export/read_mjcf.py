@@ -5,7 +5,7 @@ which the object is drawn. Only what the model no longer holds is taken from the
 """
 
 import os
-import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -14,23 +14,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
+from ..physics.mjcf import START
 from ..spec import Box, Capsule, Cylinder, Ellipsoid, JointSpec, JointType, Sphere
 from ..spec.base_shape import BaseShape
-from .checked_xml import inside, read_xml
+from .compiled_mjcf import checked_roots, compiled_mjcf
 from .mechanism import (
+    Assembly,
     Link,
     LinkShape,
     Mechanism,
     Triangles,
     check_tree,
+    transformed,
     triple,
     unchecked_joint,
     unchecked_mimic,
+    unchecked_site,
 )
+from .trial import try_mjcf
 
 _G, _J = mujoco.mjtGeom, mujoco.mjtJoint
 LOST = ("tendon", "actuator", "sensor", "contact", "keyframe", "deformable", "extension")
-FILES = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "texture": "texturedir"}
+"""What an object has no place for; of keyframes only "start" is read."""
 
 
 def read_mjcf(path: Path) -> Mechanism:
@@ -40,109 +45,140 @@ def read_mjcf(path: Path) -> Mechanism:
         SpecError: the file is broken or hostile, names a file that is not there or lies outside its
             folder, MuJoCo refuses it, or it holds several objects.
     """
+    made = [one for one in read_mjcf_scene(path) if not one.bare]
+    if len(made) != 1:
+        names = ", ".join(one.path for one in made) or "none"
+        raise SpecError(f"{path}: an object is one body in the world, this file has {names}")
+    only = made[0]
+    return transformed(only.mechanism, only.frame)
+
+
+def read_mjcf_scene(path: Path) -> list[Assembly]:
+    """Read all bodies of an MJCF file that are in the world, each in the frame of its root.
+
+    Values of joints are those of the keyframe "start", which our scenes have. Geoms of the world
+    itself, such as a floor, are one bare object.
+
+    Raises:
+        SpecError: the file is broken or hostile, names a file that is not there or lies outside its
+            folder, MuJoCo refuses it, or nothing in it has geometry.
+    """
     path = Path(path)
     notes: list[str] = []
-    roots = _checked_roots(path, path, set())
+    roots = checked_roots(path, path, set())
     if roots[0].tag != "mujoco":
         raise SpecError(f"{path}: an MJCF file begins with <mujoco>, this with <{roots[0].tag}>")
     for tag in LOST:
         if any(root.find(tag) is not None for root in roots):
             notes.append(f"{tag} is not carried")
-    model, stated, massless = _compiled(path, notes)
+    try_mjcf(path, roots)
+    model, stated, massless = compiled_mjcf(path, notes)
     data = mujoco.MjData(model)
     data.qpos[:] = model.qpos0
     mujoco.mj_kinematics(model, data)
-    top = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0]
-    full = [b for b in top if _geoms_below(model, b)]
-    if len(full) != 1:
-        names = ", ".join(_name(model, b) for b in full) or "none"
-        raise SpecError(f"{path}: an object is one body in the world, this file has {names}")
+    title = os.path.basename(roots[0].get("model") or path.stem)
+    tops = [
+        b for b in range(1, model.nbody) if model.body_parentid[b] == 0 and _geoms_below(model, b)
+    ]
     if np.any(model.geom_bodyid == 0):
         notes.append("geoms of the world itself, such as a floor, are not carried")
-    bodies = [full[0]]
-    for b in range(full[0] + 1, model.nbody):
+    result = []
+    for top in tops:
+        name = title if len(tops) == 1 else _name(model, top)
+        own = _mechanism(path, model, data, top, name, stated, massless, notes)
+        frame = np.eye(4)
+        frame[:3, :3], frame[:3, 3] = data.xmat[top].reshape(3, 3), data.xpos[top]
+        kinds = _own_joints(model, top)
+        fixed = not any(model.jnt_type[j] == _J.mjJNT_FREE for j in kinds)
+        local = transformed(own, np.linalg.inv(frame))
+        one = Assembly(_name(model, top), local, frame, fixed)
+        result.append(_without_owner(_as_keyed(model, top, one)))
+    if not result:
+        raise SpecError(f"{path}: an object is one body in the world, this file has none")
+    return result
+
+
+def _mechanism(
+    path: Path,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    top: int,
+    title: str,
+    stated: dict[str, tuple[float, NDArray]],
+    massless: set[str],
+    notes: list[str],
+) -> Mechanism:
+    """Describe a body and all below it, in the world's frame."""
+    bodies = [top]
+    for b in range(top + 1, model.nbody):
         if int(model.body_parentid[b]) in bodies:
             bodies.append(b)
     links = [_link(model, data, b, stated, massless, notes) for b in bodies]
     joints, inner = _joints(path, model, data, bodies, notes)
     links += inner
     check_tree(path, [link.name for link in links], [(j.name, j.parent, j.child) for j in joints])
-    name = os.path.basename(roots[0].get("model") or path.stem)
-    return Mechanism(name, {link.name: link for link in links}, joints, notes)
+    sites = [
+        unchecked_site(model.site(k).name, _name(model, b), data.site_xpos[k])
+        for k, b in enumerate(int(b) for b in model.site_bodyid)
+        if b in bodies and model.site(k).name
+    ]
+    return Mechanism(title, {link.name: link for link in links}, joints, sites, notes)
 
 
-def _checked_roots(path: Path, main: Path, visited: set[Path]) -> list[ET.Element]:
-    """Check a file and all that it includes; return their roots, the main one first."""
-    if path.resolve() in visited:
-        raise SpecError(f"{path} includes itself")
-    visited.add(path.resolve())
-    root = read_xml(path)
-    roots = [root]
-    for element in root.iter("include"):
-        roots += _checked_roots(inside(main, element.get("file") or ""), main, visited)
-    folders: dict[str, str] = {}
-    for compiler in (c for r in roots for c in r.iter("compiler")):
-        both = compiler.get("assetdir")
-        if both is not None:
-            folders |= {"meshdir": both, "texturedir": both}
-        folders |= {k: v for k in ("meshdir", "texturedir") if (v := compiler.get(k)) is not None}
-        if compiler.get("strippath") == "true":
-            folders["strip"] = "true"
-    for element in root.iter():
-        if element.tag in ("model", "attach", "plugin"):
-            raise SpecError(f"{path}: <{element.tag}> is not read; give one self-contained file")
-        for key, value in element.attrib.items():
-            if not key.startswith("file") or element.tag in ("include", "mujoco"):
-                continue
-            where = folders.get(FILES.get(element.tag, "meshdir"), "")
-            named = os.path.basename(value) if "strip" in folders else value
-            inside(main, named, where)
-    return roots
+def _without_owner(one: Assembly) -> Assembly:
+    """Take "<object>-" off all names below an object, where all of them begin with it."""
+    own = one.mechanism
+    prefix = f"{own.root}-"
+    inner = [name for name in own.links if name != own.root]
+    names = [*inner, *(j.name for j in own.joints), *(site.name for site in own.sites)]
+    short = lambda name: name.removeprefix(prefix)
+    if not all(name.startswith(prefix) for name in names) or own.root in map(short, inner):
+        return one
+    links = {short(name): replace(link, name=short(name)) for name, link in own.links.items()}
+    joints = []
+    for joint in own.joints:
+        update = {key: short(getattr(joint, key)) for key in ("name", "parent", "child")}
+        mimic = joint.mimic
+        tie = mimic and mimic.model_copy(update={"joint": short(mimic.joint)})
+        joints.append(joint.model_copy(update={**update, "mimic": tie}))
+    sites = [unchecked_site(short(s.name), short(s.part), np.array(s.pos)) for s in own.sites]
+    state = {short(key): value for key, value in one.state.items()}
+    mechanism = replace(own, links=links, joints=joints, sites=sites)
+    return replace(one, mechanism=mechanism, state=state)
 
 
-def _compiled(
-    path: Path, notes: list[str]
-) -> tuple[mujoco.MjModel, dict[str, tuple[float, NDArray]], set[str]]:
-    """Compile a file; one with impossible inertias is compiled with others.
-
-    Returns:
-        The model, the stated masses and moments by body where they were replaced, and the bodies
-        whose only mass is the compiler's lower bound.
-    """
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-    except (ValueError, mujoco.FatalError) as error:
-        raise SpecError(f"{path} is refused by MuJoCo: {_line(error)}") from None
-    spec.compiler.discardvisual = False
-    spec.compiler.fusestatic = False
-    try:
-        model = spec.compile()
-        least = float(spec.compiler.boundmass)
-        light = {b.name for b in spec.bodies if not b.explicitinertial}
-        light &= {model.body(b).name for b in range(model.nbody) if model.body_mass[b] <= least}
-        return model, {}, light
-    except (ValueError, mujoco.FatalError) as error:
-        if "inertia" not in str(error) and "mass" not in str(error):
-            raise SpecError(f"{path} is refused by MuJoCo: {_line(error)}") from None
-        why = _line(error)
-    stated = {}
-    for body in spec.bodies:
-        if body.explicitinertial:
-            stated[body.name] = (float(body.mass), np.array(body.inertia))
-            body.mass, body.inertia = max(float(body.mass), 1e-6), np.full(3, 1e-6)
-            body.fullinertia = np.full(6, np.nan)
-    spec.compiler.balanceinertia, spec.compiler.boundmass = True, 1e-6
-    spec.compiler.boundinertia = 1e-9
-    try:
-        model = spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
-        raise SpecError(f"{path} is refused by MuJoCo: {_line(error)}") from None
-    notes.append(f"MuJoCo refuses it as it is: {why}")
-    return model, stated, set()
+def _own_joints(model: mujoco.MjModel, body: int) -> range:
+    first = int(model.body_jntadr[body])
+    return range(first, first + int(model.body_jntnum[body]))
 
 
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())[:240]
+def _as_keyed(model: mujoco.MjModel, top: int, one: Assembly) -> Assembly:
+    """Put an object where the keyframe "start" has it."""
+    keys = [k for k in range(model.nkey) if model.key(k).name == START]
+    if not keys:
+        return one
+    qpos = model.key_qpos[keys[0]]
+    for joint in one.mechanism.joints:
+        j = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint.name)
+        if j < 0 or joint.type == "fixed":
+            continue
+        at = int(model.jnt_qposadr[j])
+        if joint.type == "ball":
+            turn = np.zeros(3)
+            mujoco.mju_quat2Vel(turn, qpos[at : at + 4], 1.0)
+            # A ball's vector is along the axes of the object, as its body's are at rest.
+            values = {f"{joint.name}.{a}": float(v) for a, v in zip("xyz", turn, strict=True)}
+        else:
+            values = {joint.name: float(qpos[at] - model.qpos0[at])}
+        one.state.update({name: value for name, value in values.items() if value})
+    for j in _own_joints(model, top):
+        if model.jnt_type[j] == _J.mjJNT_FREE:
+            at = int(model.jnt_qposadr[j])
+            one.frame[:3, 3] = qpos[at : at + 3]
+            turn = np.zeros(9)
+            mujoco.mju_quat2Mat(turn, qpos[at + 3 : at + 7])
+            one.frame[:3, :3] = turn.reshape(3, 3)
+    return one
 
 
 def _link(
@@ -220,9 +256,7 @@ def _joints(
     inner: list[Link] = []
     for b in bodies[1:]:
         parent, child = _name(model, int(model.body_parentid[b])), _name(model, b)
-        own = range(
-            int(model.body_jntadr[b]), int(model.body_jntadr[b]) + int(model.body_jntnum[b])
-        )
+        own = _own_joints(model, b)
         if not own:
             at = triple(data.xpos[b])
             joints.append(
@@ -238,9 +272,7 @@ def _joints(
             joints.append(_joint(path, model, data, j, parent, below, ties, notes))
             parent = below
     root = bodies[0]
-    for j in range(
-        int(model.body_jntadr[root]), int(model.body_jntadr[root]) + int(model.body_jntnum[root])
-    ):
+    for j in _own_joints(model, root):
         if model.jnt_type[j] != _J.mjJNT_FREE:
             notes.append(f"joint {model.joint(j).name} moves the whole object and is not carried")
     return joints, inner
@@ -322,6 +354,3 @@ def _geoms_below(model: mujoco.MjModel, body: int) -> bool:
 
 def _name(model: mujoco.MjModel, body: int) -> str:
     return model.body(body).name or f"body_{body}"
-
-
-__all__ = ["read_mjcf"]

@@ -1,6 +1,7 @@
 """Read the mechanism of a URDF file, through yourdfpy."""
 
 import math
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
-from ..spec import Box, Cylinder, JointSpec, Sphere
+from ..spec import Box, Cylinder, JointSpec, Site, Sphere
 from ..spec.base_shape import BaseShape
 from ..spec.object import Role
 from .checked_xml import inside, read_xml
@@ -22,8 +23,11 @@ from .mechanism import (
     triple,
     unchecked_joint,
     unchecked_mimic,
+    unchecked_site,
 )
+from .write_urdf import CLEARANCE_M, DRAKE, as_drawn
 
+XACRO = "xacro"
 LOST = {
     "transmission": "transmissions",
     "gazebo": "Gazebo's extensions",
@@ -44,6 +48,11 @@ def read_urdf(path: Path) -> Mechanism:
 
     path = Path(path)
     root = read_xml(path)
+    if path.suffix == ".xacro" or any(XACRO in element.tag for element in root.iter()):
+        raise SpecError(
+            f"{path} is written in xacro, whose expressions are programs: expand it by "
+            "`xacro FILE > robot.urdf`, and give that"
+        )
     if root.tag != "robot":
         raise SpecError(f"{path}: a URDF begins with <robot>, this with <{root.tag}>")
     _check(path, root)
@@ -65,11 +74,61 @@ def read_urdf(path: Path) -> Mechanism:
         [(joint.name, joint.parent, joint.child) for joint in robot.joints],
     ))  # fmt: skip
     colours = {m.name: m.color.rgba for m in robot.materials if m.color is not None and m.name}
-    links = [_link(path, link, frames[link.name], colours, notes) for link in robot.links]
+    frictions = _frictions(root)
+    drawn = {mark.get("link") for mark in root.findall("neoworld/drawn_in")}
+    links = [
+        _link(
+            path,
+            link,
+            frames[link.name],
+            colours,
+            frictions[link.name],
+            CLEARANCE_M if link.name in drawn else 0.0,
+            notes,
+        )
+        for link in robot.links
+    ]
     joints = [_joint(path, joint, frames[joint.child], notes) for joint in robot.joints]
+    for mark in root.findall("neoworld/unstated"):
+        none = {k: None for k in ("effort", "velocity") if k in (mark.get("limits") or "").split()}
+        joints = [j.model_copy(update=none) if j.name == mark.get("joint") else j for j in joints]
     for mark in root.findall("neoworld/ball"):
         _fold_ball(mark.get("joint") or "", links, joints, notes)
-    return Mechanism(robot.name or path.stem, {link.name: link for link in links}, joints, notes)
+    sites = _fold_frames(links, joints)
+    by_name = {link.name: link for link in links}
+    return Mechanism(robot.name or path.stem, by_name, joints, sites, notes)
+
+
+def _fold_frames(links: list[Link], joints: list[JointSpec]) -> list[Site]:
+    """Make sites of the links that have nothing but a place: no shape, mass or child."""
+    parents = {joint.parent for joint in joints}
+    sites = []
+    for joint in [joint for joint in joints if joint.type == "fixed"]:
+        link = next(link for link in links if link.name == joint.child)
+        if link.shapes or link.mass or link.name in parents:
+            continue
+        sites.append(unchecked_site(link.name, joint.parent, link.origin))
+        links.remove(link)
+        joints.remove(joint)
+    return sites
+
+
+def _frictions(root: ET.Element) -> dict[str, list[float]]:
+    """Return the friction of each collision of each link: Drake's, else PyBullet's, else 0.5."""
+    result = {}
+    for link in root.findall("link"):
+        whole = link.find("contact/lateral_friction")
+        values = []
+        for collision in link.findall("collision"):
+            own = collision.find(f"{{{DRAKE}}}proximity_properties/{{{DRAKE}}}mu_dynamic")
+            stated = whole if own is None else own
+            try:
+                value = 0.5 if stated is None else float(stated.get("value") or 0.5)
+            except ValueError:
+                value = 0.5
+            values.append(value)
+        result[str(link.get("name"))] = values
+    return result
 
 
 def _fold_ball(name: str, links: list[Link], joints: list[JointSpec], notes: list[str]) -> None:
@@ -142,15 +201,25 @@ def _frames(robot: Any, root: str) -> dict[str, NDArray]:
     return frames
 
 
-def _link(path: Path, link: Any, at: NDArray, colours: dict[str, Any], notes: list[str]) -> Link:
+def _link(
+    path: Path,
+    link: Any,
+    at: NDArray,
+    colours: dict[str, Any],
+    frictions: list[float],
+    clearance: float,
+    notes: list[str],
+) -> Link:
     result = Link(link.name, origin=at[:3, 3])
     elements: list[tuple[Any, Role]] = [(link.visuals, "visual"), (link.collisions, "collision")]
     for items, role in elements:
-        for item in items:
+        for k, item in enumerate(items):
+            friction = frictions[k] if role == "collision" else 0.5
+            inset = clearance if role == "collision" else 0.0
             place = at if item.origin is None else at @ item.origin
             rgba = _colour(getattr(item, "material", None), colours)
-            for shape, local in _shapes(path, item.geometry, link.name, notes):
-                result.shapes.append(LinkShape(shape, place @ local, role, rgba))
+            for shape, local in _shapes(path, item.geometry, link.name, inset, notes):
+                result.shapes.append(LinkShape(shape, place @ local, role, rgba, friction))
     own = link.inertial
     if own is not None and own.mass is not None:
         place = at if own.origin is None else at @ own.origin
@@ -172,18 +241,36 @@ def _colour(material: Any, colours: dict[str, Any]) -> tuple[float, float, float
 
 
 def _shapes(
-    path: Path, geometry: Any, link: str, notes: list[str]
+    path: Path, geometry: Any, link: str, inset: float, notes: list[str]
 ) -> list[tuple[BaseShape | Triangles, NDArray]]:
-    """Return shapes with their places in the element's frame."""
+    """Return shapes with their places in the element's frame, before our export drew them in."""
     here = np.eye(4)
+
+    def whole(half: float) -> float:
+        return as_drawn(half, inset) if inset and half > 0 else half
+
     try:
         if geometry.box is not None:
-            return [(Box(size=triple(np.asarray(geometry.box.size, float))), here)]
+            return [
+                (
+                    Box(
+                        size=triple(
+                            np.array([2 * whole(v / 2) for v in map(float, geometry.box.size)])
+                        )
+                    ),
+                    here,
+                )
+            ]
         if geometry.sphere is not None:
-            return [(Sphere(radius=float(geometry.sphere.radius)), here)]
+            return [(Sphere(radius=whole(float(geometry.sphere.radius))), here)]
         if geometry.cylinder is not None:
             c = geometry.cylinder
-            return [(Cylinder(radius=float(c.radius), height=float(c.length)), here)]
+            return [
+                (
+                    Cylinder(radius=whole(float(c.radius)), height=2 * whole(float(c.length) / 2)),
+                    here,
+                )
+            ]
     except ValueError:
         raise SpecError(f"{path}: link {link} has a shape whose size is not positive") from None
     if geometry.mesh is not None:
@@ -191,6 +278,9 @@ def _shapes(
             np.ones(3) if geometry.mesh.scale is None else np.asarray(geometry.mesh.scale, float)
         )
         vertices, faces = load_mesh(inside(path, geometry.mesh.filename))
+        if inset:
+            here[:3, 3] = -(vertices.min(axis=0) + vertices.max(axis=0)) / 2 * (1 - scale)
+            scale = np.ones(3)
         return [((vertices * scale, faces if np.prod(scale) > 0 else faces[:, ::-1]), here)]
     notes.append(f"link {link}: a geometry that is no box, sphere, cylinder or mesh is left out")
     return []
@@ -255,6 +345,3 @@ def _positive(source: Any, name: str, joint: str, notes: list[str]) -> float:
 def _stated(source: Any, name: str) -> float | None:
     value = getattr(source, name, None)
     return float(value) if value and value > 0 and math.isfinite(value) else None
-
-
-__all__ = ["read_urdf"]

@@ -5,20 +5,27 @@ from pathlib import Path
 from ..errors import ExportError
 from ..spec import ObjectSpec, SceneSpec
 from .meshes import mesh_files
+from .write_directives import directives_text, package_text
+from .write_drives import drives_text
 from .write_mjcf import mjcf_text
 from .write_scene_usd import scene_usd_text
-from .write_urdf import urdf_text
+from .write_sdf import sdf_text
+from .write_urdf import srdf_text, urdf_text
 from .write_usd import usd_text
 
 
 def object_files(spec: ObjectSpec) -> dict[str, str]:
     """Return the files of one object: path relative to its folder, and text."""
-    return {
+    files = {
         "object.urdf": urdf_text(spec),
+        "object.srdf": srdf_text(spec),
+        "object.sdf": sdf_text(spec),
         "object.usda": usd_text(spec),
         "object.xml": mjcf_text(spec),
         **mesh_files(spec),
     }
+    drives = drives_text(spec, "object.xml")
+    return files if drives is None else {**files, "drives.xml": drives}
 
 
 def scene_files(scene: SceneSpec) -> dict[str, str]:
@@ -27,15 +34,21 @@ def scene_files(scene: SceneSpec) -> dict[str, str]:
         "scene.json": scene.to_json(),
         "scene.xml": mjcf_text(scene),
         "scene.usda": scene_usd_text(scene),
+        "scene.sdf": sdf_text(scene),
+        "scene.dmd.yaml": directives_text(scene),
+        "package.xml": package_text(scene),
     }
-    for item in scene.objects:
-        for path, text in object_files(item.spec).items():
-            files[f"objects/{item.name}/{path}"] = text
+    drives = drives_text(scene, "scene.xml")
+    if drives is not None:
+        files["drives.xml"] = drives
+    for obj in scene.objects:
+        for path, text in object_files(obj.spec).items():
+            files[f"objects/{obj.name}/{path}"] = text
     return files
 
 
 def export_object(spec: ObjectSpec, out: Path) -> None:
-    """Write object.urdf, object.usda, object.xml and meshes/ into a folder.
+    """Write object.urdf, .srdf, .sdf, .usda and .xml, drives.xml and meshes/ into a folder.
 
     Files that are there are replaced; the same object gives the same bytes.
 
@@ -46,10 +59,11 @@ def export_object(spec: ObjectSpec, out: Path) -> None:
 
 
 def export_scene(scene: SceneSpec, out: Path) -> None:
-    """Write scene.usda, scene.xml, scene.json and objects/<name>/ into a folder.
+    """Write scene.json, .xml, .usda, .sdf, .dmd.yaml and objects/<name>/ into a folder.
 
-    scene.xml needs no other file; scene.usda refers to the objects' USD files beside it. Objects
-    are written as they are in the scene, in their final size.
+    scene.xml refers to the objects' meshes, scene.usda to the objects' USD files; drives.xml, where
+    there are joints, adds actuators to scene.xml. Objects are written as they are in the scene, in
+    their final size.
 
     Raises:
         ExportError: a file cannot be written.
@@ -65,6 +79,3 @@ def _write(files: dict[str, str], out: Path) -> None:
             target.write_bytes(text.encode())
         except OSError as error:
             raise ExportError(f"cannot write {target}: {error.strerror}") from None
-
-
-__all__ = ["export_object", "export_scene", "object_files", "scene_files"]

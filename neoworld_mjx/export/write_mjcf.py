@@ -1,32 +1,64 @@
-"""MJCF of a scene or one object: one self-contained file that compiles to the very same model.
+"""MJCF of a scene or one object, which compiles to the very same model.
 
 MuJoCo's own writer rounds to six digits. That moves bodies by micrometres, and of thin plates it
-can break A + B >= C of the inertia, so every number is written again in full.
+can break A + B >= C of the inertia, so every number is written again in full. Meshes are the files
+that URDF uses: other readers of MJCF know no vertices inside of it.
+
+The files can be included or attached beside a robot: they set nothing that such a file would have
+to agree with. Contacts are elliptic, with stiff friction, so that nothing creeps.
 """
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
 
+from ..physics.lowering import lower_geoms
 from ..physics.mjcf import COLLISION_GROUP, to_mjspec
 from ..spec import ObjectSpec, SceneSpec
-from .meshes import numbers
+from .handles import frames
+from .meshes import FOLDER, numbers
 
 HIDDEN_GROUP = 3
 """Group of colliders in exported files: viewers show groups 0 to 2 at first."""
+IMPRATIO = 10.0
+"""Stiffness of friction over that of the normal force; at 1 resting cups creep by millimetres."""
+FLOOR_M = 5.0
+"""Half the edge of a floor's drawn plane [m]; it collides without end."""
+SITE_RADIUS_M = 0.005
 
 
-def mjcf_text(scene: SceneSpec | ObjectSpec, *, timestep: float = 0.002) -> str:
-    """Return a scene, or one free object, as MJCF with visual geoms and without other files.
+def mjcf_text(
+    scene: SceneSpec | ObjectSpec,
+    *,
+    timestep: float = 0.002,
+    target: Literal["mujoco", "mjx"] = "mujoco",
+    floor: float | None = None,
+) -> str:
+    """Return a scene, or one free object, as MJCF with visual geoms; meshes are files beside it.
+
+    Every joint has sensors of position and velocity, and every handle a site and a touch sensor.
 
     Args:
         scene: what to write.
         timestep: of the simulation [s].
+        target: "mjx" writes only colliders that MJX has: polyhedra in place of cylinders and
+            ellipsoids, within the file, and pyramidal contacts.
+        floor: height of a floor without end [m]; None writes none.
     """
     model = to_mjspec(scene, visual=True, timestep=timestep)
+    if isinstance(scene, SceneSpec):
+        objects = [
+            (item.name, item.spec, f"objects/{item.name}/{FOLDER}") for item in scene.objects
+        ]
+    else:
+        objects = [(scene.name, scene, FOLDER)]
+    lowered = lower_geoms(model) if target == "mjx" else frozenset()
+    if target != "mjx":
+        model.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        model.option.impratio = IMPRATIO
     for geom in model.geoms:
         if geom.group == COLLISION_GROUP:
             geom.group = HIDDEN_GROUP
@@ -38,11 +70,82 @@ def mjcf_text(scene: SceneSpec | ObjectSpec, *, timestep: float = 0.002) -> str:
         diffuse=[0.6, 0.6, 0.6],
         castshadow=True,
     )
+    if floor is not None:
+        model.worldbody.add_geom(
+            name="floor",
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            size=[FLOOR_M, FLOOR_M, 0.1],
+            pos=[0, 0, floor],
+            rgba=[0.6, 0.6, 0.6, 1.0],
+        )
+    for name, spec, _ in objects:
+        _add_frames(model, name, spec)
     model.compile()
     root = ET.fromstring(model.to_xml())
     _restore(root, model)
+    _free_of_settings(root)
+    folders = {name: folder for name, _, folder in objects}
+    for mesh in root.iter("mesh"):
+        if (name := str(mesh.get("name"))) not in lowered:
+            _name_file(mesh, name, folders)
     ET.indent(root, " ")
     return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _add_frames(model: mujoco.MjSpec, owner: str, spec: ObjectSpec) -> None:
+    """Add handles as sites, and sensors of handles and joints."""
+    given = {site.name for site in spec.sites}
+    origins = {joint.child: np.array(joint.pos) for joint in spec.joints}
+    sensor = mujoco.mjtSensor
+    for frame in frames(spec):
+        name = f"{owner}-{frame.name}"
+        if frame.name in given:
+            model.site(name).size = [SITE_RADIUS_M] * 3
+            continue
+        body = model.body(owner if frame.part == spec.root else f"{owner}-{frame.part}")
+        body.add_site(
+            name=name,
+            pos=np.array(frame.pos) - origins.get(frame.part, np.zeros(3)),
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=frame.half,
+            group=4,
+        )
+        _sense(model, f"{name}-touch", sensor.mjSENS_TOUCH, mujoco.mjtObj.mjOBJ_SITE, name)
+    for joint in spec.joints:
+        if joint.type == "fixed":
+            continue
+        name = f"{owner}-{joint.name}"
+        kinds = {"pos": sensor.mjSENS_JOINTPOS, "vel": sensor.mjSENS_JOINTVEL}
+        if joint.type == "ball":
+            kinds = {"pos": sensor.mjSENS_BALLQUAT, "vel": sensor.mjSENS_BALLANGVEL}
+        for kind, sort in kinds.items():
+            _sense(model, f"{name}-{kind}", sort, mujoco.mjtObj.mjOBJ_JOINT, name)
+
+
+def _sense(
+    model: mujoco.MjSpec, name: str, kind: mujoco.mjtSensor, of: mujoco.mjtObj, which: str
+) -> None:
+    model.add_sensor(name=name, type=kind, objtype=of, objname=which)
+
+
+def _free_of_settings(root: ET.Element) -> None:
+    """Drop what a file that includes this one beside a robot would have to agree with."""
+    for compiler in root.iter("compiler"):
+        # Every body states its inertia, so nothing is inferred in any case.
+        compiler.attrib.pop("inertiafromgeom", None)
+    for size in root.findall("size"):
+        size.attrib.pop("nkey", None)
+        if not size.attrib:
+            root.remove(size)
+
+
+def _name_file(mesh: ET.Element, name: str, folders: dict[str, str]) -> None:
+    """Replace a mesh's numbers by the file that holds them."""
+    owner, geom, piece = name.split("-")
+    for numbers_of in ("vertex", "normal", "face", "texcoord"):
+        mesh.attrib.pop(numbers_of, None)
+    file = f"{geom}.obj" if piece == "visual" else f"{geom}-{piece}.obj"
+    mesh.set("file", f"{folders[owner]}/{file}")
 
 
 def _restore(root: ET.Element, model: mujoco.MjSpec) -> None:
@@ -67,7 +170,7 @@ def _restore(root: ET.Element, model: mujoco.MjSpec) -> None:
                 "armature": "armature",
             },
         ),
-        "site": (model.site, place),
+        "site": (model.site, {**place, "size": "size"}),
         "camera": (model.camera, {**place, "fovy": "fovy"}),
         "mesh": (model.mesh, {"vertex": "uservert"}),
         "key": (model.key, {"qpos": "qpos"}),
@@ -108,6 +211,3 @@ def _plain(values: Iterable[object]) -> list[float]:
         # Shortest decimal that gives the same single-precision number.
         return [float(str(value)) for value in array.astype(np.float32)]
     return [float(value) for value in array]
-
-
-__all__ = ["HIDDEN_GROUP", "mjcf_text"]

@@ -4,6 +4,9 @@
     /<scene>/photo     the camera         /<scene>/fixtures    joints that hold fastened objects
     /<scene>/lights
 
+What cannot move has colliders and no rigid bodies; joints that are not at 0 say where they are, as
+PhysX and Newton read it (PhysicsJointStateAPI).
+
 The names after /<scene>/ that are no object's get underscores where an object has them.
 """
 
@@ -12,13 +15,18 @@ import math
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdPhysics
 
-from ..spec import Camera, SceneObject, SceneSpec, link_poses, world_poses
+from ..spec import Camera, SceneObject, SceneSpec, joint_value, link_poses, world_poses
 from ..spec.pose import Pose, pose
 from .write_usd import link_origins, new_stage, quatd, quatf, set_pose
 
 
 def scene_usd_text(scene: SceneSpec) -> str:
     """Return a scene as a USD layer in text form; objects are references to ./objects/<name>/."""
+    return scene_usd_layer(scene).ExportToString()
+
+
+def scene_usd_layer(scene: SceneSpec, suffix: str = "usda") -> Sdf.Layer:
+    """Return a scene as a USD layer; its references are to ./objects/<name>/object.<suffix>."""
     stage = new_stage()
     root = UsdGeom.Xform.Define(stage, f"/{scene.name}")
     stage.SetDefaultPrim(root.GetPrim())
@@ -46,8 +54,8 @@ def scene_usd_text(scene: SceneSpec) -> str:
     layer.TransferContent(stage.GetRootLayer())
     for item in scene.objects:
         prim = layer.GetPrimAtPath(base.AppendChild(item.name))
-        prim.referenceList.Prepend(Sdf.Reference(f"./objects/{item.name}/object.usda"))
-    return layer.ExportToString()
+        prim.referenceList.Prepend(Sdf.Reference(f"./objects/{item.name}/object.{suffix}"))
+    return layer
 
 
 def _articulated(item: SceneObject) -> bool:
@@ -102,11 +110,34 @@ def _add_object(stage: Usd.Stage, path: Sdf.Path, item: SceneObject, at: Pose) -
             _override(over, "xformOp:translate", Sdf.ValueTypeNames.Double3, Gf.Vec3d(*place.pos))
             _override(over, "xformOp:orient", Sdf.ValueTypeNames.Quatd, quatd(place.quat))
         if frozen:
-            _override(over, "physics:rigidBodyEnabled", Sdf.ValueTypeNames.Bool, False)
+            # What is no rigid body does not fall in any reader; a switched-off one does in some.
+            _withdraw(over, "PhysicsRigidBodyAPI", "PhysicsMassAPI")
     if item.static and not _articulated(item):
+        if item.spec.joints:
+            _withdraw(stage.OverridePrim(path), "PhysicsArticulationRootAPI")
         for joint in item.spec.joints:
             over = stage.OverridePrim(path.AppendChild("joints").AppendChild(joint.name))
             _override(over, "physics:jointEnabled", Sdf.ValueTypeNames.Bool, False)
+        return
+    for joint in item.spec.joints:
+        if joint.type in ("fixed", "ball"):
+            continue
+        value = joint_value(item.spec, joint, item.joint_state)
+        if value != 0.0:
+            instance = "linear" if joint.type == "prismatic" else "angular"
+            over = stage.OverridePrim(path.AppendChild("joints").AppendChild(joint.name))
+            over.AddAppliedSchema(f"PhysicsJointStateAPI:{instance}")
+            stands = value if instance == "linear" else math.degrees(value)
+            for name, number in (("position", stands), ("velocity", 0.0)):
+                kind = Sdf.ValueTypeNames.Float
+                _override(over, f"state:{instance}:physics:{name}", kind, number)
+
+
+def _withdraw(prim: Usd.Prim, *names: str) -> None:
+    """Take applied schemas of a referenced prim away."""
+    removed = Sdf.TokenListOp()
+    removed.deletedItems = list(names)
+    prim.SetMetadata("apiSchemas", removed)
 
 
 def _override(prim: Usd.Prim, name: str, kind: Sdf.ValueTypeName, value: object) -> None:
@@ -122,6 +153,3 @@ def _fasten(stage: Usd.Stage, path: Sdf.Path, base: Sdf.Path, item: SceneObject,
     joint.CreateLocalRot0Attr(quatf(at.quat))
     joint.CreateLocalPos1Attr(Gf.Vec3f(0.0))
     joint.CreateLocalRot1Attr(quatf((1.0, 0.0, 0.0, 0.0)))
-
-
-__all__ = ["scene_usd_text"]

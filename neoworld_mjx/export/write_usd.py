@@ -2,21 +2,22 @@
 
     /<object>                the object's frame; articulation root where there are joints
     /<object>/links/<part>   rigid body; origin at its joint's anchor, the object's orientation
-        visuals/<geom>  collisions/<geom>_<k> (guides)  sites/<site>
+        visuals/<geom>  collisions/<geom>_<k> (guides)  sites/<site or handle>
     /<object>/joints/<joint>   /<object>/looks/<material>
 
 A joint's axis lies in its local rotations unless it is +X, +Y or +Z: whoever reads only the axis
 token loses it. UsdPhysics counts angles in degrees: limits, and per degree stiffness and damping
-of drives. Armature, dry friction, velocity limits and mimics are Newton's attributes
-(newton-usd-schemas), with angles in degrees too; other readers pass over them. A ball is a
-spherical joint with a cone; its damping and stiffness are our own attributes, in radians.
+of drives. Armature, dry friction, velocity limits and mimics are written twice: by Newton's schemas
+(newton-usd-schemas) and by PhysX's, for Isaac; both count angles in degrees, and no number of one
+contradicts the other. A ball is a spherical joint with a cone; its damping and stiffness are our
+own attributes, in radians. Semantic labels name the object's class and its parts.
 """
 
 import math
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdSemantics, UsdShade, Vt
 
 from ..spec import (
     GeomSpec,
@@ -30,19 +31,31 @@ from ..spec.convex import Piece
 from ..spec.kinematics import welded
 from ..spec.pose import IDENTITY, Pose, pose
 from ..spec.triangles import corner_normals
+from .handles import frames
+from .looks import look as look_of
 from .meshes import piece_mesh
 
 _AXES = {(1.0, 0.0, 0.0): "X", (0.0, 1.0, 0.0): "Y", (0.0, 0.0, 1.0): "Z"}
 
 
+FLAT = 1e-3
+"""Angle [rad] above which colliders' faces are shaded as meeting at an edge."""
+
+
 def usd_text(spec: ObjectSpec) -> str:
     """Return an object, all joints at 0, as a USD layer in text form."""
+    return usd_layer(spec).ExportToString()
+
+
+def usd_layer(spec: ObjectSpec) -> Sdf.Layer:
+    """Return an object, all joints at 0, as a USD layer."""
     stage = new_stage()
     root = UsdGeom.Xform.Define(stage, f"/{spec.name}")
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root.GetPrim()).SetKind("component")
     if spec.label:
         root.GetPrim().SetDisplayName(spec.label)
+    _label(root.GetPrim(), "class", spec.label or spec.name)
     if spec.joints:
         UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
     base = root.GetPath()
@@ -58,7 +71,15 @@ def usd_text(spec: ObjectSpec) -> str:
     for joint in spec.joints:
         _add_joint(stage, base, spec, joint, origins[joint.parent])
     _filter_pairs(stage, base, spec)
-    return stage.GetRootLayer().ExportToString()
+    # A stage's own layer goes with it.
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.TransferContent(stage.GetRootLayer())
+    return layer
+
+
+def _label(prim: Usd.Prim, kind: str, *labels: str) -> None:
+    """Say what a prim is, for those who learn from pictures."""
+    UsdSemantics.LabelsAPI.Apply(prim, kind).CreateLabelsAttr().Set(Vt.TokenArray(list(labels)))
 
 
 def new_stage() -> Usd.Stage:
@@ -102,7 +123,9 @@ def _add_material(stage: Usd.Stage, base: Sdf.Path, material: Material) -> None:
     shader.CreateIdAttr("UsdPreviewSurface")
     shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(_colour(material))
     shader.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(material.rgba[3])
-    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.5)
+    metallic, roughness = look_of(material)
+    shader.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(metallic)
+    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(roughness)
     look.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
     physics = UsdPhysics.MaterialAPI.Apply(look.GetPrim())
     physics.CreateStaticFrictionAttr(material.friction)
@@ -118,6 +141,7 @@ def _add_link(
     link = UsdGeom.Xform.Define(stage, path)
     set_pose(link, pose(origin))
     UsdPhysics.RigidBodyAPI.Apply(link.GetPrim())
+    _label(link.GetPrim(), "part", part.name)
     mass = inertial(spec, part)
     physics = UsdPhysics.MassAPI.Apply(link.GetPrim())
     physics.CreateMassAttr(mass.mass)
@@ -137,11 +161,11 @@ def _add_link(
                 at = folder.AppendChild(f"{geom.name}_{k}")
                 _add_collider(stage, at, geom, piece, local.then(pose(piece.pos, piece.quat)))
                 _dress(stage, at, base, material, physical=True)
-    for site in spec.sites:
-        if site.part == part.name:
+    for frame in frames(spec):
+        if frame.part == part.name:
             folder = UsdGeom.Scope.Define(stage, path.AppendChild("sites")).GetPath()
-            point = UsdGeom.Xform.Define(stage, folder.AppendChild(site.name))
-            set_pose(point, pose(np.array(site.pos) - origin))
+            point = UsdGeom.Xform.Define(stage, folder.AppendChild(frame.name))
+            set_pose(point, pose(np.array(frame.pos) - origin))
 
 
 def _add_visual(stage: Usd.Stage, path: Sdf.Path, geom: GeomSpec, at: Pose) -> None:
@@ -151,7 +175,11 @@ def _add_visual(stage: Usd.Stage, path: Sdf.Path, geom: GeomSpec, at: Pose) -> N
         return
     vertices, faces = geom.shape.surface()
     mesh = _mesh(stage, path, vertices, faces, at)
-    mesh.CreateNormalsAttr(_points(corner_normals(vertices, faces).reshape(-1, 3).round(6) + 0.0))
+    _shade(mesh, corner_normals(vertices, faces))
+
+
+def _shade(mesh: UsdGeom.Mesh, normals: NDArray) -> None:
+    mesh.CreateNormalsAttr(_points(normals.reshape(-1, 3).round(6) + 0.0))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
 
 
@@ -160,7 +188,10 @@ def _add_collider(stage: Usd.Stage, path: Sdf.Path, geom: GeomSpec, piece: Piece
     if triangles is None:
         prim = _gprim(stage, path, piece, at).GetPrim()
     else:
-        prim = _mesh(stage, path, *triangles, at).GetPrim()
+        mesh = _mesh(stage, path, *triangles, at)
+        # Validators ask for normals of whatever could be drawn.
+        _shade(mesh, corner_normals(*triangles, crease=FLAT))
+        prim = mesh.GetPrim()
         hull = UsdPhysics.MeshCollisionAPI.Apply(prim)
         hull.CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
     UsdPhysics.CollisionAPI.Apply(prim)
@@ -218,6 +249,8 @@ def _dress(
     prim = stage.GetPrimAtPath(path)
     look = UsdShade.Material.Get(stage, base.AppendChild("looks").AppendChild(material.name))
     UsdGeom.Gprim(prim).CreateDisplayColorAttr(Vt.Vec3fArray([_colour(material)]))
+    if material.rgba[3] < 1:
+        UsdGeom.Gprim(prim).CreateDisplayOpacityAttr(Vt.FloatArray([material.rgba[3]]))
     binding = UsdShade.MaterialBindingAPI.Apply(prim)
     if physical:
         binding.Bind(look, UsdShade.Tokens.weakerThanDescendants, "physics")
@@ -272,24 +305,57 @@ def _add_joint(
         drive.CreateDampingAttr(joint.damping / unit)
         if joint.effort is not None:
             drive.CreateMaxForceAttr(joint.effort)
-    newton = {"armature": joint.armature, "friction": joint.friction}
-    if joint.velocity is not None:
-        newton["velocityLimit"] = joint.velocity * unit
-    for name, value in newton.items():
-        if value:
-            _attribute(prim, f"newton:{name}", value)
+    _add_losses(prim, joint, "angular" if turning else "linear", unit)
     if joint.mimic is not None:
-        leader = next(other for other in spec.joints if other.name == joint.mimic.joint)
-        led = 1.0 if leader.type == "prismatic" else math.degrees(1.0)
-        target = base.AppendChild("joints").AppendChild(leader.name)
-        prim.CreateRelationship("newton:mimicJoint", custom=True).SetTargets([target])
-        _attribute(prim, "newton:mimicCoef0", joint.mimic.offset * unit)
-        _attribute(prim, "newton:mimicCoef1", joint.mimic.multiplier * unit / led)
-        # Newton knows no mimic between turning and sliding joints; the numbers stay for others.
-        enabled = turning == (leader.type != "prismatic")
-        prim.CreateAttribute("newton:mimicEnabled", Sdf.ValueTypeNames.Bool, custom=True).Set(
-            enabled
+        _add_mimic(prim, base, spec, joint)
+
+
+def _add_losses(prim: Usd.Prim, joint: JointSpec, instance: str, unit: float) -> None:
+    """Write what UsdPhysics has no attribute for, as Newton and as PhysX want it."""
+    newton = {"armature": joint.armature, "friction": joint.friction}
+    physx = {
+        "armature": joint.armature,
+        "staticFrictionEffort": joint.friction,
+        "dynamicFrictionEffort": joint.friction,
+    }
+    if joint.velocity is not None:
+        newton["velocityLimit"] = physx["maxJointVelocity"] = joint.velocity * unit
+    for api, space, values in (
+        ("NewtonJointAPI", "newton", newton),
+        (f"PhysxJointAxisAPI:{instance}", f"physxJointAxis:{instance}", physx),
+    ):
+        if any(values.values()):
+            prim.AddAppliedSchema(api)
+        for name, value in values.items():
+            if value:
+                _attribute(prim, f"{space}:{name}", value)
+
+
+def _add_mimic(prim: Usd.Prim, base: Sdf.Path, spec: ObjectSpec, joint: JointSpec) -> None:
+    """Let a joint follow another in Newton (q = c0 + c1 r) and PhysX (q + gear r + offset = 0)."""
+    assert joint.mimic is not None
+    leader = spec.joint(joint.mimic.joint)
+    unit, led = (1.0 if j.type == "prismatic" else math.degrees(1.0) for j in (joint, leader))
+    target = base.AppendChild("joints").AppendChild(leader.name)
+    offset, factor = joint.mimic.offset * unit, joint.mimic.multiplier * unit / led
+    # Neither knows a mimic between turning and sliding joints; the numbers stay for others.
+    alike = unit == led
+    prim.AddAppliedSchema("NewtonMimicAPI")
+    prim.CreateRelationship("newton:mimicJoint", custom=False).SetTargets([target])
+    _attribute(prim, "newton:mimicCoef0", offset)
+    _attribute(prim, "newton:mimicCoef1", factor)
+    prim.CreateAttribute("newton:mimicEnabled", Sdf.ValueTypeNames.Bool, custom=False).Set(alike)
+    if alike and leader.type != "fixed":
+        # Of a joint with one axis PhysX asks for some name of it, whatever the token of its frame.
+        prim.AddAppliedSchema("PhysxMimicJointAPI:rotX")
+        space = "physxMimicJoint:rotX"
+        prim.CreateRelationship(f"{space}:referenceJoint", custom=False).SetTargets([target])
+        axis = prim.CreateAttribute(
+            f"{space}:referenceJointAxis", Sdf.ValueTypeNames.Token, custom=False
         )
+        axis.Set("rotX")
+        _attribute(prim, f"{space}:gearing", -factor)
+        _attribute(prim, f"{space}:offset", -offset)
 
 
 def _add_ball(usd_joint: UsdPhysics.SphericalJoint, joint: JointSpec) -> None:
@@ -299,6 +365,8 @@ def _add_ball(usd_joint: UsdPhysics.SphericalJoint, joint: JointSpec) -> None:
     usd_joint.CreateConeAngle0LimitAttr(cone)
     usd_joint.CreateConeAngle1LimitAttr(cone)
     prim = usd_joint.GetPrim()
+    if joint.armature or joint.friction:
+        prim.AddAppliedSchema("NewtonJointAPI")
     for name in ("armature", "friction"):
         if getattr(joint, name):
             _attribute(prim, f"newton:{name}", getattr(joint, name))
@@ -309,7 +377,7 @@ def _add_ball(usd_joint: UsdPhysics.SphericalJoint, joint: JointSpec) -> None:
 
 
 def _attribute(prim: Usd.Prim, name: str, value: float) -> None:
-    prim.CreateAttribute(name, Sdf.ValueTypeNames.Float, custom=True).Set(value)
+    prim.CreateAttribute(name, Sdf.ValueTypeNames.Float, custom=False).Set(value)
 
 
 def axis_frame(axis: tuple[float, float, float]) -> tuple[str, tuple[float, ...]]:
@@ -345,6 +413,3 @@ def _filter_pairs(stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec) -> None:
                 pairs = UsdPhysics.FilteredPairsAPI.Apply(prim).CreateFilteredPairsRel()
                 for other in others:
                     pairs.AddTarget(links.AppendChild(other))
-
-
-__all__ = ["axis_frame", "link_origins", "new_stage", "quatf", "set_pose", "usd_text"]

@@ -3,29 +3,46 @@
 from .boxes import iou_2d, iou_3d
 from .geometry import Closeness, GeometryMeasure, geometry_measure
 from .joints import JointMeasure, JointPair, joint_measure, pooled
+from .moves import Move, object_moves
 from .parsing import ParseMeasure, parse_measure
+from .scene_check import SceneCheck, measured, passes, scene_checks
 from .stability import SceneMeasure, scene_measure
 from .truth import ObjectTruth, TrueJoint, canonical_points, read_truth, truth_of
 from .truth_mjcf import truth_of_mjcf
+from .unstable import UnstableObject, unstable_objects
+from .visible_boxes import SidesShown, box_iou, layout_box_iou, shown_sides, visible_box_iou
 
 __all__ = [
     "Closeness",
     "GeometryMeasure",
     "JointMeasure",
     "JointPair",
+    "Move",
     "ObjectTruth",
     "ParseMeasure",
+    "SceneCheck",
     "SceneMeasure",
+    "SidesShown",
     "TrueJoint",
+    "UnstableObject",
+    "box_iou",
     "canonical_points",
     "geometry_measure",
     "iou_2d",
     "iou_3d",
     "joint_measure",
+    "layout_box_iou",
+    "measured",
+    "object_moves",
     "parse_measure",
+    "passes",
     "pooled",
     "read_truth",
+    "scene_checks",
     "scene_measure",
+    "shown_sides",
     "truth_of",
     "truth_of_mjcf",
+    "unstable_objects",
+    "visible_box_iou",
 ]

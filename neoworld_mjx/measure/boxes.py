@@ -9,16 +9,16 @@ from ..spec.pose import ArrayLike
 
 def iou_2d(a: Box2D | ArrayLike, b: Box2D | ArrayLike) -> float:
     """Return the intersection over union of two boxes in pixels (x0, y0, x1, y1)."""
-    one, two = _four(a), _four(b)
-    common = shared_2d(one, two)
-    union = _area(one) + _area(two) - common
+    first, second = _four(a), _four(b)
+    common = shared_2d(first, second)
+    union = _area(first) + _area(second) - common
     return common / union if union > 0 else 0.0
 
 
 def shared_2d(a: Box2D | ArrayLike, b: Box2D | ArrayLike) -> float:
     """Return the area [px^2] that two boxes in pixels have in common."""
-    one, two = _four(a), _four(b)
-    sides = np.minimum(one[2:], two[2:]) - np.maximum(one[:2], two[:2])
+    first, second = _four(a), _four(b)
+    sides = np.minimum(first[2:], second[2:]) - np.maximum(first[:2], second[:2])
     return float(np.prod(np.maximum(sides, 0.0)))
 
 
@@ -30,6 +30,19 @@ def footprint(box: Box3D) -> NDArray:
     return signs * half @ np.array([[c, s], [-s, c]]) + np.array(box.position[:2])
 
 
+def support_footprint(node: TreeNode) -> NDArray:
+    """Return the corners [n, 2] m of a node's footprint, anticlockwise, by its outline.
+
+    A tilted node has that of the upright box that holds it.
+    """
+    box = upright(node)
+    if node.outline.shape == "rectangle" or box is not node.box3d:
+        return footprint(box)
+    c, s = np.cos(box.yaw), np.sin(box.yaw)
+    local = node.outline.corners() * np.array(box.size[:2])
+    return local @ np.array([[c, s], [-s, c]]) + np.array(box.position[:2])
+
+
 def polygon_area(corners: NDArray) -> float:
     """Return the area [m^2] of a polygon [n, 2] m, positive if its corners run anticlockwise."""
     if len(corners) < 3:
@@ -39,7 +52,10 @@ def polygon_area(corners: NDArray) -> float:
 
 
 def shared_footprint(a: NDArray, b: NDArray) -> float:
-    """Return the area [m^2] that two convex polygons [n, 2] m, anticlockwise, have in common."""
+    """Return the area [m^2] that two polygons [n, 2] m have in common.
+
+    Both run anticlockwise; the second is convex.
+    """
     kept = a
     for start, end in zip(b, np.roll(b, -1, axis=0), strict=True):
         if len(kept) == 0:

@@ -1,4 +1,4 @@
-"""How near an object's surface is to the true one: Chamfer distance and F-score of samples.
+"""Distance of an object's surface from the true one: Chamfer distance and F-score of samples.
 
 Both surfaces are sampled evenly by area; lengths are divided by a diagonal, so thresholds are
 shares of the object's size. Samples are of all faces, the insides of drawers and cupboards
@@ -22,11 +22,11 @@ THRESHOLDS = (0.01, 0.05)
 SAMPLES = 10_000
 ICP_STEPS = 30
 STOPS_AT = 1e-5
-"""Least gain of the Chamfer distance, as a share, for which the fit goes on."""
+"""Relative decrease of the Chamfer distance below which the fit stops."""
 
 
 class Closeness(Spec):
-    """How near two sets of samples are, lengths over the diagonal."""
+    """Distances of two sets of samples, over the diagonal."""
 
     chamfer_x10: float
     """Ten times the mean of the two mean distances to the nearest sample of the other, not
@@ -39,25 +39,25 @@ class Closeness(Spec):
 
 
 class GeometryMeasure(Spec):
-    """An object's surface held against the true one."""
+    """Comparison of an object's surface with the true one."""
 
     unaligned: Closeness
     """Both in the canonical frame, in metres, over the true diagonal: size and front count."""
     aligned: Closeness
-    """After the best fit of the made samples to the true ones, over the true diagonal."""
+    """After the best fit of the predicted samples to the true ones, over the true diagonal."""
     turn_deg: float
-    """Turn about the vertical that the fit found."""
+    """Rotation of the fit about the vertical."""
     scale: float
-    """Factor by which the fit enlarged the made object."""
+    """Scale factor of the fit."""
     samples: int
-    """Of the made object."""
+    """Number of samples of the predicted object."""
     true_samples: int
 
 
 def geometry_measure(
     predicted: ObjectSpec | NDArray, truth: NDArray, *, samples: int = SAMPLES, seed: int = 0
 ) -> GeometryMeasure:
-    """Hold an object's surface against samples of the true one (paper Section 4, geometry).
+    """Compare an object's surface with samples of the true one (paper Section 4, geometry).
 
     The fit starts from each of the four quarter turns about the vertical, with both boxes' centres
     in one place and both diagonals equal; from there nearest samples pull the made ones by a turn
@@ -190,13 +190,3 @@ def _fitted(own: NDArray, true: NDArray, tree: KDTree, size: float) -> tuple[NDA
 
 def _middle(points: NDArray) -> NDArray:
     return (points.min(axis=0) + points.max(axis=0)) / 2
-
-
-__all__ = [
-    "Closeness",
-    "GeometryMeasure",
-    "closeness",
-    "geometry_measure",
-    "sampled",
-    "surface_points",
-]

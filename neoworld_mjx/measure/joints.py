@@ -1,9 +1,9 @@
-"""How well an object's joints agree with the truth: found, missed, extra, of which type and where.
+"""Agreement of an object's joints with the truth: matched, missed and extra joints, and errors.
 
-Joints are matched by what they carry and how they move it, never by name. Both objects are taken in
+Joints are matched by the parts that they move and their motion, never by name. Both objects are in
 the canonical frame (origin at the centre of the box's bottom, +x the front) and divided by their
-own diagonal, so that size plays no part. A joint that is missed is in no mean of axis, pivot or
-limits; every mean carries its n, and the counts stand beside it.
+own diagonal, so that size does not matter. A missed joint is in no mean of axis, pivot or limits;
+every mean has its n, and the counts are given as well.
 """
 
 import math
@@ -22,7 +22,7 @@ GROWN = 0.02
 """Share of the diagonal by which boxes are grown on each side before they are compared, so that
 thin fronts that stand a little apart still meet."""
 LEAST_AGREEMENT = 0.5
-"""Least overlap (geometric mean of the two better directions) of two carried boxes of one thing."""
+"""Least overlap (geometric mean of the two better directions) of the boxes of matching parts."""
 PARALLEL_DEG = 5.0
 """Axes at a smaller angle have the distance of parallel lines."""
 CORRECT_AXIS_DEG, CORRECT_PIVOT = 10.0, 0.1
@@ -37,16 +37,16 @@ class JointPair(Spec):
     true_type: str
     predicted_type: str
     agreement: float
-    """Overlap of what they carry, 0 to 1."""
+    """Overlap of the boxes that they move, 0 to 1."""
     motion: float
-    """Likeness of how they move it, 0 to 1."""
+    """Similarity of their motions, 0 to 1."""
     axis_deg: float | None
     """Angle of the two lines, 0 to 90; None for ball joints."""
     pivot: float | None
     """Distance of the two lines over the diagonal; None unless both turn."""
     limits: float | None
     """Intersection over union of the ranges, as one direction of motion; None where one turns and
-    the     other slides, or the truth gives no range."""
+    the other slides, or the truth gives no range."""
 
     @property
     def correct(self) -> bool:
@@ -140,9 +140,9 @@ def alike(estimate: TrueJoint, true: TrueJoint) -> float:
     if "ball" in (estimate.type, true.type):
         return float(estimate.type == true.type)
     corners = np.array(list(product(*zip(*true.moving_box, strict=True))))
-    one, two = _velocities(estimate, corners), _velocities(true, corners)
-    size = math.sqrt(float((one**2).sum() * (two**2).sum()))
-    return abs(float((one * two).sum())) / size if size > 0 else 0.0
+    estimated, expected = _velocities(estimate, corners), _velocities(true, corners)
+    size = math.sqrt(float((estimated**2).sum() * (expected**2).sum()))
+    return abs(float((estimated * expected).sum())) / size if size > 0 else 0.0
 
 
 def line_angle_deg(a: NDArray, b: NDArray) -> float:
@@ -267,13 +267,3 @@ def _summed(
 def _mean(values: Sequence[float | None]) -> Mean:
     known = [value for value in values if value is not None]
     return Mean(value=float(np.mean(known)) if known else None, n=len(known))
-
-
-__all__ = [
-    "JointMeasure",
-    "JointPair",
-    "joint_measure",
-    "line_angle_deg",
-    "line_distance",
-    "pooled",
-]

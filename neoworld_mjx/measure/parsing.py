@@ -1,8 +1,7 @@
-"""How well a parse agrees with the truth: boxes, supports, sizes, depths and camera.
+"""Agreement of a parse with the truth: boxes, supports, sizes, depths and camera.
 
-Nodes are matched by their boxes alone, never by name or label. Each mean carries the number of
-things that it was taken over, and is None where there were none: nothing matched is not a zero
-error.
+Nodes are matched by their boxes alone, never by name or label. Each mean has the number of its
+values, and is None without any: no match is not a zero error.
 """
 
 import math
@@ -17,22 +16,22 @@ from ..spec import Box3D, SceneTree, Spec, TreeNode
 from .boxes import iou_2d, iou_3d, upright
 
 MATCH_IOU = 0.25
-"""Least overlap of 2D boxes for which two nodes may be the same thing."""
+"""Least overlap of 2D boxes for which two nodes may match."""
 TIE = 0.02
 """Pairs of objects whose true depths or sizes differ by less than this share have no order."""
 ROUND = 1.1
-"""Footprints with a side ratio under this have no yaw to speak of."""
+"""Side ratio of a footprint under which its yaw is undefined."""
 
 
 class Mean(Spec):
-    """A mean and how many things it was taken over."""
+    """A mean and the number of its values."""
 
     value: float | None
     n: int
 
 
 class ParseMeasure(Spec):
-    """A parse held against the truth. Objects are nodes that are not environment in the truth."""
+    """Comparison of a parse with the truth; objects are nodes that are no environment there."""
 
     matched: dict[str, str]
     """True node to parsed node, all nodes."""
@@ -48,7 +47,7 @@ class ParseMeasure(Spec):
     """The same after scaling the parse about its camera by one factor, both cameras in one place; a
     picture says nothing about that factor."""
     scale: float | None
-    """That factor: median true over parsed depth."""
+    """Median of true over parsed depth."""
     position_m: Mean
     """Distance of box centres."""
     size_log: Mean
@@ -58,7 +57,7 @@ class ParseMeasure(Spec):
     edge_precision: float | None
     edge_recall: float | None
     edge_f1: float | None
-    """Of support edges (carrier to child), world edges left out."""
+    """F1 of support edges (carrier to child), without those of the world."""
     edges_true: int
     edges_parsed: int
     relations: Mean
@@ -197,8 +196,8 @@ def _elsewhere(parsed: SceneTree, truth: SceneTree, pairs: dict[str, str]) -> in
     count = 0
     for true_name, mine_name in pairs.items():
         true, guess = truth.node(true_name).parent, parsed.node(mine_name).parent
-        wanted = None if true is None else pairs.get(true, "")
-        count += guess != wanted
+        expected = None if true is None else pairs.get(true, "")
+        count += guess != expected
     return count
 
 
@@ -244,11 +243,11 @@ def _turn(a: float, b: float) -> float:
 
 
 def _parts_found(guess: TreeNode, true: TreeNode) -> float:
-    left = [state.type for state in guess.articulation]
+    remaining = [state.type for state in guess.articulation]
     matched = 0
     for state in true.articulation:
-        if state.type in left:
-            left.remove(state.type)
+        if state.type in remaining:
+            remaining.remove(state.type)
             matched += 1
     return matched / len(true.articulation)
 

@@ -4,6 +4,8 @@ alone.
 
 import mujoco
 import numpy as np
+from mujoco import rollout
+from numpy.typing import NDArray
 from pydantic import Field
 
 from ..physics.exact import object_depths, start_state
@@ -24,13 +26,21 @@ class SceneMeasure(Spec):
     settled_depth_m: float
     """The same at the end of the free fall, where contacts bear weight."""
     depths_m: dict[str, float] = Field(default_factory=dict)
-    """Penetrating pairs, "a|b"."""
+    """Penetrating pairs in the composed pose, "a|b"."""
+    settled_depths_m: dict[str, float] = Field(default_factory=dict)
+    """Penetrating pairs at the end of the free fall."""
     s_stab: bool | None
     """Whether every object stayed within the bounds at all times; None without movable objects."""
     max_drift_m: float
     max_tilt_deg: float
     drift_m: dict[str, float] = Field(default_factory=dict)
     tilt_deg: dict[str, float] = Field(default_factory=dict)
+    drop_m: dict[str, float] = Field(default_factory=dict)
+    """How far each movable object went down at most."""
+    joint_slide_m: dict[str, float] = Field(default_factory=dict)
+    """How far each joint that slides moved by itself at most, by "object-joint"."""
+    joint_turn_deg: dict[str, float] = Field(default_factory=dict)
+    """How far each joint that turns moved by itself at most."""
     duration_s: float
     diverged: bool = False
 
@@ -46,7 +56,8 @@ def scene_measure(
 ) -> SceneMeasure:
     """Measure penetration in the composed pose and drift over a free fall from it.
 
-    No damping is added beyond what joints have; poses are compared after every step.
+    No damping is added beyond what joints have; poses are compared after every step. Releases the
+    interpreter while it steps, so scenes may be measured in threads.
 
     Args:
         scene: the scene.
@@ -59,16 +70,18 @@ def scene_measure(
     model, data = start_state(scene, timestep)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     at_start = object_depths(scene, model, data)
-    names = [item.name for item in scene.objects if not item.static]
-    bodies = [model.body(name).id for name in names]
-    pos0, quat0 = data.xpos[bodies].copy(), data.xquat[bodies].copy()
-    shift, tilt = np.zeros(len(names)), np.zeros(len(names))
-    for _ in range(round(duration / timestep)):
-        mujoco.mj_step(model, data)
-        pos, quat = data.xpos[bodies], data.xquat[bodies]
-        shift = np.maximum(shift, np.linalg.norm(pos - pos0, axis=1))
-        tilt = np.maximum(tilt, np.degrees(angle_between(quat0, quat)))
-    diverged = not (np.isfinite(shift).all() and np.isfinite(data.qpos).all())
+    names = [obj.name for obj in scene.objects if not obj.static]
+    base = np.array([model.jnt_qposadr[model.body(name).jntadr[0]] for name in names], int)
+    base = base[:, None] + np.arange(7)
+    initial = data.qpos.copy()
+    start = initial[base]
+    qpos, finite = _free_fall(model, data, round(duration / timestep))
+    moved = qpos[:, base]
+    shift = np.linalg.norm(moved[..., :3] - start[:, :3], axis=-1).max(axis=0, initial=0.0)
+    tilt = np.degrees(angle_between(start[:, 3:], moved[..., 3:])).max(axis=0, initial=0.0)
+    drop = (start[:, 2] - moved[..., 2]).max(axis=0, initial=0.0)
+    slide, turn = _joint_motion(model, initial, qpos)
+    diverged = not (finite and np.isfinite(shift).all())
     at_end = {} if diverged else object_depths(scene, model, data)
     stable = not diverged and bool(np.all(shift < max_drift) and np.all(tilt < max_tilt))
     deepest = max(at_start.values(), default=0.0)
@@ -79,11 +92,60 @@ def scene_measure(
         max_depth_m=deepest,
         settled_depth_m=max(at_end.values(), default=0.0),
         depths_m={f"{a}|{b}": depth for (a, b), depth in at_start.items()},
+        settled_depths_m={f"{a}|{b}": depth for (a, b), depth in at_end.items()},
         s_stab=stable if names else None,
         max_drift_m=float(shift.max(initial=0.0)) if not diverged else float("inf"),
         max_tilt_deg=float(tilt.max(initial=0.0)) if not diverged else float("inf"),
         drift_m=dict(zip(names, shift.tolist(), strict=True)),
         tilt_deg=dict(zip(names, tilt.tolist(), strict=True)),
+        drop_m=dict(zip(names, drop.tolist(), strict=True)),
+        joint_slide_m=slide,
+        joint_turn_deg=turn,
         duration_s=duration,
         diverged=diverged,
     )
+
+
+def _joint_motion(
+    model: mujoco.MjModel, start: NDArray[np.float64], qpos: NDArray[np.float64]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return how far each joint moved at most: those that slide [m], those that turn [deg]."""
+    slide, turn = {}, {}
+    for k in range(model.njnt):
+        kind, address, name = model.jnt_type[k], model.jnt_qposadr[k], model.joint(k).name
+        if kind == mujoco.mjtJoint.mjJNT_FREE:
+            continue
+        if kind == mujoco.mjtJoint.mjJNT_BALL:
+            where = slice(address, address + 4)
+            angle = angle_between(start[where], qpos[:, where])
+            turn[name] = float(np.degrees(angle).max(initial=0.0))
+            continue
+        moved = float(np.abs(qpos[:, address] - start[address]).max(initial=0.0))
+        if kind == mujoco.mjtJoint.mjJNT_SLIDE:
+            slide[name] = moved
+        else:
+            turn[name] = float(np.degrees(moved))
+    return slide, turn
+
+
+def _free_fall(
+    model: mujoco.MjModel, data: mujoco.MjData, steps: int
+) -> tuple[NDArray[np.float64], bool]:
+    """Step a scene from its state, without Python between steps.
+
+    Returns:
+        qpos after each step [step, nq], and whether the simulation stayed finite; `data` is in the
+        last state.
+    """
+    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    state = np.zeros(mujoco.mj_stateSize(model, kind))
+    mujoco.mj_getState(model, data, state, kind)
+    states, _ = rollout.rollout(model, data, initial_state=state[None], nstep=steps)
+    states = np.asarray(states).reshape(steps, -1)
+    bad = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL)
+    bad += (mujoco.mjtWarning.mjWARN_BADQACC,)
+    finite = bool(np.isfinite(states).all()) and not any(data.warning[w].number for w in bad)
+    if finite:
+        mujoco.mj_setState(model, data, states[-1], kind)
+        mujoco.mj_forward(model, data)
+    return states[:, 1 : 1 + model.nq], finite

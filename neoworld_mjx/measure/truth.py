@@ -1,4 +1,4 @@
-"""What is known of a real or published object: its joints and its surface, read from a file.
+"""Ground truth of a real or published object: its joints and its surface, read from a file.
 
     {"name": "cabinet", "front": "+x", "box": [[x, y, z], [x, y, z]],
      "joints": [{"name": "hinge", "type": "revolute", "axis": [0, 0, 1], "pivot": [0.2, 0.3, 0],
@@ -11,7 +11,6 @@ joint carries; a joint that carries nothing visible is left out of the file by w
 Samples of the surface may lie beside it, as an .npz with `points` [n, 3] in the same frame.
 """
 
-import json
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from ..errors import SpecError
+from ..reading import read_json
 from ..spec import Number, ObjectSpec, Spec, Vec3, bounds, pieces
 from ..spec.convex import box_around
 
@@ -37,18 +37,18 @@ class TrueJoint(Spec):
     name: str
     type: Motion
     axis: Vec3 = (0.0, 0.0, 1.0)
-    """Of any length but zero; a ball joint's says nothing."""
+    """Direction, of any length but zero; a ball joint ignores it."""
     pivot: Vec3 = (0.0, 0.0, 0.0)
-    """A point of the axis [m]; of a slide it says nothing."""
+    """A point of the axis [m]; a prismatic joint ignores it."""
     limits: tuple[Number, Number] | None = None
     """Range [rad or m] from rest; None where there is none or it is not known."""
     parent: str = ""
     child: str = ""
     moving_box: Box
-    """Low and high corner [m] of all that it carries, at rest."""
+    """Low and high corner [m] of the parts that it moves, at rest."""
 
     @model_validator(mode="after")
-    def _sound(self) -> "TrueJoint":
+    def _valid(self) -> "TrueJoint":
         if self.type != "ball" and not np.linalg.norm(self.axis) > 0:
             raise ValueError(f"joint {self.name}: the axis must not be zero")
         _ordered(self.moving_box, f"joint {self.name}: moving_box")
@@ -56,7 +56,7 @@ class TrueJoint(Spec):
 
 
 class ObjectTruth(Spec):
-    """An object as it really is."""
+    """Ground truth of an object."""
 
     name: str
     front: Front = "+x"
@@ -66,7 +66,7 @@ class ObjectTruth(Spec):
     source: str = Field(default="", description="Where it comes from, and its licence.")
 
     @model_validator(mode="after")
-    def _sound(self) -> "ObjectTruth":
+    def _valid(self) -> "ObjectTruth":
         _ordered(self.box, "box")
         if not np.ptp(np.array(self.box), axis=0).any():
             raise ValueError("box: the object has no size")
@@ -79,14 +79,10 @@ def read_truth(path: Path) -> ObjectTruth:
     Raises:
         SpecError: it cannot be read, or is no truth of this form.
     """
-    try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise SpecError(f"{path}: no JSON file that can be read: {error}") from None
-    return truth_from(data, str(path))
+    return truth_from(read_json(path, SpecError), str(path))
 
 
-def truth_from(data: Any, what: str = "truth") -> ObjectTruth:
+def truth_from(data: Any, name: str = "truth") -> ObjectTruth:
     """Check a truth that is given as a mapping.
 
     Raises:
@@ -98,7 +94,7 @@ def truth_from(data: Any, what: str = "truth") -> ObjectTruth:
         wrong = "; ".join(
             f"{'.'.join(map(str, e['loc'])) or 'truth'}: {e['msg']}" for e in error.errors()[:4]
         )
-        raise SpecError(f"{what}: {wrong}") from None
+        raise SpecError(f"{name}: {wrong}") from None
 
 
 def truth_of(spec: ObjectSpec) -> ObjectTruth:
@@ -135,8 +131,8 @@ def carried_box(spec: ObjectSpec, child: str) -> Box:
     for name in carried:
         for role in ("collision", "visual"):
             for _, piece, at in pieces(spec.part(name), role):
-                one, other = box_around(piece, at)
-                low, high = np.minimum(low, one), np.maximum(high, other)
+                lowest, highest = box_around(piece, at)
+                low, high = np.minimum(low, lowest), np.maximum(high, highest)
     return _vec3(low), _vec3(high)
 
 
@@ -191,20 +187,6 @@ def _vec3(v: NDArray) -> Vec3:
     return x, y, z
 
 
-def _ordered(box: Box, what: str) -> None:
+def _ordered(box: Box, name: str) -> None:
     if not all(a <= b for a, b in zip(*box, strict=True)):
-        raise ValueError(f"{what}: low corner first, got {box}")
-
-
-__all__ = [
-    "ObjectTruth",
-    "TrueJoint",
-    "canonical",
-    "canonical_points",
-    "carried_box",
-    "diagonal",
-    "quarter_turn",
-    "read_truth",
-    "truth_from",
-    "truth_of",
-]
+        raise ValueError(f"{name}: low corner first, got {box}")

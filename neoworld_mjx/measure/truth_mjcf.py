@@ -92,17 +92,17 @@ def truth_of_mjcf(
                 "moving_box": [box.min(axis=0).tolist(), box.max(axis=0).tolist()],
             }
         )
-    found = {
+    description = {
         "name": Path(path).stem,
         "front": front,
         "box": [corners.min(axis=0).tolist(), corners.max(axis=0).tolist()],
         "joints": joints,
     }
-    return truth_from(found, str(path)), sampled(list(shown.values()), samples, seed)
+    return truth_from(description, str(path)), sampled(list(shown.values()), samples, seed)
 
 
 def _hangs(model: mujoco.MjModel, geom: int, body: int) -> bool:
-    """Whether a geom belongs to a body or to one that hangs on it."""
+    """Tell whether a geom belongs to a body or to one below it."""
     at = int(model.geom_bodyid[geom])
     while at not in (body, 0):
         at = int(model.body_parentid[at])
@@ -136,6 +136,3 @@ def _mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> "trimesh.Tri
     pose[:3, :3], pose[:3, 3] = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
     shape.apply_transform(pose)
     return shape
-
-
-__all__ = ["SHOWN_GROUPS", "truth_of_mjcf"]

@@ -2,6 +2,7 @@
 
 import json
 import re
+from itertools import islice
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -13,6 +14,8 @@ T = TypeVar("T", bound=BaseModel)
 _FENCE = re.compile(r"```[A-Za-z0-9_-]*[ \t]*\r?\n(.*?)```", re.DOTALL)
 _OPENING = re.compile(r"\{(?=\s*[\"}])")
 _REASON_CHARS = 2000
+MAX_CHARS, MAX_OBJECTS = 1_000_000, 20
+"""Longest answer, and most JSON objects in it among which the answer is looked for."""
 
 
 class InvalidAnswer(Exception):
@@ -28,6 +31,8 @@ def read_answer(text: str, schema: type[T]) -> T:
     Raises:
         InvalidAnswer: nothing validates; the message is about the most likely object.
     """
+    if len(text) > MAX_CHARS:
+        raise InvalidAnswer(f"the answer has {len(text)} characters, at most {MAX_CHARS} are read")
     whole = _whole(text)
     inside, broken = ([], "") if whole else _embedded(text)
     reason = broken
@@ -52,7 +57,8 @@ def is_json(text: str) -> bool:
 def _whole(text: str) -> list[dict[str, Any]]:
     """Return the objects that are the whole text or a whole fenced block of it."""
     objects = []
-    for part in (text, *_FENCE.findall(text)):
+    fenced = (match[1] for match in islice(_FENCE.finditer(text), MAX_OBJECTS))
+    for part in (text, *fenced):
         try:
             value = _loads(part)
         except (ValueError, RecursionError):
@@ -82,6 +88,8 @@ def _embedded(text: str) -> tuple[list[dict[str, Any]], str]:
             broken = f"the JSON object in it is broken ({error})"
             break
         objects.append((end, value))
+        if len(objects) > MAX_OBJECTS:
+            return [], f"it holds over {MAX_OBJECTS} JSON objects; give one"
     largest_first = sorted(objects, key=lambda item: -len(json.dumps(item[1])))
     return [value for _, value in largest_first], broken
 

@@ -5,8 +5,9 @@ Every error of a provider is scrubbed of keys here.
 
 import asyncio
 import random
-from collections.abc import AsyncIterator, Sequence
-from contextlib import asynccontextmanager
+import time
+from collections.abc import AsyncIterator, Iterator, Sequence
+from contextlib import asynccontextmanager, contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -40,6 +41,25 @@ class Calls:
         self.backoff_s = backoff_s
         self._gate = asyncio.Semaphore(options.concurrency)
         self._released = asyncio.Condition()
+        self._unanswered, self._since, self._waited_s = 0, 0.0, 0.0
+
+    @property
+    def waited_s(self) -> float:
+        """Seconds so far in which at least one call was unanswered."""
+        return self._waited_s + (time.perf_counter() - self._since if self._unanswered else 0.0)
+
+    @contextmanager
+    def _waiting(self) -> Iterator[None]:
+        if not self._unanswered:
+            self._since = time.perf_counter()
+        self._unanswered += 1
+        try:
+            yield
+        finally:
+            waited = self.waited_s
+            self._unanswered -= 1
+            if not self._unanswered:
+                self._waited_s = waited
 
     async def make(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
@@ -51,9 +71,17 @@ class Calls:
             ModelError: the provider gave no reply.
         """
         if not self.provider.online:
-            reply = await self._guarded(request, role, rejected)
+            with self._waiting():
+                reply = await self._guarded(request, role, rejected)
             self.ledger.add(request.role, reply.model, reply.usage, billed=False)
             return reply
+        await asyncio.to_thread(request.draw_pictures)
+        with self._waiting():
+            return await self._retried(request, role, rejected)
+
+    async def _retried(
+        self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
+    ) -> Reply:
         failure = Transient("not asked")
         for attempt in range(self.options.retries + 1):
             if attempt:
@@ -156,6 +184,8 @@ class Calls:
         send = getattr(self.provider, "batch", None)
         if send is None or not requests:
             return [None] * len(requests)
+        for request in requests:
+            await asyncio.to_thread(request.draw_pictures)
         calls = list(zip(requests, roles, strict=True))
         bound = _BATCH_SHARE * sum(
             self.ledger.bound(role.model, most_tokens(request, role.max_tokens))
@@ -163,7 +193,8 @@ class Calls:
         )
         async with self._reserved(requests[0], bound):
             try:
-                replies: list[Reply | None] = await send(calls)
+                with self._waiting():
+                    replies: list[Reply | None] = await send(calls)
             except ModelError as error:
                 raise type(error)(scrub(str(error), self.provider.secrets)) from None
             for (request, role), reply in zip(calls, replies, strict=True):

@@ -79,7 +79,7 @@ def encoded(picture: Picture) -> tuple[str, str]:
     data, media_type = picture.data, picture.media_type
     if len(data) > _MAX_PICTURE_BYTES:
         media_type = "image/jpeg"
-        with Image.open(io.BytesIO(picture.data)) as image:
+        with Image.open(io.BytesIO(picture.data), formats=["PNG", "JPEG"]) as image:
             rgb = image.convert("RGB")
         for quality in (95, 85, 70):
             buffer = io.BytesIO()

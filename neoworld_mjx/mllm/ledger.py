@@ -10,9 +10,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
+from ..config import read_yaml
 from ..errors import BudgetError, ConfigError
 from .requests import Rejection, Request, Usage
 
@@ -228,13 +228,9 @@ class Ledger:
 
 
 def _read_prices(path: Path) -> dict[str, Price]:
+    data = read_yaml(path, "prices")
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
         return TypeAdapter(dict[str, Price]).validate_python(data or {})
-    except OSError as error:
-        raise ConfigError(f"cannot read prices {path}: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"prices {path} is not valid YAML: {error}") from None
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(step) for step in first["loc"])

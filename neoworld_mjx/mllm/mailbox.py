@@ -27,7 +27,9 @@ from pydantic import BaseModel
 
 from ..config import RoleOptions
 from ..errors import ModelError
-from ..files import write_atomic
+from ..files import MIB, read_bytes, write_atomic
+from ..names import file_name
+from ..reading import bounds_of_files, read_model
 from .answers import InvalidAnswer, is_json, read_answer
 from .requests import Rejection, Reply, Request, Usage
 
@@ -72,6 +74,7 @@ class Mailbox:
         self._unchanged_s = unchanged_s
         self._report = report or (lambda line: sys.stderr.write(line + "\n"))
         self._reported = False
+        self._order = asyncio.Lock()
 
     async def reply(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
@@ -83,7 +86,10 @@ class Mailbox:
         """
         del role, rejected
         try:
-            folder = self._find(request) or self._put(request)
+            # One after the other, so that folders are numbered in the order of the requests.
+            async with self._order:
+                await asyncio.to_thread(request.draw_pictures)
+                folder = self._find(request) or self._put(request)
             if not self._reported and not (folder / "response.json").exists():
                 self._reported = True
                 self._report(
@@ -108,21 +114,21 @@ class Mailbox:
         """Return the folder of a request that an earlier run wrote."""
         for ticket in sorted(self._folder.glob("[0-9]*/request.json")):
             try:
-                if _Ticket.model_validate_json(ticket.read_bytes()).key == request.key:
+                if read_model(ticket, _Ticket, ModelError, "a request").key == request.key:
                     return ticket.parent
-            except (OSError, ValueError):
+            except ModelError:
                 continue
         return None
 
     def _put(self, request: Request[Any]) -> Path:
         """Write a request's folder under a hidden name and rename it, so that it appears whole."""
         self._folder.mkdir(parents=True, exist_ok=True)
-        slug = _slug(request.name) or request.role
+        slug = file_name(request.name) or request.role
         partial = self._folder / f".partial-{request.key[:16]}"
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir()
         files = [
-            f"{number}-{_slug(picture.label) or 'picture'}{picture.suffix}"
+            f"{number}-{file_name(picture.label) or 'picture'}{picture.suffix}"
             for number, picture in enumerate(request.pictures, start=1)
         ]
         for name, picture in zip(files, request.pictures, strict=True):
@@ -145,7 +151,8 @@ class Mailbox:
             if stamp != last_stamp:
                 last_stamp, since = stamp, now
             if stamp is not None:
-                text = path.read_text(encoding="utf-8", errors="replace")
+                most = bounds_of_files().max_text_mib * MIB
+                text = read_bytes(path, most).decode("utf-8", errors="replace")
                 whole = is_json(text)
                 try:
                     read_answer(text, request.schema)
@@ -188,7 +195,3 @@ def _stamp(path: Path) -> tuple[int, int] | None:
     except FileNotFoundError:
         return None
     return status.st_mtime_ns, status.st_size
-
-
-def _slug(text: str) -> str:
-    return re.sub(r"[^A-Za-z0-9._]+", "-", text).strip("-.")[:60]

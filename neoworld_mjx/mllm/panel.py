@@ -71,6 +71,11 @@ class Panel:
         self._lock = threading.Lock()
 
     @property
+    def waited_s(self) -> float:
+        """Seconds so far in which at least one request was with the provider, unanswered."""
+        return self._calls.waited_s
+
+    @property
     def name(self) -> str:
         """The provider's name, such as "replay" or "anthropic"."""
         return self.provider.name

@@ -20,7 +20,7 @@ from .secrets import environment_key
 
 
 class ProviderInputs(NamedTuple):
-    """All that a provider may need to open."""
+    """Inputs that a provider may need to open."""
 
     options: MLLMOptions
     photo: str | None = None
@@ -127,7 +127,7 @@ PROVIDERS: dict[str, Callable[[ProviderInputs], Provider]] = {
     "replay": _replay,
     "mailbox": _mailbox,
 }
-"""How each provider opens, by name."""
+"""Function that opens each provider, by name."""
 
 
 def _ways_on(openai_key: bool, options: MLLMOptions) -> str:

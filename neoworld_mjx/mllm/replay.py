@@ -14,11 +14,12 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
-from ..config import RoleOptions, describe
+from ..config import RoleOptions
 from ..errors import MissingAnswerError, ModelError
 from ..files import write_atomic
+from ..reading import read_model
 from .requests import Rejection, Reply, Request, Usage
 
 SUFFIX = ".tape.json"
@@ -53,7 +54,7 @@ class Tape(BaseModel):
     photo: str | None = None
     """The sha256 of the photo's file."""
     made: str = ""
-    """How the answers came about, for people."""
+    """Origin of the answers, for people."""
     answers: dict[str, Entry] = {}
 
     @classmethod
@@ -63,14 +64,7 @@ class Tape(BaseModel):
         Raises:
             ModelError: the file cannot be read or is no tape.
         """
-        try:
-            return cls.model_validate_json(Path(path).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise ModelError(f"cannot read tape {path}: {error.strerror}") from None
-        except UnicodeDecodeError:
-            raise ModelError(f"{path} is no tape: it is not text") from None
-        except ValidationError as error:
-            raise ModelError(f"{path} is no tape: {describe(error, cls)}") from None
+        return read_model(path, cls, ModelError, "a tape")
 
     def save(self, path: Path) -> None:
         """Write the tape atomically.

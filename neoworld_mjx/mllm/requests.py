@@ -56,21 +56,14 @@ class Picture:
         if not any(self.data.startswith(magic) for magic in _MEDIA):
             raise ModelError(f"picture {self.label!r} must be PNG or JPEG bytes")
 
-    @classmethod
-    def of(cls, label: str, rgb: np.ndarray) -> "Picture":
-        """Encode an array of RGB bytes, uint8 of shape [height, width, 3], as a PNG.
+    @staticmethod
+    def of(label: str, rgb: np.ndarray) -> "Picture":
+        """Return a picture of an array of RGB bytes, uint8 of shape [height, width, 3].
 
         Raises:
             ModelError: the array has another type or shape.
         """
-        if rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3:
-            raise ModelError(
-                f"picture {label!r} must be uint8 of shape [height, width, 3], "
-                f"got {rgb.dtype} of shape {list(rgb.shape)}"
-            )
-        buffer = io.BytesIO()
-        Image.fromarray(np.ascontiguousarray(rgb)).save(buffer, "PNG", compress_level=6)
-        return cls(label, buffer.getvalue())
+        return PixelPicture(label, rgb)
 
     @property
     def media_type(self) -> str:
@@ -89,7 +82,7 @@ class Picture:
                 rgb = image.convert("RGB")
         except (OSError, SyntaxError, ValueError) as error:
             raise ModelError(f"picture {self.label!r} cannot be decoded: {error}") from None
-        return rgb.size, digest(f"{rgb.width}x{rgb.height}:".encode() + rgb.tobytes())
+        return rgb.size, _pixel_digest(*rgb.size, rgb.tobytes())
 
     @property
     def size(self) -> tuple[int, int]:
@@ -100,6 +93,42 @@ class Picture:
     def pixels(self) -> str:
         """The sha256 of size and decoded RGB bytes; it does not depend on the encoder."""
         return self._decoded[1]
+
+
+class PixelPicture(Picture):
+    """A picture held as pixels; its PNG is encoded when a provider asks for it.
+
+    Raises:
+        ModelError: the array is not uint8 of shape [height, width, 3].
+    """
+
+    _rgb: np.ndarray
+
+    def __init__(self, label: str, rgb: np.ndarray) -> None:
+        if rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3:
+            raise ModelError(
+                f"picture {label!r} must be uint8 of shape [height, width, 3], "
+                f"got {rgb.dtype} of shape {list(rgb.shape)}"
+            )
+        kept = np.array(rgb)  # Whoever drew it may go on drawing.
+        for name, value in (("label", label), ("_rgb", kept)):
+            object.__setattr__(self, name, value)  # The base is frozen.
+
+    @cached_property
+    def data(self) -> bytes:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The PNG file, encoded once."""
+        buffer = io.BytesIO()
+        Image.fromarray(self._rgb).save(buffer, "PNG", compress_level=6)
+        return buffer.getvalue()
+
+    @cached_property
+    def _decoded(self) -> tuple[tuple[int, int], str]:
+        height, width = self._rgb.shape[:2]
+        return (width, height), _pixel_digest(width, height, self._rgb.tobytes())
+
+
+def _pixel_digest(width: int, height: int, rgb: bytes) -> str:
+    return digest(f"{width}x{height}:".encode() + rgb)
 
 
 @dataclass(frozen=True)
@@ -139,6 +168,11 @@ class Request(Generic[T]):
         for name, title in titles.items():
             text = text.replace(f'"#/$defs/{name}"', f'"#/$defs/{title}"')
         return json.loads(text)
+
+    def draw_pictures(self) -> None:
+        """Draw the pictures that are drawn on demand: seconds of work, so not on an event loop."""
+        for picture in self.pictures:
+            _ = picture.data
 
     @cached_property
     def parts(self) -> dict[str, str]:
@@ -225,11 +259,16 @@ class Reply:
     model: str
     stop: Literal["end", "length", "refusal"] = "end"
     detail: str = ""
-    """What the server said about a refusal."""
+    """Message of the server about a refusal."""
     fallback: str | None = None
     """Features that the server does not support, such as structured output."""
     counted: bool = True
     """Whether the server counted tokens at all."""
+
+    def __post_init__(self) -> None:
+        # Halves of characters can neither be sent back nor written into a file.
+        whole = self.text.encode("utf-8", "replace").decode()
+        object.__setattr__(self, "text", whole)
 
 
 class Transient(Exception):

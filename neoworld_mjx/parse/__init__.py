@@ -3,5 +3,15 @@
 from .crops import Crop, crops
 from .parse import Parsed, parse
 from .photo import Photo, load_photo
+from .support_colours import SupportColour, support_colours
 
-__all__ = ["Crop", "Parsed", "Photo", "crops", "load_photo", "parse"]
+__all__ = [
+    "Crop",
+    "Parsed",
+    "Photo",
+    "SupportColour",
+    "crops",
+    "load_photo",
+    "parse",
+    "support_colours",
+]

@@ -22,11 +22,16 @@ class Category(NamedTuple):
     outline: Outline
 
 
+_SMALLER = frozenset(["small", "little", "mini", "miniature", "tiny", "toy"])
+_LARGER = frozenset(["large", "big", "giant", "tall", "floor", "standing", "wall"])
+
+
 _TABLE = """
 cup mug teacup | 0.04 0.18 handled
 glass tumbler goblet wineglass | 0.05 0.30 round
 saucer | 0.08 0.22 tapered
-plate dish | 0.10 0.45 tapered
+plate | 0.10 0.45 tapered
+dish | 0.05 0.45 tapered
 bowl basin | 0.07 0.60 tapered
 bottle flask thermos | 0.08 0.50 round
 can tin | 0.04 0.35 round
@@ -43,7 +48,8 @@ clock | 0.04 0.80 loose
 lemon lime egg plum apricot walnut | 0.02 0.12 ball
 apple orange peach pear tomato onion potato mango | 0.03 0.18 ball
 ball | 0.02 0.80 ball
-melon watermelon pumpkin globe | 0.10 0.70 ball
+melon watermelon pumpkin | 0.10 0.70 ball
+globe | 0.08 1.50 loose
 banana carrot cucumber corn eggplant zucchini | 0.06 0.45 loose
 bread loaf | 0.06 0.50 loose
 spoon teaspoon tablespoon fork spatula ladle | 0.08 0.50 spoon
@@ -61,13 +67,15 @@ paper card envelope | 0.04 0.80 box
 box carton package packet parcel | 0.02 1.20 box
 bag sachet | 0.03 1.00 loose
 block brick cube dice | 0.01 0.40 box
-tray board | 0.10 1.20 box
+tray | 0.05 1.20 box
+board | 0.10 1.20 box
+lid cap cover | 0.02 0.60 loose
 sponge soap | 0.04 0.25 box
 cloth towel napkin rag mat rug | 0.08 4.00 loose
 glasses sunglasses | 0.08 0.22 loose
 lamp light | 0.08 2.20 loose
 plant flower | 0.03 2.50 loose
-toy figure doll | 0.02 1.00 loose
+toy figure figurine statuette doll | 0.02 1.00 loose
 toaster blender mixer | 0.12 0.60 loose
 microwave oven | 0.30 1.00 box
 fridge refrigerator | 0.40 2.20 box
@@ -75,7 +83,8 @@ dishwasher washer dryer stove | 0.40 1.30 box
 sink | 0.20 1.20 box
 cabinet cupboard drawers dresser wardrobe chest bookcase bookshelf nightstand | 0.25 3.50 box
 drawer | 0.10 1.50 box
-shelf rack | 0.15 4.00 box
+shelf | 0.15 4.00 box
+rack | 0.06 4.00 loose
 door window | 0.30 4.00 box
 chair stool armchair bench | 0.25 2.50 loose
 sofa couch bed | 1.00 3.50 loose
@@ -96,6 +105,20 @@ def _read() -> dict[str, Category]:
 
 
 CATEGORIES = _read()
+
+
+def size_range(label: str) -> tuple[float, float] | None:
+    """Return the range of longest edges [m] of a label's things; "small" and "large" widen it.
+
+    Returns:
+        None if the category is unknown.
+    """
+    category = category_of(label)
+    if category is None:
+        return None
+    words = set(re.findall(r"[a-z]+", label.lower()))
+    low = category.low / 2 if words & _SMALLER else category.low
+    return low, category.high * 2 if words & _LARGER else category.high
 
 
 def category_of(label: str) -> Category | None:

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool
 from pydantic import BaseModel, ConfigDict
 
 from ..measure.boxes import (
@@ -19,11 +18,13 @@ from ..measure.boxes import (
     shared_2d,
     shared_3d,
     shared_footprint,
+    support_footprint,
     upright,
 )
 from ..spec import Box3D, SceneTree, TreeNode
-from .categories import category_of
-from .project import expected_box
+from .categories import size_range
+from .project import expected_box, outline_of
+from .sides import EDGE, hidden_sides
 
 AGREEMENT_WARNS, AGREEMENT_FAILS = 0.6, 0.35
 """Agreement of the projected 3D box with the 2D box, see `agreement`."""
@@ -37,16 +38,17 @@ SIZE_FAILS = 2.0
 """A longest edge so many times out of its category's range is an error, less is a warning."""
 OVERLAP_WARNS = 0.4
 """Share of the smaller of two boxes inside the other, where neither object carries the other."""
+SAME_WARNS = 0.6
+"""Intersection over union of two boxes, where the larger object may leave room in its own: a lamp's
+arm reaches over a cup, a trunk stands under a table."""
 TWICE_WARNS = 0.85
 """Intersection over union of the 2D boxes of two objects with the same label."""
-EDGE = 0.01
-"""Boxes nearer to the picture's edge may be cut off by it; over the picture's longer side."""
 
 _SUPPORTS = ("table", "floor", "wall", "counter", "countertop", "ground", "ceiling", "worktop")
 
 
 class SceneIssue(BaseModel):
-    """One thing that is wrong with a parse."""
+    """One fault of a parse."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -108,38 +110,6 @@ def agreement(tree: SceneTree, node: TreeNode) -> float:
     return iou_2d(cut, visible)
 
 
-def hidden_sides(tree: SceneTree, node: TreeNode) -> Bool[np.ndarray, "4"]:
-    """Return which sides of a 2D box (left, top, right, bottom) may be another object's edge.
-
-    A side is hidden if it lies at the picture's edge, or if the box of an occluder covers a third
-    or more of it; if the occluders are not known, every side counts as hidden.
-    """
-    camera = tree.camera
-    edge = EDGE * max(camera.width, camera.height_px)
-    box = np.array(node.box2d.as_tuple())
-    at_edge = np.array(
-        [
-            box[0] <= edge,
-            box[1] <= edge,
-            box[2] >= camera.width - edge,
-            box[3] >= camera.height_px - edge,
-        ]
-    )
-    if not node.occluded:
-        return at_edge
-    covered = np.zeros(4, bool)
-    for name in node.occluded_by:
-        other = np.array(tree.node(name).box2d.as_tuple()) + edge * np.array([-1, -1, 1, 1])
-        for side in range(4):
-            axis, along = side % 2, 1 - side % 2
-            shared = min(box[along + 2], other[along + 2]) - max(box[along], other[along])
-            across = other[axis] <= box[side] <= other[axis + 2]
-            covered[side] |= across and shared >= (box[along + 2] - box[along]) / 3
-    if not node.occluded_by and not at_edge.any():
-        return np.ones(4, bool)
-    return at_edge | covered
-
-
 def _projection(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
     if node.environment:
         if expected_box(tree.camera, node) is None:
@@ -148,7 +118,7 @@ def _projection(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
             )
         return
     value = agreement(tree, node)
-    if value < AGREEMENT_WARNS:
+    if value < AGREEMENT_WARNS and not _near(tree, node):
         yield _issue(
             "error" if value < AGREEMENT_FAILS else "warning",
             node,
@@ -157,6 +127,15 @@ def _projection(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
             AGREEMENT_WARNS,
             f"its 3D box, seen by the camera, does not cover its 2D box{_off(tree, node)}",
         )
+
+
+def _near(tree: SceneTree, node: TreeNode) -> bool:
+    """Tell whether every visible side of a projected box is as near as a box can be read."""
+    expected = expected_box(tree.camera, node)
+    if expected is None:
+        return False
+    miss = np.abs(expected - np.array(node.box2d.as_tuple()))[~hidden_sides(tree, node)]
+    return bool(np.all(miss <= EDGE * max(tree.camera.width, tree.camera.height_px)))
 
 
 def _off(tree: SceneTree, node: TreeNode) -> str:
@@ -173,20 +152,21 @@ def _off(tree: SceneTree, node: TreeNode) -> str:
         phrases.append(f"too far {'right' if shift[0] > 0 else 'left'}")
     if abs(shift[1]) > 0.15:
         phrases.append(f"too far {'down' if shift[1] > 0 else 'up'}")
-    for value, way in zip(ratio, ("wide", "high"), strict=True):
+    for value, extent in zip(ratio, ("wide", "high"), strict=True):
         if not 0.8 < value < 1.25:
-            phrases.append(f"{value:.1f} times as {way}")
+            phrases.append(f"{value:.1f} times as {extent}")
     return ": it is " + ", ".join(phrases) if phrases else ""
 
 
 def _size(node: TreeNode) -> Iterator[SceneIssue]:
-    category, longest = category_of(node.label), max(node.box3d.size)
-    if category is None:
+    bounds, longest = size_range(node.label), max(node.box3d.size)
+    if bounds is None:
         return
-    if longest > category.high:
-        over, bound, word = longest / category.high, category.high, "large"
+    low, high = bounds
+    if longest > high:
+        over, bound, word = longest / high, high, "large"
     else:
-        over, bound, word = category.low / longest, category.low, "small"
+        over, bound, word = low / longest, low, "small"
     if over > 1:
         yield _issue(
             "error" if over > SIZE_FAILS else "warning",
@@ -241,10 +221,12 @@ def _on_carrier(node: TreeNode, parent: TreeNode) -> Iterator[SceneIssue]:
         yield from _attached(node, parent, child, below)
         return
     feet = footprint(child)
-    inside = shared_footprint(feet, footprint(below)) / polygon_area(feet)
+    inside = shared_footprint(support_footprint(parent), feet) / polygon_area(feet)
     if inside < INSIDE_WARNS:
+        # What does not fill its box may stand on a small foot and reach far beyond it.
+        fails = inside < (0.01 if _roomy(node) else INSIDE_FAILS)
         yield _issue(
-            "error" if inside < INSIDE_FAILS else "warning",
+            "error" if fails else "warning",
             node,
             "footprint",
             inside,
@@ -292,7 +274,7 @@ def _top(box: Box3D) -> float:
 
 def _slab(node: TreeNode) -> bool:
     """Return whether objects can only rest on top of it: a flat part of the environment."""
-    return node.environment and node.box3d.size[2] < 0.2 * min(node.box3d.size[:2])
+    return node.slab and node.box3d.size[2] < 0.2 * min(node.box3d.size[:2])
 
 
 def _pairs(tree: SceneTree) -> Iterator[SceneIssue]:
@@ -312,9 +294,13 @@ def _pairs(tree: SceneTree) -> Iterator[SceneIssue]:
             if first.name in carriers[second.name] or second.name in carriers[first.name]:
                 continue
             a, b = upright(first), upright(second)
-            smaller = min(math.prod(a.size), math.prod(b.size))
-            share = shared_3d(a, b) / smaller
-            if share > OVERLAP_WARNS:
+            (smaller, _), (larger, outer) = sorted(
+                ((math.prod(box.size), node) for box, node in ((a, first), (b, second))),
+                key=lambda pair: pair[0],
+            )
+            shared = shared_3d(a, b)
+            share, same = shared / smaller, shared / (smaller + larger - shared)
+            if share > OVERLAP_WARNS and (same > SAME_WARNS or not _roomy(outer)):
                 yield _issue(
                     "warning",
                     second,
@@ -324,6 +310,11 @@ def _pairs(tree: SceneTree) -> Iterator[SceneIssue]:
                     f"its 3D box and that of {first.name} take the same space: move one, or let "
                     "one carry the other",
                 )
+
+
+def _roomy(node: TreeNode) -> bool:
+    """Tell whether an object may leave much of its box empty, as its category does not fill it."""
+    return outline_of(node) in ("loose", "spoon")
 
 
 def _carriers(tree: SceneTree, node: TreeNode) -> set[str]:

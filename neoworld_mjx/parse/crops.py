@@ -7,52 +7,62 @@ from jaxtyping import UInt8
 
 from ..mllm import Picture
 from ..spec import SceneTree, TreeNode
+from .enlarge import enlarged
 from .photo import Photo
 
 MARGIN = 0.12
 """Margin on every side, over the box's longer side."""
 LEAST_PX = 8
 MARK = (90, 90, 90)
+SHOWN_PX = 448
+"""A crop whose longer side is shorter is enlarged by a whole factor to at least this."""
+
+Window = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True)
 class Crop:
     """An object cut out of the photo."""
 
-    data: bytes
-    """PNG."""
-    colour: tuple[float, float, float]
-    """Median red, green, blue, 0 to 1, of the pixels in its box that are in no other object's."""
+    picture: Picture
+    """Labelled "crop", as requests refer to it."""
     note: str
     """Description of the parts that are cut off or hidden; empty if there are none."""
+    window: tuple[float, float, float, float]
+    """Original pixels (x0, y0, x1, y1) that the picture shows."""
 
 
 def crops(photo: Photo, tree: SceneTree) -> dict[str, Crop]:
     """Return the crop of every object from the shown picture, by node name.
 
-    Crops are whole pixels without resampling, so that the same photo gives the same bytes on every
+    Small crops are enlarged in integers, so that the same photo gives the same bytes on every
     machine. Boxes of other objects within a crop are outlined in grey.
     """
-    return {
-        node.name: Crop(_cut(photo, tree, node), _colour(photo, tree, node), _note(tree, node))
-        for node in tree.nodes
-    }
+    return {node.name: _crop(photo, tree, node) for node in tree.nodes}
 
 
-def _cut(photo: Photo, tree: SceneTree, node: TreeNode) -> bytes:
-    width, height = photo.size
-    x0, y0, x1, y1 = _shown(photo, node)
-    margin = max(LEAST_PX, round(MARGIN * max(x1 - x0, y1 - y0)))
-    left, top = max(0, x0 - margin), max(0, y0 - margin)
-    right, bottom = min(width, x1 + margin), min(height, y1 + margin)
+def _crop(photo: Photo, tree: SceneTree, node: TreeNode) -> Crop:
+    left, top, right, bottom = window = _window(photo, node)
     canvas = np.array(photo.rgb)
     for other in tree.nodes:
         if other.name != node.name and not other.environment:
             _outline(canvas, _shown(photo, other))
-    return Picture.of(node.name, canvas[top:bottom, left:right]).data
+    picture = Picture.of("crop", enlarged(canvas[top:bottom, left:right], SHOWN_PX))
+    x0, y0, x1, y1 = (v / photo.scale for v in window)
+    return Crop(picture, _note(tree, node), (x0, y0, x1, y1))
 
 
-def _colour(photo: Photo, tree: SceneTree, node: TreeNode) -> tuple[float, float, float]:
+def _window(photo: Photo, node: TreeNode) -> Window:
+    """Return a node's box with its margin, in whole pixels of the shown picture."""
+    width, height = photo.size
+    x0, y0, x1, y1 = _shown(photo, node)
+    margin = max(LEAST_PX, round(MARGIN * max(x1 - x0, y1 - y0)))
+    left, top = max(0, x0 - margin), max(0, y0 - margin)
+    return left, top, min(width, x1 + margin), min(height, y1 + margin)
+
+
+def colour_in_box(photo: Photo, tree: SceneTree, node: TreeNode) -> tuple[float, float, float]:
+    """Return the median red, green, blue, 0 to 1, of a node's box less those of other objects."""
     free = np.zeros(photo.rgb.shape[:2], bool)
     x0, y0, x1, y1 = _shown(photo, node)
     free[y0:y1, x0:x1] = True
@@ -65,13 +75,13 @@ def _colour(photo: Photo, tree: SceneTree, node: TreeNode) -> tuple[float, float
     return red, green, blue
 
 
-def _outline(canvas: UInt8[np.ndarray, "h w 3"], box: tuple[int, int, int, int]) -> None:
+def _outline(canvas: UInt8[np.ndarray, "h w 3"], box: Window) -> None:
     x0, y0, x1, y1 = box
     canvas[y0:y1, [x0, x1 - 1]] = MARK
     canvas[[y0, y1 - 1], x0:x1] = MARK
 
 
-def _shown(photo: Photo, node: TreeNode) -> tuple[int, int, int, int]:
+def _shown(photo: Photo, node: TreeNode) -> Window:
     """Return a node's box in whole pixels of the shown picture, at least one wide and high."""
     width, height = photo.size
     x0, y0, x1, y1 = (v * photo.scale for v in node.box2d.as_tuple())

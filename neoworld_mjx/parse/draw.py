@@ -28,7 +28,7 @@ COLOURS = (
     (255, 140, 60),
     (190, 255, 110),
 )
-"""By carrier, in the order in which carriers are first named."""
+"""Colour of each carrier's objects, in the order in which the nodes name carriers."""
 
 Region = tuple[int, int, int, int]
 
@@ -58,12 +58,12 @@ def draw_parse(photo: Photo, tree: SceneTree, *, solid: bool = False) -> Picture
     for node in order:
         thick = 1 if node.environment else line
         _frame(canvas, boxes[node.name], colours[node.name], thick, dashed=node.occluded)
-    taken: list[Region] = []
+    tags: list[Region] = []
     for node in reversed(order):
         tag = _tag(node.name, glyph)
-        at = _place(tag.shape, boxes[node.name], (width, height), taken, boxes.values())
-        _stamp(canvas, tag, at, colours[node.name])
-        taken.append((at[0], at[1], at[0] + tag.shape[1], at[1] + tag.shape[0]))
+        corner = _place(tag.shape, boxes[node.name], (width, height), tags, boxes.values())
+        _stamp(canvas, tag, corner, colours[node.name])
+        tags.append((corner[0], corner[1], corner[0] + tag.shape[1], corner[1] + tag.shape[0]))
     return Picture.of("parse", canvas)
 
 
@@ -136,7 +136,7 @@ def _place(
     shape: tuple[int, ...],
     box: Region,
     size: tuple[int, int],
-    taken: list[Region],
+    tags: list[Region],
     boxes: Iterable[Region],
 ) -> tuple[int, int]:
     """Choose the position of a tag that hides the fewest other tags, then the fewest frames."""
@@ -154,7 +154,7 @@ def _place(
         region = (x, y, x + wide, y + tall)
         moved = abs(x - spot[0]) + abs(y - spot[1])
         return (
-            sum(_overlap(region, other) for other in taken),
+            sum(_overlap(region, other) for other in tags),
             sum(_crosses(region, other) for other in frames),
             moved,
         )

@@ -1,8 +1,9 @@
-"""Step 1: ask for the scene in a photo, fit and check it, have it criticised, keep the best round.
+"""Step 1: ask for the scene in a photo, fit and check it, ask a critic, return the best round.
 
 Checks without a model come first: an answer is fitted to its own 2D boxes, and only the issues that
-remain go back, together with the critic's faults of the drawn picture. The kept answer is the one
-with the best score of its own; ground truth is not known here.
+remain go back to the model, unless the critic dismisses them, together with the critic's faults of
+the drawn picture. The result is
+the answer with the best score.
 """
 
 import asyncio
@@ -22,7 +23,7 @@ from .prompts import SceneCritique, judge_request, parse_request
 from .schema import SceneSeen, to_tree
 
 ACCEPT = 9.0
-"""Lowest of the critic's three scores from which no further round is needed."""
+"""Least of the critic's three scores at which an answer is accepted."""
 
 
 @dataclass(frozen=True)
@@ -32,19 +33,29 @@ class SceneAttempt:
     answer: SceneSeen
     tree: SceneTree | None
     """Fitted where the fit helps; None if the answer gives no tree."""
+    answered: SceneTree | None
+    """The same before the fit."""
     broken: str = ""
-    """Why the answer gives no tree."""
+    """Reason why the answer gives no tree; empty if it gives one."""
     checks: tuple[SceneIssue, ...] = ()
     """Issues that remain after the fit."""
     fit: FitReport | None = None
     verdict: SceneCritique | None = None
 
     @property
+    def standing(self) -> tuple[SceneIssue, ...]:
+        """The issues that the critic did not dismiss."""
+        dismissed = () if self.verdict is None else self.verdict.dismissed
+        return tuple(
+            issue for number, issue in enumerate(self.checks, start=1) if number not in dismissed
+        )
+
+    @property
     def score(self) -> float:
         """Score of the checks, or its mean with the critic's; 0 to 1, and -1 without a tree."""
         if self.tree is None:
             return -1.0
-        own = check_score(self.tree, self.checks)
+        own = check_score(self.tree, self.standing)
         return own if self.verdict is None else (own + self.verdict.score) / 2
 
     @property
@@ -53,11 +64,11 @@ class SceneAttempt:
         if self.tree is None:
             return (self.broken,)
         disliked = self.verdict is not None and self.verdict.lowest < ACCEPT
-        if not disliked and not any(issue.severity == "error" for issue in self.checks):
+        if not disliked and not any(issue.severity == "error" for issue in self.standing):
             return ()
         faults = () if self.verdict is None else self.verdict.faults
         return (
-            *(issue.phrase() for issue in self.checks),
+            *(issue.phrase() for issue in self.standing),
             *(f"{fault.node or 'scene'}: {fault.what} {fault.correction}" for fault in faults),
         )
 
@@ -67,6 +78,8 @@ class Parsed:
     """The result of Step 1."""
 
     tree: SceneTree
+    answered: SceneTree
+    """The same before the fit."""
     picture: bytes
     """The parse drawn on the photo, PNG."""
     rounds: tuple[SceneAttempt, ...]
@@ -78,7 +91,7 @@ class Parsed:
     @property
     def checks(self) -> tuple[SceneIssue, ...]:
         """Issues that remain in `tree`."""
-        return self.rounds[self.kept].checks
+        return self.rounds[self.kept].standing
 
     @property
     def fit(self) -> FitReport | None:
@@ -109,7 +122,7 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
 
     Args:
         photo: the photograph.
-        models: answer as reasoner and critic.
+        models: reasoner and critic.
         options: number of rounds, and whether to fit.
 
     Raises:
@@ -121,16 +134,17 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
     async def criticise(attempt: SceneAttempt) -> SceneAttempt:
         if attempt.tree is None:
             return attempt
-        # 2D boxes alone, which no fit moves: the picture is the same on every machine.
+        # Only 2D boxes, which the fit does not move, so every machine draws the same picture.
         drawn = draw_parse(photo, attempt.tree)
-        request = judge_request(photo, attempt.answer, drawn)
+        findings = [issue.phrase() for issue in attempt.checks]
+        request = judge_request(photo, attempt.answer, drawn, findings)
         verdict = await ask_or_record(models, request, "no judge round", fallbacks)
         return replace(attempt, verdict=verdict)
 
     async def correct(attempts: Sequence[SceneAttempt]) -> SceneAttempt | None:
         last = attempts[-1]
         request = parse_request(photo, last.answer, last.corrections)
-        answer = await ask_or_record(models, request, "no mend round", fallbacks)
+        answer = await ask_or_record(models, request, "no repair round", fallbacks)
         return None if answer is None or answer == last.answer else await _checked(photo, answer, o)
 
     first = (await models.ask(parse_request(photo))).value
@@ -142,20 +156,20 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
         criticise=criticise,
     )
     kept = max(range(len(attempts)), key=lambda number: attempts[number].score)
-    tree = attempts[kept].tree
-    if tree is None:
+    tree, answered = attempts[kept].tree, attempts[kept].answered
+    if tree is None or answered is None:
         raise ModelError(f"no answer of {len(attempts)} gave a scene: {attempts[kept].broken}")
     drawn = await asyncio.to_thread(draw_parse, photo, tree, solid=True)
-    return Parsed(tree, drawn.data, tuple(attempts), kept, tuple(fallbacks))
+    return Parsed(tree, answered, drawn.data, tuple(attempts), kept, tuple(fallbacks))
 
 
 async def _checked(photo: Photo, answer: SceneSeen, options: ParseOptions) -> SceneAttempt:
     """Fit an answer to its 2D boxes and check it."""
     try:
-        tree = to_tree(answer, photo)
+        answered = tree = to_tree(answer, photo)
     except SpecError as error:
-        return SceneAttempt(answer, None, str(error))
+        return SceneAttempt(answer, None, None, str(error))
     report = None
     if options.fit:
         tree, report = await asyncio.to_thread(fit_tree, tree)
-    return SceneAttempt(answer, tree, checks=check_tree(tree), fit=report)
+    return SceneAttempt(answer, tree, answered, checks=check_tree(tree), fit=report)

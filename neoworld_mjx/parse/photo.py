@@ -1,16 +1,14 @@
-"""Loading of photographs: every format that Pillow decodes becomes upright 8-bit RGB.
+"""Load photographs: every format that Pillow decodes becomes upright 8-bit RGB.
 
 The picture is rotated by its EXIF data, laid on white where it is transparent, converted to 8-bit
-RGB, and shrunk to the size that models are shown. Pixel coordinates elsewhere are those of the
-upright original; `Photo.scale` leads from them to the shown picture. Embedded colour profiles are
-not applied, so that the same file gives the same pixels everywhere.
+RGB, and shrunk or enlarged to the size that models are shown. Pixel coordinates elsewhere are
+those of the upright original; `Photo.scale` leads from them to the shown picture. Embedded colour
+profiles are not applied, so that the same file gives the same pixels everywhere.
 
 Files that could exhaust the memory are refused by their header, before a pixel is decoded.
 """
 
 import hashlib
-import io
-import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,14 +17,11 @@ from jaxtyping import UInt8
 from PIL import Image, ImageOps
 
 from ..errors import PhotoError
+from ..files import MIB, read_bytes
+from ..reading import bounds_of_files, open_picture
+from .enlarge import enlarged
 
-MAX_PIXELS = 2**27
-"""134 megapixels, 400 MB as RGB: above the largest common phone picture of 108 megapixels."""
-MAX_BYTES = 2**29
 MIN_SIDE_PX = 16
-
-_REFUSED_FORMATS = frozenset({"EPS", "MPEG", "BUFR", "GRIB", "HDF5", "WMF"})
-"""EPS would run Ghostscript on the file; of the others Pillow reads the header alone."""
 
 
 @dataclass(frozen=True)
@@ -48,20 +43,22 @@ class Photo:
 
     @property
     def scale(self) -> float:
-        """Shown over original pixels, at most 1."""
+        """Shown over original pixels; above 1 for a small photo that is shown enlarged."""
         return max(self.size) / max(self.original_size)
 
 
-def load_photo(path: Path, max_side_px: int = 1568) -> Photo:
-    """Read a photograph; of an animation or a stack of pages the first.
+def load_photo(path: Path, max_side_px: int = 1568, min_side_px: int = 1) -> Photo:
+    """Read a photograph; of an animation or several pages, the first image.
 
     Args:
-        path: the file, in any raster format that Pillow decodes itself.
-        max_side_px: the shown picture's longer side is at most this, in pixels.
+        path: the file, in one of `reading.PICTURE_FORMATS`.
+        max_side_px: largest length of the shown picture's longer side, in pixels.
+        min_side_px: length that a shorter picture's longer side is enlarged to at least, by a
+            whole factor that keeps it within `max_side_px`.
 
     Raises:
         PhotoError: the file is missing, no picture, damaged, too small (under 16 pixels a side),
-            or too large (over 134 megapixels or 512 MiB).
+            or larger than `files` of the configuration allows.
     """
     path = Path(path)
     data = _read(path)
@@ -69,17 +66,18 @@ def load_photo(path: Path, max_side_px: int = 1568) -> Photo:
     original = image.size
     longest = max(original)
     if longest > max_side_px:
-        shown = (
+        size = (
             max(1, round(original[0] * max_side_px / longest)),
             max(1, round(original[1] * max_side_px / longest)),
         )
-        if min(shown) < MIN_SIDE_PX:
+        if min(size) < MIN_SIDE_PX:
             raise PhotoError(
                 f"{path}: {original[0]} x {original[1]} pixels is too long and narrow: shrunk to "
                 f"{max_side_px} pixels its short side is under {MIN_SIDE_PX}; crop it"
             )
-        image = image.resize(shown, Image.Resampling.LANCZOS)
-    rgb = np.array(image)
+        image = image.resize(size, Image.Resampling.LANCZOS)
+    factor = max(1, max_side_px // max(image.size))
+    rgb = enlarged(np.array(image), min_side_px, factor)
     rgb.flags.writeable = False
     return Photo(rgb, original, hashlib.sha256(data).hexdigest(), path)
 
@@ -90,62 +88,24 @@ def _read(path: Path) -> bytes:
             raise PhotoError(f"{path} is a folder; give the file of one photograph")
         if not path.exists():
             raise PhotoError(f"{path}: no such file; check the path of the photograph")
-        if not path.is_file():
-            raise PhotoError(f"{path} is no regular file; give the file of one photograph")
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise PhotoError(
-                f"{path} has {size / 2**20:.0f} MiB, at most {MAX_BYTES // 2**20} are read; "
-                f"save a smaller copy"
-            )
-        return path.read_bytes()
+        return read_bytes(path, bounds_of_files().max_picture_mib * MIB)
     except OSError as error:
-        raise PhotoError(f"cannot read {path}: {error.strerror}") from None
+        raise PhotoError(
+            f"cannot read {path}: {error.strerror}; give the file of one photograph"
+        ) from None
 
 
 def _decode(path: Path, data: bytes) -> Image.Image:
     """Return the picture upright, in mode RGB, at full size."""
-    Image.init()
-    formats = sorted(set(Image.OPEN) - _REFUSED_FORMATS)
-    try:
-        with warnings.catch_warnings():
-            # Pillow warns of large pictures, for which the limit below decides.
-            warnings.simplefilter("ignore")
-            with Image.open(io.BytesIO(data), formats=formats) as image:
-                _check_size(path, image.size)
-                image.load()
-                return _to_rgb(_upright(image))
-    except PhotoError:
-        raise
-    except Image.UnidentifiedImageError:
-        raise PhotoError(
-            f"{path} is no picture that can be read, whatever its name says; save it as PNG or JPEG"
-        ) from None
-    except Image.DecompressionBombError:
-        raise PhotoError(_too_large(path, "over 179")) from None
-    except MemoryError:
-        raise PhotoError(f"{path} does not fit into memory; save a smaller copy") from None
-    except Exception as error:
-        # Decoders raise nearly anything on damaged data: OSError, SyntaxError, struct.error, ...
-        raise PhotoError(
-            f"{path} is damaged or cut off ({error}); get the file again, or save it anew as PNG"
-        ) from None
-
-
-def _check_size(path: Path, size: tuple[int, int]) -> None:
-    width, height = size
-    if width * height > MAX_PIXELS:
-        raise PhotoError(_too_large(path, f"{width} x {height} pixels, {width * height / 1e6:.0f}"))
-    if min(size) < MIN_SIDE_PX:
-        raise PhotoError(
-            f"{path}: {width} x {height} pixels is too small; "
-            f"at least {MIN_SIDE_PX} pixels a side are needed"
-        )
-
-
-def _too_large(path: Path, megapixels: str) -> str:
-    limit = MAX_PIXELS / 1e6
-    return f"{path}: {megapixels} megapixels, at most {limit:.0f} are read; save a smaller copy"
+    with open_picture(data, str(path), PhotoError) as image:
+        width, height = image.size
+        if min(image.size) < MIN_SIDE_PX:
+            raise PhotoError(
+                f"{path}: {width} x {height} pixels is too small; "
+                f"at least {MIN_SIDE_PX} pixels a side are needed"
+            )
+        image.load()
+        return _to_rgb(_upright(image))
 
 
 def _upright(image: Image.Image) -> Image.Image:

@@ -5,6 +5,9 @@ category of an object gives the shape that it fills of its 3D box: the box itsel
 cylinder, a ball, ..., or something between box and cylinder if the category is unknown.
 """
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
@@ -26,6 +29,7 @@ BOX_POINTS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z
 _WIDE = np.column_stack([_RIM, np.ones(len(_RIM))])
 ROUND_POINTS = np.concatenate([_WIDE, _WIDE * [1, 1, 0]])
 TAPERED_POINTS = np.concatenate([_WIDE, _WIDE * [0.65, 0.65, 0]])
+_NARROW = np.concatenate([_WIDE, _WIDE * [0.4, 0.4, 0]])
 BALL_POINTS = np.array(
     [
         [x * np.cos(up), y * np.cos(up), 0.5 + np.sin(up) / 2]
@@ -71,6 +75,35 @@ def outline_points(node: TreeNode) -> tuple[Float[np.ndarray, "n 3"], float]:
     return points.get(outline, TAPERED_POINTS), 0.5 if outline in ("loose", "spoon") else 0.0
 
 
+class Silhouette(NamedTuple):
+    """Points between whose extents the extent of an object's true shape lies.
+
+    They are in the frame of `Box3D`; those of a category in a box of size 1.
+    """
+
+    inner: Float[np.ndarray, "a 3"]
+    outer: Float[np.ndarray, "b 3"]
+    lowest: Float[np.ndarray, "c 3"]
+    """Points of which the lowest is at the box's height."""
+    round: bool = False
+    """Whether no heading can be read off the silhouette."""
+
+
+def silhouette_of(node: TreeNode) -> Silhouette:
+    """Return the smallest and the largest silhouette that things of a node's category have."""
+    points, weight = outline_points(node)
+    outline = outline_of(node)
+    if outline == "tapered":
+        return Silhouette(_NARROW, ROUND_POINTS, BOX_POINTS, True)
+    outer = BOX_POINTS if weight > 0 else points
+    inner = BOX_POINTS if weight == 1 else points
+    if weight < 1 and not np.allclose(node.base_tilt, IDENTITY):
+        # Where a neck or a foot ends shows once a thing lies.
+        inner = BALL_POINTS
+    # A cylinder in a box that is not square shows its heading, but hardly.
+    return Silhouette(inner, outer, BOX_POINTS, outline in ("round", "ball"))
+
+
 def expected_box(camera: Camera, node: TreeNode) -> Float[np.ndarray, "4"] | None:
     """Return the box in pixels (x0, y0, x1, y1) of a node's outline without occluders.
 
@@ -78,6 +111,8 @@ def expected_box(camera: Camera, node: TreeNode) -> Float[np.ndarray, "4"] | Non
         None if the node is outside the picture.
     """
     box = node.box3d
+    if node.outline.shape != "rectangle":
+        return _outlined_box(camera, node)
     whole = visible_box(camera, box.corners(node.base_tilt))
     points, weight = outline_points(node)
     if whole is None or weight == 1 or node.environment:
@@ -125,17 +160,30 @@ def edges_in_view(
     return lines
 
 
-def visible_box(camera: Camera, corners: Float[np.ndarray, "8 3"]) -> Float[np.ndarray, "4"] | None:
-    """Return the box in pixels (x0, y0, x1, y1) of the visible part of a 3D box.
+def _outlined_box(camera: Camera, node: TreeNode) -> Float[np.ndarray, "4"] | None:
+    """Return the box in pixels of a support that does not fill its 3D box."""
+    flat = node.outline.corners()
+    n = len(flat)
+    ends = np.vstack([np.column_stack([flat, np.full(n, z)]) for z in (0.0, 1.0)])
+    sides = [(i, (i + 1) % n, n + (i + 1) % n, n + i) for i in range(n)]
+    faces = [tuple(range(n)), tuple(range(n, 2 * n)), *sides]
+    return visible_box(camera, to_world(ends, node.box3d, node.base_tilt), faces)
 
-    The box's faces are clipped at the near plane and at the picture's edges.
+
+def visible_box(
+    camera: Camera, corners: Float[np.ndarray, "n 3"], faces: Sequence[tuple[int, ...]] = _FACES
+) -> Float[np.ndarray, "4"] | None:
+    """Return the box in pixels (x0, y0, x1, y1) of the visible part of a 3D box, or another solid.
+
+    Its faces are clipped at the near plane and at the picture's edges.
 
     Args:
         camera: the camera.
-        corners: corners of the box [m], in the order of `Box3D.corners`.
+        corners: corners of the solid [m]; of a box in the order of `Box3D.corners`.
+        faces: indices of each face's corners in order around it; by default those of a box.
 
     Returns:
-        None if the box is outside the picture.
+        None if the solid is outside the picture.
     """
     local = (corners - camera.position()) @ camera.axes()
     near = np.array([0.0, 0.0, 1.0, -NEAR_M])
@@ -146,7 +194,7 @@ def visible_box(camera: Camera, corners: Float[np.ndarray, "8 3"]) -> Float[np.n
         np.array([0.0, -1.0, 0.0, camera.height_px]),
     ]
     clipped = []
-    for face in _FACES:
+    for face in faces:
         polygon = _clip(local[list(face)], near)
         if len(polygon) == 0:
             continue
@@ -172,12 +220,12 @@ def _clip(
     if len(polygon) == 0:
         return polygon
     height = polygon @ plane[:3] + plane[3]
-    kept = []
+    clipped = []
     for k in range(len(polygon)):
         j = (k + 1) % len(polygon)
         if height[k] >= 0:
-            kept.append(polygon[k])
+            clipped.append(polygon[k])
         if (height[k] >= 0) != (height[j] >= 0):
             share = height[k] / (height[k] - height[j])
-            kept.append(polygon[k] + share * (polygon[j] - polygon[k]))
-    return np.array(kept).reshape(-1, 3)
+            clipped.append(polygon[k] + share * (polygon[j] - polygon[k]))
+    return np.array(clipped).reshape(-1, 3)

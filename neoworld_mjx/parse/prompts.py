@@ -21,7 +21,11 @@ MEND = (
 )
 JUDGE = (
     "The photograph has {width} x {height} pixels. The parse lists {count} objects:"
-    "\n\n{listing}\n\nJudge it."
+    "\n\n{listing}\n\n{findings}Judge it."
+)
+FINDINGS = (
+    "Checks of its numbers found this. They know boxes alone, not shapes:\n\n{lines}\n\n"
+    "Put into `dismissed` the numbers of those that the photograph shows to be no fault.\n\n"
 )
 
 
@@ -48,6 +52,11 @@ class SceneCritique(BaseModel):
     boxes: float = Field(description="Tightness of the boxes, 0 to 10.")
     completeness: float = Field(description="0 to 10.")
     hierarchy: float = Field(description="Carriers, relations, hidden and moving parts, 0 to 10.")
+    dismissed: list[int] = Field(
+        default_factory=list,
+        description="Numbers of the findings that you were given and that the photograph shows to "
+        "be no fault; empty if there are none.",
+    )
 
     @property
     def score(self) -> float:
@@ -89,15 +98,29 @@ def parse_request(
     )
 
 
-def judge_request(photo: Photo, answer: SceneSeen, drawn: Picture) -> Request[SceneCritique]:
-    """Return the request to the critic about an answer, drawn on the photo."""
+def judge_request(
+    photo: Photo, answer: SceneSeen, drawn: Picture, findings: Sequence[str] = ()
+) -> Request[SceneCritique]:
+    """Return the request to the critic about an answer.
+
+    Args:
+        photo: the photograph.
+        answer: the answer.
+        drawn: the answer drawn on the photograph.
+        findings: of the checks, one line each; the critic may dismiss them by number, from 1 on.
+    """
     width, height = photo.size
+    lines = "\n".join(f"{number}. {line}" for number, line in enumerate(findings, start=1))
     return Request(
         role="critic",
         name="parse:judge",
         system=package_text(__package__, "critic"),
         prompt=JUDGE.format(
-            width=width, height=height, count=len(answer.objects), listing=listing(answer)
+            width=width,
+            height=height,
+            count=len(answer.objects),
+            listing=listing(answer),
+            findings=FINDINGS.format(lines=lines) if findings else "",
         ),
         schema=SceneCritique,
         pictures=[Picture.of("photo", photo.rgb), drawn],
@@ -107,23 +130,23 @@ def judge_request(photo: Photo, answer: SceneSeen, drawn: Picture) -> Request[Sc
 def listing(answer: SceneSeen) -> str:
     """List an answer's objects for the critic, one per line."""
     lines = []
-    for item in answer.objects:
-        box = item.box
-        place = "no carrier" if item.parent is None else f"{item.relation} {item.parent}"
-        if item.parent_link is not None:
-            place += f" ({item.parent_link})"
+    for obj in answer.objects:
+        box = obj.box
+        place = "no carrier" if obj.parent is None else f"{obj.relation} {obj.parent}"
+        if obj.parent_link is not None:
+            place += f" ({obj.parent_link})"
         phrases = [
-            f"{item.name} ({item.label}): {place}",
+            f"{obj.name} ({obj.label}): {place}",
             f"box {box.left:.0f} {box.top:.0f} {box.right:.0f} {box.bottom:.0f}",
         ]
-        if item.environment:
-            phrases.append("environment")
-        if item.fixed_base:
+        if obj.environment:
+            phrases.append("environment, built" if obj.furniture else "environment")
+        if obj.fixed_base:
             phrases.append("fixed")
-        if item.occluded or item.occluded_by:
-            occluders = ", ".join(item.occluded_by) or "the picture's edge"
+        if obj.occluded or obj.occluded_by:
+            occluders = ", ".join(obj.occluded_by) or "the picture's edge"
             phrases.append(f"partly hidden by {occluders}")
-        for part in item.articulation:
+        for part in obj.articulation:
             phrases.append(f"{part.part} {part.motion} {part.opening:.0%} open")
         lines.append("- " + "; ".join(phrases))
     return "\n".join(lines)

@@ -9,20 +9,39 @@ these very ones.
 """
 
 import math
-import re
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from ..errors import SpecError
-from ..spec import Box2D, Box3D, Camera, PartState, Quat, SceneTree, TreeNode
+from ..names import MAX_NAME, NAME_RULE, is_name, plain_text
+from ..spec import Box2D, Box3D, Camera, Cues, PartState, Quat, SceneTree, TreeNode
 from ..spec.pose import IDENTITY, from_axis_angle, from_yaw, rotate
 from ..spec.tree import Relation
+from .answer_bounds import out_of_bounds, too_long
 from .photo import Photo
+from .room_schema import (
+    AnswerPart,
+    OutlineSeen,
+    SurfaceSeen,
+    phrase,
+    support_outline,
+    support_problems,
+    support_surface,
+)
 
-_NAME = re.compile(r"^[A-Za-z][A-Za-z0-9_]{0,47}$")
+MAX_LABEL, MAX_DESCRIPTION = 100, 4000
+_EDGE_AXES: dict[str, Literal["x", "y", "z"]] = {"length": "x", "width": "y", "height": "z"}
+"""Axis of the object's frame along each edge of `size`."""
+_CameraNumber = Literal["pitch", "height", "fovy", "roll"]
+_CAMERA_NAMES: dict[str, _CameraNumber] = {
+    "pitch_deg": "pitch",
+    "height": "height",
+    "fovy_deg": "fovy",
+    "roll_deg": "roll",
+}
 _TOWARDS = {
     "forward": (0.0, 1.0, 0.0),
     "backward": (0.0, -1.0, 0.0),
@@ -32,11 +51,7 @@ _TOWARDS = {
 """Axis, in the object's frame, of the rotation that moves its top in that direction."""
 
 
-class _Answer(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-class CameraSeen(_Answer):
+class CameraSeen(AnswerPart):
     """The camera that took the picture."""
 
     pitch_deg: float = Field(
@@ -49,9 +64,14 @@ class CameraSeen(_Answer):
         description="How far the camera is turned clockwise, so that the picture turns "
         "anticlockwise; 0 if verticals are upright [degrees].",
     )
+    measured: list[Literal["pitch_deg", "height", "fovy_deg", "roll_deg"]] = Field(
+        default_factory=list,
+        description="Which of these numbers you measured in the picture, from vanishing points, "
+        "ellipses or several known sizes; the others count as guesses.",
+    )
 
 
-class BoxSeen(_Answer):
+class BoxSeen(AnswerPart):
     """Tight box around the visible pixels, in pixels of the picture shown."""
 
     left: float
@@ -60,7 +80,7 @@ class BoxSeen(_Answer):
     bottom: float
 
 
-class PositionSeen(_Answer):
+class PositionSeen(AnswerPart):
     """The middle of the object's footprint, at the height of its lowest point [m]."""
 
     x: float = Field(description="Ahead of the camera.")
@@ -68,7 +88,7 @@ class PositionSeen(_Answer):
     z: float = Field(description="Of the object's lowest point.")
 
 
-class SizeSeen(_Answer):
+class SizeSeen(AnswerPart):
     """Outer size of the whole object, hidden parts included, open parts as they stand [m]."""
 
     length: float = Field(description="Along the object's own x axis: from its back to its front.")
@@ -76,7 +96,7 @@ class SizeSeen(_Answer):
     height: float = Field(description="Along its own z axis.")
 
 
-class TiltSeen(_Answer):
+class TiltSeen(AnswerPart):
     """How the object is tipped from its usual upright pose."""
 
     towards: Literal["forward", "backward", "left", "right"] = Field(
@@ -85,7 +105,24 @@ class TiltSeen(_Answer):
     degrees: float = Field(description="90 lies, 180 is upside down.")
 
 
-class PartSeen(_Answer):
+class PixelSeen(AnswerPart):
+    """A pixel of the picture shown."""
+
+    u: float = Field(description="To the right.")
+    v: float = Field(description="Down.")
+
+
+class DoubtSeen(AnswerPart):
+    """How far off your numbers may be: the truth is within this in two cases of three."""
+
+    position: float | None = Field(default=None, description="Of `position`, over the ground [m].")
+    size: float | None = Field(
+        default=None, description="Of `size`, as a share of it: 0.1 is ten per cent."
+    )
+    yaw_deg: float | None = Field(default=None, description="Of `yaw_deg` [degrees].")
+
+
+class PartSeen(AnswerPart):
     """A part that can move, and how it stands in the picture."""
 
     part: str = Field(description="Name, such as drawer_top, door, lid.")
@@ -96,7 +133,7 @@ class PartSeen(_Answer):
     opening: float = Field(default=0.0, description="0 closed, 1 fully open.")
 
 
-class ObjectSeen(_Answer):
+class ObjectSeen(AnswerPart):
     """One object, or one support of the environment."""
 
     name: str = Field(description="Unique; letters, digits and underscores, a letter first.")
@@ -145,9 +182,44 @@ class ObjectSeen(_Answer):
     articulation: list[PartSeen] = Field(
         default_factory=list, description="Every part that can move, closed ones too."
     )
+    held_by: str | None = Field(
+        default=None,
+        description="Only for `attached`. null: it is fastened and stays (screwed, nailed, glued, "
+        "hung up for good). Else what holds it although it may come off, such as the hook that "
+        "its loop hangs over; then it stays only if its shape and that of its parent hold it.",
+    )
+    contact: PixelSeen | None = Field(
+        default=None,
+        description="The pixel at which it touches what carries it; of several the one nearest to "
+        "the camera, so the lowest in the picture. null if no point of contact can be seen.",
+    )
+    cut_sides: list[Literal["left", "top", "right", "bottom"]] | None = Field(
+        default=None,
+        description="Sides of `box` at which the object goes on, hidden by another thing or cut "
+        "off by the picture's edge. [] if its own outline is seen on all four; null if unknown.",
+    )
+    known_size: list[Literal["length", "width", "height"]] = Field(
+        default_factory=list,
+        description="Edges of `size` that such things always have (a soda can is 12.2 cm high, "
+        "A4 paper 29.7 cm long), not judged from this picture.",
+    )
+    doubt: DoubtSeen | None = Field(
+        default=None, description="How sure the numbers are; null if you cannot tell."
+    )
+    outline: OutlineSeen | None = Field(
+        default=None,
+        description="Only for environment supports: their shape seen from above; null if it is a "
+        "rectangle.",
+    )
+    surface: SurfaceSeen | None = Field(
+        default=None, description="Only for environment supports: material, pattern and colour."
+    )
+    furniture: bool = Field(
+        default=False, description="Only for environment supports: built from the picture."
+    )
 
 
-class SceneSeen(_Answer):
+class SceneSeen(AnswerPart):
     """The scene in the photograph."""
 
     observations: str = Field(
@@ -167,7 +239,7 @@ class SceneSeen(_Answer):
             # These checks do not depend on the size of the picture.
             _tree(self, (1.0, 1.0), (1, 1), clip=False)
         except ValidationError as error:
-            raise ValueError(_phrase(error)) from None
+            raise ValueError(phrase(error)) from None
         return self
 
 
@@ -184,23 +256,23 @@ def to_tree(answer: SceneSeen, photo: Photo) -> SceneTree:
         SpecError: a box lies outside the picture, or the tree is invalid; the message is written
             for the author of the answer.
     """
-    shown, original = photo.size, photo.original_size
+    size, original = photo.size, photo.original_size
     outside = [
-        f"object {item.name}: box {_corners(item.box)} lies outside the picture, which is "
-        f"{shown[0]} x {shown[1]} pixels"
-        for item in answer.objects
-        if item.box.left >= shown[0]
-        or item.box.top >= shown[1]
-        or item.box.right <= 0
-        or item.box.bottom <= 0
+        f"object {obj.name}: box {_corners(obj.box)} lies outside the picture, which is "
+        f"{size[0]} x {size[1]} pixels"
+        for obj in answer.objects
+        if obj.box.left >= size[0]
+        or obj.box.top >= size[1]
+        or obj.box.right <= 0
+        or obj.box.bottom <= 0
     ]
     if outside:
         raise SpecError("; ".join(outside))
-    per_pixel = (original[0] / shown[0], original[1] / shown[1])
+    per_pixel = (original[0] / size[0], original[1] / size[1])
     try:
         return _tree(answer, per_pixel, original, clip=True)
     except ValidationError as error:
-        raise SpecError(_phrase(error)) from None
+        raise SpecError(phrase(error)) from None
 
 
 def tilt_quat(tilt: TiltSeen | None) -> Quat:
@@ -223,50 +295,59 @@ def base_offset(size: Float[np.ndarray, "3"], yaw: float, tilt: Quat) -> Float[n
 
 def _problems(answer: SceneSeen) -> list[str]:
     """List the errors that the tree's own validation would not report clearly."""
-    problems = []
+    problems = list(too_long(answer))
+    if problems:
+        return problems[:1]  # The others would be errors about each of the things.
     if not answer.objects:
         problems.append("objects is empty: list at least what carries the rest")
-    names = [item.name for item in answer.objects]
-    for item in answer.objects:
-        where = f"object {item.name}"
-        if not _NAME.match(item.name):
-            problems.append(f"{where}: a name has letters, digits and underscores, at most 48")
-        if item.box.left >= item.box.right or item.box.top >= item.box.bottom:
+    names = [obj.name for obj in answer.objects]
+    problems.extend(_same_names(names))
+    problems.extend(out_of_bounds(answer))
+    for obj in answer.objects:
+        where = f"object {plain_text(obj.name, MAX_NAME)}"
+        if not is_name(obj.name):
+            problems.append(f"{where}: a name has {NAME_RULE}")
+        if obj.box.left >= obj.box.right or obj.box.top >= obj.box.bottom:
             problems.append(
-                f"{where}: box needs left < right and top < bottom, got {_corners(item.box)}"
+                f"{where}: box needs left < right and top < bottom, got {_corners(obj.box)}"
             )
-        for axis in ("length", "width", "height"):
-            if not getattr(item.size, axis) > 0:
-                problems.append(f"{where}: size.{axis} must be above 0")
-        others = [("parent", item.parent), *(("occluded_by", other) for other in item.occluded_by)]
+        others = [("parent", obj.parent), *(("occluded_by", other) for other in obj.occluded_by)]
         for field, other in others:
             if other is not None and other not in names:
                 problems.append(
-                    f"{where}: {field} {other!r} is no object; they are {', '.join(names)}"
+                    f"{where}: {field} {plain_text(other, MAX_NAME)!r} is no object; they are "
+                    f"{plain_text(', '.join(names), 2000)}"
                 )
-        for part in item.articulation:
-            if not _NAME.match(part.part):
+        for part in obj.articulation:
+            if not is_name(part.part):
                 problems.append(
-                    f"{where}: part {part.part!r} needs a name of letters, digits, underscores"
+                    f"{where}: part {plain_text(part.part, MAX_NAME)!r} needs a name of {NAME_RULE}"
                 )
-        problems.extend(_link_problems(item, answer))
-    camera = answer.camera
-    if not 1 <= camera.fovy_deg <= 170:
-        problems.append(f"camera: fovy_deg must lie in 1 .. 170, got {camera.fovy_deg:g}")
-    if not -90 <= camera.pitch_deg <= 90:
-        problems.append(f"camera: pitch_deg must lie in -90 .. 90, got {camera.pitch_deg:g}")
+        declared = (obj.environment, obj.furniture, obj.outline, obj.surface)
+        problems.extend(f"{where}: {problem}" for problem in support_problems(*declared))
+        problems.extend(_link_problems(obj, answer))
     return problems
 
 
-def _link_problems(item: ObjectSeen, answer: SceneSeen) -> list[str]:
-    parent = next((other for other in answer.objects if other.name == item.parent), None)
-    if item.parent_link is None or parent is None:
+def _same_names(names: list[str]) -> list[str]:
+    """Return an error for each name that another one differs from by case alone."""
+    spelled: dict[str, str] = {}
+    return [
+        f"object {plain_text(name, MAX_NAME)}: {spelled[name.lower()]} differs by case alone"
+        for name in names
+        if spelled.setdefault(name.lower(), name) != name
+    ]
+
+
+def _link_problems(obj: ObjectSeen, answer: SceneSeen) -> list[str]:
+    parent = next((other for other in answer.objects if other.name == obj.parent), None)
+    if obj.parent_link is None or parent is None:
         return []
     parts = [part.part for part in parent.articulation]
-    if item.parent_link in parts:
+    if obj.parent_link in parts:
         return []
     return [
-        f"object {item.name}: parent_link {item.parent_link!r} is not in the articulation of "
+        f"object {obj.name}: parent_link {obj.parent_link!r} is not in the articulation of "
         f"{parent.name}, which has {', '.join(parts) or 'no movable parts'}"
     ]
 
@@ -282,55 +363,68 @@ def _tree(
         pitch=math.radians(answer.camera.pitch_deg),
         roll=math.radians(answer.camera.roll_deg),
     )
-    nodes = tuple(_node(item, per_pixel, size if clip else None) for item in answer.objects)
-    return SceneTree(camera=camera, nodes=nodes)
+    nodes = tuple(_node(obj, per_pixel, size if clip else None) for obj in answer.objects)
+    names = dict.fromkeys(answer.camera.measured)
+    measured: list[_CameraNumber] = [_CAMERA_NAMES[name] for name in names]
+    return SceneTree(camera=camera, camera_measured=tuple(measured), nodes=nodes)
 
 
 def _node(
-    item: ObjectSeen, per_pixel: tuple[float, float], size: tuple[int, int] | None
+    obj: ObjectSeen, per_pixel: tuple[float, float], size: tuple[int, int] | None
 ) -> TreeNode:
-    x0, y0, x1, y1 = _corners(item.box)
+    x0, y0, x1, y1 = _corners(obj.box)
     sx, sy = per_pixel
     pixels = [x0 * sx, y0 * sy, x1 * sx, y1 * sy]
     if size is not None:
         pixels = [float(np.clip(v, 0, size[i % 2])) for i, v in enumerate(pixels)]
     box2d = Box2D(x0=pixels[0], y0=pixels[1], x1=pixels[2], y1=pixels[3])
-    yaw, tilt = math.radians(item.yaw_deg), tilt_quat(item.tilt)
-    edges = np.array([item.size.length, item.size.width, item.size.height])
-    place = np.array([item.position.x, item.position.y]) + base_offset(edges, yaw, tilt)
+    yaw, tilt = math.radians(obj.yaw_deg), tilt_quat(obj.tilt)
+    edges = np.array([obj.size.length, obj.size.width, obj.size.height])
+    place = np.array([obj.position.x, obj.position.y]) + base_offset(edges, yaw, tilt)
     return TreeNode(
-        name=item.name,
-        label=item.label,
-        description=item.description,
-        parent=item.parent,
-        relation=item.relation,
-        parent_link=item.parent_link,
-        environment=item.environment,
-        fixed_base=item.fixed_base,
-        occluded=item.occluded or bool(item.occluded_by),
-        occluded_by=tuple(dict.fromkeys(item.occluded_by)),
+        name=obj.name,
+        label=plain_text(obj.label, MAX_LABEL),
+        description=plain_text(obj.description, MAX_DESCRIPTION),
+        parent=obj.parent,
+        relation=obj.relation,
+        parent_link=obj.parent_link,
+        environment=obj.environment,
+        fixed_base=obj.fixed_base,
+        occluded=obj.occluded or bool(obj.occluded_by),
+        occluded_by=tuple(dict.fromkeys(obj.occluded_by)),
         box2d=box2d,
         box3d=Box3D(
-            position=(float(place[0]), float(place[1]), item.position.z),
+            position=(float(place[0]), float(place[1]), obj.position.z),
             size=tuple(edges.tolist()),
             yaw=math.remainder(yaw, 2 * math.pi),
         ),
         base_tilt=tilt,
         articulation=tuple(
             PartState(part=part.part, type=part.motion, opening=part.opening)
-            for part in item.articulation
+            for part in obj.articulation
         ),
+        held_by=plain_text(obj.held_by or "", MAX_LABEL) or None,
+        cues=_cues(obj, per_pixel),
+        outline=support_outline(obj.outline),
+        surface=support_surface(obj.surface),
+        furniture=obj.furniture,
+    )
+
+
+def _cues(obj: ObjectSeen, per_pixel: tuple[float, float]) -> Cues:
+    doubt = obj.doubt or DoubtSeen()
+    contact = None
+    if obj.contact is not None:
+        contact = (obj.contact.u * per_pixel[0], obj.contact.v * per_pixel[1])
+    return Cues(
+        contact=contact,
+        cut_sides=None if obj.cut_sides is None else tuple(dict.fromkeys(obj.cut_sides)),
+        known_size=tuple(_EDGE_AXES[edge] for edge in dict.fromkeys(obj.known_size)),
+        position_sd=doubt.position,
+        size_sd=doubt.size,
+        yaw_sd=None if doubt.yaw_deg is None else math.radians(doubt.yaw_deg),
     )
 
 
 def _corners(box: BoxSeen) -> tuple[float, float, float, float]:
     return box.left, box.top, box.right, box.bottom
-
-
-def _phrase(error: ValidationError) -> str:
-    lines = []
-    for item in error.errors():
-        where = ".".join(str(step) for step in item["loc"])
-        message = item["msg"].removeprefix("Value error, ")
-        lines.append(f"{where}: {message}" if where else message)
-    return "; ".join(lines)

@@ -3,9 +3,10 @@
 D_pen is measured on these whatever engine rolls the scene out.
 """
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from neoworld_kernels import Colliders, PieceGroup
+from numpy.typing import NDArray
 
 from ..spec import Lathe, SceneObject, Shape
 from ..spec.convex import Piece, planes
@@ -48,17 +49,38 @@ def _group(rows: list[tuple[int, Piece, Pose, int]]) -> PieceGroup:
     most = max((len(f) for f in faces), default=0)
     table = np.zeros((len(rows), most, 4))
     table[..., 3] = 1e6
-    size = np.zeros((len(rows), 3))
+    size, extent = np.zeros((len(rows), 3)), np.zeros((len(rows), 2, 3))
     for k, (_, piece, _, repeats) in enumerate(rows):
         table[k, : len(faces[k])] = faces[k]
         size[k, : len(piece.size)] = piece.size
+        extent[k] = _extent(piece, repeats)
         if repeats > 1:
             size[k, 0] = repeats
-    f32 = lambda value, shape: jnp.asarray(np.array(value, np.float32).reshape(shape))
+    f32 = lambda value, shape: jax.device_put(np.array(value, np.float32).reshape(shape))
     return PieceGroup(
-        owner=jnp.asarray(np.array([owner for owner, _, _, _ in rows], np.int32)),
+        owner=jax.device_put(np.array([owner for owner, _, _, _ in rows], np.int32)),
         pos=f32([at.pos for _, _, at, _ in rows], (-1, 3)),
         rot=f32([matrix(at.quat) for _, _, at, _ in rows], (-1, 3, 3)),
         size=f32(size, (-1, 3)),
         planes=f32(table, (len(rows), most, 4)),
+        extent=f32(extent, (-1, 2, 3)),
     )
+
+
+def _extent(piece: Piece, repeats: int) -> NDArray:
+    """Return the bounding box of a piece, repeated about its z axis or not, in its own frame."""
+    s = np.asarray(piece.size, float)
+    if piece.kind == "mesh":
+        corners = np.asarray(piece.vertices, float)
+        if repeats > 1:
+            reach, z = np.hypot(corners[:, 0], corners[:, 1]).max(), corners[:, 2]
+            return np.array([[-reach, -reach, z.min()], [reach, reach, z.max()]])
+        return np.array([corners.min(axis=0), corners.max(axis=0)])
+    half = {
+        "box": s,
+        "ellipsoid": s,
+        "sphere": np.repeat(s[:1], 3),
+        "capsule": np.array([s[0], s[0], s[0] + s[1]]),
+        "cylinder": np.array([s[0], s[0], s[1]]),
+    }[piece.kind]
+    return np.array([-half, half])

@@ -24,7 +24,7 @@ def start_state(scene: SceneSpec, timestep: float = 0.002) -> tuple[mujoco.MjMod
 def object_of_geom(scene: SceneSpec, model: mujoco.MjModel) -> NDArray:
     """Return the object that owns each geom, -1 for none, shape [ngeom]."""
     names = [item.name for item in scene.objects]
-    owner = [model.body(b).name.split("/", 1)[0] for b in model.geom_bodyid]
+    owner = [model.body(b).name.split("-", 1)[0] for b in model.geom_bodyid]
     return np.array([names.index(name) if name in names else -1 for name in owner], int)
 
 
@@ -89,20 +89,26 @@ def snap_exactly(scene: SceneSpec, gap: float = 1e-4, rounds: int = 30) -> Scene
     A distance bounds how far an object can sink before it touches, so sinking by it never
     overshoots; where two objects overlap the upper one is raised until they do not.
     """
+    model, data = start_state(scene)
+    owner = object_of_geom(scene, model)
+    carried = np.eye(len(scene.objects), dtype=bool)
+    for index, item in enumerate(scene.objects):
+        if item.parent is not None:
+            carried[index] |= carried[scene.index(item.parent)]
+    objects = list(scene.objects)
     for index, item in enumerate(scene.objects):
         if item.parent is None or item.relation == "attached" or item.environment:
             continue
+        own = np.flatnonzero(owner == index)
+        support = np.flatnonzero(owner == scene.index(item.parent))
+        # What stands on it goes with it. Nothing turns, so geoms are moved and not compiled anew.
+        moved = np.flatnonzero((owner >= 0) & carried[owner, index])
+        height = item.z
         for _ in range(rounds):
-            model, data = start_state(scene)
-            owner = object_of_geom(scene, model)
-            own = np.flatnonzero(owner == index)
-            support = np.flatnonzero(owner == scene.index(str(item.parent)))
             distance = pair_distance(model, data, own, support, reach=0.02)
             if distance >= 0.02 or abs(distance - gap) < 5e-6:
                 break
-            step = gap - distance
-            item = item.model_copy(update={"z": item.z + step})
-            objects = list(scene.objects)
-            objects[index] = item
-            scene = scene.model_copy(update={"objects": tuple(objects)})
-    return scene
+            height += gap - distance
+            data.geom_xpos[moved, 2] += gap - distance
+        objects[index] = item.model_copy(update={"z": height})
+    return scene.model_copy(update={"objects": tuple(objects)})

@@ -7,15 +7,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ..spec import SceneObject, SceneSpec, bounds
 from ..spec.pose import pose, quat_mul, yaw_of
-from .support import NOTHING, Support, height_above, link_frame, nothing, support
-
-Either = Any
-"""JAX arrays, or NumPy arrays in double precision on the host."""
-
+from .support import NOTHING, Either, Support, height_above, link_frame, nothing, support
 
 SNAPPED = 8192
 """Objects of all candidates that are snapped at once; each takes about 30 KB meanwhile."""
@@ -37,8 +33,9 @@ class Layout(eqx.Module):
     @classmethod
     def zero(cls, pop: int, objects: int) -> "Layout":
         """Return `pop` copies of the composed scene."""
-        flat = jnp.zeros((pop, objects))
-        return cls(jnp.zeros((pop, objects, 2)), flat, flat)
+        # Made on the host, where zeros of another shape need no compilation.
+        zeros = lambda *shape: jax.device_put(np.zeros(shape, np.float32))
+        return cls(zeros(pop, objects, 2), zeros(pop, objects), zeros(pop, objects))
 
     def __getitem__(self, index: object) -> "Layout":
         """Take candidates along the leading axis."""
@@ -65,22 +62,25 @@ class Poses(eqx.Module):
 class Arrangement(NamedTuple):
     """What the placement of objects depends on, by object; see SceneObject.
 
-    StaticScene arrays are float64, so that engines in double precision get exact poses.
+    `arrange` gives NumPy arrays in double precision, so that engines may get exact poses; in a
+    `SceneArrays` they are on the device in single precision.
     """
 
-    xy: Float[np.ndarray, "object 2"]
-    z: Float[np.ndarray, " object"]
-    yaw: Float[np.ndarray, " object"]
-    tilt: Float[np.ndarray, "object 4"]
-    frame_pos: Float[np.ndarray, "object 3"]
+    xy: Float[Either, "object 2"]
+    z: Float[Either, " object"]
+    yaw: Float[Either, " object"]
+    tilt: Float[Either, "object 4"]
+    frame_pos: Float[Either, "object 3"]
     """Origin of the object's support frame in its parent's yaw frame, at the parent's size 1."""
-    frame_yaw: Float[np.ndarray, " object"]
-    parent: tuple[int, ...]
-    """Index of the parent; -1 for the world. Parents come before their children."""
-    snapped: tuple[bool, ...]
+    frame_yaw: Float[Either, " object"]
+    parent: Int[Either, " object"]
+    """Index of the parent; -1 for the world."""
+    ancestors: Float[Either, "object object"]
+    """1 at [i, j] where j carries i, directly or not, or is i itself; else 0."""
+    snapped: Bool[Either, " object"]
     support: Support
-    """Stacked over objects, on the device."""
-    gap: float
+    """Stacked over objects."""
+    gap: Float[Either, ""]
     """Clearance left under a snapped object [m]."""
 
 
@@ -94,14 +94,15 @@ def arrange(scene: SceneSpec, *, reach: float = 1 / 3, gap: float = 1e-4) -> Arr
             deviations.
         gap: clearance under snapped objects [m].
     """
-    frames = []
-    for item in scene.objects:
-        parent = None if item.parent is None else scene.object(item.parent)
-        frames.append(pose() if parent is None else link_frame(parent, item.parent_link))
-    snapped = tuple(
+    frames = [
+        pose() if o.parent is None else link_frame(scene.object(o.parent), o.parent_link)
+        for o in scene.objects
+    ]
+    parent = np.array([-1 if o.parent is None else scene.index(o.parent) for o in scene.objects])
+    snapped = [
         o.parent is not None and o.relation != "attached" and not o.environment
         for o in scene.objects
-    )
+    ]
     tables = []
     for item, snap in zip(scene.objects, snapped, strict=True):
         tables.append(support(scene, item, reach * diagonal(item) + 0.02) if snap else nothing())
@@ -112,11 +113,20 @@ def arrange(scene: SceneSpec, *, reach: float = 1 / 3, gap: float = 1e-4) -> Arr
         tilt=np.array([item.base_tilt for item in scene.objects], float),
         frame_pos=np.array([frame.pos for frame in frames]),
         frame_yaw=np.array([yaw_of(frame.quat) for frame in frames]),
-        parent=tuple(-1 if o.parent is None else scene.index(o.parent) for o in scene.objects),
-        snapped=snapped,
-        support=jax.tree.map(lambda *rows: jnp.stack(rows), *tables),
-        gap=gap,
+        parent=parent,
+        ancestors=_ancestors(parent),
+        snapped=np.array(snapped),
+        support=jax.tree.map(lambda *rows: np.stack(rows), *tables),
+        gap=np.float64(gap),
     )
+
+
+def _ancestors(parent: Int[np.ndarray, " object"]) -> Float[np.ndarray, "object object"]:
+    ancestors = np.eye(len(parent))
+    for i, p in enumerate(parent):  # parents come before their children
+        if p >= 0:
+            ancestors[i] += ancestors[p]
+    return ancestors
 
 
 def diagonal(item: SceneObject) -> float:
@@ -142,31 +152,33 @@ def heights(arrangement: Arrangement, layouts: Layout) -> Float[Array, "pop obje
     """Snap: the height [m] of every object's origin above its support frame."""
     a = arrangement
     size = jnp.exp(layouts.log_scale)
-    parent = np.array(a.parent)
-    carrier = jnp.where(parent >= 0, size[:, np.maximum(parent, 0)], 1.0)
+    carrier = _of_parent(a, size, 1.0, jnp)
     xy = (jnp.asarray(a.xy, jnp.float32) + layouts.xy) * carrier[..., None]
     yaw = jnp.asarray(a.yaw, jnp.float32) + layouts.yaw
+    tables = jax.tree.map(jnp.asarray, a.support)
     over_objects = jax.vmap(height_above, in_axes=(0, 0, 0, 0, 0))
     touch = _map_candidates(
-        lambda *candidate: over_objects(a.support, *candidate), xy, yaw, size, carrier
+        lambda *candidate: over_objects(tables, *candidate), xy, yaw, size, carrier
     )
-    snapped = np.array(a.snapped) & (touch > NOTHING / 2)
-    return jnp.where(snapped, touch + a.gap, jnp.asarray(a.z, jnp.float32) * carrier)
+    resting = jnp.asarray(a.snapped) & (touch > NOTHING / 2)
+    composed = jnp.asarray(a.z, jnp.float32) * carrier
+    return jnp.where(resting, touch + jnp.asarray(a.gap, jnp.float32), composed)
 
 
 def _map_candidates(one: Callable[..., Any], *candidates: Any) -> Any:
-    """Map a function over candidates [pop, object, ...], `SNAPPED` objects at once."""
+    """Map a function over candidates [pop, object, ...], about `SNAPPED` objects at once."""
     pop, objects = candidates[0].shape[:2]
-    rows = max(1, SNAPPED // objects)
-    if pop <= rows:
+    parts = -(-pop * objects // SNAPPED)
+    if parts <= 1:
         return jax.vmap(one)(*candidates)
-    return jax.lax.map(lambda row: one(*row), candidates, batch_size=rows)
+    # Equal parts: a remainder would be compiled by itself.
+    return jax.lax.map(lambda row: one(*row), candidates, batch_size=-(-pop // parts))
 
 
 def compose_poses(
     arrangement: Arrangement, layouts: Layout, height: Float[Either, "pop object"], xp: Any = jnp
 ) -> Poses:
-    """Chain parent frames from the root downwards.
+    """Chain support frames: an object is where the steps of all that carry it lead.
 
     Args:
         arrangement: the composed scene.
@@ -174,31 +186,42 @@ def compose_poses(
         height: snapped heights [m].
         xp: `jnp`, or `numpy` for double precision on the host.
     """
-    a = arrangement
+    a = arrangement if xp is np else _single(arrangement)
     size = xp.exp(layouts.log_scale)
-    pos: list[Any] = []
-    yaw: list[Any] = []
-    for i, p in enumerate(a.parent):
-        s = size[:, p, None] if p >= 0 else xp.ones_like(size[:, :1])
-        base = pos[p] if p >= 0 else xp.zeros_like(s)
-        heading = yaw[p] if p >= 0 else xp.zeros_like(size[:, 0])
-        frame = base + _turn(heading, xp.asarray(a.frame_pos[i]) * s, xp)
-        heading = heading + a.frame_yaw[i]
-        xy = (xp.asarray(a.xy[i]) + layouts.xy[:, i]) * s
-        local = xp.concatenate([xy, height[:, i, None]], axis=-1)
-        pos.append(frame + _turn(heading, local, xp))
-        yaw.append(heading + a.yaw[i] + layouts.yaw[:, i])
-    half = xp.stack(yaw, axis=1) / 2
+    carrier = _of_parent(a, size, 1.0, xp)[..., None]
+    heading = _over_ancestors(a, a.frame_yaw + a.yaw + layouts.yaw, xp)
+    under = _of_parent(a, heading, 0.0, xp)
+    local = xp.concatenate([(a.xy + layouts.xy) * carrier, height[..., None]], axis=-1)
+    step = _turn(under, a.frame_pos * carrier, xp) + _turn(under + a.frame_yaw, local, xp)
+    half = heading / 2
     zero = xp.zeros_like(half)
     turn = xp.stack([xp.cos(half), zero, zero, xp.sin(half)], axis=-1)
-    quat = quat_mul(turn, xp.asarray(a.tilt), xp)
-    return Poses(xp.stack(pos, axis=1), quat, size, height)
+    quat = quat_mul(turn, a.tilt, xp)
+    return Poses(_over_ancestors(a, step, xp), quat, size, height)
+
+
+def _single(arrangement: Arrangement) -> Arrangement:
+    tree = arrangement._replace(support=None)
+    single = lambda x: jnp.asarray(x, jnp.float32) if np.issubdtype(x.dtype, np.floating) else x
+    return jax.tree.map(single, tree)._replace(support=arrangement.support)
+
+
+def _of_parent(a: Arrangement, values: Any, world: float, xp: Any) -> Any:
+    """Return each parent's value [pop, object], or that of the world."""
+    return xp.where(a.parent >= 0, values[:, xp.maximum(a.parent, 0)], world)
+
+
+def _over_ancestors(a: Arrangement, values: Any, xp: Any) -> Any:
+    """Sum values [pop, object, ...] over each object and all that carry it."""
+    if xp is np:
+        return np.einsum("ij,pj...->pi...", a.ancestors, values)
+    return jnp.einsum("ij,pj...->pi...", a.ancestors, values, precision="highest")
 
 
 def _turn(yaw: Any, v: Any, xp: Any) -> Any:
     c, s = xp.cos(yaw), xp.sin(yaw)
-    x, y = c * v[:, 0] - s * v[:, 1], s * v[:, 0] + c * v[:, 1]
-    return xp.stack([x, y, v[:, 2]], axis=-1)
+    x, y = c * v[..., 0] - s * v[..., 1], s * v[..., 0] + c * v[..., 1]
+    return xp.stack([x, y, xp.broadcast_to(v[..., 2], x.shape)], axis=-1)
 
 
 def rotation(quat: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3 3"]:

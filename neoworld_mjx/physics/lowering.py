@@ -1,18 +1,12 @@
-"""Colliders for an engine that cannot collide cylinders and ellipsoids with boxes and meshes.
+"""Colliders for MJX's own collision, which cannot collide cylinders and ellipsoids with the rest.
 
-They become convex polyhedra, as far inside the true surface as outside of it. Only rollouts use
-these; D_pen and every measure see the canonical colliders.
+Exported files offer polyhedra in their place, as far inside the true surface as outside of it.
 """
-
-import dataclasses
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
-
-from .mjcf import to_mjspec
-from .model import SceneModel
 
 SIDES = 12
 """Of the prism that stands for a cylinder."""
@@ -23,20 +17,18 @@ _CYLINDER, _ELLIPSOID = (
 )
 
 
-def lowered(scene: SceneModel) -> SceneModel:
-    """Return the scene with its cylinders and ellipsoids as polyhedra; masses stay as they are."""
-    static = scene.static
-    spec = to_mjspec(scene.spec, timestep=float(static.mjm.opt.timestep))
+def lower_geoms(spec: mujoco.MjSpec) -> frozenset[str]:
+    """Replace the cylinders and ellipsoids that collide; return the names of their meshes."""
+    meshes = set()
     for geom in spec.geoms:
-        if int(geom.type) not in (_CYLINDER, _ELLIPSOID):
+        if int(geom.type) not in (_CYLINDER, _ELLIPSOID) or not geom.contype:
             continue
-        mesh = spec.add_mesh(name=f"{geom.name}/lowered")
+        mesh = spec.add_mesh(name=f"{geom.name}-lowered")
         mesh.uservert = polyhedron(int(geom.type), np.array(geom.size)).ravel()
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
         geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, mesh.name
-    mjm = spec.compile()
-    mjm.opt.disableflags = static.mjm.opt.disableflags
-    return dataclasses.replace(scene, static=dataclasses.replace(static, mjm=mjm))
+        meshes.add(mesh.name)
+    return frozenset(meshes)
 
 
 def polyhedron(kind: int, size: NDArray) -> NDArray:
@@ -68,3 +60,10 @@ def _ball() -> tuple[NDArray, float]:
     inner = float(np.abs(ConvexHull(points).equations[:, 3]).min())
     factor = 2 / (1 + inner)
     return points * factor, factor
+
+
+def polyhedron_error(kind: str, size: tuple[float, ...]) -> float:
+    """Return how far [m] the polyhedron that replaces a piece lies beside its surface, at most."""
+    if kind == "cylinder":
+        return (_prism_factor() - 1) * size[0]
+    return (_ball()[1] - 1) * max(size) if kind == "ellipsoid" else 0.0

@@ -2,9 +2,9 @@
 
 Names in the model, for an object `o`, part `p`, geom `g`, joint `j`:
 
-    body    o (the root part), o/p (every other part)      joint   o (free), o/j
-    geom    o/g/k (k-th convex piece), o/g/visual          mesh    the name of its geom
-    site    o/s                                            equality o/j (a mimic)
+    body    o (the root part), o-p (every other part)      joint   o (free), o-j
+    geom    o-g-k (k-th convex piece), o-g-visual          mesh    the name of its geom
+    site    o-s                                            equality o-j (a mimic)
     key     start (the scene's poses and joint states)     camera  photo
 
 A root body's frame is the object's frame; a child's frame has its origin at its joint's anchor and
@@ -17,6 +17,7 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
+from ..errors import SpecError
 from ..spec import (
     Camera,
     GeomSpec,
@@ -26,19 +27,21 @@ from ..spec import (
     SceneObject,
     SceneSpec,
     inertial,
+    is_too_light,
     joint_motion,
     joint_position,
     world_poses,
 )
 from ..spec.convex import Piece
 from ..spec.kinematics import welded
+from ..spec.mass import LEAST_KG, LEAST_KG_M2
 from ..spec.pose import Pose, pose
 
 COLLISION_GROUP, VISUAL_GROUP = 0, 1
 START = "start"
 """Name of the keyframe with the scene's poses and joint states."""
 
-_TYPES = {
+GEOM_TYPES = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
     "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
@@ -98,7 +101,7 @@ def joint_order(spec: ObjectSpec) -> list[JointSpec]:
 def body_name(item: SceneObject | ObjectSpec, part: str) -> str:
     """Return the name of the body that a part of an object becomes."""
     spec = item if isinstance(item, ObjectSpec) else item.spec
-    return item.name if part == spec.root else f"{item.name}/{part}"
+    return item.name if part == spec.root else f"{item.name}-{part}"
 
 
 def _add_camera(model: mujoco.MjSpec, camera: Camera) -> None:
@@ -129,13 +132,19 @@ def _add_object(model: mujoco.MjSpec, item: SceneObject, at: Pose, visual: bool)
         else:
             origin = np.array(joint.pos)
             body = bodies[joint.parent].add_body(
-                name=f"{item.name}/{part.name}", pos=origin - origins[joint.parent]
+                name=f"{item.name}-{part.name}", pos=origin - origins[joint.parent]
             )
             if joint.type != "fixed":
                 _add_joint(body, item.name, joint)
                 start += _coordinates(spec, joint, item.joint_state)
         bodies[part.name], origins[part.name] = body, origin
         mass = inertial(spec, part)
+        if is_too_light(mass):
+            raise SpecError(
+                f"object {item.name}: part {part.name} weighs {mass.mass:.3g} kg with a least "
+                f"moment of {min(mass.diagonal):.3g} kg m^2, too little to be simulated "
+                f"({LEAST_KG:g} kg, {LEAST_KG_M2:g} kg m^2): make it larger or denser"
+            )
         body.mass = mass.mass
         body.ipos = np.array(mass.pos) - origin
         body.iquat = mass.quat
@@ -144,7 +153,7 @@ def _add_object(model: mujoco.MjSpec, item: SceneObject, at: Pose, visual: bool)
         _add_geoms(model, body, item.name, spec, part, origin, visual)
         for site in spec.sites:
             if site.part == part.name:
-                body.add_site(name=f"{item.name}/{site.name}", pos=np.array(site.pos) - origin)
+                body.add_site(name=f"{item.name}-{site.name}", pos=np.array(site.pos) - origin)
     _add_mimics(model, item)
     _add_excludes(model, item)
     return [float(v) for v in start]
@@ -167,7 +176,7 @@ _JOINTS = {
 def _add_joint(body: mujoco.MjsBody, owner: str, joint: JointSpec) -> None:
     limited = joint.type in ("revolute", "prismatic") or (joint.type == "ball" and joint.upper > 0)
     added = body.add_joint(
-        name=f"{owner}/{joint.name}",
+        name=f"{owner}-{joint.name}",
         type=_JOINTS[joint.type],
         axis=joint.axis,
         limited=int(limited),
@@ -199,9 +208,9 @@ def _add_geoms(
             for k, piece in enumerate(geom.shape.pieces()):
                 at = geom.pose().then(pose(piece.pos, piece.quat))
                 added = body.add_geom(
-                    name=f"{owner}/{geom.name}/{k}",
+                    name=f"{owner}-{geom.name}-{k}",
                     group=COLLISION_GROUP,
-                    type=_TYPES[piece.kind],
+                    type=GEOM_TYPES[piece.kind],
                     size=piece.size,
                     pos=at.pos - origin,
                     quat=at.quat,
@@ -214,7 +223,7 @@ def _add_geoms(
                     _add_piece_mesh(model, added.name, piece)
                     added.meshname = added.name
         if visual and geom.role != "collision":
-            _add_visual(model, body, f"{owner}/{geom.name}/visual", geom, origin, look)
+            _add_visual(model, body, f"{owner}-{geom.name}-visual", geom, origin, look)
 
 
 def _add_piece_mesh(model: mujoco.MjSpec, name: str, piece: Piece) -> None:
@@ -243,7 +252,7 @@ def _add_visual(
     )
     primitive = geom.shape.primitive()
     if primitive is not None:
-        added.type = _TYPES[primitive.kind]
+        added.type = GEOM_TYPES[primitive.kind]
         added.size = primitive.size
         return
     vertices, faces = geom.shape.surface()
@@ -262,33 +271,38 @@ def _add_mimics(model: mujoco.MjSpec, item: SceneObject) -> None:
         if joint.mimic is None:
             continue
         tie = model.add_equality(
-            name=f"{item.name}/{joint.name}",
+            name=f"{item.name}-{joint.name}",
             type=mujoco.mjtEq.mjEQ_JOINT,
-            name1=f"{item.name}/{joint.name}",
+            name1=f"{item.name}-{joint.name}",
         )
         tie.data[:5] = [joint.mimic.offset, joint.mimic.multiplier, 0.0, 0.0, 0.0]
         # A leader that cannot move leaves the follower tied to a constant.
         if joints[joint.mimic.joint].type != "fixed":
-            tie.name2 = f"{item.name}/{joint.mimic.joint}"
+            tie.name2 = f"{item.name}-{joint.mimic.joint}"
 
 
 def _add_excludes(model: mujoco.MjSpec, item: SceneObject) -> None:
-    spec = item.spec
+    for a, b in excluded_pairs(item.spec):
+        one, two = body_name(item, a), body_name(item, b)
+        model.add_exclude(name=f"{one}:{two}", bodyname1=one, bodyname2=two)
+
+
+def excluded_pairs(spec: ObjectSpec) -> list[tuple[str, str]]:
+    """List the parts (one, other) that never collide: what is fixed to either side of a joint."""
     group = welded(spec)
+    pairs = []
     for joint in spec.joints:
         if joint.type == "fixed":
-            pairs = [(joint.parent, joint.child)]
-        else:
-            above, below = group[joint.parent], group[joint.child]
-            pairs = [
-                (a.name, b.name)
-                for a in spec.parts
-                for b in spec.parts
-                if group[a.name] == above and group[b.name] == below
-            ]
-        for a, b in pairs:
-            one, two = body_name(item, a), body_name(item, b)
-            model.add_exclude(name=f"{one}:{two}", bodyname1=one, bodyname2=two)
+            pairs.append((joint.parent, joint.child))
+            continue
+        above, below = group[joint.parent], group[joint.child]
+        pairs += [
+            (a.name, b.name)
+            for a in spec.parts
+            for b in spec.parts
+            if group[a.name] == above and group[b.name] == below
+        ]
+    return pairs
 
 
 def _depth_first(spec: ObjectSpec) -> Iterator[tuple[PartSpec, JointSpec | None]]:
@@ -304,4 +318,4 @@ def _depth_first(spec: ObjectSpec) -> Iterator[tuple[PartSpec, JointSpec | None]
     return visit(spec.root)
 
 
-__all__ = ["START", "body_name", "joint_order", "to_mjspec"]
+__all__ = ["START", "body_name", "excluded_pairs", "joint_order", "to_mjspec"]

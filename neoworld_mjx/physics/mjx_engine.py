@@ -1,12 +1,9 @@
-"""Rollouts in JAX: MJX's own implementation, vmapped over per-candidate model fields.
+"""Rollouts in JAX: `mjx_step`, vmapped over per-candidate model fields.
 
-MJX has no mj_setConst, so fields that MuJoCo derives from masses come from `derived`. Convex pieces
-are scaled in the model's vertex arrays (`ConvexMesh.vert` and `.face` both hold coordinates).
+MJX has no mj_setConst, so fields that MuJoCo derives from masses come from `derived`.
 """
 
-import contextlib
 import functools
-import io
 import weakref
 from collections.abc import Sequence
 from typing import Any
@@ -18,18 +15,21 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float
 
-from ..errors import EngineError
-from .derived import invweights
 from .engine import EarlyStop, Rollout, RolloutStatus, record_steps, unplaceable
 from .layout import Poses
-from .lowering import lowered
+from .mjx_model import (
+    Fields,
+    MjxData,
+    MjxModel,
+    candidate_fields,
+    make_data,
+    mjx_step,
+    pairs_dropped,
+    put_model,
+    with_fields,
+)
 from .model import SceneModel, StaticScene
-from .model_fields import mesh_object, model_fields, owner_scale
 from .recorder import DIVERGED, Recorder, joined, read_states, record_times
-
-# MJX prints that warp is missing, which is an extra here and no failure.
-with contextlib.redirect_stdout(io.StringIO()):
-    from mujoco import mjx
 
 CHUNK = 8192
 """Most candidates simulated at once."""
@@ -41,29 +41,16 @@ COMPACTED = 512
 """From this many candidates on a shrinking population moves into smaller programs, each of which
 compiles once; below it a program that runs half empty costs less than another compilation."""
 
-_MODEL_FIELDS = (
-    *("body_pos", "body_quat", "body_ipos", "body_mass", "body_inertia", "geom_pos", "geom_size"),
-    *("geom_rbound", "geom_aabb", "jnt_pos", "jnt_range", "jnt_stiffness", "jnt_actfrcrange"),
-    *("dof_armature", "dof_damping", "dof_frictionloss", "qpos0", "qpos_spring", "eq_data"),
-    *("body_invweight0", "dof_invweight0"),
-)
-
-Fields = dict[str, Any]
-"""Per-candidate values of model fields, leading axis [pop]; "vert" and "face" list the meshes'."""
-
 
 class MjxEngine:
-    """MJX on any JAX device, or several of one kind. The first rollout of a scene compiles.
-
-    Colliders that MJX cannot collide are replaced by polyhedra; see `lowering`.
-    """
+    """MJX on any JAX device, or several of one kind. The first rollout of a scene compiles."""
 
     name = "mjx"
 
     def __init__(self, devices: Sequence[Any] | None = None):
         """Split populations over `devices`; None takes all of JAX's default kind."""
         self.devices = tuple(jax.devices() if devices is None else devices)
-        self._scenes: weakref.WeakKeyDictionary[StaticScene, tuple[mjx.Model, SceneModel]] = (
+        self._scenes: weakref.WeakKeyDictionary[StaticScene, tuple[MjxModel, SceneModel]] = (
             weakref.WeakKeyDictionary()
         )
 
@@ -101,7 +88,7 @@ class MjxEngine:
 
     def _whole(
         self,
-        model: mjx.Model,
+        model: MjxModel,
         scene: SceneModel,
         poses: Poses,
         records: int,
@@ -109,13 +96,13 @@ class MjxEngine:
         rule: EarlyStop | None,
     ) -> Rollout:
         """Run to the end in one program."""
-        fields, start, bad = _prepare(model, scene, poses)
-        qpos = bare_scan(model, fields, start, records, every)
-        return _rollout(scene, poses, qpos, bad, records, every)
+        fields, start, bad = prepare(scene, poses)
+        qpos, dropped = bare_scan(model, fields, start, records, every)
+        return _rollout(scene, poses, qpos, bad, dropped, records, every)
 
     def _segments(
         self,
-        model: mjx.Model,
+        model: MjxModel,
         scene: SceneModel,
         poses: Poses,
         records: int,
@@ -123,18 +110,20 @@ class MjxEngine:
         rule: EarlyStop | None,
     ) -> Rollout:
         """Run record by record; candidates that have stopped leave once a smaller program fits."""
-        fields, start, bad = _prepare(model, scene, poses)
+        fields, start, bad = prepare(scene, poses)
         data = _begin(model, fields, start)
         recorder = Recorder(scene.static, poses, records, every, rule, np.asarray(bad))
         rows = np.arange(len(recorder.status))
         sizes = [len(rows) // k for k in (8, 4, 2)] if len(rows) >= COMPACTED else []
+        truncated = np.zeros(len(rows), bool)
         for time in range(records):
             if not len(recorder.active):
                 break
-            data = _advance(model, fields, data, every)
+            data, dropped = _advance(model, fields, data, every)
             active = np.searchsorted(rows, recorder.active)
-            state = (np.asarray(x)[active] for x in (data.qpos, data.qvel, data.qacc))
-            running = recorder.record(time, *state)
+            truncated[recorder.active] |= np.asarray(dropped)[active]
+            qpos, qvel, qacc = (np.asarray(x)[active] for x in (data.qpos, data.qvel, data.qacc))
+            running = recorder.record(time, qpos, qvel, qacc)
             fits = [s for s in sizes if len(recorder.active) <= s < len(rows)]
             if fits and len(recorder.active):
                 keep = active[running]
@@ -142,12 +131,16 @@ class MjxEngine:
                 index = jnp.asarray(np.concatenate([keep, fill]))
                 fields, data = self._spread(_take((fields, data), index))
                 rows = np.concatenate([recorder.active, fill * 0 + np.iinfo(int).max])
+        fine = recorder.status != int(RolloutStatus.FAILED)
+        recorder.status[truncated & fine] = int(RolloutStatus.TRUNCATED)
         return recorder.rollout()
 
-    def _chunk(self, model: mjx.Model, pop: int) -> int:
-        shapes = jax.eval_shape(lambda m: mjx.make_data(m), model)
+    def _chunk(self, model: MjxModel, pop: int) -> int:
+        shapes = jax.eval_shape(lambda m: make_data(m), model)
         # The state before and after a step, and about as much again for what lies between.
         each = 4 * sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(shapes))
+        # Edges against faces of every pair that is looked at, both ways.
+        each += 40 * model.near * model.solids.edge.shape[1] * model.solids.plane.shape[1]
         device, count = self.devices[0], len(self.devices)
         stats = (device.memory_stats() or {}) if device.platform != "cpu" else {}
         budget = int(MEMORY_SHARE * stats.get("bytes_limit", CPU_MEMORY / MEMORY_SHARE)) * count
@@ -163,82 +156,44 @@ class MjxEngine:
         spec = PartitionSpec() if axis is None else PartitionSpec(axis)
         return jax.device_put(tree, NamedSharding(mesh, spec))
 
-    def _carried(self, scene: SceneModel) -> tuple[mjx.Model, SceneModel]:
-        """Return MJX's model and the scene whose colliders it holds, on the engine's devices."""
+    def _carried(self, scene: SceneModel) -> tuple[MjxModel, SceneModel]:
+        """Return the model and the scene on the engine's devices."""
         if scene.static not in self._scenes:
-            model, carried = _on_device(scene)
-            arrays, rest = eqx.partition(carried, eqx.is_array)
+            model = on_device(scene)
+            arrays, rest = eqx.partition(scene, eqx.is_array)
             model, arrays = self._spread((model, arrays), None)
             self._scenes[scene.static] = model, eqx.combine(arrays, rest)
         return self._scenes[scene.static]
 
 
-_models: "weakref.WeakKeyDictionary[StaticScene, tuple[mjx.Model, SceneModel]]" = (
-    weakref.WeakKeyDictionary()
-)
+_models: "weakref.WeakKeyDictionary[StaticScene, MjxModel]" = weakref.WeakKeyDictionary()
 
 
-def _on_device(scene: SceneModel) -> tuple[mjx.Model, SceneModel]:
-    """Return MJX's model and the scene whose colliders it holds."""
+def on_device(scene: SceneModel) -> MjxModel:
+    """Put a scene on JAX's default device, once.
+
+    Raises:
+        EngineError: the scene has something that MJX cannot simulate.
+    """
     if scene.static not in _models:
-        try:
-            try:
-                _models[scene.static] = mjx.put_model(scene.static.mjm, impl="jax"), scene
-            except NotImplementedError:
-                scene_ = lowered(scene)
-                _models[scene.static] = mjx.put_model(scene_.static.mjm, impl="jax"), scene_
-        except NotImplementedError as error:
-            raise EngineError(
-                f"engine mjx cannot carry this scene: {error}; take --engine native"
-            ) from None
+        _models[scene.static] = put_model(scene)
     return _models[scene.static]
 
 
 @eqx.filter_jit
-def _prepare(
-    model: mjx.Model, scene: SceneModel, poses: Poses
+def prepare(
+    scene: SceneModel, poses: Poses
 ) -> tuple[Fields, Float[Array, "pop nq"], Bool[Array, " pop"]]:
     """Return the candidates' model fields, their start states, and which cannot be placed."""
-    every = model_fields(scene, poses) | invweights(scene, poses)
-    fields: Fields = {name: every[name] for name in _MODEL_FIELDS if name in every}
-    owner = mesh_object(scene)
-    if np.any(owner >= 0):
-        meshes = model._impl.mesh_convex  # pyright: ignore[reportAttributeAccessIssue]
-        size = owner_scale(poses.scale, owner)[..., None, None]
-        fields["vert"] = [c.vert * size[:, k] for k, c in enumerate(meshes)]
-        fields["face"] = [c.face * size[:, k, :, :, None] for k, c in enumerate(meshes)]
-    return fields, every["qpos"], unplaceable(poses, jnp)
-
-
-def _with_fields(model: mjx.Model, fields: Fields) -> mjx.Model:
-    """Put one candidate's fields into the model."""
-    flat = {name: v for name, v in fields.items() if name not in ("vert", "face")}
-    model = model.replace(**flat)
-    if "vert" not in fields:
-        return model
-    meshes = tuple(
-        c.replace(vert=vert, face=face)
-        for c, vert, face in zip(
-            model._impl.mesh_convex,  # pyright: ignore[reportAttributeAccessIssue]
-            fields["vert"],
-            fields["face"],
-            strict=True,
-        )
-    )
-    return model.replace(_impl=model._impl.replace(mesh_convex=meshes))  # pyright: ignore[reportAttributeAccessIssue]
-
-
-def _steps(m: mjx.Model, data: mjx.Data, every: int) -> mjx.Data:
-    # Ampere and later GPUs multiply single-precision matrices in TF32 unless told not to.
-    with jax.default_matmul_precision("highest"):
-        return jax.lax.fori_loop(0, every, lambda _, d: mjx.step(m, d), data)
+    fields, qpos = candidate_fields(scene, poses)
+    return fields, qpos, unplaceable(poses, jnp)
 
 
 @functools.partial(jax.jit, static_argnames=("records", "every"))
 def bare_scan(
-    model: mjx.Model, fields: Fields, qpos: Float[Array, "pop nq"], records: int, every: int
-) -> Float[Array, "pop time nq"]:
-    """Scan `mjx.step`, vmapped over all candidates, and nothing else.
+    model: MjxModel, fields: Fields, qpos: Float[Array, "pop nq"], records: int, every: int
+) -> tuple[Float[Array, "pop time nq"], Bool[Array, " pop"]]:
+    """Scan `mjx_step`, vmapped over all candidates, and nothing else.
 
     Args:
         model: the scene's model.
@@ -246,29 +201,41 @@ def bare_scan(
         qpos: start states.
         records: how many states are returned.
         every: steps between them.
+
+    Returns:
+        The states, and whether pairs of geoms that may have touched were left out.
     """
 
-    def one(own: Fields, start: Float[Array, " nq"]) -> Float[Array, "time nq"]:
-        m = _with_fields(model, own)
+    def one(own: Fields, start: Float[Array, " nq"]) -> tuple[Array, Array]:
+        m = with_fields(model, own)
 
-        def record(d: mjx.Data, _: None) -> tuple[mjx.Data, Array]:
-            d = _steps(m, d, every)
-            return d, d.qpos
+        def record(d: MjxData, _: None) -> tuple[MjxData, tuple[Array, Array]]:
+            d = mjx_step(m, d, every)
+            return d, (d.qpos, pairs_dropped(m, d))
 
-        return jax.lax.scan(record, mjx.make_data(m).replace(qpos=start), None, length=records)[1]
+        begin = make_data(m).replace(qpos=start)
+        qpos, dropped = jax.lax.scan(record, begin, None, length=records)[1]
+        return qpos, jnp.any(dropped)
 
     return jax.vmap(one)(fields, qpos)
 
 
 @jax.jit
-def _begin(model: mjx.Model, fields: Fields, qpos: Float[Array, "pop nq"]) -> mjx.Data:
-    make = lambda own, start: mjx.make_data(_with_fields(model, own)).replace(qpos=start)
+def _begin(model: MjxModel, fields: Fields, qpos: Float[Array, "pop nq"]) -> MjxData:
+    make = lambda own, start: make_data(with_fields(model, own)).replace(qpos=start)
     return jax.vmap(make)(fields, qpos)
 
 
 @functools.partial(jax.jit, static_argnames=("every",), donate_argnames=("data",))
-def _advance(model: mjx.Model, fields: Fields, data: mjx.Data, every: int) -> mjx.Data:
-    return jax.vmap(lambda own, d: _steps(_with_fields(model, own), d, every))(fields, data)
+def _advance(
+    model: MjxModel, fields: Fields, data: MjxData, every: int
+) -> tuple[MjxData, Bool[Array, " pop"]]:
+    def one(own: Fields, d: MjxData) -> tuple[MjxData, Array]:
+        m = with_fields(model, own)
+        d = mjx_step(m, d, every)
+        return d, pairs_dropped(m, d)
+
+    return jax.vmap(one)(fields, data)
 
 
 @jax.jit
@@ -282,13 +249,15 @@ def _rollout(
     poses: Poses,
     qpos: Float[Array, "pop time nq"],
     bad: Bool[Array, " pop"],
+    dropped: Bool[Array, " pop"],
     records: int,
     every: int,
 ) -> Rollout:
     pop = qpos.shape[0]
     pos, quat, joint_shift = read_states(scene.static, poses, qpos, jnp)
     failed = bad | ~jnp.all(jnp.abs(qpos) < DIVERGED, axis=(1, 2))
-    status = jnp.where(failed, int(RolloutStatus.FAILED), int(RolloutStatus.OK))
+    status = jnp.where(dropped, int(RolloutStatus.TRUNCATED), int(RolloutStatus.OK))
+    status = jnp.where(failed, int(RolloutStatus.FAILED), status)
     return Rollout(
         time=record_times(scene.static, records, every),
         pos=pos,

@@ -6,20 +6,21 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Bool, Float
-from neoworld_kernels import Colliders
+from neoworld_kernels import sorted_samples
 
 from ..cache import make_room
 from ..errors import SpecError
 from ..spec import SceneSpec, bounds, read_scene, rearranged
 from ..spec.scale import joint_exponents, mass_exponent
 from .colliders import collect_colliders
-from .layout import Arrangement, Layout, Poses, arrange, compose_poses, diagonal, place
+from .layout import Arrangement, Layout, Poses, arrange, compose_poses, diagonal
 from .mjcf import to_mjspec
+from .outline import extreme_points, is_round
+from .photo_view import photo_view
 from .sampling import surface_samples
+from .scene_arrays import SceneArrays, on_device, snapped_heights
 
 BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
@@ -72,29 +73,17 @@ class StaticScene:
     """Whether each joint slides, so that its shift is in m and not in rad, shape [joint]."""
 
 
-class SceneModel(eqx.Module):
+class SceneModel(SceneArrays):
     """A compiled scene: one compile, any number of layouts.
 
     Pass it to jitted functions as it is: `static` is static, all else are arrays. `place`,
     `model_fields` and rewards of placed poses may be jitted, vmapped and differentiated by layouts
-    (inside a function: the bound method itself has no hash for `jax.jit`).
+    (inside a function: the bound method itself has no hash for `jax.jit`). A function that needs
+    the arrays alone takes a `SceneArrays`, which `pad_scene` pads, so that it is not compiled anew
+    for every scene.
     """
 
     static: StaticScene = eqx.field(static=True)
-    samples: Float[Array, "object sample 3"]
-    """Surface points in object frames [m]."""
-    colliders: Colliders
-    """Canonical colliders in object frames."""
-    optimised: Bool[Array, " object"]
-    """Objects that CEM moves: all but environment supports."""
-    movable: Bool[Array, " object"]
-    """Objects whose base is free."""
-    diagonal: Float[Array, " object"]
-    """Horizontal bounding-box diagonal [m]."""
-    corners: Float[Array, "object 8 3"]
-    """Corners of each object's box in its frame, as posed [m]."""
-    pair_mask: Bool[Array, "object object"]
-    """Pairs that can penetrate by a layout's fault: not both environment supports."""
 
     def __repr__(self) -> str:
         """Name the scene, its objects and its size in two lines."""
@@ -116,14 +105,6 @@ class SceneModel(eqx.Module):
         """Object names, in the order of the object axis."""
         return self.static.names
 
-    @eqx.filter_jit(inline=True)  # pyright: ignore[reportCallIssue]
-    def place(self, layouts: Layout) -> Poses:
-        """Place every object of every candidate; see `layout.place`.
-
-        May be jitted, vmapped over further leading axes of the layouts, and differentiated.
-        """
-        return place(self.static.arrangement, layouts)
-
     def place_exactly(self, layouts: Layout) -> Poses:
         """Place candidates in double precision (NumPy), at the heights that `place` snaps to."""
         height = np.asarray(self.place(layouts).height, float)
@@ -140,14 +121,16 @@ class SceneModel(eqx.Module):
             poses: where `place` put the candidates; the heights are taken from here, since snapping
                 one candidate alone may round differently in the last bit of single precision.
         """
-        poses = self.place(layouts) if poses is None else poses
-        return rearranged(
-            self.spec,
-            np.asarray(layouts.xy[index], float),
-            np.asarray(layouts.yaw[index], float),
-            np.asarray(layouts.log_scale[index], float),
-            np.asarray(poses.height[index], float),
+        if poses is None:
+            one = jax.tree.map(lambda leaf: np.asarray(leaf)[index : index + 1], layouts)
+            height = snapped_heights(self.arrangement, one)
+        else:
+            height = np.asarray(poses.height)[index]
+        # Taken as NumPy first: JAX would compile the indexing for every number of objects.
+        xy, yaw, log_scale = (
+            np.asarray(leaf, float)[index] for leaf in (layouts.xy, layouts.yaw, layouts.log_scale)
         )
+        return rearranged(self.spec, xy, yaw, log_scale, np.asarray(height, float))
 
 
 def compile_scene(
@@ -206,18 +189,23 @@ def compile_scene(
     boxes = [bounds(item.spec, item.joint_state) for item in scene.objects]
     unit = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
     environment = np.array([item.environment for item in scene.objects])
-    return SceneModel(
-        static=static,
-        samples=jnp.stack([surface_samples(o, samples) for o in scene.objects]),
+    points = np.stack([surface_samples(o, samples) for o in scene.objects])
+    arrays = SceneArrays(
+        arrangement=static.arrangement,
+        samples=sorted_samples(points),
+        outline=np.stack([extreme_points(o) for o in scene.objects]),
+        round=np.array([is_round(o) for o in scene.objects]),
         colliders=collect_colliders(scene.objects),
-        optimised=jnp.asarray(~environment),
-        movable=jnp.asarray([not item.static for item in scene.objects]),
-        diagonal=jnp.asarray([diagonal(item) for item in scene.objects], jnp.float32),
-        corners=jnp.asarray([a + unit * (b - a) for a, b in boxes], jnp.float32),
-        pair_mask=jnp.asarray(
-            ~np.eye(len(names), dtype=bool) & ~(environment[:, None] & environment)
-        ),
+        photo=photo_view(scene),
+        optimised=~environment,
+        movable=np.array([not item.static for item in scene.objects]),
+        diagonal=np.array([diagonal(item) for item in scene.objects]),
+        corners=np.array([a + unit * (b - a) for a, b in boxes]),
+        pair_mask=~np.eye(len(names), dtype=bool) & ~(environment[:, None] & environment),
+        joint_object=static.joint_object,
+        joint_slides=static.joint_slides,
     )
+    return SceneModel(**vars(on_device(arrays)), static=static)
 
 
 def load_scene(
@@ -250,7 +238,7 @@ def load_scene(
 
 
 def _owner(body: str, names: tuple[str, ...]) -> int:
-    name = body.split("/", maxsplit=1)[0]
+    name = body.split("-", maxsplit=1)[0]
     return names.index(name) if name in names else -1
 
 
@@ -272,11 +260,11 @@ def _powers(scene: SceneSpec, m: mujoco.MjModel) -> Powers:
     for item in scene.objects:
         root = item.spec.root
         for part in item.spec.parts:
-            name = item.name if part.name == root else f"{item.name}/{part.name}"
+            name = item.name if part.name == root else f"{item.name}-{part.name}"
             mass[m.body(name).id] = mass_exponent(part)
         for joint in item.spec.joints:
             child = item.spec.part(joint.child)
-            by_joint[f"{item.name}/{joint.name}"] = joint_exponents(joint, child)
+            by_joint[f"{item.name}-{joint.name}"] = joint_exponents(joint, child)
     of_joint = lambda key: np.array(
         [by_joint.get(m.joint(j).name, {}).get(key, 0.0) for j in range(m.njnt)]
     )

@@ -90,7 +90,7 @@ def _mimics(scene: SceneModel, jnt: Any, xp: Any) -> Any:
     factor = xp.ones((jnt.shape[0], *m.eq_data.shape), jnt.dtype)
     joints = {}
     for item in scene.spec.objects:
-        joints |= {f"{item.name}/{joint.name}": joint for joint in item.spec.joints}
+        joints |= {f"{item.name}-{joint.name}": joint for joint in item.spec.joints}
     for e in range(m.neq):
         follower, leader = m.eq_obj1id[e], m.eq_obj2id[e]
         # A tie to a constant has no leader; then only its offset counts.
@@ -127,6 +127,6 @@ def mesh_object(scene: SceneModel) -> np.ndarray:
     """Return the object that each mesh asset belongs to, shape [nmesh]."""
     m = scene.static.mjm
     owner = np.full(m.nmesh, -1)
-    for g in np.flatnonzero(m.geom_type == MESH):
-        owner[m.geom_dataid[g]] = scene.static.geom_object[g]
+    meshes = m.geom_type == MESH
+    owner[m.geom_dataid[meshes]] = scene.static.geom_object[meshes]
     return owner

@@ -5,6 +5,7 @@ copies in a batch, so scenes with convex pieces run on a ring of model copies sc
 """
 
 import copy
+import itertools
 import weakref
 
 import jax
@@ -141,23 +142,22 @@ def model_ring(
 def _mesh_owners(scene: SceneModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Object of each mesh, mesh vertex and bounding volume; -1 for what no scale acts on."""
     base, mesh = scene.static.mjm, mesh_object(scene)
-    vert, box = np.full(base.nmeshvert, -1), np.full(base.nbvh, -1)
-    for m, owner in enumerate(mesh):
-        vert[base.mesh_vertadr[m] :][: base.mesh_vertnum[m]] = owner
-        if base.mesh_bvhnum[m]:
-            box[base.mesh_bvhadr[m] :][: base.mesh_bvhnum[m]] = owner
-    return mesh, vert, box
+    box, count = np.full(base.nbvh, -1), base.mesh_bvhnum
+    within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    box[np.repeat(base.mesh_bvhadr, count) + within] = np.repeat(mesh, count)
+    return mesh, np.repeat(mesh, base.mesh_vertnum), box
 
 
 def _simulate(batch: Batch, recorder: Recorder, records: int) -> None:
     """Step a batch from record to record until no candidate runs on."""
     qpos, qvel, qacc = (batch.bind(name) for name in ("qpos", "qvel", "qacc"))
-    for time in range(records):
-        recorder.drop(_step(batch, recorder.active, recorder.every), RolloutStatus.FAILED)
-        if not len(recorder.active):
-            break
+    segments = recorder.segments()
+    for time, steps in itertools.product(range(records), segments):
+        recorder.drop(_step(batch, recorder.active, steps), RolloutStatus.FAILED)
         rows = recorder.active
-        recorder.record(time, qpos[rows], qvel[rows], qacc[rows])
+        if not len(rows):
+            break
+        recorder.record(time, qpos[rows], qvel[rows], qacc[rows], steps)
 
 
 def _step(batch: Batch, active: NDArray, steps: int) -> NDArray:

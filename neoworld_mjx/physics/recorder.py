@@ -1,11 +1,10 @@
 """The recorder that all engines share: states, statuses, and which candidates have stopped."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +15,8 @@ from .model import BALL, FREE, SLIDE, StaticScene
 
 DIVERGED = 1e10
 """Coordinates beyond this are a failure, as in MuJoCo (mjMAXVAL)."""
+LINGER = 0.15
+"""Share of the bounds of stability within which an object is said to linger."""
 
 
 class Recorder:
@@ -50,10 +51,27 @@ class Recorder:
         self.active = np.arange(pop)
         """Candidates that run on."""
         self._checks_at_rest = np.zeros(pop, np.int32)
+        self._speed = np.full(pop, np.inf)
+        """Largest speed at the last check [m/s]."""
         _, owner, address = _free_bases(static)
         self._base = address[:, None] + np.arange(7)
-        self._start = np.asarray(start.pos)[:, owner], np.asarray(start.quat)[:, owner]
+        places = np.asarray(start.pos, float)[:, owner], np.asarray(start.quat, float)[:, owner]
+        self._start = np.concatenate(places, axis=-1)
+        self._invalid = np.zeros(pop, bool)
+        """Candidates that a record shows past the bounds of stability."""
+        self._anchor = self._start.copy()
+        """Poses [pop, free object, 7] that a candidate's objects linger about."""
+        self._since = np.zeros(pop, np.int32)
+        """Step at which they came there."""
         self.drop(np.asarray(failed), RolloutStatus.FAILED)
+
+    def segments(self) -> list[int]:
+        """Split the steps between two records at the checks that the rule asks for."""
+        if self.rule is None:
+            return [self.every]
+        interval = self.rule.interval / float(self.static.mjm.opt.timestep)
+        count = max(1, min(self.every, round(self.every / interval)))
+        return np.diff(np.arange(count + 1) * self.every // count).tolist()
 
     def drop(self, stopped: NDArray, status: RolloutStatus) -> None:
         """Take candidates [active], given by a mask, out with a status."""
@@ -61,15 +79,21 @@ class Recorder:
         self.active = self.active[~stopped]
 
     def record(
-        self, time: int, qpos: NDArray, qvel: NDArray | None, qacc: NDArray | None
+        self,
+        time: int,
+        qpos: NDArray,
+        qvel: NDArray | None,
+        qacc: NDArray | None,
+        steps: int | None = None,
     ) -> NDArray:
         """Record the active candidates' states after a segment, and stop those that may stop.
 
         Args:
-            time: index of the record.
+            time: index of the record; a later segment of the same record writes over it.
             qpos: coordinates [active, nq].
             qvel: velocities [active, nv]; not needed without a rule.
             qacc: accelerations [active, nv]; likewise.
+            steps: of the segment; None counts all between two records.
 
         Returns:
             A mask [active] of the rows that run on.
@@ -80,30 +104,50 @@ class Recorder:
         rows = self.active
         self.qpos[rows, time] = qpos[finite]
         self.last[rows] = time
-        self.steps[rows] += self.every
+        self.steps[rows] += self.every if steps is None else steps
         if self.rule is None or qvel is None or qacc is None or not len(rows):
             return finite
         running = finite.copy()
-        running[finite] = self._stop(time, qpos[finite], qvel[finite], qacc[finite])
+        running[finite] = self._stop(qpos[finite], qvel[finite], qacc[finite])
         return running
 
-    def _stop(self, time: int, qpos: NDArray, qvel: NDArray, qacc: NDArray) -> NDArray:
+    def _stop(self, qpos: NDArray, qvel: NDArray, qacc: NDArray) -> NDArray:
         """Stop candidates by the rule; return a mask [active] of those that run on."""
         rule, rows = self.rule, self.active
         assert rule is not None
-        rest = at_rest(rule, self.static.characteristic_length, qvel, qacc)
+        length = self.static.characteristic_length
+        speed, acceleration = (
+            (np.abs(rate) * length).max(axis=1, initial=0.0) for rate in (qvel, qacc)
+        )
+        rest = (speed < rule.speed) & (acceleration < rule.acceleration)
+        rest &= speed <= self._speed[rows]
+        self._speed[rows] = speed
         self._checks_at_rest[rows] = np.where(rest, self._checks_at_rest[rows] + 1, 0)
-        now = (time + 1) * self.every * float(self.static.mjm.opt.timestep)
-        settled = (self._checks_at_rest[rows] >= 2) & (now >= rule.after)
-        base, (pos, quat) = qpos[:, self._base], self._start
-        distance = np.linalg.norm(base[..., :3] - pos[rows], axis=-1)
-        angle = angle_between(quat[rows], base[..., 3:])
-        drifted = (distance > rule.drift).any(axis=1) | (angle > rule.tilt).any(axis=1)
+        now = self.steps[rows] * float(self.static.mjm.opt.timestep)
+        settled = (self._checks_at_rest[rows] >= rule.checks) & (now >= rule.after)
+        base = qpos[:, self._base]
+        moved = _Motion.between(self._start[rows], base)
+        drifted = moved.beyond(rule.drift, rule.tilt)
+        past = moved.beyond(rule.distance, rule.angle)
+        settled |= self._lingers(base) & (past | self._invalid[rows])
+        recorded = self.steps[rows] % self.every == 0
+        self._invalid[rows] |= past & recorded
         self.status[rows[settled]] = int(RolloutStatus.SETTLED)
         self.status[rows[drifted]] = int(RolloutStatus.DRIFTED)
         running = ~(settled | drifted)
         self.active = rows[running]
         return running
+
+    def _lingers(self, base: NDArray) -> NDArray:
+        """Tell which active candidates have stayed about one place for the rule's time."""
+        rule, rows = self.rule, self.active
+        assert rule is not None
+        moved = _Motion.between(self._anchor[rows], base)
+        left = moved.beyond(LINGER * rule.distance, LINGER * rule.angle)
+        self._anchor[rows[left]] = base[left]
+        self._since[rows[left]] = self.steps[rows[left]]
+        time = (self.steps[rows] - self._since[rows]) * float(self.static.mjm.opt.timestep)
+        return time >= rule.linger - 1e-9
 
     def rollout(self) -> Rollout:
         """Return what was recorded; a candidate's last state counts for the rest of the time."""
@@ -114,34 +158,43 @@ class Recorder:
         unrecorded = self.last < 0
         for values, at in zip(states, (start.pos[:, None], start.quat[:, None], 0.0), strict=True):
             values[unrecorded] = at[unrecorded] if isinstance(at, np.ndarray) else at
-        pos, quat, joint_shift = (jnp.asarray(values) for values in states)
+        pos, quat, joint_shift = (jax.device_put(values) for values in states)
         return Rollout(
             time=record_times(self.static, records, self.every),
             pos=pos,
             quat=quat,
             joint_shift=joint_shift,
-            status=jnp.asarray(self.status),
-            start=jax.tree.map(jnp.asarray, start),
-            steps=jnp.asarray(self.steps),
+            status=jax.device_put(self.status),
+            start=jax.device_put(start),
+            steps=jax.device_put(self.steps),
         )
+
+
+class _Motion(NamedTuple):
+    """How far free objects are from some places; compared without roots and arcs."""
+
+    squared: NDArray
+    """Squares of the distances [m^2], shape [candidate, object]."""
+    cosine: NDArray
+    """Cosines of half the angles."""
+
+    @classmethod
+    def between(cls, places: NDArray, base: NDArray) -> "_Motion":
+        """Compare poses [candidate, object, 7]."""
+        product = lambda a, b: np.einsum("cok,cok->co", a, b)
+        shift = base[..., :3] - places[..., :3]
+        return cls(product(shift, shift), np.abs(product(base[..., 3:], places[..., 3:])))
+
+    def beyond(self, distance: float, angle: float) -> NDArray:
+        """Tell candidates in which an object moved further than `distance` or turned more."""
+        far = self.squared > distance**2
+        return (far | (self.cosine < np.cos(min(angle, np.pi) / 2))).any(axis=1)
 
 
 def record_times(static: StaticScene, records: int, every: int) -> Any:
     """Return the times of the records [s], shape [time]."""
-    return jnp.asarray(np.arange(1, records + 1) * every * static.mjm.opt.timestep, jnp.float32)
-
-
-def at_rest(rule: EarlyStop, length: NDArray, qvel: NDArray, qacc: NDArray) -> NDArray:
-    """Tell which candidates [pop] are below the bounds of `rule` at this moment.
-
-    Args:
-        rule: the bounds.
-        length: `StaticScene.characteristic_length` [nv].
-        qvel: velocities [pop, nv].
-        qacc: accelerations [pop, nv].
-    """
-    slow = (np.abs(qvel) * length).max(axis=1, initial=0.0) < rule.speed
-    return slow & ((np.abs(qacc) * length).max(axis=1, initial=0.0) < rule.acceleration)
+    times = np.arange(1, records + 1) * every * static.mjm.opt.timestep
+    return jax.device_put(times.astype(np.float32))
 
 
 def read_states(static: StaticScene, start: Poses, qpos: Any, xp: Any) -> tuple[Any, Any, Any]:
@@ -197,5 +250,7 @@ def joined(parts: Sequence[Rollout], pop: int) -> Rollout:
     """Join rollouts of consecutive candidates; of the last what goes beyond `pop` is filling."""
     if len(parts) == 1 and parts[0].status.shape[0] == pop:
         return parts[0]
-    whole = jax.tree.map(lambda *rows: jnp.concatenate(rows)[:pop], *parts)
+    # On the host: on the device every number of parts would be compiled.
+    join = lambda *rows: jax.device_put(np.concatenate([np.asarray(x) for x in rows])[:pop])
+    whole = jax.tree.map(join, *parts)
     return eqx.tree_at(lambda r: r.time, whole, parts[0].time)

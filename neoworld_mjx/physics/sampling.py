@@ -1,17 +1,16 @@
 """Points spread over an object's outer surface, at which D_pen measures penetration."""
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 from ..spec import SceneObject
 from ..spec.convex import Piece, hull, planes, polytope
-from ..spec.pose import conjugate, rotate
+from ..spec.pose import Pose, matrix
 from .support import posed_pieces
 
 
-def surface_samples(item: SceneObject, count: int) -> Float[Array, "count 3"]:
+def surface_samples(item: SceneObject, count: int) -> Float[np.ndarray, "count 3"]:
     """Spread points over an object's outer surface, corners and edge middles first.
 
     Points of one piece that lie inside another are left out. Deterministic.
@@ -22,21 +21,45 @@ def surface_samples(item: SceneObject, count: int) -> Float[Array, "count 3"]:
     """
     pieces = posed_pieces(item, tilted=False)
     areas = np.array([_area(piece) for piece, _ in pieces])
+    solids = [_Solid(piece, at) for piece, at in pieces]
     sharp, smooth = [], []
     for k, (piece, at) in enumerate(pieces):
         own = max(12, int(np.ceil(4 * count * areas[k] / areas.sum())))
         for points, into in ((_edges(piece), sharp), (_faces(piece, own), smooth)):
             world = at.apply(points)
             hidden = np.zeros(len(world), bool)
-            for j, (other, there) in enumerate(pieces):
+            for j, solid in enumerate(solids):
                 if j != k:
-                    hidden |= _inside(other, rotate(conjugate(there.quat), world - there.pos))
+                    solid.hide(world, hidden)
             into.append(world[~hidden])
     first, rest = np.vstack(sharp), np.vstack(smooth)
     chosen = _farthest(first, min(len(first), count // 2), np.zeros((0, 3)))
     chosen = np.vstack([chosen, _farthest(rest, count - len(chosen), chosen)])
     pad = np.repeat(chosen[-1:], count - len(chosen), axis=0)
-    return jnp.asarray(np.vstack([chosen, pad]), jnp.float32)
+    return np.asarray(np.vstack([chosen, pad]), np.float32)
+
+
+class _Solid:
+    """A piece in the object's frame that may hide points of other pieces."""
+
+    def __init__(self, piece: Piece, at: Pose) -> None:
+        self.piece, self.at, self.turn = piece, at, matrix(at.quat)
+        self.half = planes(piece) if piece.kind in ("box", "mesh") else None
+        corners = np.array(piece.vertices) if piece.kind == "mesh" else None
+        self.centre = at.pos if corners is None else at.apply(corners.mean(axis=0)[None])[0]
+        s = np.asarray(piece.size, float)
+        self.radius = (
+            float(np.linalg.norm(s)) + float(s[0])
+            if corners is None
+            else float(np.linalg.norm(corners - corners.mean(axis=0), axis=1).max())
+        )
+
+    def hide(self, points: NDArray, hidden: NDArray) -> None:
+        """Mark the points [n, 3] that lie inside."""
+        near = np.flatnonzero(((points - self.centre) ** 2).sum(axis=1) < self.radius**2)
+        if len(near):
+            local = (points[near] - self.at.pos) @ self.turn
+            hidden[near] |= _inside(self.piece, self.half, local)
 
 
 def _farthest(points: NDArray, count: int, near: NDArray) -> NDArray:
@@ -137,11 +160,10 @@ def _faces(piece: Piece, count: int) -> NDArray:
     return np.vstack([ends, side])
 
 
-def _inside(piece: Piece, x: NDArray) -> NDArray:
+def _inside(piece: Piece, half: NDArray | None, x: NDArray) -> NDArray:
     """Whether points [n, 3] in a piece's frame lie inside it by more than a thousandth of it."""
     s = np.asarray(piece.size, float)
-    if piece.kind in ("box", "mesh"):
-        half = planes(piece)
+    if half is not None:
         deep = (half[:, 3] - x @ half[:, :3].T).min(axis=1)
         return deep > 1e-3 * np.abs(half[:, 3]).max()
     if piece.kind == "ellipsoid":

@@ -7,6 +7,7 @@ import jax
 
 from ..engines import ENGINES
 from ..errors import EngineError, SpecError, choices
+from .automatic import AutomaticEngine
 from .engine import EarlyStop, Engine, Rollout
 from .layout import Layout
 from .model import SceneModel
@@ -15,7 +16,8 @@ from .model import SceneModel
 def open_engine(name: str = "auto") -> Engine:
     """Return an engine by name.
 
-    `auto` is warp on an NVIDIA GPU when it is installed, else mjx on an accelerator, else native.
+    `auto` is `native` where there is no accelerator; else each rollout takes the engine that costs
+    least by what was measured on this machine; see `automatic`.
 
     Raises:
         EngineError: the engine is unknown, or cannot run here.
@@ -30,12 +32,15 @@ def open_engine(name: str = "auto") -> Engine:
 
 
 def _open_automatic() -> Engine:
+    engines: dict[str, Engine] = {}
     for name, entry in ENGINES.items():
         if entry.accelerator and jax.default_backend() == "cpu":
             continue
         with contextlib.suppress(EngineError):
-            return open_engine(name)
-    raise EngineError(f"no engine can run here; tried {', '.join(ENGINES)}")
+            engines[name] = open_engine(name)
+    if not engines:
+        raise EngineError(f"no engine can run here; tried {', '.join(ENGINES)}")
+    return AutomaticEngine(engines) if len(engines) > 1 else next(iter(engines.values()))
 
 
 def rollout(

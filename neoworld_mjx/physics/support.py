@@ -5,7 +5,7 @@ upper side of its support are functions of two coordinates that can be tabulated
 as points, the support as a grid of heights. Snapping a population is then a gather and a maximum.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,19 +24,23 @@ NOTHING = -1e3
 """Height [m] where a support has no surface."""
 
 
+Either = Any
+"""JAX arrays, or NumPy arrays on the host."""
+
+
 class Support(NamedTuple):
     """The surface under one object, at the support's size 1 and in its support frame.
 
     A row of the stacked tables has the same fields with a leading [object] axis.
     """
 
-    heights: Float[Array, "GRID GRID"]
+    heights: Float[Either, "GRID GRID"]
     """Upper surface [m] at grid points, x first; NOTHING where there is none."""
-    origin: Float[Array, " 2"]
+    origin: Float[Either, " 2"]
     """Grid point (0, 0) [m]."""
-    cell: Float[Array, ""]
+    cell: Float[Either, ""]
     """Spacing of grid points [m]."""
-    foot: Float[Array, "FOOT 3"]
+    foot: Float[Either, "FOOT 3"]
     """The child's underside in its own tilted frame [m]; unused rows lie at +inf height."""
 
 
@@ -191,7 +195,7 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     It is the highest surface under the object's footprint; or, for an object inside its parent,
     such as a can on a lower shelf, the highest surface below pieces that leave it room. Of the two
     the one nearer to the composed height is taken. An object with relation "in" is never lifted
-    onto the rim: surfaces above the middle of the composed object are left out, so that it enters
+    onto the rim: what reaches above the middle of the composed object is a wall, and it enters
     walls instead, where D_pen has a gradient that leads out.
 
     Args:
@@ -213,9 +217,12 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     low, high = np.array([c[0] for c in columns]), np.array([c[1] for c in columns])
 
     top = max(float(_corners(piece, at)[:, 2].max()) for piece, at in posed_pieces(item))
-    under = low < item.z + (own[:, 2].min() + top) / 2
+    middle = item.z + (own[:, 2].min() + top) / 2
     outside = np.max(high, axis=0, initial=NOTHING)
-    inside = np.max(np.where(under, high, NOTHING), axis=0, initial=NOTHING)
+    under = low < middle
+    # A wall does not hide the floor on which it stands.
+    floor = under & (high <= middle) if item.relation == "in" else under
+    inside = np.max(np.where(floor, high, NOTHING), axis=0, initial=NOTHING)
     ceiling = np.min(np.where(under, np.inf, low), axis=0, initial=np.inf)
 
     turned = rotate(from_yaw(item.yaw), own)
@@ -223,15 +230,13 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     cells = spots[:, 0] * GRID + spots[:, 1]
     z_out, z_in = (float(np.max(h[cells] - own[:, 2])) for h in (outside, inside))
     fits = z_in > NOTHING / 2 and np.min(ceiling[cells]) > z_in + top - 1e-3
-    heights = inside if fits and abs(z_in - item.z) <= abs(z_out - item.z) else outside
-    if item.relation == "in":
-        rim = item.z + own[:, 2].min() + (top - own[:, 2].min()) / 2
-        heights = np.where(heights > rim, NOTHING, heights)
+    lower = fits and abs(z_in - item.z) <= abs(z_out - item.z)
+    heights = inside if lower or item.relation == "in" else outside
     return Support(
-        jnp.asarray(heights.reshape(GRID, GRID), jnp.float32),
-        jnp.asarray(origin, jnp.float32),
-        jnp.asarray(cell, jnp.float32),
-        jnp.asarray(foot, jnp.float32),
+        np.asarray(heights.reshape(GRID, GRID), np.float32),
+        np.asarray(origin, np.float32),
+        np.asarray(cell, np.float32),
+        np.asarray(foot, np.float32),
     )
 
 
@@ -248,7 +253,7 @@ def nothing() -> Support:
     foot = np.zeros((FOOT, 3), np.float32)
     foot[:, 2] = np.inf
     return Support(
-        jnp.full((GRID, GRID), NOTHING, jnp.float32), jnp.zeros(2), jnp.ones(()), jnp.asarray(foot)
+        np.full((GRID, GRID), NOTHING, np.float32), np.zeros(2, np.float32), np.float32(1), foot
     )
 
 

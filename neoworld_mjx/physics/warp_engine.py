@@ -80,7 +80,8 @@ class WarpEngine:
         Results vary in the last bits between runs, since a GPU sums in any order.
 
         Raises:
-            EngineError: the scene has something that MuJoCo Warp cannot simulate.
+            EngineError: the scene has something that MuJoCo Warp cannot simulate, or the GPU's
+                memory is short.
         """
         records, every = record_steps(scene.static.mjm.opt.timestep, duration, record_every)
         run = functools.partial(self._chunk, scene, records=records, every=every, rule=early_stop)
@@ -117,7 +118,16 @@ class WarpEngine:
             room = known.capacity if known else probe(scene, poses)
             # A power of two: kernels are compiled for the batch sizes of the model's fields.
             room = room._replace(worlds=max(64, 1 << (pop - 1).bit_length()))
-            self._worlds[scene.static] = known = Worlds(scene.static, room, self.device)
+            try:
+                self._worlds[scene.static] = known = Worlds(scene.static, room, self.device)
+            except RuntimeError as error:
+                if "allocate" not in str(error):
+                    raise
+                raise EngineError(
+                    f"warp: {room.worlds} worlds do not fit into the GPU's memory ({error}); "
+                    "where JAX has taken it, import neoworld_mjx before JAX starts, or set "
+                    "XLA_PYTHON_CLIENT_PREALLOCATE=false"
+                ) from None
         return known
 
     def _chunk_size(self, scene: SceneModel, pop: int, poses: Poses) -> int:

@@ -1,6 +1,7 @@
 """Reconstruct a photograph (paper Figure 2), or refine the composed scene of a run again."""
 
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -8,9 +9,11 @@ from typing import Any
 
 from ..config import Config, load_config, merged
 from ..errors import ConfigError, RunError
-from ..mllm import open_panel
+from ..mllm import Panel, open_panel
 from ..parse.photo import Photo, load_photo
+from ..reading import bounded_by
 from ..run_folder import STEPS, RunFolder, read_run
+from .pictures import Pictures
 from .steps import ANSWERS, COMPOSED, STEP_FUNCTIONS, StepContext, read_tree, write_metrics
 
 
@@ -24,7 +27,11 @@ class Result:
     metrics: dict[str, Any]
     seconds: dict[str, float]
     """Seconds by step."""
+    waiting: dict[str, float]
+    """Those of them in which a model was asked and had not answered."""
     fallbacks: list[dict[str, str]]
+    notes: list[dict[str, str]]
+    """Far moves by the fit and the search."""
     objects: list[str]
     passed: bool | None
     """Whether the refined scene is stable and free of penetration; None before refinement."""
@@ -41,7 +48,9 @@ class Result:
             **{key: value for key, value in self.metrics.items() if key != "objects"},
             "passed": self.passed,
             "seconds": self.seconds,
+            "waiting": self.waiting,
             "fallbacks": self.fallbacks,
+            "notes": self.notes,
             "mllm": self.cost,
         }
 
@@ -97,7 +106,25 @@ def reconstruct(
     photo, out = _path(photo, "photo"), _path(out, "out")
     config = _checked(config)
     _check_request(until, resume, start, overwrite)
-    picture = load_photo(photo, config.parse.max_side_px)
+    with bounded_by(config.files):
+        return _reconstructed(
+            *(photo, out, config, until, resume, start, overwrite, record, mailbox, tapes)
+        )
+
+
+def _reconstructed(
+    photo: Path,
+    out: Path,
+    config: Config,
+    until: str | None,
+    resume: bool,
+    start: str | None,
+    overwrite: bool,
+    record: Path | None,
+    mailbox: Path | None,
+    tapes: tuple[Path, ...],
+) -> Result:
+    picture = load_photo(photo, config.parse.max_side_px, config.parse.min_side_px)
     open_models = partial(
         open_panel,
         config.mllm,
@@ -119,18 +146,40 @@ def reconstruct(
         if other_photo:
             (run.path / ANSWERS).unlink(missing_ok=True)
         models = open_models(record=record or out / ANSWERS)
-        if run.data["mllm"]:
+        with _booked(run, models), Pictures(run, config.render) as pictures:
+            context = StepContext(run, config, picture, models, pictures)
+            for step in STEPS:
+                STEP_FUNCTIONS[step](context)
+                pictures.store()
+                if step == until:
+                    break
+        return finish(run, until)
+
+
+@contextmanager
+def _booked(run: RunFolder, models: Panel | None) -> Iterator[None]:
+    """Let models go on with the run's ledger, so that its cap holds, and write it down at the end.
+
+    Raises:
+        RunError: the run's ledger is damaged.
+    """
+    if models is None:
+        yield
+        return
+    if run.data["mllm"]:
+        try:
             models.ledger.carry(run.data["mllm"])
-        context = StepContext(run, config, picture, models)
-        with models:
-            try:
-                for step in STEPS:
-                    STEP_FUNCTIONS[step](context)
-                    if step == until:
-                        break
-            finally:
-                run.record("mllm", provider=models.name, **models.ledger.to_json())
-        return _finish(run, until)
+        except (AttributeError, LookupError, TypeError, ValueError):
+            raise RunError(
+                f"{run.path / 'run.json'}: the costs under mllm are damaged: mend them, or begin "
+                "anew with --overwrite"
+            ) from None
+    run.waited = lambda: models.waited_s
+    with models:
+        try:
+            yield
+        finally:
+            run.record("mllm", provider=models.name, **models.ledger.to_json())
 
 
 def refine_again(
@@ -151,26 +200,96 @@ def refine_again(
     if not (folder / COMPOSED).is_file():
         raise RunError(f"{folder} has no composed scene yet; go on with reconstruct --resume")
     if config is None:
-        data = earlier["config"]
-        # Header values are not written into run.json, and no model is asked here.
-        data["mllm"]["headers"] = {}
-        config = load_config(None, merged(data, over or {}))
+        config = earlier_options(folder, earlier["config"], over or {})
     config = _checked(config)
-    models = None
-    if config.refine.semantic.scorer == "mllm":
-        models = open_panel(
+    with bounded_by(config.files):
+        return _refined_again(folder, config, earlier)
+
+
+def earlier_options(
+    folder: Path, data: dict[str, Any], over: dict[str, Any], *, verifies: bool = False
+) -> Config:
+    """Return the options of an earlier run, which may come from a stranger.
+
+    Args:
+        folder: the run folder.
+        data: options in its run.json.
+        over: options that win over them.
+        verifies: whether objects will be verified, so that a critic may be asked.
+
+    Raises:
+        ConfigError: they are none, or name code to run or a server to send a key to.
+    """
+    # Header values are not written into run.json.
+    mllm = data.get("mllm")
+    headers = mllm.get("headers") if isinstance(mllm, dict) else None
+    if isinstance(mllm, dict):
+        data = data | {"mllm": {key: mllm[key] for key in mllm if key != "headers"}}
+    try:
+        config = load_config(None, merged(data, over))
+    except ConfigError as error:
+        raise ConfigError(f"{folder / 'run.json'}: {error}; give options by --config") from None
+    named = [name for name in config.refine.reward.terms if ":" in name]
+    named += [config.refine.optimizer] * (":" in config.refine.optimizer)
+    if named:
+        raise ConfigError(
+            f"{folder / 'run.json'} names code of your own to run ({', '.join(named)}): if you "
+            "trust it, give the option yourself by --config or --set"
+        )
+    asks = config.refine.semantic.scorer == "mllm" or (
+        verifies and config.verify.critic == "always"
+    )
+    if asks and headers and not config.mllm.headers:
+        raise ConfigError(
+            f"{folder / 'run.json'} does not keep what was in the headers {', '.join(headers)}: "
+            "give mllm.headers again by --config or --set"
+        )
+    if asks and (config.mllm.base_url is not None or config.mllm.prices is not None):
+        raise ConfigError(
+            f"{folder / 'run.json'} names a server for models ({config.mllm.base_url}), which "
+            "would get your key: if you trust it, give mllm.base_url yourself by --config or --set"
+        )
+    return config
+
+
+def _refined_again(folder: Path, config: Config, earlier: dict[str, Any]) -> Result:
+    models = models_of_run(folder, config, earlier, critic=False)
+    with RunFolder(folder, config, start="refine") as run:
+        return steps_from(run, "refine", config, models)
+
+
+def models_of_run(
+    folder: Path, config: Config, earlier: dict[str, Any], *, critic: bool
+) -> Panel | None:
+    """Open the models that the steps after `program` ask; None if they ask none.
+
+    Args:
+        folder: the run folder.
+        config: its options.
+        earlier: its run.json.
+        critic: whether verify is among these steps. A critic that is not to see every object
+            is not asked: a person has edited what it would judge.
+    """
+    if config.refine.semantic.scorer == "mllm" or (critic and config.verify.critic == "always"):
+        return open_panel(
             config.mllm,
             config.provider,
-            photo=earlier["photo"]["sha256"],
+            photo=earlier["photo"].get("sha256"),
             mailbox=folder / "mailbox",
             record=folder / ANSWERS,
             made=f"recorded from provider {config.provider}",
         )
-    with RunFolder(folder, config, start="refine") as run, models or nullcontext():
-        context = StepContext(run, config, None, models)
-        for step in ("refine", "export"):
+    return None
+
+
+def steps_from(run: RunFolder, first: str, config: Config, models: Panel | None) -> Result:
+    """Do a step that needs no photograph, and all after it."""
+    with _booked(run, models), Pictures(run, config.render) as pictures:
+        context = StepContext(run, config, None, models, pictures)
+        for step in STEPS[STEPS.index(first) :]:
             STEP_FUNCTIONS[step](context)
-        return _finish(run, None)
+            pictures.store()
+    return finish(run, None)
 
 
 def _path(value: object, name: str) -> Path:
@@ -205,11 +324,13 @@ def _other_photo(out: Path, photo: Photo) -> str:
             return ""
     except OSError:
         return ""  # RunFolder reports it.
-    earlier = read_run(out).get("photo", {})
-    return earlier["name"] if earlier.get("sha256", photo.sha256) != photo.sha256 else ""
+    earlier = read_run(out)["photo"]
+    if earlier.get("sha256", photo.sha256) == photo.sha256:
+        return ""
+    return earlier.get("name") or "of an unknown name"
 
 
-def _finish(run: RunFolder, until: str | None) -> Result:
+def finish(run: RunFolder, until: str | None) -> Result:
     """Mark the run as finished, write its report and return its result."""
     from ..view.report import write_report
 
@@ -221,7 +342,9 @@ def _finish(run: RunFolder, until: str | None) -> Result:
         until=until,
         metrics=run.data["metrics"],
         seconds=run.seconds(),
+        waiting=run.waiting(),
         fallbacks=run.data["fallbacks"],
+        notes=run.data["notes"],
         objects=[node.name for node in read_tree(run).nodes],
         passed=run.data["metrics"].get("passed"),
         cost=run.data["mllm"],

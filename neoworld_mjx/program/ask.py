@@ -1,20 +1,20 @@
-"""Requests about an object: write its program, repair it, judge pictures of it; their schemas."""
+"""Requests to the programmer: write an object's program, repair it, revise it; their schema."""
 
-import math
-from collections.abc import Sequence
-from typing import Annotated, Literal, NamedTuple
+from collections.abc import Mapping, Sequence
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..config import ProgramOptions
 from ..mllm import Picture, Request, package_text
-from ..spec import TreeNode
-from ..spec.pose import rotate
+from .critique import Critique, corrected_box
 from .signals import Signal
-
-MIN_TILT_DEG = 1.0
-Score = Annotated[float, Field(ge=0, le=10)]
-
+from .subject import (
+    Edges,
+    Subject,
+    moving_parts,
+    opened_parts,
+    tilt_in_words,
+    view_in_words,
+)
 
 # Titles, docstrings and descriptions of the answers are part of the requests: tapes hold answers to
 # these very ones.
@@ -32,52 +32,30 @@ class ProgramAnswer(BaseModel):
         description="Names of parts and joints of the earlier program that this one leaves out on "
         "purpose; else empty.",
     )
+    box: Edges | None = Field(
+        default=None,
+        description="null if the measured box can be right. Only if it contradicts the crop, or "
+        "such things never have that size: the size (x, y, z) in metres that the thing has; the "
+        "program fills that box instead.",
+    )
 
 
-class ProgramFault(BaseModel):
-    """One difference between the made object and the photographed one."""
-
-    model_config = ConfigDict(extra="forbid", title="Fault")
-
-    part: str
-    what: str
-    change: str
-
-
-class ProgramCritique(BaseModel):
-    """The critic's answer."""
-
-    model_config = ConfigDict(extra="forbid", title="Verdict")
-
-    geometry: Score
-    articulation: Score
-    colour: Score
-    faults: list[ProgramFault] = Field(default=[], max_length=6)
-    verdict: Literal["accept", "revise"]
-
-
-ASK = """Write the program of this object.
+_ASK = """Write the program of this object.
 
 name: {name}
 what it is: {label}
 described as: {description}
 measured box{opened}: {x:.3f} m (x, front to back) by {y:.3f} m (y) by {z:.3f} m (z, up)
 moving parts seen: {moving}
-{posed}{seen}
+{view}{posed}{seen}
 The picture "crop" is cut out of the photo around the object; \
 grey frames in it mark neighbours, which are
 no part of it.
 """
-OPENED = (
-    ", with {parts} as in the photo (draw it closed, so that opened like that it fills this box)"
-)
-TILTED = (
-    "In the photo it is turned over: {way}. Box and axes are those of the thing as it stands: draw "
-    "it upright.\n"
-)
-HIDDEN = "In the crop it is {note}: complete it as such things are."
-WHOLE = "It is seen whole, without anything in front of it."
-MEND = """{ask}
+_TILTED = "In the photo {way}. Box and axes are those of the thing as it stands: draw it upright.\n"
+_HIDDEN = "In the crop it is {note}: complete it as such things are."
+_WHOLE = "It is seen whole, without anything in front of it."
+_MEND = """{ask}
 This is the program so far:
 
 ```python
@@ -92,41 +70,39 @@ Write the whole program again, mended. Keep every part and joint that was right.
 If you leave one out on
 purpose, name it in `removed`.
 """
-JUDGE = """The real thing: {label}. {description}
-Moving parts seen in the photo: {moving}.
-
-The made one measures {x:.3f} by {y:.3f} by {z:.3f} m (front to back, across, up). \
-Its parts: {parts}.
-Its joints: {joints}.
-{posed}{scope}
-Judge it.
+_STAGE = """{ask}
+{accepted}
+Write the {file} program.
 """
-LEANS = "In the crop it is turned over: {way}. The pictures of the made one show it upright.\n"
-NO_ARTICULATION = "Leave `articulation` out of account: give it 10 and list no faults of it.\n"
-NO_GEOMETRY = (
-    "Leave `geometry` and `colour` out of account: give them 10, list no faults of them.\n"
-)
+_ACCEPTED = """
+This is the {file} program, which was run, checked and accepted:
+
+```python
+{text}
+```
+"""
 
 
-class Subject(NamedTuple):
-    """An object to be programmed."""
+def program_request(
+    subject: Subject, file: str = "program", before: Mapping[str, str] | None = None
+) -> Request[ProgramAnswer]:
+    """Return the request for an object's first program.
 
-    node: TreeNode
-    crop: Picture
-    note: str = ""
-    """Description of the parts that the crop does not show; empty if it shows all."""
-
-
-def program_request(subject: Subject) -> Request[ProgramAnswer]:
-    """Return the request for an object's first program."""
-    return _program_request(f"program:{subject.node.name}", _ask(subject), subject.crop)
+    Args:
+        subject: the object.
+        file: name of the stage: program, or geometry, articulation, export.
+        before: accepted texts of the stages before it.
+    """
+    return _request(_named(file, "program", subject), subject, file, _ask(subject, file, before))
 
 
 def repair_request(
     subject: Subject,
     program: str,
     signals: Sequence[Signal],
-    before: Sequence[Signal] | None = None,
+    earlier: Sequence[Signal] | None = None,
+    file: str = "program",
+    before: Mapping[str, str] | None = None,
 ) -> Request[ProgramAnswer]:
     """Return the request for a program without the signals of the last one.
 
@@ -134,116 +110,91 @@ def repair_request(
         subject: the object.
         program: the last program.
         signals: signals of the last program.
-        before: signals of the program before it; the request marks what is new, left and repaired.
+        earlier: signals of the program before it; the request marks what is new, left and
+            repaired.
+        file: name of the stage.
+        before: accepted texts of the stages before it.
     """
-    known = {signal.identity for signal in before or ()}
+    known = {signal.identity for signal in earlier or ()}
     lines = []
     for signal in signals:
         again = "(still) " if signal.identity in known else "(new) " if known else ""
         lines.append(f"- {again}{signal.phrase()}")
-    gone = known - {signal.identity for signal in signals}
-    if gone:
-        codes = sorted({str(identity[0]) for identity in gone})
+    repaired = known - {signal.identity for signal in signals}
+    if repaired:
+        codes = sorted({str(identity[0]) for identity in repaired})
         lines.append(f"- (mended since the program before: {', '.join(codes)})")
     heading = "It was run and checked. Mend this:"
-    return _revision_request(f"debug:{subject.node.name}", subject, program, heading, lines)
+    ask = _ask(subject, file, before)
+    return _request(
+        _named(file, "debug", subject), subject, file, _mend(ask, program, heading, lines)
+    )
 
 
 def revise_request(
-    subject: Subject, program: str, critique: ProgramCritique
+    subject: Subject,
+    program: str,
+    critiques: Sequence[Critique],
+    file: str = "program",
+    before: Mapping[str, str] | None = None,
 ) -> Request[ProgramAnswer]:
-    """Return the request for a program without the critic's faults."""
-    lines = [f"- {fault.part}: {fault.what} -> {fault.change}" for fault in critique.faults]
+    """Return the request for a program without the critics' faults; see `repair_request`."""
+    lines = [
+        f"- {fault.part}: {fault.what} -> {fault.change}"
+        for critique in critiques
+        for fault in critique.faults
+    ]
+    if any(corrected_box(critique) for critique in critiques):
+        lines.append("- object: the measured box was wrong; it is corrected above -> fill that one")
     heading = "It runs. Drawn and held beside the photo, it differs:"
-    return _revision_request(f"revise:{subject.node.name}", subject, program, heading, lines)
-
-
-def judge_request(
-    node: TreeNode,
-    pictures: Sequence[Picture],
-    described: dict[str, str],
-    size: tuple[float, float, float],
-    options: ProgramOptions,
-) -> Request[ProgramCritique]:
-    """Return the request to the critic about pictures of an object beside its crop.
-
-    Args:
-        node: the object.
-        pictures: the crop, "made", and if it has joints "opened".
-        described: the programmed object's "parts" and "joints" in words.
-        size: edges of the programmed object [m].
-        options: which criteria are on.
-    """
-    scope = "" if options.articulation_critic else NO_ARTICULATION
-    scope += "" if options.geometry_critic else NO_GEOMETRY
-    x, y, z = size
-    prompt = JUDGE.format(
-        label=node.label,
-        description=node.description,
-        moving=_moving(node),
-        scope=scope,
-        posed=_posed(node, LEANS),
-        x=x,
-        y=y,
-        z=z,
-        **described,
-    )
-    name = f"judge:{node.name}"
-    return Request(
-        "critic", name, package_text(__package__, "critic"), prompt, ProgramCritique, pictures
+    ask = _ask(subject, file, before)
+    return _request(
+        _named(file, "revise", subject), subject, file, _mend(ask, program, heading, lines)
     )
 
 
-def _program_request(name: str, prompt: str, crop: Picture) -> Request[ProgramAnswer]:
-    return Request(
-        "programmer", name, package_text(__package__, "guide"), prompt, ProgramAnswer, [crop]
+def instructions(file: str) -> str:
+    """Return the system text of a stage: the guide to the SDK, and what the stage is to write."""
+    guide = package_text(__package__, "guide")
+    return guide if file == "program" else f"{guide}\n{package_text(__package__, file)}"
+
+
+def _request(name: str, subject: Subject, file: str, prompt: str) -> Request[ProgramAnswer]:
+    pictures: list[Picture] = [subject.crop]
+    return Request("programmer", name, instructions(file), prompt, ProgramAnswer, pictures)
+
+
+def _named(file: str, stage: str, subject: Subject) -> str:
+    if file == "program":
+        return f"{stage}:{subject.node.name}"
+    return f"{file if stage == 'program' else f'{stage}-{file}'}:{subject.node.name}"
+
+
+def _mend(ask: str, program: str, heading: str, lines: list[str]) -> str:
+    return _MEND.format(
+        ask=ask, program=program.strip(), heading=heading, findings="\n".join(lines)
     )
 
 
-def _revision_request(
-    name: str, subject: Subject, program: str, heading: str, lines: list[str]
-) -> Request[ProgramAnswer]:
-    prompt = MEND.format(
-        ask=_ask(subject), program=program.strip(), heading=heading, findings="\n".join(lines)
-    )
-    return _program_request(name, prompt, subject.crop)
-
-
-def _ask(subject: Subject) -> str:
+def _ask(subject: Subject, file: str, before: Mapping[str, str] | None) -> str:
     node = subject.node
     x, y, z = node.box3d.size
-    return ASK.format(
+    ask = _ASK.format(
         name=node.name,
         label=node.label,
         description=node.description or "-",
         x=x,
         y=y,
         z=z,
-        moving=_moving(node),
-        opened=_opened(node),
-        posed=_posed(node, TILTED),
-        seen=HIDDEN.format(note=subject.note) if subject.note else WHOLE,
+        moving=moving_parts(node),
+        opened=opened_parts(node),
+        view=view_in_words(node, subject.camera),
+        posed=tilt_in_words(node, _TILTED),
+        seen=_HIDDEN.format(note=subject.note) if subject.note else _WHOLE,
     )
-
-
-def _moving(node: TreeNode) -> str:
-    if not node.articulation:
-        return "none noted"
-    return ", ".join(f"{state.part} ({state.type})" for state in node.articulation)
-
-
-def _opened(node: TreeNode) -> str:
-    parts = [f"{part.part} {part.opening:.0%} open" for part in node.articulation if part.opening]
-    return OPENED.format(parts=", ".join(parts)) if parts else ""
-
-
-def _posed(node: TreeNode, words: str) -> str:
-    """Describe the tilt of an object that lies or leans; return "" for an upright one."""
-    x, y, z = rotate(node.base_tilt, (0.0, 0.0, 1.0)).tolist()
-    degrees = math.degrees(math.acos(max(-1.0, min(1.0, z))))
-    if degrees < MIN_TILT_DEG:
-        return ""
-    if degrees > 180 - MIN_TILT_DEG:
-        return words.format(way="it stands upside down")
-    side = ("front" if x > 0 else "back") if abs(x) >= abs(y) else ("left" if y > 0 else "right")
-    return words.format(way=f"tilted by {degrees:.0f} degrees, its top towards its own {side}")
+    if file == "program":
+        return ask
+    accepted = "".join(
+        _ACCEPTED.format(file=name, text=text.strip()) for name, text in (before or {}).items()
+    )
+    return _STAGE.format(ask=ask, accepted=accepted, file=file)

@@ -1,4 +1,6 @@
-"""Assemble an ObjectSpec from a program's objects: structure, default joint losses, origin."""
+"""Assemble the ObjectSpec of a program's object: structure, default joint losses, origin."""
+
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -10,50 +12,73 @@ from .sdk_object import Object
 from .signals import Signal, has_errors
 
 
-def assemble(made: list[Object]) -> tuple[S.ObjectSpec | None, list[Signal]]:
-    """Turn a program's object into its description, or say why that cannot be done."""
-    if len(made) != 1:
-        names = ", ".join(repr(item.name) for item in made[:5])
+def assemble(
+    objects: list[Object], *, loose: bool = False
+) -> tuple[S.ObjectSpec | None, list[Signal]]:
+    """Turn the only object of a program into its description.
+
+    Args:
+        objects: every `Object` that the program made.
+        loose: whether its parts have no joints yet; each is then fastened to the first.
+
+    Returns:
+        The description, its origin at the centre of the bounding box's bottom face, or None, and
+        the errors that prevent it.
+    """
+    if len(objects) != 1:
+        names = ", ".join(repr(obj.name) for obj in objects[:5])
         return None, [
             Signal(
                 severity="error",
-                code="no_object" if not made else "many_objects",
-                message=f"a program makes exactly one Object, this one made {len(made)}"
-                + (f": {names}" if made else ""),
+                code="no_object" if not objects else "many_objects",
+                message=f"a program makes exactly one Object, this one made {len(objects)}"
+                + (f": {names}" if objects else ""),
                 hint="call Object(name, label=...) once; parts of it are made by .part(name)",
             )
         ]
-    item = made[0]
-    signals = list(_structure(item))
+    obj = objects[0]
+    if loose and obj._joints:
+        return None, [_joined_too_soon(obj)]
+    signals = [s for s in _structure(obj) if not (loose and s.code == "orphan_part")]
     if has_errors(signals):
         return None, signals
-    used = {geom._spec.material for part in item._parts for geom in part._geoms}
+    joints_given: list[dict[str, Any]] = [joint._fields for joint in obj._joints]
+    if loose:
+        root, *others = [part.name for part in obj._parts]
+        joints_given = [
+            {"name": f"{name[:40]}_held", "type": "fixed", "parent": root, "child": name}
+            for name in others
+        ]
+    used = {geom._spec.material for part in obj._parts for geom in part._geoms}
     try:
-        plain = S.ObjectSpec(
-            name=item.name,
-            label=item.label,
-            materials=tuple(m for name, m in item._materials.items() if name in used),
+        authored = S.ObjectSpec(
+            name=obj.name,
+            label=obj.label,
+            materials=tuple(m for name, m in obj._materials.items() if name in used),
             parts=tuple(
                 S.PartSpec(name=p.name, geoms=tuple(g._spec for g in p._geoms), mass=p._mass)
-                for p in item._parts
+                for p in obj._parts
             ),
-            joints=tuple(S.JointSpec(**joint._fields) for joint in item._joints),
-            sites=tuple(item._sites),
+            joints=tuple(S.JointSpec(**fields) for fields in joints_given),
+            sites=tuple(obj._sites),
         )
     except ValidationError as error:
         return None, [
             Signal(severity="error", code="structure", message=describe(error, S.ObjectSpec))
         ]
-    inertials = {part.name: S.inertial(plain, part) for part in plain.parts}
+    inertials = {part.name: S.inertial(authored, part) for part in authored.parts}
     joints = tuple(
-        _with_losses(joint, made_joint._fields, inertials[joint.child])
-        for joint, made_joint in zip(plain.joints, item._joints, strict=True)
+        _with_losses(joint, fields, inertials[joint.child])
+        for joint, fields in zip(authored.joints, joints_given, strict=True)
     )
-    return _rounded(S.recentred(plain.model_copy(update={"joints": joints}))), signals
+    return _rounded(S.recentred(authored.model_copy(update={"joints": joints}))), signals
 
 
 def _rounded(spec: S.ObjectSpec) -> S.ObjectSpec:
-    """Drop the last digits, which differ from one processor to the next; to a nanometre."""
+    """Round positions to 1e-9 m and quaternions to 1e-12.
+
+    The last digits differ from one processor to the next.
+    """
     vec = lambda values, digits: tuple(round(v, digits) + 0.0 for v in values)
     parts = tuple(
         part.model_copy(
@@ -81,23 +106,23 @@ def _rounded(spec: S.ObjectSpec) -> S.ObjectSpec:
     return spec.model_copy(update={"parts": parts, "joints": joints, "sites": sites})
 
 
-def _structure(item: Object) -> list[Signal]:
-    found = []
-    if not item._parts:
+def _structure(obj: Object) -> list[Signal]:
+    """Return errors of the tree of parts: no part, empty or unattached parts, cycles of joints."""
+    if not obj._parts:
         return [
             Signal(
                 severity="error",
                 code="no_parts",
-                message=f"object {item.name!r} has no parts",
+                message=f"object {obj.name!r} has no parts",
                 hint="make one with .part(name) and .add shapes to it",
             )
         ]
-    carried = {joint._fields["child"]: joint._fields["parent"] for joint in item._joints}
-    roots = [part.name for part in item._parts if part.name not in carried]
-    for part in item._parts:
-        colliding = any(geom._spec.role != "visual" for geom in part._geoms)
-        if not colliding:
-            found.append(
+    signals = []
+    parents = {joint._fields["child"]: joint._fields["parent"] for joint in obj._joints}
+    roots = [part.name for part in obj._parts if part.name not in parents]
+    for part in obj._parts:
+        if all(geom._spec.role == "visual" for geom in part._geoms):
+            signals.append(
                 Signal(
                     severity="error",
                     code="empty_part",
@@ -108,7 +133,7 @@ def _structure(item: Object) -> list[Signal]:
                 )
             )
         if part.name in roots[1:]:
-            found.append(
+            signals.append(
                 Signal(
                     severity="error",
                     code="orphan_part",
@@ -118,28 +143,38 @@ def _structure(item: Object) -> list[Signal]:
                     hint="join it to another part by fixed, revolute, prismatic or continuous",
                 )
             )
-    for start, first in carried.items():
-        chain, at = [start], first
-        while at in carried and at not in chain:
-            chain.append(at)
-            at = carried[at]
-        if at == start:
-            found.append(
+    for child, parent in parents.items():
+        chain, ancestor = [child], parent
+        while ancestor in parents and ancestor not in chain:
+            chain.append(ancestor)
+            ancestor = parents[ancestor]
+        if ancestor == child:
+            signals.append(
                 Signal(
                     severity="error",
                     code="joint_cycle",
-                    part=start,
-                    message=f"joints go in a circle: {' -> '.join([*chain, start])}",
+                    part=child,
+                    message=f"joints go in a circle: {' -> '.join([*chain, child])}",
                     hint="joints form a tree with one root part",
                 )
             )
             break
-    return found
+    return signals
 
 
 def _with_losses(joint: S.JointSpec, authored: dict[str, object], child: Inertial) -> S.JointSpec:
-    """Fill in damping and dry friction that the program left open, from the child's mass."""
+    """Fill in damping and dry friction that the program did not author, from the child's mass."""
     if joint.type == "fixed":
         return joint
     values = dict(zip(("damping", "friction"), default_losses(joint, child), strict=True))
     return joint.model_copy(update={k: v for k, v in values.items() if k not in authored})
+
+
+def _joined_too_soon(obj: Object) -> Signal:
+    names = ", ".join(joint.name for joint in obj._joints[:4])
+    return Signal(
+        severity="error",
+        code="joint_in_geometry",
+        message=f"the geometry program makes joints ({names})",
+        hint="only parts and shapes here; joints, doors and drawers come in the next program",
+    )

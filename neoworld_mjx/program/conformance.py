@@ -1,4 +1,4 @@
-"""Compare an object with the parse: its box, its movable parts, and what a revision lost."""
+"""Compare an object with its parsed node, and a revised program with the one before it."""
 
 import ast
 from collections import Counter
@@ -11,28 +11,28 @@ from ..spec.opening import parsed_state
 from .signals import Signal
 
 PROPORTION_WARNS, PROPORTION_FAILS = 0.08, 0.25
-"""Deviation of an edge, over the parsed one, after the best uniform scale."""
+"""Relative deviation of an edge from the parsed one, after the best uniform scale."""
 SIZE_WARNS, SIZE_FAILS = 0.15, 1.0
-"""Deviation of the size as a whole, over the parsed one; it will be scaled, walls and all."""
+"""Relative deviation of the uniform scale; composition scales the object, walls included."""
 
 
 def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
     """Yield the differences between an object and its node of the parse."""
-    # The parse measures what it sees: parts that stand open stand open in its box, too.
+    # The parsed box contains parts that are open in the photo, so the object is opened, too.
     state, _ = parsed_state(spec, node)
     low, high = bounds(spec, state)
-    made, given = high - low, np.array(node.box3d.size)
-    factor = float(np.exp(np.mean(np.log(given / made))))
-    edges = made * factor / given - 1
+    size, parsed_size = high - low, np.array(node.box3d.size)
+    factor = float(np.exp(np.mean(np.log(parsed_size / size))))
+    edges = size * factor / parsed_size - 1
     worst = int(np.argmax(np.abs(edges)))
     if abs(edges[worst]) > PROPORTION_WARNS:
-        shown = " x ".join(f"{v:.3f}" for v in made)
-        asked = " x ".join(f"{v:.3f}" for v in given)
+        shown = " x ".join(f"{v:.3f}" for v in size)
+        parsed = " x ".join(f"{v:.3f}" for v in parsed_size)
         yield Signal(
             severity="error" if abs(edges[worst]) > PROPORTION_FAILS else "warning",
             code="proportions",
             message=f"the object{_opened(node)} measures {shown} m, "
-            f"the box in the photo {asked} m; {'xyz'[worst]} is too "
+            f"the box in the photo {parsed} m; {'xyz'[worst]} is too "
             f"{'large' if edges[worst] > 0 else 'small'} for the others",
             value=float(edges[worst]),
             threshold=PROPORTION_WARNS,
@@ -48,55 +48,57 @@ def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
             threshold=1.0 + SIZE_WARNS,
             hint="write it at the given size, in metres",
         )
-    moving = [joint for joint in spec.joints if joint.type != "fixed"]
-    kinds = Counter("prismatic" if j.type == "prismatic" else "turning" for j in moving)
-    asked = Counter("prismatic" if s.type == "prismatic" else "turning" for s in node.articulation)
-    for kind, count in asked.items():
-        if kinds[kind] < count:
-            names = [
-                s.part for s in node.articulation if (s.type == "prismatic") == (kind[0] == "p")
-            ]
+    counts = Counter(_motion(joint.type) for joint in spec.joints if joint.type != "fixed")
+    for kind, count in Counter(_motion(part.type) for part in node.articulation).items():
+        if counts[kind] < count:
+            names = [part.part for part in node.articulation if _motion(part.type) == kind]
             yield Signal(
                 severity="error",
                 code="missing_joint",
                 message=f"the photo shows {count} {kind} parts ({', '.join(names)}), "
-                f"the program has {kinds[kind]}",
-                value=kinds[kind],
+                f"the program has {counts[kind]}",
+                value=counts[kind],
                 threshold=count,
                 hint="make each a part of that name, with its joint",
             )
 
 
+def _motion(joint_type: str) -> str:
+    return "prismatic" if joint_type == "prismatic" else "turning"
+
+
 def _opened(node: TreeNode) -> str:
+    """List the parts that are open in the photo, for a message."""
     parts = [f"{part.part} {part.opening:.0%}" for part in node.articulation if part.opening > 0]
     return f", with {', '.join(parts)} open as in the photo," if parts else ""
 
 
 def losses(before: ObjectSpec, after: ObjectSpec, removed: Sequence[str]) -> Iterator[Signal]:
-    """Yield what an earlier round had and this one has not, unless it says so.
+    """Yield parts and joints that a revision dropped without listing them as removed.
 
-    A part or joint that merely changed its name is not lost: counts decide.
+    A renamed part or joint is not lost: a kind counts only where its number went down.
+
+    Args:
+        before: the object of the earlier program.
+        after: the object of the revised program.
+        removed: sentences of the answer about what it removed on purpose.
     """
-    kinds = (
-        ("part", [part.name for part in before.parts], [part.name for part in after.parts]),
-        *(
-            (
-                f"{kind} joint",
-                [joint.name for joint in before.joints if joint.type == kind],
-                [joint.name for joint in after.joints if joint.type == kind],
-            )
-            for kind in ("revolute", "continuous", "prismatic")
-        ),
-    )
-    said = " ".join(removed)
-    for what, old, new in kinds:
-        gone = [name for name in old if name not in new and name not in said]
-        short = len(old) - len(new) - sum(name in said for name in old if name not in new)
-        if short > 0 and gone:
+    kinds = [("part", [p.name for p in before.parts], [p.name for p in after.parts])]
+    for kind in ("revolute", "continuous", "prismatic"):
+        old, new = (
+            [joint.name for joint in spec.joints if joint.type == kind] for spec in (before, after)
+        )
+        kinds.append((f"{kind} joint", old, new))
+    mentioned = " ".join(removed)
+    for kind, old, new in kinds:
+        missing = [name for name in old if name not in new]
+        unexplained = [name for name in missing if name not in mentioned]
+        if unexplained and len(old) - len(new) > len(missing) - len(unexplained):
             yield Signal(
                 severity="error",
                 code="lost",
-                message=f"the earlier program had {what} {', '.join(gone)}, this one has not",
+                message=f"the earlier program had {kind} {', '.join(unexplained)}, "
+                "this one has not",
                 value=len(new),
                 threshold=len(old),
                 hint="put it back, or name it in `removed` if it was wrong",
@@ -106,7 +108,7 @@ def losses(before: ObjectSpec, after: ObjectSpec, removed: Sequence[str]) -> Ite
 def lost_checks(before: str, after: str, removed: Sequence[str]) -> Iterator[Signal]:
     """Yield a signal when a program dropped `assert` statements without saying so."""
     old, new = _asserts(before), _asserts(after)
-    if new < old and not any("assert" in said for said in removed):
+    if new < old and not any("assert" in entry for entry in removed):
         yield Signal(
             severity="error",
             code="lost",

@@ -13,13 +13,13 @@ _HINGES = {
     "top": ("top.back", (0, -1, 0)),
 }
 STANDS_OFF_M = 0.0005
-"""Air between a door and the front that it stands before."""
+"""Gap between a door and the front that it covers."""
 LIFTS_M = 0.0005
-"""Air under a drawer's tray."""
+"""Gap under a drawer's tray."""
 SWING = {"left": 1.57, "right": 1.57, "bottom": 1.5, "top": 1.5}
-"""How far a door opens [rad]: further, its face would enter the frame beside its hinge."""
+"""Opening angle of a door [rad]; beyond it the face would enter the frame beside its hinge."""
 TRAVEL = 0.75
-"""Of a drawer, over its depth."""
+"""Default travel of a drawer, over its depth."""
 
 
 @no_type_check
@@ -39,24 +39,24 @@ def add_door(
     material: str | None,
 ) -> Any:
     """Hang a flat door before the plane x; see `Object.door`."""
-    what = f"door {validate.name(name, 'door name')!r}"
-    (left, width), (low, height) = _span(y, f"{what}: y"), _span(z, f"{what}: z")
+    context = f"door {validate.name(name, 'door name')!r}"
+    (left, width), (low, height) = _span(y, f"{context}: y"), _span(z, f"{context}: z")
     if hinge not in _HINGES:
         raise ValueError(
-            f"{what}: hinge is one of {', '.join(_HINGES)}, got {validate.shown(hinge)}"
+            f"{context}: hinge is one of {', '.join(_HINGES)}, got {validate.shown(hinge)}"
         )
-    edge = validate.number(gap, f"{what}: gap", 1.0)
+    edge = validate.number(gap, f"{context}: gap", 1.0)
     size = (
-        validate.length(thickness, f"{what}: thickness"),
-        validate.length(width - 2 * edge, f"{what}: width inside the gap"),
-        validate.length(height - 2 * edge, f"{what}: height inside the gap"),
+        validate.length(thickness, f"{context}: thickness"),
+        validate.length(width - 2 * edge, f"{context}: width inside the gap"),
+        validate.length(height - 2 * edge, f"{context}: height inside the gap"),
     )
-    front = validate.number(x, f"{what}: x", validate.MAX_COORDINATE_M)
+    front = validate.number(x, f"{context}: x", validate.MAX_COORDINATE_M)
     part = owner.part(name, material=material or parent._material)
     at = (front + STANDS_OFF_M, left + width / 2, low + height / 2)
     panel = part.add(box(size), at=at, by="back", name=f"{name[:40]}_panel")
     where, axis = _HINGES[hinge]
-    wide = SWING[hinge] if opens is None else validate.number(opens, f"{what}: opens", 7.0)
+    wide = SWING[hinge] if opens is None else validate.number(opens, f"{context}: opens", 7.0)
     owner.revolute(
         f"{name[:40]}_hinge",
         parent,
@@ -89,32 +89,32 @@ def add_drawer(
     material: str | None,
 ) -> Any:
     """Put a drawer into an opening whose front lies in the plane x; see `Object.drawer`."""
-    what = f"drawer {validate.name(name, 'drawer name')!r}"
-    (left, width), (low, height) = _span(y, f"{what}: y"), _span(z, f"{what}: z")
-    side = validate.number(gap, f"{what}: gap", 1.0)
-    long = validate.length(depth, f"{what}: depth")
-    edge = validate.number(x, f"{what}: x", validate.MAX_COORDINATE_M)
-    over = validate.number(overlay, f"{what}: overlay", 1.0)
-    thick = validate.length(front, f"{what}: front")
+    context = f"drawer {validate.name(name, 'drawer name')!r}"
+    (left, width), (low, height) = _span(y, f"{context}: y"), _span(z, f"{context}: z")
+    side = validate.number(gap, f"{context}: gap", 1.0)
+    long = validate.length(depth, f"{context}: depth")
+    edge = validate.number(x, f"{context}: x", validate.MAX_COORDINATE_M)
+    over = validate.number(overlay, f"{context}: overlay", 1.0)
+    thick = validate.length(front, f"{context}: front")
     part = owner.part(name, material=material or parent._material)
     tray = (
         long,
-        validate.length(width - 2 * side, f"{what}: width inside the gap"),
-        validate.length(height - side - LIFTS_M, f"{what}: height inside the gap"),
+        validate.length(width - 2 * side, f"{context}: width inside the gap"),
+        validate.length(height - side - LIFTS_M, f"{context}: height inside the gap"),
     )
     middle = left + width / 2
-    shape = hollow_box(tray, validate.length(wall, f"{what}: wall"), open="+z")
+    shape = hollow_box(tray, validate.length(wall, f"{context}: wall"), open="+z")
     part.add(shape, at=(edge, middle, low + LIFTS_M), by="front.bottom", name=f"{name[:40]}_tray")
     # The front covers the opening and laps over its frame; without that it closes flush with it.
     inset = side if over <= 0 else -over
     face = (
         thick,
-        validate.length(width - 2 * inset, f"{what}: front"),
-        validate.length(height - 2 * inset if over > 0 else tray[2], f"{what}: front"),
+        validate.length(width - 2 * inset, f"{context}: front"),
+        validate.length(height - 2 * inset if over > 0 else tray[2], f"{context}: front"),
     )
     foot = low - over if over > 0 else low + LIFTS_M
     part.add(box(face), at=(edge, middle, foot), by="back.bottom", name=f"{name[:40]}_front")
-    out = TRAVEL * long if travel is None else validate.length(travel, f"{what}: travel")
+    out = TRAVEL * long if travel is None else validate.length(travel, f"{context}: travel")
     owner.prismatic(
         f"{name[:40]}_slide",
         parent,
@@ -146,11 +146,11 @@ def add_shelf(
     return parent.add(board, at=at, by="top", material=material, name=name)
 
 
-def _span(value: Any, what: str) -> tuple[float, float]:
-    """Take (low, high) and return low and the distance."""
-    low, high = validate.sequence(value, what, 2, 2)
-    a = validate.number(low, what, validate.MAX_COORDINATE_M)
-    b = validate.number(high, what, validate.MAX_COORDINATE_M)
+def _span(value: Any, argument: str) -> tuple[float, float]:
+    """Validate (low, high) [m], and return low and the distance between them."""
+    low, high = validate.sequence(value, argument, 2, 2)
+    a = validate.number(low, argument, validate.MAX_COORDINATE_M)
+    b = validate.number(high, argument, validate.MAX_COORDINATE_M)
     if b <= a:
-        raise ValueError(f"{what} must be (low, high), got {validate.shown(value)}")
+        raise ValueError(f"{argument} must be (low, high), got {validate.shown(value)}")
     return a, b - a

@@ -1,4 +1,4 @@
-"""Run a program by CPython in this very process, without isolation; the SDK's own limits hold."""
+"""Run a program by CPython in this process, without isolation; the limits of the SDK hold."""
 
 import contextlib
 import io
@@ -17,11 +17,11 @@ def run_in_process(
 
     Args:
         text: the program.
-        session: its account; the objects that it makes end up there.
-        options: the limits; of time, memory and recursion none hold here.
+        session: collects the objects that the program makes, and counts what it uses.
+        options: the limits; those on the program's time, memory and recursion do not hold here.
 
     Returns:
-        What it printed, and what went wrong.
+        Printed text, and errors.
     """
     session.filename = "<program.py>"
     printed = io.StringIO()

@@ -1,4 +1,4 @@
-"""Validate what a program says of a joint; anchors and directions may be words."""
+"""Validate the arguments of a joint; anchors and directions may be words."""
 
 import math
 from typing import Any
@@ -10,58 +10,59 @@ from .placing import MAX_ANGLE_RAD, anchor_of, direction, hinge_of, is_hinge
 
 
 def joint_fields(
-    what: str, name: str, kind: str, parent: Part, child: Part, given: dict[str, Any]
+    context: str, name: str, kind: str, parent: Part, child: Part, arguments: dict[str, Any]
 ) -> dict[str, Any]:
-    """Return the fields of a `spec.Joint` that a program gives.
+    """Return the fields of a `JointSpec` that the arguments of a call determine.
 
     Args:
-        what: for messages.
-        name: of the joint.
+        context: the joint, for messages.
+        name: name of the joint.
         kind: its type.
-        parent: what it hangs on.
-        child: what it moves.
-        given: the arguments of the call.
+        parent: part that it is attached to.
+        child: part that it moves.
+        arguments: arguments of the call, by name.
+
+    Raises:
+        TypeError: an argument has the wrong type.
+        ValueError: an argument has a wrong value, or one is missing.
     """
     fields: dict[str, Any] = {"name": name, "type": kind}
     fields |= {"parent": parent.name, "child": child.name}
-    at: Any = given.get("at")
-    axis = given.get("axis")
+    at: Any = arguments.get("at")
+    axis = arguments.get("axis")
     if is_hinge(at):
-        point, along = hinge_of(child._extent(), extent_of([parent]), at, f"{what}: at")
+        point, along = hinge_of(child._extent(), extent_of([parent]), at, f"{context}: at")
         fields["pos"] = tuple(point.tolist())
         fields["axis"] = tuple(along.tolist())
     elif isinstance(at, str):
-        fields["pos"] = tuple(anchor_of(child._extent(), at, f"{what}: at").tolist())
+        fields["pos"] = tuple(anchor_of(child._extent(), at, f"{context}: at").tolist())
     elif at is not None:
-        fields["pos"] = validate.vector(at, f"{what}: at")
+        fields["pos"] = validate.vector(at, f"{context}: at")
     if axis is not None:
-        fields["axis"] = direction(axis, f"{what}: axis")
+        fields["axis"] = direction(axis, f"{context}: axis")
     elif kind == "revolute" and "axis" not in fields:
-        raise ValueError(f"{what}: needs axis=, unless at= names a hinge such as 'left.hinge'")
-    if "range" in given:
-        lower, upper = validate.sequence(given["range"], f"{what}: range", 2, 2)
-        fields["lower"] = validate.number(lower, f"{what}: range", MAX_ANGLE_RAD)
-        fields["upper"] = validate.number(upper, f"{what}: range", MAX_ANGLE_RAD)
-    if given.get("swing") is not None:
-        swing = validate.number(given["swing"], f"{what}: swing")
+        raise ValueError(f"{context}: needs axis=, unless at= names a hinge such as 'left.hinge'")
+    if "range" in arguments:
+        lower, upper = validate.sequence(arguments["range"], f"{context}: range", 2, 2)
+        fields["lower"] = validate.number(lower, f"{context}: range", MAX_ANGLE_RAD)
+        fields["upper"] = validate.number(upper, f"{context}: range", MAX_ANGLE_RAD)
+    if arguments.get("swing") is not None:
+        swing = validate.number(arguments["swing"], f"{context}: swing")
         if not 0 < swing <= math.pi:
-            raise ValueError(f"{what}: swing must lie above 0 and up to pi, got {swing!r}")
+            raise ValueError(f"{context}: swing must lie above 0 and up to pi, got {swing!r}")
         fields["upper"] = swing
     for key in ("damping", "friction", "stiffness", "effort", "velocity"):
-        if given.get(key) is not None:
-            fields[key] = validate.number(given[key], f"{what}: {key}")
-    if given.get("opens") is not None:
-        fields["intent"] = S.Intent(opens=direction(given["opens"], f"{what}: opens"))
-    leader = given.get("mimic")
-    if leader is not None and given.get("after") is not None:
-        raise ValueError(f"{what}: after= belongs to {leader.name!r}, which it follows")
+        if arguments.get(key) is not None:
+            fields[key] = validate.number(arguments[key], f"{context}: {key}")
+    if arguments.get("opens") is not None:
+        fields["intent"] = S.Intent(opens=direction(arguments["opens"], f"{context}: opens"))
+    leader = arguments.get("mimic")
+    if leader is not None and arguments.get("after") is not None:
+        raise ValueError(f"{context}: after= belongs to {leader.name!r}, which it follows")
     if leader is not None:
         fields["mimic"] = S.Mimic(
             joint=leader.name,
-            multiplier=validate.number(given["multiplier"], f"{what}: multiplier"),
-            offset=validate.number(given["offset"], f"{what}: offset"),
+            multiplier=validate.number(arguments["multiplier"], f"{context}: multiplier"),
+            offset=validate.number(arguments["offset"], f"{context}: offset"),
         )
     return fields
-
-
-__all__ = ["joint_fields"]

@@ -1,9 +1,9 @@
-"""The joint sweep: how deep an object's parts enter each other wherever its joints carry them.
+"""The joint sweep: depth of overlap of an object's parts over the ranges of its joints.
 
 Parts are measured at rest, over the range of each joint, and with all joints moved at once.
-Step 2's compile checks and Step 3's battery judge the same measurement by the same thresholds, so
-an object that passes the one passes the other. Depths are exact (`mj_geomDistance`), those between
-parent and child included.
+Step 2's compile checks and Step 3's battery compare the same measurement with the same thresholds,
+so an object that passes the one passes the other. Depths are exact (`mj_geomDistance`), between
+parent and child, too.
 """
 
 import itertools
@@ -32,7 +32,7 @@ _DIRECTIONS = [
 ]
 """Unit vectors along the axes, the edges and the diagonals of a cube."""
 _RANGE_END = 0.02
-"""Share of a range next to either limit that gets a position of its own."""
+"""Distance from either limit of an additional position, over the range."""
 
 
 @dataclass(frozen=True)
@@ -50,18 +50,18 @@ class Overlap:
 
 @dataclass(frozen=True)
 class JointRange:
-    """One joint posed over its range, with those joints open that it waits for."""
+    """One joint posed over its range, while the joints that it waits for are open."""
 
     joint: JointSpec
     opened: State
     moving: frozenset[int]
-    """Indices of the parts that it carries."""
+    """Indices of the parts that move with it."""
     pairs: Sequence[Pair]
     """Pairs whose distance the joint changes."""
     values: NDArray
-    """Positions tried [value], rad or m, in ascending order."""
+    """Ascending positions [value], rad or m."""
     depth_share: NDArray
-    """Largest depth over the depth allowed, of all pairs, at each position [value]."""
+    """Largest ratio of depth to allowed depth over all pairs, at each position [value]."""
     deepest: Mapping[Pair, Overlap]
 
     @property
@@ -76,9 +76,9 @@ class JointSweep:
 
     probe: Probe
     allowed: Mapping[Pair, float]
-    """Depth [m] that every pair of parts that can move against each other may have."""
+    """Allowed depth [m] of every pair of parts that can move relative to each other."""
     reasons: Mapping[Pair, str]
-    """Why the program allows a pair more than the threshold."""
+    """The program's reason for allowing a pair more than the threshold."""
     at_rest: Mapping[Pair, Overlap]
     ranges: Sequence[JointRange]
 
@@ -108,8 +108,8 @@ def sweep_joints(
     Args:
         probe: the object.
         options: thresholds and the number of positions.
-        allowances: overlaps that the object's program asks for.
-        ignored: names of parts that stand for links without geometry.
+        allowances: overlaps that the object's program declares.
+        ignored: names of placeholder parts of links without geometry.
     """
     spec, names = probe.spec, probe.names
     group = welded(spec)
@@ -150,11 +150,11 @@ def sweep_range(
 
     Args:
         probe: the object.
-        joint: what is moved.
-        pairs: pairs of parts that may be measured; those that the joint cannot change are left out.
-        allowed: depth [m] that each pair may have.
+        joint: the joint.
+        pairs: pairs of parts to measure; pairs that the joint cannot change are skipped.
+        allowed: allowed depth [m] of each pair.
         steps: number of positions.
-        opened: state of the other joints; by default those are open that the joint waits for.
+        opened: state of the other joints; by default the joints that it waits for are open.
     """
     spec = probe.spec
     opened = prerequisite_state(spec, joint) if opened is None else opened
@@ -175,9 +175,9 @@ def sweep_range(
 
 
 def free_range(sweep: JointSweep, swept: JointRange, share: float = 1.0) -> tuple[float, float]:
-    """Return the range around rest in which nothing is deeper than a share of what is allowed.
+    """Return the range around rest where no depth exceeds a share of the allowed depth.
 
-    Its ends are found by bisection, to a thousandth of the joint's range.
+    Bisection finds its two ends [rad or m], to a thousandth of the joint's range.
     """
     probe, values = sweep.probe, swept.values
 
@@ -186,12 +186,12 @@ def free_range(sweep: JointSweep, swept: JointRange, share: float = 1.0) -> tupl
             probe, swept.joint, value, swept.opened, swept.pairs, sweep.allowed, share
         )
 
-    rest = float(np.clip(0.0, values[0], values[-1]))
-    if not free(rest):
-        return rest, rest
+    start = float(np.clip(0.0, values[0], values[-1]))
+    if not free(start):
+        return start, start
     ends = []
-    for side in (np.flatnonzero(values < rest)[::-1], np.flatnonzero(values > rest)):
-        inside, outside = rest, None
+    for side in (np.flatnonzero(values < start)[::-1], np.flatnonzero(values > start)):
+        inside, outside = start, None
         for k in side:
             if swept.depth_share[k] > share:
                 outside = float(values[k])
@@ -213,7 +213,7 @@ def collides_at(
     allowed: Mapping[Pair, float],
     share: float = 1.0,
 ) -> bool:
-    """Tell whether any pair is deeper than a share of what is allowed at a joint position."""
+    """Tell whether any depth exceeds a share of the allowed depth at a joint position."""
     return any(
         -near.distance > share * allowed[pair]
         for _, depths in _poses(probe, joint, value, opened, pairs)
@@ -228,12 +228,13 @@ def sweep_together(
 ) -> dict[Pair, Overlap]:
     """Move all joints at once, and return the pairs that get too deep only then.
 
-    No joint moves unless those that it waits for are open. The sampled states are always the same.
+    No joint moves unless the joints that it waits for are open. The seed of the sampled states is
+    fixed.
 
     Args:
         sweep: the object at rest and over each range.
-        options: how many states are sampled.
-        free: by joint name, the range that it is kept in.
+        options: the number of sampled states.
+        free: range [rad or m] to which a joint is restricted, by its name.
     """
     free = free or {}
     if len(sweep.ranges) < 2:
@@ -243,7 +244,7 @@ def sweep_together(
     pairs = [pair for pair in sweep.allowed if pair not in colliding]
     deepest: dict[Pair, Overlap] = {}
     for k in range(options.sweep_combinations):
-        # All open and all closed come first: parts that swing past each other meet there.
+        # The first two states are all open and all closed, where parts that swing often collide.
         state: State = {}
         for swept in sweep.ranges:
             values, name = swept.values, swept.joint.name
@@ -265,49 +266,36 @@ def sweep_together(
 def joint_positions(joint: JointSpec, steps: int) -> NDArray:
     """Return ascending values that cover a joint's range [rad or m]; a ball's are angles from rest.
 
-    A limited range gets two positions more, close to its limits, where it meets what stops it.
+    A limited range gets two more positions close to its limits, where parts often collide.
     """
     if joint.type == "continuous":
         return np.linspace(0, 2 * np.pi, steps + 3, endpoint=False)
     lower, upper = joint.lower, joint.upper
     if joint.type == "ball":
-        # Each angle is tried in many directions, so fewer do.
+        # Each angle is measured in 26 directions, so fewer angles suffice.
         upper, steps = upper or np.pi, max(steps // 2, 3)
     end = _RANGE_END * (upper - lower)
     return np.unique(np.concatenate([np.linspace(lower, upper, steps), [lower + end, upper - end]]))
 
 
 def joint_states(joint: JointSpec, value: float) -> list[State]:
-    """Return the states of a joint at a value: one, or for a ball its turns in 26 directions."""
+    """Return the states of a joint at a value: one, or for a ball one in each of 26 directions."""
     if joint.type != "ball":
         return [{joint.name: value}]
     names = [f"{joint.name}.{axis}" for axis in "xyz"]
     if value == 0.0:
         return [dict.fromkeys(names, 0.0)]
-    return [{name: value * w for name, w in zip(names, way, strict=True)} for way in _DIRECTIONS]
+    return [
+        {name: value * w for name, w in zip(names, direction, strict=True)}
+        for direction in _DIRECTIONS
+    ]
 
 
 def _poses(
     probe: Probe, joint: JointSpec, value: float, opened: State, pairs: Sequence[Pair]
 ) -> Iterator[tuple[State, dict[Pair, Near]]]:
-    """Place a joint at a value, a ball in all directions, and measure the pairs."""
-    tried = np.array(pairs, dtype=int).reshape(-1, 2)
+    """Yield each state of a joint at a value, with the pairs that touch or overlap in it."""
+    measured = np.array(pairs, dtype=int).reshape(-1, 2)
     for state in joint_states(joint, value):
         probe.place({**opened, **state})
-        yield state, probe.depths(tried)
-
-
-__all__ = [
-    "JointRange",
-    "JointSweep",
-    "Overlap",
-    "Pair",
-    "State",
-    "collides_at",
-    "free_range",
-    "joint_positions",
-    "joint_states",
-    "sweep_joints",
-    "sweep_range",
-    "sweep_together",
-]
+        yield state, probe.depths(measured)

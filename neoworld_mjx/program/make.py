@@ -10,26 +10,26 @@ from .signals import Signal, deduplicated
 
 
 def build(text: str, options: ProgramOptions | None = None) -> Built:
-    """Turn a program's text into a checked object.
+    """Turn a program's text into a checked object; no program makes this raise.
 
     Args:
         text: the program.
         options: sandbox, limits and thresholds.
 
     Returns:
-        The object with all signals; it never raises for anything that the program does. `spec` is
-        None when the program failed, and `ok` tells whether the object passed every check.
+        The object with all signals. `spec` is None when the program failed, and `ok` tells whether
+        the object passed every check.
     """
     options = options or ProgramOptions()
-    made = run(text, options)
-    if made.spec is None:
-        return made
+    built = run(text, options)
+    if built.spec is None:
+        return built
     start = time.monotonic()
     try:
-        found = check(made.spec, options, made.lines, made.allowances)
-    except Exception as error:  # the border: a fault of a check is a signal, too
+        findings = check(built.spec, options, built.lines, built.allowances)
+    except Exception as error:  # A check that fails itself is a signal, too.
         message = f"a check failed: {type(error).__name__}: {error}"[:500]
-        found = (Signal(severity="error", code="internal", message=message),)
-    seconds = made.seconds + time.monotonic() - start
-    signals = deduplicated((*made.signals, *found))
-    return replace(made, signals=signals, seconds=seconds)
+        findings = (Signal(severity="error", code="internal", message=message),)
+    seconds = built.seconds + time.monotonic() - start
+    signals = deduplicated((*built.signals, *findings))
+    return replace(built, signals=signals, seconds=seconds)

@@ -72,8 +72,13 @@ _TABLE: dict[str, tuple[float, float, tuple[float, float, float]]] = {
     "chocolate": (1300, 0.40, (0.30, 0.18, 0.12)),
 }
 
+_CLEAR = {"glass": 0.3, "acrylic": 0.35, "pet": 0.35, "water": 0.45}
+"""Opacity of what one sees through; the rest is opaque."""
+
 MATERIALS: dict[str, Material] = {
-    name: Material(name=name, density=density, friction=friction, rgba=(*rgb, 1.0))
+    name: Material(
+        name=name, density=density, friction=friction, rgba=(*rgb, _CLEAR.get(name, 1.0))
+    )
     for name, (density, friction, rgb) in _TABLE.items()
 }
 """The named materials that a program may use without defining them."""

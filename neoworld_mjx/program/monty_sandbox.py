@@ -1,8 +1,9 @@
-"""Run a program in the Monty sandbox: worker processes that hold nothing but handles.
+"""Run a program in a worker process of the Monty sandbox.
 
-The text is type-checked against the SDK's stubs first. A worker knows no files, no network and no
-imports besides `math` and its like; time, memory, recursion, output and calls are limited.
-The SDK's objects live here, and every value that crosses is checked by the SDK.
+The text is type-checked against the SDK's stubs first. A worker has no files, no network and no
+imports besides the SDK, `math` and a few like it; time, memory, recursion, output and calls are
+limited. The SDK's objects stay in this process: a worker holds handles of them, and the SDK
+validates every value that a program passes.
 """
 
 import atexit
@@ -19,6 +20,7 @@ from typing import Any
 import pydantic_monty as monty
 
 from ..config import ProgramOptions
+from .call_clock import CallClock
 from .exception_signals import ENDLESS_HINT, IMPORT_HINT, MODULE, exception_signal, limit_signal
 from .part import Geom, Joint, Part
 from .placing import Shape
@@ -28,12 +30,16 @@ from .signals import Signal
 
 
 def public_members(kind: type, select: Callable[[object], bool]) -> tuple[str, ...]:
-    """Return the names of a class's own public members of a sort: what programs may use."""
+    """Return the names of a class's own public members that `select` accepts."""
     members = vars(kind).items()
     return tuple(name for name, value in members if not name.startswith("_") and select(value))
 
 
 _START_S, _GRACE_S = 10.0, 0.5
+_STARVED = 0.25
+"""Share of the time limit that a worker on a busy machine got, below which it runs once more."""
+_PATIENCE = 30.0
+"""Wall time of that run, in units of the limit, which then holds for processor time."""
 _MAX_TYPE_SIGNALS = 20
 _CLASSES = (Object, Part, Geom, Joint, Shape)
 _METHODS = {kind: frozenset(public_members(kind, inspect.isfunction)) for kind in _CLASSES}
@@ -47,7 +53,7 @@ _FIELDS = {
 
 
 class _Handle(monty.ClassInstance):
-    """Shows the sandbox an SDK object: its name and its methods, nothing else."""
+    """Handle of an SDK object: exposes its public fields, properties and methods, nothing else."""
 
     session: Session
 
@@ -60,10 +66,11 @@ class _Handle(monty.ClassInstance):
             return super().lookup_lazy_attrs(name)
 
     def convert_value(self, /, name: str, value: Any) -> Any:
-        return _handed(value, self.session)
+        return _exposed(value, self.session)
 
 
-def _handed(value: Any, session: Session) -> Any:
+def _exposed(value: Any, session: Session) -> Any:
+    """Return a handle of an SDK object, and any other value unchanged."""
     kind = type(value)
     if kind not in _METHODS:
         return value
@@ -80,10 +87,10 @@ def _handed(value: Any, session: Session) -> Any:
 def _module(session: Session) -> dict[str, monty.ExternalModule]:
     """Build the one module that a program may import, bound to its session."""
 
-    def bound(make: Any) -> Any:
+    def bound(function: Any) -> Any:
         def call(*args: Any, **kwargs: Any) -> Any:
             with session.call():
-                return _handed(make(*args, **kwargs), session)
+                return _exposed(function(*args, **kwargs), session)
 
         return call
 
@@ -91,9 +98,9 @@ def _module(session: Session) -> dict[str, monty.ExternalModule]:
     sdk = import_module(MODULE)
     for name in sdk.__all__:
         value = getattr(sdk, name)
-        # Classes that are only named in annotations cannot be called.
-        made_here = inspect.isclass(value) and value is not Object
-        exposed[name] = monty.ClassType(value) if made_here else bound(value)
+        # Programs name these classes in annotations; only `Object` may be called.
+        class_only = inspect.isclass(value) and value is not Object
+        exposed[name] = monty.ClassType(value) if class_only else bound(value)
     module = monty.ExternalModule(exposed, stubs=stubs())
     *packages, last = MODULE.split(".")
     for inner in (last, *reversed(packages[1:])):
@@ -101,20 +108,31 @@ def _module(session: Session) -> dict[str, monty.ExternalModule]:
     return {packages[0]: module}
 
 
-def run_sandboxed(text: str, session: Session, options: ProgramOptions) -> tuple[str, list[Signal]]:
+class Starved(Exception):
+    """A program's time ran out while the machine hardly let it run; nothing is known of it."""
+
+
+def run_sandboxed(
+    text: str, session: Session, options: ProgramOptions, *, patient: bool = False
+) -> tuple[str, list[Signal]]:
     """Run a program in a worker.
 
     Args:
         text: the program.
-        session: its account; the objects that it makes end up there.
+        session: collects the objects that the program makes, and counts what it uses.
         options: the limits.
+        patient: count the limit of time in processor time of the worker, and wait for that.
 
     Returns:
-        What it printed, and what went wrong.
+        Printed text, and errors.
+
+    Raises:
+        Starved: the worker was stopped at the limit of wall time with little processor time; never
+            if `patient`.
     """
     printed = monty.CollectString(max_bytes=options.max_output_bytes)
     limits: monty.ResourceLimits = {
-        "max_feed_duration_secs": options.timeout_s,
+        "max_feed_duration_secs": options.timeout_s * (_PATIENCE if patient else 1.0),
         "max_memory": options.memory_mib << 20,
         "max_recursion_depth": options.max_recursion,
         "max_suspensions": options.max_calls,
@@ -122,28 +140,40 @@ def run_sandboxed(text: str, session: Session, options: ProgramOptions) -> tuple
     policy: monty.OSPolicy = {"sleep": "zero", "random_start": {"seed": 0}}
     problems: list[Signal] = []
     starts = [0, *(match.end() for match in re.finditer(rb"\n", text.encode()))]
+    clock = session.clock = CallClock()
     try:
-        with _pool(options.workers, os.getpid()).checkout(
-            script_name="program.py",
-            limits=limits,
-            type_check=options.type_check,
-            type_check_format="json",
-            os_policy=policy,
-            external_modules=_module(session),
-        ) as worker:
-            at = worker.feed_start(text, print_callback=printed)
-            while not isinstance(at, monty.MontyComplete):
-                if at.position.filename.startswith("<python-input"):
-                    session.line = bisect_right(starts, at.position.start)
-                at = at.resume_auto()
+        with (
+            clock.watching(),
+            _pool(options.workers, os.getpid()).checkout(
+                script_name="program.py",
+                limits=limits,
+                type_check=options.type_check,
+                type_check_format="json",
+                os_policy=policy,
+                external_modules=_module(session),
+            ) as worker,
+        ):
+            clock.watch_worker(worker.worker_pid, options.timeout_s if patient else float("inf"))
+            progress = worker.feed_start(text, print_callback=printed)
+            while not isinstance(progress, monty.MontyComplete):
+                if progress.position.filename.startswith("<python-input"):
+                    session.line = bisect_right(starts, progress.position.start)
+                progress = progress.resume_auto()
                 if session.exceeded is not None:
                     raise session.exceeded
     except monty.MontyTypingError as error:
         problems = _typing_signals(error)
     except LimitExceeded:
-        pass  # told below, where it is told too when the program has caught it
+        pass  # Reported below, as it is when the program has caught it.
     except monty.MontyError as error:
-        problems = [_monty_signal(error, options)]
+        problem = _monty_signal(error, options)
+        if clock.worker_killed:
+            problem = problem.model_copy(update={"code": "timeout"})
+        used = clock.worker_s
+        starved = used is not None and used < _STARVED * options.timeout_s
+        if problem.code == "timeout" and starved and not patient:
+            raise Starved from None
+        problems = [problem]
     except TimeoutError:
         message = "all sandbox workers are busy"
         hint = "raise program.workers, or run fewer programs at once"
@@ -181,20 +211,20 @@ _TYPE_HINTS = {
 
 
 def _typing_signals(error: monty.MontyTypingError) -> list[Signal]:
-    found = []
-    for item in json.loads(error.display())[:_MAX_TYPE_SIGNALS]:
-        syntax = item["code"] == "invalid-syntax"
-        found.append(
+    signals = []
+    for finding in json.loads(error.display())[:_MAX_TYPE_SIGNALS]:
+        syntax = finding["code"] == "invalid-syntax"
+        signals.append(
             Signal(
                 severity="error",
                 code="syntax" if syntax else "type",
-                message=item["message"][:400],
-                line=item["location"]["row"],
-                column=item["location"]["column"],
-                hint="" if syntax else _TYPE_HINTS.get(item["code"], ""),
+                message=finding["message"][:400],
+                line=finding["location"]["row"],
+                column=finding["location"]["column"],
+                hint="" if syntax else _TYPE_HINTS.get(finding["code"], ""),
             )
         )
-    return found
+    return signals
 
 
 def _monty_signal(error: monty.MontyError, options: ProgramOptions) -> Signal:

@@ -1,5 +1,6 @@
 """Signals for parts that enter each other at rest, over a joint's range, or in combinations."""
 
+import itertools
 from collections.abc import Sequence
 
 from ..config import ProgramOptions
@@ -20,7 +21,7 @@ from .signals import Signal
 def overlap_signals(
     probe: Probe, options: ProgramOptions, allowances: Sequence[Allowance] = ()
 ) -> list[Signal]:
-    """Report every pair of parts that enter each other too deep, where they are deepest.
+    """Return a signal for every pair of parts that overlap too deep, where they are deepest.
 
     A joint that waits for others (`after`) is moved while these are open, in combinations too; they
     themselves are moved while it is at rest.
@@ -44,11 +45,26 @@ def overlap_signals(
     return signals
 
 
+def rest_overlap_signals(probe: Probe, options: ProgramOptions) -> list[Signal]:
+    """Return a signal for every two parts that overlap too deep at rest, whatever joins them."""
+    most = options.max_depth_m
+    probe.place({})
+    pairs = dict.fromkeys(itertools.combinations(range(len(probe.names)), 2), most)
+    return [
+        _at_rest(probe, pair, Overlap(-near.distance, near, {}), most)
+        for pair, near in probe.depths(pairs).items()
+        if -near.distance > most
+    ]
+
+
 def _needless(sweep: JointSweep, swept: JointRange, options: ProgramOptions) -> list[Signal]:
-    """Refuse that a joint waits for one that is not in its way: less would be tried for nothing."""
+    """Return an error for each joint that another waits for although it is not in its way.
+
+    Waiting leaves states out of the sweep, so it must be needed.
+    """
     joint, signals = swept.joint, []
     for name in joint.after:
-        other = next(j for j in sweep.probe.spec.joints if j.name == name)
+        other = sweep.probe.spec.joint(name)
         closed = {key: value for key, value in swept.opened.items() if key != name}
         alone = sweep_range(
             sweep.probe, joint, swept.pairs, sweep.allowed, options.sweep_steps, closed

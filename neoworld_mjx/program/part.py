@@ -68,28 +68,30 @@ class Part:
             name: unique in the part; numbered by default. Where another part has the name
                 already, this part's name is put before it.
         """
-        what = f"part {self.name!r}, add"
+        context = f"part {self.name!r}, add"
         if not isinstance(shape, Shape):
-            raise TypeError(f"{what}: needs a shape such as box(...), got {validate.shown(shape)}")
-        label = self._geom_name(name, what)
-        where = placed(shape, at, rpy, by, what)
+            raise TypeError(
+                f"{context}: needs a shape such as box(...), got {validate.shown(shape)}"
+            )
+        label = self._geom_name(name, context)
+        pose = placed(shape, at, rpy, by, context)
         if role not in ("both", "visual", "collision"):
-            given = choices(validate.shown(role), ("both", "visual", "collision"))
-            raise ValueError(f"{what}: role: {given}")
+            valid = choices(validate.shown(role), ("both", "visual", "collision"))
+            raise ValueError(f"{context}: role: {valid}")
         spec = validate.described(
             S.GeomSpec,
-            f"{what} {label!r}",
+            f"{context} {label!r}",
             name=label,
             shape=shape._spec,
-            pos=tuple(where.pos.tolist()),
-            quat=tuple(where.quat.tolist()),
-            material=self._owner._shade(material or self._material, rgb, what),
+            pos=tuple(pose.pos.tolist()),
+            quat=tuple(pose.quat.tolist()),
+            material=self._owner._shade(material or self._material, rgb, context),
             role=role,
         )
         account = current()
         account.use("geoms", 1, account.max_geoms)
         account.use("convex pieces", len(shape._spec.pieces()), account.max_pieces)
-        geom = Geom(spec, bounds_at(shape._spec, where), here())
+        geom = Geom(spec, bounds_at(shape._spec, pose), here())
         self._geoms.append(geom)
         return geom
 
@@ -99,43 +101,50 @@ class Part:
         "left.hinge" is the point that a flat part, hinged at its left edge, turns about: on that
         edge, on the face towards the object's other parts.
         """
-        what = f"anchor of part {self.name!r}"
+        argument = f"anchor of part {self.name!r}"
         if is_hinge(where):
             others = [part for part in self._owner._parts if part is not self and part._geoms]
-            x, y, z = hinge_of(self._extent(), extent_of(others), where, what)[0].tolist()
+            x, y, z = hinge_of(self._extent(), extent_of(others), where, argument)[0].tolist()
         else:
-            x, y, z = anchor_of(self._extent(), where, what).tolist()
+            x, y, z = anchor_of(self._extent(), where, argument).tolist()
         return x, y, z
 
-    def _extent(self) -> Bounds:
-        found = extent_of([self])
-        if found is None:
-            raise ValueError(f"part {self.name!r} has no shapes yet, so it has no anchors")
-        return found
+    def set_mass(self, mass: float) -> None:
+        """State the part's mass [kg], where volume and density do not tell it."""
+        if validate.number(mass, f"part {self.name!r}: mass") <= 0:
+            raise ValueError(f"part {self.name!r}: mass must be positive, got {mass!r}")
+        self._mass = float(mass)
 
-    def _geom_name(self, given: str | None, what: str) -> str:
-        taken = self._owner._geom_names
-        if given is not None:
-            if validate.name(given, f"{what}: name") in self._named:
+    def _extent(self) -> Bounds:
+        extent = extent_of([self])
+        if extent is None:
+            raise ValueError(f"part {self.name!r} has no shapes yet, so it has no anchors")
+        return extent
+
+    def _geom_name(self, wanted: str | None, context: str) -> str:
+        """Return a name that no other shape of the object has, from the one wanted if any."""
+        used = self._owner._geom_names
+        if wanted is not None:
+            if validate.name(wanted, f"{context}: name") in self._named:
                 raise ValueError(
-                    f"{what}: the name {given!r} is taken by another shape of the part"
+                    f"{context}: the name {wanted!r} is taken by another shape of the part"
                 )
-            self._named.add(given)
-            if given not in taken:
-                taken.add(given)
-                return given
-            # Programs make several parts in one loop: each may have its "knob".
-            given = f"{self.name[:20]}_{given[:20]}"
-        label, count = given, len(self._geoms)
-        while label is None or label in taken:
-            label = f"{(given or self.name)[:40]}_{count}"
+            self._named.add(wanted)
+            if wanted not in used:
+                used.add(wanted)
+                return wanted
+            # A program that makes parts in a loop may name a shape "knob" in each of them.
+            wanted = f"{self.name[:20]}_{wanted[:20]}"
+        label, count = wanted, len(self._geoms)
+        while label is None or label in used:
+            label = f"{(wanted or self.name)[:40]}_{count}"
             count += 1
-        taken.add(label)
+        used.add(label)
         return label
 
 
 def extent_of(parts: Sequence[Part]) -> Bounds | None:
-    """Return the bounding box of what parts have so far, None if they have nothing."""
+    """Return the bounding box of the shapes of parts so far, None if they have none."""
     boxes = [geom._bounds for part in parts for geom in part._geoms]
     if not boxes:
         return None
@@ -151,3 +160,35 @@ class Joint:
     def __init__(self, fields: dict[str, Any], line: int | None) -> None:
         self._fields, self._line = fields, line
         self.name = fields["name"]
+
+    def set_dynamics(
+        self,
+        *,
+        damping: float | None = None,
+        friction: float | None = None,
+        stiffness: float | None = None,
+        effort: float | None = None,
+        velocity: float | None = None,
+    ) -> None:
+        """State losses and limits of the joint; what is not given stays.
+
+        Args:
+            damping: [N m s/rad], or [N s/m] of a slide.
+            friction: dry friction [N m or N].
+            stiffness: of a spring towards 0 [N m/rad or N/m].
+            effort: largest torque or force of a drive [N m or N].
+            velocity: largest speed [rad/s or m/s].
+        """
+        context = f"joint {self.name!r}"
+        given = {
+            "damping": damping,
+            "friction": friction,
+            "stiffness": stiffness,
+            "effort": effort,
+            "velocity": velocity,
+        }
+        numbers = {
+            k: validate.number(v, f"{context}: {k}") for k, v in given.items() if v is not None
+        }
+        validate.described(S.JointSpec, context, **{**self._fields, **numbers})
+        self._fields |= numbers

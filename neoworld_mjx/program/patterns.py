@@ -1,4 +1,4 @@
-"""Places for things that repeat."""
+"""Points of repeated shapes: grids, rings and mirror images."""
 
 import math
 from collections.abc import Sequence
@@ -62,16 +62,16 @@ def mirror(
     if across not in ("x", "y", "z"):
         raise ValueError(f"mirror across is 'x', 'y' or 'z', got {validate.shown(across)}")
     k, plane = "xyz".index(across), validate.number(at, "mirror at", validate.MAX_COORDINATE_M)
-    given = validate.sequence(points, "mirror points", 1, MOST)
-    if not isinstance(given[0], list | tuple):
-        given = [given]
-    found: list[Point3] = []
-    for i, item in enumerate(given):
-        point = validate.vector(item, f"mirror points[{i}]")
+    originals = validate.sequence(points, "mirror points", 1, MOST)
+    if not isinstance(originals[0], list | tuple):
+        originals = [originals]
+    mirrored: list[Point3] = []
+    for i, original in enumerate(originals):
+        point = validate.vector(original, f"mirror points[{i}]")
         image = list(point)
         image[k] = 2 * plane - image[k]
-        found.append(point)
+        mirrored.append(point)
         if image[k] != point[k]:
             x, y, z = image
-            found.append((x, y, z))
-    return found
+            mirrored.append((x, y, z))
+    return mirrored

@@ -1,4 +1,4 @@
-"""A shape in a program's hands, its bounding box, and the named points of boxes."""
+"""Shapes as programs hold them: their poses, bounding boxes, and named points of boxes."""
 
 from collections.abc import Sequence
 from typing import Any, no_type_check
@@ -67,18 +67,26 @@ class Shape:
 
 
 @no_type_check
-def placed(shape: Shape, at: Sequence[float], rpy: Sequence[float], by: str, what: str) -> Pose:
-    """Return the pose of a shape's description when its origin, or its point `by`, goes to `at`."""
-    where = np.array(validate.vector(at, f"{what}: at"))
-    turned = from_rpy(*validate.vector(rpy, f"{what}: rpy", MAX_ANGLE_RAD))
+def placed(shape: Shape, at: Sequence[float], rpy: Sequence[float], by: str, context: str) -> Pose:
+    """Return the pose of a shape's description when its origin, or its point `by`, goes to `at`.
+
+    Args:
+        shape: the shape.
+        at: point in the object's frame [3] m.
+        rpy: fixed-axis roll, pitch and yaw [3] rad.
+        by: anchor of the turned shape's bounding box; empty for its origin.
+        context: the call, for messages.
+    """
+    position = np.array(validate.vector(at, f"{context}: at"))
+    rotation = from_rpy(*validate.vector(rpy, f"{context}: rpy", MAX_ANGLE_RAD))
     if by:
-        bounds = bounds_of(shape, pose((0, 0, 0), turned))
-        where = where - anchor_of(bounds, by, f"{what}: by")
-    found = pose(where, turned)
+        bounds = bounds_of(shape, pose((0, 0, 0), rotation))
+        position = position - anchor_of(bounds, by, f"{context}: by")
+    of_origin = pose(position, rotation)
     own = shape._pose
     if tuple(own.quat.tolist()) == IDENTITY and not own.pos.any():
-        return found
-    return found.then(own)
+        return of_origin
+    return of_origin.then(own)
 
 
 def bounds_of(shape: Shape, at: Pose) -> Bounds:
@@ -87,43 +95,49 @@ def bounds_of(shape: Shape, at: Pose) -> Bounds:
 
 
 def bounds_at(described: S.Shape, at: Pose) -> Bounds:
-    """Return the bounding box of a described shape at its pose."""
+    """Return the bounding box (low [3], high [3]) [m] of a described shape at a pose."""
     boxes = [
         box_around(piece, at.then(pose(piece.pos, piece.quat))) for piece in described.pieces()
     ]
     return np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)
 
 
-def anchor_of(bounds: Bounds, where: Any, what: str) -> NDArray:
+def anchor_of(bounds: Bounds, where: Any, argument: str) -> NDArray:
     """Return a named point of a bounding box [3] m: "top", "left.front", "-x.bottom", "centre".
 
-    A direction that is not named stays in the middle.
+    Along a direction that is not named the point lies in the middle.
+
+    Raises:
+        TypeError: the anchor is no string.
+        ValueError: it names no point, or one direction twice.
     """
     if not isinstance(where, str):
-        raise TypeError(f"{what} must be a string such as 'top', got {validate.shown(where)}")
+        raise TypeError(f"{argument} must be a string such as 'top', got {validate.shown(where)}")
     low, high = bounds
     point = (low + high) / 2
-    for axis, sign in _named(validate.text(where, what).split("."), what).items():
+    for axis, sign in _named(validate.text(where, argument).split("."), argument).items():
         point[axis] = high[axis] if sign > 0 else low[axis]
     return point
 
 
-def _named(words: list[str], what: str) -> dict[int, int]:
-    """Return the sign of every direction that is named."""
-    found: dict[int, int] = {}
+def _named(words: list[str], argument: str) -> dict[int, int]:
+    """Return the sign of every axis that an anchor's words name."""
+    signs: dict[int, int] = {}
     for word in words:
         if word == "centre":
             continue
         if word not in _SIDES:
             raise ValueError(
-                f"{what} takes {', '.join(_SIDES)} or centre, joined by dots as in "
+                f"{argument} takes {', '.join(_SIDES)} or centre, joined by dots as in "
                 f"'left.bottom', or 'left.hinge'; got {validate.shown('.'.join(words))}"
             )
         axis, sign = _SIDES[word]
-        if axis in found:
-            raise ValueError(f"{what} {validate.shown('.'.join(words))} names one direction twice")
-        found[axis] = sign
-    return found
+        if axis in signs:
+            raise ValueError(
+                f"{argument} {validate.shown('.'.join(words))} names one direction twice"
+            )
+        signs[axis] = sign
+    return signs
 
 
 def is_hinge(where: Any) -> bool:
@@ -132,52 +146,61 @@ def is_hinge(where: Any) -> bool:
 
 
 def hinge_of(
-    bounds: Bounds, others: Bounds | None, where: str, what: str
+    bounds: Bounds, others: Bounds | None, where: str, argument: str
 ) -> tuple[NDArray, NDArray]:
-    """Find the line about which a flat part, a door or a lid, turns at one of its edges.
+    """Find the hinge line of a flat part, such as a door or a lid, at one of its edges.
 
-    The part is thin along one direction and opens to the side that is away from the others; the
-    line runs along the named edge, on the face that is towards them.
+    The part opens away from the parts that it hangs on. The line runs along the named edge, on the
+    face towards those parts.
 
     Args:
-        bounds: of the part.
-        others: of what it is hung on; without it, it opens to the front, the left or upwards.
-        where: such as "left.hinge".
-        what: for messages.
+        bounds: bounding box of the part, thin along one direction.
+        others: bounding box of what it hangs on; None opens it to the front, the left or upwards.
+        where: anchor such as "left.hinge".
+        argument: name of the anchor's argument, for messages.
 
     Returns:
-        A point of the line, in the middle of the edge [3] m, and the axis [3]; positive opens.
+        The middle of the edge [3] m, and the axis [3], about which positive opens.
+
+    Raises:
+        ValueError: the anchor names no edge of the part.
     """
-    words = [word for word in validate.text(where, what).split(".") if word != "hinge"]
-    named = _named(words, what)
+    words = [word for word in validate.text(where, argument).split(".") if word != "hinge"]
+    edges = _named(words, argument)
     low, high = bounds
     thin = int(np.argmin(high - low))
-    if len(named) != 1 or thin in named:
+    if len(edges) != 1 or thin in edges:
         raise ValueError(
-            f"{what} names one edge of a flat part, such as 'left.hinge'; this part is thinnest "
-            f"from {('back to front', 'right to left', 'bottom to top')[thin]}, "
+            f"{argument} names one edge of a flat part, such as 'left.hinge'; this part is "
+            f"thinnest from {('back to front', 'right to left', 'bottom to top')[thin]}, "
             f"got {validate.shown(where)}"
         )
     middle = (low + high) / 2
     outward = 1
     if others is not None and middle[thin] < (others[0][thin] + others[1][thin]) / 2:
         outward = -1
-    ((edge, side),) = named.items()
+    ((edge, side),) = edges.items()
     point = middle.copy()
     point[edge] = high[edge] if side > 0 else low[edge]
     point[thin] = low[thin] if outward > 0 else high[thin]
-    # The far edge, opposite to the named one, shall move outwards.
+    # Positive moves the far edge, opposite to the named one, outwards.
     axis = np.cross(-side * np.eye(3)[edge], outward * np.eye(3)[thin])
     return point, axis + 0.0
 
 
-def direction(value: Any, what: str) -> tuple[float, float, float]:
-    """Take an axis: three numbers, or a direction in words such as "front", "up" or "-y"."""
+def direction(value: Any, argument: str) -> tuple[float, float, float]:
+    """Validate an axis [3]: three numbers, or a word such as "front", "up" or "-y".
+
+    Raises:
+        TypeError: it is neither.
+        ValueError: the word is unknown, or a number is not finite.
+    """
     if not isinstance(value, str):
-        return validate.vector(value, what)
+        return validate.vector(value, argument)
     if value not in _WAYS:
         raise ValueError(
-            f"{what} must be (x, y, z) or one of {', '.join(_WAYS)}, got {validate.shown(value)}"
+            f"{argument} must be (x, y, z) or one of {', '.join(_WAYS)}, "
+            f"got {validate.shown(value)}"
         )
     axis, sign = _WAYS[value]
     x, y, z = (sign * np.eye(3)[axis] + 0.0).tolist()

@@ -1,4 +1,4 @@
-"""Sizes and masses that real things have: what no collision check would notice."""
+"""Check that sizes, masses and walls are those of real objects."""
 
 from collections.abc import Iterator
 
@@ -14,10 +14,12 @@ from ..spec import (
     Sweep,
     bounds,
     inertial,
+    is_too_light,
     pieces,
 )
 from ..spec.convex import extent
 from ..spec.csg import faceted
+from ..spec.mass import LEAST_KG
 from .signals import Signal
 
 SMALLEST_M, LARGEST_M = 0.002, 20.0
@@ -33,13 +35,24 @@ THINNEST_M = 0.0004
 
 
 def plausibility(spec: ObjectSpec) -> Iterator[Signal]:
-    """Yield what is wrong with an object's size, masses and thinnest walls."""
+    """Yield implausible sizes, masses and walls of an object."""
     low, high = bounds(spec)
     yield from _size(high - low)
     total = 0.0
     for part in spec.parts:
-        mass = inertial(spec, part).mass
+        own = inertial(spec, part)
+        mass = own.mass
         total += mass
+        if is_too_light(own):
+            yield Signal(
+                severity="error",
+                code="too_light",
+                message=f"part {part.name!r} weighs {mass:.3g} kg, too little to be simulated",
+                value=mass,
+                threshold=LEAST_KG,
+                hint="make it larger or denser, or shapes of another part",
+            )
+            continue
         if part.mass is None:
             yield from _density(part.name, mass, _spanned(spec, part.name))
         yield from _thin(spec, part.name)
@@ -60,11 +73,11 @@ def _size(size: np.ndarray) -> Iterator[Signal]:
         (float(size.min()), SMALLEST_M, size.max() < 5 * SMALLEST_M),
     ):
         if wrong:
-            shown = " x ".join(f"{v:.4g}" for v in size)
+            extents = " x ".join(f"{v:.4g}" for v in size)
             yield Signal(
                 severity="error",
                 code="size",
-                message=f"the object measures {shown} m",
+                message=f"the object measures {extents} m",
                 value=value,
                 threshold=threshold,
                 hint="lengths are in metres",
@@ -115,7 +128,7 @@ def _thin(spec: ObjectSpec, name: str) -> Iterator[Signal]:
             thinnest, where = wall, geom.name
     for geom, piece, _ in pieces(spec.part(name)):
         if piece.kind == "mesh":
-            continue  # what these are cut from states its thickness
+            continue  # `_wall` reads the thickness that its shape states.
         wide = min(extent(piece, d) + extent(piece, -d) for d in np.eye(3))
         if wide < thinnest:
             thinnest, where = wide, geom.name
@@ -155,5 +168,5 @@ def _spanned(spec: ObjectSpec, name: str) -> float:
         corners.append(at.apply(own))
     try:
         return float(ConvexHull(np.vstack(corners)).volume)
-    except QhullError:  # flatter than numbers can tell
+    except QhullError:  # The part is flat to rounding.
         return 1e-12

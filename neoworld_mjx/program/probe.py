@@ -1,8 +1,8 @@
 """Exact distances between the parts of one object, in any state of its joints.
 
-MuJoCo's contact list leaves out parents and children; `mj_geomDistance` leaves out nothing. The
-model here has no bodies and no physics: every convex piece is a geom of the world that is put where
-the joints carry it.
+MuJoCo's contact list leaves out pairs of parent and child; `mj_geomDistance` measures every pair.
+The model here has no bodies and no dynamics: every convex piece is a geom of the world, whose pose
+is set from the object's kinematics.
 """
 
 import time
@@ -13,17 +13,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..physics.mjcf import GEOM_TYPES
 from ..spec import ObjectSpec, link_poses, pieces
 from ..spec.pose import rotate
-
-_TYPES = {
-    "box": mujoco.mjtGeom.mjGEOM_BOX,
-    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
-    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
-    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
-    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-    "mesh": mujoco.mjtGeom.mjGEOM_MESH,
-}
 
 CONCENTRIC_M = 1e-5
 _NUDGE = np.array([0.36, 0.48, 0.80]) * 1e-5
@@ -31,12 +23,12 @@ _NUDGE = np.array([0.36, 0.48, 0.80]) * 1e-5
 
 
 class OutOfTime(Exception):
-    """The object is too intricate to be measured in the time allowed."""
+    """Measuring the object takes more processor time than allowed."""
 
 
 @dataclass(frozen=True)
 class Near:
-    """Two pieces and the signed distance between them [m]; negative is depth."""
+    """Indices of two pieces, and the signed distance between them [m]; negative is depth."""
 
     first: int
     second: int
@@ -44,11 +36,11 @@ class Near:
 
 
 class Probe:
-    """An object's pieces, placed and measured.
+    """An object's convex pieces, posed by joint values and measured against each other.
 
     Args:
         spec: the object.
-        seconds: of processor time after which measuring gives up.
+        seconds: processor time [s] after which measuring raises `OutOfTime`.
     """
 
     def __init__(self, spec: ObjectSpec, seconds: float = float("inf")) -> None:
@@ -61,12 +53,12 @@ class Probe:
         order = [g.name for part in spec.parts for g in part.geoms]
         for index, part in enumerate(spec.parts):
             for placed, piece, at in pieces(part):
-                made = world.worldbody.add_geom(
-                    type=_TYPES[piece.kind], size=piece.size, pos=at.pos, quat=at.quat
+                added = world.worldbody.add_geom(
+                    type=GEOM_TYPES[piece.kind], size=piece.size, pos=at.pos, quat=at.quat
                 )
                 if piece.kind == "mesh":
-                    made.meshname = f"m{len(owner)}"
-                    mesh = world.add_mesh(name=made.meshname)
+                    added.meshname = f"m{len(owner)}"
+                    mesh = world.add_mesh(name=added.meshname)
                     mesh.uservert = np.array(piece.vertices).ravel()
                     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
                 owner.append(index)
@@ -84,16 +76,12 @@ class Probe:
         self.place({})
 
     def check_time(self) -> None:
-        """Give up when the time allowed is over.
-
-        Raises:
-            OutOfTime: it is.
-        """
+        """Raise `OutOfTime` when the processor time allowed is used up."""
         if time.thread_time() > self._until:
             raise OutOfTime
 
     def place(self, joint_state: Mapping[str, float]) -> None:
-        """Put every piece where the joints carry it; joints not named stand at 0."""
+        """Pose every piece for a joint state [rad or m]; joints that it does not name are at 0."""
         self.check_time()
         moved = link_poses(self.spec, dict(joint_state))
         quats = np.array([moved[name].quat for name in self.names])
@@ -109,45 +97,48 @@ class Probe:
         self.low, self.high = centre - half, centre + half
 
     def extent(self, part: int) -> tuple[NDArray, NDArray]:
-        """Return the bounding box (low [3], high [3]) [m] of a part as placed."""
+        """Return the bounding box (low [3], high [3]) [m] of a part in its present pose."""
         own = self.owner == part
         return self.low[own].min(axis=0), self.high[own].max(axis=0)
 
     def nearest(self, first: NDArray, second: NDArray, reach: float) -> Near | None:
-        """Find the deepest or nearest pair of two sets of pieces; None if all are beyond `reach`.
+        """Find the pair of pieces of two sets with the smallest signed distance.
 
         Args:
-            first: indices of pieces.
-            second: indices of pieces.
-            reach: distance [m] beyond which nothing is looked for, above 0.
+            first: indices of pieces [n].
+            second: indices of pieces [m].
+            reach: largest distance [m], above 0.
+
+        Returns:
+            The pair, or None if no pair lies within `reach`.
         """
-        found: Near | None = None
+        closest: Near | None = None
         low_1, high_1 = self.low[first].min(axis=0) - reach, self.high[first].max(axis=0) + reach
         second = second[np.all((self.low[second] <= high_1) & (self.high[second] >= low_1), axis=1)]
         for a in first:
             gaps = np.maximum(self.low[second] - self.high[a], self.low[a] - self.high[second])
             for b in second[np.all(gaps <= reach, axis=1)]:
                 distance = self.distance(int(a), int(b), reach)
-                if distance < reach and (found is None or distance < found.distance):
-                    found = Near(int(a), int(b), distance)
+                if distance < reach and (closest is None or distance < closest.distance):
+                    closest = Near(int(a), int(b), distance)
             self.check_time()
-        return found
+        return closest
 
     def distance(self, a: int, b: int, reach: float) -> float:
-        """Return the signed distance [m] of two pieces, `reach` if they are further apart."""
+        """Return the signed distance [m] of two pieces, at most `reach`."""
         xpos = self._data.geom_xpos
         if np.abs(xpos[a] - xpos[b]).max() > CONCENTRIC_M:
             return mujoco.mj_geomDistance(self._model, self._data, a, b, reach, None)
-        kept = xpos[b].copy()
+        original = xpos[b].copy()
         xpos[b] = xpos[a] + _NUDGE
-        found = mujoco.mj_geomDistance(self._model, self._data, a, b, reach, None)
-        xpos[b] = kept
-        return found
+        signed_distance = mujoco.mj_geomDistance(self._model, self._data, a, b, reach, None)
+        xpos[b] = original
+        return signed_distance
 
     def separation(self, first: int, second: int, reach: float = 10.0) -> tuple[float, NDArray]:
         """Return the signed distance of two parts [m] and the unit vector [3] from first to second.
 
-        Beyond `reach`, and where two pieces only touch, the vector points up.
+        Beyond `reach` [m], and where two pieces only touch, the vector points up.
         """
         up = np.array([0.0, 0.0, 1.0])
         near = self.nearest(self.of_part(first), self.of_part(second), reach)
@@ -161,7 +152,7 @@ class Probe:
         length = float(np.linalg.norm(offset))
         if length < 1e-9:
             return distance, up
-        # The two ends of a penetration lie behind each other.
+        # In a penetration the two ends have passed each other.
         return distance, offset / length * (1.0 if distance >= 0 else -1.0)
 
     def of_part(self, part: int) -> NDArray:
@@ -174,28 +165,38 @@ class Probe:
         """Return the deepest pair of pieces of every two parts that touch or overlap.
 
         Args:
-            pairs: of parts, [n, 2].
+            pairs: indices of two parts [n, 2].
             reach: distance [m] that counts as touching.
+
+        Returns:
+            The pieces of each pair of parts within `reach`.
         """
         self.check_time()
-        given = np.array(pairs if isinstance(pairs, np.ndarray) else list(pairs), dtype=int)
-        if not len(given):
+        part_pairs = np.array(pairs if isinstance(pairs, np.ndarray) else list(pairs), dtype=int)
+        if not len(part_pairs):
             return {}
-        # Pieces are in the order of their parts.
+        # Pieces are ordered by part, so each part is one slice.
         low = np.minimum.reduceat(self.low, self._first) - reach
         high = np.maximum.reduceat(self.high, self._first)
-        one, two = given.T
-        near_by = np.all((low[one] <= high[two]) & (low[two] <= high[one]), axis=1)
-        found = {}
-        for a, b in given[near_by].tolist():
+        first, second = part_pairs.T
+        overlapping = np.all((low[first] <= high[second]) & (low[second] <= high[first]), axis=1)
+        deepest = {}
+        for a, b in part_pairs[overlapping].tolist():
             near = self.nearest(self.of_part(a), self.of_part(b), reach)
             if near is not None:
-                found[a, b] = near
-        return found
+                deepest[a, b] = near
+        return deepest
 
 
 def line_box_distance(point: NDArray, axis: NDArray, low: NDArray, high: NDArray) -> float:
-    """Return by how much [m] a box must grow on all sides until a line meets it."""
+    """Return the margin [m] by which a box must grow on all sides to meet a line.
+
+    Args:
+        point: point of the line [3] m.
+        axis: its direction [3].
+        low: lowest corner [3] m.
+        high: highest corner [3] m.
+    """
     least, most = 0.0, float(np.abs(np.concatenate([low - point, high - point])).max()) + 1.0
     for _ in range(40):
         grow = (least + most) / 2

@@ -1,4 +1,4 @@
-"""Run a program's text and hand back an object or signals, never an exception.
+"""Run a program's text and return an object or signals; nothing that a program does raises.
 
 `monty`, the default, runs the program in a sandbox; `cpython` runs it in this process, without any
 isolation, for your own programs only. The same text gives the same object, to the byte.
@@ -14,7 +14,7 @@ from ..spec import ObjectSpec
 from .allowance import Allowance
 from .assemble import assemble
 from .in_process import run_in_process
-from .monty_sandbox import run_sandboxed
+from .monty_sandbox import Starved, run_sandboxed
 from .session import Session
 from .signals import Signal, deduplicated, has_errors
 
@@ -24,46 +24,48 @@ class Built:
     """Result of running a program."""
 
     spec: ObjectSpec | None
-    """The object; None when any signal is an error of the program itself."""
+    """The object; None where a signal is an error of the program."""
     signals: tuple[Signal, ...] = ()
     printed: str = ""
     lines: dict[str, int] = field(default_factory=dict)
-    """Where parts and joints were made: "part:door" or "joint:hinge" to a line."""
+    """The program's line of each part and joint, by "part:door" or "joint:hinge"."""
     allowances: tuple[Allowance, ...] = ()
     """Overlaps that the program declares."""
     seconds: float = 0.0
 
     @property
     def ok(self) -> bool:
-        """Whether there is an object and no error was found."""
+        """Whether there is an object without errors."""
         return self.spec is not None and not has_errors(self.signals)
 
 
-def run(text: str, options: ProgramOptions | None = None) -> Built:
+def run(text: str, options: ProgramOptions | None = None, *, loose: bool = False) -> Built:
     """Run a program and assemble its object.
 
     Args:
         text: the program.
-        options: which sandbox, and its limits.
+        options: the sandbox and its limits.
+        loose: whether parts have no joints yet; they are then fastened to the first.
     """
     options = options or ProgramOptions()
     _load_shapes()
     start = time.monotonic()
-    session = Session(
-        max_seconds=options.timeout_s,
-        max_parts=options.max_parts,
-        max_geoms=options.max_geoms,
-        max_pieces=options.max_pieces,
-    )
-    printed, problems = "", _unfit(text, options)
+    session = _session(options)
+    printed, problems = "", _check_text(text, options)
     spec: ObjectSpec | None = None
     if not problems:
         try:
-            runner = run_sandboxed if options.sandbox == "monty" else run_in_process
-            printed, problems = runner(text, session, options)
+            if options.sandbox == "cpython":
+                printed, problems = run_in_process(text, session, options)
+            else:
+                try:
+                    printed, problems = run_sandboxed(text, session, options)
+                except Starved:
+                    session = _session(options)
+                    printed, problems = run_sandboxed(text, session, options, patient=True)
             if not problems:
-                spec, problems = assemble(session.objects)
-        except Exception as error:  # the border: whatever went wrong is a signal from here on
+                spec, problems = assemble(session.objects, loose=loose)
+        except Exception as error:  # Any failure becomes a signal here.
             problems = [
                 Signal(
                     severity="error",
@@ -73,9 +75,9 @@ def run(text: str, options: ProgramOptions | None = None) -> Built:
                 )
             ]
     lines: dict[str, int] = {}
-    for item in session.objects[:1]:
-        lines |= {f"part:{part.name}": part._line for part in item._parts if part._line}
-        lines |= {f"joint:{joint.name}": joint._line for joint in item._joints if joint._line}
+    for obj in session.objects[:1]:
+        lines |= {f"part:{part.name}": part._line for part in obj._parts if part._line}
+        lines |= {f"joint:{joint.name}": joint._line for joint in obj._joints if joint._line}
     return Built(
         None if has_errors(problems) else spec,
         deduplicated(problems),
@@ -86,14 +88,24 @@ def run(text: str, options: ProgramOptions | None = None) -> Built:
     )
 
 
+def _session(options: ProgramOptions) -> Session:
+    return Session(
+        max_seconds=options.timeout_s,
+        max_parts=options.max_parts,
+        max_geoms=options.max_geoms,
+        max_pieces=options.max_pieces,
+    )
+
+
 @cache
 def _load_shapes() -> None:
-    """Import what shapes are made with, so that this is on no program's account."""
+    """Import the packages that shapes need, so that no program's time limit pays for it."""
     for name in ("scipy.spatial", "manifold3d"):
         import_module(name)
 
 
-def _unfit(text: str, options: ProgramOptions) -> list[Signal]:
+def _check_text(text: str, options: ProgramOptions) -> list[Signal]:
+    """Return the error of a text that no sandbox can run."""
     size = len(text.encode("utf-8", "replace"))
     if size > options.max_text_bytes:
         return [

@@ -1,4 +1,4 @@
-"""What object programs call: parts made of shapes, joints between parts, materials, sites.
+"""The SDK of object programs: parts made of shapes, joints between parts, materials, sites.
 
 A program makes one `Object`, gives it parts, adds shapes to them and joins them. Everything is in
 one frame, the object's at rest, in metres and radians: +x its front, +y its left, +z up. Where the

@@ -34,9 +34,19 @@ class Part:
         name: str | None = None,
     ) -> Geom: ...
     def anchor(self, where: str) -> tuple[float, float, float]: ...
+    def set_mass(self, mass: float) -> None: ...
 
 class Joint:
     name: str
+    def set_dynamics(
+        self,
+        *,
+        damping: float | None = None,
+        friction: float | None = None,
+        stiffness: float | None = None,
+        effort: float | None = None,
+        velocity: float | None = None,
+    ) -> None: ...
 
 After = Part | Joint | Sequence[Part | Joint] | None
 
@@ -53,6 +63,10 @@ class Object:
         friction: float | None = None,
         rgb: Vec3 | None = None,
         alpha: float | None = None,
+        pattern: str | None = None,
+        rgb2: Vec3 | None = None,
+        step: float | None = None,
+        along: Literal["x", "y"] = "x",
     ) -> str: ...
     def part(self, name: str, material: str | None = None, mass: float | None = None) -> Part: ...
     def fixed(self, name: str, parent: Part, child: Part) -> Joint: ...

@@ -5,6 +5,7 @@ from typing import Any, Literal, no_type_check
 
 from .. import spec as S
 from ..errors import choices
+from ..spec.surface_pattern import PATTERN_KINDS
 from . import validate
 from .allowance import Allowance
 from .furniture import add_door, add_drawer, add_shelf
@@ -16,12 +17,12 @@ from .session import current, here
 
 MAX_ALLOWED_M, MIN_REASON = 0.005, 10
 After = Part | Joint | Sequence[Part | Joint] | None
-"""What must be open before a joint moves."""
+"""Parts or joints that must be open before a joint moves."""
 
 
 @no_type_check
 class Object:
-    """The object that a program makes; exactly one a program.
+    """The object that a program makes; a program makes exactly one.
 
     Args:
         name: an identifier, such as "cup".
@@ -51,27 +52,49 @@ class Object:
         friction: float | None = None,
         rgb: Vec3 | None = None,
         alpha: float | None = None,
+        pattern: str | None = None,
+        rgb2: Vec3 | None = None,
+        step: float | None = None,
+        along: Literal["x", "y"] = "x",
     ) -> str:
-        """Define a material and return its name; what is not given is taken from `like`."""
-        what = f"material {validate.name(name, 'material name')!r}"
+        """Define a material and return its name; what is not given is taken from `like`.
+
+        Args:
+            name: of the material.
+            like: a named material, or one defined before.
+            density: [kg/m^3].
+            friction: sliding friction coefficient.
+            rgb: colour, each from 0 to 1.
+            alpha: how much it hides of what is behind, from 0 to 1.
+            pattern: "plain", "grain", "boards", "tiles", "bricks", "veins", "speckles" or "weave".
+            rgb2: colour of the pattern's joints, veins, speckles or gaps.
+            step: width of a board, edge of a tile, height of a brick, distance of veins, ... [m].
+            along: whether boards run along the first or the second axis of a face.
+        """
+        context = f"material {validate.name(name, 'material name')!r}"
         if name in self._materials:
-            raise ValueError(f"{what} is defined twice")
-        base = MATERIALS.get(name) if like is None else self._known_material(like, what)
+            raise ValueError(f"{context} is defined twice")
+        base = MATERIALS.get(name) if like is None else self._known_material(like, context)
         if base is None and density is None:
-            raise ValueError(f"{what} needs density= or like= (a named material)")
+            raise ValueError(f"{context} needs density= or like= (a named material)")
         fields: dict[str, Any] = {"density": 1000.0, "friction": 0.45}
         fields |= {} if base is None else base.model_dump()
         fields["name"] = name
         if density is not None:
-            fields["density"] = validate.number(density, f"{what}: density")
+            fields["density"] = validate.number(density, f"{context}: density")
         if friction is not None:
-            fields["friction"] = validate.number(friction, f"{what}: friction")
+            fields["friction"] = validate.number(friction, f"{context}: friction")
         r, g, b, a = fields.get("rgba", (0.7, 0.7, 0.7, 1.0))
         if rgb is not None:
-            r, g, b = validate.colour(rgb, f"{what}: rgb")
-        a = a if alpha is None else validate.number(alpha, f"{what}: alpha")
+            r, g, b = validate.colour(rgb, f"{context}: rgb")
+            a = 1.0 if base is None or base == MATERIALS.get(base.name) else a
+        a = a if alpha is None else validate.number(alpha, f"{context}: alpha")
         fields["rgba"] = (r, g, b, a)
-        self._materials[name] = validate.described(S.Material, what, **fields)
+        if pattern is not None:
+            fields["pattern"] = self._pattern(pattern, rgb2, step, along, context)
+        elif rgb2 is not None or step is not None:
+            raise ValueError(f"{context}: rgb2 and step belong to a pattern=")
+        self._materials[name] = validate.described(S.Material, context, **fields)
         return name
 
     def part(self, name: str, material: str | None = None, mass: float | None = None) -> Part:
@@ -129,8 +152,7 @@ class Object:
         says which way the child's middle sets out, such as "front"; the compile checks compare it
         with the axis.
         """
-        given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent", "child")}
-        return self._join("revolute", name, parent, child, given)
+        return self._join("revolute", name, parent, child, _arguments(locals()))
 
     def continuous(
         self,
@@ -150,8 +172,7 @@ class Object:
         after: After = None,
     ) -> Joint:
         """Let `child` turn without end about an axis through a point: a wheel, a knob."""
-        given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent", "child")}
-        return self._join("continuous", name, parent, child, given)
+        return self._join("continuous", name, parent, child, _arguments(locals()))
 
     def ball(
         self,
@@ -167,8 +188,7 @@ class Object:
         after: After = None,
     ) -> Joint:
         """Let `child` turn about a point in all directions, by up to `swing` [rad] from rest."""
-        given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent", "child")}
-        return self._join("ball", name, parent, child, given)
+        return self._join("ball", name, parent, child, _arguments(locals()))
 
     def prismatic(
         self,
@@ -191,8 +211,7 @@ class Object:
         opens: Vec3 | str | None = None,
     ) -> Joint:
         """Let `child` slide along an axis between two distances [m]; positive pulls it out."""
-        given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent", "child")}
-        return self._join("prismatic", name, parent, child, given)
+        return self._join("prismatic", name, parent, child, _arguments(locals()))
 
     def door(
         self,
@@ -225,8 +244,7 @@ class Object:
             material: the parent's by default.
         """
         self._own(parent, "door: parent")
-        given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent")}
-        return add_door(self, name, parent, **given)
+        return add_door(self, name, parent, **_arguments(locals()))
 
     def drawer(
         self,
@@ -263,8 +281,7 @@ class Object:
             material: the parent's by default.
         """
         self._own(parent, "drawer: parent")
-        given = {k: v for k, v in locals().items() if k not in ("self", "name", "parent")}
-        return add_drawer(self, name, parent, **given)
+        return add_drawer(self, name, parent, **_arguments(locals()))
 
     def shelf(
         self,
@@ -279,8 +296,7 @@ class Object:
     ) -> Geom:
         """Add a level board to a part, from x[0] to x[1] and y[0] to y[1], its top at z."""
         self._own(parent, "shelf: parent")
-        given = {k: v for k, v in locals().items() if k not in ("self", "parent")}
-        return add_shelf(parent, **given)
+        return add_shelf(parent, name=name, **_arguments(locals()))
 
     def site(self, name: str, part: Part, at: Vec3) -> None:
         """Mark a point on a part, such as a grasp point or a spout."""
@@ -308,86 +324,104 @@ class Object:
         self._allowances.append(Allowance(first.name, second.name, deep, why))
 
     def _join(
-        self, kind: str, name: str, parent: Part, child: Part, given: dict[str, Any]
+        self, kind: str, name: str, parent: Part, child: Part, arguments: dict[str, Any]
     ) -> Joint:
-        what = f"joint {validate.name(name, 'joint name')!r}"
+        context = f"joint {validate.name(name, 'joint name')!r}"
         self._free(name, "joint", [joint.name for joint in self._joints])
-        self._own(parent, f"{what}: parent")
-        self._own(child, f"{what}: child")
+        self._own(parent, f"{context}: parent")
+        self._own(child, f"{context}: child")
         if parent is child:
-            raise ValueError(f"{what}: parent and child are both {parent.name!r}")
+            raise ValueError(f"{context}: parent and child are both {parent.name!r}")
         other = next((j for j in self._joints if j._fields["child"] == child.name), None)
         if other is not None:
             raise ValueError(
-                f"{what}: part {child.name!r} hangs on joint {other.name!r} already; "
+                f"{context}: part {child.name!r} hangs on joint {other.name!r} already; "
                 f"a part has one parent"
             )
-        leader = given.get("mimic")
+        leader = arguments.get("mimic")
         if leader is not None and (not isinstance(leader, Joint) or leader not in self._joints):
-            raise TypeError(f"{what}: mimic must be a joint of this object, made before")
+            raise TypeError(f"{context}: mimic must be a joint of this object, made before")
         if leader is not None and leader._fields["type"] == "ball":
-            raise ValueError(f"{what}: cannot follow {leader.name!r}, a ball")
-        fields = joint_fields(what, name, kind, parent, child, given)
-        if given.get("after") is not None:
-            fields["after"] = self._openers(given["after"], f"{what}: after")
-        validate.described(S.JointSpec, what, **fields)
+            raise ValueError(f"{context}: cannot follow {leader.name!r}, a ball")
+        fields = joint_fields(context, name, kind, parent, child, arguments)
+        if arguments.get("after") is not None:
+            fields["after"] = self._openers(arguments["after"], f"{context}: after")
+        validate.described(S.JointSpec, context, **fields)
         joint = Joint(fields, here())
         self._joints.append(joint)
         return joint
 
-    def _openers(self, given: Any, what: str) -> tuple[str, ...]:
-        """Return the names of the joints that open what is given: parts, or joints themselves."""
-        found = []
-        several = given if isinstance(given, list | tuple) else [given]
-        for item in validate.sequence(several, what, 1, 8):
-            if isinstance(item, Part):
-                self._own(item, what)
-                joint = next((j for j in self._joints if j._fields["child"] == item.name), None)
+    def _openers(self, value: Any, argument: str) -> tuple[str, ...]:
+        """Return the names of joints, given as joints or as the parts that they move."""
+        names = []
+        openers = value if isinstance(value, list | tuple) else [value]
+        for opener in validate.sequence(openers, argument, 1, 8):
+            if isinstance(opener, Part):
+                self._own(opener, argument)
+                joint = next((j for j in self._joints if j._fields["child"] == opener.name), None)
             else:
-                joint = item if item in self._joints else None
+                joint = opener if opener in self._joints else None
             if joint is None:
                 raise ValueError(
-                    f"{what} must be a part or a joint of this object, or a list of them, "
-                    f"whose joint is made before; got {validate.shown(given)}"
+                    f"{argument} must be a part or a joint of this object, or a list of them, "
+                    f"whose joint is made before; got {validate.shown(value)}"
                 )
             if joint._fields["type"] not in ("revolute", "prismatic") or "mimic" in joint._fields:
                 raise ValueError(
-                    f"{what}: {joint.name!r} must be revolute or prismatic and follow no other"
+                    f"{argument}: {joint.name!r} must be revolute or prismatic and follow no other"
                 )
-            found.append(joint.name)
-        return tuple(dict.fromkeys(found))
+            names.append(joint.name)
+        return tuple(dict.fromkeys(names))
 
-    def _known_material(self, name: Any, what: str) -> S.Material:
-        label = validate.name(name, f"{what}: material")
-        found = self._materials.get(label) or MATERIALS.get(label)
-        if found is None:
+    def _known_material(self, name: Any, context: str) -> S.Material:
+        label = validate.name(name, f"{context}: material")
+        material = self._materials.get(label) or MATERIALS.get(label)
+        if material is None:
             known = sorted({*self._materials, *MATERIALS})
-            raise ValueError(f"{what}: material: {choices(label, known)}")
-        return found
+            raise ValueError(f"{context}: material: {choices(label, known)}")
+        return material
 
-    def _shade(self, name: str | None, rgb: Sequence[float] | None, what: str) -> str:
+    def _pattern(
+        self, kind: Any, rgb2: Any, step: Any, along: Any, context: str
+    ) -> S.SurfacePattern:
+        if kind not in PATTERN_KINDS:
+            known = list(PATTERN_KINDS)
+            raise ValueError(f"{context}: pattern: {choices(str(kind), known)}")
+        return validate.described(
+            S.SurfacePattern,
+            f"{context}: pattern",
+            kind=kind,
+            rgb=None if rgb2 is None else validate.colour(rgb2, f"{context}: rgb2"),
+            step=None if step is None else validate.length(step, f"{context}: step"),
+            along=along,
+        )
+
+    def _shade(self, name: str | None, rgb: Sequence[float] | None, context: str) -> str:
         if name is None:
-            raise ValueError(f"{what}: needs material=, as the part has none of its own")
-        base = self._known_material(name, what)
+            raise ValueError(f"{context}: needs material=, as the part has none of its own")
+        base = self._known_material(name, context)
         if rgb is not None:
-            r, g, b = validate.colour(rgb, f"{what}: rgb")
+            r, g, b = validate.colour(rgb, f"{context}: rgb")
             tint = "".join(f"{round(255 * v):02x}" for v in (r, g, b))
             shaded = f"{base.name[:40]}_{tint}"
-            base = base.model_copy(update={"name": shaded, "rgba": (r, g, b, base.rgba[3])})
+            base = base.model_copy(update={"name": shaded, "rgba": (r, g, b, 1.0)})
         self._materials.setdefault(base.name, base)
         return base.name
 
-    def _own(self, part: Any, what: str) -> None:
+    def _own(self, part: Any, argument: str) -> None:
         if not isinstance(part, Part):
             raise TypeError(
-                f"{what} must be a part made by {self.name}.part(...), got {validate.shown(part)}"
+                f"{argument} must be a part made by {self.name}.part(...), "
+                f"got {validate.shown(part)}"
             )
         if part._owner is not self:
-            raise ValueError(f"{what} {part.name!r} belongs to another object")
+            raise ValueError(f"{argument} {part.name!r} belongs to another object")
 
-    def _free(self, name: str, kind: str, taken: list[str]) -> None:
-        if name in taken:
+    def _free(self, name: str, kind: str, used: list[str]) -> None:
+        if name in used:
             raise ValueError(f"{kind} {name!r} exists already")
 
 
-__all__ = ["Object"]
+def _arguments(local: dict[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a call besides its object, name and parts."""
+    return {k: v for k, v in local.items() if k not in ("self", "name", "parent", "child")}

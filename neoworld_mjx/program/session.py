@@ -1,17 +1,19 @@
-"""One run of a program: what it made so far, what it may still use, and the line it is at.
+"""One run of a program: the objects it made, its limits and counts, and its current line.
 
-The SDK finds its session through a context variable, so two programs that run at once, or one after
-the other, share nothing. Outside a session, when a person runs a program's file with Python, the
-SDK works all the same and keeps no account.
+The SDK gets its session from a context variable, so programs that run at once, or one after the
+other, share nothing. Outside a session, when a person runs a program's file with Python, the SDK
+works without limits on time.
 """
 
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Any
+
+from .call_clock import CallClock, CallInterrupted
 
 
 class LimitExceeded(Exception):
@@ -19,7 +21,7 @@ class LimitExceeded(Exception):
 
     Args:
         code: the signal's code.
-        message: what was used up.
+        message: the limit, in words.
     """
 
     def __init__(self, code: str, message: str) -> None:
@@ -29,32 +31,34 @@ class LimitExceeded(Exception):
 
 @dataclass
 class Session:
-    """The account of one run."""
+    """Objects, limits and counts of one run."""
 
     max_seconds: float = float("inf")
-    """Of the SDK's own work, in processor time [s]."""
+    """Most processor time [s] for the work of the SDK."""
     max_parts: int = 300
     max_geoms: int = 3000
     max_pieces: int = 4000
-    """Convex pieces of all shapes together."""
+    """Most convex pieces of all shapes together."""
     filename: str | None = None
-    """Under which CPython runs the program's text."""
+    """Name under which CPython runs the program's text; None in the sandbox."""
     line: int | None = None
-    """Where the program is, as the sandbox tells it."""
+    """Current line of the program in the sandbox, counted from 1."""
     objects: list[Any] = field(default_factory=list)
     seconds: float = 0.0
     exceeded: LimitExceeded | None = None
     counts: dict[str, int] = field(default_factory=dict)
+    clock: CallClock | None = None
+    """Ends calls that go on too long; None without a limit of time."""
 
-    def use(self, what: str, amount: int, limit: int) -> None:
-        """Count something made and stop the program when it is too many.
+    def use(self, resource: str, amount: int, limit: int) -> None:
+        """Count a resource that the program uses up.
 
         Raises:
-            LimitExceeded: the limit is passed.
+            LimitExceeded: the count exceeds its limit.
         """
-        self.counts[what] = self.counts.get(what, 0) + amount
-        if self.counts[what] > limit:
-            self.stop("too_big", f"the object needs over {limit} {what}")
+        self.counts[resource] = self.counts.get(resource, 0) + amount
+        if self.counts[resource] > limit:
+            self.stop("too_big", f"the object needs over {limit} {resource}")
 
     def stop(self, code: str, message: str) -> None:
         """End the program here and at every later call."""
@@ -63,30 +67,39 @@ class Session:
 
     @contextmanager
     def call(self) -> Iterator[None]:
-        """Run one call of the SDK on this account.
+        """Run one call of the SDK in this session, and count its processor time.
 
         Raises:
-            LimitExceeded: a limit was passed, now or before.
+            LimitExceeded: a limit was exceeded, now or before.
         """
         if self.exceeded is not None:
             raise self.exceeded
-        # The work of this thread alone: a program must not fail because the machine is busy.
+        # Time of this thread alone: a program must not fail because the machine is busy.
         start = time.thread_time()
         token = _current.set(self)
         try:
-            yield
+            with (
+                self.clock.limited(self.max_seconds - self.seconds) if self.clock else nullcontext()
+            ):
+                yield
+        except CallInterrupted:
+            self.seconds = max(self.seconds, self.max_seconds)
+            self._time_is_up()
         finally:
             _current.reset(token)
             self.seconds += time.thread_time() - start
         if self.seconds > self.max_seconds:
-            self.stop("timeout", f"building the shapes took over {self.max_seconds:g} s; use fewer")
+            self._time_is_up()
+
+    def _time_is_up(self) -> None:
+        self.stop("timeout", f"building the shapes took over {self.max_seconds:g} s; use fewer")
 
 
 _current: ContextVar[Session | None] = ContextVar("program_session", default=None)
 
 
 def current() -> Session:
-    """Return the session that runs now, or one without account."""
+    """Return the current session, or a new one with default limits."""
     return _current.get() or Session()
 
 
@@ -97,7 +110,7 @@ def running() -> Session | None:
 
 @contextmanager
 def entered(session: Session) -> Iterator[None]:
-    """Builder a session the current one for a whole program."""
+    """Make a session the current one."""
     token = _current.set(session)
     try:
         yield
@@ -106,7 +119,7 @@ def entered(session: Session) -> Iterator[None]:
 
 
 def here() -> int | None:
-    """Return the line of the program that is being run, if it is known."""
+    """Return the program's current line, None if it is unknown."""
     session = _current.get()
     if session is None:
         return None

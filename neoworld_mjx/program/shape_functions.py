@@ -1,4 +1,4 @@
-"""The shapes that programs place: checked arguments in, shapes of the description out.
+"""The shapes that programs place: functions from validated arguments to shapes.
 
 Every function says where the shape's own origin lies. Sizes are full lengths in metres. A sandboxed
 program passes values of any type, so `validate` checks each argument and says what is wrong with
@@ -22,25 +22,27 @@ Point3 = tuple[float, float, float]
 
 MAX_POINTS = 64
 MAX_SHAPE_PIECES = 1200
+_CATMULL_ROM = np.array([[0, 2, 0, 0], [-1, 0, 1, 0], [2, -5, 4, -1], [-1, 3, -3, 1]]) / 2
+"""Weights of four successive points, for each power of the position between the middle two."""
 _FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
 @no_type_check
 def box(size: Vec3) -> Shape:
     """Make a box with full edge lengths (x, y, z), centred at its origin."""
-    return _made(S.Box, 1, size=validate.lengths(size, "box size"))
+    return _shape(S.Box, 1, size=validate.lengths(size, "box size"))
 
 
 @no_type_check
 def sphere(radius: float) -> Shape:
     """Make a ball, centred."""
-    return _made(S.Sphere, 1, radius=validate.length(radius, "sphere radius"))
+    return _shape(S.Sphere, 1, radius=validate.length(radius, "sphere radius"))
 
 
 @no_type_check
 def capsule(radius: float, length: float) -> Shape:
     """Make a capsule along z, centred; `length` leaves out the round ends."""
-    return _made(
+    return _shape(
         S.Capsule,
         1,
         radius=validate.length(radius, "capsule radius"),
@@ -51,7 +53,7 @@ def capsule(radius: float, length: float) -> Shape:
 @no_type_check
 def cylinder(radius: float, height: float) -> Shape:
     """Make a solid cylinder along z, centred."""
-    return _made(
+    return _shape(
         S.Cylinder,
         1,
         radius=validate.length(radius, "cylinder radius"),
@@ -62,13 +64,13 @@ def cylinder(radius: float, height: float) -> Shape:
 @no_type_check
 def ellipsoid(radii: Vec3) -> Shape:
     """Make an ellipsoid with semi-axes (x, y, z), centred."""
-    return _made(S.Ellipsoid, 1, radii=validate.lengths(radii, "ellipsoid radii"))
+    return _shape(S.Ellipsoid, 1, radii=validate.lengths(radii, "ellipsoid radii"))
 
 
 @no_type_check
 def prism(outline: Sequence[Point2], height: float) -> Shape:
     """Extrude a convex outline of (x, y) points along z from -height/2 to height/2."""
-    return _made(
+    return _shape(
         S.Prism,
         1,
         outline=validate.points(outline, "prism outline", 3, MAX_POINTS),
@@ -85,7 +87,7 @@ def hollow_box(size: Vec3, wall: float, open: Face | Sequence[Face] = "+z") -> S
             raise ValueError(
                 f"hollow_box open takes faces {', '.join(_FACES)}, got {validate.shown(face)}"
             )
-    return _made(
+    return _shape(
         S.HollowBox,
         6,
         size=validate.lengths(size, "hollow_box size"),
@@ -111,7 +113,7 @@ def lathe(
     count = validate.whole(sectors, "lathe sectors", MIN_SECTORS, MAX_SECTORS)
     wall = None if thickness is None else validate.length(thickness, "lathe thickness")
     bands = len(outline) - 1
-    return _made(
+    return _shape(
         S.Lathe,
         bands if wall is None else bands * count,
         profile=outline,
@@ -125,12 +127,12 @@ def lathe(
 def frustum(bottom_radius: float, top_radius: float, height: float) -> Shape:
     """Make a solid frustum along z, centred; one of the radii may be 0 for a cone."""
     radii = [
-        0.0 if value == 0 else validate.length(value, f"frustum {what}")
-        for value, what in ((bottom_radius, "bottom_radius"), (top_radius, "top_radius"))
+        0.0 if value == 0 else validate.length(value, f"frustum {name}")
+        for value, name in ((bottom_radius, "bottom_radius"), (top_radius, "top_radius"))
     ]
     half = validate.length(height, "frustum height") / 2
     profile = ((radii[0], -half), (radii[1], half))
-    return _made(S.Lathe, 1, profile=profile, sectors=32)
+    return _shape(S.Lathe, 1, profile=profile, sectors=32)
 
 
 @no_type_check
@@ -142,13 +144,13 @@ def tube(radius: float, wall: float, height: float, sectors: int = 12) -> Shape:
         raise ValueError(f"tube wall {thickness} must be smaller than its radius {outer}")
     count = validate.whole(sectors, "tube sectors", MIN_SECTORS, MAX_SECTORS)
     profile = ((outer, -half), (outer, half))
-    return _made(S.Lathe, count, profile=profile, thickness=thickness, sectors=count)
+    return _shape(S.Lathe, count, profile=profile, thickness=thickness, sectors=count)
 
 
 @no_type_check
 def rounded_box(size: Vec3, radius: float) -> Shape:
     """Make a box with full edge lengths, centred, with edges rounded by `radius`."""
-    return _made(
+    return _shape(
         S.RoundedBox,
         1,
         size=validate.lengths(size, "rounded_box size"),
@@ -187,7 +189,7 @@ def sweep(
         across, inward = _each(width, "sweep width"), _each(thickness, "sweep thickness")
     steps = validate.whole(smooth, "sweep smooth", 1, 8)
     track = _curved(track, steps, closed)
-    return _made(
+    return _shape(
         S.Sweep,
         len(track),
         path=track,
@@ -212,7 +214,7 @@ def torus(radius: float, tube: float, arc: float = 2 * math.pi, sectors: int = 8
     steps = max(3, math.ceil(24 * span / (2 * math.pi)))
     angles = [span * (i / steps - 0.5) for i in range(steps if whole else steps + 1)]
     track = tuple((round(big * math.cos(a), 9), round(big * math.sin(a), 9), 0.0) for a in angles)
-    return _made(
+    return _shape(
         S.Sweep,
         steps,
         path=track,
@@ -235,7 +237,7 @@ def extrusion(
     )
     pieces = len(border) + sum(len(loop) + 2 for loop in loops)
     depth = validate.length(height, "extrusion height")
-    return _made(S.Extrusion, pieces, outline=border, holes=loops, height=depth)
+    return _shape(S.Extrusion, pieces, outline=border, holes=loops, height=depth)
 
 
 @no_type_check
@@ -254,7 +256,7 @@ def bail(width: float, height: float, radius: float) -> Shape:
         for a in turn
     ]
     track = (*legs, *arch, *((x, -y, z) for x, y, z in legs))
-    return _made(
+    return _shape(
         S.Sweep, len(track), path=track, width=(2 * bar,), thickness=(2 * bar,), closed=False
     )
 
@@ -274,19 +276,19 @@ def panel(
     facets = validate.whole(sectors, "panel sectors", MIN_SECTORS, MAX_SECTORS)
     loops = []
     for i, hole in enumerate(validate.sequence(holes, "panel holes", 0, MAX_POINTS)):
-        what = f"panel holes[{i}]"
-        at = [
-            validate.number(v, what, validate.MAX_COORDINATE_M)
-            for v in validate.sequence(hole, what, 3, 4)
+        argument = f"panel holes[{i}]"
+        numbers = [
+            validate.number(v, argument, validate.MAX_COORDINATE_M)
+            for v in validate.sequence(hole, argument, 3, 4)
         ]
-        if len(at) == 3:
-            r = validate.length(at[2], f"{what} radius")
+        if len(numbers) == 3:
+            r = validate.length(numbers[2], f"{argument} radius")
             angles = [2 * math.pi * (k + 0.5) / facets for k in range(facets)]
             corners = [(r * math.cos(a), r * math.sin(a)) for a in angles]
         else:
-            w, d = (validate.length(v, f"{what} size") / 2 for v in at[2:])
+            w, d = (validate.length(v, f"{argument} size") / 2 for v in numbers[2:])
             corners = [(-w, -d), (w, -d), (w, d), (-w, d)]
-        loops.append([(round(at[0] + a, 9), round(at[1] + b, 9)) for a, b in corners])
+        loops.append([(round(numbers[0] + a, 9), round(numbers[1] + b, 9)) for a, b in corners])
     outline = [(-x / 2, -y / 2), (x / 2, -y / 2), (x / 2, y / 2), (-x / 2, y / 2)]
     return extrusion(outline, thickness, loops)
 
@@ -329,11 +331,11 @@ def _combined(operation: str, shapes: tuple[Any, ...], sectors: int) -> Shape:
         for shape in shapes
     )
     count = validate.whole(sectors, f"{operation} sectors", MIN_SECTORS, MAX_SECTORS)
-    made = validate.described(
+    solid = validate.described(
         S.CSG, operation, operation=operation, operands=operands, sectors=count
     )
-    current().use("pieces built", len(made.pieces()), 4 * current().max_pieces)
-    return Shape(made)
+    current().use("pieces built", len(solid.pieces()), 4 * current().max_pieces)
+    return Shape(solid)
 
 
 def _curved(track: tuple[Point3, ...], steps: int, closed: bool) -> tuple[Point3, ...]:
@@ -347,23 +349,13 @@ def _curved(track: tuple[Point3, ...], steps: int, closed: bool) -> tuple[Point3
     points = np.array(
         [ends[0], *track, ends[1], *track[1:2]] if closed else [ends[0], *track, ends[1]]
     )
-    found: list[Point3] = []
+    divided: list[Point3] = []
     for i in range(count if closed else count - 1):
-        for t in np.arange(steps) / steps:
-            weights = (
-                np.array(
-                    [
-                        -t + 2 * t**2 - t**3,
-                        2 - 5 * t**2 + 3 * t**3,
-                        t + 4 * t**2 - 3 * t**3,
-                        t**3 - t**2,
-                    ]
-                )
-                / 2
-            )
+        for share in np.arange(steps) / steps:
+            weights = share ** np.arange(4) @ _CATMULL_ROM
             x, y, z = np.round(weights @ points[i : i + 4], 9).tolist()
-            found.append((x, y, z))
-    return tuple(found) if closed else (*found, track[-1])
+            divided.append((x, y, z))
+    return tuple(divided) if closed else (*divided, track[-1])
 
 
 def _beyond(before: Point3, last: Point3) -> Point3:
@@ -377,28 +369,36 @@ def _stretched(values: tuple[float, ...], steps: int, closed: bool) -> tuple[flo
     if len(values) == 1 or steps == 1:
         return values
     pairs = list(zip(values, (*values[1:], values[0]), strict=True))
-    found = [
+    divided = [
         a + (b - a) * step / steps
         for a, b in (pairs if closed else pairs[:-1])
         for step in range(steps)
     ]
-    return tuple(found) if closed else (*found, values[-1])
+    return tuple(divided) if closed else (*divided, values[-1])
 
 
-def _each(value: Any, what: str) -> tuple[float, ...]:
+def _each(value: Any, argument: str) -> tuple[float, ...]:
+    """Validate one length [m], or one for each point of a path."""
     if isinstance(value, list | tuple):
         return tuple(
-            validate.length(v, what) for v in validate.sequence(value, what, 1, MAX_POINTS)
+            validate.length(v, argument) for v in validate.sequence(value, argument, 1, MAX_POINTS)
         )
-    return (validate.length(value, what),)
+    return (validate.length(value, argument),)
 
 
-def _made(model: Any, pieces: int, **fields: Any) -> Shape:
-    what = model.model_fields["type"].default
+def _shape(model: Any, pieces: int, **fields: Any) -> Shape:
+    """Build a shape and count its convex pieces against the limits.
+
+    Args:
+        model: class of the description.
+        pieces: expected number of convex pieces.
+        **fields: validated fields of the description.
+    """
+    name = model.model_fields["type"].default
     if pieces > MAX_SHAPE_PIECES:
         raise ValueError(
-            f"{what} would need {pieces} convex pieces, at most {MAX_SHAPE_PIECES} are allowed: "
+            f"{name} would need {pieces} convex pieces, at most {MAX_SHAPE_PIECES} are allowed: "
             f"give it fewer points or sectors"
         )
     current().use("pieces built", pieces, 4 * current().max_pieces)
-    return Shape(validate.described(model, what, **fields))
+    return Shape(validate.described(model, name, **fields))

@@ -1,6 +1,6 @@
 """Signals: findings about a program, each with a code, a place, a number and a hint.
 
-Failures of a program cross its border as these, never as exceptions.
+A failing program gives signals, never an exception.
 """
 
 from collections.abc import Iterable
@@ -17,9 +17,9 @@ class Signal(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     severity: Severity
-    """An error leaves no usable object; a warning is worth a look."""
+    """An error makes the object unusable; a warning does not."""
     code: str
-    """Stable and short, such as "parts_overlap"."""
+    """Short stable name of the kind of finding, such as "overlap_at_rest"."""
     message: str
     part: str | None = None
     joint: str | None = None
@@ -27,21 +27,21 @@ class Signal(BaseModel):
     """Line of the program, counted from 1."""
     column: int | None = None
     value: float | None = None
-    """What was measured, in SI units."""
+    """Measured value, in SI units."""
     threshold: float | None = None
-    """What it was held against."""
+    """Limit that the value is compared with."""
     hint: str = ""
-    """What to do about it."""
+    """Remedy, in words."""
 
     @property
     def identity(self) -> tuple[str, str | None, str | None, int | None, str]:
-        """What makes two signals the same finding, whatever their numbers."""
+        """Key that two signals of the same finding share, whatever their numbers."""
         anchored = self.part is not None or self.joint is not None
         line = None if anchored else self.line
         return self.code, self.part, self.joint, line, "" if anchored else self.message
 
     def phrase(self) -> str:
-        """Say it in one line, for a person or a model."""
+        """Return the finding in one line."""
         place = "" if self.line is None else f"line {self.line}: "
         measured = ""
         if self.value is not None and self.threshold is not None:
@@ -51,16 +51,16 @@ class Signal(BaseModel):
 
 
 def deduplicated(signals: Iterable[Signal]) -> tuple[Signal, ...]:
-    """Keep the worst of each finding: errors first, then in the order they came."""
-    kept: dict[tuple[object, ...], Signal] = {}
+    """Return the worst signal of each finding, errors first, else in the order given."""
+    worst: dict[tuple[object, ...], Signal] = {}
     for signal in signals:
-        other = kept.get(signal.identity)
+        other = worst.get(signal.identity)
         if other is None or (signal.severity == "error", abs(signal.value or 0)) > (
             other.severity == "error",
             abs(other.value or 0),
         ):
-            kept[signal.identity] = signal
-    return tuple(sorted(kept.values(), key=lambda signal: signal.severity != "error"))
+            worst[signal.identity] = signal
+    return tuple(sorted(worst.values(), key=lambda signal: signal.severity != "error"))
 
 
 def has_errors(signals: Iterable[Signal]) -> bool:

@@ -93,18 +93,18 @@ def _function(node: ast.stmt, indent: str) -> str:
     )
 
 
-def _arguments(given: ast.arguments) -> list[str]:
-    positional = given.args
-    missing: list[ast.expr | None] = [None] * (len(positional) - len(given.defaults))
+def _arguments(arguments: ast.arguments) -> list[str]:
+    positional = arguments.args
+    missing: list[ast.expr | None] = [None] * (len(positional) - len(arguments.defaults))
     written = [
-        _argument(*each) for each in zip(positional, [*missing, *given.defaults], strict=True)
+        _argument(*each) for each in zip(positional, [*missing, *arguments.defaults], strict=True)
     ]
-    if given.vararg is not None:
-        written.append(f"*{_argument(given.vararg, None)}")
-    elif given.kwonlyargs:
+    if arguments.vararg is not None:
+        written.append(f"*{_argument(arguments.vararg, None)}")
+    elif arguments.kwonlyargs:
         written.append("*")
     return written + [
-        _argument(*each) for each in zip(given.kwonlyargs, given.kw_defaults, strict=True)
+        _argument(*each) for each in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True)
     ]
 
 

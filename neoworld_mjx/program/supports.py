@@ -1,19 +1,29 @@
 """Programs for supports of the environment, written from their parsed boxes without asking a model.
 
-The paper takes them as static primitives: a slab for a floor, a counter or a wall. Only tables that
-stand free get legs.
+The paper takes them as static primitives: a slab for a floor, a counter or a wall. Here the slab
+has the support's outline, and tables that stand free get legs.
 """
 
-from ..spec import TreeNode
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..spec import SupportOutline, TreeNode
+from ..spec.outlines import loops_distance
+from ..spec.surface_pattern import RGB
+from .materials import MATERIALS
 
 LEGGED = ("table", "desk", "bench", "stool")
 LEAST_LEGGED_M = 0.25
 BOARD_M, LEG_M = 0.04, 0.06
+ROUND_WITHIN = 1e-3
+"""Length and width that differ by less than this share of them are those of a circle."""
 _MATERIALS = {
     "glass": "glass",
     "marble": "marble",
     "granite": "stone",
     "stone": "stone",
+    "quartz": "stone",
     "concrete": "concrete",
     "tile": "ceramic",
     "metal": "steel",
@@ -24,12 +34,12 @@ _MATERIALS = {
     "wall": "concrete",
 }
 
-_SLAB = """from neoworld_mjx.program.sdk import Object, box
+_SLAB = """from neoworld_mjx.program.sdk import Object, {call}
 
 support = Object("{name}")
-surface = support.material("{like}_surface", like="{like}"{rgb})
+surface = support.material("{like}_surface", like="{like}"{look})
 body = support.part("body", material=surface)
-body.add(box(({x!r}, {y!r}, {z!r})), by="bottom", name="slab")
+body.add({slab}, by="bottom", name="slab")
 """
 _TABLE = """from neoworld_mjx.program.sdk import Object, box
 
@@ -37,7 +47,7 @@ X, Y, Z = {x!r}, {y!r}, {z!r}
 BOARD, LEG = {board!r}, {leg!r}
 
 support = Object("{name}")
-surface = support.material("{like}_surface", like="{like}"{rgb})
+surface = support.material("{like}_surface", like="{like}"{look})
 body = support.part("body", material=surface)
 body.add(box((X, Y, BOARD)), at=(0, 0, Z), by="top", name="board")
 for i, sx in enumerate((-1, 1)):
@@ -45,22 +55,106 @@ for i, sx in enumerate((-1, 1)):
         foot = (sx * (X - LEG) / 2, sy * (Y - LEG) / 2, 0)
         body.add(box((LEG, LEG, Z - BOARD)), at=foot, by="bottom", name=f"leg_{{i}}{{j}}")
 """
+_OUTLINED_TABLE = """from neoworld_mjx.program.sdk import Object, {calls}
+
+Z, BOARD, LEG = {z!r}, {board!r}, {leg!r}
+
+support = Object("{name}")
+surface = support.material("{like}_surface", like="{like}"{look})
+body = support.part("body", material=surface)
+body.add({slab}, at=(0, 0, Z), by="top", name="board")
+for i, (x, y) in enumerate({feet!r}):
+    body.add(cylinder(LEG / 2, Z - BOARD), at=(x, y, 0), by="bottom", name=f"leg_{{i}}")
+"""
 
 
 def support_program(node: TreeNode, rgb: tuple[float, float, float] | None = None) -> str:
-    """Write the program of a support that fills its parsed box.
+    """Write the program of a support that fills its outline and its parsed box.
 
     Args:
         node: the support.
-        rgb: its colour in 0 to 1, as the photo shows it; the material's own by default.
+        rgb: its colour in 0 to 1, as the photo shows it; by default its surface's, or the
+            material's own.
     """
     x, y, z = (round(v, 6) for v in node.box3d.size)
-    words = f"{node.label} {node.description}".lower()
-    like = next((name for word, name in _MATERIALS.items() if word in words), "wood")
-    shade = "" if rgb is None else ", rgb=({:.3f}, {:.3f}, {:.3f})".format(*rgb)
+    like, look = _look(node, rgb)
     label = node.label.lower()
     legged = z >= LEAST_LEGGED_M and any(word in label for word in LEGGED)
-    template = _TABLE if legged and min(x, y) > 4 * LEG_M else _SLAB
-    return template.format(
-        name=node.name, like=like, rgb=shade, x=x, y=y, z=z, board=BOARD_M, leg=LEG_M
-    )
+    legged &= min(x, y) > 4 * LEG_M
+    common = {"name": node.name, "like": like, "look": look}
+    if node.outline.shape == "rectangle" and legged:
+        return _TABLE.format(**common, x=x, y=y, z=z, board=BOARD_M, leg=LEG_M)
+    feet = leg_places(node.outline, x, y) if legged else []
+    if len(feet) >= 3:
+        call, slab = _slab(node, x, y, "BOARD")
+        calls = ", ".join(sorted({call, "cylinder"}))
+        numbers = {"z": z, "board": BOARD_M, "leg": LEG_M}
+        return _OUTLINED_TABLE.format(**common, **numbers, calls=calls, slab=slab, feet=feet)
+    call, slab = _slab(node, x, y, repr(z))
+    return _SLAB.format(**common, call=call, slab=slab)
+
+
+def leg_places(outline: SupportOutline, x: float, y: float) -> list[tuple[float, float]]:
+    """Return places [m] for legs near the corners of a table top of size (x, y), each under it."""
+    corners = outline.corners() * [x, y]
+    to_next = np.roll(corners, -1, axis=0) - corners
+    to_next /= np.linalg.norm(to_next, axis=1, keepdims=True)
+    to_last = -np.roll(to_next, 1, axis=0)
+    half = np.arccos(np.clip(np.sum(to_next * to_last, axis=1), -1, 1)) / 2
+    convex = to_next[:, 0] * to_last[:, 1] - to_next[:, 1] * to_last[:, 0] > 1e-6
+    inwards = to_next + to_last
+    inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
+    places = (corners + inwards * (LEG_M / 2 / np.sin(half))[:, None])[convex]
+    if outline.shape == "round":
+        signs = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+        places = signs * (np.array([x, y]) / 2 - LEG_M) / np.sqrt(2)
+    under = -loops_distance(places, [corners]) > 0.999 * LEG_M / 2
+    chosen: list[tuple[float, float]] = []
+    for place in places[under]:
+        if all(np.hypot(*(place - other)) > 2 * LEG_M for other in chosen):
+            px, py = (round(v, 4) for v in place.tolist())
+            chosen.append((px, py))
+    return chosen
+
+
+def _look(node: TreeNode, rgb: RGB | None) -> tuple[str, str]:
+    """Return the named material of a support, and the arguments that give its colour and pattern.
+
+    Joints and veins keep their contrast where the photo shows another colour than the answer's.
+    """
+    if node.surface is None:
+        words = f"{node.label} {node.description}".lower()
+        like = next((name for word, name in _MATERIALS.items() if word in words), "wood")
+        return like, "" if rgb is None else f", rgb={_triple(rgb)}"
+    surface, pattern = node.surface, node.surface.pattern
+    look, shown = "", rgb or surface.rgb
+    if shown is not None:
+        look = f", rgb={_triple(shown)}"
+        clear = MATERIALS[surface.material].rgba[3]
+        look += f", alpha={clear!r}" if clear < 1 else ""
+    look += f', pattern="{pattern.kind}"'
+    second: Sequence[float] | None = pattern.rgb
+    if second is not None and rgb is not None and surface.rgb is not None:
+        second = [
+            min(1.0, value * (new + 0.05) / (old + 0.05))
+            for value, new, old in zip(second, rgb, surface.rgb, strict=True)
+        ]
+    look += "" if second is None else f", rgb2={_triple(second)}"
+    look += "" if pattern.step is None else f", step={pattern.step!r}"
+    look += "" if pattern.along == "x" else f', along="{pattern.along}"'
+    return surface.material, look
+
+
+def _triple(rgb: Sequence[float]) -> str:
+    return "({:.3f}, {:.3f}, {:.3f})".format(*rgb)
+
+
+def _slab(node: TreeNode, x: float, y: float, height: str) -> tuple[str, str]:
+    """Return the SDK's shape of a support's outline, and the call that makes it."""
+    if node.outline.shape == "rectangle":
+        return "box", f"box(({x!r}, {y!r}, {height}))"
+    if node.outline.shape == "round" and abs(x - y) < ROUND_WITHIN * x:
+        return "cylinder", f"cylinder({round((x + y) / 4, 6)!r}, {height})"
+    corners = [(round(a * x, 5), round(b * y, 5)) for a, b in node.outline.corners().tolist()]
+    call = "prism" if node.outline.shape == "round" else "extrusion"
+    return call, f"{call}({corners!r}, {height})"

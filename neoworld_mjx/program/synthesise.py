@@ -1,14 +1,15 @@
 """Step 2, from the crop of an object to its program: ask, run, repair, draw, criticise, revise.
 
-The model is given the object's measured box. Errors of the program or of its checks go back to it
-(debug rounds); a critic sees pictures from the photo's own view, and its faults go back to the
-programmer (critic rounds). The program with the best score of its own is kept, whatever came last.
+The request gives the model the object's measured box. Errors of the program or of its checks go
+back to the model (debug rounds); critics get pictures from the photo's view, and their faults go
+back to the programmer (critic rounds). The result is the best of all programs, not the last. With
+`program.stages: three` geometry, articulation and export are asked for one after the other, each
+on what was accepted before it, each with debug and critic rounds of its own.
 """
 
 import asyncio
 import io
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeVar, runtime_checkable
 
@@ -18,38 +19,32 @@ from pydantic import BaseModel
 
 from ..config import ProgramOptions
 from ..mllm import Model, Picture, Request, ask_or_record, package_text, revise
-from ..spec import Camera, ObjectSpec, TreeNode, bounds
-from .allowance import Allowance
-from .ask import (
-    ProgramAnswer,
-    ProgramCritique,
-    Subject,
-    judge_request,
-    program_request,
-    repair_request,
-    revise_request,
-)
+from ..spec import Camera, TreeNode
+from .ask import ProgramAnswer, instructions, program_request, repair_request, revise_request
+from .attempt import ProgramAttempt, Programmed, Size, joined
 from .conformance import fit, losses, lost_checks
-from .make import build
+from .critique import Critique, accepts, corrected_box, critic_request
+from .geometry_check import fit_geometry
 from .sandbox import Built, run
 from .signals import Signal, deduplicated, has_errors
+from .stages import NOTHING_MOVES, STAGES, Stage, in_own_lines, needs_asking, through_urdf
+from .subject import Subject
 from .supports import support_program
-from .views import draw
+from .views import draw, draw_exported, draw_in_place
 
 T = TypeVar("T", bound=BaseModel)
 
-_WEIGHTS = {"geometry": 0.5, "articulation": 0.3, "colour": 0.2}
-UNJUDGED = 5.0
-"""Critic's score of a program without a critique."""
+MOST_RESIZED = 4.0
+"""Largest factor, either way, by which an edge of the measured box may be corrected."""
 
 
 @runtime_checkable
 class Cutout(Protocol):
-    """A picture of an object cut out of the photo, encoded as PNG or JPEG."""
+    """A picture of an object cut out of the photo."""
 
     @property
-    def data(self) -> bytes:
-        """The file's bytes."""
+    def picture(self) -> Picture:
+        """The picture, labelled "crop"."""
         ...
 
     @property
@@ -57,89 +52,10 @@ class Cutout(Protocol):
         """Description of the parts that the picture does not show; empty if it shows all."""
         ...
 
-
-@dataclass(frozen=True)
-class ProgramAttempt:
-    """One program of a synthesis, with the results of its checks and its critique."""
-
-    stage: str
-    """Its origin: "program", "debug" or "revise", or "support" for one that no model wrote."""
-    text: str
-    built: Built
-    notes: str = ""
-    verdict: ProgramCritique | None = None
-
     @property
-    def score(self) -> float:
-        """Critic's score, 0 to 10, less one point for each error and the deviation of its size."""
-        if self.built.spec is None:
-            return 0.0
-        score = UNJUDGED if self.verdict is None else marks(self.verdict)
-        errors = [signal for signal in self.built.signals if signal.severity == "error"]
-        deviation = sum(
-            min(1.0, abs(signal.value or 0.0))
-            for signal in self.built.signals
-            if signal.code == "proportions"
-        )
-        return max(0.0, score - len(errors) - deviation)
-
-    @property
-    def rank(self) -> tuple[bool, bool, bool, float]:
-        """Key by which attempts are compared, the larger the better."""
-        lost = any(signal.code == "lost" for signal in self.built.signals)
-        return self.built.spec is not None, not lost, self.built.ok, self.score
-
-
-@dataclass(frozen=True)
-class Programmed:
-    """The result of a synthesis."""
-
-    spec: ObjectSpec | None
-    text: str
-    signals: tuple[Signal, ...]
-    score: float
-    rounds: tuple[ProgramAttempt, ...]
-    fallbacks: tuple[tuple[str, str], ...] = ()
-    """Stages that failed, and errors that remain, with the reasons."""
-    allowances: tuple[Allowance, ...] = ()
-    """Overlaps that the program declares."""
-
-    @property
-    def reason(self) -> str:
-        """Why there is no object, in one line; empty if there is one."""
-        if self.spec is not None:
-            return ""
-        first = next((s.phrase() for s in self.signals if s.severity == "error"), "no program")
-        return f"no program of {len(self.rounds)} could be built; the last: {first}"
-
-    def to_json(self) -> str:
-        """Return all rounds as JSON."""
-        rounds = [
-            {
-                "stage": attempt.stage,
-                "program": attempt.text,
-                "notes": attempt.notes,
-                "signals": [
-                    s.model_dump(mode="json", exclude_none=True) for s in attempt.built.signals
-                ],
-                "verdict": None
-                if attempt.verdict is None
-                else attempt.verdict.model_dump(mode="json"),
-                "score": round(attempt.score, 4),
-                "kept": attempt.text == self.text,
-            }
-            for attempt in self.rounds
-        ]
-        data = {
-            "score": round(self.score, 4),
-            "signals": [
-                signal.model_dump(mode="json", exclude_none=True) for signal in self.signals
-            ],
-            "fallbacks": [list(item) for item in self.fallbacks],
-            "allowances": [one._asdict() for one in self.allowances],
-            "rounds": rounds,
-        }
-        return json.dumps(data, indent=1) + "\n"
+    def window(self) -> tuple[float, float, float, float]:
+        """Original pixels (x0, y0, x1, y1) that the picture shows."""
+        ...
 
 
 async def synthesise(
@@ -151,53 +67,61 @@ async def synthesise(
     camera: Camera | None = None,
     colour: tuple[float, float, float] | None = None,
 ) -> Programmed:
-    """Have models program an object after its crop.
+    """Ask models for the program of an object, from its crop.
 
-    Supports of the environment get a simple program from their box without a model.
+    A support of the environment that is no furniture gets a simple program from its box, without a
+    model.
 
     Args:
-        node: the object, as parsed.
+        node: the parsed object.
         crop: its picture.
-        models: answer as programmer and critic.
+        models: programmer and critic.
         options: rounds, critics, sandbox.
-        camera: the photo's, so that the critic sees the object from the same side.
-        colour: of a support, red, green, blue from 0 to 1; by default the median of its crop.
+        camera: the photo's camera, so that the critic sees the object from the same side.
+        colour: red, green, blue from 0 to 1 of a support; by default its surface's, or without a
+            declared surface the median of its crop.
 
     Raises:
         ModelError: the first request failed, a tape lacks an answer, or the cost cap is reached.
     """
     plain = isinstance(crop, bytes)
-    picture = Picture("crop", crop if plain else crop.data)
-    subject = Subject(node, picture, "" if plain else crop.note)
-    work = _Synthesis(subject, models, options, camera)
-    if node.environment:
-        program = support_program(node, colour or median_colour(picture))
+    picture = Picture("crop", crop) if plain else crop.picture
+    note, window = ("", None) if plain else (crop.note, crop.window)
+    subject = Subject(node, picture, note, camera, window)
+    work = _Synthesis(subject, models, options)
+    if node.slab:
+        if colour is None and node.surface is None:
+            colour = median_colour(picture)
+        program = support_program(node, colour)
         built = await asyncio.to_thread(run, program, options)
         return work.result(ProgramAttempt("support", program, built))
-    answer = (await models.ask(program_request(subject))).value
-    await revise(
-        await work.debugged("program", answer, None),
-        rounds=options.critic_rounds,
-        accept=lambda attempt: attempt.verdict is None or _accepted(attempt.verdict, options),
-        next_attempt=work.revised,
-        criticise=work.criticised,
-    )
-    return work.result(max(work.attempts, key=lambda attempt: attempt.rank))
+    best: ProgramAttempt | None = None
+    for stage in STAGES[options.stages]:
+        last = best
+        best = await work.written(stage, last)
+        if stage.file == "export" and last is not None and last.built.ok and not best.built.ok:
+            reasons = "; ".join(s.phrase() for s in best.built.signals if s.severity == "error")
+            work.fallbacks.append((f"{node.name}: no export program", reasons))
+            best = last
+        if best.built.spec is None:
+            break
+    assert best is not None
+    return work.result(best)
 
 
 def guide() -> str:
-    """Return the authoring contract that programmers are given."""
+    """Return the guide to the SDK that requests to programmers contain."""
     return package_text(__package__, "guide")
 
 
-def marks(critique: ProgramCritique) -> float:
-    """Return the weighted mean of a critic's three scores, 0 to 10."""
-    return sum(weight * getattr(critique, name) for name, weight in _WEIGHTS.items())
+def all_instructions(options: ProgramOptions) -> str:
+    """Return the system texts of all requests to programmers."""
+    return "\n".join(instructions(stage.file) for stage in STAGES[options.stages])
 
 
 def median_colour(picture: Picture) -> tuple[float, float, float]:
     """Return the median red, green, blue of a picture, 0 to 1."""
-    with Image.open(io.BytesIO(picture.data)) as image:
+    with Image.open(io.BytesIO(picture.data), formats=["PNG", "JPEG"]) as image:
         rgb = np.asarray(image.convert("RGB")).reshape(-1, 3)
     r, g, b = (np.median(rgb, axis=0) / 255).tolist()
     return r, g, b
@@ -213,14 +137,38 @@ def unfenced(program: str) -> str:
 
 @dataclass
 class _Synthesis:
-    """One object's synthesis: its inputs, all attempts so far, and the stages that failed."""
+    """One object's synthesis: its inputs, all attempts so far, and the rounds that failed."""
 
     subject: Subject
     models: Model
     options: ProgramOptions
-    camera: Camera | None
     attempts: list[ProgramAttempt] = field(default_factory=list)
     fallbacks: list[tuple[str, str]] = field(default_factory=list)
+    size: Size | None = None
+    """Edges of the box [m] as a model corrected them last; None for the parsed ones."""
+    stage: Stage = STAGES["one"][0]
+    accepted: ProgramAttempt | None = None
+    """Result of the stage before; None in the first."""
+
+    async def written(self, stage: Stage, accepted: ProgramAttempt | None) -> ProgramAttempt:
+        """Ask for a stage's program, debug and criticise it, and return its best attempt."""
+        self.stage, self.accepted = stage, accepted
+        if accepted is not None:
+            assert accepted.built.spec is not None
+            if not needs_asking(stage, accepted.built.spec, self.subject.node):
+                before = accepted.texts
+                return replace(accepted, text=NOTHING_MOVES, before=before, file=stage.file)
+        request = program_request(self.subject, stage.file, self._before)
+        answer = (await self.models.ask(request)).value
+        await revise(
+            await self.debugged("program", answer, None),
+            rounds=self.options.critic_rounds,
+            accept=lambda attempt: all(map(accepts, self._own_critiques(attempt))),
+            next_attempt=self.revised,
+            criticise=self.criticised,
+        )
+        own = [attempt for attempt in self.attempts if attempt.file == stage.file]
+        return max(own, key=lambda attempt: attempt.rank)
 
     async def debugged(
         self, stage: str, answer: ProgramAnswer, before: ProgramAttempt | None
@@ -230,7 +178,10 @@ class _Synthesis:
         async def repaired(attempts: Sequence[ProgramAttempt]) -> ProgramAttempt | None:
             signals = attempts[-1].built.signals
             earlier = attempts[-2].built.signals if len(attempts) > 1 else None
-            request = repair_request(self.subject, attempts[-1].text, signals, earlier)
+            request = repair_request(
+                *(self.subject, attempts[-1].text, signals, earlier),
+                *(self.stage.file, self._before),
+            )
             repair = await self._ask("debug", request)
             best = max(attempts, key=lambda attempt: attempt.rank)
             return None if repair is None else await self._checked("debug", repair, best)
@@ -244,30 +195,32 @@ class _Synthesis:
         return max(attempts, key=lambda attempt: attempt.rank)
 
     async def revised(self, attempts: Sequence[ProgramAttempt]) -> ProgramAttempt | None:
-        """Ask for a program without the critic's faults, and debug it."""
+        """Ask for a program without the faults that the critics reported, and debug it."""
         last = attempts[-1]
-        assert last.verdict is not None
-        request = revise_request(self.subject, last.text, last.verdict)
+        critiques = self._own_critiques(last)
+        for box in filter(None, map(corrected_box, critiques)):
+            self._resize(box, "the critic")
+        request = revise_request(
+            *(self.subject, last.text, [each for each in critiques if not accepts(each)]),
+            *(self.stage.file, self._before),
+        )
         answer = await self._ask("revise", request)
         return None if answer is None else await self.debugged("revise", answer, last)
 
     async def criticised(self, attempt: ProgramAttempt) -> ProgramAttempt:
-        """Return an attempt with its critique, if it has an object and a critic is on."""
-        spec, options, node = attempt.built.spec, self.options, self.subject.node
-        if spec is None or not (options.geometry_critic or options.articulation_critic):
+        """Return an attempt with the verdict of each critic that is on, if it has an object."""
+        requests = self._critic_requests(attempt)
+        answers = await asyncio.gather(
+            *(self._ask(f"judge ({name})", request) for name, request in requests.items())
+        )
+        verdicts = {
+            name: answer
+            for name, answer in zip(requests, answers, strict=True)
+            if answer is not None
+        }
+        if not verdicts:
             return attempt
-        pictures: list[Picture] = [self.subject.crop]
-        pictures.append(await asyncio.to_thread(draw, spec, node, self.camera))
-        moves = any(joint.type != "fixed" for joint in spec.joints)
-        if moves and options.articulation_critic:
-            pictures.append(await asyncio.to_thread(draw, spec, node, self.camera, opened=True))
-        low, high = bounds(spec)
-        x, y, z = (high - low).tolist()
-        request = judge_request(node, pictures, _described(spec), (x, y, z), options)
-        critique = await self._ask("judge", request)
-        if critique is None:
-            return attempt
-        criticised = replace(attempt, verdict=critique)
+        criticised = replace(attempt, critiques={**attempt.critiques, **verdicts})
         self.attempts[self.attempts.index(attempt)] = criticised
         return criticised
 
@@ -280,56 +233,99 @@ class _Synthesis:
             self.fallbacks.append((f"{name}: kept with {len(errors)} errors", reasons))
         return Programmed(
             best.built.spec,
-            best.text,
+            best.texts,
             best.built.signals,
             best.score,
             tuple(self.attempts) or (best,),
             tuple(self.fallbacks),
             best.built.allowances,
+            best.size,
         )
+
+    @property
+    def _before(self) -> Mapping[str, str]:
+        """Texts of the stages before."""
+        return {} if self.accepted is None else self.accepted.texts
+
+    def _own_critiques(self, attempt: ProgramAttempt) -> list[Critique]:
+        """Return the verdicts of the stage's own critics."""
+        return [attempt.critiques[name] for name in self.stage.critics if name in attempt.critiques]
+
+    def _critic_requests(self, attempt: ProgramAttempt) -> dict[str, Request[Critique]]:
+        """Return the request to each critic that has something to judge."""
+        spec, node, camera = attempt.built.spec, self.subject.node, self.subject.camera
+        if spec is None:
+            return {}
+        window = self.subject.window
+        made: Picture = (
+            draw(spec, node, camera)
+            if camera is None or window is None
+            else draw_in_place(spec, node, camera, window)
+        )
+        moves = any(joint.type != "fixed" for joint in spec.joints)
+        opened = [draw(spec, node, camera, opened=True)] if moves else []
+        requests: dict[str, Request[Critique]] = {}
+        for name in self.stage.critics:
+            if not getattr(self.options, f"{name}_critic"):
+                continue
+            pictures = [self.subject.crop, made]
+            if name == "articulation":
+                if not moves:
+                    continue
+                pictures += opened
+            if name == "export":
+                read, _ = through_urdf(spec)
+                if read is None:
+                    continue
+                pictures = [self.subject.crop, *draw_exported(spec, read, node, camera)]
+            requests[name] = critic_request(name, node, spec, pictures)
+        return requests
 
     async def _checked(
         self, stage: str, answer: ProgramAnswer, before: ProgramAttempt | None
     ) -> ProgramAttempt:
         """Build a program and check it against its subject and the attempt before."""
         program = unfenced(answer.program)
-        built = await asyncio.to_thread(build, program, self.options)
+        if answer.box is not None:
+            self._resize(answer.box, "the programmer")
+        attempt = ProgramAttempt(
+            stage,
+            program,
+            Built(None),
+            answer.notes,
+            critiques={} if self.accepted is None else self.accepted.critiques,
+            before=self._before,
+            file=self.stage.file,
+        )
+        whole = joined(attempt.texts)
+        built = await asyncio.to_thread(self.stage.build, whole, self.options)
+        built = replace(built, signals=in_own_lines(built.signals, self._before))
         if built.spec is not None:
-            signals = [*built.signals, *fit(built.spec, self.subject.node)]
+            compare = fit_geometry if self.stage.file == "geometry" else fit
+            signals: list[Signal] = [*built.signals, *compare(built.spec, self.subject.node)]
             if before is not None and before.built.spec is not None:
                 signals += losses(before.built.spec, built.spec, answer.removed)
                 signals += lost_checks(before.text, program, answer.removed)
             built = replace(built, signals=deduplicated(signals))
-        attempt = ProgramAttempt(stage, program, built, answer.notes)
+        attempt = replace(attempt, built=built, size=self.size)
         self.attempts.append(attempt)
         return attempt
+
+    def _resize(self, edges: Sequence[float], who: str) -> None:
+        """Take a model's correction of the measured box, unless it is out of all proportion."""
+        node = self.subject.node
+        x, y, z = edges
+        ratio = np.array(edges) / np.array(node.box3d.size)
+        shown = " x ".join(f"{v:.3f}" for v in edges)
+        if np.max(np.maximum(ratio, 1 / ratio)) > MOST_RESIZED:
+            reason = f"{who} asked for {shown} m, over {MOST_RESIZED:g} times off"
+            self.fallbacks.append((f"{node.name}: the measured box", reason))
+            return
+        self.size = (x, y, z)
+        box = node.box3d.model_copy(update={"size": self.size})
+        node = node.model_copy(update={"box3d": box})
+        self.subject = self.subject._replace(node=node)
 
     async def _ask(self, stage: str, request: Request[T]) -> T | None:
         skipped = f"{self.subject.node.name}: no {stage} round"
         return await ask_or_record(self.models, request, skipped, self.fallbacks)
-
-
-def _accepted(critique: ProgramCritique, options: ProgramOptions) -> bool:
-    content = critique.verdict == "accept" or marks(critique) >= options.accept_score
-    return content or not critique.faults
-
-
-def _described(spec: ObjectSpec) -> dict[str, str]:
-    joints = [
-        f"{joint.name} ({joint.type}, {joint.child} on {joint.parent})" for joint in spec.joints
-    ]
-    return {
-        "parts": ", ".join(part.name for part in spec.parts),
-        "joints": ", ".join(joints) or "none",
-    }
-
-
-__all__ = [
-    "Cutout",
-    "ProgramAttempt",
-    "Programmed",
-    "guide",
-    "marks",
-    "median_colour",
-    "synthesise",
-]

@@ -1,7 +1,8 @@
 """Validate the arguments that programs pass to the SDK; every message names the argument.
 
 A sandboxed program passes values of unknown type: a number may be a string, a list may hold a
-million entries. Nothing reaches a description without being validated here.
+million entries. Nothing reaches a description without being validated here. Each function returns
+the valid value, and raises TypeError or ValueError for any other.
 """
 
 import math
@@ -12,16 +13,22 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from ..config import describe
+from ..names import is_name
 
 MAX_COORDINATE_M = 100.0
 MIN_LENGTH_M = 1e-5
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
 _S = TypeVar("_S", bound=BaseModel)
 
 
-def shown(value: Any) -> str:
-    """Write a value for a message, shortened; big containers and numbers are not written out."""
-    if isinstance(value, list | tuple) and len(value) > 6:
+def shown(value: Any, depth: int = 2) -> str:
+    """Write a value for a message; long strings, containers and integers are shortened.
+
+    Args:
+        value: anything.
+        depth: containers within containers that are written out. A program may put one list into
+            many, which written out would be longer than any memory.
+    """
+    if isinstance(value, list | tuple) and (len(value) > 6 or not depth):
         return f"{type(value).__name__} of {len(value)} items"
     if isinstance(value, int) and value.bit_length() > 100:
         return f"an integer of {value.bit_length()} bits"
@@ -30,111 +37,118 @@ def shown(value: Any) -> str:
     if isinstance(value, bool | int | float) or value is None:
         return repr(value)
     if isinstance(value, list | tuple):
-        inside = ", ".join(shown(item) for item in value)
+        inside = ", ".join(shown(item, depth - 1) for item in value)
         return f"[{inside}]" if isinstance(value, list) else f"({inside})"
     return type(value).__name__
 
 
-def number(value: Any, what: str, limit: float = 1e6) -> float:
-    """Take a finite number of magnitude up to `limit`."""
+def number(value: Any, argument: str, limit: float = 1e6) -> float:
+    """Return a finite number of magnitude up to `limit`."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{what} must be a number, got {shown(value)}")
+        raise TypeError(f"{argument} must be a number, got {shown(value)}")
     if isinstance(value, float) and not math.isfinite(value):
-        raise ValueError(f"{what} must be finite, got {value!r}")
+        raise ValueError(f"{argument} must be finite, got {value!r}")
     if abs(value) > limit:
-        raise ValueError(f"{what} must lie within +-{limit:g}, got {shown(value)}")
+        raise ValueError(f"{argument} must lie within +-{limit:g}, got {shown(value)}")
     return float(value)
 
 
-def length(value: Any, what: str) -> float:
-    """Take a positive length in metres."""
-    metres = number(value, what, MAX_COORDINATE_M)
+def length(value: Any, argument: str) -> float:
+    """Return a positive length [m]."""
+    metres = number(value, argument, MAX_COORDINATE_M)
     if metres < MIN_LENGTH_M:
         raise ValueError(
-            f"{what} must be a positive length in metres, at least {MIN_LENGTH_M:g}, got {metres!r}"
+            f"{argument} must be a positive length in metres, at least {MIN_LENGTH_M:g}, "
+            f"got {metres!r}"
         )
     return metres
 
 
-def sequence(value: Any, what: str, least: int, most: int) -> Sequence[Any]:
-    """Take a list or tuple of a bounded length."""
+def sequence(value: Any, argument: str, least: int, most: int) -> Sequence[Any]:
+    """Return a list or tuple with `least` to `most` entries."""
     if not isinstance(value, list | tuple):
-        raise TypeError(f"{what} must be a list or tuple, got {shown(value)}")
+        raise TypeError(f"{argument} must be a list or tuple, got {shown(value)}")
     if not least <= len(value) <= most:
         span = str(least) if least == most else f"{least} to {most}"
-        raise ValueError(f"{what} must have {span} entries, got {len(value)}")
+        raise ValueError(f"{argument} must have {span} entries, got {len(value)}")
     return value
 
 
-def vector(value: Any, what: str, limit: float = MAX_COORDINATE_M) -> tuple[float, float, float]:
-    """Take three numbers."""
-    x, y, z = sequence(value, what, 3, 3)
-    return number(x, what, limit), number(y, what, limit), number(z, what, limit)
+def vector(
+    value: Any, argument: str, limit: float = MAX_COORDINATE_M
+) -> tuple[float, float, float]:
+    """Return three finite numbers of magnitude up to `limit`."""
+    x, y, z = sequence(value, argument, 3, 3)
+    return number(x, argument, limit), number(y, argument, limit), number(z, argument, limit)
 
 
-def lengths(value: Any, what: str) -> tuple[float, float, float]:
-    """Take three positive lengths in metres."""
-    x, y, z = sequence(value, what, 3, 3)
-    return length(x, what), length(y, what), length(z, what)
+def lengths(value: Any, argument: str) -> tuple[float, float, float]:
+    """Return three positive lengths [m]."""
+    x, y, z = sequence(value, argument, 3, 3)
+    return length(x, argument), length(y, argument), length(z, argument)
 
 
-def points(value: Any, what: str, least: int, most: int) -> tuple[tuple[float, float], ...]:
-    """Take a list of (a, b) points in metres."""
-    found = []
-    for i, item in enumerate(sequence(value, what, least, most)):
-        a, b = sequence(item, f"{what}[{i}]", 2, 2)
-        found.append(
+def points(value: Any, argument: str, least: int, most: int) -> tuple[tuple[float, float], ...]:
+    """Return `least` to `most` points (a, b) [m]."""
+    pairs = []
+    for i, item in enumerate(sequence(value, argument, least, most)):
+        a, b = sequence(item, f"{argument}[{i}]", 2, 2)
+        pairs.append(
             (
-                number(a, f"{what}[{i}]", MAX_COORDINATE_M),
-                number(b, f"{what}[{i}]", MAX_COORDINATE_M),
+                number(a, f"{argument}[{i}]", MAX_COORDINATE_M),
+                number(b, f"{argument}[{i}]", MAX_COORDINATE_M),
             )
         )
-    return tuple(found)
+    return tuple(pairs)
 
 
-def whole(value: Any, what: str, least: int, most: int) -> int:
-    """Take an integer within bounds."""
+def whole(value: Any, argument: str, least: int, most: int) -> int:
+    """Return an integer from `least` to `most`."""
     if isinstance(value, bool) or not isinstance(value, int):
-        raise TypeError(f"{what} must be an integer, got {shown(value)}")
+        raise TypeError(f"{argument} must be an integer, got {shown(value)}")
     if not least <= value <= most:
-        raise ValueError(f"{what} must lie between {least} and {most}, got {shown(value)}")
+        raise ValueError(f"{argument} must lie between {least} and {most}, got {shown(value)}")
     return value
 
 
-def name(value: Any, what: str) -> str:
-    """Take an identifier."""
+def name(value: Any, argument: str) -> str:
+    """Return an identifier of at most 48 letters, digits and underscores."""
     if not isinstance(value, str):
-        raise TypeError(f"{what} must be a string, got {shown(value)}")
-    if not _NAME.fullmatch(value):
+        raise TypeError(f"{argument} must be a string, got {shown(value)}")
+    if not is_name(value):
         raise ValueError(
-            f"{what} must start with a letter and hold only letters, digits and _ (at most 48), "
-            f"got {shown(value)}"
+            f"{argument} must start with a letter and hold only letters, digits and _ "
+            f"(at most 48), got {shown(value)}"
         )
     return value
 
 
-def text(value: Any, what: str, most: int = 200) -> str:
-    """Take a short line of text."""
+def text(value: Any, argument: str, most: int = 200) -> str:
+    """Return one printable line of at most `most` characters."""
     if not isinstance(value, str):
-        raise TypeError(f"{what} must be a string, got {shown(value)}")
+        raise TypeError(f"{argument} must be a string, got {shown(value)}")
     if len(value) > most or not value.isprintable():
-        raise ValueError(f"{what} must be one line of at most {most} characters")
+        raise ValueError(f"{argument} must be one line of at most {most} characters")
     return value
 
 
-def colour(value: Any, what: str) -> tuple[float, float, float]:
-    """Take red, green, blue in 0 to 1."""
-    r, g, b = vector(value, what)
+def colour(value: Any, argument: str) -> tuple[float, float, float]:
+    """Return red, green and blue from 0 to 1."""
+    r, g, b = vector(value, argument)
     if not all(0 <= v <= 1 for v in (r, g, b)):
-        raise ValueError(f"{what} must be red, green, blue between 0 and 1, got {shown(value)}")
+        raise ValueError(f"{argument} must be red, green, blue between 0 and 1, got {shown(value)}")
     return r, g, b
 
 
-def described(model: type[_S], what: str, **fields: Any) -> _S:
-    """Build a description from checked values and phrase its own complaints in one line."""
+def described(model: type[_S], argument: str, **fields: Any) -> _S:
+    """Build a description from validated values.
+
+    Raises:
+        ValueError: the description refuses them; the message is one line.
+    """
     try:
         return model(**fields)
     except ValidationError as error:
         message = describe(error, model).replace("(root): ", "").replace("Value error, ", "")
         message = re.sub(r", got \{.*$", "", message, flags=re.DOTALL)
-        raise ValueError(f"{what}: {message}") from None
+        raise ValueError(f"{argument}: {message}") from None

@@ -1,64 +1,211 @@
-"""Pictures of a made object for the critic, from where the photo was taken."""
+"""Pictures of a programmed object for the critic, seen from the photo's camera."""
 
 import hashlib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..mllm import Picture
-from ..render import View, render_object, to_png
+from ..render import View, render, render_object, to_png
 from ..render.scene_images import visible_vertices
-from ..spec import Camera, ObjectSpec, TreeNode
-from ..spec.opening import with_prerequisites
+from ..spec import (
+    Camera,
+    ObjectSpec,
+    SceneObject,
+    SceneSpec,
+    TreeNode,
+    bounds,
+    scale,
+    scaled_state,
+)
+from ..spec.opening import parsed_state, with_prerequisites
 from ..spec.pose import conjugate, from_yaw, quat_mul, rotate
 
 WIDTH, HEIGHT = 448, 384
 OPENED = 0.8
-"""Share of their range by which joints stand open in the second picture."""
+"""Share of their range by which joints are open in the second picture."""
+FRAME = (255, 255, 255)
+LEAST_SEEN = 0.1
+"""Share of the object's box that must lie in the crop for both to have one frame."""
+NEAR_M = 0.02
+
+Window = tuple[float, float, float, float]
 
 
-@dataclass(frozen=True)
 class DescribedPicture(Picture):
-    """A picture that tapes know by a description of its content, not by its pixels.
+    """A picture that tapes identify by a description of its content, not by its pixels.
 
-    Cast rays round differently from one processor to the next, and a tape that knew this picture by
-    its pixels would not be found again elsewhere.
+    Ray casting rounds differently from one processor to the next, so a tape keyed by pixels would
+    not replay on another machine. The picture is drawn when its data is first needed: never, where
+    a tape answers.
+
+    Args:
+        label: name of the picture in the prompt.
+        draw: returns the picture as PNG.
+        shows: description of the object, its state and the view.
     """
 
-    shows: str = ""
-    """Description of the object, its state and the view."""
+    shows: str
+    _draw: Callable[[], bytes]
+
+    def __init__(self, label: str, draw: Callable[[], bytes], shows: str) -> None:
+        for name, value in (("label", label), ("_draw", draw), ("shows", shows)):
+            object.__setattr__(self, name, value)  # The base is frozen.
+
+    @cached_property
+    def data(self) -> bytes:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The PNG file, drawn once."""
+        return self._draw()
 
     @property
     def pixels(self) -> str:
-        """The sha256 of what is shown."""
+        """The sha256 of the description."""
         return hashlib.sha256(self.shows.encode()).hexdigest()
 
 
 def draw(
     spec: ObjectSpec, node: TreeNode, camera: Camera | None, *, opened: bool = False
 ) -> DescribedPicture:
-    """Draw an object as the photo's camera would see it, filling the picture.
+    """Return a picture of an object from the direction of the photo's camera, filling the picture.
 
     Args:
         spec: the object.
-        node: where it stands in the scene.
-        camera: the photo's; None looks at the front from the right and above.
-        opened: whether joints stand open.
+        node: its pose in the scene.
+        camera: the photo's camera; None looks at the front from the right and above.
+        opened: whether joints are open.
     """
     state = opened_state(spec) if opened else {}
     view = view_from(spec, state, node, camera)
-    seen = render_object(spec, state, view, width=WIDTH, height=HEIGHT)
-    # Rounded, as the view's numbers carry rounding of their own.
-    place = np.round(np.concatenate([view.eye, view.axes.ravel()]), 4).tolist()
-    shows = f"{spec.to_json()}{sorted(state.items())}{place}{WIDTH}x{HEIGHT}"
-    return DescribedPicture("opened" if opened else "made", to_png(seen), shows)
+
+    def drawn() -> bytes:
+        return to_png(render_object(spec, state, view, width=WIDTH, height=HEIGHT))
+
+    shows = f"{spec.to_json()}{sorted(state.items())}{_numbers(view)}{WIDTH}x{HEIGHT}"
+    return DescribedPicture("opened" if opened else "made", drawn, shows)
+
+
+def draw_exported(
+    spec: ObjectSpec, read: ObjectSpec, node: TreeNode, camera: Camera | None
+) -> list[Picture]:
+    """Return "exported", and "opened" if it moves: an object as its URDF gives it back.
+
+    Args:
+        spec: the object that was exported, by which tapes know the pictures.
+        read: the object as read back.
+        node: its pose in the scene.
+        camera: the photo's camera.
+    """
+    pictures: list[Picture] = []
+    for label, state in (("exported", {}), ("opened", opened_state(spec))):
+        if label == "opened" and not state:
+            continue
+        view = view_from(spec, state, node, camera)
+        shows = f"urdf{spec.to_json()}{sorted(state.items())}{_numbers(view)}{WIDTH}x{HEIGHT}"
+
+        def drawn(state: Mapping[str, float] = state, view: View = view) -> bytes:
+            return to_png(render_object(read, state, view, width=WIDTH, height=HEIGHT))
+
+        pictures.append(DescribedPicture(label, drawn, shows))
+    return pictures
+
+
+def draw_in_place(
+    spec: ObjectSpec, node: TreeNode, camera: Camera, window: Window
+) -> DescribedPicture:
+    """Return a picture of an object in its parsed pose, in the frame of its crop.
+
+    Where the object reaches beyond the crop, the picture does as well, and a white line in it is
+    the crop's frame. An object that would hardly be in the picture is drawn by itself.
+
+    Args:
+        spec: the object, at any size; it is scaled to its parsed box.
+        node: its pose in the scene; parts are as open as parsed.
+        camera: the photo's camera.
+        window: what the crop shows, in original pixels (x0, y0, x1, y1).
+    """
+    obj, points = _placed(spec, node)
+    pixels, depth = camera.project(points)
+    seen = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+    frame = np.array(window)
+    low, high = np.maximum(seen[:2], frame[:2]), np.minimum(seen[2:], frame[2:])
+    share = float(np.prod(np.maximum(high - low, 0)) / max(float(np.prod(seen[2:] - seen[:2])), 1))
+    if depth.min() < NEAR_M or share < LEAST_SEEN:
+        return draw(spec, node, camera)
+    x0, y0, x1, y1 = (
+        np.concatenate([np.minimum(seen[:2], frame[:2]), np.maximum(seen[2:], frame[2:])])
+        .round(1)
+        .tolist()
+    )
+    view = View.through(camera, (x0, y0, x1, y1), WIDTH)
+
+    def drawn() -> bytes:
+        image = render(SceneSpec(name=obj.name, objects=(obj,)), view)
+        canvas = np.array(image.color)
+        if (x0, y0, x1, y1) != tuple(frame.round(1).tolist()):
+            scale = view.width / (x1 - x0)
+            _outline(canvas, ((frame - [x0, y0, x0, y0]) * scale).round().astype(int))
+        return to_png(canvas)
+
+    place = np.round([*obj.xy, obj.z, obj.yaw, *obj.base_tilt], 4).tolist()
+    # Rounded, as the last digits of a fitted pose differ from one processor to the next.
+    state = sorted((name, round(value, 4)) for name, value in obj.joint_state.items())
+    lens = [round(camera.focal, 2), x0, y0, x1, y1, *np.round(window, 1).tolist()]
+    shows = f"{spec.to_json()}{state}{place}{_numbers(view)}{lens}"
+    return DescribedPicture("made", drawn, shows)
+
+
+def _placed(spec: ObjectSpec, node: TreeNode) -> tuple[SceneObject, NDArray]:
+    """Return an object scaled to its parsed box and in its parsed pose, and its vertices [n, 3] m.
+
+    The vertices are in the world.
+    """
+    state, _ = parsed_state(spec, node)
+    low, high = bounds(spec, state)
+    factor = float(np.exp(np.mean(np.log(np.array(node.box3d.size) / (high - low)))))
+    scaled, state = scale(spec, factor), scaled_state(spec, state, factor)
+    low, high = low * factor, high * factor
+    offset = np.array([-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]])
+    vertices = visible_vertices(scaled, state)
+    lowest = rotate(node.base_tilt, vertices + offset)[:, 2].min()
+    turned = rotate(node.base_tilt, offset) - [0, 0, lowest]
+    x, y, z = (rotate(from_yaw(node.box3d.yaw), turned) + np.array(node.box3d.position)).tolist()
+    obj = SceneObject(
+        name=node.name,
+        spec=scaled,
+        xy=(x, y),
+        z=z,
+        yaw=node.box3d.yaw,
+        base_tilt=node.base_tilt,
+        joint_state=state,
+    )
+    turn = quat_mul(from_yaw(node.box3d.yaw), np.array(node.base_tilt))
+    return obj, rotate(turn, vertices) + [x, y, z]
+
+
+def _outline(canvas: NDArray, box: NDArray) -> None:
+    """Draw a frame of one pixel onto a picture, as far as it lies inside."""
+    height, width = canvas.shape[:2]
+    x0, y0, x1, y1 = box.tolist()
+    columns, rows = np.clip([x0, x1], 0, width), np.clip([y0, y1], 0, height)
+    for x in (x0, x1 - 1):
+        if 0 <= x < width:
+            canvas[rows[0] : rows[1], x] = FRAME
+    for y in (y0, y1 - 1):
+        if 0 <= y < height:
+            canvas[y, columns[0] : columns[1]] = FRAME
+
+
+def _numbers(view: View) -> list[float]:
+    # The last digits of the view differ from one processor to the next.
+    return np.round(np.concatenate([view.eye, view.axes.ravel()]), 4).tolist()
 
 
 def view_from(
     spec: ObjectSpec, state: Mapping[str, float], node: TreeNode, camera: Camera | None
 ) -> View:
-    """Return a view of an object at its own origin, from the direction of the camera."""
+    """Return a view of an object in its own frame, from the direction of the camera."""
     points = visible_vertices(spec, state)
     if camera is None:
         return View.framing(points, width=WIDTH, height=HEIGHT)
@@ -71,23 +218,23 @@ def view_from(
         width=WIDTH,
         height=HEIGHT,
         azimuth=float(np.arctan2(away[1], away[0])),
-        # From below nothing but the floor would be seen.
+        # From below the floor would hide the object.
         elevation=float(np.clip(np.arcsin(away[2]), np.radians(5), np.radians(85))),
     )
 
 
 def opened_state(spec: ObjectSpec) -> dict[str, float]:
-    """Return every joint that moves by itself, opened [rad or m]."""
+    """Return the open position [rad or m] of every joint that follows no other."""
     state = {}
     for joint in spec.joints:
         if joint.type == "fixed" or joint.mimic is not None:
             continue
         if joint.type == "ball":
-            # Nodding towards the front shows best that it moves.
+            # A pitch towards the front shows the motion best.
             state[f"{joint.name}.y"] = OPENED * min(joint.upper or 1.0, 1.0)
             continue
         turns = joint.type == "continuous"
         far = joint.upper if abs(joint.upper) >= abs(joint.lower) else joint.lower
         state[joint.name] = 0.8 if turns else OPENED * far
-    # What a rack waits for stands wide open.
+    # A joint that others wait for is opened fully.
     return with_prerequisites(spec, state, opening=True)

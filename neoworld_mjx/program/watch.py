@@ -9,13 +9,14 @@ from pathlib import Path
 from ..errors import ExportError, SpecError
 from ..export import object_files
 from ..render import render_object, to_png
+from ..spec import ObjectSpec
 from .sandbox import Built
 from .views import opened_state
 
 log = logging.getLogger(__name__)
 
 POLL_S = 0.2
-"""Interval between looks at a watched program's file."""
+"""Interval at which a watched program's file is checked for changes."""
 
 
 @dataclass(frozen=True)
@@ -27,23 +28,28 @@ class BuiltProgram:
     beside: Mapping[str, str] = field(default_factory=dict)
     """Further files that go with the program, by name."""
     notes: tuple[str, ...] = ()
-    """What else is to be said of it."""
+    """Further lines to log."""
 
 
 Builder = Callable[[Path], BuiltProgram]
 """Reads and builds the program in a file."""
 
 
-def built_files(made: BuiltProgram) -> Mapping[str, bytes]:
-    """Return the files of a built object: its formats, program, description and pictures.
-
-    render.png shows it at rest, opened.png, where joints move, with all of them opened.
-    """
-    spec = made.built.spec
+def built_files(program: BuiltProgram) -> Mapping[str, bytes]:
+    """Return the files of a built object: its formats, program, description and pictures."""
+    spec = program.built.spec
     assert spec is not None
+    files = spec_files(spec)
+    files["program.py"] = program.text.encode()
+    return files | {name: content.encode() for name, content in program.beside.items()}
+
+
+def spec_files(spec: ObjectSpec) -> dict[str, bytes]:
+    """Return the files of an object: its formats, description and pictures.
+
+    render.png shows it at rest; opened.png, written if any joint moves, with all joints open.
+    """
     files = {path: content.encode() for path, content in object_files(spec).items()}
-    files["program.py"] = made.text.encode()
-    files |= {name: content.encode() for name, content in made.beside.items()}
     files["spec.json"] = spec.to_json().encode()
     files["render.png"] = to_png(render_object(spec))
     state = opened_state(spec)
@@ -52,23 +58,32 @@ def built_files(made: BuiltProgram) -> Mapping[str, bytes]:
     return files
 
 
-def write_built(made: BuiltProgram, out: Path) -> frozenset[str]:
+def write_built(program: BuiltProgram, out: Path) -> frozenset[str]:
     """Write a built object into a folder and return the paths written, relative to it.
 
     Raises:
         ExportError: a file cannot be written.
     """
-    files = built_files(made)
+    files = built_files(program)
+    write_files(files, out)
+    return frozenset(files)
+
+
+def write_files(files: Mapping[str, bytes], out: Path) -> None:
+    """Write files into a folder, each whole or not at all.
+
+    Raises:
+        ExportError: a file cannot be written.
+    """
     for path, content in files.items():
         part = out / f"{path}.part"
         try:
             part.parent.mkdir(parents=True, exist_ok=True)
             part.write_bytes(content)
-            # Whoever looks on finds the old file or the new one.
+            # A reader gets the old file or the new one, never half of one.
             part.replace(out / path)
         except OSError as error:
             raise ExportError(f"cannot write {out / path}: {error.strerror}") from None
-    return frozenset(files)
 
 
 def watch(program: Path, out: Path, make: Builder, beside: tuple[Path, ...] = ()) -> int:
@@ -80,58 +95,57 @@ def watch(program: Path, out: Path, make: Builder, beside: tuple[Path, ...] = ()
     Args:
         program: the file.
         out: folder to write into.
-        make: how it is built.
-        beside: other files that what it makes depends on; they need not be there.
+        make: reads and builds the program.
+        beside: other files that the result depends on; they need not exist.
 
     Returns:
-        How many times it was built, after Ctrl-C.
+        The number of builds, after Ctrl-C.
     """
-    count, seen = 0, ()
+    count, stamps = 0, ()
     written: frozenset[str] = frozenset()
     try:
         while True:
-            now = _stamp(program), *map(_stamp, beside)
-            if now != seen:
-                seen = now
-                count += now[0] is not None
-                written = _again(program, out, make, count, written)
+            current = _stamp(program), *map(_stamp, beside)
+            if current != stamps:
+                stamps = current
+                count += current[0] is not None
+                written = _rebuild(program, out, make, count, written)
             time.sleep(POLL_S)
     except KeyboardInterrupt:
         return count
 
 
 def _stamp(program: Path) -> tuple[int, int] | None:
+    """Return a file's modification time [ns] and size, None if it is missing."""
     try:
-        found = program.stat()
+        status = program.stat()
     except OSError:
         return None
-    return found.st_mtime_ns, found.st_size
+    return status.st_mtime_ns, status.st_size
 
 
-def _again(
+def _rebuild(
     program: Path, out: Path, make: Builder, count: int, written: frozenset[str]
 ) -> frozenset[str]:
+    """Build a program, write its files, log the outcome, and return the paths now in the folder."""
     start = time.monotonic()
     try:
-        made = make(program)
+        result = make(program)
     except SpecError as error:
         log.warning(f"{error}; waiting")
         return written
-    built = made.built
+    built = result.built
     if built.spec is None or not built.ok:
-        end, fresh = "has errors, the files stay as they were", written
+        outcome, fresh = "has errors, the files stay as they were", written
     else:
         try:
-            fresh = write_built(made, out)
-            end = f"{len(built.spec.parts)} parts, {len(built.spec.joints)} joints"
+            fresh = write_built(result, out)
+            outcome = f"{len(built.spec.parts)} parts, {len(built.spec.joints)} joints"
             for path in written - fresh:
                 (out / path).unlink(missing_ok=True)
         except ExportError as error:
-            end, fresh = str(error), written
-    log.info(f"build {count} in {time.monotonic() - start:.2f} s: {end}")
-    for line in (*(signal.phrase() for signal in built.signals), *made.notes):
+            outcome, fresh = str(error), written
+    log.info(f"build {count} in {time.monotonic() - start:.2f} s: {outcome}")
+    for line in (*(signal.phrase() for signal in built.signals), *result.notes):
         log.info(f"  {line}")
     return fresh
-
-
-__all__ = ["Builder", "BuiltProgram", "built_files", "watch", "write_built"]

@@ -10,12 +10,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Integer
 
 from ..config import RefineOptions
 from ..errors import ConfigError
 from ..physics.layout import Layout
-from ..physics.model import SceneModel
+from ..physics.scene_arrays import SceneArrays, on_device
+from ..physics.support import Either
 from .cem import elite_count, elite_rows, initial_sigma
 from .credit import assigned_credit, contact_components
 from .gradient import refine_by_gradient
@@ -33,6 +35,8 @@ class Problem(eqx.Module):
     """Initial standard deviations, the unit of gradient steps; pop axis of length 1."""
     components: Float[Array, "object object"] | None
     """Contact components, where elites may be chosen by object; else None."""
+    stop_by: str = eqx.field(static=True)
+    """Whose gain ends the search: `best` or `elites`."""
     stop_gain: Float[Array, ""]
     patience: Int[Array, ""]
     elite_ratio: float = eqx.field(static=True)
@@ -48,8 +52,10 @@ class SearchState(eqx.Module):
     iteration: Int[Array, ""]
     elite_mean: Float[Array, ""]
     """Mean absolute reward of the last elites; -inf before the first."""
+    best: Float[Array, ""]
+    """Fidelity of the best valid candidate so far; -inf before."""
     gain: Float[Array, ""]
-    """By how much `elite_mean` rose in the last update; inf before the second."""
+    """By how much `best` or `elite_mean` rose in the last update; inf when it was not known."""
     seen_valid: Bool[Array, ""]
     """Whether any candidate so far was valid."""
     stalled: Int[Array, ""]
@@ -57,19 +63,21 @@ class SearchState(eqx.Module):
 
 
 def open_problem(
-    scene: SceneModel,
+    scene: SceneArrays,
     options: RefineOptions,
     origin: Layout,
     *,
+    moves: Bool[np.ndarray, " object"] | None = None,
     terms: Sequence[Term] = (),
     optimizer: Optimizer | None = None,
 ) -> Problem:
     """Build a run's problem from options.
 
     Args:
-        scene: the compiled scene.
+        scene: the scene's arrays.
         options: of the search and the rewards.
         origin: initial layout, pop axis of length 1.
+        moves: objects that the search may move; all that are no environment supports by default.
         terms: reward terms besides those that the options name.
         optimizer: in place of the one that the options name.
 
@@ -77,72 +85,87 @@ def open_problem(
         ConfigError: options that exclude each other, or name what is not there.
     """
     o = options
+    check_credit(o, terms)
+    if moves is not None:
+        allowed = on_device(np.asarray(scene.optimised) & moves)
+        scene = eqx.tree_at(lambda s: s.optimised, scene, allowed)
     own = bool(o.reward.terms or terms)
-    if o.cem.credit not in ("auto", "scene"):
-        if own:
-            raise ConfigError(
-                "refine.cem.credit: a user's own terms are of the whole scene; choose auto or scene"
-            )
-        if o.semantic.scorer == "mllm":
-            raise ConfigError(
-                "refine.cem.credit: a model scores the whole scene; choose auto or scene, or "
-                "scorer geometric"
-            )
     by_object = o.cem.credit != "scene" and not own and o.semantic.scorer != "mllm"
     return Problem(
         objective=open_objective(o, origin, terms),
         optimizer=optimizer or open_optimizer(o.optimizer, scene, o.cem),
         sigma=initial_sigma(scene, o.cem),
-        components=jnp.asarray(contact_components(scene, o.cem)) if by_object else None,
-        stop_gain=jnp.asarray(o.cem.stop_gain, jnp.float32),
-        patience=jnp.asarray(o.cem.patience),
+        components=on_device(contact_components(scene, o.cem)) if by_object else None,
+        stop_by=o.cem.stop_by,
+        stop_gain=on_device(o.cem.stop_gain),
+        patience=on_device(o.cem.patience),
         elite_ratio=o.cem.elite_ratio,
         until_valid=o.cem.credit == "auto",
     )
 
 
+def check_credit(options: RefineOptions, terms: Sequence[Term] = ()) -> None:
+    """Check that elites by object can be chosen where the options ask for it.
+
+    Raises:
+        ConfigError: terms or scores are of the whole scene.
+    """
+    o = options
+    if o.cem.credit in ("auto", "scene"):
+        return
+    if o.reward.terms or terms:
+        raise ConfigError(
+            "refine.cem.credit: a user's own terms are of the whole scene; choose auto or scene"
+        )
+    if o.semantic.scorer == "mllm":
+        raise ConfigError(
+            "refine.cem.credit: a model scores the whole scene; choose auto or scene, or "
+            "scorer geometric"
+        )
+
+
 def initial_state(problem: Problem, mean: Layout) -> SearchState:
     """Return the state in which a run starts at a layout."""
     return SearchState(
-        optimizer=problem.optimizer.init(mean),
-        iteration=jnp.asarray(0),
-        elite_mean=jnp.asarray(-jnp.inf),
-        gain=jnp.asarray(jnp.inf),
-        seen_valid=jnp.asarray(False),
-        stalled=jnp.asarray(0),
+        problem.optimizer.init(mean),
+        *on_device((np.int32(0), -np.inf, -np.inf, np.inf, False, np.int32(0))),
     )
 
 
 @eqx.filter_jit
 def ask(
-    scene: SceneModel, problem: Problem, state: SearchState, key: Key[Array, ""], population: int
+    scene: SceneArrays,
+    problem: Problem,
+    state: SearchState,
+    seed: Integer[Either, ""],
+    population: int,
 ) -> Layout:
-    """Draw the population of an iteration; `key` is the run's."""
+    """Draw the population of an iteration; `seed` is the run's."""
     del scene
-    key = jax.random.fold_in(key, state.iteration)
+    key = jax.random.fold_in(jax.random.key(seed), state.iteration)
     return problem.optimizer.ask(key, state.optimizer, population)
 
 
 def propose(
-    scene: SceneModel,
+    scene: SceneArrays,
     problem: Problem,
     state: SearchState,
-    key: Key[Array, ""],
+    seed: Integer[Either, ""],
     population: int,
     projection: tuple[int, float, int] | None,
 ) -> Layout:
     """Draw a population, and move it out of interpenetration (Algorithm 1, line 3).
 
     Args:
-        scene: the compiled scene.
+        scene: the scene's arrays.
         problem: of the run.
         state: of the run.
-        key: of the run; the iteration is folded in.
+        seed: of the run; the iteration is folded in.
         population: N.
         projection: steps, rate and samples of the gradient refinement; None leaves the draws as
             they are, as the paper does.
     """
-    layouts = ask(scene, problem, state, key, population)
+    layouts = ask(scene, problem, state, seed, population)
     if projection is None:
         return layouts
     steps, rate, samples = projection
@@ -153,7 +176,7 @@ def propose(
 
 @eqx.filter_jit
 def update(
-    scene: SceneModel, problem: Problem, state: SearchState, layouts: Layout, scores: Scores
+    scene: SceneArrays, problem: Problem, state: SearchState, layouts: Layout, scores: Scores
 ) -> SearchState:
     """Fit the optimizer to the population's elites (Algorithm 1, lines 11 and 12)."""
     del scene
@@ -166,14 +189,19 @@ def update(
         state.optimizer, layouts, scores.reward, absolute=scores.absolute, credit=credit
     )
     elites = elite_count(problem.elite_ratio, len(scores.reward))
-    best, weight = elite_rows(scores.reward, elites)
-    absolute = jnp.sum(jnp.where(weight > 0, scores.absolute[best], 0.0))
+    rows, weight = elite_rows(scores.reward, elites)
+    absolute = jnp.sum(jnp.where(weight > 0, scores.absolute[rows], 0.0))
     elite_mean = jnp.where(jnp.any(weight > 0), absolute / jnp.maximum(weight.sum(), 1.0), -jnp.inf)
-    gain = jnp.where(state.iteration > 0, elite_mean - state.elite_mean, jnp.inf)
+    best = jnp.maximum(state.best, jnp.max(jnp.where(scores.valid, scores.fidelity, -jnp.inf)))
+    now, before = (
+        (best, state.best) if problem.stop_by == "best" else (elite_mean, state.elite_mean)
+    )
+    gain = jnp.where(jnp.isfinite(before), now - before, jnp.inf)
     return SearchState(
         optimizer=optimizer,
         iteration=state.iteration + 1,
         elite_mean=elite_mean,
+        best=best,
         gain=gain,
         seen_valid=seen_valid,
         stalled=jnp.where(gain < problem.stop_gain, state.stalled + 1, 0),
@@ -183,7 +211,13 @@ def update(
 def converged(problem: Problem, state: SearchState) -> bool:
     """Tell whether a run may stop (Algorithm 1, line 13).
 
-    It may when a valid candidate has been seen and the elites have gained less than `stop_gain` for
-    `patience` iterations.
+    It may when a valid candidate has been seen, and the best of them (or the elites, by `stop_by`)
+    gained less than `stop_gain` for `patience` iterations.
     """
     return bool(state.seen_valid) and int(state.stalled) >= int(problem.patience)
+
+
+def resumed(state: SearchState) -> SearchState:
+    """Return the state of a run that goes on after it had converged, its patience renewed."""
+    renewed = on_device((np.float32(np.inf), np.int32(0)))
+    return eqx.tree_at(lambda s: (s.gain, s.stalled), state, renewed)

@@ -13,6 +13,7 @@ from ..config import RefineOptions
 from ..physics.engine import EarlyStop, Engine, Rollout, unmoved
 from ..physics.layout import Poses
 from ..physics.model import SceneModel
+from ..physics.scene_arrays import SceneArrays, pad_axis, pad_objects
 
 TILE = 8192
 """Candidates that are drawn and scored at once, on accelerators."""
@@ -28,7 +29,7 @@ def tile_of(runs: int, population: int) -> int:
 
 
 def map_runs(
-    fn: Callable[..., Any], scene: SceneModel, rows: Sequence[tuple[Any, ...]], tile: int
+    fn: Callable[..., Any], scene: SceneArrays, rows: Sequence[tuple[Any, ...]], tile: int
 ) -> list[Any]:
     """Call `fn(scene, *row)` for every run's row, `tile` runs at once by `vmap`.
 
@@ -36,7 +37,7 @@ def map_runs(
     of one run `fn` is called as a single refinement calls it.
     """
     if tile == 1 or len(rows) == 1:
-        return [fn(scene, *row) for row in rows]
+        return [jax.device_get(fn(scene, *row)) for row in rows]
     results = []
     for first in range(0, len(rows), tile):
         some = list(rows[first : first + tile])
@@ -62,12 +63,7 @@ def _is_array(x: Any) -> bool:
 
 
 def take(tree: Any, rows: np.ndarray | slice) -> Any:
-    """Take some candidates of a population, or the tree as it is for a slice of all."""
-    return tree if isinstance(rows, slice) else _take(tree, rows)
-
-
-@eqx.filter_jit
-def _take(tree: Any, rows: Any) -> Any:
+    """Take some candidates of a population on the host."""
     return jax.tree.map(lambda leaf: leaf[rows], tree)
 
 
@@ -82,16 +78,24 @@ def roll_out(
 
     They are filled up with candidates that no engine simulates, so that few shapes are compiled as
     runs stop.
+
+    Args:
+        scene: the compiled scene.
+        poses: of each run's candidates, on the host, of padded objects too.
+        engine: what rolls them out.
+        o: options of the rollouts.
+        runs: how many there were at first.
+
+    Returns:
+        Rollouts on the host, without padded objects.
     """
     count, pop = len(poses), poses[0].scale.shape[0]
-    together = poses[0]
-    if runs > 1:
-        most = min(m for m in (-(-runs // 2**k) for k in range(SHAPES)) if m >= count)
-        host = jax.tree.map(lambda *x: np.concatenate([np.asarray(y) for y in x]), *poses)
-        fill = lambda x: np.pad(
-            x, [(0, (most - count) * pop), *[(0, 0)] * (x.ndim - 1)], constant_values=np.nan
-        )
-        together = jax.tree.map(lambda x: jnp.asarray(fill(x)), host)
+    most = min(m for m in (-(-runs // 2**k) for k in range(SHAPES)) if m >= count)
+    fill = lambda x: np.pad(
+        x, [(0, (most - count) * pop), *[(0, 0)] * (x.ndim - 1)], constant_values=np.nan
+    )
+    real = len(scene.names)
+    together = jax.tree.map(lambda *x: fill(np.concatenate(x)[:, :real]), *poses)
     r = o.rollout
     if r.duration_s:
         rollout = engine.rollout(
@@ -103,20 +107,32 @@ def roll_out(
         )
     else:
         rollout = unmoved(scene, together)
-    jax.block_until_ready(rollout)
-    if runs == 1:
-        return [rollout]
-    host = jax.tree.map(np.asarray, rollout)
+    host = jax.device_get(rollout)
     by_run = []
     for k in range(count):
-        own = jax.tree.map(lambda x, k=k: jnp.asarray(x[k * pop : (k + 1) * pop]), host)
-        by_run.append(eqx.tree_at(lambda r: r.time, own, rollout.time))
+        own = jax.tree.map(lambda x, k=k: x[k * pop : (k + 1) * pop], host)
+        by_run.append(eqx.tree_at(lambda r: r.time, own, host.time))
     return by_run
 
 
-def early_stop_rule(o: RefineOptions) -> EarlyStop:
-    """Return when rollouts may end early: past what the reward tells apart."""
-    return EarlyStop(
-        drift=o.reward.d_drift_cap * o.reward.drift_scale_m,
-        tilt=float(np.radians(o.reward.d_drift_cap * o.reward.tilt_scale_deg)),
+def pad_rollout(rollout: Rollout, scene: SceneArrays) -> Rollout:
+    """Pad a rollout on the host to a padded scene: what is padded stays where it is."""
+    objects, joints = scene.count, len(scene.joint_object)
+    start = pad_objects(rollout.start, objects)
+    pad = lambda x, n: np.moveaxis(pad_axis(np.moveaxis(x, 2, 0), n), 0, 2)
+    return Rollout(
+        time=rollout.time,
+        pos=pad(rollout.pos, objects),
+        quat=pad(rollout.quat, objects),
+        joint_shift=pad(rollout.joint_shift, joints),
+        status=rollout.status,
+        start=start,
+        steps=rollout.steps,
     )
+
+
+def early_stop_rule(o: RefineOptions) -> EarlyStop:
+    """Return when rollouts may end early: past what the verdict and the reward tell apart."""
+    distance, angle = o.reward.drift_scale_m, float(np.radians(o.reward.tilt_scale_deg))
+    cap = o.reward.d_drift_cap
+    return EarlyStop(distance=distance, angle=angle, drift=cap * distance, tilt=cap * angle)

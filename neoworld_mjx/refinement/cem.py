@@ -8,11 +8,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Bool, Float, Key
 
 from ..config import CEMOptions
 from ..physics.layout import Layout
-from ..physics.model import SceneModel
+from ..physics.scene_arrays import SceneArrays, on_device
+
+PLATE = 0.3
+"""Thickness of a plate over its next longer side, at most."""
 
 
 class CEMParams(eqx.Module):
@@ -44,7 +47,7 @@ class CEM(eqx.Module):
 
     def init(self, mean: Layout | None = None) -> CEMState:
         """Start at `mean`, the composed scene by default, with the initial deviations."""
-        zero = jax.tree.map(jnp.zeros_like, self.params.sigma)
+        zero = on_device(jax.tree.map(lambda s: np.zeros(s.shape), self.params.sigma))
         return CEMState(zero if mean is None else mean, self.params.sigma)
 
     def ask(self, key: Key[Array, ""], state: CEMState, population: int) -> Layout:
@@ -109,9 +112,11 @@ class CEM(eqx.Module):
 
 def draw(key: Key[Array, ""], mean: Layout, std: Layout, population: int) -> Layout:
     """Draw candidates from a diagonal Gaussian; `key` is consumed."""
-    keys = jax.random.split(key, 3)
-    of = zip(keys, jax.tree.leaves(mean), jax.tree.leaves(std), strict=True)
-    return Layout(*(m + s * jax.random.normal(k, (population, *m.shape[1:])) for k, m, s in of))
+    # A key for each object, so that the same is drawn for it however many are padded.
+    keys = jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(mean.yaw.shape[1]))
+    numbers = jax.vmap(lambda k: jax.random.normal(k, (population, 4)), out_axes=1)(keys)
+    noise = Layout(numbers[..., :2], numbers[..., 2], numbers[..., 3])
+    return jax.tree.map(lambda m, s, n: m + s * n, mean, std, noise)
 
 
 def elite_count(elite_ratio: float, population: int) -> int:
@@ -127,24 +132,44 @@ def elite_rows(reward: Float[Array, " pop"], elites: int) -> tuple[Array, Float[
     return best, jnp.isfinite(reward[best]).astype(jnp.float32)
 
 
-def initial_sigma(scene: SceneModel, options: CEMOptions) -> Layout:
+def initial_sigma(
+    scene: SceneArrays, options: CEMOptions, moves: Bool[np.ndarray, " object"] | None = None
+) -> Layout:
     """Return the initial standard deviations, pop axis of length 1 (paper Appendix B).
 
     sigma_xy is a fraction of each object's horizontal bounding-box diagonal; supports of the
-    environment get zero.
+    environment get zero, and so do objects that `moves` leaves out. What is attached to an upright
+    plate, such as a wall, moves along it and does not turn.
     """
-    moves = scene.optimised.astype(jnp.float32)
-    xy = options.sigma_xy * scene.diagonal * moves
-    return Layout(
-        jnp.repeat(xy[None, :, None], 2, axis=-1),
-        (np.radians(options.sigma_yaw_deg) * moves)[None],
+    free = np.asarray(scene.optimised)
+    moves = (free if moves is None else free & moves).astype(np.float32)
+    xy = options.sigma_xy * np.asarray(scene.diagonal) * moves
+    fastened = _fastened_along(scene)
+    sigma = Layout(
+        (xy[:, None] * ~fastened)[None],
+        (np.radians(options.sigma_yaw_deg) * moves * ~fastened.any(axis=1))[None],
         (options.sigma_log_scale * moves)[None],
     )
+    return on_device(sigma)
 
 
-def open_cem(scene: SceneModel, options: CEMOptions) -> CEM:
+def _fastened_along(scene: SceneArrays) -> Bool[np.ndarray, "object 2"]:
+    """Return along which axis of its parent's frame, x or y, an attached object cannot move.
+
+    It is the thin one of a parent that is thinner than PLATE of its next longer side.
+    """
+    parent = np.asarray(scene.arrangement.parent)
+    attached = (parent >= 0) & ~np.asarray(scene.arrangement.snapped) & np.asarray(scene.optimised)
+    corners = np.asarray(scene.corners)
+    sides = (corners.max(axis=1) - corners.min(axis=1))[parent]
+    thin, next_longer, _ = np.sort(sides, axis=1).T
+    normal = sides.argmin(axis=1)[:, None] == np.arange(2)
+    return normal & (attached & (thin < PLATE * next_longer))[:, None]
+
+
+def open_cem(scene: SceneArrays, options: CEMOptions) -> CEM:
     """Build CEM with its hyperparameters for a scene."""
-    f32 = lambda x: jnp.asarray(x, jnp.float32)
     sigma = initial_sigma(scene, options)
-    params = CEMParams(sigma, f32(options.sigma_floor), f32(options.smoothing))
+    floor, smoothing = on_device((options.sigma_floor, options.smoothing))
+    params = CEMParams(sigma, floor, smoothing)
     return CEM(params, options.elite_ratio, options.zero_candidate)

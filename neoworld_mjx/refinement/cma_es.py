@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Key
 from ..config import CEMOptions
 from ..errors import EngineError
 from ..physics.layout import Layout
-from ..physics.model import SceneModel
+from ..physics.scene_arrays import SceneArrays
 from .cem import initial_sigma
 
 WORST = 1e3
@@ -86,7 +86,7 @@ def _unflat(flat: Float[Array, "pop number"], like: Layout) -> Layout:
     return Layout(xy.reshape(len(flat), count, 2), yaw, log_scale)
 
 
-def open_cma_es(scene: SceneModel, options: CEMOptions) -> CMAES:
+def open_cma_es(scene: SceneArrays, options: CEMOptions) -> CMAES:
     """Build CMA-ES for a scene.
 
     Raises:

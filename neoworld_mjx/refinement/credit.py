@@ -4,20 +4,21 @@ With many objects hardly any candidate is good everywhere, and elites of the who
 of any one object. An object's own terms say more; those of what it touches belong to them.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..config import CEMOptions
-from ..physics.model import SceneModel
-from ..spec import world_poses
+from ..physics.layout import Layout, compose_poses
+from ..physics.scene_arrays import SceneArrays
 
 REACH = 3.0
 """Standard deviations of position within which two objects may come to touch."""
 
 
 def contact_components(
-    scene: SceneModel, options: CEMOptions
+    scene: SceneArrays, options: CEMOptions
 ) -> Float[np.ndarray, "object object"]:
     """Return which objects' terms count for which, as 0 and 1.
 
@@ -25,17 +26,16 @@ def contact_components(
     support, or by being so near that noise may make them touch. Environment supports connect
     nothing.
     """
-    spec = scene.spec
-    count = len(spec.objects)
     moves = np.asarray(scene.optimised)
-    linked = np.eye(count, dtype=bool)
-    for k, item in enumerate(spec.objects):
-        if item.parent is not None:
-            p = spec.index(item.parent)
-            linked[k, p] = linked[p, k] = moves[k] and moves[p]
+    arrangement = jax.tree.map(np.asarray, scene.arrangement)
+    parent = arrangement.parent
+    linked = np.eye(scene.count, dtype=bool)
+    child = np.flatnonzero(parent >= 0)
+    linked[child, parent[child]] = moves[child] & moves[parent[child]]
+    linked |= linked.T
     if options.credit == "island":
-        poses = world_poses(spec)
-        at = np.array([poses[item.name].pos[:2] for item in spec.objects])
+        composed = jax.tree.map(np.asarray, Layout.zero(1, scene.count))
+        at = compose_poses(arrangement, composed, arrangement.z[None], np).pos[0, :, :2]
         half = np.asarray(scene.diagonal) / 2 * (1 + 2 * REACH * options.sigma_xy)
         apart = np.linalg.norm(at[:, None] - at, axis=-1)
         linked |= (apart < half[:, None] + half) & moves[:, None] & moves

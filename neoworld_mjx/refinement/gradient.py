@@ -11,8 +11,9 @@ import optax
 from jaxtyping import Array, Float
 
 from ..physics.layout import Layout
-from ..physics.model import SceneModel
-from .rewards import deeper, pair_depths
+from ..physics.placed import pair_depths
+from ..physics.scene_arrays import SceneArrays
+from .rewards import deeper
 from .semantic import reprojection_error
 
 PEN_SCALE = (0.001, 0.0001)
@@ -24,7 +25,7 @@ At first objects may pass through each other, at the end they must not.
 
 @eqx.filter_jit
 def refine_by_gradient(
-    scene: SceneModel,
+    scene: SceneArrays,
     layouts: Layout,
     sigma: Layout,
     *,

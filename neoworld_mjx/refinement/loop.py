@@ -9,64 +9,43 @@ itself: there a tile is one run, and every number is that of a separate refineme
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..config import RefineOptions
-from ..physics.engine import Engine, Rollout
+from ..physics.engine import Engine
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
+from ..physics.scene_arrays import SceneArrays, on_device, pad_objects, pad_scene
 from ..physics.simulate import on_cpu
 from .algorithm import (
-    Problem,
     SearchState,
+    check_credit,
     converged,
     initial_state,
     open_problem,
     propose,
+    resumed,
     update,
 )
-from .batching import map_runs, roll_out, take, tile_of
-from .cem import elite_count, initial_sigma
+from .batching import map_runs, take, tile_of
+from .cem import CEMState, elite_count, initial_sigma
+from .evaluation import Evaluation
 from .gradient import refine_by_gradient
-from .objective import Placement, Scores, evaluate, place, try_terms
+from .objective import Placement, Scores, open_objective, photograph_decides, try_terms
 from .optimizer import Optimizer
-from .outcome import Round
+from .outcome import Round, best_first, iteration_summary
 from .pruning import RolloutPlan
 from .rewards import Term
 from .scorer import SemanticScorer
+from .search_run import SearchResult, SearchRun, population_at, prunes
+from .soundness import ROOM, disagreeing, never_held, stages, start_line, widened
 
-FILLED = 16
-"""How many times its candidates an iteration may evaluate to spare a compilation."""
-
-
-class SearchRun(NamedTuple):
-    """One refinement of a scene."""
-
-    options: RefineOptions
-    seed: int
-    start: Layout | None = None
-    """Pop axis of length 1; None is the composed scene."""
-
-
-@dataclass
-class SearchResult:
-    """A run's search as far as it has come, before the exact check of its winner."""
-
-    run: SearchRun
-    problem: Problem
-    state: SearchState
-    rounds: list[Round] = field(default_factory=list)
-    rollouts: int = 0
-    first_valid_s: float = float("nan")
-    """When the batch of the first valid candidate was scored, since the start of the search."""
-    marks: list[np.ndarray] = field(default_factory=list)
-    """How each S_sem came about, by iteration; see `scorer.Mark`."""
+PADDED = ("cem", "random")
+"""Optimizers that take a padded scene."""
 
 
 def search(
@@ -98,22 +77,28 @@ def search(
         ConfigError: options that exclude each other, or a reward term that does not work.
     """
     clock = {} if clock is None else clock
-    for step in ("descent", "rollout", "score", "wait"):
-        clock.setdefault(step, 0.0)
+    clock |= dict.fromkeys(("descent", "rollout", "score", "wait"), 0.0) | clock
     began = time.perf_counter()
-    results = _opened(scene, runs, clock, terms, optimizer)
-    try_terms(scene, results[0].problem.objective, runs[0].options)
     o = runs[0].options
+    check_credit(o, terms)
+    objective = open_objective(o, terms=terms)
+    try_terms(scene, objective, o)
+    own_optimizer = optimizer is not None or o.optimizer not in PADDED
+    arrays = pad_scene(scene) if objective.padded and not own_optimizer else scene
     tile = tile_of(len(runs), max(o.cem.population, o.cem.first))
+    evaluation = Evaluation(scene, arrays, engine, o, len(runs), tile, clock, began)
+    keeps = not own_optimizer and scorer is None and photograph_decides(objective)
+    results = _opened(evaluation, runs, terms, optimizer, keeps, progress)
     live = results
     for t in range(max(run.options.cem.iterations for run in runs)):
-        live = [r for r in live if t < r.run.options.cem.iterations]
+        live = [r for r in live if t < r.run.options.cem.iterations and not r.finished]
         if not live:
             break
-        layouts = _propose(scene, live, t, tile, clock)
-        placements = _place(scene, live, layouts, tile, clock)
+        layouts = _propose(arrays, live, t, tile, clock)
+        pop = population_at(o, t)
+        placements = evaluation.place([r.problem for r in live], layouts, pop)
+        layouts, placements = take((layouts, placements), slice(pop))
         plans = [_plan(r, placement, scorer) for r, placement in zip(live, placements, strict=True)]
-        evaluation = _Evaluation(scene, engine, o, len(runs), tile, clock, began)
         if scorer is None:
             evaluation.in_batches(live, layouts, placements, plans)
         else:
@@ -122,61 +107,105 @@ def search(
             )
         scores = [plan.scores() for plan in plans]
         rows = [(r.problem, r.state, z, s) for r, z, s in zip(live, layouts, scores, strict=True)]
-        for k, (r, state) in enumerate(zip(live, map_runs(update, scene, rows, tile), strict=True)):
+        for k, (r, state) in enumerate(
+            zip(live, map_runs(update, arrays, rows, tile), strict=True)
+        ):
             r.state = state
             r.rollouts += plans[k].rolled_out
-            round_ = Round(layouts[k], placements[k].poses, scores[k])
+            round_ = Round(layouts[k], placements[k].poses, scores[k]).of_objects(len(scene.names))
             r.rounds.append(round_ if keep else _finalists(round_, r.run.options))
+            r.summaries.append(_summary(scores[k]))
             if progress is not None:
                 progress(_line(r, scores[k]))
-        live = [r for r in live if not converged(r.problem, r.state)]
+            r.finished = converged(r.problem, r.state)
+            if r.finished and r.later is not None:
+                _follow_photo(arrays, r, terms, clock)
+            if not bool(r.state.seen_valid) and not own_optimizer:
+                _make_room(arrays, r, terms)
     clock["search"] = time.perf_counter() - began
     return results
 
 
-def population_at(options: RefineOptions, t: int) -> int:
-    """Return N of an iteration; the first one may be smaller."""
-    c = options.cem
-    return min(c.first, c.population) if t == 0 and c.first else c.population
-
-
-def prunes(options: RefineOptions, problem: Problem) -> bool:
-    """Tell whether candidates that cannot become elites are left out.
-
-    Only where every term has a bound, and elites are those of the whole scene.
-    """
-    fixed = options.reward.normalisation == "fixed" and options.cem.credit in ("auto", "scene")
-    return options.cem.prune and fixed and not problem.objective.unbounded
-
-
 def _opened(
-    scene: SceneModel,
+    evaluation: Evaluation,
     runs: Sequence[SearchRun],
-    clock: dict[str, float],
     terms: Sequence[Term],
     optimizer: Optimizer | None,
+    keeps: bool,
+    progress: Callable[[str], None] | None,
 ) -> list[SearchResult]:
-    """Open every run; those that start alike share one gradient refinement."""
+    """Open every run; those that start alike share what is known of their start."""
     # Not a vmap over starts: its gradients round differently, and Adam carries that on.
-    known: dict[Any, Layout] = {}
-    results = []
+    known: dict[Any, tuple[Layout, list[np.ndarray], np.ndarray | None, Round | None]] = {}
+    scene, results = evaluation.arrays, []
     for run in runs:
         o = run.options
-        start = Layout.zero(1, len(scene.names)) if run.start is None else run.start
-        start = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), start)
-        alike = (o.cem.sigma_xy, o.cem.sigma_yaw_deg, o.cem.sigma_log_scale)
+        start = Layout.zero(1, scene.count) if run.start is None else run.start
+        start = on_device(pad_objects(start, scene.count))
+        alike = (o.cem.sigma_xy, o.cem.sigma_yaw_deg, o.cem.sigma_log_scale, o.cem.keep_sound)
         alike += tuple(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(start))
         if alike not in known:
-            known[alike] = _warm_start(scene, start, o, clock)
-        problem = open_problem(scene, o, known[alike], terms=terms, optimizer=optimizer)
-        results.append(SearchResult(run, problem, initial_state(problem, known[alike])))
+            mask, later, first = [np.asarray(scene.optimised)], None, None
+            if keeps and o.cem.keep_sound:
+                first, sound = evaluation.of_start(start, o, terms)
+                mask = stages(scene, sound, o.cem)
+                later = disagreeing(scene, sound, mask[0])
+                if progress is not None:
+                    progress(start_line(evaluation.scene.names, sound, mask[-1]))
+            mean = _warm_start(scene, start, mask[0], o, evaluation.clock)
+            known[alike] = (mean, mask, later, first)
+        mean, mask, later, first = known[alike]
+        problem = open_problem(scene, o, mean, moves=mask[0], terms=terms, optimizer=optimizer)
+        result = SearchResult(run, mean, problem, initial_state(problem, mean), stages=list(mask))
+        result.later = later
+        if first is not None and not mask[0].any():
+            # All is sound: the start is the answer.
+            result.rounds, result.rollouts, result.finished = [first], 1, True
+            result.summaries = [_summary(first.scores)]
+            result.first_valid_s = time.perf_counter() - evaluation.began
+        results.append(result)
     return results
 
 
+def _make_room(scene: SceneArrays, r: SearchResult, terms: Sequence[Term]) -> None:
+    """Let more objects move where nothing was valid, or end a search that has no hope."""
+    r.falling = never_held([np.asarray(round_.scores.drift) for round_ in r.rounds])
+    if r.falling is not None and r.falling.any():
+        r.finished = True
+        return
+    if len(r.rounds) - r.stage_began < ROOM or len(r.stages) < 2:
+        return
+    r.stages.pop(0)
+    r.stage_began = len(r.rounds)
+    o = r.run.options
+    r.problem = open_problem(scene, o, r.origin, moves=r.stages[0], terms=terms)
+    r.state = widened(r.state, r.problem.sigma)
+
+
+def _follow_photo(
+    scene: SceneArrays, r: SearchResult, terms: Sequence[Term], clock: dict[str, float]
+) -> None:
+    """Let what disagrees with the photograph move too, now that a valid candidate is known."""
+    assert r.later is not None
+    o, later, r.later = r.run.options, r.later, None
+    if o.cem.iterations <= len(r.rounds):
+        return
+    r.problem = open_problem(scene, o, r.origin, moves=r.stages[0] | later, terms=terms)
+    r.state = resumed(widened(r.state, r.problem.sigma))
+    if isinstance(r.state.optimizer, CEMState):
+        mean = _warm_start(scene, r.state.optimizer.mean, later, o, clock)
+        r.state = eqx.tree_at(lambda s: s.optimizer.mean, r.state, mean)
+    r.finished = False
+
+
 def _warm_start(
-    scene: SceneModel, start: Layout, o: RefineOptions, clock: dict[str, float]
+    scene: SceneArrays,
+    start: Layout,
+    moves: np.ndarray,
+    o: RefineOptions,
+    clock: dict[str, float],
 ) -> Layout:
-    if not o.descent.warm_steps:
+    if not o.descent.warm_steps or not moves.any():
         return start
     began = time.perf_counter()
     # With a single candidate a GPU does nothing but start kernels.
@@ -184,66 +213,45 @@ def _warm_start(
         mean = refine_by_gradient(
             scene,
             start,
-            initial_sigma(scene, o.cem),
+            initial_sigma(scene, o.cem, moves),
             steps=o.descent.warm_steps,
             rate=o.descent.rate,
             samples=o.descent.samples,
             photo=True,
         )
-    mean = jax.block_until_ready(mean)
+    mean = on_device(jax.device_get(mean))
     clock["descent"] += time.perf_counter() - began
     return mean
 
 
 def _propose(
-    scene: SceneModel, live: Sequence[SearchResult], t: int, tile: int, clock: dict[str, float]
+    scene: SceneArrays, live: Sequence[SearchResult], t: int, tile: int, clock: dict[str, float]
 ) -> list[Layout]:
-    """Propose a population for each run, projected where its options say so."""
+    """Propose a population for each run, projected where its options say so.
+
+    The first iteration, too, draws the others' number, so that one shape is compiled.
+    """
     began = time.perf_counter()
     o = live[0].run.options
     d = o.descent
     projection = (d.project_steps, d.rate, d.samples)
-    population = population_at(o, t)
+    population = max(population_at(o, 0), population_at(o, 1))
     layouts: dict[int, Layout] = {}
     for projected in (False, True):
         rows = {
-            k: (r.problem, r.state, jax.random.key(r.run.seed), population)
+            k: (r.problem, r.state, np.asarray(r.run.seed, np.uint32), population)
             + ((projection,) if projected else (None,))
             for k, r in enumerate(live)
             if _projects(d.project, t, r.state) == projected
         }
         layouts |= zip(rows, map_runs(propose, scene, list(rows.values()), tile), strict=True)
-    proposed = jax.block_until_ready([layouts[k] for k in range(len(live))])
     clock["descent"] += time.perf_counter() - began
-    return proposed
+    return [layouts[k] for k in range(len(live))]
 
 
 def _projects(option: str, t: int, state: SearchState) -> bool:
     needed = option == "needed" and t > 0 and not bool(state.seen_valid)
     return option == "always" or needed
-
-
-def _place(
-    scene: SceneModel,
-    live: Sequence[SearchResult],
-    layouts: Sequence[Layout],
-    tile: int,
-    clock: dict[str, float],
-) -> list[Placement]:
-    """Place the populations; a smaller first one is filled up to the others', to compile once."""
-    began = time.perf_counter()
-    pop, most = layouts[0].yaw.shape[0], live[0].run.options.cem.population
-    filled = pop < most <= FILLED * pop
-    if filled:
-        fill = lambda x: np.resize(np.asarray(x), (most, *x.shape[1:]))
-        layouts = [jax.tree.map(fill, z) for z in layouts]
-    rows = [(z, r.problem.objective.bounded) for r, z in zip(live, layouts, strict=True)]
-    placements = jax.block_until_ready(map_runs(place, scene, rows, tile))
-    if filled:
-        cut = lambda x: jnp.asarray(np.asarray(x)[:pop])
-        placements = [jax.tree.map(cut, placement) for placement in placements]
-    clock["score"] += time.perf_counter() - began
-    return placements
 
 
 def _plan(r: SearchResult, placement: Placement, scorer: SemanticScorer | None) -> RolloutPlan:
@@ -257,93 +265,19 @@ def _plan(r: SearchResult, placement: Placement, scorer: SemanticScorer | None) 
     )
 
 
-class _Evaluation(NamedTuple):
-    """Rolls populations out and scores them."""
-
-    scene: SceneModel
-    engine: Engine
-    options: RefineOptions
-    runs: int
-    tile: int
-    clock: dict[str, float]
-    began: float
-
-    def in_batches(
-        self,
-        live: Sequence[SearchResult],
-        layouts: Sequence[Layout],
-        placements: Sequence[Placement],
-        plans: Sequence[RolloutPlan],
-    ) -> None:
-        """Follow the plans of all runs, one batch of each at a time."""
-        while batches := {k: rows for k, p in enumerate(plans) if (rows := p.next()) is not None}:
-            some = [take((layouts[k], placements[k]), rows) for k, rows in batches.items()]
-            rollouts = self.roll_out([placement for _, placement in some])
-            own = [live[k] for k in batches]
-            for k, scores in zip(batches, self.score(own, some, rollouts), strict=True):
-                plans[k].add(scores)
-
-    def with_scorer(
-        self,
-        r: SearchResult,
-        layouts: Layout,
-        placement: Placement,
-        plan: RolloutPlan,
-        scorer: SemanticScorer,
-    ) -> np.ndarray:
-        """Roll out the population of one run while a model scores the best; return the marks."""
-        t = len(r.rounds)
-        scorer.submit(t, scorer.best(np.asarray(placement.bound)), layouts, placement.poses)
-        rollouts = self.roll_out([placement])
-        waiting = time.perf_counter()
-        scorer.collect(t)
-        self.clock["wait"] += time.perf_counter() - waiting
-        values, marks = scorer.fill(t, layouts, np.asarray(placement.values["s_sem"].value))
-        some = [(layouts, with_semantic(placement, values))]
-        plan.add(self.score([r], some, rollouts)[0])
-        return marks
-
-    def roll_out(self, placements: Sequence[Placement]) -> list[Rollout]:
-        """Roll the candidates of several runs out at once."""
-        began = time.perf_counter()
-        poses = [placement.poses for placement in placements]
-        rollouts = roll_out(self.scene, poses, self.engine, self.options, self.runs)
-        self.clock["rollout"] += time.perf_counter() - began
-        return rollouts
-
-    def score(
-        self,
-        live: Sequence[SearchResult],
-        some: Sequence[tuple[Layout, Placement]],
-        rollouts: Sequence[Rollout],
-    ) -> list[Scores]:
-        """Score the candidates of several runs, and note when the first valid one is known."""
-        began = time.perf_counter()
-        rows = [
-            (*of, rollout, r.problem.objective)
-            for r, of, rollout in zip(live, some, rollouts, strict=True)
-        ]
-        scored = jax.block_until_ready(map_runs(evaluate, self.scene, rows, self.tile))
-        self.clock["score"] += time.perf_counter() - began
-        for r, scores in zip(live, scored, strict=True):
-            if np.isnan(r.first_valid_s) and bool(np.any(scores.valid)):
-                r.first_valid_s = time.perf_counter() - self.began
-        return scored
-
-
-def with_semantic(placement: Placement, values: np.ndarray) -> Placement:
-    """Put a model's scores in the place of the geometric ones."""
-    s_sem = jnp.asarray(values, jnp.float32)
-    term = lambda p: p.values["s_sem"]
-    return eqx.tree_at(lambda p: (term(p).value, term(p).charged), placement, (s_sem, s_sem))
-
-
 def _finalists(round_: Round, o: RefineOptions) -> Round:
     """Keep the candidates of an iteration that may be among the best `finalists` of all."""
     host: Round = jax.tree.map(np.asarray, round_)
-    best = np.lexsort((-host.scores.absolute, ~host.scores.valid))[: o.finalists]
+    scores = host.scores
+    best = best_first(scores.valid, scores.fidelity, scores.absolute)[: o.finalists]
     # Sorted, as equal ones are taken in the order of the population.
     return jax.tree.map(lambda x: x[np.sort(best)], host)
+
+
+def _summary(scores: Scores) -> dict[str, Any]:
+    host: Scores = jax.tree.map(np.asarray, scores)
+    values = {"absolute": host.absolute, "valid": host.valid, "status": host.status, **host.terms}
+    return iteration_summary(values, list(host.terms))
 
 
 def _line(r: SearchResult, scores: Scores) -> str:

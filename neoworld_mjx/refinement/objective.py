@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -15,6 +16,10 @@ from ..errors import ConfigError, choices
 from ..physics.engine import Rollout, RolloutStatus, record_steps, unmoved
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
+from ..physics.placed import Placed, placed
+from ..physics.scene_arrays import SceneArrays
+from ..physics.support import Either
+from ..physics.visibility import Visible, as_parsed
 from .rewards import (
     Drift,
     Prior,
@@ -24,12 +29,12 @@ from .rewards import (
     drift_by_object,
     measured_rollout,
     no_drift,
-    pair_depths,
     penetration,
     semantics,
     term_value,
     try_term,
 )
+from .semantic import box_error
 
 TRIED = 5
 """Candidates beyond the number of objects on which a user's term is tried, for distinct shapes."""
@@ -42,8 +47,10 @@ def sigma_of(options: RefineOptions) -> Float[np.ndarray, " 3"]:
 
 
 TERMS: dict[str, Callable[[RefineOptions], Term]] = {
-    "s_sem": lambda o: Term("s_sem", semantics, o.reward.w_sem, bound="exact"),
-    "prior": lambda o: Term("prior", Prior(sigma_of(o)), -o.reward.w_prior, bound="exact"),
+    "s_sem": lambda o: Term("s_sem", semantics, o.reward.w_sem, bound="exact", padded=True),
+    "prior": lambda o: Term(
+        "prior", Prior(sigma_of(o)), -o.reward.w_prior, bound="exact", padded=True
+    ),
     "d_pen": lambda o: Term(
         "d_pen",
         penetration,
@@ -51,6 +58,7 @@ TERMS: dict[str, Callable[[RefineOptions], Term]] = {
         scale=o.reward.pen_scale_m,
         cap=o.reward.d_pen_cap_m,
         bound="exact",
+        padded=True,
     ),
     "d_drift": lambda o: Term(
         "d_drift",
@@ -59,11 +67,14 @@ TERMS: dict[str, Callable[[RefineOptions], Term]] = {
         scale=1.0,
         cap=o.reward.d_drift_cap,
         bound=no_drift,
+        padded=True,
     ),
 }
 """The built-in terms. Those of ALWAYS have options of their own; another one is used when
 `refine.reward.terms` names it, with the weight given there."""
 ALWAYS = ("s_sem", "prior", "d_pen", "d_drift")
+PHYSICAL = ("d_pen", "d_drift")
+"""Terms that a valid candidate holds by its bounds."""
 RESERVED = ("reward", "absolute", "status", "valid", "xy", "yaw", "log_scale", "s_sem_from")
 RESERVED += ("object_names", "term_names", "term_weights")
 """Keys of the history that no term may have as its name."""
@@ -89,6 +100,11 @@ class Objective(eqx.Module):
         return dataclasses.replace(self, terms=bounded)
 
     @property
+    def padded(self) -> bool:
+        """Whether every term takes a padded scene."""
+        return all(term.padded for term in self.terms)
+
+    @property
     def unbounded(self) -> tuple[str, ...]:
         """Names of the terms without a bound, which switch pruning off."""
         return tuple(term.name for term in self.terms if term.bound is None)
@@ -107,7 +123,7 @@ def open_objective(
     Raises:
         ConfigError: a term cannot be found, or two have the same name.
     """
-    f = lambda x: jnp.asarray(x, jnp.float32)
+    f = lambda x: jax.device_put(np.float32(x))
     every = [TERMS[name](options) for name in ALWAYS] + named_terms(options) + list(terms)
     names = [term.name for term in every]
     for name in names:
@@ -127,6 +143,14 @@ def open_objective(
         angle=f(np.radians(options.reward.tilt_scale_deg)),
         normalisation=options.reward.normalisation,
     )
+
+
+def photograph_decides(objective: Objective) -> bool:
+    """Tell whether all terms speak of the photograph and of physics.
+
+    A user's own may want what stands soundly to move.
+    """
+    return all(term.name in ALWAYS for term in objective.terms)
 
 
 def named_terms(options: RefineOptions) -> list[Term]:
@@ -171,7 +195,7 @@ def imported(option: str, path: str, table: dict[str, Any]) -> Callable[..., Any
     module, _, name = path.partition(":")
     try:
         value = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
+    except (Exception, SystemExit) as error:  # A module may do anything while it is imported.
         named = f", or name a built-in one: {choices(path, table)}" if table else ""
         raise ConfigError(
             f"{option}: cannot import {path!r} ({error}); "
@@ -201,8 +225,8 @@ def try_terms(scene: SceneModel, objective: Objective, options: RefineOptions) -
         try_term(term, scene, still, layouts)
 
 
-def still_rollout(scene: SceneModel, layouts: Layout, records: int) -> Rollout:
-    """Return a rollout in which nothing moves, with the pair depths that terms share."""
+def still_rollout(scene: SceneArrays, layouts: Layout, records: int) -> Rollout:
+    """Return a rollout in which nothing moves, with what terms share: all is as in the photo."""
     still = unmoved(scene, scene.place(layouts))
     over_time = lambda x: jnp.repeat(x, records, axis=1)
     still = eqx.tree_at(
@@ -215,44 +239,64 @@ def still_rollout(scene: SceneModel, layouts: Layout, records: int) -> Rollout:
             over_time(still.joint_shift),
         ),
     )
-    return measured_rollout(still, jnp.zeros((*layouts.yaw.shape, layouts.yaw.shape[1])))
+    none = jnp.zeros((*layouts.yaw.shape, layouts.yaw.shape[1]))
+    return measured_rollout(still, none, as_parsed(scene.photo, len(none)))
 
 
 class Placement(eqx.Module):
     """Candidates where their layouts put them, and what is known of them before physics."""
 
     poses: Poses
-    depth: Float[Array, "pop object object"]
+    depth: Float[Either, "pop object object"]
     """Of `pair_depths` [m]."""
+    visible: Visible
+    """What the camera sees."""
     values: dict[str, TermValue]
     """Of the terms that do not depend on physics."""
-    bound: Float[Array, " pop"]
+    bound: Float[Either, " pop"]
     """Upper bound of the reward under `fixed` normalisation; -inf where it is not finite."""
+    box_error: Float[Either, "pop object"]
+    """How far each object's box is off the photograph's, in units of the noise; see `semantic`."""
 
 
 class Scores(eqx.Module):
     """What an iteration's candidates are judged by."""
 
-    terms: dict[str, Float[Array, " pop"]]
+    terms: dict[str, Float[Either, " pop"]]
     """Every term's value by name; NaN for terms of candidates that were not rolled out."""
-    valid: Bool[Array, " pop"]
+    valid: Bool[Either, " pop"]
     """No pair deeper than max_depth, no object past the stability bounds."""
-    status: Int[Array, " pop"]
+    status: Int[Either, " pop"]
     """RolloutStatus; FAILED also where a term is not finite."""
-    reward: Float[Array, " pop"]
+    reward: Float[Either, " pop"]
     """As Algorithm 1 ranks; -inf for failed and pruned candidates."""
-    absolute: Float[Array, " pop"]
+    absolute: Float[Either, " pop"]
     """With fixed scales, comparable between iterations; -inf for failed and pruned candidates."""
-    credit: Float[Array, "pop object"] | None
+    fidelity: Float[Either, " pop"]
+    """The absolute reward without D_pen and D_drift, which a valid candidate holds by its bounds;
+    -inf for failed and pruned candidates."""
+    drift: Float[Either, "pop object"]
+    """Each object's largest drift in units of the stability bounds; NaN where pruned."""
+    depth: Float[Either, "pop object"]
+    """Each object's deepest pair [m]; NaN where pruned."""
+    credit: Float[Either, "pop object"] | None
     """The reward by objects, with fixed normalisation; None where a term has no such share."""
 
 
 @eqx.filter_jit
-def place(scene: SceneModel, layouts: Layout, objective: Objective) -> Placement:
-    """Place candidates, and evaluate terms that need no physics and the bounds of the others."""
-    poses = scene.place(layouts)
-    depth = pair_depths(scene, poses)
-    still = measured_rollout(unmoved(scene, poses), depth)
+def place(
+    scene: SceneArrays, layouts: Layout, objective: Objective, known: Placed | None = None
+) -> Placement:
+    """Place candidates, and evaluate terms that need no physics and the bounds of the others.
+
+    Args:
+        scene: the scene's arrays.
+        layouts: the candidates.
+        objective: terms and bounds.
+        known: the candidates as `placed` has placed them, where it has.
+    """
+    at = placed(scene, layouts) if known is None else known
+    still = measured_rollout(unmoved(scene, at.poses), at.depth, at.visible)
     values, bounds = {}, {}
     for term in objective.terms:
         if term.bound == "exact":
@@ -265,12 +309,14 @@ def place(scene: SceneModel, layouts: Layout, objective: Objective) -> Placement
         for term in objective.terms
         if term.bound is not None
     )
-    return Placement(poses, depth, values, jnp.where(jnp.isfinite(upper), upper, -jnp.inf))
+    upper = jnp.where(jnp.isfinite(upper), upper, -jnp.inf)
+    error = box_error(scene, at.visible.outlines)
+    return Placement(at.poses, at.depth, at.visible, values, upper, error)
 
 
 @eqx.filter_jit
 def evaluate(
-    scene: SceneModel,
+    scene: SceneArrays,
     layouts: Layout,
     placement: Placement,
     rollout: Rollout,
@@ -279,13 +325,13 @@ def evaluate(
     """Evaluate every term of every candidate, and compose the reward.
 
     Args:
-        scene: the compiled scene.
+        scene: the scene's arrays.
         layouts: the candidates.
         placement: of `place`.
         rollout: their free fall.
         objective: terms and bounds.
     """
-    measured = measured_rollout(rollout, placement.depth)
+    measured = measured_rollout(rollout, placement.depth, placement.visible)
     values = {
         term.name: placement.values[term.name]
         if term.bound == "exact"
@@ -297,8 +343,13 @@ def evaluate(
     finite = jnp.isfinite(sum(value.value + value.charged for value in values.values()))
     alive &= finite
     drift = drift_by_object(scene, rollout, objective.distance, objective.angle)
-    deepest = jnp.max(deeper(placement.depth), axis=(1, 2))
+    deepest = jnp.max(deeper(placement.depth), axis=2)
     total = lambda part: sum(part(term, values[term.name].charged) for term in objective.terms)
+    fidelity = sum(
+        absolute_contribution(term, values[term.name].charged)
+        for term in objective.terms
+        if term.name not in PHYSICAL
+    )
     reward = total(lambda t, x: contribution(t, x, alive, objective.normalisation))
     shares = [
         contribution(term, share, alive[:, None], "fixed")
@@ -310,7 +361,7 @@ def evaluate(
         credit = jnp.where(alive[:, None], sum(shares), -jnp.inf)
     return Scores(
         terms={name: value.value for name, value in values.items()},
-        valid=jnp.all(drift < 1.0, axis=1) & (deepest < objective.max_depth) & alive,
+        valid=jnp.all((drift < 1.0) & (deepest < objective.max_depth), axis=1) & alive,
         status=jnp.where(
             finite | (rollout.status == int(RolloutStatus.TRUNCATED)),
             rollout.status,
@@ -318,6 +369,9 @@ def evaluate(
         ),
         reward=jnp.where(alive, reward, -jnp.inf),
         absolute=jnp.where(alive, total(absolute_contribution), -jnp.inf),
+        fidelity=jnp.where(alive, fidelity, -jnp.inf),
+        drift=drift,
+        depth=deepest,
         credit=credit,
     )
 

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Key
 
 from ..config import CEMOptions
 from ..physics.layout import Layout
-from ..physics.model import SceneModel
+from ..physics.scene_arrays import SceneArrays
 from .cem import draw, initial_sigma, open_cem
 from .cma_es import open_cma_es
 from .objective import imported
@@ -71,11 +71,11 @@ class RandomSearch(eqx.Module):
         return state
 
 
-def _open_random(scene: SceneModel, options: CEMOptions) -> RandomSearch:
+def _open_random(scene: SceneArrays, options: CEMOptions) -> RandomSearch:
     return RandomSearch(initial_sigma(scene, options))
 
 
-OPTIMIZERS: dict[str, Callable[[SceneModel, CEMOptions], Optimizer]] = {
+OPTIMIZERS: dict[str, Callable[[SceneArrays, CEMOptions], Optimizer]] = {
     "cem": open_cem,
     "cma_es": open_cma_es,
     "random": _open_random,
@@ -83,7 +83,7 @@ OPTIMIZERS: dict[str, Callable[[SceneModel, CEMOptions], Optimizer]] = {
 """What builds each optimizer that `refine.optimizer` names, from the scene and `refine.cem`."""
 
 
-def open_optimizer(name: str, scene: SceneModel, options: CEMOptions) -> Optimizer:
+def open_optimizer(name: str, scene: SceneArrays, options: CEMOptions) -> Optimizer:
     """Build an optimizer by name, or from what an import path "package.module:function" names.
 
     Raises:

@@ -1,12 +1,15 @@
 """The outcome of a refinement: the winner, checked exactly, and every candidate."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax
 import numpy as np
 
 from ..config import RefineOptions
-from ..measure import SceneMeasure, scene_measure
+from ..measure import SceneMeasure, measured, passes, scene_checks
 from ..physics.exact import snap_exactly
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
@@ -22,6 +25,15 @@ class Round(NamedTuple):
     poses: Poses
     """Where the candidates were placed."""
     scores: Scores
+
+    def of_objects(self, count: int) -> "Round":
+        """Leave padded objects out of the layouts and poses."""
+        own = lambda tree: jax.tree.map(lambda x: np.asarray(x)[:, :count], tree)
+        s = self.scores
+        scores = eqx.tree_at(
+            lambda s: (s.drift, s.depth), s, (s.drift[:, :count], s.depth[:, :count])
+        )
+        return Round(own(self.layouts), own(self.poses), scores)
 
 
 @dataclass(frozen=True, repr=False)
@@ -55,6 +67,8 @@ class Refined:
     """True if the winner passes the final check."""
     seconds: dict[str, float] = field(default_factory=dict)
     fallbacks: tuple[str, ...] = ()
+    kept: tuple[str, ...] = ()
+    """Objects that were sound where they stood, and stayed there."""
     scoring: dict[str, Any] = field(default_factory=dict)
     """Calls, failures and cost of the semantic scorer; empty without one."""
 
@@ -94,12 +108,6 @@ class Chosen:
     passed: bool
 
 
-def passes(measure: SceneMeasure, o: RefineOptions) -> bool:
-    """Return whether no pair is too deep, before or after settling, and nothing moved."""
-    deep = max(measure.max_depth_m, measure.settled_depth_m) > o.max_depth_m
-    return not deep and not measure.diverged and measure.s_stab is not False
-
-
 def choose(
     model: SceneModel, rounds: list[Round], o: RefineOptions, start: Layout | None = None
 ) -> Chosen:
@@ -131,36 +139,48 @@ def choose(
 
 
 def ranked(rounds: list[Round]) -> list[tuple[tuple[int, int], float]]:
-    """Order all candidates: valid ones first, then by absolute reward.
+    """Order all candidates: valid ones first, by fidelity, then the others, by absolute reward.
 
     Returns:
         ((iteration, candidate), absolute reward) of each.
     """
     valid = stacked([r.scores.valid for r in rounds], False)
     absolute = stacked([r.scores.absolute for r in rounds], -np.inf)
-    order = np.lexsort((-absolute.ravel(), ~valid.ravel()))
+    fidelity = stacked([r.scores.fidelity for r in rounds], -np.inf)
     pop = valid.shape[1]
+    order = best_first(valid.ravel(), fidelity.ravel(), absolute.ravel())
     return [(divmod(int(k), pop), float(absolute.flat[k])) for k in order]
 
 
-def measured(scene: SceneSpec, o: RefineOptions) -> SceneMeasure:
-    """Measure a scene as the final check does."""
-    return scene_measure(
-        scene,
-        duration=o.check_duration_s,
-        timestep=o.check_timestep_s,
-        max_depth=o.max_depth_m,
-        max_drift=o.max_drift_m,
-        max_tilt=o.max_tilt_deg,
-    )
+def best_first(valid: np.ndarray, fidelity: np.ndarray, absolute: np.ndarray) -> np.ndarray:
+    """Return the indices of candidates [pop] in the order in which they are tried; see `ranked`."""
+    return np.lexsort((-np.where(valid, fidelity, absolute), ~valid))
 
 
-def _badness(m: SceneMeasure, o: RefineOptions) -> float:
-    return (
-        max(m.max_depth_m, m.settled_depth_m) / o.max_depth_m
-        + m.max_drift_m / o.max_drift_m
-        + m.max_tilt_deg / o.max_tilt_deg
-    )
+def iteration_summary(values: Mapping[str, np.ndarray], terms: Sequence[str]) -> dict[str, Any]:
+    """Sum up an iteration.
+
+    Args:
+        values: `absolute`, `valid`, `status` and the reward terms of its candidates, each [pop].
+        terms: names of the reward terms.
+
+    Returns:
+        "best" and "mean" of the absolute reward over the candidates that have one, the share
+        "valid" of all drawn, and the terms of the best one; None where no candidate has a reward.
+    """
+    absolute = np.asarray(values["absolute"], float)
+    finite = np.isfinite(absolute)
+    drawn = max(int(np.sum(np.asarray(values["status"]) != NOT_DRAWN)), 1)
+    share = {"valid": float(np.sum(values["valid"]) / drawn)}
+    if not finite.any():
+        return {"best": None, "mean": None, **share, **dict.fromkeys(terms)}
+    k = int(np.where(finite, absolute, -np.inf).argmax())
+    of_best = {name: float(values[name][k]) for name in terms}
+    return {"best": float(absolute[k]), "mean": float(absolute[finite].mean()), **share, **of_best}
+
+
+def _badness(measure: SceneMeasure, o: RefineOptions) -> float:
+    return sum(check.value / check.threshold for check in scene_checks(measure, o))
 
 
 def outcome(
@@ -170,12 +190,14 @@ def outcome(
     o: RefineOptions,
     *,
     objective: Objective,
-    start: Layout | None = None,
+    layout: Layout,
+    before: SceneMeasure,
     engine: str,
     clock: dict[str, float],
     semantic: np.ndarray | None = None,
     scoring: dict[str, Any] | None = None,
     fallbacks: tuple[str, ...] = (),
+    kept: tuple[str, ...] = (),
 ) -> Refined:
     """Assemble the outcome of a refinement.
 
@@ -185,24 +207,26 @@ def outcome(
         chosen: the winner.
         o: options of the check.
         objective: of the search.
-        start: layout at which the search started; None is the composed scene.
+        layout: the winner's, pop axis of length 1.
+        before: check of the layout at which the search started.
         engine: name of the physics engine.
         clock: seconds spent, by step.
         semantic: source of each candidate's S_sem [iteration, pop], as in `scorer.Mark`.
         scoring: summary of the semantic scorer.
         fallbacks: sentences on what earlier steps replaced or left out.
+        kept: objects that the search left where they stood.
     """
-    t, k = chosen.index
-    start_scene = model.spec if start is None else model.apply(start, 0)
-    count = len(model.names)
-    layout = rounds[t].layouts[k : k + 1] if t >= 0 else start or Layout.zero(1, count)
     moves = np.asarray(model.optimised)
     logs = np.asarray(layout.log_scale[0])[moves]
     shift = np.linalg.norm(np.asarray(layout.xy[0])[moves], axis=-1)
     turn = np.degrees(np.abs(np.asarray(layout.yaw[0])[moves]))
     if not chosen.passed:
+        failed = "; ".join(
+            check.phrase() for check in scene_checks(chosen.measure, o) if not check.passed
+        )
         fallbacks += (
-            f"no candidate passed the final check in {chosen.tried} tries; the least bad is kept",
+            f"no candidate passed the final check in {chosen.tried} tries; the least bad is kept: "
+            f"{failed}",
         )
     if o.cem.prune and objective.unbounded:
         names = ", ".join(objective.unbounded)
@@ -213,7 +237,7 @@ def outcome(
     return Refined(
         scene=chosen.scene,
         measure=chosen.measure,
-        before=measured(snap_exactly(start_scene), o),
+        before=before,
         layout=layout,
         history=history,
         engine=engine,
@@ -226,6 +250,7 @@ def outcome(
         passed=chosen.passed,
         seconds=clock,
         fallbacks=fallbacks,
+        kept=kept,
         scoring=scoring or {},
     )
 

@@ -5,7 +5,6 @@ are rolled out in the order of their bounds, until the next bound is below the K
 reward: no candidate after that can be among the K best.
 """
 
-import jax.numpy as jnp
 import numpy as np
 
 from ..physics.engine import RolloutStatus
@@ -87,6 +86,9 @@ class RolloutPlan:
             "status": np.full(pop, PRUNED, np.int32),
             "reward": np.full(pop, -np.inf, np.float32),
             "absolute": np.full(pop, -np.inf, np.float32),
+            "fidelity": np.full(pop, -np.inf, np.float32),
+            "drift": np.full((pop, objects), np.nan, np.float32),
+            "depth": np.full((pop, objects), np.nan, np.float32),
         }
         credit = None
         for rows, part in self._parts:
@@ -98,8 +100,4 @@ class RolloutPlan:
             if part.credit is not None:
                 credit = np.full((pop, objects), -np.inf, np.float32) if credit is None else credit
                 credit[rows] = np.asarray(part.credit)[: len(rows)]
-        return Scores(
-            terms={name: jnp.asarray(values) for name, values in known.items()},
-            credit=None if credit is None else jnp.asarray(credit),
-            **{name: jnp.asarray(array) for name, array in whole.items()},
-        )
+        return Scores(terms=known, credit=credit, **whole)

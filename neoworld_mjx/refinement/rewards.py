@@ -14,12 +14,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from neoworld_kernels import pair_depth
 
 from ..errors import ConfigError
 from ..physics.engine import Rollout
-from ..physics.layout import Layout, Poses, rotation
+from ..physics.layout import Layout
 from ..physics.model import SceneModel
+from ..physics.placed import pair_depths
+from ..physics.scene_arrays import SceneArrays
+from ..physics.support import Either
+from ..physics.visibility import Visible, visibility
 from ..spec.pose import angle_between
 from .semantic import semantic_score
 
@@ -31,20 +34,23 @@ __all__ = ["Term", "TermValue", "d_drift", "d_pen", "drifts", "s_sem"]
 class TermValue(eqx.Module):
     """A term's value of every candidate, with what a plain array does not say."""
 
-    value: Float[Array, " pop"]
+    value: Float[Either, " pop"]
     """What the history keeps."""
-    charged: Float[Array, " pop"]
+    charged: Float[Either, " pop"]
     """What enters the reward: the value without the part that costs nothing."""
-    by_object: Float[Array, "pop object"] | None = None
+    by_object: Float[Either, "pop object"] | None = None
     """The same of each object, for credit assignment; None where it cannot be told."""
 
 
-TermFunction = Callable[[SceneModel, Layout, Rollout], Any]
-"""Maps (scene, layouts, rollout) to Float[Array, " pop"], or to a TermValue; traceable by JAX."""
+TermFunction = Callable[[Any, Layout, Rollout], Any]
+"""Maps (scene, layouts, rollout) to Float[Array, " pop"], or to a TermValue; traceable by JAX. The
+scene is a SceneModel, or the SceneArrays of a padded scene where the term says that it takes such.
+"""
 
 
 def _number(x: Any) -> Array:
-    return jnp.asarray(x, jnp.float32)
+    # NumPy makes the number, which compiles nothing.
+    return x if isinstance(x, jax.Array) else jax.device_put(np.asarray(x, np.float32))
 
 
 def _number_or_none(x: Any) -> Array | None:
@@ -73,29 +79,30 @@ class Term(eqx.Module):
 
     "exact": the value itself, as it does not depend on physics. None: unknown; nothing is pruned.
     """
+    padded: bool = eqx.field(static=True, default=False)
+    """Whether the functions take a padded scene, and so are compiled once for many scenes.
+
+    They then get a `SceneArrays` whose object axis is longer than the scene has objects;
+    `optimised`, `movable`, `photo.judged` and `pair_mask` are false for what is padded. Otherwise
+    the whole search is compiled for each scene.
+    """
 
 
 class MeasuredRollout(Rollout):
-    """A rollout beside the pair depths at its start, which terms share."""
+    """A rollout beside what is known of its start, which terms share."""
 
-    depth: Float[Array, "pop object object"]
+    depth: Float[Either, "pop object object"]
     """Of `pair_depths`, at the placed poses [m]."""
+    visible: Visible
+    """What the camera sees of the placed candidates."""
 
 
-def measured_rollout(rollout: Rollout, depth: Float[Array, "pop object object"]) -> MeasuredRollout:
-    """Put the pair depths of the placed candidates beside their rollout."""
+def measured_rollout(
+    rollout: Rollout, depth: Float[Either, "pop object object"], visible: Visible
+) -> MeasuredRollout:
+    """Put the pair depths and visible boxes of the placed candidates beside their rollout."""
     fields = {name: getattr(rollout, name) for name in Rollout.__dataclass_fields__}
-    return MeasuredRollout(**fields, depth=depth)
-
-
-def pair_depths(scene: SceneModel, poses: Poses) -> Float[Array, "pop object object"]:
-    """Measure the penetration depth [m] of i's surface samples in j's colliders, at [pop, i, j].
-
-    Measured on the canonical colliders at the placed poses; zero between environment supports.
-    """
-    turn = rotation(poses.quat)
-    depth = pair_depth(poses.pos, turn, poses.scale, scene.samples, scene.colliders)
-    return jnp.where(scene.pair_mask, depth, 0.0)
+    return MeasuredRollout(**fields, depth=depth, visible=visible)
 
 
 def deeper(depth: Float[Array, "pop object object"]) -> Float[Array, "pop object object"]:
@@ -103,24 +110,27 @@ def deeper(depth: Float[Array, "pop object object"]) -> Float[Array, "pop object
     return jnp.maximum(depth, jnp.swapaxes(depth, 1, 2))
 
 
-def _placed(scene: SceneModel, layouts: Layout, rollout: Rollout | None) -> tuple[Poses, Array]:
-    """Return the placed poses and their pair depths, computed once where terms share them."""
+def _depth(scene: SceneArrays, layouts: Layout, rollout: Rollout | None) -> Array:
+    """Return the pair depths of the placed candidates, computed once where terms share them."""
     if isinstance(rollout, MeasuredRollout):
-        return rollout.start, rollout.depth
-    poses = scene.place(layouts)
-    return poses, pair_depths(scene, poses)
+        return jnp.asarray(rollout.depth)
+    return pair_depths(scene, scene.place(layouts))
 
 
-def penetration(scene: SceneModel, layouts: Layout, rollout: Rollout | None = None) -> TermValue:
+def penetration(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = None) -> TermValue:
     """D_pen [m], and of each object the sum over its pairs; see `d_pen`."""
-    pair = deeper(_placed(scene, layouts, rollout)[1])
+    pair = deeper(_depth(scene, layouts, rollout))
     total = jnp.sum(jnp.triu(pair, 1), axis=(1, 2))
     return TermValue(total, total, jnp.sum(pair, axis=2))
 
 
-def semantics(scene: SceneModel, layouts: Layout, rollout: Rollout | None = None) -> TermValue:
+def semantics(scene: SceneArrays, layouts: Layout, rollout: Rollout | None = None) -> TermValue:
     """S_sem by geometry, and of each object by the criteria that it takes part in."""
-    scored = semantic_score(scene, *_placed(scene, layouts, rollout))
+    if isinstance(rollout, MeasuredRollout):
+        seen = rollout.visible
+    else:
+        seen = visibility(scene, scene.place(layouts))
+    scored = semantic_score(scene, _depth(scene, layouts, rollout), seen)
     return TermValue(scored.total, scored.total, scored.each)
 
 
@@ -134,14 +144,14 @@ class Drift(eqx.Module):
     free: Float[Array, ""] = eqx.field(converter=_number, default=0.0)
     """Drift of an object that costs nothing, in units of the bounds."""
 
-    def __call__(self, scene: SceneModel, layouts: Layout, rollout: Rollout) -> TermValue:
+    def __call__(self, scene: SceneArrays, layouts: Layout, rollout: Rollout) -> TermValue:
         """Compute D_drift; see `d_drift`."""
         each = drift_by_object(scene, rollout, self.distance, self.angle)
         charged = jnp.maximum(each - self.free, 0.0)
         return TermValue(jnp.sum(each, axis=1), jnp.sum(charged, axis=1), charged)
 
 
-def no_drift(scene: SceneModel, layouts: Layout, rollout: Rollout) -> TermValue:
+def no_drift(scene: SceneArrays, layouts: Layout, rollout: Rollout) -> TermValue:
     """Bound D_drift from below before physics: nothing drifts."""
     zero = jnp.zeros(layouts.yaw.shape[:2])
     return TermValue(zero[:, 0], zero[:, 0], zero)
@@ -159,7 +169,7 @@ class Prior(eqx.Module):
     origin: Layout | None = None
     """The initial layout, pop axis of length 1; None is the composed scene."""
 
-    def __call__(self, scene: SceneModel, layouts: Layout, rollout: Rollout | None) -> TermValue:
+    def __call__(self, scene: SceneArrays, layouts: Layout, rollout: Rollout | None) -> TermValue:
         """Compute the prior."""
         safe = jnp.maximum(self.sigma, 1e-6)
         if self.origin is not None:
@@ -172,7 +182,7 @@ class Prior(eqx.Module):
 
 
 def drifts(
-    scene: SceneModel, rollout: Rollout
+    scene: SceneArrays, rollout: Rollout
 ) -> tuple[Float[Array, "pop object"], Float[Array, "pop object"]]:
     """Return each object's largest distance [m] and angle [rad] from its layout pose over time.
 
@@ -184,7 +194,7 @@ def drifts(
 
 
 def drift_by_object(
-    scene: SceneModel,
+    scene: SceneArrays,
     rollout: Rollout,
     distance: Float[Array, ""] | float,
     angle: Float[Array, ""] | float,
@@ -195,13 +205,13 @@ def drift_by_object(
     """
     far, turned = drifts(scene, rollout)
     base = jnp.where(scene.movable, jnp.maximum(far / distance, turned / angle), 0.0)
-    if not len(scene.static.joints):
+    if not len(scene.joint_object):
         return base
     return jnp.maximum(base, joint_drift(scene, rollout, distance, angle))
 
 
 def joint_drift(
-    scene: SceneModel,
+    scene: SceneArrays,
     rollout: Rollout,
     distance: Float[Array, ""] | float,
     angle: Float[Array, ""] | float,
@@ -212,9 +222,9 @@ def joint_drift(
     its way over `distance` [m]; an object counts its largest.
     """
     far = jnp.max(rollout.joint_shift, axis=1)
-    shift = far / jnp.where(scene.static.joint_slides, distance, angle)
-    pop, objects = shift.shape[0], len(scene.names)
-    return jnp.zeros((pop, objects)).at[:, scene.static.joint_object].max(shift)
+    shift = far / jnp.where(scene.joint_slides, distance, angle)
+    none = jnp.zeros((shift.shape[0], scene.count))
+    return none.at[:, scene.joint_object].max(shift)
 
 
 @eqx.filter_jit
@@ -277,8 +287,7 @@ def s_sem(
 ) -> Float[Array, " pop"]:
     """S_sem in [0, 1] by the geometric scorer, of the composed pose; see `semantic`.
 
-    `rollout` is not used. Compiled; may be jitted and vmapped. It counts in steps, so its gradient
-    is zero.
+    `rollout` is not used. Compiled; may be jitted and vmapped. It is computed without gradients.
 
     Raises:
         TypeError: an argument is of another type.
@@ -332,7 +341,7 @@ def try_term(term: Term, scene: SceneModel, rollout: Rollout, layouts: Layout) -
         )
     except ConfigError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         text = str(error).strip().split("\n")[0]
         raise ConfigError(
             f"{where} cannot be called with (scene, layouts, rollout): "

@@ -12,16 +12,19 @@ import numpy as np
 from ..config import RefineOptions
 from ..engines import EngineChoice
 from ..mllm import Panel, Picture
+from ..physics.automatic import AutomaticEngine
 from ..physics.engine import Engine
 from ..physics.layout import Layout
 from ..physics.model import SceneModel, compile_scene
 from ..physics.simulate import open_engine
 from ..spec import SceneSpec, read_scene
-from .loop import SearchRun, search
+from .loop import search
 from .optimizer import Optimizer
-from .outcome import Refined, Round, choose, outcome, ranked, stacked
+from .outcome import Refined, Round, outcome, ranked, stacked
+from .returning import choose_and_return
 from .rewards import Term
 from .scorer import Mark, SemanticScorer
+from .search_run import SearchResult, SearchRun
 
 COMPOSED = "compose/scene.json"
 """Where a run folder keeps the scene as composed."""
@@ -46,8 +49,8 @@ def refine(
 
     Stops after T iterations, or when the elites have gained less than `stop_gain` for `patience`
     iterations and a valid candidate has been seen. The winner is the best valid candidate by
-    absolute reward that also passes an exact check; when none does, the best one that was tried is
-    returned with `passed` False.
+    absolute reward that also passes an exact check, with what it moved without need put back; when
+    none does, the best one that was tried is returned with `passed` False.
 
     Args:
         scene: the composed scene; one that is compiled already saves that time again. A path names
@@ -80,7 +83,7 @@ def refine(
         engine = open_engine(engine or o.rollout.engine)
     clock["compile"] = time.perf_counter() - began
     scorer = None
-    if o.semantic.scorer == "mllm":
+    if o.semantic.scorer == "mllm" and o.reward.w_sem > 0:
         scorer = SemanticScorer(
             model, photo, panel, o.semantic, cem=o.cem, log=scores, recorded=recorded
         )
@@ -109,7 +112,7 @@ def refine(
         if scorer is not None:
             scorer.close()
     began = time.perf_counter()
-    chosen = choose(model, rounds, o, start)
+    chosen, layout, before = choose_and_return(model, rounds, o, result.problem.objective, start)
     clock["check"] = time.perf_counter() - began
     return outcome(
         model,
@@ -117,12 +120,33 @@ def refine(
         chosen,
         o,
         objective=result.problem.objective,
-        start=start,
+        layout=layout,
+        before=before,
         engine=engine.name,
         clock=clock | {"to_valid": result.first_valid_s},
         semantic=None if scorer is None else stacked(marks, 0),
         scoring=None if scorer is None else scorer.summary(),
-        fallbacks=() if scorer is None else scorer.fallbacks,
+        fallbacks=_ended_early(model, result)
+        + (tuple(engine.refusals) if isinstance(engine, AutomaticEngine) else ())
+        + (() if scorer is None else scorer.fallbacks),
+        kept=_kept(model, result),
+    )
+
+
+def _kept(model: SceneModel, result: SearchResult) -> tuple[str, ...]:
+    if not result.stages:
+        return ()
+    still = np.asarray(model.optimised) & ~result.stages[0][: len(model.names)]
+    return tuple(model.names[k] for k in np.flatnonzero(still))
+
+
+def _ended_early(model: SceneModel, result: SearchResult) -> tuple[str, ...]:
+    if result.falling is None or not result.falling.any():
+        return ()
+    names = [model.names[k] for k in np.flatnonzero(result.falling)]
+    return (
+        f"the search ended after {len(result.rounds)} iterations: in every candidate "
+        f"{', '.join(names)} fell or slid away, as nothing holds them where they are placed",
     )
 
 

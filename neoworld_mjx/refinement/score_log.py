@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from ..config import describe
 from ..errors import ModelError
 from ..physics.layout import Layout
+from ..reading import read_outside_text
 from ..spec import SceneSpec
 
 Identity = tuple[int, int]
@@ -133,12 +134,7 @@ def read_scores(path: Path) -> list[Score]:
     Raises:
         ModelError: the file cannot be read, or a line is not a valid score.
     """
-    try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
-    except OSError as error:
-        raise ModelError(f"cannot read scores {path}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ModelError(f"{path} holds no scores: it is not text") from None
+    lines = read_outside_text(path, ModelError, "scores").splitlines()
     scores = []
     for number, line in enumerate(lines, start=1):
         try:

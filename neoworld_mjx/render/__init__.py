@@ -2,7 +2,13 @@
 
 from .flat_rendering import render_plain
 from .rendering import RenderedImage, render
-from .scene_images import render_object, render_scene, to_png
+from .scene_images import (
+    render_object,
+    render_scene,
+    to_png,
+    visible_surface,
+    visible_vertices,
+)
 from .view import View
 
 __all__ = [
@@ -13,4 +19,6 @@ __all__ = [
     "render_plain",
     "render_scene",
     "to_png",
+    "visible_surface",
+    "visible_vertices",
 ]

@@ -12,11 +12,12 @@ from .appearance import display, linear
 from .lighting import FLOOR_COLOUR, HORIZON
 from .ray_caster import RayCaster
 from .rendering import compile_posed
+from .see_through import Layers
 from .view import View
 
 _AMBIENT, _SKY, _KEY = 0.25, 0.3, 0.55
 _OUTLINE = 0.45
-"""How bright a pixel remains on the border of an object."""
+"""Factor of the brightness of a pixel on the border of an object."""
 
 
 def render_plain(
@@ -41,22 +42,40 @@ def render_plain(
     rows, columns = np.mgrid[: view.height, : view.width]
     pixels = np.stack([columns + 0.5, rows + 0.5], axis=-1).reshape(-1, 2)
     rays = view.rays(pixels)
-    hits = RayCaster(model, data).hits(view.eye, rays, smooth=False)
+    caster = RayCaster(model, data)
+    hits = caster.hits(view.eye, rays, smooth=False, opaque=True)
+    layers = Layers.cast(caster, view.eye, rays, hits.distance, smooth=False)
 
     rgba = model.geom_rgba.copy()
     with_material = model.geom_matid >= 0
     rgba[with_material] = model.mat_rgba[model.geom_matid[with_material]]
-    body = np.flatnonzero(hits.geom >= 0)
-    normal = hits.normal[body]
+    colour = linear(rgba[:, :3])
     # From over the left shoulder, so that the three sides of a box differ.
     towards = view.axes @ np.array([-0.5, -0.7, -0.5])
-    facing = np.maximum(normal @ (towards / np.linalg.norm(towards)), 0.0)
-    light = _AMBIENT + _SKY * (0.5 + 0.5 * normal[:, 2]) + _KEY * facing
-    picture = np.where(rays[:, 2:] < 0.0, FLOOR_COLOUR, HORIZON)
-    picture[body] = linear(rgba[:, :3])[hits.geom[body]] * light[:, None]
+    towards /= np.linalg.norm(towards)
 
-    owner = np.append(model.body_rootid[model.geom_bodyid], -1)[hits.geom]
-    border = _borders(owner.reshape(view.height, view.width)).ravel()
+    def lit(geom: NDArray, normal: NDArray) -> NDArray:
+        facing = np.maximum(normal @ towards, 0.0)
+        light = _AMBIENT + _SKY * (0.5 + 0.5 * normal[:, 2]) + _KEY * facing
+        return colour[geom] * light[:, None]
+
+    def paint(k: NDArray, behind: NDArray) -> NDArray:
+        geom = layers.hits.geom[k]
+        alpha = caster.alpha[geom, None]
+        return alpha * lit(geom, layers.hits.normal[k]) + (1.0 - alpha) * behind
+
+    picture = np.where(rays[:, 2:] < 0.0, FLOOR_COLOUR, HORIZON)
+    body = np.flatnonzero(hits.geom >= 0)
+    picture[body] = lit(hits.geom[body], hits.normal[body])
+    picture = layers.over(picture, paint)
+
+    root = np.append(model.body_rootid[model.geom_bodyid], -1)
+    border = np.zeros(len(rays), bool)
+    nearest = layers.nearest()
+    front = hits.geom.copy()
+    front[layers.row[nearest]] = layers.hits.geom[nearest]
+    for first in (hits.geom, front):
+        border |= _borders(root[first].reshape(view.height, view.width)).ravel()
     picture[border] *= _OUTLINE
     return display(picture).reshape(view.height, view.width, 3)
 
@@ -67,6 +86,3 @@ def _borders(owner: NDArray) -> NDArray:
     border[:, :-1] |= owner[:, :-1] != owner[:, 1:]
     border[:-1] |= owner[:-1] != owner[1:]
     return border
-
-
-__all__ = ["render_plain"]

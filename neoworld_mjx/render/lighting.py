@@ -187,6 +187,8 @@ def shade(
     key: NDArray,
     sky: NDArray,
     key_direction: NDArray,
+    opacity: NDArray | None = None,
+    behind: NDArray | None = None,
 ) -> NDArray:
     """Return the light [n, 3] that surfaces send to the eye.
 
@@ -199,6 +201,8 @@ def shade(
         key: visible share of the key light [n].
         sky: visible share of the sky [n].
         key_direction: unit vector [3] towards the key light.
+        opacity: share of what is behind that a surface hides [n]; None hides all of it.
+        behind: light from behind [n, 3], with `opacity`.
     """
     facing = np.clip(normal @ key_direction, 0.0, 1.0) * key
     up = 0.5 + 0.5 * normal[:, 2]
@@ -215,7 +219,6 @@ def shade(
     share = np.where(gloss > 0, gloss + (1.0 - gloss) * grazing * 0.5, 0.0)[:, None]
     tint = np.where(metal[:, None], colour * 1.25, 1.0)
     body = np.where(metal, 0.45, 1.0)[:, None] * colour * light
+    if opacity is not None and behind is not None:
+        body = opacity[:, None] * body + (1.0 - opacity)[:, None] * behind
     return body * (1.0 - share) + mirrored * share * tint
-
-
-__all__ = ["FLOOR", "FLOOR_COLOUR", "Lights", "lights", "shade", "surroundings", "visibility"]

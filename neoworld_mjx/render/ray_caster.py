@@ -15,9 +15,12 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from ..physics.mjcf import VISUAL_GROUP
+from ..spec.object import OPAQUE_ALPHA
 from ..spec.triangles import corner_normals
 
 FAR = 1e10
+SEE_THROUGH_GROUP, LAYER_GROUP = 5, 4
+"""Groups, in a caster's own copy of the model, of see-through geoms and of the one to be cast."""
 FAR_BOX_M = 1e4
 """Half an edge of a box that holds everything."""
 
@@ -46,13 +49,67 @@ class RayCaster:
         visual = model.geom_group == VISUAL_GROUP
         self.shown: NDArray = visual if visual.any() else model.geom_group <= 2
         """Which geoms are drawn [geom]: the visual ones, or where a model has none, all."""
-        self._groups = np.zeros(6, np.uint8)
-        self._groups[np.unique(model.geom_group[self.shown])] = 1
+        self._opaque = np.zeros(6, np.uint8)
+        self._opaque[np.unique(model.geom_group[self.shown])] = 1
+        self.alpha: NDArray = model.geom_rgba[:, 3].copy()
+        """Opacity of each geom [geom]."""
+        with_material = model.geom_matid >= 0
+        self.alpha[with_material] = model.mat_rgba[model.geom_matid[with_material], 3]
+        self.see_through: NDArray = np.flatnonzero(
+            self.shown & (self.alpha > 0) & (self.alpha < OPAQUE_ALPHA)
+        )
+        """Ids of the drawn geoms that show what is behind them."""
+        self.model.geom_group[self.see_through] = SEE_THROUGH_GROUP
+        self._all = self._opaque.copy()
+        self._all[SEE_THROUGH_GROUP] = 1
         self._smooth: dict[int, _Smooth] = {}
 
-    def hits(self, eye: NDArray, directions: NDArray, *, smooth: bool = True) -> Hits:
-        """Cast rays [n, 3] from one point [3] m; without `smooth` meshes show their facets."""
-        geom, distance, normal = self._cast(eye, directions, normals=True)
+    def hits(
+        self, eye: NDArray, directions: NDArray, *, smooth: bool = True, opaque: bool = False
+    ) -> Hits:
+        """Cast rays [n, 3] from one point [3] m.
+
+        Args:
+            eye: the point.
+            directions: the rays.
+            smooth: whether meshes show smooth normals, or those of their facets.
+            opaque: whether rays go through see-through geoms, or stop there.
+        """
+        return self._hits(eye, directions, self._opaque if opaque else self._all, smooth)
+
+    def layers(
+        self, eye: NDArray, directions: NDArray, *, smooth: bool = True
+    ) -> list[tuple[NDArray, Hits]]:
+        """Return the hits on the near side of each see-through geom, opaque ones left out.
+
+        Returns:
+            For each geom that is hit the rows of `directions`, and their hits.
+        """
+        hits_by_rows = []
+        length = np.linalg.norm(directions, axis=1)
+        one = np.zeros(6, np.uint8)
+        one[LAYER_GROUP] = 1
+        for g in self.see_through.tolist():
+            rows = np.flatnonzero(self._near(g, eye, directions, length))
+            self.model.geom_group[g] = LAYER_GROUP
+            hits = self._hits(eye, directions[rows], one, smooth)
+            self.model.geom_group[g] = SEE_THROUGH_GROUP
+            on = np.flatnonzero(hits.geom >= 0)
+            if len(on):
+                own = (hits.geom, hits.distance, hits.point, hits.normal)
+                hits_by_rows.append((rows[on], Hits(*(field[on] for field in own))))
+        return hits_by_rows
+
+    def _near(self, g: int, eye: NDArray, directions: NDArray, length: NDArray) -> NDArray:
+        """Tell which rays pass a geom's bounding sphere."""
+        to_middle = self.data.geom_xpos[g] - eye
+        along = directions @ to_middle / length
+        radius = float(self.model.geom_rbound[g])
+        beside = np.maximum(to_middle @ to_middle - along**2, 0.0) < radius**2 * 1.0001
+        return beside & (along > -radius)
+
+    def _hits(self, eye: NDArray, directions: NDArray, groups: NDArray, smooth: bool) -> Hits:
+        geom, distance, normal = self._cast(eye, directions, groups, normals=True)
         point = eye + directions * np.where(geom >= 0, distance, 0.0)[:, None]
         assert normal is not None
         if smooth:
@@ -61,12 +118,26 @@ class RayCaster:
         return Hits(geom, np.where(geom >= 0, distance, np.inf), point, normal)
 
     def visible(self, source: NDArray, points: NDArray) -> NDArray:
-        """Return whether nothing stands between a source [3] and points [n, 3], bool [n]."""
-        geom, distance, _ = self._cast(source, points - source, normals=False)
-        return (geom < 0) | (distance >= 1.0 - 1e-9)
+        """Return the share of light that reaches points [n, 3] from a source [3], [n] in [0, 1].
+
+        See-through geoms let through what they do not cover, the nearest to the source alone.
+        """
+        rays = points - source
+        geom, distance, _ = self._cast(source, rays, self._opaque, normals=False)
+        share = ((geom < 0) | (distance >= 1.0 - 1e-9)).astype(float)
+        if len(self.see_through):
+            length = np.linalg.norm(rays, axis=1)
+            near = np.zeros(len(rays), bool)
+            for g in self.see_through.tolist():
+                near |= self._near(g, source, rays, length)
+            rows = np.flatnonzero(near & (share > 0))
+            geom, distance, _ = self._cast(source, rays[rows], self._all, normals=False)
+            between = (geom >= 0) & (distance < 1.0 - 1e-9)
+            share[rows[between]] = 1.0 - self.alpha[geom[between]]
+        return share
 
     def _cast(
-        self, eye: NDArray, directions: NDArray, *, normals: bool
+        self, eye: NDArray, directions: NDArray, groups: NDArray, *, normals: bool
     ) -> tuple[NDArray, NDArray, NDArray | None]:
         n = len(directions)
         rays = np.ascontiguousarray(directions, float).reshape(-1)
@@ -84,7 +155,7 @@ class RayCaster:
                 self._datas[k],
                 np.asarray(eye, float),
                 rays[3 * low : 3 * high],
-                self._groups,
+                groups,
                 True,
                 -1,
                 geom[low:high],
@@ -188,6 +259,3 @@ def _barycentric(points: NDArray, corners: NDArray) -> NDArray:
     det = np.maximum(uu * vv - uv * uv, 1e-300)
     s, t = (vv * wu - uv * wv) / det, (uu * wv - uv * wu) / det
     return np.stack([1.0 - s - t, s, t], axis=1)
-
-
-__all__ = ["Hits", "RayCaster"]

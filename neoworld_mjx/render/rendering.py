@@ -1,8 +1,8 @@
 """Render by casting rays: colour, depth, normals and object masks, without OpenGL.
 
-Depth, normals and segmentation are those of the ray through each pixel's centre, whatever the
-supersampling. Colour is smoothed at edges only: pixels whose neighbours show another surface are
-cast again at several points.
+Depth, normals and segmentation are those of the first surface, see-through or not, on the ray
+through each pixel's centre, whatever the supersampling. Colour is smoothed at edges only: pixels
+whose neighbours show another surface are cast again at several points.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,11 @@ from ..spec import Camera, SceneSpec
 from .appearance import Appearance, albedo, appearance_of, display
 from .lighting import FLOOR, FLOOR_COLOUR, Lights, lights, shade, surroundings, visibility
 from .ray_caster import Hits, RayCaster
+from .see_through import Layers
 from .view import View
+
+OPEN_SKY = 0.8
+"""Share of the sky that see-through surfaces are taken to face."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +82,11 @@ def render(
     color = display(light)
     if supersample > 1:
         edge = _edges(surface, point, normal, depth)
+        if len(cast.layers.row):
+            edge |= _edges(*stage.front(cast, shape))
         _smooth_edges(color, edge, stage, surface, point, normal, key, sky, supersample)
-    objects, names = _objects(model)
+    surface, point, normal, depth = stage.front(cast, shape)
+    objects, names = object_of_geoms(model)
     hit = surface >= 0
     return RenderedImage(
         color=color,
@@ -100,7 +107,8 @@ def compile_posed(scene: SceneSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
     return model, data
 
 
-def _objects(model: mujoco.MjModel) -> tuple[NDArray, tuple[str, ...]]:
+def object_of_geoms(model: mujoco.MjModel) -> tuple[NDArray, tuple[str, ...]]:
+    """Return the object of each geom, as an index into the names: bodies of the world."""
     roots = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0]
     index = np.full(model.nbody, -1)
     index[roots] = np.arange(len(roots))
@@ -113,7 +121,9 @@ class _RayHits:
     rays: NDArray
     hits: Hits
     surface: NDArray
-    """Geom id, FLOOR, or -1, [n]."""
+    """Opaque geom id, FLOOR, or -1, [n]."""
+    layers: Layers
+    """What is see-through in front of it."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +157,8 @@ class _Stage:
         )
 
     def cast(self, rays: NDArray) -> _RayHits:
-        hits = self.caster.hits(self.view.eye, rays)
+        hits = self.caster.hits(self.view.eye, rays, opaque=True)
+        reach = hits.distance.copy()
         surface = hits.geom.astype(np.int64)
         down = rays[:, 2] < -1e-6
         if self.ground is not None and self.view.eye[2] > self.ground and down.any():
@@ -156,7 +167,27 @@ class _Stage:
             surface[on] = FLOOR
             hits.point[on] = self.view.eye + rays[on] * distance[on, None]
             hits.normal[on] = [0.0, 0.0, 1.0]
-        return _RayHits(rays, hits, surface)
+            reach[on] = distance[on]
+        layers = Layers.cast(self.caster, self.view.eye, rays, reach)
+        return _RayHits(rays, hits, surface, layers)
+
+    def front(
+        self, cast: _RayHits, shape: tuple[int, int]
+    ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        """Return the first surface of each pixel: its id, point, normal and depth."""
+        surface, point = cast.surface.copy(), cast.hits.point.copy()
+        normal = cast.hits.normal.copy()
+        nearest = cast.layers.nearest()
+        rows, hits = cast.layers.row[nearest], cast.layers.hits
+        surface[rows], point[rows] = hits.geom[nearest], hits.point[nearest]
+        normal[rows] = hits.normal[nearest]
+        depth = np.where(surface == -1, np.inf, (point - self.view.eye) @ self.view.axes[:, 2])
+        return (
+            surface.reshape(shape),
+            point.reshape(*shape, 3),
+            normal.reshape(*shape, 3),
+            depth.reshape(shape),
+        )
 
     def shade(self, cast: _RayHits, key: NDArray, sky: NDArray) -> NDArray:
         """Return the light [n, 3] along each ray."""
@@ -165,7 +196,13 @@ class _Stage:
         body = np.flatnonzero(cast.surface >= 0)
         g = cast.surface[body]
         light[body] = shade(
-            albedo(self.appearance, g, cast.hits.point[body]),
+            albedo(
+                self.appearance,
+                g,
+                cast.hits.point[body],
+                cast.hits.normal[body],
+                cast.hits.distance[body] / self.view.focal,
+            ),
             self.appearance.gloss[g],
             self.appearance.metal[g],
             cast.hits.normal[body],
@@ -190,7 +227,36 @@ class _Stage:
         away = np.linalg.norm((cast.hits.point[on] - self.centre)[:, :2], axis=1) / self.reach
         fade = np.clip((away - 2.0) / 10.0, 0.0, 1.0)[:, None]
         light[on] = lit + (surroundings(cast.rays[on] * [1, 1, 0]) - lit) * fade
-        return light
+        return self._through(cast, light)
+
+    def _through(self, cast: _RayHits, light: NDArray) -> NDArray:
+        """Return light [n, 3] as it arrives through what is see-through."""
+        layers, hits = cast.layers, cast.layers.hits
+        lifted = hits.point + hits.normal * (1e-3 * hits.distance)[:, None]
+        key = self.caster.visible(self.lights.key[0], lifted)
+
+        def paint(k: NDArray, behind: NDArray) -> NDArray:
+            g = hits.geom[k]
+            return shade(
+                albedo(
+                    self.appearance,
+                    g,
+                    hits.point[k],
+                    hits.normal[k],
+                    hits.distance[k] / self.view.focal,
+                ),
+                self.appearance.gloss[g],
+                self.appearance.metal[g],
+                hits.normal[k],
+                -cast.rays[layers.row[k]],
+                key[k],
+                np.full(len(k), OPEN_SKY),
+                self.lights.key_direction,
+                self.caster.alpha[g],
+                behind,
+            )
+
+        return layers.over(light, paint)
 
 
 def _edges(surface: NDArray, point: NDArray, normal: NDArray, depth: NDArray) -> NDArray:
@@ -251,6 +317,3 @@ def _smooth_edges(
     # Averaged as displayed: rims of bright surfaces would otherwise stay jagged.
     total = display(shaded).astype(np.int64).sum(axis=1)
     color[rows, columns] = ((2 * total + len(du)) // (2 * len(du))).astype(np.uint8)
-
-
-__all__ = ["RenderedImage", "compile_posed", "render"]

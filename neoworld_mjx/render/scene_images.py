@@ -33,10 +33,10 @@ def render_scene(
     if camera is None:
         columns = width or (480 if height is None else height * 3 // 2)
         rows = height or columns * 2 // 3
-        items = [item for item in scene.objects if not item.environment] or list(scene.objects)
+        items = [obj for obj in scene.objects if not obj.environment] or list(scene.objects)
         poses = world_poses(scene)
         points = [
-            poses[item.name].apply(visible_vertices(item.spec, item.joint_state)) for item in items
+            poses[obj.name].apply(visible_vertices(obj.spec, obj.joint_state)) for obj in items
         ]
         # From where a scene's own camera stands: the near side is -x.
         camera = View.framing(
@@ -64,27 +64,42 @@ def render_object(
         height: in pixels.
         supersample: rays a pixel and axis at edges.
     """
-    item = SceneObject(name=spec.name, spec=spec, joint_state=dict(joint_state or {}))
+    obj = SceneObject(name=spec.name, spec=spec, joint_state=dict(joint_state or {}))
     if camera is None:
-        points = visible_vertices(spec, item.joint_state)
+        points = visible_vertices(spec, obj.joint_state)
         camera = View.framing(points, width=width, height=height)
-    scene = SceneSpec(name=spec.name, objects=(item,))
+    scene = SceneSpec(name=spec.name, objects=(obj,))
     return render(scene, camera, width=width, height=height, supersample=supersample)
 
 
 def visible_vertices(spec: ObjectSpec, joint_state: Mapping[str, float] | None = None) -> NDArray:
     """Return the visible surface's vertices [n, 3] m in the object's frame, as posed."""
+    return visible_surface(spec, joint_state)[0]
+
+
+def visible_surface(
+    spec: ObjectSpec, joint_state: Mapping[str, float] | None = None
+) -> tuple[NDArray, NDArray]:
+    """Return the visible surface: vertices [n, 3] m in the object's frame, and triangles [t, 3].
+
+    An object without one has the corners of its bounding box, and no triangles.
+    """
     moved = link_poses(spec, dict(joint_state or {}))
-    points = [
-        moved[part.name].then(geom.pose()).apply(geom.shape.surface()[0])
-        for part in spec.parts
-        for geom in part.geoms
-        if geom.role != "collision"
-    ]
+    points: list[NDArray] = []
+    triangles: list[NDArray] = []
+    count = 0
+    for part in spec.parts:
+        for geom in part.geoms:
+            if geom.role != "collision":
+                vertices, faces = geom.shape.surface()
+                points.append(moved[part.name].then(geom.pose()).apply(vertices))
+                triangles.append(faces + count)
+                count += len(vertices)
     if points:
-        return np.vstack(points)
+        return np.vstack(points), np.vstack(triangles)
     low, high = bounds(spec, dict(joint_state or {}))
-    return np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+    corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+    return corners, np.zeros((0, 3), int)
 
 
 def to_png(image: RenderedImage | NDArray) -> bytes:
@@ -98,6 +113,3 @@ def to_png(image: RenderedImage | NDArray) -> bytes:
     stream = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(array)).save(stream, "PNG", compress_level=6)
     return stream.getvalue()
-
-
-__all__ = ["render_object", "render_scene", "to_png", "visible_vertices"]

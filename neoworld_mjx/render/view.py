@@ -24,6 +24,8 @@ class View(NamedTuple):
     """Vertical field of view [rad]."""
     width: int
     height: int
+    centre: tuple[float, float] | None = None
+    """Pixel (u, v) that the view's axis passes through; None is the middle of the picture."""
 
     @classmethod
     def of(cls, camera: Camera, width: int | None = None, height: int | None = None) -> "View":
@@ -97,6 +99,24 @@ class View(NamedTuple):
         distance = max(float(need.max()), 1e-3) * margin
         return view._replace(eye=centre + away * distance)
 
+    @classmethod
+    def through(
+        cls, camera: Camera, window: tuple[float, float, float, float], longer_side: int
+    ) -> "View":
+        """See a part of a camera's picture, enlarged.
+
+        Args:
+            camera: the camera.
+            window: the part, in the camera's pixels (x0, y0, x1, y1); it may reach beyond.
+            longer_side: of the new picture, in pixels.
+        """
+        x0, y0, x1, y1 = window
+        scale = longer_side / max(x1 - x0, y1 - y0)
+        width, height = max(1, round((x1 - x0) * scale)), max(1, round((y1 - y0) * scale))
+        fovy = 2 * math.atan(height / 2 / (camera.focal * scale))
+        centre = ((camera.width / 2 - x0) * scale, (camera.height_px / 2 - y0) * scale)
+        return cls(camera.position(), camera.axes(), fovy, width, height, centre)
+
     @property
     def focal(self) -> float:
         """Focal length in pixels."""
@@ -104,9 +124,7 @@ class View(NamedTuple):
 
     def rays(self, pixels: ArrayLike) -> NDArray:
         """Return unit directions [..., 3] in the world through pixels [..., 2] (u, v)."""
-        local = (np.asarray(pixels, float) - [self.width / 2, self.height / 2]) / self.focal
+        centre = self.centre or (self.width / 2, self.height / 2)
+        local = (np.asarray(pixels, float) - centre) / self.focal
         d = np.concatenate([local, np.ones((*local.shape[:-1], 1))], axis=-1) @ self.axes.T
         return d / np.linalg.norm(d, axis=-1, keepdims=True)
-
-
-__all__ = ["FOVY", "View"]

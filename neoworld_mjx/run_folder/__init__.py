@@ -2,5 +2,6 @@
 
 from .open_folder import STEPS, RunFolder
 from .run_json import FORMAT, read_run, versions
+from .staging import refuse_links
 
-__all__ = ["FORMAT", "STEPS", "RunFolder", "read_run", "versions"]
+__all__ = ["FORMAT", "STEPS", "RunFolder", "read_run", "refuse_links", "versions"]

@@ -12,9 +12,9 @@ import json
 import logging
 import shutil
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..config import Config
 from ..errors import NeoWorldError, RunError, choices
@@ -24,6 +24,7 @@ from .run_json import read_run, running, strict_json
 from .staging import (
     STAGING,
     check_claimable,
+    clear_unfinished,
     delete_files,
     disk_errors,
     lock_folder,
@@ -34,13 +35,26 @@ from .staging import (
 _log = logging.getLogger(__name__)
 
 
+class Moment(NamedTuple):
+    """A moment of a run."""
+
+    clock: float
+    """`time.perf_counter()` [s]."""
+    waited: float
+    """Seconds until then in which models were asked and had not answered."""
+
+
 class RunFolder:
     """An open, locked run folder. Use it in a `with` statement.
 
     Attributes:
         path: the folder.
         data: what run.json holds; `save` writes it.
+        waited: returns the seconds so far in which models were asked and had not answered; who
+            asks models sets it.
     """
+
+    waited: Callable[[], float]
 
     def __init__(
         self,
@@ -50,6 +64,7 @@ class RunFolder:
         resume: bool = False,
         start: str | None = None,
         overwrite: bool = False,
+        edited: str | None = None,
     ):
         """Create the folder, or go on in one.
 
@@ -60,6 +75,8 @@ class RunFolder:
             start: delete what this step of an earlier run and all after it wrote, to do them
                 again; the steps before it are kept as their files are, so edits by hand count.
             overwrite: delete what an earlier run wrote (and only that) and begin anew.
+            edited: with `resume`: this step and those before it are not done again, whatever was
+                edited in their files; those after it are done where what they read has changed.
 
         Raises:
             RunError: the path is a file, cannot be written, holds something else or a run that may
@@ -68,8 +85,11 @@ class RunFolder:
         if start is not None and start not in STEPS:
             raise RunError(f"no such step: {choices(start, STEPS)}")
         self.path = Path(path)
+        self.waited = lambda: 0.0
         self._visited: set[str] = set()
         self._kept = STEPS[: STEPS.index(start)] if start else ()
+        if edited is not None:
+            self._kept = STEPS[: STEPS.index(edited) + 1]
         if self.path.exists() and not self.path.is_dir():
             raise RunError(f"{path} is a file; name a folder that does not exist yet, or a run")
         with disk_errors(self.path, anywhere=True):
@@ -112,7 +132,7 @@ class RunFolder:
 
     @contextlib.contextmanager
     def step(
-        self, name: str, inputs: Mapping[str, object], *, begun: float | None = None
+        self, name: str, inputs: Mapping[str, object], *, begun: Moment | None = None
     ) -> Iterator[Path | None]:
         """Do a step of the run, unless it is finished: `with run.step(...) as out: if out: ...`.
 
@@ -120,7 +140,7 @@ class RunFolder:
             name: one of `STEPS`, or such a name and a part, as in "program/cup".
             inputs: everything that decides what the step writes: paths stand for the contents of
                 that file or folder, pydantic models and JSON values for themselves.
-            begun: `time.perf_counter()` when its work began, if before this call.
+            begun: when its work began, by `now`, if before this call.
 
         Yields:
             An empty folder that stands for the run folder, to write the step's files into; None if
@@ -136,7 +156,7 @@ class RunFolder:
         if self._keeps(name, hashes):
             yield None
             return
-        begun = time.perf_counter() if begun is None else begun
+        begun = begun or self.now()
         old_outputs = self._forget(name)
         staged = self.path / STAGING / name.replace("/", ".")
         with disk_errors(self.path):
@@ -146,9 +166,13 @@ class RunFolder:
             yield staged
             outputs = move_in(staged, self.path)
             delete_files(self.path, set(old_outputs) - set(outputs))
-        seconds = time.perf_counter() - begun
+        # A clock that was set back must not make a run.json that cannot be read again.
+        seconds, waiting = (
+            max(end - start, 0.0) for end, start in zip(self.now(), begun, strict=True)
+        )
         self.data["steps"][name] = {
             "seconds": round(seconds, 3),
+            "waiting_s": round(waiting, 3),
             "inputs": hashes,
             "outputs": outputs,
         }
@@ -157,21 +181,43 @@ class RunFolder:
 
     def fallback(self, step: str, what: str, why: str) -> None:
         """Record that a step had to do something lesser than requested."""
-        entry = {"step": step, "what": what, "why": why}
-        if entry not in self.data["fallbacks"]:
-            self.data["fallbacks"].append(entry)
+        if self._listed("fallbacks", step, what, why):
             _log.warning("%s: fell back to %s: %s", step, what, why)
+
+    def note(self, step: str, what: str, why: str) -> None:
+        """Record what a person should know of a step that did as requested, such as a far move."""
+        if self._listed("notes", step, what, why):
+            _log.info("%s: %s: %s", step, what, why)
+
+    def _listed(self, kind: str, step: str, what: str, why: str) -> bool:
+        """Add an entry to a list of run.json; return whether it is new."""
+        entry = {"step": step, "what": what, "why": why}
+        new = entry not in self.data[kind]
+        if new:
+            self.data[kind].append(entry)
+        return new
 
     def record(self, section: str, **values: Any) -> None:
         """Put numbers, texts, lists and mappings into a section of run.json, such as "metrics"."""
         self.data.setdefault(section, {}).update(strict_json(values))
 
+    def now(self) -> Moment:
+        """Return this moment."""
+        return Moment(time.perf_counter(), self.waited())
+
     def seconds(self) -> dict[str, float]:
         """Return the seconds each step took when it was last done; parts are added up."""
+        return self._by_step("seconds")
+
+    def waiting(self) -> dict[str, float]:
+        """Return how many of a step's seconds passed while a model was asked; parts are added."""
+        return self._by_step("waiting_s")
+
+    def _by_step(self, key: str) -> dict[str, float]:
         total: dict[str, float] = {}
         for name, entry in self.data["steps"].items():
             step = _step_of(name)
-            total[step] = round(total.get(step, 0.0) + entry["seconds"], 3)
+            total[step] = round(total.get(step, 0.0) + entry.get(key, 0.0), 3)
         return total
 
     def finish(self, until: str | None = None) -> None:
@@ -211,7 +257,7 @@ class RunFolder:
         if not resume:
             (self.path / "report.html").unlink(missing_ok=True)
             self.data = {"steps": {}, "fallbacks": []}
-        shutil.rmtree(self.path / STAGING, ignore_errors=True)
+        clear_unfinished(self.path)
         self.data = running(config, self.data)
         self.save()
 
@@ -220,18 +266,27 @@ class RunFolder:
         entry = self.data["steps"].get(name)
         if entry is None or not all((self.path / p).is_file() for p in entry["outputs"]):
             return False
-        edited = self._edited(entry)
         if _step_of(name) in self._kept:
             if entry["inputs"] != hashes:
                 _log.warning("%s: kept although what it reads has changed", name)
-            if edited:  # So that a later --resume takes them too.
-                entry["outputs"].update({path: content_hash(self.path / path) for path in edited})
-                entry["edited"] = sorted({*entry.get("edited", []), *edited})
+            self.accept_edits(name)
             entry["inputs"] = hashes
-        elif entry["inputs"] != hashes or edited:
+        elif entry["inputs"] != hashes or self._edited(entry):
             return False
         _log.info("%s: kept as it is", name)
         return True
+
+    def accept_edits(self, name: str) -> None:
+        """Record a step's edited files as its own, so that a later --resume takes them too."""
+        entry = self.data["steps"][name]
+        edited = self._edited(entry)
+        if edited:
+            entry["outputs"].update({path: content_hash(self.path / path) for path in edited})
+            entry["edited"] = sorted({*entry.get("edited", []), *edited})
+
+    def edited_by_hand(self, name: str) -> tuple[str, ...]:
+        """Return the files of a finished step that were edited after it wrote them."""
+        return tuple(self.data["steps"].get(name, {}).get("edited", ()))
 
     def _edited(self, entry: dict[str, Any]) -> list[str]:
         """Return a step's files whose contents are not those that it wrote."""
@@ -243,7 +298,8 @@ class RunFolder:
 
     def _forget(self, name: str) -> list[str]:
         """Drop a step's record and return its files; set those aside that were edited by hand."""
-        self.data["fallbacks"] = [f for f in self.data["fallbacks"] if f["step"] != name]
+        for kind in ("fallbacks", "notes"):
+            self.data[kind] = [entry for entry in self.data.get(kind, []) if entry["step"] != name]
         entry = self.data["steps"].pop(name, None)
         if entry is None:
             return []
@@ -262,6 +318,8 @@ class RunFolder:
                 f"step {name} needs {error.filename}, which is missing; "
                 "do the step that makes it again with --from STEP"
             ) from None
+        except OSError as error:
+            raise RunError(f"step {name} cannot read {error.filename}: {error.strerror}") from None
 
 
 def _step_of(name: str) -> str:

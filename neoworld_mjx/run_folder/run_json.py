@@ -7,10 +7,14 @@ import platform
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from ..config import Config
+from pydantic import AfterValidator, BaseModel, Field, ValidationError
+
+from ..config import Config, describe
 from ..errors import RunError
+from ..files import stays_inside
+from ..reading import read_json
 
 FORMAT = "neoworld-run/1"
 
@@ -21,6 +25,59 @@ _PACKAGES = (
 )
 
 
+def _inside(name: str) -> str:
+    if not stays_inside(name):
+        raise ValueError("this path leads out of the folder")
+    return name
+
+
+_Inside = Annotated[str, AfterValidator(_inside)]
+_Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class _Step(BaseModel):
+    seconds: _Seconds = 0.0
+    waiting_s: _Seconds = 0.0
+    inputs: dict[str, str]
+    outputs: dict[_Inside, str]
+    edited: list[_Inside] = []
+
+
+class _Fallback(BaseModel):
+    step: str
+    what: str
+    why: str
+
+
+class _Photo(BaseModel):
+    name: str = ""
+    sha256: str = ""
+
+
+class _Record(BaseModel):
+    """The form of run.json, as far as it is relied on; a stranger may have written it."""
+
+    status: str
+    error: str = ""
+    started: str = ""
+    fingerprint: str = ""
+    steps: dict[str, _Step]
+    fallbacks: list[_Fallback]
+    notes: list[_Fallback] = []
+    config: dict[str, Any] = {}
+    seeds: dict[str, Any] = {}
+    versions: dict[str, str] = {}
+    device: dict[str, Any] = {}
+    metrics: dict[str, Any] = {}
+    mllm: dict[str, Any] = {}
+    photo: _Photo = _Photo()
+
+
+_EMPTY: dict[str, Any] = {
+    key: {} for key in ("config", "seeds", "versions", "device", "metrics", "mllm", "photo")
+}
+
+
 def read_run(path: Path) -> dict[str, Any]:
     """Read a folder's run.json.
 
@@ -28,17 +85,20 @@ def read_run(path: Path) -> dict[str, Any]:
         RunError: the folder is missing or not a run folder of this version.
     """
     file = Path(path) / "run.json"
-    try:
-        data = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise RunError(
-            f"{path} is not a run folder: cannot read run.json: {error.strerror}"
-        ) from None
-    except ValueError:
-        data = None
+    if not file.exists():
+        raise RunError(f"{path} is not a run folder: it has no run.json; name another folder")
+    data = read_json(file, RunError)
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise RunError(f"{file} is not a run of this version ({FORMAT}); name another folder")
-    return data
+    try:
+        _Record.model_validate(data)
+    except ValidationError as error:
+        why = describe(error, _Record)
+        why = why if len(why) <= 500 else why[:500] + " ..."
+        raise RunError(
+            f"{file} is damaged: {why}; mend it, or name another folder and begin anew"
+        ) from None
+    return _EMPTY | {"notes": []} | data
 
 
 def running(config: Config, earlier: dict[str, Any]) -> dict[str, Any]:
@@ -53,7 +113,8 @@ def running(config: Config, earlier: dict[str, Any]) -> dict[str, Any]:
         "versions": versions(),
         "device": {"machine": platform.machine(), "cores": os.cpu_count()},
         "metrics": {},
-        **{key: earlier.get(key, {}) for key in ("mllm", "fallbacks", "steps")},
+        **{key: earlier.get(key, {}) for key in ("mllm", "supports", "fallbacks", "steps")},
+        "notes": earlier.get("notes", []),
     }
 
 

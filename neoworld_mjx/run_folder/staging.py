@@ -5,33 +5,74 @@ import errno
 import fcntl
 import os
 import shutil
+import stat
 from collections.abc import Iterable, Iterator
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TextIO
 
 from ..errors import ExportError, RunError
-from ..files import content_hash, disk_full, sync_folder
+from ..files import (
+    PART,
+    content_hash,
+    disk_full,
+    irregular_entry,
+    open_parent,
+    stays_inside,
+    sync_folder,
+)
 
 LOCK, STAGING = ".lock", ".staging"
-_OWN = {LOCK, STAGING, ".run.json.part"}
 
 
 def check_claimable(folder: Path) -> None:
     """Refuse a folder that holds anything but a run, before a byte is written to it.
 
     Raises:
-        RunError: the folder holds other files, or cannot be read.
+        RunError: the folder holds other files, or links or devices, or cannot be read.
     """
-    if not folder.is_dir() or (folder / "run.json").exists():
+    if not folder.is_dir():
+        return
+    refuse_links(folder)
+    if (folder / "run.json").exists():
         return
     try:
-        foreign = sorted({entry.name for entry in folder.iterdir()} - _OWN)
+        names = {entry.name for entry in folder.iterdir()}
     except OSError as error:
         raise RunError(f"cannot read {folder}: {error.strerror}") from None
+    own = {LOCK, STAGING, *(name for name in names if _is_part_of_run_json(name))}
+    foreign = sorted(names - own)
     if foreign:
         raise RunError(
             f"{folder} is not empty and not a run folder (it holds {foreign[0]}); "
             "name a new or empty folder"
+        )
+
+
+def _is_part_of_run_json(name: str) -> bool:
+    part = PART.match(name)
+    return part is not None and part["name"] == "run.json"
+
+
+def refuse_links(folder: Path) -> None:
+    """Refuse a folder that holds links, pipes or devices, by which files outside of it are reached.
+
+    The folder itself may be a link.
+
+    Raises:
+        RunError: it holds one; the message names it.
+    """
+    try:
+        irregular = irregular_entry(folder)
+    except OSError as error:
+        where = error.filename or folder
+        raise RunError(
+            f"cannot read {where}: {error.strerror}; name a folder that you may write to"
+        ) from None
+    if irregular is not None:
+        name, kind = irregular
+        raise RunError(
+            f"{folder} holds {name!r}, which is {kind}; a run folder has only files and folders of "
+            "its own: remove it, or copy the folder without it"
         )
 
 
@@ -40,13 +81,18 @@ def lock_folder(folder: Path) -> TextIO:
 
     Raises:
         RunError: another process holds the lock.
+        OSError: the lock cannot be written, or is no file of the folder's own.
     """
-    handle = (folder / LOCK).open("a+")
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    handle = os.fdopen(os.open(folder / LOCK, flags, 0o666), "r+")
+    status = os.fstat(handle.fileno())
+    if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
+        handle.close()
+        raise OSError(errno.EINVAL, "it is no file of its own; remove it", str(folder / LOCK))
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
-        handle.seek(0)
-        owner = handle.read().strip() or "unknown"
+        owner = handle.read(20).strip() or "unknown"
         handle.close()
         raise RunError(
             f"{folder} is in use by another run (process {owner}); wait for it or name another "
@@ -56,6 +102,14 @@ def lock_folder(folder: Path) -> TextIO:
     handle.write(str(os.getpid()))
     handle.flush()
     return handle
+
+
+def clear_unfinished(folder: Path) -> None:
+    """Delete what a killed process left of files and steps that it had not finished."""
+    shutil.rmtree(folder / STAGING, ignore_errors=True)
+    for entry in folder.iterdir():
+        if PART.match(entry.name):
+            entry.unlink(missing_ok=True)
 
 
 def move_in(staged: Path, folder: Path) -> dict[str, str]:
@@ -70,8 +124,8 @@ def move_in(staged: Path, folder: Path) -> dict[str, str]:
             os.fsync(handle.fileno())
         hashes[path.relative_to(staged).as_posix()] = content_hash(path)
     for name in hashes:
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        os.replace(staged / name, folder / name)
+        with open_parent(folder, name, create=True) as (parent, last):
+            os.replace(staged / name, last, dst_dir_fd=parent)
     for parent in sorted({(folder / name).parent for name in hashes}):
         sync_folder(parent)
     shutil.rmtree(staged, ignore_errors=True)
@@ -80,22 +134,38 @@ def move_in(staged: Path, folder: Path) -> dict[str, str]:
 
 def set_aside(folder: Path, name: str) -> Path:
     """Move an edited file under `replaced/`, beside earlier ones; return its new path."""
-    aside = folder / "replaced" / name
-    while aside.exists():
-        aside = aside.with_name(f"{aside.name}.old")
-    aside.parent.mkdir(parents=True, exist_ok=True)
-    os.replace(folder / name, aside)
-    return aside
+    aside = f"replaced/{name}"
+    while (folder / aside).exists():
+        aside += ".old"
+    with (
+        open_parent(folder, name) as (at, last),
+        open_parent(folder, aside, create=True) as (
+            beside,
+            new,
+        ),
+    ):
+        os.replace(last, new, src_dir_fd=at, dst_dir_fd=beside)
+    return folder / aside
 
 
 def delete_files(folder: Path, names: Iterable[str]) -> None:
     """Delete files of a run folder, and the folders that this leaves empty."""
-    for path in map(folder.joinpath, names):
-        path.unlink(missing_ok=True)
-        for parent in path.parents:
-            if parent == folder or not parent.is_dir() or any(parent.iterdir()):
-                break
-            parent.rmdir()
+    for name in names:
+        while name and stays_inside(name):
+            try:
+                with open_parent(folder, name) as (parent, last):
+                    if (folder / name).is_dir():
+                        os.rmdir(last, dir_fd=parent)
+                    else:
+                        os.unlink(last, dir_fd=parent)
+            except FileNotFoundError:
+                pass
+            except OSError as error:
+                if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+                    break
+                raise
+            above = PurePosixPath(name).parent.as_posix()
+            name = "" if above == "." else above
 
 
 @contextlib.contextmanager

@@ -4,9 +4,17 @@ from .base import JointKey, Name, Number, Quat, Spec, Vec3
 from .camera import Camera
 from .extent import bounds, part_bounds, pieces, recentred, translated
 from .joint import Intent, JointSpec, JointType, Mimic
-from .kinematics import ball_vector, joint_motion, joint_position, joint_value, link_poses
-from .mass import Inertial, inertial
+from .kinematics import (
+    ball_vector,
+    joint_keys,
+    joint_motion,
+    joint_position,
+    joint_value,
+    link_poses,
+)
+from .mass import Inertial, inertial, is_too_light
 from .object import AuthoredInertia, GeomSpec, Material, ObjectSpec, PartSpec, Role, Site
+from .room import SupportOutline, SupportSurface
 from .scale import scale, scaled_state
 from .scene import SceneObject, SceneSpec, read_scene, rearranged, support_frame, world_poses
 from .shapes import (
@@ -26,7 +34,8 @@ from .shapes import (
     Sphere,
     Sweep,
 )
-from .tree import Box2D, Box3D, PartState, SceneTree, TreeNode
+from .surface_pattern import SurfacePattern
+from .tree import Box2D, Box3D, Cues, PartState, SceneTree, TreeNode
 
 __all__ = [
     "CSG",
@@ -36,6 +45,7 @@ __all__ = [
     "Box3D",
     "Camera",
     "Capsule",
+    "Cues",
     "Cylinder",
     "Ellipsoid",
     "Extrusion",
@@ -67,12 +77,17 @@ __all__ = [
     "Site",
     "Spec",
     "Sphere",
+    "SupportOutline",
+    "SupportSurface",
+    "SurfacePattern",
     "Sweep",
     "TreeNode",
     "Vec3",
     "ball_vector",
     "bounds",
     "inertial",
+    "is_too_light",
+    "joint_keys",
     "joint_motion",
     "joint_position",
     "joint_value",

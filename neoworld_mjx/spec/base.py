@@ -38,7 +38,7 @@ class ScalableSpec(Spec):
     """
 
     scalings: ClassVar[dict[str, Scaling | None]] = {}
-    """How each field scales; None for fields without numbers, whose parts scale by themselves."""
+    """Scaling of each field; None for fields without numbers, whose parts have their own."""
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
@@ -87,19 +87,3 @@ def unit_vector(value: tuple[float, ...], name: str) -> tuple:
     if abs(length - 1.0) < 1e-12:
         return value
     return tuple(v / length for v in value)
-
-
-__all__ = [
-    "Direction3",
-    "JointKey",
-    "Length",
-    "Name",
-    "Number",
-    "Point3",
-    "Quat",
-    "Rotation",
-    "ScalableSpec",
-    "Spec",
-    "Vec3",
-    "unit_vector",
-]

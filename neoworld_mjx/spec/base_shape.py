@@ -1,4 +1,4 @@
-"""What all shapes have in common: convex pieces, a surface, a volume, a signed distance."""
+"""Base of all shapes: convex pieces, a surface, a volume, a signed distance."""
 
 from functools import lru_cache
 from typing import Annotated, Literal
@@ -27,9 +27,13 @@ class BaseShape(ScalableSpec):
     unless the shape knows them exactly; both are those of the true solid, not of its colliders.
     """
 
+    def build_pieces(self) -> list[Piece]:
+        """Compute what `pieces` returns."""
+        raise NotImplementedError
+
     def pieces(self) -> list[Piece]:
         """Return the convex pieces, which do not overlap, in the shape's frame."""
-        raise NotImplementedError
+        return list(_shared_pieces(self))  # pyright: ignore[reportArgumentType] as in `surface`
 
     def primitive(self) -> Piece | None:
         """Return the one piece that is the shape exactly and no mesh; None where there is none."""
@@ -67,9 +71,14 @@ class Primitive(BaseShape):
         """Return the shape as a piece."""
         raise NotImplementedError
 
-    def pieces(self) -> list[Piece]:
+    def build_pieces(self) -> list[Piece]:
         """Return the shape itself."""
         return [self.primitive()]
+
+
+@lru_cache(maxsize=1024)
+def _shared_pieces(shape: BaseShape) -> tuple[Piece, ...]:
+    return tuple(shape.build_pieces())
 
 
 @lru_cache(maxsize=1024)
@@ -83,15 +92,3 @@ def _shared_surface(shape: BaseShape) -> tuple[NDArray, NDArray]:
 def rows(points: ArrayLike) -> NDArray:
     """Return points as an array [n, 3]."""
     return np.atleast_2d(np.asarray(points, float))
-
-
-__all__ = [
-    "MAX_SECTORS",
-    "MIN_SECTORS",
-    "BaseShape",
-    "Face",
-    "Point2",
-    "Primitive",
-    "Sectors",
-    "rows",
-]

@@ -23,7 +23,7 @@ class Camera(Spec):
     fovy: Annotated[float, Field(gt=0.01, lt=math.pi - 0.01)]
     """Vertical field of view [rad]."""
     height: Number
-    """Of the camera above z = 0 [m]."""
+    """Height of the camera above z = 0 [m]."""
     pitch: Annotated[float, Field(ge=-math.pi / 2, le=math.pi / 2)]
     """Angle [rad] that the view is turned down from the horizontal."""
     roll: Number = 0.0

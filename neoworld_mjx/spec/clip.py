@@ -125,6 +125,3 @@ def _around(corners: NDArray, members: NDArray, normal: NDArray) -> tuple[int, .
     v = np.cross(normal, u)
     order = np.argsort(np.arctan2(p @ v, p @ u), kind="stable")
     return tuple(members[order].tolist())
-
-
-__all__ = ["Poly", "poly", "split"]

@@ -80,7 +80,7 @@ class CSG(BaseShape):
             )
         return self
 
-    def pieces(self) -> list[Piece]:
+    def build_pieces(self) -> list[Piece]:
         """Return the pieces of the decomposition."""
         pieces = _cut(self.operation, self.operands, self.sectors)
         if self.factor == 1.0:
@@ -309,6 +309,3 @@ def _depth(shape: BaseModel) -> int:
     if not isinstance(shape, CSG):
         return 0
     return 1 + max(_depth(operand.shape) for operand in shape.operands)
-
-
-__all__ = ["CSG", "Operand", "Operation", "faceted"]

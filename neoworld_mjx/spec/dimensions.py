@@ -101,24 +101,3 @@ def _scalings(annotation: Any, metadata: Iterable[object] = ()) -> set[Scaling |
     if origin is not None:
         return set().union(*map(_scalings, get_args(annotation)))
     return {None} if annotation in (int, float) else set()
-
-
-__all__ = [
-    "ARMATURE",
-    "AUTHORED_MASS",
-    "DAMPING",
-    "DERIVED_MASS",
-    "EFFORT",
-    "INERTIA",
-    "LENGTH",
-    "NO_JOINT",
-    "POSITION",
-    "RATIO",
-    "SPEED",
-    "STIFFNESS",
-    "UNSCALED",
-    "Dimension",
-    "Motion",
-    "Scaling",
-    "declared_scaling",
-]

@@ -1,5 +1,7 @@
 """Convex pieces of parts, and bounds of objects as posed."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,12 +19,17 @@ def pieces(part: PartSpec, role: Role = "collision") -> list[tuple[GeomSpec, Pie
         part: the part.
         role: "collision" or "visual"; geoms of role "both" belong to either.
     """
+    return list(_placed_pieces(part, role))  # pyright: ignore[reportArgumentType] it has a hash
+
+
+@lru_cache(maxsize=512)
+def _placed_pieces(part: PartSpec, role: Role) -> tuple[tuple[GeomSpec, Piece, Pose], ...]:
     placed = []
     for geom in part.geoms:
         if geom.role in (role, "both"):
             for piece in geom.shape.pieces():
                 placed.append((geom, piece, geom.pose().then(pose(piece.pos, piece.quat))))
-    return placed
+    return tuple(placed)
 
 
 def bounds(
@@ -85,6 +92,3 @@ def part_bounds(spec: ObjectSpec, part: PartSpec) -> tuple[NDArray, NDArray]:
     """Return the bounds (low [3], high [3]) [m] of a part's colliders at rest."""
     alone = spec.model_copy(update={"parts": (part,), "joints": (), "sites": ()})
     return bounds(alone)
-
-
-__all__ = ["bounds", "part_bounds", "pieces", "recentred", "translated"]

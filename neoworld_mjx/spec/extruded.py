@@ -34,11 +34,21 @@ class Extrusion(BaseShape):
         loops = [np.array(loop) for loop in (self.outline, *self.holes)]
         if sum(len(loop) for loop in loops) > 512:
             raise ValueError("an extrusion may have 512 points in all")
-        for loop, kind in zip(loops, ("outline", *("hole",) * len(self.holes)), strict=True):
+        kinds = ("outline", *(f"holes[{k}]" for k in range(len(self.holes))))
+        for loop, kind in zip(loops, kinds, strict=True):
             if len(loop) < 3 or abs(polygon_area(loop)) < 1e-12:
                 raise ValueError(f"extrusion {kind} encloses no area")
-        if _crosses(loops):
-            raise ValueError("extrusion outline and holes must not cross or touch themselves")
+        if (edges := crossing_edges(loops)) is not None:
+            places = [
+                f"{kind}[{i}]"
+                for kind, loop in zip(kinds, loops, strict=True)
+                for i in range(len(loop))
+            ]
+            first, second = (places[edge] for edge in edges)
+            raise ValueError(
+                "extrusion outline and holes must not cross or touch themselves, as the edges from "
+                f"{first} and {second} do"
+            )
         tiles = sum(abs(polygon_area(np.array(tile))) for tile in self.tiles())
         inside = abs(polygon_area(loops[0])) - sum(abs(polygon_area(loop)) for loop in loops[1:])
         if inside <= 0 or abs(tiles - inside) > 1e-6 * abs(polygon_area(loops[0])):
@@ -49,7 +59,7 @@ class Extrusion(BaseShape):
         """Return convex polygons, counter-clockwise, that tile the outline without its holes."""
         return _tiles(self.outline, self.holes)
 
-    def pieces(self) -> list[Piece]:
+    def build_pieces(self) -> list[Piece]:
         """Return one prism for each convex tile."""
         h = self.height / 2
         prisms = []
@@ -101,7 +111,7 @@ class RoundedBox(BaseShape):
             raise ValueError(f"radius {self.radius} is too large for a box of size {self.size}")
         return self
 
-    def pieces(self) -> list[Piece]:
+    def build_pieces(self) -> list[Piece]:
         """Return one convex piece; its corners lie on the rounded surface."""
         return [polytope(self._points(2))]
 
@@ -191,8 +201,11 @@ def _wound(outline: Loop, holes: tuple[Loop, ...]) -> list[NDArray]:
     return wound
 
 
-def _crosses(loops: list[NDArray]) -> bool:
-    """Tell whether any two edges meet other than neighbours at their common corner."""
+def crossing_edges(loops: list[NDArray]) -> tuple[int, int] | None:
+    """Return two edges that meet other than as neighbours at their common corner, if any do.
+
+    An edge has the index of the point that it begins at, counted through all loops.
+    """
     a = np.vstack(loops)
     b = np.vstack([np.roll(loop, -1, axis=0) for loop in loops])
     n = len(a)
@@ -214,7 +227,5 @@ def _crosses(loops: list[NDArray]) -> bool:
     near = np.zeros((n, n), bool)
     near[np.arange(n), following] = near[following, np.arange(n)] = True
     near |= np.eye(n, dtype=bool)
-    return bool(np.any(~apart & ~near))
-
-
-__all__ = ["Extrusion", "RoundedBox"]
+    meeting = np.argwhere(~apart & ~near)
+    return (int(meeting[0][0]), int(meeting[0][1])) if len(meeting) else None

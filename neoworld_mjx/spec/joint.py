@@ -124,13 +124,3 @@ def require_known(subject: str, name: str, valid: Collection[str]) -> None:
     """
     if name not in valid:
         raise ValueError(f"{subject}: {choices(name, sorted(valid))}")
-
-
-__all__ = [
-    "Intent",
-    "JointSpec",
-    "JointType",
-    "Mimic",
-    "check_prerequisites",
-    "require_known",
-]

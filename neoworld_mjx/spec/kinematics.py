@@ -48,6 +48,13 @@ def ball_vector(joint: JointSpec, joint_state: Mapping[str, float]) -> Vec3:
     return x, y, z
 
 
+def joint_keys(joint: JointSpec) -> tuple[str, ...]:
+    """Return the keys of a joint in a joint state: its name, or three of a ball's."""
+    if joint.type == "ball":
+        return tuple(f"{joint.name}.{axis}" for axis in "xyz")
+    return (joint.name,)
+
+
 def joint_position(
     spec: ObjectSpec, joint: JointSpec, joint_state: Mapping[str, float]
 ) -> float | Vec3:
@@ -104,16 +111,3 @@ def with_joint(spec: ObjectSpec, joint: JointSpec) -> ObjectSpec:
     """Return the object with a joint in place of its namesake."""
     joints = tuple(joint if j.name == joint.name else j for j in spec.joints)
     return spec.model_copy(update={"joints": joints})
-
-
-__all__ = [
-    "ball_vector",
-    "carried",
-    "followers",
-    "joint_motion",
-    "joint_position",
-    "joint_value",
-    "link_poses",
-    "welded",
-    "with_joint",
-]

@@ -11,9 +11,12 @@ from .base import Length
 from .base_shape import BaseShape, Point2, Sectors, rows
 from .convex import Piece, polytope
 from .dimensions import UNSCALED
-from .outlines import edges_distance, inside_edges, loops_distance
+from .outlines import edges_distance, filled, inside_edges, loops_distance
 from .pose import ArrayLike
 from .triangles import SECTORS, revolved
+
+FACETS = 64
+"""Most facets of a piece of joined bands: what pieces of other shapes have, too."""
 
 
 class Lathe(BaseShape):
@@ -23,7 +26,9 @@ class Lathe(BaseShape):
     wall grows to its left, which is inwards and upwards (a cup, a bowl, a saucer). Without it the
     profile bounds a solid and z must not decrease. Pieces are convex: frusta for a solid and for
     what lies below the flat inner floor of a shell, wedges of each band above. Their corners lie on
-    the true surface of revolution, so they stay within r (1 - cos(pi / sectors)) of it.
+    the true surface of revolution, so along a circle of radius r they stay within
+    e = r (1 - cos(pi / sectors)) of it. A few neighbouring bands are one piece where that adds
+    nothing farther than e / 2 from the section, nor farther than a quarter of the wall.
     """
 
     type: Literal["lathe"] = "lathe"
@@ -36,14 +41,20 @@ class Lathe(BaseShape):
     @model_validator(mode="after")
     def _sane(self) -> "Lathe":
         p = np.array(self.profile)
-        if np.any(p[:, 0] < 0):
-            raise ValueError("lathe radii must not be negative")
-        if np.any(np.all(np.diff(p, axis=0) == 0, axis=1)):
-            raise ValueError("lathe profile repeats a point")
-        if self.thickness is None and np.any(np.diff(p[:, 1]) < 0):
-            raise ValueError("the z of a solid lathe's profile must not decrease")
-        if self.thickness is not None and np.any(p[1:, 0] == 0):
-            raise ValueError("a lathe shell may touch the axis only at its first point")
+        if (i := _first(p[:, 0] < 0)) is not None:
+            raise ValueError(f"lathe radii must not be negative: profile[{i}] is {_shown(p[i])}")
+        if (i := _first(np.all(np.diff(p, axis=0) == 0, axis=1))) is not None:
+            raise ValueError(f"lathe profile[{i + 1}] repeats the point before it, {_shown(p[i])}")
+        if self.thickness is None and (i := _first(np.diff(p[:, 1]) < 0)) is not None:
+            raise ValueError(
+                "the z of a solid lathe's profile must not decrease, as it does from "
+                f"profile[{i}] {_shown(p[i])} to profile[{i + 1}] {_shown(p[i + 1])}"
+            )
+        if self.thickness is not None and (i := _first(p[1:, 0] == 0)) is not None:
+            raise ValueError(
+                "a lathe shell may touch the axis only at its first point, not at "
+                f"profile[{i + 1}] {_shown(p[i + 1])}"
+            )
         if not self.pieces():
             raise ValueError("lathe has no volume")
         return self
@@ -61,7 +72,7 @@ class Lathe(BaseShape):
             q[0, 0] = 0.0
         return q
 
-    def pieces(self) -> list[Piece]:
+    def build_pieces(self) -> list[Piece]:
         """Return frusta (solid) or a disc and wedges (shell)."""
         turn = 2 * np.pi / self.sectors
         pieces = []
@@ -83,11 +94,7 @@ class Lathe(BaseShape):
         p = np.array(self.profile)
         angles = 2 * np.pi * np.arange(self.sectors) / self.sectors
         if self.thickness is None:
-            return [
-                (polytope(np.vstack([self._ring(a, angles), self._ring(b, angles)])), 1)
-                for a, b in zip(p[:-1], p[1:], strict=True)
-                if b[1] > a[1] and max(a[0], b[0]) > 0
-            ]
+            return self._frusta(p)
         q = self.inner()
         floor = self.floor()
         if floor is not None:
@@ -100,22 +107,47 @@ class Lathe(BaseShape):
         if floor is not None:
             # Below the inner floor all is solid: one stack of frusta, so that what stands on the
             # ground stands on one piece and not on every wedge.
-            base = [*(c for c in p[1:] if c[1] < floor[1]), floor]
-            pieces = [
-                (polytope(np.vstack([self._ring(c, angles) for c in pair])), 1)
-                for pair in zip(base[:-1], base[1:], strict=True)
-            ]
+            pieces = self._frusta(np.array([*(c for c in p[1:] if c[1] < floor[1]), floor]))
             quads = [_above(quad, floor[1]) for quad in quads[1:]]
-        for quad in quads:
-            if len(quad) < 3:
-                continue
-            if quad[0][0] == 0 and len(quad) == 4 and quad[0][1] == quad[1][1]:
-                disc = [self._ring(c, angles) for c in quad[1:3]]
-                pieces.append((polytope(np.vstack(disc)), 1))
-            else:
-                wedge = [self._ring(c, angles[:2]) for c in quad]
-                pieces.append((polytope(np.vstack(wedge)), self.sectors))
+        elif p[0, 0] == 0 and p[0, 1] == p[1, 1]:
+            disc = [self._ring(c, angles) for c in quads[0][1:3]]
+            pieces.append((polytope(np.vstack(disc)), 1))
+            quads = quads[1:]
+        for corners in self._joined([quad for quad in quads if len(quad) >= 3], (FACETS - 4) // 2):
+            wedge = [self._ring(c, angles[:2]) for c in corners]
+            pieces.append((polytope(np.vstack(wedge)), self.sectors))
         return pieces
+
+    def _frusta(self, chain: NDArray) -> list[tuple[Piece, int]]:
+        """Return the solid below a chain of (r, z) corners whose z does not decrease."""
+        angles = 2 * np.pi * np.arange(self.sectors) / self.sectors
+        bands = [
+            np.array([a, b, [0.0, b[1]], [0.0, a[1]]])
+            for a, b in zip(chain[:-1], chain[1:], strict=True)
+            if b[1] > a[1] and max(a[0], b[0]) > 0
+        ]
+        joined = self._joined(bands, (FACETS - 2) // self.sectors)
+        stacks = [[self._ring(c, angles) for c in corners] for corners in joined]
+        return [(polytope(np.vstack(stack)), 1) for stack in stacks]
+
+    def _joined(self, bands: list[NDArray], most: int) -> list[NDArray]:
+        """Join neighbouring convex (r, z) polygons as the class says; return their corners.
+
+        Args:
+            bands: corners of each.
+            most: bands of a piece.
+        """
+        runs: list[list[NDArray]] = []
+        for band in bands:
+            if runs:
+                wider = np.vstack([*runs[-1], band])
+                allowed = wider[:, 0].max() * (1 - np.cos(np.pi / self.sectors)) / 2
+                allowed = min(allowed, (self.thickness or np.inf) / 4)
+                if len(runs[-1]) < most and filled([*runs[-1], band]) <= allowed:
+                    runs[-1].append(band)
+                    continue
+            runs.append([band])
+        return [np.vstack(run) for run in runs]
 
     def floor(self) -> NDArray | None:
         """Return the outer face's (r, z) at the height of a flat inner floor, None without one."""
@@ -212,4 +244,10 @@ def _above(polygon: NDArray, z: float) -> NDArray:
     return kept if len(kept) >= 3 and np.ptp(kept[:, 1]) > 1e-9 * max(1.0, abs(z)) else kept[:0]
 
 
-__all__ = ["Lathe"]
+def _first(flags: NDArray) -> int | None:
+    """Return the index of the first True, None if there is none."""
+    return int(np.argmax(flags)) if flags.any() else None
+
+
+def _shown(point: NDArray) -> str:
+    return f"({point[0]:g}, {point[1]:g})"

@@ -1,5 +1,8 @@
 """Mass properties of parts: authored, or summed over colliding pieces."""
 
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,11 +26,25 @@ class Inertial(Spec):
     """Principal moments [kg m^2]."""
 
 
+LEAST_KG, LEAST_KG_M2 = 1e-9, 1e-14
+"""Least mass and principal moment that a part may have; MuJoCo takes none below 1e-15, and the
+search makes objects smaller."""
+
+
+def is_too_light(own: Inertial) -> bool:
+    """Tell whether a part has less mass or a smaller moment than can be simulated."""
+    return not (own.mass >= LEAST_KG and min(own.diagonal) >= LEAST_KG_M2)
+
+
 def inertial(spec: ObjectSpec, part: PartSpec) -> Inertial:
     """Sum a part's mass properties over its colliding pieces (MuJoCo's body inertial).
 
     Authored values are taken as they are.
     """
+    return _kept(spec, part)
+
+
+def _summed(spec: ObjectSpec, part: PartSpec) -> Inertial:
     if part.inertia is not None and part.mass is not None:
         diagonal, quat = _principal(part.inertia.tensor())
         return Inertial(
@@ -39,21 +56,26 @@ def inertial(spec: ObjectSpec, part: PartSpec) -> Inertial:
         volume, centre, unit = mass_properties(piece)
         m = volume * spec.material(geom.material).density
         rotation = rotate(geom.pose().quat, np.eye(3)).T
-        bodies.append((m, geom.pose().apply(centre), rotation @ unit @ rotation.T * (m / volume)))
+        tensor = rotation @ unit @ rotation.T * (m / max(volume, 1e-300))
+        bodies.append((m, geom.pose().apply(centre), tensor))
         mass += m
         moment += m * bodies[-1][1]
-    com = moment / mass
+    # A mass of zero is reported by `is_too_light`, not by a division.
+    com = moment / max(mass, 1e-300)
     total = np.zeros((3, 3))
     for m, centre, tensor in bodies:
         d = centre - com
         total += tensor + m * (d @ d * np.eye(3) - np.outer(d, d))
     if part.mass is not None:
-        total *= part.mass / mass
+        total *= part.mass / max(mass, 1e-300)
         mass = part.mass
     diagonal, quat = _principal(total)
     return Inertial(
         mass=mass, pos=tuple(com.tolist()), quat=quat, diagonal=tuple(diagonal.tolist())
     )
+
+
+_kept: Any = lru_cache(maxsize=512)(_summed)
 
 
 def _principal(tensor: NDArray) -> tuple[NDArray, Quat]:
@@ -70,6 +92,3 @@ def _principal(tensor: NDArray) -> tuple[NDArray, Quat]:
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     quat = from_matrix(axes)
     return np.diag(axes.T @ tensor @ axes).copy(), tuple(quat.tolist())
-
-
-__all__ = ["Inertial", "inertial"]

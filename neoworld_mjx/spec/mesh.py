@@ -38,13 +38,10 @@ class Mesh(BaseShape):
         self.pieces()
         return self
 
-    def pieces(self) -> list[Piece]:
+    def build_pieces(self) -> list[Piece]:
         """Return the hulls."""
         return [polytope(np.array(points)) for points in self.hulls or (self.vertices,)]
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
         """Return the triangles as they are."""
         return np.array(self.vertices), np.array(self.faces, np.int64)
-
-
-__all__ = ["HELPER", "UNKNOWN", "Mesh"]

@@ -20,12 +20,16 @@ from .dimensions import (
     UNSCALED,
     Motion,
 )
+from .forest import name_on_cycle, parents_first
 from .joint import JointSpec, check_prerequisites, require_known
 from .pose import IDENTITY, Pose, pose
 from .shapes import Shape
+from .surface_pattern import Share, SurfacePattern
+
+OPAQUE_ALPHA = 0.99
+"""Opacity from which on a material hides what is behind it."""
 
 Role = Literal["both", "visual", "collision"]
-Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class Material(ScalableSpec):
@@ -37,6 +41,13 @@ class Material(ScalableSpec):
     friction: Annotated[float, Field(ge=0, le=10), UNSCALED] = 0.5
     """Sliding friction coefficient."""
     rgba: Annotated[tuple[Share, Share, Share, Share], UNSCALED] = (0.7, 0.7, 0.7, 1.0)
+    pattern: SurfacePattern | None = Field(default=None, exclude_if=lambda value: value is None)
+    """None is grain where the name is that of a wood, and plain elsewhere."""
+
+    @property
+    def see_through(self) -> bool:
+        """Whether what is behind it shows."""
+        return self.rgba[3] < OPAQUE_ALPHA
 
 
 class GeomSpec(ScalableSpec):
@@ -112,7 +123,7 @@ class ObjectSpec(ScalableSpec):
 
     name: Name
     label: str = ""
-    """What it is, in words."""
+    """Kind of object, in words."""
     materials: tuple[Material, ...]
     parts: tuple[PartSpec, ...] = Field(min_length=1)
     joints: tuple[JointSpec, ...] = ()
@@ -150,13 +161,9 @@ class ObjectSpec(ScalableSpec):
         roots = [part.name for part in self.parts if part.name not in parents]
         if len(roots) != 1:
             raise ValueError(f"an object needs one root part, got {', '.join(roots) or 'none'}")
-        for start in parents:
-            visited, at = {start}, start
-            while at in parents:
-                at = parents[at]
-                if at in visited:
-                    raise ValueError(f"joints form a cycle through part {at}")
-                visited.add(at)
+        looped = name_on_cycle(parents)
+        if looped is not None:
+            raise ValueError(f"joints form a cycle through part {looped}")
         return self
 
     @property
@@ -168,16 +175,10 @@ class ObjectSpec(ScalableSpec):
     @property
     def ordered(self) -> tuple[tuple[PartSpec, JointSpec | None], ...]:
         """Parts with the joint that carries each, parents before children, else in given order."""
-        by_child = {joint.child: joint for joint in self.joints}
-        done: list[tuple[PartSpec, JointSpec | None]] = []
-        placed: set[str] = set()
-        while len(done) < len(self.parts):
-            for part in self.parts:
-                joint = by_child.get(part.name)
-                if part.name not in placed and (joint is None or joint.parent in placed):
-                    done.append((part, joint))
-                    placed.add(part.name)
-        return tuple(done)
+        parts = {part.name: part for part in self.parts}
+        joints = {joint.child: joint for joint in self.joints}
+        parents = {name: joints[name].parent if name in joints else None for name in parts}
+        return tuple((parts[name], joints.get(name)) for name in parents_first(parents))
 
     def part(self, name: str) -> PartSpec:
         """Return a part by name."""
@@ -220,15 +221,3 @@ def _unique(kind: str, names: list[str]) -> set[str]:
     if twice:
         raise ValueError(f"{kind} names must be unique, repeated: {', '.join(sorted(twice))}")
     return set(names)
-
-
-__all__ = [
-    "AuthoredInertia",
-    "GeomSpec",
-    "Material",
-    "ObjectSpec",
-    "PartSpec",
-    "Role",
-    "Site",
-    "mass_exponent",
-]

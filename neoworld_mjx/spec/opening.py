@@ -34,6 +34,15 @@ def opening_value(joint: JointSpec, opening: float) -> float:
     return closed + opening * (far - closed)
 
 
+def opening_share(joint: JointSpec, value: float) -> float:
+    """Return the share of a joint's range by which a position opens it, from 0 to 1.
+
+    The inverse of `opening_value`; positions on the other side of 0 count as closed.
+    """
+    span = opening_value(joint, 1.0) - opening_value(joint, 0.0)
+    return float(np.clip((value - opening_value(joint, 0.0)) / span, 0.0, 1.0)) if span else 0.0
+
+
 def parsed_state(spec: ObjectSpec, node: TreeNode) -> tuple[dict[str, float], list[PartState]]:
     """Return the joint values that the photograph shows.
 
@@ -113,13 +122,3 @@ def opening_alignment(spec: ObjectSpec, joint: JointSpec) -> float | None:
             return None
     goal = np.array(joint.intent.opens if joint.intent and joint.intent.opens else (0, 0, 0), float)
     return float(way @ goal / max(length * float(np.linalg.norm(goal)), 1e-12))
-
-
-__all__ = [
-    "matching_joint",
-    "opening_alignment",
-    "opening_value",
-    "parsed_state",
-    "prerequisite_state",
-    "with_prerequisites",
-]

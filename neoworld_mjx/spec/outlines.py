@@ -5,6 +5,9 @@ from numpy.typing import NDArray
 
 from .triangles import CHUNK
 
+LID_POINTS = 17
+"""Points of a hull's edge at which its distance to what it spans is taken."""
+
 
 def box_distance(p: NDArray, half: NDArray) -> NDArray:
     """Return the distances [n] of points [n, 3] to a centred box of half edges [3]."""
@@ -49,17 +52,25 @@ def inside_edges(p: NDArray, a: NDArray, b: NDArray) -> NDArray:
     return np.sum(crosses & (at > x), axis=1) % 2 == 1
 
 
+def filled(polygons: list[NDArray]) -> float:
+    """Return how far the convex hull of convex polygons reaches from them, at most.
+
+    Args:
+        polygons: corners [n, 2] in order, of polygons that neighbour one another.
+    """
+    from scipy.spatial import ConvexHull
+
+    corners = np.vstack(polygons)
+    low, span = corners.min(axis=0), np.ptp(corners, axis=0).max()
+    around = corners[ConvexHull((corners - low) / span).vertices]
+    # What the hull adds lies farthest off where an edge of the hull spans a gap.
+    along = np.linspace(0.0, 1.0, LID_POINTS)[:, None, None]
+    lids = around + along * (np.roll(around, -1, axis=0) - around)
+    a, b = corners, np.vstack([np.roll(polygon, -1, axis=0) for polygon in polygons])
+    return float(edges_distance(lids.reshape(-1, 2), a, b).max())
+
+
 def polygon_area(p: NDArray) -> float:
     """Return the area of a polygon [n, 2], positive if it runs counter-clockwise."""
     q = np.roll(p, -1, axis=0)
     return float(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]) / 2)
-
-
-__all__ = [
-    "box_distance",
-    "edges_distance",
-    "extruded_distance",
-    "inside_edges",
-    "loops_distance",
-    "polygon_area",
-]

@@ -163,7 +163,7 @@ class Prism(BaseShape):
             raise ValueError("prism outline must go around once")
         return self
 
-    def pieces(self) -> list[Piece]:
+    def build_pieces(self) -> list[Piece]:
         """Return the prism itself."""
         p = np.array(self.outline)
         h = self.height / 2
@@ -201,7 +201,7 @@ class HollowBox(BaseShape):
             raise ValueError("a hollow box with all six faces open has no walls")
         return self
 
-    def pieces(self) -> list[Piece]:
+    def build_pieces(self) -> list[Piece]:
         """Return the walls, cut so that they do not overlap at the edges."""
         low, high = -np.array(self.size) / 2, np.array(self.size) / 2
         walls = []
@@ -285,6 +285,3 @@ def _ellipsoid_distance(p: NDArray, radii: NDArray) -> NDArray:
 
 def _cross2(a: NDArray, b: NDArray) -> NDArray:
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-
-
-__all__ = ["Box", "Capsule", "Cylinder", "Ellipsoid", "HollowBox", "Prism", "Sphere"]

@@ -5,20 +5,25 @@ The frame of a parent has its origin at the parent's origin and its yaw, but not
 `parent_link` it also takes the link's displacement at the parent's joint state.
 """
 
+import json
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from ..errors import SpecError
+from ..reading import read_model
 from .base import JointKey, Name, Number, Quat, Spec, Vec3
 from .camera import Camera
-from .kinematics import link_poses
+from .kinematics import joint_keys, link_poses
 from .object import ObjectSpec
 from .pose import IDENTITY, Pose, from_yaw, pose, quat_mul, rotate, yaw_of
 from .scale import scale, scaled_state
 from .tree import Box2D, Relation
+
+WORLD_POSES = "world_poses"
+"""Entry of a written scene: origin [m] and rotation (w, x, y, z) of every object in the world."""
 
 
 class SceneObject(Spec):
@@ -33,16 +38,16 @@ class SceneObject(Spec):
     """A static support, not optimised."""
     fixed_base: bool = False
     xy: tuple[Number, Number] = (0.0, 0.0)
-    """In the parent's frame [m]."""
+    """Position in the parent's frame [m]."""
     z: Number = 0.0
     """Height of the object's origin above the parent's [m], snapped."""
     yaw: Number = 0.0
-    """In the parent's frame [rad]."""
+    """Heading in the parent's frame [rad]."""
     base_tilt: Quat = IDENTITY
     joint_state: dict[JointKey, Number] = {}
     """Joint values [rad or m]; joints not named are at 0. A ball has name.x, name.y, name.z."""
     box2d: Box2D | None = None
-    """Where the photograph shows it."""
+    """Its box in the photograph."""
     occluded: bool = False
     """Whether `box2d` shows only a part of it."""
     depth: Number | None = None
@@ -66,55 +71,63 @@ class SceneSpec(Spec):
     camera: Camera | None = None
     gravity: Vec3 = (0.0, 0.0, -9.81)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _without_derived(cls, value: object) -> object:
+        if isinstance(value, dict):
+            return {k: v for k, v in value.items() if k != WORLD_POSES}
+        return value
+
     @model_validator(mode="after")
     def _hierarchy(self) -> "SceneSpec":
         earlier: dict[str, SceneObject] = {}
-        for item in self.objects:
-            if item.name in earlier:
-                raise ValueError(f"object names must be unique, repeated: {item.name}")
-            if item.parent is not None:
-                if item.parent not in earlier:
-                    raise ValueError(f"object {item.name}: parent {item.parent!r} must come first")
-                links = [part.name for part in earlier[item.parent].spec.parts]
-                if item.parent_link is not None and item.parent_link not in links:
+        for obj in self.objects:
+            if obj.name in earlier:
+                raise ValueError(f"object names must be unique, repeated: {obj.name}")
+            if obj.parent is not None:
+                if obj.parent not in earlier:
+                    raise ValueError(f"object {obj.name}: parent {obj.parent!r} must come first")
+                links = [part.name for part in earlier[obj.parent].spec.parts]
+                if obj.parent_link is not None and obj.parent_link not in links:
                     raise ValueError(
-                        f"object {item.name}: parent_link {item.parent_link!r} is not a part of "
-                        f"{item.parent}; parts are {', '.join(links)}"
+                        f"object {obj.name}: parent_link {obj.parent_link!r} is not a part of "
+                        f"{obj.parent}; parts are {', '.join(links)}"
                     )
-                if item.static and not earlier[item.parent].static:
+                if obj.static and not earlier[obj.parent].static:
                     raise ValueError(
-                        f"object {item.name} is fixed to {item.parent}, which is free to move; "
+                        f"object {obj.name} is fixed to {obj.parent}, which is free to move; "
                         "make it one of that object's parts"
                     )
-            joints = [
-                key
-                for joint in item.spec.joints
-                for key in (
-                    [f"{joint.name}.{axis}" for axis in "xyz"]
-                    if joint.type == "ball"
-                    else [joint.name]
-                )
-            ]
-            for name in item.joint_state:
+            joints = [key for joint in obj.spec.joints for key in joint_keys(joint)]
+            for name in obj.joint_state:
                 if name not in joints:
                     raise ValueError(
-                        f"object {item.name}: joint_state names {name!r}; joints are "
+                        f"object {obj.name}: joint_state names {name!r}; joints are "
                         f"{', '.join(joints) or 'none'}"
                     )
-            earlier[item.name] = item
+            earlier[obj.name] = obj
         return self
 
     def object(self, name: str) -> SceneObject:
         """Return an object by name."""
-        return next(item for item in self.objects if item.name == name)
+        return next(obj for obj in self.objects if obj.name == name)
 
     def index(self, name: str) -> int:
         """Return an object's place in `objects`."""
-        return [item.name for item in self.objects].index(name)
+        return [obj.name for obj in self.objects].index(name)
 
     def to_json(self) -> str:
-        """Serialise, the same bytes for the same scene."""
-        return self.model_dump_json(indent=1) + "\n"
+        """Serialise, the same bytes for the same scene.
+
+        Poses in the world are written besides, for other programs; they are not read again.
+        """
+        poses = {
+            name: {"pos": at.pos.tolist(), "quat": at.quat.tolist()}
+            for name, at in world_poses(self).items()
+        }
+        content = self.model_dump_json(indent=1).removesuffix("\n}")
+        derived = json.dumps({WORLD_POSES: poses}, indent=1).removeprefix("{\n")
+        return f"{content},\n{derived}\n"
 
 
 def read_scene(path: Path) -> SceneSpec:
@@ -127,16 +140,7 @@ def read_scene(path: Path) -> SceneSpec:
     file = path / "scene.json" if path.is_dir() else path
     if file.suffix != ".json":
         raise SpecError(f"{path}: expected a run folder or a scene.json")
-    try:
-        return SceneSpec.model_validate_json(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SpecError(f"cannot read {file}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise SpecError(f"{file} is not a text file") from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(step) for step in first["loc"])
-        raise SpecError(f"{file} is not a scene: {where or '(root)'}: {first['msg']}") from None
+    return read_model(file, SceneSpec, SpecError, "a scene")
 
 
 def support_frame(parent: SceneObject, parent_pose: Pose, link: str | None) -> Pose:
@@ -157,13 +161,13 @@ def support_frame(parent: SceneObject, parent_pose: Pose, link: str | None) -> P
 def world_poses(scene: SceneSpec) -> dict[str, Pose]:
     """Return every object's pose in the world: origin [m] and rotation, tilt included."""
     poses: dict[str, Pose] = {}
-    for item in scene.objects:
+    for obj in scene.objects:
         frame = pose()
-        if item.parent is not None:
-            frame = support_frame(scene.object(item.parent), poses[item.parent], item.parent_link)
-        at = frame.pos + rotate(frame.quat, np.array([*item.xy, item.z]))
-        yaw = quat_mul(frame.quat, from_yaw(item.yaw))
-        poses[item.name] = pose(at, quat_mul(yaw, item.base_tilt))
+        if obj.parent is not None:
+            frame = support_frame(scene.object(obj.parent), poses[obj.parent], obj.parent_link)
+        at = frame.pos + rotate(frame.quat, np.array([*obj.xy, obj.z]))
+        yaw = quat_mul(frame.quat, from_yaw(obj.yaw))
+        poses[obj.name] = pose(at, quat_mul(yaw, obj.base_tilt))
     return poses
 
 
@@ -189,17 +193,17 @@ def rearranged(
     """
     size = np.exp(np.asarray(log_scale, float))
     objects = []
-    for i, item in enumerate(scene.objects):
-        parent = 1.0 if item.parent is None else size[scene.index(item.parent)]
-        place = (np.array(item.xy) + xy[i]) * parent
+    for i, obj in enumerate(scene.objects):
+        parent = 1.0 if obj.parent is None else size[scene.index(obj.parent)]
+        place = (np.array(obj.xy) + xy[i]) * parent
         update: dict[str, object] = {
             "xy": tuple(place.tolist()),
-            "yaw": float(item.yaw + yaw[i]),
+            "yaw": float(obj.yaw + yaw[i]),
             "z": float(z[i]),
         }
         if size[i] != 1.0:
             s = float(size[i])
-            update["spec"] = scale(item.spec, s)
-            update["joint_state"] = scaled_state(item.spec, item.joint_state, s)
-        objects.append(item.model_copy(update=update))
+            update["spec"] = scale(obj.spec, s)
+            update["joint_state"] = scaled_state(obj.spec, obj.joint_state, s)
+        objects.append(obj.model_copy(update=update))
     return scene.model_copy(update={"objects": tuple(objects)})

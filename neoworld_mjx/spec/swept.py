@@ -43,13 +43,22 @@ class Sweep(BaseShape):
             raise ValueError("a closed sweep needs at least 3 points")
         steps = np.roll(path, -1, axis=0) - path if self.closed else np.diff(path, axis=0)
         length = np.linalg.norm(steps, axis=1)
-        if np.any(length < 1e-6 * max(np.abs(path).max(), 1e-9)):
-            raise ValueError("sweep path repeats a point")
+        short = np.flatnonzero(length < 1e-6 * max(np.abs(path).max(), 1e-9))
+        if len(short):
+            i, j = int(short[0]), (int(short[0]) + 1) % len(path)
+            raise ValueError(f"sweep path repeats a point: path[{i}] and path[{j}]")
         unit = steps / length[:, None]
         before = np.roll(unit, 1, axis=0) if self.closed else unit[:-1]
         after = unit if self.closed else unit[1:]
-        if np.any(np.sum(before * after, axis=1) < -0.5):
-            raise ValueError("sweep path turns by more than 120 degrees at a point")
+        cosine = np.sum(before * after, axis=1)
+        if np.any(cosine < -0.5):
+            k = int(np.argmin(cosine))
+            degrees = np.degrees(np.arccos(np.clip(cosine[k], -1, 1)))
+            at = k if self.closed else k + 1
+            raise ValueError(
+                f"sweep path turns by {degrees:.0f} degrees at path[{at}], "
+                "at most 120 are allowed: put a point between"
+            )
         rings, normals = self.rings(self.sectors)
         last = len(rings) if self.closed else len(rings) - 1
         for i in range(last):
@@ -96,7 +105,7 @@ class Sweep(BaseShape):
             normals.append(normal)
         return np.array(rings), np.array(normals)
 
-    def pieces(self) -> list[Piece]:
+    def build_pieces(self) -> list[Piece]:
         """Return one piece for each stretch."""
         rings, _ = self.rings(self.sectors)
         last = len(rings) if self.closed else len(rings) - 1
@@ -148,6 +157,3 @@ def _transported(side: NDArray, before: NDArray, after: NDArray) -> NDArray:
     turned = rotate(from_axis_angle(k, float(np.arctan2(size, before @ after))), side)
     turned = turned - (turned @ after) * after
     return turned / np.linalg.norm(turned)
-
-
-__all__ = ["Sweep"]

@@ -154,17 +154,3 @@ def _winding(p: NDArray, corners: NDArray) -> NDArray:
     above = dot(a, np.cross(b, c))
     below = la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb
     return np.sum(np.arctan2(above, below), axis=1) / (2 * np.pi)
-
-
-__all__ = [
-    "BALL_SECTORS",
-    "CHUNK",
-    "CREASE",
-    "SECTORS",
-    "corner_normals",
-    "distance_to_triangles",
-    "enclosed_volume",
-    "extruded_outline",
-    "meridian",
-    "revolved",
-]

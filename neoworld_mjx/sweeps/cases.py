@@ -10,6 +10,9 @@ from ..physics.model import SceneModel
 from ..refinement.scene_refinement import read_composed
 from ..spec import SceneSpec
 
+PHOTO = "photo.png"
+"""Where a run folder keeps its photograph."""
+
 
 @dataclass(frozen=True)
 class Case:
@@ -23,6 +26,8 @@ class Case:
     None starts at the composed scene."""
     errors: Callable[[SceneModel, Layout], dict[str, float]] | None = None
     """Measures the errors of a layout from the truth; None where that is unknown."""
+    photo: Path | None = None
+    """The photograph's file, for scores by a model; None without one."""
 
 
 Source = Callable[[str], Case]
@@ -47,4 +52,5 @@ def case(name: str, sources: Mapping[str, Source]) -> Case:
         kinds = ", ".join(f"{kind}:NAME" for kind in sources)
         generated = f", nor is it one of {kinds}" if kinds else ""
         raise SpecError(f"scene {name}: no such file or folder{generated}")
-    return Case(name, read_composed(path))
+    photo = path / PHOTO
+    return Case(name, read_composed(path), photo=photo if photo.is_file() else None)

@@ -1,15 +1,22 @@
-"""The folder of a sweep: results.parquet, table.md and sweep.json, rewritten after every group."""
+"""The folder of a sweep, rewritten after every group: runs and their iterations as Parquet, tables,
+a figure, and sweep.json.
+"""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from ..errors import RunError
 from ..files import write_atomic
+from ..reading import read_object
+from ..run_folder import refuse_links
+from .figure import draw
+from .histories import HISTORIES, with_histories, write_histories
 from .run_rows import Row, key, read_parquet, write_parquet
 
 RESULTS, TABLE, ABOUT = "results.parquet", "table.md", "sweep.json"
+CSV, LATEX, FIGURE = "table.csv", "table.tex", "figure.svg"
 FORMAT = "neoworld-sweep/1"
 
 
@@ -32,10 +39,13 @@ class SweepFolder:
         self.rows: list[Row] = []
         self.groups: list[dict[str, Any]] = []
         """The computations that made `rows`, as sweep.json lists them."""
+        self.ledger: dict[str, Any] = {}
+        """Calls and costs of the models that were asked for `rows`."""
         if self.path.exists() and not self.path.is_dir():
             raise RunError(f"{path} is a file; name a folder")
         try:
             self.path.mkdir(parents=True, exist_ok=True)
+            refuse_links(self.path)
             if any(self.path.iterdir()):
                 self._enter(kind, resume, overwrite)
             if not self.rows:
@@ -45,9 +55,9 @@ class SweepFolder:
 
     def _enter(self, kind: str, resume: bool, overwrite: bool) -> None:
         try:
-            about = json.loads((self.path / ABOUT).read_text(encoding="utf-8"))
+            about = read_object(self.path / ABOUT, RunError)
             is_sweep = about["format"] == FORMAT and isinstance(about["kind"], str)
-        except (OSError, ValueError, KeyError, TypeError):
+        except (RunError, KeyError):
             is_sweep, about = False, {}
         if not is_sweep:
             raise RunError(f"{self.path} is not empty and holds no {kind}: name a new folder")
@@ -57,7 +67,7 @@ class SweepFolder:
                 f"{self.path} holds another kind of run, {existing_kind}: name a new folder"
             )
         if overwrite:
-            for name in (RESULTS, TABLE):
+            for name in (RESULTS, HISTORIES, TABLE, CSV, LATEX, FIGURE):
                 (self.path / name).unlink(missing_ok=True)
             return
         if not resume:
@@ -65,37 +75,54 @@ class SweepFolder:
                 f"{self.path} holds a {kind}: go on with --resume, begin anew with --overwrite, or "
                 "name a new folder"
             )
+        ledger = about.get("mllm")
+        self.ledger = ledger if isinstance(ledger, dict) else {}
         if (self.path / RESULTS).exists():
-            self.rows = read_parquet(self.path / RESULTS)
+            rows = read_parquet(self.path / RESULTS)
+            self.rows = with_histories(self.path / HISTORIES, rows)
             self.groups = list(about.get("groups", []))
 
-    def keep(self, wanted: dict[tuple[str, str, int], str]) -> dict[tuple[str, str, int], Row]:
+    def keep(self, expected: dict[tuple[str, str, int], str]) -> dict[tuple[str, str, int], Row]:
         """Return the rows that need not be computed again.
 
         Args:
-            wanted: fingerprint of every run asked for, by scene, point and seed.
+            expected: fingerprint of every requested run, by scene, point and seed.
 
         Raises:
-            RunError: there are rows that are not asked for, which would be lost.
+            RunError: the folder has rows of runs that are not requested, which would be lost.
         """
         existing = {key(row): row for row in self.rows}
-        lost = [at for at in existing if at not in wanted]
+        lost = [run for run in existing if run not in expected]
         if lost:
             scene, point, seed = lost[0]
             raise RunError(
-                f"{self.path} has {len(lost)} rows that are not asked for now, such as scene "
+                f"{self.path} has {len(lost)} rows that this plan does not contain, such as scene "
                 f"{scene}, point {point}, seed {seed}: use --overwrite, or name a new folder"
             )
-        return {at: row for at, row in existing.items() if row["fingerprint"] == wanted[at]}
+        return {run: row for run, row in existing.items() if row["fingerprint"] == expected[run]}
 
-    def write(self, rows: Sequence[Row], values: Sequence[str], table: str) -> None:
-        """Write all rows so far and their table.
+    def write(self, rows: Sequence[Row], values: Sequence[str], texts: Mapping[str, str]) -> None:
+        """Write all rows so far, and their tables by the names of their files.
 
         Raises:
             RunError: a file cannot be written.
         """
         write_parquet(self.path / RESULTS, rows, values)
-        self._text(TABLE, table)
+        write_histories(self.path / HISTORIES, rows)
+        for name, text in texts.items():
+            self._text(name, text)
+
+    def write_figure(self, rows: Sequence[Row], axes: Sequence[str]) -> str | None:
+        """Draw the sweep; return the figure's path, or None without matplotlib.
+
+        Raises:
+            RunError: the file cannot be written.
+        """
+        drawn = draw(rows, axes)
+        if drawn is None:
+            return None
+        self._text(FIGURE, drawn)
+        return str(self.path / FIGURE)
 
     def write_about(self, about: dict[str, Any]) -> None:
         """Write sweep.json.

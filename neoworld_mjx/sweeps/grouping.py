@@ -35,7 +35,7 @@ def static_part(options: RefineOptions) -> str:
     static["terms"] = list(values["reward.terms"])
     if options.rollout.early_stop:
         rule = early_stop_rule(options)
-        static["rule"] = [rule.drift, rule.tilt]
+        static["rule"] = [rule.distance, rule.angle, rule.drift, rule.tilt]
     return json.dumps(static, sort_keys=True)
 
 
@@ -68,8 +68,8 @@ def reasons(every: Sequence[RefineOptions], *, fold: bool = True) -> list[str]:
     for name, reason in split.items():
         values = list(dict.fromkeys(json.dumps(table[name]) for table in tables))
         if len(values) > 1:
-            shown = ", ".join(value.strip('"') for value in values)
-            lines.append(f"refine.{name} = {shown} ({reason}): compiles {len(values)} times")
+            listed = ", ".join(value.strip('"') for value in values)
+            lines.append(f"refine.{name} = {listed} ({reason}): compiles {len(values)} times")
     if len({tuple(table["reward.terms"]) for table in tables}) > 1:
         lines.append("refine.reward.terms: other terms are another program")
     return [*lines, f"so {len(every)} points are {count} computations of a scene"]

@@ -2,28 +2,33 @@
 
 import itertools
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-import yaml
 from pydantic import BaseModel, Field, ValidationError
 
-from ..config import Config, Options, RefineOptions, describe, load_config, merged
+from ..config import Config, Options, RefineOptions, describe, load_config, merged, read_yaml
 from ..errors import ConfigError, choices
 
 ROOT = "refine"
-"""Axes are options of this group."""
+"""Group of options that plans may set."""
+MAX_POINTS, MAX_SEEDS = 10_000, 10_000
 
 
 class _Request(Options):
     scenes: tuple[str, ...] = ()
     """scene.json files, run folders, or generated scenes as KIND:NAME."""
     config: Path | None = None
-    """YAML of options that all points share."""
+    """YAML file of options that all points share."""
     base: dict[str, Any] = {}
     """Options that override those of `config`."""
     seeds: tuple[int, ...] = Field(default=(0, 1, 2, 3), min_length=1)
+    scores: Path | None = None
+    """Folder of semantic scores that an earlier run of the plan recorded; no model is asked."""
+    tapes: tuple[Path, ...] = ()
+    """Tapes of answers, or folders of tapes, for the provider `replay`."""
 
 
 class Plan(_Request):
@@ -32,16 +37,16 @@ class Plan(_Request):
     axes: dict[str, list[Any]] = {}
     """Values by the path of an option, such as `refine.reward.w_drift`."""
     fold: bool = True
-    """Runs that differ in traced options alone are one computation."""
+    """Whether runs that differ in traced options alone are one computation."""
 
 
 class Ablation(_Request):
     """A base and named changes of it, with every seed, on every scene."""
 
     variants: dict[str, dict[str, Any]] = {}
-    """By name: values by the paths of options."""
+    """Values by the path of an option, for each variant by name."""
     fold: bool = False
-    """As in `Plan`. Separate runs are timed and pruned as a single refinement is."""
+    """As in `Plan`; without it every run is timed and pruned like a single refinement."""
 
 
 class Point(NamedTuple):
@@ -70,21 +75,27 @@ def read(source: Request | Mapping[str, Any] | Path | str, kind: type[Request]) 
     where, data = "plan", source
     if isinstance(source, str | Path):
         where = str(source)
-        try:
-            data = yaml.safe_load(Path(source).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise ConfigError(f"cannot read {source}: {error.strerror}") from None
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise ConfigError(f"{source} is not valid YAML: {error}") from None
+        data = read_yaml(Path(source), "plan")
     if not isinstance(data, Mapping):
         raise ConfigError(f"{where} must be a mapping with the keys {', '.join(kind.model_fields)}")
     try:
         plan = kind.model_validate(dict(data))
     except ValidationError as error:
         raise ConfigError(f"{where}: {describe(error, kind)}") from None
+    if len(plan.seeds) > MAX_SEEDS:
+        raise ConfigError(f"{where}: {len(plan.seeds)} seeds, at most {MAX_SEEDS} are taken")
     if len(set(plan.seeds)) < len(plan.seeds) or min(plan.seeds) < 0:
         raise ConfigError(f"{where}: seeds must be different and not negative, got {plan.seeds}")
     return plan
+
+
+def shared_config(plan: Plan | Ablation) -> Config:
+    """Return the options that all points share, those of models among them.
+
+    Raises:
+        ConfigError: an option is wrong.
+    """
+    return load_config(plan.config, plan.base)
 
 
 def points(plan: Plan | Ablation) -> list[Point]:
@@ -94,9 +105,7 @@ def points(plan: Plan | Ablation) -> list[Point]:
         ConfigError: an axis names no option, has no values or one of a wrong type, or a value comes
             twice; the message names the option's neighbours.
     """
-    shared = load_config(plan.config, plan.base)
-    if shared.refine.semantic.scorer != "geometric":
-        raise ConfigError("refine.semantic.scorer: sweeps score by geometry; choose geometric")
+    shared = shared_config(plan)
     # Points override the complete options of the base, defaults included.
     base = shared.model_dump(mode="json")
     if isinstance(plan, Plan):
@@ -107,7 +116,7 @@ def points(plan: Plan | Ablation) -> list[Point]:
             raise ConfigError(f"variants: {BASE!r} is the name of the options without changes")
         if not values:
             raise ConfigError(f"variants: {name!r} changes nothing")
-        options = _changed(base, values, f"variants: {name}")
+        options = _with_values(base, values, f"variants: {name}")
         if options == shared.refine:
             raise ConfigError(f"variants: {name!r} sets options to what the base has already")
         variants.append(Point(name, {"variant": name}, options))
@@ -121,11 +130,17 @@ def _grid(axes: dict[str, list[Any]], base: dict[str, Any]) -> list[Point]:
         if not values:
             raise ConfigError(f"axes: {path} has no values")
         for value in values:
-            _changed(base, {path: value}, "axes")
+            _with_values(base, {path: value}, "axes")
+    count = math.prod(map(len, axes.values()))
+    if count > MAX_POINTS:
+        raise ConfigError(
+            f"axes: {count} points, at most {MAX_POINTS} are taken; give fewer values, or several "
+            "plans"
+        )
     grid: dict[str, Point] = {}
     for combination in itertools.product(*axes.values()):
-        options = _changed(base, dict(zip(axes, combination, strict=True)), "axes")
-        # The values as the options have them: 1 and 1.0 are one point.
+        options = _with_values(base, dict(zip(axes, combination, strict=True)), "axes")
+        # Validated values, so that 1 and 1.0 are the same point.
         dump = {ROOT: options.model_dump(mode="json")}
         values = {path: _at(dump, path) for path in axes}
         label = ", ".join(
@@ -137,38 +152,35 @@ def _grid(axes: dict[str, list[Any]], base: dict[str, Any]) -> list[Point]:
     return list(grid.values())
 
 
-def _changed(base: dict[str, Any], values: Mapping[str, Any], where: str) -> RefineOptions:
-    over: dict[str, Any] = {}
+def _with_values(base: dict[str, Any], values: Mapping[str, Any], where: str) -> RefineOptions:
+    overrides: dict[str, Any] = {}
     for path, value in values.items():
         _check_path(path, where)
-        tree = over
+        tree = overrides
         *heads, last = path.split(".")
         for name in heads:
             tree = tree.setdefault(name, {})
         tree[last] = value
     try:
-        options = Config.model_validate(_replaced(base, over)).refine
+        return Config.model_validate(_replaced(base, overrides)).refine
     except ValidationError as error:
         raise ConfigError(f"{where}: {describe(error, Config)}") from None
-    if options.semantic.scorer != "geometric":
-        raise ConfigError(f"{where}: sweeps score by geometry; leave refine.semantic.scorer out")
-    return options
 
 
-def _replaced(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    result = merged(base, over)
-    terms = over.get(ROOT, {}).get("reward", {}).get("terms")
-    if isinstance(terms, dict):  # A value as a whole, not laid over the base's.
+def _replaced(base: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
+    result = merged(base, overrides)
+    terms = overrides.get(ROOT, {}).get("reward", {}).get("terms")
+    if isinstance(terms, dict):  # Terms replace those of the base; they are not merged.
         result[ROOT]["reward"]["terms"] = terms
     return result
 
 
 def _check_path(path: str, where: str) -> None:
-    head, *rest = path.split(".")
+    head, *names = path.split(".")
     if head != ROOT:
         raise ConfigError(f"{where}: {path} is no option of the search; paths begin with {ROOT}.")
     group: Any = RefineOptions
-    for name in rest:
+    for name in names:
         if not (isinstance(group, type) and issubclass(group, BaseModel)):
             raise ConfigError(f"{where}: {path}: nothing lies under {head}")
         if name not in group.model_fields:
@@ -176,8 +188,8 @@ def _check_path(path: str, where: str) -> None:
         head = f"{head}.{name}"
         group = group.model_fields[name].annotation
     if isinstance(group, type) and issubclass(group, BaseModel):
-        names = ", ".join(f"{path}.{name}" for name in group.model_fields)
-        raise ConfigError(f"{where}: {path} is a group of options: name one of {names}")
+        members = ", ".join(f"{path}.{name}" for name in group.model_fields)
+        raise ConfigError(f"{where}: {path} is a group of options: name one of {members}")
 
 
 def _at(tree: dict[str, Any], path: str) -> Any:
@@ -192,5 +204,5 @@ def _shown(value: Any) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Return a value as a column holds it: a number, a text or a truth value."""
+    """Return a value that a column can hold: a number, a string or a Boolean."""
     return value if isinstance(value, bool | int | float | str) else json.dumps(value)

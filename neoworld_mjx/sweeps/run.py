@@ -12,24 +12,27 @@ from typing import Any
 
 import jax
 
+from ..compilations import compiled
 from ..config import RefineOptions, option_values
 from ..errors import ConfigError
 from ..files import content_hash
 from ..physics.engine import Engine
 from ..physics.model import SceneModel
 from ..physics.simulate import open_engine
-from ..refinement.loop import SearchRun, search
-from ..refinement.outcome import choose
+from ..refinement.loop import search
+from ..refinement.returning import choose_and_return
 from ..refinement.scene_refinement import compile_for_search, refine
+from ..refinement.search_run import SearchRun
 from ..run_folder import versions
 from ..spec import SceneSpec
 from .cases import Case, Source, case
-from .compiles import compilations
-from .folder import FORMAT, TABLE, SweepFolder
+from .folder import CSV, FORMAT, LATEX, TABLE, SweepFolder
 from .grouping import TRACED, PointGroup, grouped, reasons
-from .plan import Ablation, Plan, Point, points, read
+from .histories import so_far, summaries
+from .model_scores import ModelScores, asks_a_model
+from .plan import Ablation, Plan, Point, points, read, shared_config
 from .run_rows import Key, Row, row_of_refined, row_of_search
-from .table import differences, markdown, summary
+from .table import comma_separated, differences, flat, latex, markdown, summary
 
 _log = logging.getLogger(__name__)
 
@@ -39,7 +42,8 @@ class Swept:
     """The result of a sweep or an ablation."""
 
     rows: list[Row]
-    """One row of each scene, point and seed; columns as in `run_rows.COLUMNS`."""
+    """One row of each scene, point and seed; columns as in `run_rows.COLUMNS`, and under "history"
+    the iterations with the columns of `histories.COLUMNS`."""
     points: list[dict[str, Any]]
     """Summary of each point over scenes and seeds; see `table.summary`."""
     differences: list[dict[str, Any]]
@@ -94,8 +98,8 @@ def ablate(
 ) -> Swept:
     """Refine scenes with a base and named changes of it, and estimate their differences.
 
-    Runs are by themselves unless the plan says `fold`, the first of a kind twice, so that none is
-    timed while it compiles. See `sweep` for arguments and errors.
+    Each run is a refinement of its own unless the plan sets `fold`; the first of a kind runs twice,
+    so that no time includes compilation. See `sweep` for arguments and errors.
     """
     return _run(read(plan, Ablation), out, cases, sources or {}, engine, resume, overwrite)
 
@@ -103,106 +107,148 @@ def ablate(
 def _run(
     plan: Plan | Ablation,
     out: Path | str | None,
-    given: Sequence[Case | SceneSpec],
+    scenes: Sequence[Case | SceneSpec],
     sources: Mapping[str, Source],
     engine: Engine | None,
     resume: bool,
     overwrite: bool,
 ) -> Swept:
-    at = points(plan)
-    cases = _cases(plan, given, sources)
-    every = [point.options for point in at]
-    groups = grouped(every, fold=plan.fold)
+    settings = points(plan)
+    cases = _cases(plan, scenes, sources)
+    options = [point.options for point in settings]
+    by_model = [point for point in settings if asks_a_model(point.options)]
+    # A run that a model scores is searched by itself, as its answers come when they come.
+    fold = plan.fold and not by_model
+    groups = grouped(options, fold=fold)
     kind = "sweep" if isinstance(plan, Plan) else "ablation"
-    total = len(cases) * len(at) * len(plan.seeds)
+    total = len(cases) * len(settings) * len(plan.seeds)
     _log.info(
         "%s: %d points x %d seeds x %d scenes = %d runs",
-        *(kind, len(at), len(plan.seeds), len(cases), total),
+        *(kind, len(settings), len(plan.seeds), len(cases), total),
     )
-    lines = reasons(every, fold=plan.fold)
+    lines = reasons(options, fold=fold)
+    if plan.fold and by_model:
+        lines = [*lines, "a model scores candidates: every run is a refinement of its own"]
     for line in lines:
         _log.info("static: %s", line)
-    wanted = _fingerprints(plan, at, cases, groups, engine)
+    fingerprints = _fingerprints(plan, settings, cases, groups, engine, fold)
     folder = None
-    done: dict[Key, Row] = {}
+    completed: dict[Key, Row] = {}
     if out is not None:
         folder = SweepFolder(Path(out), kind, resume=resume, overwrite=overwrite)
-        done = folder.keep(wanted)
-        if done:
-            _log.info("%d of %d runs are there already", len(done), total)
-    columns = list(at[0].values)
-    about = _about(kind, plan, at, lines)
+        completed = folder.keep(fingerprints)
+        if completed:
+            _log.info("%d of %d runs are there already", len(completed), total)
+    scores = None
+    if by_model:
+        scores = ModelScores(
+            shared_config(plan),
+            recorded=plan.scores,
+            tapes=plan.tapes,
+            out=None if folder is None else folder.path,
+            earlier={} if folder is None else folder.ledger,
+        )
+        for scene in cases:
+            scores.check(scene)
+    columns = list(settings[0].values)
+    about = _about(kind, plan, settings, lines)
     about["groups"] = folder.groups if folder is not None else []
 
     def save(finished: bool) -> Swept:
-        rows = [done[key] for key in wanted if key in done]
+        rows = [completed[key] for key in fingerprints if key in completed]
         about["finished"] = finished
-        for name in ("seconds", "compilations"):
-            about[name] = sum(group[name] for group in about["groups"])
-        swept = _swept(kind, rows, [point.label for point in at], about)
+        for name in ("seconds", "compilations", "compile_s"):
+            about[name] = sum(group.get(name, 0) for group in about["groups"])
+        if scores is not None:
+            about["mllm"] = scores.ledger
+        swept = _swept(kind, rows, [point.label for point in settings], about)
         if folder is not None:
-            folder.write(rows, columns, swept.table)
+            folder.write(rows, columns, _tables(kind.capitalize(), swept))
             folder.write_about(about)
+            if finished:
+                about["figure"] = folder.write_figure(rows, columns)
         return swept
 
+    began, computed = time.perf_counter(), 0
     for scene in cases:
         models: dict[tuple[float, int], SceneModel] = {}
         warm: set[str] = set()
         for number, group in enumerate(groups, start=1):
-            pending = [(k, seed) for k in group.members for seed in plan.seeds]
-            pending = [(k, s) for k, s in pending if (scene.name, at[k].label, s) not in done]
+            pending = [
+                (settings[k], seed)
+                for k in group.members
+                for seed in plan.seeds
+                if (scene.name, settings[k].label, seed) not in completed
+            ]
             if not pending:
                 continue
-            start, compile_count = time.perf_counter(), compilations()
+            start, before = time.perf_counter(), compiled()
             reach = group.reach
             shape = (reach.rollout.timestep_s, reach.rollout.samples_per_object)
             if shape not in models:
                 models[shape] = compile_for_search(scene.scene, reach)
+            model = models[shape]
             rollout_engine = engine or open_engine(reach.rollout.engine)
             runs = [
                 SearchRun(
-                    at[k].options,
-                    seed,
-                    None if scene.start is None else scene.start(models[shape], seed),
+                    point.options, seed, None if scene.start is None else scene.start(model, seed)
                 )
-                for k, seed in pending
+                for point, seed in pending
             ]
-            run_all = _folded if plan.fold else _apart
-            rows = run_all(scene, models[shape], runs, rollout_engine, warm)
-            for (k, seed), row in zip(pending, rows, strict=True):
-                key = (scene.name, at[k].label, seed)
-                head = {"scene": scene.name, "point": at[k].label, "seed": seed}
-                done[key] = head | at[k].values | row | {"fingerprint": wanted[key]}
-            elapsed, compile_count = time.perf_counter() - start, compilations() - compile_count
+            if fold:
+                rows = _folded(scene, model, runs, rollout_engine)
+            else:
+                labels = [point.label for point, _ in pending]
+                try:
+                    rows = _one_by_one(scene, model, runs, labels, rollout_engine, warm, scores)
+                except BaseException:
+                    save(False)  # What was paid for is on record.
+                    raise
+            for (point, seed), row in zip(pending, rows, strict=True):
+                key = (scene.name, point.label, seed)
+                head = {"scene": scene.name, "point": point.label, "seed": seed}
+                fingerprint = {"fingerprint": fingerprints[key]}
+                completed[key] = head | point.values | row | fingerprint
+            elapsed = time.perf_counter() - start
+            programs, compile_s = (a - b for a, b in zip(compiled(), before, strict=True))
             about["groups"].append(
                 {
                     "scene": scene.name,
-                    "points": [at[k].label for k in group.members],
+                    "points": [settings[k].label for k in group.members],
                     "runs": len(runs),
                     "seconds": elapsed,
-                    "compilations": compile_count,
+                    "compilations": int(programs),
+                    "compile_s": compile_s,
                 }
             )
+            computed += len(runs)
+            left = (total - len(completed)) * (time.perf_counter() - began) / computed
             _log.info(
-                "%s, group %d of %d: %d runs in %.1f s, %d programs compiled",
-                *(scene.name, number, len(groups), len(runs), elapsed, compile_count),
+                "%s, group %d of %d: %d runs in %.1f s, %.1f s of it compiling %d programs; "
+                "%d of %d runs done, about %.0f s left",
+                *(scene.name, number, len(groups), len(runs), elapsed, compile_s, programs),
+                *(len(completed), total, left),
             )
             save(False)
-    return save(True)
+    result = save(True)
+    if scores is not None:
+        scores.close()
+    return result
 
 
-def _folded(
-    scene: Case, model: SceneModel, runs: Sequence[SearchRun], engine: Engine, warm: set[str]
-) -> list[Row]:
-    """Search all runs at once, without pruning, so that rollouts are few and large."""
-    del warm
+def _folded(scene: Case, model: SceneModel, runs: Sequence[SearchRun], engine: Engine) -> list[Row]:
+    """Search all runs at once, without pruning, in few large rollouts."""
     clock: dict[str, float] = {}
+    before = compiled().seconds
     results = search(model, [unpruned(run) for run in runs], engine, keep=False, clock=clock)
-    timing = {"seconds": clock["search"] / len(runs), "to_valid_s": None, "engine": engine.name}
+    seconds = max(clock["search"] - (compiled().seconds - before), 0.0) / len(runs)
+    timing = {"seconds": seconds, "to_valid_s": None, "engine": engine.name}
     rows = []
     for run, result in zip(runs, results, strict=True):
-        chosen = choose(model, result.rounds, run.options, run.start)
-        rows.append(row_of_search(scene, model, result, chosen, run.start) | timing)
+        objective = result.problem.objective
+        winner = choose_and_return(model, result.rounds, run.options, objective, run.start)
+        row = row_of_search(scene, model, result, winner)
+        rows.append(row | timing | {"history": so_far(result.summaries)})
     return rows
 
 
@@ -214,30 +260,47 @@ def unpruned(run: SearchRun) -> SearchRun:
     )
 
 
-def _apart(
-    scene: Case, model: SceneModel, runs: Sequence[SearchRun], engine: Engine, warm: set[str]
+def _one_by_one(
+    scene: Case,
+    model: SceneModel,
+    runs: Sequence[SearchRun],
+    labels: Sequence[str],
+    engine: Engine,
+    warm: set[str],
+    scores: ModelScores | None,
 ) -> list[Row]:
-    """Refine runs one by one; the first of each kind runs twice, so that compiling is not timed."""
+    """Refine runs one by one; the first of each kind runs twice, to leave compilation untimed.
+
+    What a model would score is compiled by a run that geometry scores, which costs no call.
+    """
     rows = []
-    for run in runs:
+    for run, label in zip(runs, labels, strict=True):
         kind = {name: v for name, v in option_values(run.options).items() if name not in TRACED}
         text = json.dumps([kind, list(run.options.reward.terms)], sort_keys=True)
         if text not in warm:
             warm.add(text)
-            refine(model, run.options, seed=run.seed, start=run.start, engine=engine)
-        refined = refine(model, run.options, seed=run.seed, start=run.start, engine=engine)
-        rows.append(row_of_refined(scene, model, refined))
+            geometric = run.options.semantic.model_copy(update={"scorer": "geometric"})
+            unscored = run.options.model_copy(update={"semantic": geometric})
+            refine(model, unscored, seed=run.seed, start=run.start, engine=engine)
+        given: dict[str, Any] = {}
+        if scores is not None and asks_a_model(run.options):
+            given = scores.of(scene, label, run.seed)
+        refined = refine(model, run.options, seed=run.seed, start=run.start, engine=engine, **given)
+        if scores is not None:
+            scores.refuse_partial(refined, scene, label, run.seed)
+        history = so_far(summaries(refined.history))
+        rows.append(row_of_refined(scene, model, refined) | {"history": history})
     return rows
 
 
 def _cases(
-    plan: Plan | Ablation, given: Sequence[Case | SceneSpec], sources: Mapping[str, Source]
+    plan: Plan | Ablation, scenes: Sequence[Case | SceneSpec], sources: Mapping[str, Source]
 ) -> list[Case]:
     cases = [case(name, sources) for name in plan.scenes]
-    cases += [item if isinstance(item, Case) else Case(item.name, item) for item in given]
+    cases += [entry if isinstance(entry, Case) else Case(entry.name, entry) for entry in scenes]
     if not cases:
         raise ConfigError("scenes: name at least one, as a scene.json, a run folder or KIND:NAME")
-    names = [item.name for item in cases]
+    names = [entry.name for entry in cases]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ConfigError(f"scenes: {', '.join(twice)} comes twice")
@@ -246,38 +309,43 @@ def _cases(
 
 def _fingerprints(
     plan: Plan | Ablation,
-    at: Sequence[Point],
+    settings: Sequence[Point],
     cases: Sequence[Case],
     groups: Sequence[PointGroup],
     engine: Engine | None,
+    fold: bool,
 ) -> dict[Key, str]:
     """Return a hash of every run's inputs, in the order of the table's rows."""
     shared = {
         "versions": versions(),
-        "fold": plan.fold,
+        "fold": fold,
         "engine": None if engine is None else engine.name,
         "sigma_xy": groups[0].reach.cem.sigma_xy,
     }
+    config = shared_config(plan)
+    asked = {"provider": config.provider, "model": config.mllm.critic.model}
+    asked = {"recorded": str(plan.scores)} if plan.scores is not None else asked
     fingerprints = {}
     for scene in cases:
         scene_hash = content_hash(scene.scene)
-        for point in at:
+        for point in settings:
             options = option_values(point.options)
             for seed in plan.seeds:
                 inputs = [shared, scene.name, scene_hash, options, seed]
+                inputs += [asked] if asks_a_model(point.options) else []
                 fingerprints[scene.name, point.label, seed] = content_hash(inputs)[:16]
     return fingerprints
 
 
 def _about(
-    kind: str, plan: Plan | Ablation, at: Sequence[Point], lines: list[str]
+    kind: str, plan: Plan | Ablation, settings: Sequence[Point], lines: list[str]
 ) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "kind": kind,
         "plan": plan.model_dump(mode="json"),
-        "points": [{"label": point.label, **point.values} for point in at],
-        "options": _shown(at[0].options),
+        "points": [{"label": point.label, **point.values} for point in settings],
+        "options": _shown(settings[0].options),
         "static": lines,
         "versions": versions(),
         "machine": {
@@ -305,25 +373,26 @@ def _swept(kind: str, rows: list[Row], labels: list[str], about: dict[str, Any])
     return Swept(rows, summed, against, markdown(kind.capitalize(), summed, against, notes), about)
 
 
+def _tables(title: str, swept: Swept) -> dict[str, str]:
+    """Return the tables by the names of their files."""
+    tex = latex(title, swept.points)
+    if swept.differences:
+        tex += "\n" + latex(f"{title}: differences", swept.differences, signed=True)
+    return {TABLE: swept.table, CSV: comma_separated(swept.points), LATEX: tex}
+
+
 def answer(swept: Swept, out: Path) -> dict[str, Any]:
     """Return the JSON answer of the command."""
-    flat = lambda rows: [
-        {"point": row["point"], "n": row["n"]}
-        | {
-            name if part == "mean" else f"{name}_{part}": value
-            for name, estimate in row.items()
-            if isinstance(estimate, dict)
-            for part, value in estimate.items()
-        }
-        for row in rows
-    ]
     return {
         "folder": str(out),
         "table": str(out / TABLE),
+        "figure": swept.about.get("figure"),
         "runs": len(swept.rows),
         "seconds": swept.about["seconds"],
+        "compile_s": swept.about["compile_s"],
         "compilations": swept.about["compilations"],
         "static": swept.about["static"],
+        **({"mllm": swept.about["mllm"]} if "mllm" in swept.about else {}),
         "points": flat(swept.points),
         **({"differences": flat(swept.differences)} if swept.differences else {}),
     }

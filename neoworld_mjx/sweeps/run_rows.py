@@ -1,21 +1,19 @@
 """Results of single runs, and the Parquet file that holds them."""
 
-import io
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import arro3.io
 import numpy as np
-from arro3.core import Array, DataType, Table
 
 from ..errors import RunError
-from ..files import write_atomic
 from ..measure import SceneMeasure
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
-from ..refinement.loop import SearchResult
-from ..refinement.outcome import Chosen, Refined
+from ..reading import parquet_files
+from ..refinement.outcome import Refined
+from ..refinement.returning import Winner
+from ..refinement.search_run import SearchResult
 from .cases import Case
 from .plan import plain
 
@@ -47,13 +45,14 @@ COLUMNS: dict[str, type] = {
 }
 """Columns of a run; None where one does not apply. `valid` is of the search, `passed` of the exact
 check; `reward` is the absolute one, of the winner, as are the terms. `seconds` is the time of the
-search: of runs in one computation an equal share, compiling included. Depth, drift and tilt are of
+search without compiling: of runs in one computation an equal share. Depth, drift and tilt are of
 the check."""
 
 
 TERM = "term_"
 """Prefix of the columns of reward terms that COLUMNS does not list."""
-_TERM_COLUMNS = {"d_pen": "d_pen_m", "d_drift": "d_drift", "s_sem": "s_sem", "prior": "prior"}
+TERM_COLUMNS = {"d_pen": "d_pen_m", "d_drift": "d_drift", "s_sem": "s_sem", "prior": "prior"}
+"""Columns of the built-in reward terms."""
 
 
 def row_of_refined(case: Case, model: SceneModel, refined: Refined) -> Row:
@@ -75,10 +74,9 @@ def row_of_refined(case: Case, model: SceneModel, refined: Refined) -> Row:
     return outcome | winner | _of_layout(case, model, refined.layout, refined.measure)
 
 
-def row_of_search(
-    case: Case, model: SceneModel, result: SearchResult, chosen: Chosen, start: Layout | None
-) -> Row:
+def row_of_search(case: Case, model: SceneModel, result: SearchResult, winner: Winner) -> Row:
     """Return the columns of one run of a search; the caller adds time and engine."""
+    chosen = winner.chosen
     outcome = {
         "passed": chosen.passed,
         "iterations": len(result.rounds),
@@ -86,20 +84,19 @@ def row_of_search(
         "pruned": 0,
     }
     t, k = chosen.index
-    layout, values = start or Layout.zero(1, len(model.names)), None
+    values = None
     if t >= 0:
-        layouts, _, scores = result.rounds[t]
-        layout = layouts[k : k + 1]
+        _, _, scores = result.rounds[t]
         values = {name: x[k] for name, x in scores.terms.items()}
         values |= {"valid": scores.valid[k], "absolute": scores.absolute[k]}
-    winner = _winner(values, [term.name for term in result.problem.objective.terms])
-    return outcome | winner | _of_layout(case, model, layout, chosen.measure)
+    terms = _winner(values, [term.name for term in result.problem.objective.terms])
+    return outcome | terms | _of_layout(case, model, winner.layout, chosen.measure)
 
 
 def _winner(values: Mapping[str, Any] | None, terms: Iterable[Any]) -> Row:
     """Return the columns of the winning candidate; None where every candidate failed."""
     number = lambda name: None if values is None else float(values[name])
-    columns = {_TERM_COLUMNS.get(name, TERM + name): number(name) for name in map(str, terms)}
+    columns = {TERM_COLUMNS.get(name, TERM + name): number(name) for name in map(str, terms)}
     valid = values is not None and bool(values["valid"])
     return {"valid": valid, "reward": number("absolute"), **columns}
 
@@ -119,14 +116,6 @@ def _of_layout(case: Case, model: SceneModel, layout: Layout, measure: SceneMeas
     }
 
 
-_TYPES: dict[type, Any] = {
-    bool: DataType.bool(),
-    int: DataType.int64(),
-    float: DataType.float64(),
-    str: DataType.utf8(),
-}
-
-
 def write_parquet(path: Path, rows: Sequence[Row], values: Sequence[str]) -> None:
     """Write rows, replacing the file atomically.
 
@@ -141,37 +130,35 @@ def write_parquet(path: Path, rows: Sequence[Row], values: Sequence[str]) -> Non
     kinds: dict[str, type] = {"scene": str, "point": str, "seed": int}
     kinds |= {name: _kind([row.get(name) for row in rows]) for name in values}
     kinds |= COLUMNS | dict.fromkeys(term_columns(rows), float)
-    table = Table.from_pydict(
-        {
-            name: Array([_cell(row.get(name), kind) for row in rows], type=_TYPES[kind])
-            for name, kind in kinds.items()
-        }
-    )
-    data = io.BytesIO()
-    arro3.io.write_parquet(table, data, compression="zstd(3)")
-    try:
-        write_atomic(path, data.getvalue())
-    except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror}") from None
+    write_rows(path, rows, kinds)
+
+
+def write_rows(path: Path, rows: Sequence[Row], kinds: Mapping[str, type]) -> None:
+    """Write columns of rows as Parquet, replacing the file atomically; None is a gap.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
+    cells = [{name: _cell(row.get(name), kind) for name, kind in kinds.items()} for row in rows]
+    parquet_files.write_rows(path, cells, kinds, RunError)
 
 
 def read_parquet(path: Path) -> list[Row]:
-    """Read rows back.
+    """Read runs back.
 
     Raises:
         RunError: the file cannot be read, or is no Parquet file.
     """
-    try:
-        data = path.read_bytes()
-        # The reader ends the process's thread on other files, so they are rejected first.
-        if data[:4] != b"PAR1" or data[-4:] != b"PAR1":
-            raise RunError(f"{path} is not a Parquet file")
-        table = arro3.io.read_parquet(path).read_all()
-    except OSError as error:
-        raise RunError(f"cannot read {path}: {error.strerror}") from None
-    columns = [column.to_pylist() for column in table.columns]
-    rows = zip(*columns, strict=True)
-    return [dict(zip(table.column_names, row, strict=True)) for row in rows]
+    return read_rows(path, ("scene", "point", "seed", "fingerprint"))
+
+
+def read_rows(path: Path, needed: Iterable[str]) -> list[Row]:
+    """Read rows of a Parquet file that has some columns at least.
+
+    Raises:
+        RunError: the file cannot be read, is no Parquet file, or lacks a column.
+    """
+    return parquet_files.read_rows(path, tuple(needed), RunError)
 
 
 def _kind(values: Sequence[Any]) -> type:

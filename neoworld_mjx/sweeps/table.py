@@ -1,6 +1,11 @@
-"""Tables of a sweep: each point over its scenes and seeds, with n and 95 % intervals."""
+"""Tables of a sweep: each point over its scenes and seeds, with n and 95 % intervals, as Markdown,
+CSV and LaTeX.
+"""
 
+import csv
+import io
 import math
+import re
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -69,8 +74,8 @@ def differences(rows: Sequence[Row], points: Sequence[str]) -> list[dict[str, An
     return differing
 
 
-def _estimates(rows: Sequence[Row], of: Callable[[str], Estimate]) -> dict[str, Any]:
-    estimates = {shown.name: of(shown.name) for shown in shown_columns(rows)}
+def _estimates(rows: Sequence[Row], estimate: Callable[[str], Estimate]) -> dict[str, Any]:
+    estimates = {column.name: estimate(column.name) for column in shown_columns(rows)}
     return {name: e._asdict() for name, e in estimates.items() if e.n}
 
 
@@ -102,24 +107,74 @@ def markdown(
     return text
 
 
-def _table(rows: Sequence[dict[str, Any]], *, signed: bool) -> str:
-    used = [shown for shown in shown_columns(rows) if any(shown.name in row for row in rows)]
-    titles = [f"{shown.title}, %" if shown.name in RATES else shown.title for shown in used]
-    lines = [["point", "n", *titles]]
-    lines += [
-        [row["point"].replace("|", "\\|"), str(row["n"])]
-        + [_cell(row.get(shown.name), shown, row["n"], signed) for shown in used]
+def flat(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return summaries with one value a column: the mean by its name, `_low`, `_high` and `_n`."""
+    return [
+        {"point": row["point"], "n": row["n"]}
+        | {
+            name if part == "mean" else f"{name}_{part}": value
+            for name, estimate in row.items()
+            if isinstance(estimate, dict)
+            for part, value in estimate.items()
+        }
         for row in rows
     ]
-    head = ["---"] + ["---:"] * (len(used) + 1)
+
+
+def comma_separated(summed: Sequence[dict[str, Any]]) -> str:
+    """Write a summary as CSV, in the units of the columns of `run_rows.COLUMNS`."""
+    rows = flat(summed)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(dict.fromkeys(name for row in rows for name in row)))
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def latex(title: str, summed: Sequence[dict[str, Any]], *, signed: bool = False) -> str:
+    """Write a summary as a LaTeX table for the package booktabs."""
+    head, *lines = (list(map(_escaped, line)) for line in _lines(summed, signed=signed))
+    body = "".join(f"{' & '.join(line)} \\\\\n" for line in lines)
+    return (
+        f"% {title}. Needs \\usepackage{{booktabs}}. Means with 95 % intervals.\n"
+        f"\\begin{{tabular}}{{l{'r' * (len(head) - 1)}}}\n\\toprule\n"
+        f"{' & '.join(head)} \\\\\n\\midrule\n{body}\\bottomrule\n\\end{{tabular}}\n"
+    )
+
+
+_SPECIAL = re.compile(r"[&%$#_{}~^\\]")
+_WRITTEN = {"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\textbackslash{}"}
+
+
+def _escaped(cell: str) -> str:
+    """Return a cell in which LaTeX finds no command."""
+    return _SPECIAL.sub(lambda match: _WRITTEN.get(match[0], f"\\{match[0]}"), cell)
+
+
+def _table(rows: Sequence[dict[str, Any]], *, signed: bool) -> str:
+    lines = [[cell.replace("|", "\\|") for cell in line] for line in _lines(rows, signed=signed)]
+    head = ["---"] + ["---:"] * (len(lines[0]) - 1)
     return "".join(f"| {' | '.join(line)} |\n" for line in [lines[0], head, *lines[1:]])
 
 
-def _cell(estimate: dict[str, Any] | None, shown: Shown, n: int, signed: bool) -> str:
+def _lines(rows: Sequence[dict[str, Any]], *, signed: bool) -> list[list[str]]:
+    """Return the cells of a table, its head first."""
+    used = [column for column in shown_columns(rows) if any(column.name in row for row in rows)]
+    titles = [f"{column.title}, %" if column.name in RATES else column.title for column in used]
+    lines = [["point", "n", *titles]]
+    lines += [
+        [row["point"], str(row["n"])]
+        + [_cell(row.get(column.name), column, row["n"], signed) for column in used]
+        for row in rows
+    ]
+    return lines
+
+
+def _cell(estimate: dict[str, Any] | None, column: Shown, n: int, signed: bool) -> str:
     if estimate is None:
         return ""
     sign = "+" if signed else ""
-    number = lambda x, s="": f"{x * shown.factor:{s}.{shown.digits}f}"
+    number = lambda x, s="": f"{x * column.factor:{s}.{column.digits}f}"
     text = number(estimate["mean"], sign)
     if math.isfinite(estimate["low"]):
         text += f" [{number(estimate['low'], sign)}, {number(estimate['high'], sign)}]"

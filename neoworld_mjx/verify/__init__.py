@@ -1,6 +1,6 @@
 """Step 3, object-level physics (paper Section 3.2): scenarios, verdicts, restricted edits."""
 
-from .battery import VERSION, Battery, verify
+from .battery import VERSION, Battery
 from .patch import Patch, apply, overlay_path, read_overlay, write_overlay
 from .repairs import Repaired, repair
 from .verdict import Check, Fault, Verdict
@@ -19,7 +19,6 @@ __all__ = [
     "overlay_path",
     "read_overlay",
     "repair",
-    "verify",
     "verify_and_repair",
     "write_overlay",
 ]

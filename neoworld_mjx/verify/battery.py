@@ -1,7 +1,7 @@
-"""The battery: all checks of an object by itself, as one verdict.
+"""The battery: all checks of a single object, as one verdict.
 
 Static checks come first, then the sweep over all joints' ranges, then all scenarios of the object
-in one batched rollout. An error of the tool is an outcome of its own, never a pass.
+in one batched rollout. An error of a check is an outcome of its own, never a pass.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,23 +18,27 @@ from .motion_checks import checks_of
 from .scenarios import list_scenarios
 from .simulation import Simulation, Trajectory
 from .static_checks import statics, without_bad_inertia
-from .verdict import Check, Fault, ScenarioKind, Verdict
+from .verdict import Check, ScenarioKind, Verdict
 
-VERSION = "5"
-"""Raised whenever the same object could get another verdict; what is cached goes by it."""
+VERSION = "6"
+"""Increased when the same object may get another verdict; part of the key of cached results."""
 
 
 class Battery:
-    """One run of the battery, with its measurements for repairs and pictures.
+    """One run of the battery: its verdict, and its measurements for repairs and pictures.
+
+    An object is tried by itself on a floor. Free fall drops it from small heights and tilts, force
+    perturbation pushes and twists each part, every joint is released, coasts and is driven, and the
+    ground is tilted until the object slides.
 
     Args:
         spec: the object.
         options: durations, impulses and thresholds.
-        fixed_base: whether its base stays fastened; then only its joints are tried.
-        tilt: how it rests, for things that lie.
-        joint_state: how its joints stand while it falls and is pushed [rad or m].
-        allowed: overlaps that its program asks for.
-        threads: for the rollout; 0 takes all cores.
+        fixed_base: whether its base is fixed; then the scenarios are those of its joints.
+        tilt: its resting orientation, such as that of an object that lies.
+        joint_state: positions of its joints while it falls and is pushed [rad or m].
+        allowed: overlaps that its program declares.
+        threads: threads of the rollout; 0 takes all cores.
     """
 
     def __init__(
@@ -79,7 +83,7 @@ class Battery:
             try:
                 checks += run()
             except (ValueError, mujoco.FatalError, np.linalg.LinAlgError) as error:
-                # An error of the tool says nothing about the object, and is not a pass either.
+                # An error of a check says nothing about the object, so it is no pass.
                 checks.append(
                     Check(scenario=name, name="runs", outcome="TOOL_FAILURE", hint=str(error)[:300])
                 )
@@ -91,32 +95,3 @@ class Battery:
             battery=VERSION,
             checks=tuple(checks),
         )
-
-
-def verify(
-    spec: ObjectSpec,
-    options: VerifyOptions | None = None,
-    *,
-    fixed_base: bool = False,
-    tilt: Quat = IDENTITY,
-    joint_state: dict[str, float] | None = None,
-    allowed: Sequence[Allowance] = (),
-    threads: int = 0,
-) -> Verdict:
-    """Try an object by itself on a floor; arguments are those of `Battery`.
-
-    Free fall drops it from small heights and tilts, force perturbation pushes and twists each part,
-    every joint is released, coasts and is driven, and the ground is tilted until the object slides.
-    """
-    return Battery(
-        spec,
-        options,
-        fixed_base=fixed_base,
-        tilt=tilt,
-        joint_state=joint_state,
-        allowed=allowed,
-        threads=threads,
-    ).verdict
-
-
-__all__ = ["VERSION", "Battery", "Check", "Fault", "Verdict", "verify"]

@@ -1,4 +1,4 @@
-"""`neoworld check` of an object: a program, a URDF or an MJCF file, whoever wrote it."""
+"""`neoworld check` of an object: a program, a URDF, MJCF or USD file from any source."""
 
 import time
 from pathlib import Path
@@ -7,8 +7,8 @@ from typing import Any
 from ..config import Config
 from ..errors import SpecError
 from ..export import export_object
-from ..export.checked_xml import read_xml
-from ..export.importing import Imported, import_mjcf, import_urdf
+from ..export.importing import Imported
+from ..export.importing_scene import ImportedScene, import_file
 from ..program.allowance import Allowance
 from ..spec import ObjectSpec
 from .battery import VERSION
@@ -17,84 +17,78 @@ from .patched import build_patched
 from .verdict import Check, Verdict
 from .verification import VerificationResult, verify_and_repair
 
-OBJECTS = (".py", ".urdf", ".xml", ".mjcf")
-"""Suffixes of files that hold an object."""
-
 
 def import_object(path: Path) -> Imported:
-    """Read a URDF or MJCF file, told apart by what it begins with.
+    """Read a URDF, MJCF or USD file with one object.
 
     Raises:
-        SpecError: it is neither, broken, or hostile.
+        SpecError: the file is of no such kind, holds several objects, is broken, or exceeds the
+            limits on size.
     """
-    root = read_xml(path)
-    readers = {"robot": import_urdf, "mujoco": import_mjcf}
-    if root.tag not in readers:
-        raise SpecError(
-            f"{path} begins with <{root.tag}>: a URDF with <robot>, an MJCF with <mujoco>"
-        )
-    try:
-        return readers[root.tag](path)
-    except SpecError as error:
-        told = str(error)
-        raise SpecError(told if path.name in told else f"{path}: {told}") from None
+    imported = import_file(path)
+    if isinstance(imported, ImportedScene):
+        names = ", ".join(item.name for item in imported.spec.objects[:8])
+        raise SpecError(f"{path} holds a scene of several objects, not one: {names}")
+    return imported
 
 
 def check_object(
     path: Path,
     config: Config,
     *,
+    imported: Imported | None = None,
     fixed_base: bool = False,
-    mend: bool = False,
+    repair: bool = False,
     out: Path | None = None,
 ) -> dict[str, Any]:
-    """Try the object of a file, and mend it if asked to.
+    """Run the battery on the object of a file, and repair it on request.
 
     Args:
-        path: a program (.py), URDF or MJCF.
-        config: of programs and of the battery.
-        fixed_base: whether the base stays fastened.
-        mend: whether direct repairs are tried; the patch of a program is kept beside it.
-        out: folder for the mended object in every format; None writes none.
+        path: a program (.py), URDF, MJCF or USD.
+        config: options of programs and of the battery.
+        imported: what the file holds, where it has been read.
+        fixed_base: whether the base is fixed.
+        repair: whether to try direct repairs; the patch of a program is written beside it.
+        out: folder for the repaired object in every format; None writes none.
 
     Returns:
-        What `neoworld check --json` prints.
+        The JSON object that `neoworld check --json` prints.
 
     Raises:
         SpecError: the file cannot be used.
-        ExportError: the mended object cannot be written.
+        ExportError: the repaired object cannot be written.
     """
-    if out is not None and not mend:
-        raise SpecError("--out takes the mended object: give --repair with it")
+    if out is not None and not repair:
+        raise SpecError("--out writes the repaired object: give --repair with it")
     answer: dict[str, Any] = {"target": str(path)}
     spec: ObjectSpec
     allowed: tuple[Allowance, ...] = ()
     if path.suffix == ".py":
-        made = build_patched(path, config.program)
-        built = made.built
+        patched = build_patched(path, config.program)
+        built = patched.built
         signals = [{"code": s.code, **s.model_dump(exclude_defaults=True)} for s in built.signals]
         answer["signals"] = signals
         if built.spec is None:
             return {**answer, "passed": False, "checks": []}
         spec = built.spec
         allowed = built.allowances
-        if made.patch is not None:
-            answer["overlay"] = {"file": str(overlay_path(path)), "stale": list(made.stale)}
+        if patched.patch is not None:
+            answer["overlay"] = {"file": str(overlay_path(path)), "stale": list(patched.stale)}
     else:
-        found = import_object(path)
-        spec, answer["notes"] = found.spec, list(found.notes)
+        imported = imported or import_object(path)
+        spec, answer["notes"] = imported.spec, list(imported.notes)
     start = time.perf_counter()
-    options = config.verify if mend else config.verify.model_copy(update={"rounds": 0})
+    options = config.verify if repair else config.verify.model_copy(update={"rounds": 0})
     result = verify_and_repair(spec, options, fixed_base=fixed_base, allowed=allowed)
-    answer |= told(result)
+    answer |= report(result)
     answer["seconds"] = round(time.perf_counter() - start, 3)
     if path.suffix == ".py" and any(s.get("severity") == "error" for s in answer["signals"]):
-        # What the program's own checks hold against it counts as well, unless a patch cured it.
+        # Errors of the compile checks count as well, unless a patch repaired the object.
         answer["passed"] = answer["passed"] and not result.patch.empty
-    if mend and not result.patch.empty:
+    if repair and not result.patch.empty:
         if path.suffix == ".py":
-            kept = read_overlay(path)
-            patch = result.patch if kept is None else kept.joined(result.patch)
+            earlier = read_overlay(path)
+            patch = result.patch if earlier is None else earlier.joined(result.patch)
             answer["patch"] = str(write_overlay(path, patch))
         if out is not None:
             export_object(result.applied(spec), out)
@@ -102,8 +96,8 @@ def check_object(
     return answer
 
 
-def told(result: VerificationResult) -> dict[str, Any]:
-    """Return what a result says, for people and programs."""
+def report(result: VerificationResult) -> dict[str, Any]:
+    """Return a result as a JSON object: verdict, counts, checks with the worst first, repairs."""
     verdict = result.verdict
     answer: dict[str, Any] = {
         "object": verdict.object,
@@ -133,10 +127,7 @@ def _worst_first(verdict: Verdict) -> list[Check]:
 
 
 def counts(verdict: Verdict) -> dict[str, int]:
-    """Return how many checks came out how, and how many of those that passed are doubtful."""
+    """Return the number of checks with each outcome, and of doubtful ones that passed."""
     outcomes = [check.outcome for check in verdict.checks]
-    found = {name: outcomes.count(name) for name in ("PASS", "FAIL", "SKIP", "TOOL_FAILURE")}
-    return found | {"doubtful": len(verdict.doubtful)}
-
-
-__all__ = ["OBJECTS", "check_object", "import_object", "told"]
+    number = {name: outcomes.count(name) for name in ("PASS", "FAIL", "SKIP", "TOOL_FAILURE")}
+    return number | {"doubtful": len(verdict.doubtful)}

@@ -1,25 +1,28 @@
 """Step 3 with models: the critic judges key frames of failed checks, the reasoner proposes edits
 (3.2).
 
-Only an object that direct repairs left with failed or doubtful checks is shown. The reasoner
-proposes a `Patch`, which must lower the fault score like every repair. The critic's findings stand
-beside the verdict and change no outcome. For an object that passes with doubtful checks the critic
-alone is asked: its fault score is 0, and no edit could lower that.
+Models see objects that direct repairs left with failed or doubtful checks, or on request all. The
+reasoner proposes a `Patch`, which must lower the fault score like every repair. The critic's
+findings are reported beside the verdict and change no outcome. An object that passes with doubtful
+checks goes to the critic alone: its fault score is 0, and no edit could lower that.
 """
 
 import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from ..errors import MissingAnswerError
 from ..mllm import Panel, Request, ask_or_record, package_text, revise
 from ..spec import ObjectSpec, inertial
 from .battery import Battery
 from .key_frames import questionable, strips
 from .patch import Patch
 from .repairs import Repaired, RunBattery, try_patches
+
+T = TypeVar("T", bound=BaseModel)
 
 # Titles, docstrings and descriptions of the answers are part of the requests: tapes hold answers to
 # these very ones.
@@ -54,11 +57,11 @@ class ProposedEdit(BaseModel):
     why: Annotated[str, Field(max_length=600)] = ""
 
 
-def key_frames_request(battery: Battery) -> Request[MotionCritique]:
-    """Return the request to the critic about an object's key frames."""
+def key_frames_request(battery: Battery, *, always: bool = False) -> Request[MotionCritique]:
+    """Return the request to the critic about an object's key frames; see `strips`."""
     prompt = f"The object: {battery.spec.label or battery.spec.name}.\n\n{_numbers(battery)}"
-    name = f"simulation:{battery.spec.name}"
-    return Request("critic", name, _instructions("critic"), prompt, MotionCritique, strips(battery))
+    name, frames = f"simulation:{battery.spec.name}", strips(battery, always=always)
+    return Request("critic", name, _instructions("critic"), prompt, MotionCritique, frames)
 
 
 def edit_request(battery: Battery, critique: MotionCritique) -> Request[ProposedEdit]:
@@ -122,38 +125,55 @@ def with_models(
     spec: ObjectSpec,
     *,
     rounds: int = 2,
+    always: bool = False,
 ) -> list[MotionCritique]:
-    """Let the critic judge and the reasoner edit, as long as it helps, for at most `rounds` rounds.
+    """Ask the critic for findings and the reasoner for edits, at most `rounds` times.
 
-    An object that passes is judged and not edited; so is every object with `rounds` 0.
+    An object that passes gets findings but no edits; so does every object with `rounds` 0.
 
     Args:
         repaired: the result of direct repairs; edits that help are added to it.
-        now: the battery's run on it.
-        models: answer as critic and reasoner.
-        run: the battery with its options.
+        now: the battery's result for it.
+        models: critic and reasoner.
+        run: runs the battery on an object.
         spec: the object before all repairs.
         rounds: most edits.
+        always: whether the critic also sees what passes, and whose answers a tape must hold.
 
     Returns:
         The critique of each round.
 
     Raises:
         BudgetError: the cost cap is reached.
-        MissingAnswerError: a tape lacks the answer.
+        MissingAnswerError: with `always`, a tape lacks the answer.
     """
-    return models.run(_edited(repaired, now, models, run, spec, rounds))
+    return models.run(_edited(repaired, now, models, run, spec, rounds, always))
 
 
 async def _edited(
-    repaired: Repaired, now: Battery, models: Panel, run: RunBattery, spec: ObjectSpec, rounds: int
+    repaired: Repaired,
+    now: Battery,
+    models: Panel,
+    run: RunBattery,
+    spec: ObjectSpec,
+    rounds: int,
+    always: bool,
 ) -> list[MotionCritique]:
-    fallbacks: list[tuple[str, str]] = []
+    lost = repaired.lost_critics
+
+    async def ask(request: Request[T]) -> T | None:
+        try:
+            return await ask_or_record(models, request, request.name, lost)
+        except MissingAnswerError:
+            if always:
+                raise
+            # No fallback: by default nobody is asked for what the tape does not hold.
+            repaired.tried.append(f"{request.name}: the tape does not hold the answer")
+            return None
 
     async def criticise(attempt: _Round) -> _Round:
-        request = key_frames_request(attempt.battery)
-        stage = f"{request.name} was not answered"
-        return replace(attempt, critique=await ask_or_record(models, request, stage, fallbacks))
+        request = key_frames_request(attempt.battery, always=always)
+        return replace(attempt, critique=await ask(request))
 
     def accept(attempt: _Round) -> bool:
         critique = attempt.critique
@@ -164,8 +184,7 @@ async def _edited(
         battery, critique = attempts[-1].battery, attempts[-1].critique
         assert critique is not None
         request = edit_request(battery, critique)
-        stage = f"{request.name} was not answered"
-        proposed = await ask_or_record(models, request, stage, fallbacks)
+        proposed = await ask(request)
         if proposed is None or proposed.patch.empty:
             return None
         edited = await asyncio.to_thread(
@@ -181,16 +200,4 @@ async def _edited(
         criticise=criticise,
         criticise_last=False,
     )
-    repaired.tried.extend(f"{stage}: {reason}" for stage, reason in fallbacks)
     return [attempt.critique for attempt in attempts if attempt.critique is not None]
-
-
-__all__ = [
-    "Finding",
-    "MotionCritique",
-    "ProposedEdit",
-    "described",
-    "edit_request",
-    "key_frames_request",
-    "with_models",
-]

@@ -1,7 +1,6 @@
-"""Check an object by posing it: overlaps over every range, gaps, pivots, declared intents.
+"""Kinematic checks of an object: overlaps over every range, gaps, pivots, declared intents.
 
-Gaps are measured where the object is drawn, at rest: a drawer that is pulled out of its carcass has
-not come apart.
+Gaps are measured at rest: a drawer that is pulled out of its carcass is still attached.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,9 +29,9 @@ from .static_checks import helper
 from .verdict import Check, Fault, Limit, judged, skipped
 
 AT_ONCE = 0.25
-"""A joint that is free over less than this share of its range runs into something at once."""
+"""Share of its range below which a joint's free range counts as blocked from the start."""
 CLEAR = 0.5
-"""Share of the depth allowed up to which a range counts as free, where that leaves any."""
+"""Share of the allowed depth up to which a range counts as free, if any of it then does."""
 GAP_SLACK, GAP_SHARE = 2.0, 0.01
 """Widest gap between a part and its parent, over `touch_gap_m`, and over the object's size."""
 
@@ -43,9 +42,9 @@ class JointChecks:
 
     checks: list[Check] = field(default_factory=list)
     free: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Free range around rest of each joint that runs into something [rad or m]."""
+    """Free range around rest [rad or m] of each joint that collides within its range."""
     overlapping: list[tuple[str, str, float]] = field(default_factory=list)
-    """Parts that enter each other at rest, and how deep [m]."""
+    """Pairs of parts that overlap at rest, with the depth [m]."""
 
 
 def check_joints(
@@ -56,7 +55,7 @@ def check_joints(
     Args:
         spec: the object.
         options: thresholds and how finely ranges are swept.
-        allowances: overlaps that its program asks for.
+        allowances: overlaps that its program declares.
     """
     probe = Probe(spec)
     helpers = [part.name for part in spec.parts if helper(part)]
@@ -77,6 +76,7 @@ def check_joints(
 
 
 def _at_rest(sweep: JointSweep, result: JointChecks, options: VerifyOptions) -> None:
+    """Check the depth of every pair of parts that overlaps at rest."""
     worst, between = 0.0, ""
     depths = dict.fromkeys(sweep.reasons, 0.0) | {p: o.depth for p, o in sweep.at_rest.items()}
     for pair, depth in depths.items():
@@ -90,7 +90,7 @@ def _at_rest(sweep: JointSweep, result: JointChecks, options: VerifyOptions) -> 
             )
         elif pair in sweep.reasons:
             check = judged("static", name, depth, limit, part=second)
-            # Its program asks for this very depth, so a depth close to it is not doubtful.
+            # The program declares this depth, so a depth close to it is not doubtful.
             update = {"doubtful": False, "evidence": f"{evidence}, granted: {sweep.reasons[pair]}"}
             result.checks.append(check.model_copy(update=update))
         elif depth > worst:
@@ -118,7 +118,7 @@ def _over_range(
         other = probe.names[next((k for k in pair if k not in swept.moving), pair[0])]
     fault = Fault.LIMIT_INTO_PART
     if sweep.too_deep(swept.deepest):
-        # A range that is cut right at the threshold would be doubtful at once.
+        # A range that is cut right at the threshold would pass only as doubtful.
         for share in (CLEAR, 1.0):
             free = free_range(sweep, swept, share)
             if free[1] - free[0] >= AT_ONCE * swept.width:
@@ -145,10 +145,10 @@ def _over_range(
 
 
 def _better_pivot(sweep: JointSweep, swept: JointRange) -> bool:
-    """Tell whether a pivot within the part, on none of its edges, collides where an edge would not.
+    """Tell whether a hinge that is on no edge of its child would be free of collisions on one.
 
-    A hinge sits on an edge of the part that it turns. One that does not, and whose range would be
-    free if it did, is in the wrong place; one that sits on an edge has another fault.
+    A hinge belongs on an edge of the part that it turns. If it is elsewhere and an edge would free
+    its range, its pivot is the fault; a hinge that is on an edge has another fault.
     """
     spec, joint = sweep.probe.spec, swept.joint
     low, high = part_bounds(spec, spec.part(joint.child))
@@ -166,7 +166,7 @@ def _better_pivot(sweep: JointSweep, swept: JointRange) -> bool:
 
 
 def on_edge(joint: JointSpec, low: NDArray, high: NDArray) -> bool:
-    """Tell whether a joint's axis runs along an edge of a box, to a tenth of the box's width."""
+    """Tell whether a joint's axis runs along an edge of a box, within a tenth of its diagonal."""
     axis = np.array(joint.axis)
     off = pivot_edges(joint, low, high) - np.array(joint.pos)
     wide = (high - low) * (np.abs(axis) < 0.99)
@@ -178,18 +178,19 @@ def on_edge(joint: JointSpec, low: NDArray, high: NDArray) -> bool:
 
 
 def pivot_edges(joint: JointSpec, low: NDArray, high: NDArray) -> NDArray:
-    """Return points on a box's four edges along a joint's axis [4, 3] m; none if it is askew."""
+    """Return points [4, 3] m on a box's four edges along a joint's axis; none if it is oblique."""
     along = int(np.argmax(np.abs(joint.axis)))
     if abs(joint.axis[along]) < 0.99:
         return np.zeros((0, 3))
-    one, two = (k for k in range(3) if k != along)
+    u, v = (k for k in range(3) if k != along)
     edges = np.tile((low + high) / 2, (4, 1))
-    edges[:, one] = [low[one], low[one], high[one], high[one]]
-    edges[:, two] = [low[two], high[two], low[two], high[two]]
+    edges[:, u] = [low[u], low[u], high[u], high[u]]
+    edges[:, v] = [low[v], high[v], low[v], high[v]]
     return edges
 
 
 def _together(sweep: JointSweep, result: JointChecks, options: VerifyOptions) -> None:
+    """Check the depth while all joints move at once, within their free ranges."""
     deepest = sweep_together(sweep, options, result.free)
     pair = max(deepest, key=lambda pair: deepest[pair].depth, default=None)
     worst, evidence, threshold = 0.0, "", options.max_depth_m
@@ -203,7 +204,7 @@ def _together(sweep: JointSweep, result: JointChecks, options: VerifyOptions) ->
 
 
 def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
-    """Yield how much air there is at rest between each part and what it hangs on."""
+    """Yield a check of the gap [m] at rest between each part and its parent."""
     low, high = bounds(probe.spec)
     size = float(np.linalg.norm(high - low))
     slack = max(GAP_SLACK * options.touch_gap_m, GAP_SHARE * size)
@@ -212,24 +213,26 @@ def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
     for joint in probe.spec.joints:
         if helper(probe.spec.part(joint.child)) or helper(probe.spec.part(joint.parent)):
             continue
-        one, two = (probe.of_part(probe.names.index(name)) for name in (joint.parent, joint.child))
-        near = probe.nearest(one, two, reach)
+        parent_pieces, child_pieces = (
+            probe.of_part(probe.names.index(name)) for name in (joint.parent, joint.child)
+        )
+        near = probe.nearest(parent_pieces, child_pieces, reach)
         gap = reach if near is None else max(near.distance, 0.0)
-        told = f"{joint.child} hangs in the air beside {joint.parent}"
+        evidence = f"{joint.child} hangs in the air beside {joint.parent}"
         yield judged(
             "static", f"gap:{joint.name}", gap, limit, part=joint.child, joint=joint.name,
-            evidence=told,
+            evidence=evidence,
         )  # fmt: skip
 
 
 def _pivot(probe: Probe, joint: JointSpec, options: VerifyOptions) -> Check:
-    """Measure how far the axis of a turning joint passes beside the two parts that it joins."""
+    """Check the distance [m] of a turning joint's axis from the two parts that it joins."""
     low, high = probe.extent(probe.names.index(joint.child))
     size = float(np.linalg.norm(high - low))
     point, axis = np.array(joint.pos), np.array(joint.axis)
     off = line_box_distance(point, axis, low, high)
     if not helper(probe.spec.part(joint.parent)):
-        # The parent's frame need not reach all the way to the axis, as a hinge has its own size.
+        # A hinge has a size of its own, so the parent may end short of the axis: half counts.
         off = max(
             off, line_box_distance(point, axis, *probe.extent(probe.names.index(joint.parent))) / 2
         )
@@ -243,7 +246,7 @@ def _pivot(probe: Probe, joint: JointSpec, options: VerifyOptions) -> Check:
 
 
 def intents(spec: ObjectSpec) -> Iterator[Check]:
-    """Yield whether joints do what they are declared to do."""
+    """Yield checks of each joint's type, direction and travel against its declared intent."""
     for joint in spec.joints:
         intent = joint.intent
         if intent is None:
@@ -253,10 +256,10 @@ def intents(spec: ObjectSpec) -> Iterator[Check]:
         if intent.type is not None:
             wrong = 0.0 if intent.type == joint.type else 1.0
             limit = Limit(threshold=0.0, unit="", fault=Fault.JOINT_TYPE)
-            told = f"{joint.name} is {joint.type} and meant to be {intent.type}"
+            evidence = f"{joint.name} is {joint.type} and meant to be {intent.type}"
             yield judged(
                 "intent", f"type:{joint.name}", wrong, limit, part=joint.child, joint=joint.name,
-                evidence=told,
+                evidence=evidence,
             )  # fmt: skip
             if wrong:
                 continue
@@ -266,8 +269,8 @@ def intents(spec: ObjectSpec) -> Iterator[Check]:
             )
             cosine = opening_alignment(spec, joint)
             if cosine is None:
-                why = "its middle hardly moves, so it opens no way"
-                yield skipped("intent", f"opens:{joint.name}", why, joint.name)
+                reason = "its middle hardly moves, so it opens no way"
+                yield skipped("intent", f"opens:{joint.name}", reason, joint.name)
                 continue
             yield judged(
                 "intent", f"opens:{joint.name}", cosine, limit, part=joint.child,
@@ -285,6 +288,3 @@ def intents(spec: ObjectSpec) -> Iterator[Check]:
             yield judged(
                 "intent", f"travel:{joint.name}", width, limit, part=joint.child, joint=joint.name
             )
-
-
-__all__ = ["JointChecks", "check_joints", "intents", "on_edge", "pivot_edges"]

@@ -1,8 +1,8 @@
 """Patches: the restricted edits that Step 3 may make to an object (paper Section 3.2).
 
 A patch edits masses and inertias, joint limits, damping and friction, origins, and collision
-geometry. It cannot express parts, joints, axes, types, or visual geometry. It is kept beside the
-program and applied to the object that the program makes, so it survives a rebuild.
+geometry. It cannot express parts, joints, axes, types, or visual geometry. The patch of a program
+is a file beside it, applied to the object that the program makes, so it survives a rebuild.
 """
 
 from pathlib import Path
@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from ..config import describe
 from ..errors import SpecError
 from ..files import write_atomic
+from ..reading import read_model
 from ..spec import AuthoredInertia, GeomSpec, JointSpec, Name, ObjectSpec, PartSpec, Vec3
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -34,7 +35,7 @@ class PartEdit(Edit):
     """[kg], or by volume and density."""
     inertia: AuthoredInertia | Literal["derived"] | None = None
     shift: Vec3 | None = None
-    """Moves the part's origin, with all that hangs on it but its own joint [m]."""
+    """Translation [m] of the part and all parts below it; its own joint stays."""
 
 
 class JointEdit(Edit):
@@ -45,16 +46,16 @@ class JointEdit(Edit):
     damping: Annotated[float, Field(ge=0, le=1e6)] | None = None
     friction: Annotated[float, Field(ge=0, le=1e6)] | None = None
     origin: Vec3 | None = None
-    """Where its axis passes [m]."""
+    """Point [m] that its axis passes through."""
 
 
 class GeomEdit(Edit):
     """What may change of how a shape collides; what is seen of it stays."""
 
     shrink: Annotated[float, Field(ge=0.5, le=1.0)] | None = None
-    """Size of the collider over the shape's, about the collider's own origin."""
+    """Scale of the collider relative to the shape, about the collider's origin."""
     as_seen: bool = False
-    """Whether the shape that is seen collides itself, instead of other colliders of the part."""
+    """Whether the visible shape collides, instead of other colliders of the part."""
 
     @model_validator(mode="after")
     def _one(self) -> "GeomEdit":
@@ -76,36 +77,37 @@ class Patch(Edit):
         return not (self.parts or self.joints or self.geoms)
 
     def joined(self, other: "Patch") -> "Patch":
-        """Lay another patch over this one; shifts add up, for the rest the other wins."""
-        mine, yours = self.model_dump(exclude_none=True), other.model_dump(exclude_none=True)
-        for kind, edits in yours.items():
+        """Merge another patch into this one: shifts add up, otherwise the other's values win."""
+        merged, later = self.model_dump(exclude_none=True), other.model_dump(exclude_none=True)
+        for kind, edits in later.items():
             for name, edit in edits.items():
-                old = mine[kind].setdefault(name, {})
+                old = merged[kind].setdefault(name, {})
                 if "shift" in edit and "shift" in old:
                     sum_ = np.add(old["shift"], edit["shift"])
                     edit = {**edit, "shift": tuple(sum_.tolist())}
                 old.update(edit)
-        return Patch.model_validate(mine)
+        return Patch.model_validate(merged)
 
     def changes(self) -> tuple[str, ...]:
-        """Say each change in words."""
-        told = []
+        """Describe each change in words."""
+        changes = []
         for kind in ("parts", "joints", "geoms"):
             for name, edit in getattr(self, kind).items():
                 for key, value in edit.model_dump(exclude_none=True, exclude_defaults=True).items():
-                    told.append(f"{kind[:-1]} {name}: {key} = {_short(value)}")
-        return tuple(told)
+                    changes.append(f"{kind[:-1]} {name}: {key} = {_short(value)}")
+        return tuple(changes)
 
     def to_json(self) -> str:
-        """Serialise, only what is changed."""
+        """Return the JSON of the fields that it sets."""
         return self.model_dump_json(indent=1, exclude_none=True, exclude_defaults=True) + "\n"
 
 
 def apply(patch: Patch, spec: ObjectSpec) -> tuple[ObjectSpec, tuple[str, ...]]:
-    """Lay a patch over an object.
+    """Apply a patch to an object.
 
     Returns:
-        The object, and which edits found nothing to change, as when the program has changed since.
+        The object, and the names of parts, joints and geoms that the patch edits but the object
+        lacks, such as after a change of its program.
 
     Raises:
         SpecError: the edits leave no valid object.
@@ -122,7 +124,7 @@ def apply(patch: Patch, spec: ObjectSpec) -> tuple[ObjectSpec, tuple[str, ...]]:
         for s in spec.sites
     )
     try:
-        made = ObjectSpec(
+        patched = ObjectSpec(
             name=spec.name,
             label=spec.label,
             materials=spec.materials,
@@ -132,10 +134,11 @@ def apply(patch: Patch, spec: ObjectSpec) -> tuple[ObjectSpec, tuple[str, ...]]:
         )
     except ValidationError as error:
         raise SpecError(f"the patch of {spec.name}: {describe(error, ObjectSpec)}") from None
-    return made, tuple(stale)
+    return patched, tuple(stale)
 
 
 def _shifts(patch: Patch, spec: ObjectSpec) -> dict[str, np.ndarray]:
+    """Return the translation [3] m of each part: its own, plus that of its parent."""
     shifts: dict[str, np.ndarray] = {}
     for part, joint in spec.ordered:
         above = np.zeros(3) if joint is None else shifts[joint.parent]
@@ -163,12 +166,12 @@ def _part(part: PartSpec, patch: Patch, shift: np.ndarray) -> PartSpec:
 
 def _geom(geom: GeomSpec, part: PartSpec, patch: Patch) -> list[GeomSpec]:
     edit = patch.geoms.get(geom.name)
-    seen = any(
+    visual_collides = any(
         g.name in patch.geoms and patch.geoms[g.name].as_seen and g.role != "collision"
         for g in part.geoms
     )
-    if seen and geom.role == "collision":
-        return []  # What is seen collides in its place.
+    if visual_collides and geom.role == "collision":
+        return []  # The visible shape collides in its place.
     if edit is None:
         return [geom]
     if edit.as_seen and geom.role != "collision":
@@ -188,7 +191,7 @@ def _joint(joint: JointSpec, patch: Patch, shifts: dict[str, np.ndarray]) -> Joi
     edit = patch.joints.get(joint.name, JointEdit())
     update = edit.model_dump(include={"lower", "upper", "damping", "friction"}, exclude_none=True)
     if joint.type not in ("revolute", "prismatic"):
-        # A ball's range begins at 0; the others have none.
+        # Only the upper limit of a ball can change; the other types have no range.
         update = {k: v for k, v in update.items() if k != "lower"}
         if joint.type != "ball":
             update.pop("upper", None)
@@ -198,7 +201,7 @@ def _joint(joint: JointSpec, patch: Patch, shifts: dict[str, np.ndarray]) -> Joi
 
 
 def overlay_path(program: Path) -> Path:
-    """Return where the patch of a program is kept."""
+    """Return the path of a program's patch."""
     return program.with_name(program.stem + SUFFIX)
 
 
@@ -206,24 +209,17 @@ def read_overlay(program: Path) -> Patch | None:
     """Read the patch beside a program; None if there is none.
 
     Raises:
-        SpecError: it is no patch.
+        SpecError: the file cannot be read, or is no patch.
     """
     path = overlay_path(program)
-    try:
-        return Patch.model_validate_json(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise SpecError(f"cannot read {path}: {error.strerror}") from None
-    except ValidationError as error:
-        raise SpecError(f"{path}: {describe(error, Patch)}") from None
+    return read_model(path, Patch, SpecError, "a patch") if path.exists() else None
 
 
 def write_overlay(program: Path, patch: Patch) -> Path:
-    """Keep a patch beside its program.
+    """Write a patch beside its program, and return its path.
 
     Raises:
-        SpecError: it cannot be written.
+        SpecError: the file cannot be written.
     """
     path = overlay_path(program)
     try:
@@ -241,15 +237,3 @@ def _short(value: object) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{k} {_short(v)}" for k, v in value.items())
     return str(value)
-
-
-__all__ = [
-    "GeomEdit",
-    "JointEdit",
-    "PartEdit",
-    "Patch",
-    "apply",
-    "overlay_path",
-    "read_overlay",
-    "write_overlay",
-]

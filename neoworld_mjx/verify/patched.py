@@ -1,4 +1,4 @@
-"""Build a program and apply the patch that is kept beside it."""
+"""Build a program and apply the patch beside it."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -7,28 +7,29 @@ from ..config import ProgramOptions
 from ..errors import SpecError
 from ..program import build
 from ..program.watch import BuiltProgram
+from ..reading import read_outside_text
 from .patch import SUFFIX, Patch, apply, read_overlay
 
 
 @dataclass(frozen=True)
 class PatchedProgram(BuiltProgram):
-    """What a program made, with its patch."""
+    """The result of building a program, with its patch applied."""
 
     patch: Patch | None = None
-    """None where none is kept."""
+    """None if the program has no patch."""
     stale: tuple[str, ...] = ()
-    """Edits that found nothing to change."""
+    """Parts, joints and geoms that the patch edits but the object lacks."""
 
 
 def build_patched(program: Path, options: ProgramOptions) -> PatchedProgram:
-    """Build the program in a file, and lay the patch beside it over whatever it makes now.
+    """Build the program in a file, and apply the patch beside it to the object.
 
     Args:
         program: the file.
         options: sandbox, limits and thresholds.
 
     Raises:
-        SpecError: program or patch cannot be read, or together they make no valid object.
+        SpecError: the program or patch cannot be read, or the patched object is invalid.
     """
     text = read_program(program)
     built = build(text, options)
@@ -48,14 +49,6 @@ def read_program(program: Path) -> str:
     """Return a program's text.
 
     Raises:
-        SpecError: it cannot be read.
+        SpecError: the file cannot be read or is no text.
     """
-    try:
-        return program.read_text(encoding="utf-8")
-    except OSError as error:
-        raise SpecError(f"cannot read {program}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise SpecError(f"{program} is not a text file") from None
-
-
-__all__ = ["PatchedProgram", "build_patched", "read_program"]
+    return read_outside_text(program, SpecError)

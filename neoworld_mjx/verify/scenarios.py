@@ -1,8 +1,8 @@
 """Scenarios of an object: falls, pushes, releases, drives and a slope.
 
-A scenario says how the object starts and which forces act on it when; `Simulation.run` runs all
-scenarios of an object in one batch. The paper's two standard scenarios (Section 3.2, Step 3) are
-presets by name.
+A scenario states the initial state of the object and the forces on it over time; `Simulation.run`
+runs all scenarios of an object in one batch. `PRESETS` names the paper's two standard scenarios
+(Section 3.2, Step 3).
 """
 
 from dataclasses import dataclass, field
@@ -15,14 +15,14 @@ from ..config import VerifyOptions
 from .verdict import ScenarioKind
 
 World = Literal["free", "gripping", "held", "weightless"]
-"""Free on the floor; the same with contacts that do not creep; its base held fast, without floor;
-held, and without gravity too."""
+"""Free on the floor; free with contacts that do not creep; base held, without floor; base held,
+without floor and gravity."""
 SINGLE = ("revolute", "continuous", "prismatic")
-"""Types of joints with one value; what has three is posed and pushed, but not driven."""
+"""Types of joints with one value; a ball joint is posed and pushed, but not driven."""
 STILL_S = 0.1
 """Time a joint rests before it is driven."""
 TILT_FROM_S, STEEPEST_DEG = 0.3, 70.0
-"""When the slope begins to rise, and how steep it is at the end."""
+"""Time at which the slope begins to rise, and its final angle."""
 DIRECTIONS = {
     "+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1),
     "-z": (0, 0, -1),
@@ -40,56 +40,56 @@ class Scenario:
     name: str
     world: World
     height: float = 0.0
-    """Of its lowest point above the floor at the start [m]."""
+    """Initial height of its lowest point above the floor [m]."""
     tilt: tuple[float, float] = (0.0, 0.0)
-    """Turn at the start about x and about y, on top of how it rests [rad]."""
+    """Initial rotation about x and about y relative to its resting pose [rad]."""
     joints: dict[str, float] = field(default_factory=dict)
-    """Where joints start [rad or m]."""
+    """Initial joint positions [rad or m]."""
     propped: frozenset[str] = frozenset()
-    """Joints that are kept where they start: the door of a rack that is moved."""
+    """Joints that are held at their initial positions, such as the door of a rack that moves."""
     speeds: dict[str, float] = field(default_factory=dict)
-    """How fast they start."""
+    """Initial joint velocities [rad/s or m/s]."""
     part: str | None = None
-    """What is pushed."""
+    """Part that is pushed."""
     impulse: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Over the mass pushed [m/s]."""
+    """Impulse over the pushed mass [m/s]."""
     twist: float = 0.0
-    """Turn about the vertical that the push gives the pushed mass, alone [rad/s]."""
+    """Angular velocity about the vertical that the push gives the pushed mass alone [rad/s]."""
     joint: str | None = None
-    """What is released or driven."""
+    """Joint that is released or driven."""
     driven: bool = False
     slope: bool = False
 
 
 @dataclass(frozen=True)
 class Moving:
-    """What scenarios need to know of a joint that moves by itself."""
+    """A joint with one value that follows no other, as scenarios need it."""
 
     name: str
     child: str
     low: float
     high: float
-    """Its range [rad or m]; one turn for a continuous joint."""
+    """Limits `low` and `high` [rad or m]; one turn for a continuous joint."""
     sprung: bool = False
     opened: dict[str, float] = field(default_factory=dict)
-    """Where the joints stand that it waits for [rad or m]."""
+    """Open positions of the joints that it waits for [rad or m]."""
 
     @property
     def middle(self) -> float:
-        """The middle of its range."""
+        """Middle of its range [rad or m]."""
         return (self.low + self.high) / 2
 
 
 def list_scenarios(
     parts: list[str], joints: list[Moving], options: VerifyOptions, *, fixed_base: bool
 ) -> list[Scenario]:
-    """List what is done to an object.
+    """List all scenarios of an object.
 
     Args:
-        parts: one of each group of parts that move together, the root first.
-        joints: those that move by themselves.
+        parts: one part of each group that moves together, the root first.
+        joints: joints that follow no other.
         options: heights, impulses.
-        fixed_base: whether the base stays fastened; then only joints are tried.
+        fixed_base: whether the base is fixed; then the scenarios are those of its joints.
     """
     scenarios = [] if fixed_base else [*falls(options), *pushes(parts, options), slope()]
     for joint in joints:
@@ -99,7 +99,7 @@ def list_scenarios(
 
 
 def falls(options: VerifyOptions) -> list[Scenario]:
-    """Free fall from a small height, a higher one, and tilted about either axis."""
+    """Return free falls: from a small height, from a greater one, and tilted about x and y."""
     lean = np.radians(options.drop_tilt_deg)
     low, high = options.drop_height_m, options.high_drop_m
     return [
@@ -111,7 +111,7 @@ def falls(options: VerifyOptions) -> list[Scenario]:
 
 
 def pushes(parts: list[str], options: VerifyOptions) -> list[Scenario]:
-    """Force perturbation: six directions and a twist on each part."""
+    """Return force perturbations: pushes in six directions and a twist on each part."""
     speed = options.impulse_ns_per_kg
     scenarios = []
     for part in parts:
@@ -131,7 +131,7 @@ def pushes(parts: list[str], options: VerifyOptions) -> list[Scenario]:
 
 
 def releases(joint: Moving) -> list[Scenario]:
-    """Let a joint go from low, middle and high, leave it alone without weight, and let it coast."""
+    """Return releases of a joint: at both limits and the middle, weightless, and coasting."""
     scenarios = [
         Scenario(
             "joint_release", f"release:{joint.name}:{where}", "held", joint=joint.name,
@@ -147,7 +147,7 @@ def releases(joint: Moving) -> list[Scenario]:
             propped=propped,
         )
     )  # fmt: skip
-    # Without losses it would take a second to the end of its range.
+    # Without losses it would reach the end of its range in one second.
     speed = {joint.name: (joint.high - joint.low) / 2}
     scenarios.append(
         Scenario(
@@ -159,7 +159,7 @@ def releases(joint: Moving) -> list[Scenario]:
 
 
 def drives(joint: Moving) -> list[Scenario]:
-    """Drive a joint up its range and down again, with and without gravity."""
+    """Return drives of a joint up its range and down again, with and without gravity."""
     return [
         Scenario(
             "joint_drive", f"{name}:{joint.name}", world, joint=joint.name, driven=True,
@@ -170,12 +170,12 @@ def drives(joint: Moving) -> list[Scenario]:
 
 
 def slope() -> Scenario:
-    """Tilt the ground until the object slides."""
+    """Return the scenario in which the ground tilts until the object slides."""
     return Scenario("tilt_until_slide", "slope", "gripping", height=1e-4, slope=True)
 
 
 def slope_at(time: NDArray, duration: float) -> NDArray:
-    """Return the angle of the ground at times [t] s, in rad."""
+    """Return the angle of the ground [t] rad at times [t] s of a run that takes `duration` s."""
     share = np.clip((time - TILT_FROM_S) / (duration - TILT_FROM_S), 0.0, 1.0)
     return np.radians(STEEPEST_DEG) * share
 
@@ -184,19 +184,4 @@ PRESETS: dict[str, tuple[str, ...]] = {
     "free_fall": ("fall",),
     "force_perturbation": tuple(f"push:*:{name}" for name in (*DIRECTIONS, "twist")),
 }
-"""The paper's standard scenarios by the names of those that they stand for; * is any part."""
-
-__all__ = [
-    "PRESETS",
-    "SINGLE",
-    "Moving",
-    "Scenario",
-    "World",
-    "drives",
-    "falls",
-    "list_scenarios",
-    "pushes",
-    "releases",
-    "slope",
-    "slope_at",
-]
+"""The paper's standard scenarios: names of the scenarios that each consists of; * is any part."""

@@ -1,8 +1,8 @@
 """Simulate an object: one model for all of its scenarios, rolled out as one batch.
 
-The models of a batch differ in numbers alone, so the same object can be free, held or weightless: a
-large armature holds its base. The floor itself has no friction; as MuJoCo takes the larger of two
-frictions, the object's own acts.
+The models of a batch differ in the values of their fields alone, so an object can be free, held or
+weightless: a large armature holds its base. The floor has no friction; MuJoCo takes the larger
+friction of two geoms, here the object's.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..config import VerifyOptions
 from ..physics.mjcf import START, body_name, to_mjspec
-from ..spec import ObjectSpec, Quat, bounds, joint_value, part_bounds
+from ..spec import JointSpec, ObjectSpec, Quat, bounds, joint_value, part_bounds
 from ..spec.kinematics import welded
 from ..spec.opening import prerequisite_state
 from ..spec.pose import IDENTITY, from_axis_angle, quat_mul
@@ -26,9 +26,9 @@ from .scenarios import SINGLE, STILL_S, Moving, Scenario, World, slope_at
 
 FLOOR = "floor_of_the_trial"
 HOLDING_MASS = 1e6
-"""Mass of the base that holds the object, over the object's mass."""
+"""Effective mass of a held base or joint, over its own."""
 CONTROL_BYTES = 64 << 20
-"""Most memory for the forces of a batch; more scenarios than that are rolled out in turns."""
+"""Largest memory for the forces of a batch; further scenarios are rolled out after it."""
 G = 9.81
 FORCES = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED) | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
 _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
@@ -36,11 +36,11 @@ _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 
 @dataclass
 class Trajectory:
-    """What an object did in one scenario."""
+    """States of an object over one scenario."""
 
     scenario: Scenario
     time: NDArray
-    """[t] s; short of the end where the simulation broke down."""
+    """[t] s; ends early if the simulation diverged."""
     qpos: NDArray
     """[t, nq]"""
     qvel: NDArray
@@ -48,7 +48,7 @@ class Trajectory:
     energy: NDArray
     """[t] J."""
     broke: bool
-    """Whether the simulation broke down."""
+    """Whether the simulation diverged."""
 
 
 class Simulation:
@@ -57,8 +57,8 @@ class Simulation:
     Args:
         spec: the object.
         options: time step and duration.
-        tilt: how it rests, before it is tilted for a scenario.
-        joint_state: how its joints stand where a scenario does not say [rad or m].
+        tilt: its resting orientation, to which scenarios add their tilt.
+        joint_state: positions [rad or m] of joints that a scenario does not set.
     """
 
     def __init__(
@@ -70,18 +70,17 @@ class Simulation:
     ) -> None:
         self.spec, self.options, self.tilt = spec, options, np.array(tilt)
         self.state = dict(joint_state or {})
-        made = to_mjspec(spec, timestep=options.timestep_s)
-        floor = made.worldbody.add_geom(name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE)
+        mjspec = to_mjspec(spec, timestep=options.timestep_s)
+        floor = mjspec.worldbody.add_geom(name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE)
         floor.size, floor.friction, floor.condim = [0, 0, 1.0], [0.0, 0.0, 0.0], 3
         for kind in (mujoco.mjtSensor.mjSENS_E_POTENTIAL, mujoco.mjtSensor.mjSENS_E_KINETIC):
-            made.add_sensor(name=kind.name, type=kind)
-        free = made.compile()
+            mjspec.add_sensor(name=kind.name, type=kind)
+        free = mjspec.compile()
         free.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        # Dry friction of joints would creep too, and a joint that is stuck would seem to move.
-        # Where damping stops a joint within a step, so stiff a friction would drive it instead.
+        # Soft dry friction creeps, so that a stuck joint would seem to move. Where damping stops a
+        # joint within a step, however, stiff friction would drive it.
         damping = free.dof_damping.reshape(free.nv, -1)[:, 0]
         free.dof_solimp[options.timestep_s * damping < free.dof_M0, :2] = 0.9999
-        self.models: dict[World, mujoco.MjModel] = {"free": free}
         self._propped: dict[tuple[World, frozenset[str]], mujoco.MjModel] = {}
         self.data = mujoco.MjData(free)
         self.root = free.body(spec.name).id
@@ -89,42 +88,42 @@ class Simulation:
         self.mass = float(free.body_subtreemass[self.root])
         low, high = bounds(spec, self.state, tilt)
         self.size = high - low
+        self.models = self._worlds(free)
+        self.joints = [self._moving(j) for j in spec.joints if j.type in SINGLE and not j.mimic]
+        group = welded(spec)
+        self.groups = [p.name for p, _ in spec.ordered if group[p.name] == p.name]
+
+    def _worlds(self, free: mujoco.MjModel) -> dict[World, mujoco.MjModel]:
+        """Return copies of the model of the free object for each world."""
         held = copy.copy(free)
         held.geom_contype[self.floor] = held.geom_conaffinity[self.floor] = 0
         heavy = np.repeat([1.0, float(self.size @ self.size)], 3) * self.mass * HOLDING_MASS
         held.dof_armature[:6] = heavy
         mujoco.mj_setConst(held, mujoco.MjData(held))
-        # At MuJoCo's own a lever of a few grams beside such a base is not solved, and trembles.
+        # At MuJoCo's default tolerance a part of a few grams on so heavy a base would jitter.
         held.opt.tolerance = 1e-15
-        self.models["held"] = held
-        # MuJoCo's contacts creep under a steady pull; on the slope they must hold until they slide.
+        weightless = copy.copy(held)
+        weightless.opt.gravity[:] = 0.0
+        # By default contacts creep under a steady force; on the slope they must stick until they
+        # slide.
         gripping = copy.copy(free)
         gripping.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         gripping.opt.impratio = 100.0
-        self.models["gripping"] = gripping
-        weightless = copy.copy(held)
-        weightless.opt.gravity[:] = 0.0
-        self.models["weightless"] = weightless
-        self.joints = [
-            self._moving(j.name) for j in spec.joints if j.type in SINGLE and not j.mimic
-        ]
-        group = welded(spec)
-        self.groups = [p.name for p, _ in spec.ordered if group[p.name] == p.name]
+        return {"free": free, "held": held, "weightless": weightless, "gripping": gripping}
 
-    def _moving(self, name: str) -> Moving:
-        joint = next(j for j in self.spec.joints if j.name == name)
+    def _moving(self, joint: JointSpec) -> Moving:
         turns = joint.type == "continuous"
         low, high = (-np.pi, np.pi) if turns else (joint.lower, joint.upper)
         opened = prerequisite_state(self.spec, joint)
-        return Moving(name, joint.child, float(low), float(high), joint.stiffness > 0, opened)
+        return Moving(joint.name, joint.child, float(low), float(high), joint.stiffness > 0, opened)
 
     @property
     def model(self) -> mujoco.MjModel:
-        """The model in which the object is free."""
+        """Model in which the object is free."""
         return self.models["free"]
 
     def model_of(self, scenario: Scenario) -> mujoco.MjModel:
-        """Return the model of a scenario: its world, propped joints held by large armatures."""
+        """Return the model of a scenario: that of its world, with propped joints held."""
         if not scenario.propped:
             return self.models[scenario.world]
         key = (scenario.world, scenario.propped)
@@ -141,13 +140,17 @@ class Simulation:
             self._propped[key] = model
         return self._propped[key]
 
+    def joint_of(self, scenario: Scenario) -> Moving:
+        """Return the joint that a scenario releases or drives."""
+        return next(joint for joint in self.joints if joint.name == scenario.joint)
+
     def address(self, joint: str) -> tuple[int, int]:
-        """Return where a joint's coordinate and velocity are in qpos and qvel."""
-        found = self.model.joint(f"{self.spec.name}/{joint}")
-        return int(found.qposadr[0]), int(found.dofadr[0])
+        """Return the indices of a joint's position in qpos and of its velocity in qvel."""
+        handle = self.model.joint(f"{self.spec.name}-{joint}")
+        return int(handle.qposadr[0]), int(handle.dofadr[0])
 
     def start(self, scenario: Scenario) -> NDArray:
-        """Return the state in which a run begins, as MuJoCo lays it out."""
+        """Return the initial state of a scenario, in the layout of `mj_getState`."""
         model, data = self.model_of(scenario), self.data
         mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
         quat = quat_mul(
@@ -167,17 +170,19 @@ class Simulation:
             at, dof = self.address(joint.name)
             value = joint_value(self.spec, joint, state)
             if joint.type != "continuous" and joint.mimic is None:
-                # Where things are drawn beyond a limit the joint would start with a jerk.
+                # From beyond its limit a joint would start with a jerk.
                 value = float(np.clip(value, joint.lower, joint.upper))
             data.qpos[at] = value
-            led = joint_value(self.spec, joint, scenario.speeds) if scenario.speeds else 0.0
-            data.qvel[dof] = led - (joint_value(self.spec, joint, {}) if scenario.speeds else 0.0)
-        found = np.zeros(mujoco.mj_stateSize(model, _STATE))
-        mujoco.mj_getState(model, data, found, _STATE)
-        return found
+            if scenario.speeds:
+                # The value of a follower has an offset, its speed has none.
+                offset = joint_value(self.spec, joint, {})
+                data.qvel[dof] = joint_value(self.spec, joint, scenario.speeds) - offset
+        packed = np.zeros(mujoco.mj_stateSize(model, _STATE))
+        mujoco.mj_getState(model, data, packed, _STATE)
+        return packed
 
     def forces(self, scenario: Scenario, start: NDArray) -> NDArray:
-        """Return the forces of a run [t, nv + 6 nbody]: on joints, then on bodies in the world."""
+        """Return the forces of a scenario [t, nv + 6 nbody]: on joints, then on bodies."""
         model, data, o = self.model_of(scenario), self.data, self.options
         steps = round(o.duration_s / o.timestep_s)
         time = np.arange(steps) * o.timestep_s
@@ -207,7 +212,7 @@ class Simulation:
         return np.concatenate([joint, body.reshape(steps, -1)], axis=1)
 
     def _about_vertical(self, body: int) -> float:
-        """Return the inertia [kg m^2] of a body and what hangs on it about the vertical."""
+        """Return the inertia [kg m^2] of a body's subtree about the vertical."""
         model, data, total = self.model, self.data, 0.0
         centre = data.subtree_com[body]
         below = {body}
@@ -221,15 +226,14 @@ class Simulation:
         return total
 
     def drive_force(self, scenario: Scenario) -> float:
-        """Return the force or torque that a hand would drive a joint with.
+        """Return the force [N] or torque [N m] with which a hand would drive a joint.
 
-        Enough to cross the range in the given time, losses and weight included, but no more than a
-        hand has at the child's far end.
+        It suffices to cross the range in `joint_push_s` against losses and weight, but is at most
+        that of a hand at the child's far end.
         """
-        assert scenario.joint is not None
         model, o = self.model_of(scenario), self.options
-        at, dof = self.address(scenario.joint)
-        moving = next(j for j in self.joints if j.name == scenario.joint)
+        moving = self.joint_of(scenario)
+        at, dof = self.address(moving.name)
         data = mujoco.MjData(model)
         load, inertia = 0.0, 0.0
         for value in np.linspace(moving.low, moving.high, 5):
@@ -245,18 +249,18 @@ class Simulation:
         span = moving.high - moving.low
         need = 2 * inertia * span / o.joint_push_s**2 + 2 * float(model.dof_frictionloss[dof])
         need += float(model.dof_damping[dof].sum()) * span / o.joint_push_s + 1.5 * load
-        # What has springs or pushes against others needs more than it would alone.
+        # Springs and contacts need more.
         need = max(2 * need, 1e-9)
         child = model.body(body_name(self.spec, moving.child)).id
         weight = G * float(model.body_subtreemass[child])
-        return min(need, self.lever(moving) * (o.hand_force_n + 0.5 * weight) + load)
+        return min(need, self.moment_arm(moving) * (o.hand_force_n + 0.5 * weight) + load)
 
-    def lever(self, moving: Moving) -> float:
-        """Return the distance [m] of the far end of what a joint carries from its axis.
+    def moment_arm(self, moving: Moving) -> float:
+        """Return the distance [m] from a joint's axis to the far end of the parts that it moves.
 
-        It is 1 for sliding ones.
+        It is 1 for a joint that slides.
         """
-        joint = next(j for j in self.spec.joints if j.name == moving.name)
+        joint = self.spec.joint(moving.name)
         if joint.type == "prismatic":
             return 1.0
         moved = {joint.child}
@@ -273,14 +277,14 @@ class Simulation:
         return max(float(np.linalg.norm(arm, axis=1).max()), 0.01)
 
     def run(self, scenarios: Sequence[Scenario], threads: int = 0) -> list[Trajectory]:
-        """Roll all runs out, in one batch unless their forces would take too much memory."""
+        """Roll out all scenarios, in one batch unless their forces take too much memory."""
         threads = threads or os.cpu_count() or 1
         steps = round(self.options.duration_s / self.options.timestep_s)
-        one = 8 * steps * (self.model.nv + 6 * self.model.nbody)
-        chunk = max(1, CONTROL_BYTES // one)
+        bytes_per_run = 8 * steps * (self.model.nv + 6 * self.model.nbody)
+        chunk = max(1, CONTROL_BYTES // bytes_per_run)
         trajectories: list[Trajectory] = []
         data = [mujoco.MjData(self.model) for _ in range(threads)]
-        with _unwarned(), rollout.Rollout(nthread=threads) as pool:
+        with _without_warnings(), rollout.Rollout(nthread=threads) as pool:
             for first in range(0, len(scenarios), chunk):
                 batch = scenarios[first : first + chunk]
                 starts = np.array([self.start(scenario) for scenario in batch])
@@ -295,8 +299,8 @@ class Simulation:
                     models, data, starts, forces, control_spec=FORCES, nstep=steps
                 )
                 trajectories += [
-                    self._trajectory(scenario, *found)
-                    for scenario, *found in zip(
+                    self._trajectory(scenario, *recorded)
+                    for scenario, *recorded in zip(
                         batch, np.array(states), np.array(sensed), strict=True
                     )
                 ]
@@ -306,7 +310,7 @@ class Simulation:
         nq, nv = self.model.nq, self.model.nv
         time = state[:, 0]
         good = np.asarray(np.isfinite(state).all(axis=1) & np.isfinite(sensed).all(axis=1))
-        # What broke down is filled up with its last state: its clock stands still.
+        # MuJoCo fills the rest of a diverged run with its last state, where time stands still.
         good[1:] &= np.diff(time) > 0
         good = np.logical_and.accumulate(good)
         n = int(good.sum())
@@ -321,14 +325,11 @@ class Simulation:
 
 
 @contextlib.contextmanager
-def _unwarned() -> Iterator[None]:
-    """Keep MuJoCo from writing its warnings anywhere: what broke down is a check of its own."""
-    kept = mujoco.get_mju_user_warning()
+def _without_warnings() -> Iterator[None]:
+    """Silence MuJoCo's warnings: a check reports divergence."""
+    previous = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)
     try:
         yield
     finally:
-        mujoco.set_mju_user_warning(kept)
-
-
-__all__ = ["FLOOR", "G", "Simulation", "Trajectory"]
+        mujoco.set_mju_user_warning(previous)

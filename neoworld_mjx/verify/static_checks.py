@@ -1,4 +1,4 @@
-"""Check an object's mass, inertia and colliders without moving it."""
+"""Static checks of an object: mass, inertia and colliders."""
 
 from collections.abc import Iterator
 
@@ -13,32 +13,32 @@ from ..spec.pose import Pose
 from .verdict import Check, Fault, Limit, judged
 
 MASS_RATIO = 10.0
-"""Largest factor of an authored mass over that by density; its inverse may be ten times this."""
+"""Largest ratio of an authored mass to that by density; the inverse may be ten times as large."""
 DENSEST, LIGHTEST = 22000.0, 0.5
 """Mass over the colliders' volume [kg/m^3]: osmium, and less than any foam."""
 HEAVIEST_KG = 2000.0
 GYRATION = 30.0
-"""Largest factor of the inertia by volume over an authored one; its inverse may be a third."""
+"""Largest ratio of the inertia by volume to an authored one; the inverse may be a third."""
 COVER_SAMPLES = 240
 MISSING_SHARE = 0.2
-"""Share of what is seen of a part that may be without a collider."""
+"""Share of a part's visible surface that may lack a collider."""
 PROUD_SHARE = 0.04
-"""Distance by which colliders may stand out of the visible shape, over the part's diagonal."""
+"""Distance by which colliders may exceed the visible shape, over the part's diagonal."""
 
 
 def helper(part: PartSpec) -> bool:
-    """Tell whether a part is a stand-in for a link without geometry.
+    """Tell whether a part is a placeholder for a link without geometry.
 
-    It touches nothing, and its mass and inertia are those of a body whose extent nobody stated.
+    It collides with nothing, and its mass and inertia are those of a body of unknown extent.
     """
     return all(geom.material.startswith(HELPER) for geom in part.geoms)
 
 
 def inertias(spec: ObjectSpec) -> Iterator[Check]:
-    """Yield whether authored inertias are those of real bodies.
+    """Yield checks of authored inertias.
 
-    Principal moments are positive and obey the triangle inequality, the centre of mass lies within
-    the part, and the mass is spread about as widely as the part is.
+    Principal moments must be positive and obey the triangle inequality, the centre of mass must lie
+    within the part, and the moments must fit the part's extent.
     """
     for part in spec.parts:
         if part.inertia is None or part.mass is None:
@@ -73,7 +73,7 @@ def inertias(spec: ObjectSpec) -> Iterator[Check]:
 
 
 def masses(spec: ObjectSpec) -> Iterator[Check]:
-    """Yield whether parts weigh what such bodies weigh."""
+    """Yield checks of authored masses against volume and density, and of the total mass."""
     total = 0.0
     for part in spec.parts:
         mass = part.mass if part.mass is not None else inertial(spec, part).mass
@@ -88,8 +88,8 @@ def masses(spec: ObjectSpec) -> Iterator[Check]:
             derived += v * spec.material(geom.material).density
             known = known and not geom.material.startswith(UNKNOWN)
         if known:
-            ratio, what = mass / derived, MASS_RATIO
-            limit = Limit(threshold=what, unit="times", fault=Fault.MASS_IMPLAUSIBLE)
+            ratio = mass / derived
+            limit = Limit(threshold=MASS_RATIO, unit="times", fault=Fault.MASS_IMPLAUSIBLE)
             value = max(ratio, 1 / ratio / MASS_RATIO)
         else:
             limit = Limit(threshold=DENSEST, unit="kg/m^3", fault=Fault.MASS_IMPLAUSIBLE)
@@ -101,13 +101,13 @@ def masses(spec: ObjectSpec) -> Iterator[Check]:
 
 
 def colliders(spec: ObjectSpec) -> Iterator[Check]:
-    """Yield whether what is seen of each part also collides, and not much more than that."""
+    """Yield checks that the colliders of each part cover its visible shape and exceed it little."""
     for part in spec.parts:
         if all(geom.role == "both" for geom in part.geoms):
             continue
         if all(geom.role == "collision" for geom in part.geoms):
             continue
-        points = seen_points(part)
+        points = visible_points(part)
         low, high = points.min(axis=0), points.max(axis=0)
         size = float(np.linalg.norm(high - low))
         solid = [(piece, at) for _, piece, at in pieces(part)]
@@ -116,13 +116,13 @@ def colliders(spec: ObjectSpec) -> Iterator[Check]:
         slack = max(0.003, PROUD_SHARE * size)
         limit = Limit(threshold=slack, unit="m", fault=Fault.COLLIDER_LARGE)
         yield judged("static", f"colliders_out:{part.name}", max(proud, 0.0), limit, part=part.name)
-        bare = float(np.mean(distance_out(points, solid) > max(0.003, 0.03 * size)))
+        bare = float(np.mean(distance_outside(points, solid) > max(0.003, 0.03 * size)))
         limit = Limit(threshold=MISSING_SHARE, unit="of it", fault=Fault.COLLIDER_MISSING)
         yield judged("static", f"colliders_missing:{part.name}", bare, limit, part=part.name)
 
 
-def seen_points(part: PartSpec, count: int = COVER_SAMPLES) -> NDArray:
-    """Return points [n, 3] m spread evenly over what is seen of a part, in the object's frame."""
+def visible_points(part: PartSpec, count: int = COVER_SAMPLES) -> NDArray:
+    """Sample points [n, 3] m evenly on a part's visible surface, in the object's frame."""
     corners = []
     for geom in part.geoms:
         if geom.role != "collision":
@@ -135,16 +135,15 @@ def seen_points(part: PartSpec, count: int = COVER_SAMPLES) -> NDArray:
     chosen = random.choice(len(area), count, p=area / area.sum())
     u, v = np.sort(random.random((2, count)), axis=0)[..., None]
     inner = u * a[chosen] + (v - u) * b[chosen] + (1 - v) * c[chosen]
-    # The extremes belong to it, or the extent would come out too small.
+    # With the extreme vertices the samples have the full extent.
     flat = triangles.reshape(-1, 3)
     return np.concatenate([inner, flat[flat.argmin(axis=0)], flat[flat.argmax(axis=0)]])
 
 
-def distance_out(points: NDArray, solids: list[tuple[Piece, Pose]]) -> NDArray:
-    """Return how far points [n, 3] lie outside the nearest of some convex pieces [n] m, at least.
+def distance_outside(points: NDArray, solids: list[tuple[Piece, Pose]]) -> NDArray:
+    """Return a lower bound [n] m of the distance of points [n, 3] to the nearest convex piece.
 
-    For pieces with faces it is the distance to the furthest face's plane, which is never more than
-    the true one.
+    For pieces with faces the bound is the distance to the furthest face's plane.
     """
     nearest = np.full(len(points), np.inf)
     for piece, at in solids:
@@ -168,7 +167,7 @@ def distance_out(points: NDArray, solids: list[tuple[Piece, Pose]]) -> NDArray:
 
 
 def without_bad_inertia(spec: ObjectSpec, checks: list[Check]) -> ObjectSpec:
-    """Return the object with impossible inertias recomputed, so that the rest can be tried."""
+    """Return the object with impossible inertias recomputed, so that it can be simulated."""
     bad = {c.part for c in checks if c.outcome == "FAIL" and c.fault is Fault.INERTIA_IMPOSSIBLE}
     if not bad:
         return spec
@@ -181,12 +180,3 @@ def without_bad_inertia(spec: ObjectSpec, checks: list[Check]) -> ObjectSpec:
 def statics(spec: ObjectSpec, options: VerifyOptions) -> list[Check]:
     """Return all checks of this module."""
     return [*inertias(spec), *masses(spec), *colliders(spec)]
-
-
-__all__ = [
-    "distance_out",
-    "helper",
-    "seen_points",
-    "statics",
-    "without_bad_inertia",
-]

@@ -22,7 +22,7 @@ ScenarioKind = Literal[
 
 
 class Fault(StrEnum):
-    """All that the battery can find wrong with an object; likely causes before mere symptoms."""
+    """Faults that the battery reports, likely causes before symptoms."""
 
     COLLIDER_LARGE = "collider_large"
     COLLIDER_MISSING = "collider_missing"
@@ -52,10 +52,10 @@ class Fault(StrEnum):
 
 
 DOUBT = 0.8
-"""A value that passes is doubtful when it has used up this share of what its threshold allows:
-another time step or processor, or a little more load, moves such values by a fifth."""
+"""Share of the distance from the best value to the threshold beyond which a passing value is
+doubtful: another time step or processor, or a little more load, changes such values by a fifth."""
 RANK = {fault: place for place, fault in enumerate(Fault)}
-"""The order in which one fault explains another: the first is told as the cause."""
+"""Order in which one fault explains another; the first is reported as the cause."""
 
 HINTS: dict[Fault, str] = {
     Fault.INERTIA_IMPOSSIBLE: "recompute the inertia from volume and density",
@@ -87,31 +87,31 @@ HINTS: dict[Fault, str] = {
 
 
 class Check(Spec):
-    """One verdict with its number."""
+    """Result of one check, with the number that decided it."""
 
     scenario: ScenarioKind
     name: str
     outcome: Outcome
     doubtful: bool = False
-    """Whether it only just passed."""
+    """Whether it passed close to its threshold."""
     fault: Fault | None = None
-    """What is wrong, where it failed."""
+    """The fault of a failed check."""
     value: float | None = None
     threshold: float | None = None
     unit: str = ""
     part: str | None = None
     joint: str | None = None
     time: float | None = None
-    """When it was worst [s]."""
+    """Time of the worst value [s]."""
     at: float | None = None
-    """Where the joint stood when it was worst [rad or m]."""
+    """Position of the joint at the worst value [rad or m]."""
     evidence: str = ""
-    """The run that shows it, in words; key frames of it can be drawn."""
+    """The run or pose that shows the value, in words; key frames of a run can be drawn."""
     hint: str = ""
 
     @property
     def margin(self) -> float:
-        """How far beyond its threshold a failed check is: 0 just there, at most 9."""
+        """Relative excess of a failed check over its threshold, 0 to 9."""
         if self.outcome == "TOOL_FAILURE":
             return 9.0
         if self.outcome != "FAIL":
@@ -123,25 +123,25 @@ class Check(Spec):
 
 
 class Verdict(Spec):
-    """All verdicts on one object."""
+    """Results of all checks of one object."""
 
     object: str
     passed: bool
-    """No check failed, and none could not be made."""
+    """Whether every check ran and none failed."""
     mass_kg: float
     battery: str = ""
-    """Version of the battery that said so."""
+    """Version of the battery."""
     checks: tuple[Check, ...]
 
     @property
     def faults(self) -> tuple[Fault, ...]:
-        """What was found, each fault once, causes first."""
-        found = {check.fault for check in self.checks if check.fault is not None}
-        return tuple(sorted(found, key=RANK.__getitem__))
+        """Each fault that a check reports, once, causes first."""
+        reported = {check.fault for check in self.checks if check.fault is not None}
+        return tuple(sorted(reported, key=RANK.__getitem__))
 
     @property
     def doubtful(self) -> tuple[Check, ...]:
-        """The checks that only just passed."""
+        """Checks that passed close to their thresholds."""
         return tuple(check for check in self.checks if check.doubtful)
 
     @property
@@ -151,17 +151,17 @@ class Verdict(Spec):
 
     @property
     def score(self) -> float:
-        """The fault score: 0 is valid; each failed check counts 1 and how far it is beyond."""
+        """Fault score: 0 is valid; each failed check adds 1 and a tenth of its margin."""
         bad = [check for check in self.checks if check.outcome in ("FAIL", "TOOL_FAILURE")]
         return sum(1.0 + 0.1 * check.margin for check in bad)
 
     def to_json(self) -> str:
-        """Serialise, the same bytes for the same verdict."""
+        """Return JSON, the same bytes for the same verdict."""
         return self.model_dump_json(indent=1) + "\n"
 
 
 class Limit(BaseModel):
-    """What a number is held against."""
+    """Threshold of a check, and the fault of exceeding it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -169,12 +169,12 @@ class Limit(BaseModel):
     unit: str
     fault: Fault
     least: bool = False
-    """Whether the number must reach the threshold, rather than stay under it."""
+    """Whether the value must be at least the threshold, rather than at most."""
     best: float | None = None
-    """What there is nothing to say against; by default 0, or twice what must be reached."""
+    """Ideal value; by default 0, or twice the threshold where `least` is set."""
 
     def doubts(self, value: float) -> bool:
-        """Tell whether a passing value has used up most of what lies between best and threshold."""
+        """Tell whether a passing value lies close to the threshold, seen from the best value."""
         best = self.best if self.best is not None else 2 * self.threshold * self.least
         room = self.threshold - best
         return bool(room) and (value - best) / room >= DOUBT
@@ -192,9 +192,9 @@ def judged(
     at: float | None = None,
     evidence: str = "",
 ) -> Check:
-    """Hold a number against its limit; a number that is none fails.
+    """Compare a value with its limit; a value that is not finite fails.
 
-    Where and when it was worst is kept of what failed or is doubtful.
+    Only failed and doubtful checks keep the time, position and evidence.
     """
     finite = bool(np.isfinite(value))
     good = finite and (value >= limit.threshold if limit.least else value <= limit.threshold)
@@ -218,21 +218,6 @@ def judged(
     )
 
 
-def skipped(scenario: ScenarioKind, name: str, why: str, joint: str | None = None) -> Check:
-    """Say why something was not tried."""
-    return Check(scenario=scenario, name=name, outcome="SKIP", joint=joint, hint=why)
-
-
-__all__ = [
-    "DOUBT",
-    "HINTS",
-    "RANK",
-    "Check",
-    "Fault",
-    "Limit",
-    "Outcome",
-    "ScenarioKind",
-    "Verdict",
-    "judged",
-    "skipped",
-]
+def skipped(scenario: ScenarioKind, name: str, reason: str, joint: str | None = None) -> Check:
+    """Return a check that was not run, with the reason."""
+    return Check(scenario=scenario, name=name, outcome="SKIP", joint=joint, hint=reason)

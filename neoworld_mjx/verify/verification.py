@@ -1,21 +1,25 @@
-"""An object through Step 3: the battery, repairs, and what is kept of both between runs."""
+"""Step 3 of one object: the battery, repairs, and the cache of results."""
 
 import json
 import logging
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from ..cache import cache_folder
 from ..config import VerifyOptions
+from ..errors import RunError
 from ..files import content_hash, write_atomic
 from ..mllm import Panel
 from ..program.allowance import Allowance
+from ..reading import read_model
 from ..spec import ObjectSpec, Quat
 from ..spec.pose import IDENTITY
 from .battery import VERSION, Battery
 from .critic import MotionCritique, with_models
+from .key_frames import standard_runs
 from .patch import Patch, apply
 from .repairs import repair
 from .verdict import Verdict
@@ -29,23 +33,25 @@ class VerificationResult(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     verdict: Verdict
-    """On the object as it is handed on."""
+    """Verdict on the resulting object."""
     before: Verdict | None = None
-    """On the object as it came, where it was repaired."""
+    """Verdict on the object before its repair; None if it was not repaired."""
     patch: Patch = Patch()
     changes: tuple[str, ...] = ()
-    """Each change, in words."""
+    """Each change of the patch, in words."""
     tried: tuple[str, ...] = ()
-    """Every patch that was tried, also those that did not help."""
+    """Every patch that was tried, with the fault score before and after."""
     seen: tuple[str, ...] = ()
-    """What the critic saw in the key frames."""
+    """The critic's findings in the key frames."""
+    lost_critics: tuple[tuple[str, str], ...] = ()
+    """Requests that a model failed to answer, and why."""
 
     def applied(self, spec: ObjectSpec) -> ObjectSpec:
         """Return the object with its patch."""
         return spec if self.patch.empty else apply(self.patch, spec)[0]
 
     def to_json(self) -> str:
-        """Write down the verdict, with what was changed, tried and seen on the way to it."""
+        """Return the verdict as JSON, with changes, tried patches and the critic's findings."""
         data = self.verdict.model_dump(mode="json")
         data |= {"changes": self.changes, "tried": self.tried, "seen": self.seen}
         return json.dumps(data, indent=1) + "\n"
@@ -65,49 +71,69 @@ def verify_and_repair(
 
     Args:
         spec: the object.
-        options: of the battery; with `rounds` 0 nothing is changed.
-        fixed_base: whether its base stays fastened.
-        tilt: how it rests.
-        allowed: overlaps that its program asks for.
-        models: critic and reasoner, who look at what failed or only just passed; None
-            asks nobody.
-        keep: whether an earlier result for the same content may stand for this one, and is kept.
+        options: options of the battery; with `rounds` 0 the object is not changed, without
+            `direct_repairs` only by models.
+        fixed_base: whether its base is fixed.
+        tilt: its resting orientation.
+        allowed: overlaps that its program declares.
+        models: critic and reasoner for failed and doubtful checks, or as `options.critic` says;
+            None sends no request.
+        keep: whether to read and write the cache; with models the tapes are the cache.
     """
-    o = options or VerifyOptions()
-    place = _place(spec, o, fixed_base, tilt, allowed)
-    keep = keep and models is None  # What models say is kept on tapes.
-    if keep and (found := _read(place)) is not None:
-        return found
+    options = options or VerifyOptions()
+    path = _cache_path(spec, options, fixed_base, tilt, allowed)
+    always = models is not None and options.critic == "always"
+    cached = _read(path) if keep and not always else None
+    if cached is not None and (models is None or not _questionable(cached.verdict)):
+        return cached
 
-    run = lambda made: Battery(made, o, fixed_base=fixed_base, tilt=tilt, allowed=allowed)
-
+    run = partial(Battery, options=options, fixed_base=fixed_base, tilt=tilt, allowed=allowed)
     first = run(spec)
-    made = repair(spec, run, rounds=o.rounds, first=first)
-    seen: list[MotionCritique] = []
-    if models is not None and (not made.after.passed or made.after.doubtful):
-        now = first if made.patch.empty else run(made.spec)
-        seen = with_models(made, now, models, run, spec, rounds=min(2, o.rounds))
+    by_numbers = options.rounds if options.direct_repairs else 0
+    repaired = repair(spec, run, rounds=by_numbers, first=first)
+    critiques: list[MotionCritique] = []
+    asked = False
+    if models is not None and (always or _questionable(repaired.after)):
+        battery = first if repaired.patch.empty else run(repaired.spec)
+        # A support without joints is in no scenario: there is nothing to show.
+        asked = _questionable(repaired.after) or bool(standard_runs(battery))
+        if asked:
+            rounds = min(2, options.rounds)
+            critiques = with_models(
+                repaired, battery, models, run, spec, rounds=rounds, always=always
+            )
     result = VerificationResult(
-        verdict=made.after,
-        before=None if made.patch.empty else made.before,
-        patch=made.patch,
-        changes=made.changes,
-        tried=tuple(made.tried),
-        seen=tuple(f"{f.where}: {f.what}" for s in seen for f in s.findings),
+        verdict=repaired.after,
+        before=None if repaired.patch.empty else repaired.before,
+        patch=repaired.patch,
+        changes=repaired.changes,
+        tried=tuple(repaired.tried),
+        lost_critics=tuple(repaired.lost_critics),
+        seen=tuple(f"{f.where}: {f.what}" for critique in critiques for f in critique.findings),
     )
-    if keep:
-        _write(place, result)
+    if keep and not asked:  # With models the tapes are the cache.
+        _write(path, result)
     return result
 
 
-def _place(
-    spec: ObjectSpec, o: VerifyOptions, fixed_base: bool, tilt: Quat, allowed: Sequence[Allowance]
+def _questionable(verdict: Verdict) -> bool:
+    """Tell whether a check failed or only just passed."""
+    return not verdict.passed or bool(verdict.doubtful)
+
+
+def _cache_path(
+    spec: ObjectSpec,
+    options: VerifyOptions,
+    fixed_base: bool,
+    tilt: Quat,
+    allowed: Sequence[Allowance],
 ) -> Path:
+    """Return the cache file of a result; its name is the hash of everything that it depends on."""
     key = content_hash(
         {
             "battery": VERSION,
             "spec": spec.model_dump(mode="json"),
-            "options": o.model_dump(mode="json"),
+            "options": options.model_dump(mode="json"),
             "fixed": fixed_base,
             "tilt": list(tilt),
             "allowed": [list(allowance) for allowance in allowed],
@@ -116,19 +142,16 @@ def _place(
     return cache_folder() / "verify" / f"{key}.json"
 
 
-def _read(place: Path) -> VerificationResult | None:
+def _read(path: Path) -> VerificationResult | None:
     try:
-        return VerificationResult.model_validate_json(place.read_text(encoding="utf-8"))
-    except (OSError, ValidationError, ValueError):
-        return None
+        return read_model(path, VerificationResult, RunError, "a result of the cache")
+    except RunError:
+        return None  # It is made again.
 
 
-def _write(place: Path, result: VerificationResult) -> None:
+def _write(path: Path, result: VerificationResult) -> None:
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(place, result.model_dump_json())
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, result.model_dump_json())
     except OSError as error:
-        _log.debug("verdict not kept: %s", error)  # It costs time only.
-
-
-__all__ = ["VerificationResult", "verify_and_repair"]
+        _log.debug("result not cached: %s", error)

@@ -1,12 +1,14 @@
 """Convergence of the search of Step 5, drawn from refine/history.npz."""
 
-import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import RunError
+from ..reading import read_arrays
 from . import charts
 from .charts import Band, Series
 from .page import Html, missing, section, table
@@ -31,18 +33,17 @@ def convergence(path: Path) -> Html:
             [iteration, candidate, object].
     """
     title = "Convergence of the search"
-    try:
-        with path.open("rb") as stream, np.load(stream) as data:
-            history = {key: data[key] for key in data.files}
-    except FileNotFoundError:
+    if not path.exists():
         return section(title, missing("No refine/history.npz yet."))
-    except (OSError, ValueError, zipfile.BadZipFile):
-        return section(title, missing("refine/history.npz cannot be read."))
+    try:
+        history = read_arrays(path, RunError)
+    except RunError as error:
+        return section(title, missing(f"refine/history.npz cannot be read: {error}"))
     absolute = history.get("absolute")
     if absolute is None or absolute.ndim != 2 or absolute.size == 0:
         return section(title, missing("refine/history.npz holds no rewards."))
     drawn = [_rewards(absolute), _valid(history)]
-    drawn += [_term(history, term) for term in _terms(history)]
+    drawn += [_term(history, term) for term in term_histories(history)]
     body = f'<div class="charts">{"".join(drawn)}</div>'
     return section(title, body, _table(history))
 
@@ -60,7 +61,8 @@ class TermHistory(NamedTuple):
     """In the unit of its label, [iteration, candidate]."""
 
 
-def _terms(history: dict[str, NDArray]) -> list[TermHistory]:
+def term_histories(history: Mapping[str, NDArray]) -> list[TermHistory]:
+    """Return the reward terms that a history holds."""
     names = [str(name) for name in history.get("term_names", TERMS)]
     weights = history.get("term_weights", np.full(len(names), np.nan))
     terms = []
@@ -72,7 +74,7 @@ def _terms(history: dict[str, NDArray]) -> list[TermHistory]:
     return terms
 
 
-def _best(history: dict[str, NDArray]) -> NDArray:
+def best_candidates(history: Mapping[str, NDArray]) -> NDArray:
     """Return the index of the candidate of best reward of each iteration [iteration]."""
     absolute = history["absolute"]
     return np.where(np.isfinite(absolute), absolute, -np.inf).argmax(axis=1)
@@ -84,25 +86,25 @@ def _finite(values: NDArray) -> NDArray:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _over(values: NDArray, function: Any) -> NDArray:
+def over_finite(values: NDArray, function: Any) -> NDArray:
     """Apply a reduction to the finite candidates of each iteration; NaN where there are none."""
     rows = [row[np.isfinite(row)] for row in _finite(values)]
     return np.array([float(function(row)) if row.size else np.nan for row in rows])
 
 
 def _rewards(absolute: NDArray) -> str:
-    best = _over(absolute, np.max)
+    best = over_finite(absolute, np.max)
     so_far = np.fmax.accumulate(best)
     return charts.line_chart(
         [
             Series("best so far", so_far, "var(--c3)", dashed=True),
             Series("best", best, "var(--c1)"),
-            Series("mean", _over(absolute, np.mean), "var(--c2)"),
+            Series("mean", over_finite(absolute, np.mean), "var(--c2)"),
         ],
         band=Band(
             "middle 80 %",
-            _over(absolute, lambda row: np.quantile(row, 0.1)),
-            _over(absolute, lambda row: np.quantile(row, 0.9)),
+            over_finite(absolute, lambda row: np.quantile(row, 0.1)),
+            over_finite(absolute, lambda row: np.quantile(row, 0.9)),
         ),
         y_label="absolute reward",
     )
@@ -133,11 +135,11 @@ def _counts(history: dict[str, NDArray]) -> tuple[NDArray, NDArray]:
 
 
 def _term(history: dict[str, NDArray], term: TermHistory) -> str:
-    chosen = np.take_along_axis(term.values, _best(history)[:, None], axis=1)[:, 0]
+    chosen = np.take_along_axis(term.values, best_candidates(history)[:, None], axis=1)[:, 0]
     return charts.line_chart(
         [
             Series("candidate of best reward", chosen, "var(--c1)"),
-            Series("mean", _over(term.values, np.mean), "var(--c2)"),
+            Series("mean", over_finite(term.values, np.mean), "var(--c2)"),
         ],
         y_label=term.label,
     )
@@ -145,11 +147,11 @@ def _term(history: dict[str, NDArray], term: TermHistory) -> str:
 
 def _table(history: dict[str, NDArray]) -> Html:
     absolute = history["absolute"]
-    best, mean = _over(absolute, np.max), _over(absolute, np.mean)
+    best, mean = over_finite(absolute, np.max), over_finite(absolute, np.mean)
     drawn, pruned = _counts(history)
     failed = drawn - pruned - np.sum(np.isfinite(absolute), axis=1)
     heads = ["#iteration", "#best", "#mean", "#drawn", "#pruned", "#valid", "#failed"]
-    terms, chosen = _terms(history), _best(history)
+    terms, chosen = term_histories(history), best_candidates(history)
     heads += ["#mean log scale", *(f"#{term.name} of best" for term in terms)]
     rows = []
     for i in range(len(absolute)):

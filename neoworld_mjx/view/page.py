@@ -8,6 +8,10 @@ from pathlib import Path
 
 from PIL import Image
 
+from ..errors import RunError
+from ..files import MIB, read_bytes
+from ..reading import bounds_of_files, open_picture
+
 _MAX_PX = 1280
 _SMALL_BYTES = 300_000
 
@@ -140,7 +144,7 @@ def picture(path: Path, caption: str) -> Html:
         )
     try:
         source = _data_uri(path)
-    except (OSError, ValueError, Image.DecompressionBombError):
+    except (OSError, RunError):
         note = missing(f"{path.name} cannot be read")
         return Html(f"<figure>{note}<figcaption>{text(caption)}</figcaption></figure>")
     return Html(
@@ -150,8 +154,8 @@ def picture(path: Path, caption: str) -> Html:
 
 
 def _data_uri(path: Path) -> str:
-    raw = path.read_bytes()
-    with Image.open(io.BytesIO(raw)) as image:
+    raw = read_bytes(path, bounds_of_files().max_picture_mib * MIB)
+    with open_picture(raw, path.name, RunError) as image:
         image.load()
         kind = (image.format or "").lower()
         if kind != "png" or len(raw) > _SMALL_BYTES:

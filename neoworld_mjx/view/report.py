@@ -6,18 +6,21 @@ step. Verdicts and numbers are those in run.json and verify.json.
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from ..config import Config
+from ..errors import NeoWorldError, RunError
 from ..files import write_atomic
-from ..run_folder import STEPS, read_run
+from ..run_folder import STEPS, read_run, refuse_links
 from . import charts
+from .changes import TITLE, changes
 from .convergence import convergence
 from .page import Html, card, document, missing, picture, section, table, text
-from .tables import joints, parsed, penetrations, placed, read_json, verdicts, where
+from .tables import agreement, joints, parsed, penetrations, placed, read_json, verdicts, where
 
+CHECK = "compose/check.json"
 PHOTO, BEFORE, AFTER = "photo.png", "pictures/before.png", "pictures/after.png"
 
 
@@ -29,16 +32,20 @@ def write_report(folder: Path) -> Path:
     """
     folder = Path(folder)
     run = read_run(folder)
+    refuse_links(folder)
     scene = read_json(folder / "scene.json") or {}
     tree = read_json(folder / "tree.json") or {}
-    title = f"{run.get('photo', {}).get('name') or folder.resolve().name}"
+    title = f"{run['photo'].get('name') or folder.resolve().name}"
     sections = {
         "Fallbacks": lambda: _fallbacks(run),
+        "Notes": lambda: _notes(run),
         "Numbers": lambda: _numbers(run),
         "Before and after": lambda: _pictures(folder),
         "Parse": lambda: parsed(folder, tree),
+        TITLE: lambda: changes(folder),
         "Objects and their verdicts": lambda: verdicts(folder),
         "Scene": lambda: placed(scene),
+        "Agreement with the photograph": lambda: agreement(run),
         "Convergence of the search": lambda: convergence(folder / "refine" / "history.npz"),
         "Joints": lambda: joints(folder, scene),
         "Penetrations and drift": lambda: penetrations(run),
@@ -46,25 +53,49 @@ def write_report(folder: Path) -> Path:
         "Models asked": lambda: _models(run),
         "Options and versions": lambda: _settings(run),
     }
-    parts = [_head(run, title), *(_safely(name, draw) for name, draw in sections.items())]
+    parts = [
+        _safely(title, lambda: _head(run, title, _moving(folder))),
+        *(_safely(name, draw) for name, draw in sections.items()),
+    ]
     path = folder / "report.html"
-    write_atomic(path, document(f"{title}: scene report", parts))
+    text = document(f"{title}: scene report", parts)
+    try:
+        # Half a character, which only escapes in JSON can hold, becomes a question mark.
+        write_atomic(path, text.encode("utf-8", "replace"))
+    except OSError as error:
+        raise RunError(f"cannot write {path}: {error.strerror}") from None
     return path
+
+
+def _moving(folder: Path) -> list[str]:
+    """Return the objects that did not stay in the composed scene, in words."""
+    return [str(each["phrase"]) for each in (read_json(folder / CHECK) or {}).get("unstable", [])]
 
 
 def _safely(title: str, draw: Callable[[], Html]) -> Html:
     """Draw a section; a file that was edited into another shape costs that section only."""
     try:
         return draw()
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+    except (ArithmeticError, AttributeError, LookupError, NeoWorldError, TypeError, ValueError,
+            MemoryError) as error:  # fmt: skip
         cause = f"{type(error).__name__}: {error}"
         return section(title, missing(f"A file of this run does not fit: {cause}"))
 
 
-def _head(run: dict[str, Any], title: str) -> Html:
+def _head(run: dict[str, Any], title: str, moving: Sequence[str] = ()) -> Html:
+    """Return the page's head.
+
+    Args:
+        run: run.json.
+        title: of the page.
+        moving: the objects that did not stay in the composed scene, in words.
+    """
     status = str(run["status"])
     colour = {"finished": "good", "failed": "bad", "interrupted": "bad"}.get(status, "dim")
     error = f'<p class="bad">{text(run["error"])}</p>' if run.get("error") else ""
+    if moving:
+        count = "1 object does" if len(moving) == 1 else f"{len(moving)} objects do"
+        error += f'<p class="bad">Before the search {count} not stay: {text("; ".join(moving))}</p>'
     facts = [
         f"seed {run.get('seeds', {}).get('run')}",
         f"options {run.get('fingerprint')}",
@@ -84,11 +115,20 @@ def _fallbacks(run: dict[str, Any]) -> Html:
     entries = run["fallbacks"]
     if not entries:
         return Html('<p class="dim">No fallback was used.</p>')
+    title = "1 fallback was used" if len(entries) == 1 else f"{len(entries)} fallbacks were used"
+    return section(title, _listed(entries), kind="warn")
+
+
+def _notes(run: dict[str, Any]) -> Html:
+    entries = run.get("notes", [])
+    return section("Far moves", _listed(entries)) if entries else Html("")
+
+
+def _listed(entries: Sequence[dict[str, str]]) -> Html:
     items = "".join(
         f"<li><b>{text(e['step'])}</b>: {text(e['what'])} — {text(e['why'])}</li>" for e in entries
     )
-    title = "1 fallback was used" if len(entries) == 1 else f"{len(entries)} fallbacks were used"
-    return section(title, f"<ul>{items}</ul>", kind="warn")
+    return Html(f"<ul>{items}</ul>")
 
 
 def _numbers(run: dict[str, Any]) -> Html:
@@ -98,11 +138,9 @@ def _numbers(run: dict[str, Any]) -> Html:
     limits = run["config"]["refine"]
     cards = []
 
-    def add(key: str, name: str, shown: str, limit: str = "", passed: bool | None = None) -> None:
+    def add(key: str, name: str, text: str, limit: str = "", passed: bool | None = None) -> None:
         if key in metrics:
-            cards.append(
-                card(name, shown if metrics[key] is not None else "unknown", limit, passed)
-            )
+            cards.append(card(name, text if metrics[key] is not None else "unknown", limit, passed))
 
     def number(key: str) -> float:
         value = metrics.get(key)
@@ -148,23 +186,27 @@ def _numbers(run: dict[str, Any]) -> Html:
 
 
 def _pictures(folder: Path) -> Html:
-    shown = [
+    pictures = [
         picture(folder / PHOTO, "Photograph"),
         picture(folder / BEFORE, "Composed, before refinement"),
         picture(folder / AFTER, "Refined"),
     ]
-    return section("Before and after", f'<div class="pictures">{"".join(shown)}</div>')
+    return section("Before and after", f'<div class="pictures">{"".join(pictures)}</div>')
 
 
 def _time(run: dict[str, Any]) -> Html:
     spent: dict[str, float] = {}
+    waiting: dict[str, float] = {}
     for name, entry in run["steps"].items():
         head = name.partition("/")[0]
         spent[head] = spent.get(head, 0.0) + entry["seconds"]
+        waiting[head] = waiting.get(head, 0.0) + entry.get("waiting_s", 0.0)
     if not spent:
         return section("Time", missing("No step has finished yet."))
     items = [(step, spent[step]) for step in STEPS if step in spent]
-    return section("Time", f'<div style="max-width:620px">{charts.bars(items, "s")}</div>')
+    awaited = [f"{step} {waiting[step]:.1f} s" for step, _ in items if waiting[step] >= 0.05]
+    line = f"<p>Of these, waiting for answers: {', '.join(awaited) or 'nothing'}.</p>"
+    return section("Time", f'<div style="max-width:620px">{charts.bars(items, "s")}</div>', line)
 
 
 def _models(run: dict[str, Any]) -> Html:
@@ -209,11 +251,11 @@ def _settings(run: dict[str, Any]) -> Html:
     )
 
 
-def _differences(default: Any, given: Any, at: str = "") -> list[tuple[str, Any, Any]]:
-    if isinstance(default, dict) and isinstance(given, dict):
+def _differences(default: Any, configured: Any, at: str = "") -> list[tuple[str, Any, Any]]:
+    if isinstance(default, dict) and isinstance(configured, dict):
         differences = []
-        for key in {*default, *given}:
+        for key in {*default, *configured}:
             where = f"{at}.{key}" if at else str(key)
-            differences += _differences(default.get(key), given.get(key), where)
+            differences += _differences(default.get(key), configured.get(key), where)
         return differences
-    return [] if default == given else [(at, default, given)]
+    return [] if default == configured else [(at, default, configured)]

@@ -1,10 +1,11 @@
 """Tables of a report: parse, objects and verdicts, scene, joints, penetrations."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
+from ..errors import RunError
+from ..reading import read_object
 from ..run_folder import STEPS
 from .page import Html, missing, picture, section, table, text, verdict
 
@@ -73,9 +74,9 @@ def verdicts(folder: Path) -> Html:
         rows = [
             [
                 f"{check.get('scenario', '')} {check.get('name', '')}".replace("_", " ").strip(),
-                _value(check.get("value"), check.get("unit")),
-                _value(check.get("threshold"), check.get("unit")),
-                _outcome(check.get("outcome"), doubtful=bool(check.get("doubtful"))),
+                with_unit(check.get("value"), check.get("unit")),
+                with_unit(check.get("threshold"), check.get("unit")),
+                outcome_mark(check.get("outcome"), doubtful=bool(check.get("doubtful"))),
                 check.get("hint") or check.get("evidence") or "",
             ]
             for check in verification.get("checks", [])
@@ -94,8 +95,8 @@ def _signals(program: dict[str, Any]) -> Html:
         [
             signal["code"].replace("_", " "),
             signal["message"],
-            _value(signal.get("value"), ""),
-            _value(signal.get("threshold"), ""),
+            with_unit(signal.get("value"), ""),
+            with_unit(signal.get("threshold"), ""),
         ]
         for signal in program.get("signals", [])
     ]
@@ -108,17 +109,17 @@ def placed(scene: dict[str, Any]) -> Html:
     if not scene.get("objects"):
         return section("Scene", missing("No scene.json yet."))
     rows = []
-    for item in scene["objects"]:
-        residual = item.get("scale_residual")
-        x, y = item["xy"]
+    for obj in scene["objects"]:
+        residual = obj.get("scale_residual")
+        x, y = obj["xy"]
         rows.append(
             [
-                item["name"],
-                f"{item.get('relation', 'on')} {item['parent']}" if item.get("parent") else "world",
-                f"{1000 * x:.1f}, {1000 * y:.1f}, {1000 * item.get('z', 0.0):.1f}",
-                f"{math.degrees(item.get('yaw', 0.0)):.1f}",
+                obj["name"],
+                f"{obj.get('relation', 'on')} {obj['parent']}" if obj.get("parent") else "world",
+                f"{1000 * x:.1f}, {1000 * y:.1f}, {1000 * obj.get('z', 0.0):.1f}",
+                f"{math.degrees(obj.get('yaw', 0.0)):.1f}",
                 " / ".join(f"{100 * v:+.0f}" for v in residual) if residual else "",
-                "static" if item.get("environment") or item.get("fixed_base") else "movable",
+                "static" if obj.get("environment") or obj.get("fixed_base") else "movable",
             ]
         )
     heads = ["object", "stands", "#x, y, z in parent, mm", "#yaw, deg", "#size off x/y/z, %", ""]
@@ -126,12 +127,34 @@ def placed(scene: dict[str, Any]) -> Html:
     return section("Scene", table(heads, rows), note)
 
 
+def agreement(run: dict[str, Any]) -> Html:
+    """Show how far each object's visible box overlaps the parsed one, from step to step."""
+    title = "Agreement with the photograph"
+    measured = run["metrics"].get("box_iou")
+    if not measured or not measured["objects"]:
+        return section(title, missing(f"Measured after refine; {where(run)}."))
+    steps = ("parsed", "composed", "refined")
+    number = lambda value: "" if value is None else f"{value:.2f}"
+    means = [["mean", *(number(measured[step]) for step in steps)]]
+    rows = [
+        [name, *(number(values[step]) for step in steps)]
+        for name, values in sorted(
+            measured["objects"].items(), key=lambda item: item[1]["refined"] or 0.0
+        )
+    ]
+    note = (
+        '<p class="dim">Intersection over union of the box of what is visible with the box that '
+        "was parsed, the worst first; parsed: of the 3D boxes, which hide nothing.</p>"
+    )
+    return section(title, table(["object", *(f"#{step}" for step in steps)], means + rows), note)
+
+
 def joints(folder: Path, scene: dict[str, Any]) -> Html:
     """List the joints of all objects, from scene.json or else from each spec.json."""
     specs: list[tuple[dict[str, Any], dict[str, float]]] = [
-        (item["spec"], item.get("joint_state", {})) for item in scene.get("objects", [])
+        (obj["spec"], obj.get("joint_state", {})) for obj in scene.get("objects", [])
     ]
-    names = [item["name"] for item in scene.get("objects", [])]
+    names = [obj["name"] for obj in scene.get("objects", [])]
     if not specs:
         files = sorted((folder / "objects").glob("*/spec.json"))
         loaded = [(file.parent.name, read_json(file)) for file in files]
@@ -212,20 +235,20 @@ def penetrations(run: dict[str, Any]) -> Html:
 
 def where(run: dict[str, Any]) -> str:
     """Return the run's status and the steps done, in words."""
-    done = [step for step in STEPS if any(n.partition("/")[0] == step for n in run["steps"])]
-    return f"this run is {run['status']}, done so far: {', '.join(done) or 'nothing'}"
+    finished = [step for step in STEPS if any(n.partition("/")[0] == step for n in run["steps"])]
+    return f"this run is {run['status']}, done so far: {', '.join(finished) or 'nothing'}"
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
     """Read a JSON object; None if it is absent or damaged."""
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return read_object(path, RunError) if path.is_file() else None
+    except RunError:
         return None
-    return data if isinstance(data, dict) else None
 
 
-def _outcome(outcome: Any, *, doubtful: bool = False) -> Html:
+def outcome_mark(outcome: Any, *, doubtful: bool = False) -> Html:
+    """Return the outcome of a check as a coloured word."""
     if doubtful:
         return Html(f"{verdict(passed=True)} only just")
     if outcome in ("PASS", "FAIL"):
@@ -234,7 +257,8 @@ def _outcome(outcome: Any, *, doubtful: bool = False) -> Html:
     return Html(f'<span class="dim">{words}</span>')
 
 
-def _value(value: Any, unit: Any) -> str:
+def with_unit(value: Any, unit: Any) -> str:
+    """Return a value of a check for people: lengths in mm, angles in degrees."""
     if value is None:
         return ""
     if isinstance(value, bool) or not isinstance(value, int | float):

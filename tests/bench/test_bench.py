@@ -39,9 +39,9 @@ def test_scenes_are_the_same_by_seed_and_differ_between_seeds():
 
 def test_longer_populations_begin_with_the_shorter_ones(three):
     scene, layouts = three
-    few = noisy_layouts(scene, 5)
-    assert np.array_equal(few.xy, layouts.xy[:5])
-    assert not few.xy[:, 0].any(), "the table stays"
+    subset = noisy_layouts(scene, 5)
+    assert np.array_equal(subset.xy, layouts.xy[:5])
+    assert not subset.xy[:, 0].any(), "the table stays"
     bounded = noisy_layouts(scene, 50, noise=Noise(scales=(0.7, 1.4)))
     assert math.log(0.7) <= bounded.log_scale.min() < -0.2
     assert 0.2 < bounded.log_scale.max() <= math.log(1.4)
@@ -82,10 +82,10 @@ def poses_of(poses, count):
 
 
 def test_verdicts_near_a_bound_are_told_by_the_reference_alone():
-    told = compare(np.array([0.1, 0.6, 1.9, 5.0]), np.array([0.1, 1.2, 1.8, 0.9]))
-    assert told.near.tolist() == [False, True, True, False]
-    assert told.same.tolist() == [True, False, True, False]
-    assert (told.share(near=False), told.share(near=True)) == (0.5, 0.5)
+    reported = compare(np.array([0.1, 0.6, 1.9, 5.0]), np.array([0.1, 1.2, 1.8, 0.9]))
+    assert reported.near.tolist() == [False, True, True, False]
+    assert reported.same.tolist() == [True, False, True, False]
+    assert (reported.share(near=False), reported.share(near=True)) == (0.5, 0.5)
 
 
 def test_a_failed_candidate_has_moved_without_bound(three):
@@ -161,8 +161,8 @@ def test_rows_hold_the_rates_beside_the_naive_loop():
 
 def test_a_row_has_a_process_of_its_own_and_a_budget(monkeypatch):
     task = Task(engine="native", objects=3, population=8, duration_s=0.1, budget_s=20)
-    found = timing._in_a_process(task)
-    assert found.steady_s and len(found.motion) == 8
+    result = timing._in_a_process(task)
+    assert result.steady_s and len(result.motion) == 8
     monkeypatch.setattr(timing, "_START_S", 0.05)
     late = timing._in_a_process(task.model_copy(update={"budget_s": 0.05}))
     assert late == "skipped: budget"
@@ -199,10 +199,10 @@ def test_growth_recovers_a_power_law():
             objects=objects, candidates_per_s=rate, naive_candidates_per_s=rate / 4, **about
         )
 
-    found = growth([row(n, 1e4 * n**-1.5) for n in COUNTS])
-    assert [g.label for g in found] == ["naive loop", "native"]
-    assert all(g.exponent == pytest.approx(1.5) for g in found)
-    root = ET.fromstring(growth_svg(found))
+    result = growth([row(n, 1e4 * n**-1.5) for n in COUNTS])
+    assert [g.label for g in result] == ["naive loop", "native"]
+    assert all(g.exponent == pytest.approx(1.5) for g in result)
+    root = ET.fromstring(growth_svg(result))
     assert len(root.findall(".//{http://www.w3.org/2000/svg}circle")) == 2 * len(COUNTS)
     ET.fromstring(growth_svg([]))
 
@@ -245,10 +245,10 @@ def test_the_command_prints_rows(capfd, tmp_path, monkeypatch):
     assert _exit_code("run", "physics", *options) == 0
     text = capfd.readouterr().out
     answer = json.loads(text)
-    wanted = {"engine", "objects", "population", "steps", "early_stop", "candidates_per_s"}
-    wanted |= {"naive_candidates_per_s", "bare_scan_candidates_per_s", "compile_s", "peak_mib"}
-    wanted |= {"verdict_agreement", "stable_share"}
-    assert len(answer["rows"]) == 2 and all(wanted <= set(row) for row in answer["rows"])
+    expected = {"engine", "objects", "population", "steps", "early_stop", "candidates_per_s"}
+    expected |= {"naive_candidates_per_s", "bare_scan_candidates_per_s", "compile_s", "peak_mib"}
+    expected |= {"verdict_agreement", "stable_share"}
+    assert len(answer["rows"]) == 2 and all(expected <= set(row) for row in answer["rows"])
     assert answer["machine"]["versions"]["mujoco"] == mujoco.__version__
     rows.write_text(text)
     assert _exit_code("chart", str(rows), "--out", str(tmp_path / "again.svg")) == 0

@@ -13,9 +13,9 @@ def test_the_cabinet_is_what_it_is_called_and_sound():
 
 
 def test_times_are_told():
-    found = cabinet_times(1)
-    assert (found["parts"], found["joints"], found["signals"]) == (30, 8, [])
-    assert all(found[key] > 0 for key in ("warm_build_ms", "checks_ms", "export_ms"))
+    times = cabinet_times(1)
+    assert (times["parts"], times["joints"], times["signals"]) == (30, 8, [])
+    assert all(times[key] > 0 for key in ("warm_build_ms", "checks_ms", "export_ms"))
 
 
 def test_what_is_not_contained_is_told(monkeypatch):
@@ -26,17 +26,17 @@ def test_what_is_not_contained_is_told(monkeypatch):
 
 
 def test_a_crash_of_a_mutant_is_seen(monkeypatch):
-    monkeypatch.setattr("neoworld_mjx.program.sandbox.assemble", lambda made: 1 / 0)
+    monkeypatch.setattr("neoworld_mjx.program.sandbox.assemble", lambda objects: 1 / 0)
     assert crashed(seed=0, count=20)
     assert len(programs()) >= 8
 
 
 def test_the_answer_has_what_is_promised(monkeypatch):
-    few = dict(list(hostile.HOSTILE.items())[:2])
-    monkeypatch.setattr("benchmarks.programs.HOSTILE", few)
+    two = dict(list(hostile.HOSTILE.items())[:2])
+    monkeypatch.setattr("benchmarks.programs.HOSTILE", two)
     monkeypatch.setattr("benchmarks.programs.VESSELS", ["tray", "mortar"])
-    found = bench(mutations=10, repeats=1)
-    assert found["cavities_total"] == found["cavities_that_hold"] == 2
-    assert found["hostile_total"] == found["hostile_contained"] == 2
-    assert (found["mutations_total"], found["mutation_crashes"]) == (10, 0)
-    assert {"warm_build_ms", "checks_ms", "export_ms", "machine"} <= set(found)
+    result = bench(mutations=10, repeats=1)
+    assert result["cavities_total"] == result["cavities_that_hold"] == 2
+    assert result["hostile_total"] == result["hostile_contained"] == 2
+    assert (result["mutations_total"], result["mutation_crashes"]) == (10, 0)
+    assert {"warm_build_ms", "checks_ms", "export_ms", "machine"} <= set(result)

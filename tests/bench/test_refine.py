@@ -11,9 +11,9 @@ from neoworld_mjx.bench.refine import refinements, summary
 from neoworld_mjx.bench.scenes import noisy_layouts
 from neoworld_mjx.config import CEMOptions, RefineOptions, RolloutOptions
 from neoworld_mjx.errors import EngineError
+from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.refinement.outcome import measured, passes
 from neoworld_mjx.refinement.scene_refinement import compile_for_search
 from neoworld_mjx.refinement.semantic import reprojection_error
 
@@ -27,11 +27,11 @@ SMALL = RefineOptions(
 def test_the_truth_holds_and_fits_its_photograph(name):
     scene = refine_scenes.photographed(name)
     assert passes(measured(snap_exactly(scene), SMALL), SMALL)
-    assert 3 <= sum(not item.environment for item in scene.objects) <= 10
+    assert 3 <= sum(not obj.environment for obj in scene.objects) <= 10
     camera = scene.camera
-    for item in scene.objects:
-        if not item.environment:
-            x0, y0, x1, y1 = item.box2d.as_tuple()
+    for obj in scene.objects:
+        if not obj.environment:
+            x0, y0, x1, y1 = obj.box2d.as_tuple()
             assert -10 < x0 < x1 < camera.width + 10 and -10 < y0 < y1 < camera.height_px + 10
     assert refine_scenes.photographed(name) == scene
 
@@ -54,11 +54,11 @@ def test_starts_are_as_far_off_as_is_said_and_hardly_any_holds():
 def test_the_sequential_engine_says_what_native_says():
     scene = compile_for_search(refine_scenes.photographed("tower"), SMALL)
     layouts = noisy_layouts(scene, 3, seed=1)
-    one, two = (
+    first, second = (
         e.rollout(scene, scene.place(layouts), duration=0.1) for e in (OneByOne(), NativeEngine())
     )
-    assert np.allclose(one.pos, two.pos, atol=1e-5)
-    assert np.array_equal(one.status, two.status) and np.array_equal(one.steps, two.steps)
+    assert np.allclose(first.pos, second.pos, atol=1e-5)
+    assert np.array_equal(first.status, second.status) and np.array_equal(first.steps, second.steps)
 
 
 @pytest.mark.slow
@@ -74,14 +74,14 @@ def test_rows_and_their_summary():
     assert 0 <= by["random"].rollouts - by["ours"].rollouts < by["random"].iterations
     assert by["cma_es"].rollouts % 16 == 0
     assert by["algorithm1"].rollouts == 48 and by["algorithm1"].pruned == 0
-    told = summary(rows)
-    assert told["n"] == 1 and told["valid_rate"] == 1.0
-    assert told["baselines"]["algorithm1"]["n"] == 1
-    assert told["reward_higher_on"]["random/plain"]["of"] == 1
-    wanted = {"open_loop_valid_rate", "time_to_valid_s", "time_total_s", "xy_error_start_m"}
-    wanted |= {"xy_error_end_m", "yaw_error_start_deg", "yaw_error_end_deg", "scale_error_start"}
-    wanted |= {"scale_error_end", "mean_log_scale", "rollouts"}
-    assert wanted <= set(told) and wanted <= set(told["baselines"]["cma_es"])
+    reported = summary(rows)
+    assert reported["n"] == 1 and reported["valid_rate"] == 1.0
+    assert reported["baselines"]["algorithm1"]["n"] == 1
+    assert reported["reward_higher_on"]["random/plain"]["of"] == 1
+    expected = {"open_loop_valid_rate", "time_to_valid_s", "time_total_s", "xy_error_start_m"}
+    expected |= {"xy_error_end_m", "yaw_error_start_deg", "yaw_error_end_deg", "scale_error_start"}
+    expected |= {"scale_error_end", "mean_log_scale", "rollouts"}
+    assert expected <= set(reported) and expected <= set(reported["baselines"]["cma_es"])
 
 
 def test_an_unknown_scene_is_named():
@@ -100,6 +100,6 @@ def test_algorithm_1_keeps_what_is_to_be_equal():
 def test_however_small_a_thing_looks_it_has_a_box(name):
     scene = refine_scenes.photographed(name)
     assert len(scene.objects) == int(name.removeprefix("crowd_")) + 1
-    for item in scene.objects:
-        x0, y0, x1, y1 = item.box2d.as_tuple()
+    for obj in scene.objects:
+        x0, y0, x1, y1 = obj.box2d.as_tuple()
         assert min(x1 - x0, y1 - y0) >= 1.0 - 1e-9

@@ -3,59 +3,59 @@
 import numpy as np
 import pytest
 
-from benchmarks.battery import OnCores, batteries, prepare, same
-from benchmarks.verify import FaultRow, SoundRow, summary, verify_matrix
+from benchmarks.battery import OnCores, agreement, batteries, prepare
+from benchmarks.verify import FaultRow, ValidRow, summary, verify_matrix
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import ConfigError, EngineError
 from neoworld_mjx.verify import Fault
-from tests.support.injected import KINDS
-from tests.support.sound import FAMILIES, sound_objects
+from tests.support.injected_faults import KINDS
+from tests.support.valid_objects import FAMILIES, valid_objects
 
 
 def test_there_are_enough_objects_and_kinds():
     assert sum(len(family.sizes) for family in FAMILIES.values()) >= 30
     assert len(KINDS) >= 12
     assert all(len(kind.magnitudes) == 3 for kind in KINDS)
-    assert {fault for kind in KINDS for fault in kind.means} <= set(Fault)
+    assert {fault for kind in KINDS for fault in kind.causes} <= set(Fault)
 
 
-def test_sound_objects_are_made_the_same_way_each_time():
-    one, two = list(sound_objects(4)), list(sound_objects(4))
-    assert one == two
-    assert len({spec.name for spec in one}) == 4
+def test_valid_objects_are_made_the_same_way_each_time():
+    first, second = list(valid_objects(4)), list(valid_objects(4))
+    assert first == second
+    assert len({spec.name for spec in first}) == 4
 
 
 @pytest.mark.slow
 def test_a_row_of_the_matrix():
     rows = list(verify_matrix(2, ("no_damping", "limits_into_carcass"), workers=1))
-    found = summary(rows)
-    assert found["objects"] == 2
-    assert found["false_alarms"] == 0
-    assert found["faults"] == found["detected"] == found["named"] == 12
-    assert found["repairable"] == found["repaired"] == 12
-    assert found["made_worse"] == 0
-    assert found["battery_s"] > 0
-    (line, _) = found["matrix"]
+    counts = summary(rows)
+    assert counts["objects"] == 2
+    assert counts["false_alarms"] == 0
+    assert counts["faults"] == counts["detected"] == counts["named"] == 12
+    assert counts["repairable"] == counts["repaired"] == 12
+    assert counts["made_worse"] == 0
+    assert counts["battery_s"] > 0
+    (line, _) = counts["matrix"]
     faint = next(point for point in line["curve"] if not point["counts"])
     assert faint["n"] == 2
-    assert sum(isinstance(row, SoundRow) for row in rows) == 2
+    assert sum(isinstance(row, ValidRow) for row in rows) == 2
 
 
 def test_what_is_missed_is_counted_as_missed():
     rows = [
-        SoundRow(object="a", joints=1, passed=False, battery_s=1.0),
+        ValidRow(object="a", joints=1, passed=False, battery_s=1.0),
         FaultRow(object="a", kind="mass", magnitude=20.0, counts=True, detected=True, named=False,
                  repairable=True, repaired=False, worse=True),
         FaultRow(object="a", kind="mass", magnitude=100.0, counts=True, detected=False, named=False,
                  repairable=True),
         FaultRow(object="a", kind="mass", magnitude=3.0, counts=False, detected=False, named=False),
     ]  # fmt: skip
-    found = summary(rows)
-    assert (found["faults"], found["detected"], found["named"]) == (2, 1, 0)
-    assert (found["false_alarms"], found["made_worse"]) == (1, 1)
+    counts = summary(rows)
+    assert (counts["faults"], counts["detected"], counts["named"]) == (2, 1, 0)
+    assert (counts["false_alarms"], counts["made_worse"]) == (1, 1)
     # What was not found was not mended either, and stays in the denominator.
-    assert (found["repairable"], found["repaired"], found["repaired_share"]) == (2, 0, 0.0)
-    assert len(found["missed"]) == 2
+    assert (counts["repairable"], counts["repaired"], counts["repaired_share"]) == (2, 0, 0.0)
+    assert len(counts["missed"]) == 2
 
 
 def test_unknown_kinds_are_refused():
@@ -65,15 +65,17 @@ def test_unknown_kinds_are_refused():
 
 def test_runs_of_many_objects_end_where_each_object_alone_does():
     options = VerifyOptions(duration_s=0.3)
-    prepared = [prepare(spec, options) for spec in sound_objects(2)]
+    prepared = [prepare(spec, options) for spec in valid_objects(2)]
     for p, ends in zip(prepared, OnCores(prepared, 2).run(), strict=True):
-        alone = p.trial.run(p.runs, threads=1)
+        alone = p.simulation.run(p.runs, threads=1)
         assert np.array_equal(ends, [trace.qpos[-1] for trace in alone])
         assert not any(run.world == "gripping" for run in p.runs)
-    nudged = [prepared[0].starts[:, 1 : 1 + prepared[0].trial.model.nq].copy() for _ in range(2)]
+    nudged = [
+        prepared[0].starts[:, 1 : 1 + prepared[0].simulation.model.nq].copy() for _ in range(2)
+    ]
     nudged[1][0, 2] += 0.01
-    told = same(prepared[:1], nudged[1:], nudged[:1])
-    assert told.tolist() == [False] + [True] * (len(told) - 1)
+    agrees = agreement(prepared[:1], nudged[1:], nudged[:1])
+    assert agrees.tolist() == [False] + [True] * (len(agrees) - 1)
 
 
 def test_rows_of_many_objects_say_what_was_run():

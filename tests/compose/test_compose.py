@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.compose import compose
-from neoworld_mjx.compose.resting_pose import resting_tilt
+from neoworld_mjx.compose.resting_pose import on_level, resting_tilt
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.measure.stability import scene_measure
+from neoworld_mjx.measure import scene_measure, unstable_objects
 from neoworld_mjx.physics.exact import object_depths, start_state
 from neoworld_mjx.spec import (
     Box,
@@ -16,13 +16,11 @@ from neoworld_mjx.spec import (
     Box3D,
     Camera,
     Cylinder,
-    GeomSpec,
     HollowBox,
     JointSpec,
     Lathe,
     Material,
     ObjectSpec,
-    PartSpec,
     PartState,
     SceneTree,
     TreeNode,
@@ -33,7 +31,9 @@ from neoworld_mjx.spec import (
 from neoworld_mjx.spec.opening import opening_value
 from neoworld_mjx.spec.pose import angle_between, from_axis_angle, from_yaw, rotate
 from tests.support import scenes
+from tests.support.mechanisms import geom, part
 
+LIGHT = Material(name="wood", density=500, rgba=(0.6, 0.4, 0.2, 1))
 CAMERA = Camera(width=640, height_px=480, fovy=0.8, height=1.0, pitch=0.6)
 PIXELS = Box2D(x0=10, y0=10, x1=100, y1=100)
 
@@ -115,6 +115,44 @@ def test_a_spoon_comes_to_lie_on_the_saucer_whatever_height_was_parsed(off):
     lowered = made.scene.model_copy(update={"objects": objects})
     model, data = start_state(lowered)
     assert ("saucer", "spoon") in object_depths(lowered, model, data)
+
+
+def test_a_wall_of_a_shelf_does_not_hide_its_floor():
+    """Books that reach a little into the walls on both sides of them."""
+    boards = [(Box(size=(0.3, 0.4, 0.02)), (0, 0, z)) for z in (0.2, 0.51)]
+    walls = [(Box(size=(0.3, 0.01, 0.5)), (0, y, 0.25)) for y in (-0.105, 0.105)]
+    shelf = scenes.single("shelf", *boards, *walls)
+    books = scenes.single("books", (Box(size=(0.2, 0.203, 0.2)), (0, 0, 0.1)))
+    made = composed(
+        [
+            node("shelf", shelf, (1.0, 0, 0)),
+            node("books", books, (1.0, 0, 0.205), parent="shelf", relation="in"),
+        ],
+        {"shelf": shelf, "books": books},
+    )
+    on_floor = world_poses(made.scene)["shelf"].pos[2] + 0.21
+    assert world_poses(made.scene)["books"].pos[2] == pytest.approx(on_floor, abs=2e-4)
+
+
+def test_things_stand_on_the_real_surfaces_of_furniture():
+    """A shelf of two boards: one thing lies tilted on the lower board, one stands on top."""
+    boards = [(Box(size=(0.3, 0.8, 0.02)), (0, 0, z)) for z in (0.2, 0.5)]
+    sides = [(Box(size=(0.3, 0.02, 0.5)), (0, y, 0.25)) for y in (-0.41, 0.41)]
+    shelf = scenes.single("shelf", *boards, *sides)
+    cup = scenes.cup()
+    nodes = [
+        node("shelf", shelf, (1.0, 0, 0), environment=True, furniture=True),
+        node("low", cup, (1.0, 0.1, 0.21), parent="shelf", relation="in"),
+        node("high", cup, (1.0, -0.1, 0.53), parent="shelf"),
+    ]
+    made = composed(nodes, {"shelf": shelf, "low": cup, "high": cup})
+    heights = {name: at.pos[2] for name, at in world_poses(made.scene).items()}
+    assert heights["low"] == pytest.approx(0.21, abs=1e-3)
+    assert heights["high"] == pytest.approx(0.51, abs=1e-3)
+    assert made.scene.object("shelf").static
+    assert scene_measure(made.scene).s_stab
+    tree = SceneTree(camera=CAMERA, nodes=(ground(), *nodes))
+    assert on_level(tree.node("shelf"), tree) and not on_level(tree.node("high"), tree)
 
 
 def test_a_cup_in_a_bowl_stands_on_the_bowls_floor_and_not_on_its_rim():
@@ -219,15 +257,9 @@ def test_opening_goes_from_the_limit_nearest_to_zero_to_the_far_one():
 
 def mushroom():
     """A round stem with a thicker, square cap, [0.05, 0.05, 0.09] m."""
-    wood = Material(name="wood", density=500, rgba=(0.6, 0.4, 0.2, 1))
-    stem = GeomSpec(
-        name="stem", shape=Cylinder(radius=0.015, height=0.07), pos=(0, 0, 0.035), material="wood"
-    )
-    cap = GeomSpec(
-        name="cap", shape=Box(size=(0.05, 0.05, 0.02)), pos=(0, 0, 0.08), material="wood"
-    )
-    part = PartSpec(name="body", geoms=(stem, cap))
-    return ObjectSpec(name="mushroom", materials=(wood,), parts=(part,))
+    stem = geom("stem", Cylinder(radius=0.015, height=0.07), (0, 0, 0.035))
+    cap = geom("cap", Box(size=(0.05, 0.05, 0.02)), (0, 0, 0.08))
+    return ObjectSpec(name="mushroom", materials=(LIGHT,), parts=(part("body", stem, cap),))
 
 
 def test_a_lying_object_is_tilted_to_its_resting_pose():
@@ -267,11 +299,8 @@ def test_leaning_and_standing_objects_keep_their_tilt():
 @pytest.mark.parametrize("degrees", [70, 90, 100])
 def test_a_bottle_that_lies_at_some_angle_comes_to_lie_flat(degrees):
     tilt = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(degrees)).tolist())
-    wood = Material(name="wood", density=500, rgba=(0.6, 0.4, 0.2, 1))
-    rod = GeomSpec(
-        name="rod", shape=Cylinder(radius=0.02, height=0.2), pos=(0, 0, 0.1), material="wood"
-    )
-    bottle = ObjectSpec(name="b", materials=(wood,), parts=(PartSpec(name="body", geoms=(rod,)),))
+    rod = part("body", geom("rod", Cylinder(radius=0.02, height=0.2), (0, 0, 0.1)))
+    bottle = ObjectSpec(name="b", materials=(LIGHT,), parts=(rod,))
     turned = resting_tilt(bottle, {}, tilt)
     assert turned is not None
     assert rotate(turned, np.array([0.0, 0.0, 1.0]))[2] == pytest.approx(0.0, abs=1e-3)
@@ -280,9 +309,8 @@ def test_a_bottle_that_lies_at_some_angle_comes_to_lie_flat(degrees):
 
 def test_a_tilt_far_from_any_resting_pose_has_none():
     tilt = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(45)).tolist())
-    wood = Material(name="wood", density=500, rgba=(0.6, 0.4, 0.2, 1))
-    block = GeomSpec(name="b", shape=Box(size=(0.1, 0.1, 0.1)), pos=(0, 0, 0.05), material="wood")
-    cube = ObjectSpec(name="b", materials=(wood,), parts=(PartSpec(name="body", geoms=(block,)),))
+    block = part("body", geom("b", Box(size=(0.1, 0.1, 0.1)), (0, 0, 0.05)))
+    cube = ObjectSpec(name="b", materials=(LIGHT,), parts=(block,))
     assert resting_tilt(cube, {}, tilt) is None
 
 
@@ -307,3 +335,40 @@ def test_an_object_tilted_on_a_saucer_is_settled_or_a_note_says_why_not(side):
         assert item.base_tilt == pytest.approx(tilt)
         (note,) = made.notes
         assert note == "bar: composition kept the parsed tilt, at which it does not rest on saucer"
+
+
+FRAME = scenes.single("frame", (Box(size=(0.02, 0.3, 0.2)), (0, 0, 0.1)))
+WALL = scenes.single("wall", (Box(size=(0.1, 1.0, 1.0)), (0, 0, 0.5)))
+
+
+def on_a_wall(**frame):
+    wall = TreeNode(
+        name="wall",
+        label="wall",
+        environment=True,
+        box2d=PIXELS,
+        box3d=Box3D(position=(1.5, 0, 0), size=(0.1, 1.0, 1.0), yaw=math.pi),
+    )
+    picture = node("frame", FRAME, (1.43, 0, 0.5), "wall", math.pi, relation="attached", **frame)
+    return composed([wall, picture], {"wall": WALL, "frame": FRAME})
+
+
+def test_what_is_attached_is_fastened_and_the_scene_stands():
+    made = on_a_wall()
+    assert made.scene.object("frame").fixed_base
+    assert made.notes == ("frame: composition fastened it to wall, as it is attached",)
+    assert unstable_objects(made.scene, scene_measure(made.scene)) == ()
+
+
+def test_what_may_come_off_is_left_loose_and_named_when_it_falls():
+    made = on_a_wall(held_by="a loop over a nail")
+    assert not made.scene.object("frame").fixed_base
+    assert made.notes == ("frame: composition left it loose, held by a loop over a nail",)
+    (entry,) = unstable_objects(made.scene, scene_measure(made.scene))
+    assert (entry.name, entry.kind, entry.held) == ("frame", "falls", False)
+    assert entry.drop_m > 0.4
+    assert entry.why == "it is attached to wall, but not fastened there"
+
+
+def test_what_was_fixed_by_the_answer_needs_no_note():
+    assert on_a_wall(fixed_base=True).notes == ()

@@ -10,16 +10,14 @@ from neoworld_mjx.compose.settle import settle
 from neoworld_mjx.measure.stability import scene_measure
 from neoworld_mjx.spec import (
     Box,
-    GeomSpec,
-    JointSpec,
     Material,
     ObjectSpec,
-    PartSpec,
     SceneObject,
     SceneSpec,
 )
 from neoworld_mjx.spec.pose import angle_between, from_axis_angle, rotate
 from tests.support import scenes
+from tests.support.mechanisms import geom, joint, part
 
 TILTED = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(12)).tolist())
 
@@ -79,16 +77,11 @@ def test_a_block_in_an_open_drawer_lies_flat_and_the_drawer_stays_open():
 
 def test_overlaps_within_the_parent_are_ignored():
     """Two drawers that are half a millimetre in each other, and a block on the case above them."""
-    geom = lambda name, size, pos: GeomSpec(
-        name=name, shape=Box(size=size), pos=pos, material="wood"
-    )
-    parts = [PartSpec(name="case", geoms=(geom("top", (0.3, 0.3, 0.02), (0, 0, 0.11)),))]
+    parts = [part("case", geom("top", Box(size=(0.3, 0.3, 0.02)), (0, 0, 0.11)))]
     joints = []
     for k, y in enumerate((-0.04975, 0.04975)):
-        parts.append(PartSpec(name=f"d{k}", geoms=(geom(f"g{k}", (0.1, 0.1, 0.05), (0, y, 0.04)),)))
-        joints.append(
-            JointSpec(name=f"j{k}", type="prismatic", parent="case", child=f"d{k}", upper=0.1)
-        )
+        parts.append(part(f"d{k}", geom(f"g{k}", Box(size=(0.1, 0.1, 0.05)), (0, y, 0.04))))
+        joints.append(joint(f"j{k}", "prismatic", "case", f"d{k}", upper=0.1))
     wood = Material(name="wood", density=500, rgba=(0.6, 0.4, 0.2, 1))
     spec = ObjectSpec(name="case", materials=(wood,), parts=tuple(parts), joints=tuple(joints))
     block = scenes.single("block", (Box(size=(0.05, 0.06, 0.03)), (0, 0, 0.015)))

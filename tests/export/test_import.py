@@ -4,11 +4,18 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.export import decompose, export_object, import_mjcf, import_urdf, mechanism
+from neoworld_mjx.export import (
+    decompose,
+    export_object,
+    import_mjcf,
+    import_urdf,
+    import_usd,
+    mechanism,
+)
 from neoworld_mjx.spec import Mesh, bounds
 from tests.support import scenes
 
-READERS = {"object.urdf": import_urdf, "object.xml": import_mjcf}
+READERS = {"object.urdf": import_urdf, "object.xml": import_mjcf, "object.usda": import_usd}
 U = (
     "v 0 0 0\nv 3 0 0\nv 3 0 2\nv 2 0 2\nv 2 0 1\nv 1 0 1\nv 1 0 2\nv 0 0 2\n"
     "v 0 1 0\nv 3 1 0\nv 3 1 2\nv 2 1 2\nv 2 1 1\nv 1 1 1\nv 1 1 2\nv 0 1 2\n"
@@ -32,17 +39,15 @@ def cache(tmp_path, monkeypatch):
 def test_exported_objects_are_imported_unchanged(tmp_path, file, make):
     spec = make()
     export_object(spec, tmp_path)
-    found = READERS[file](tmp_path / file)
-    one, other = mechanism(spec), mechanism(found.spec)
+    result = READERS[file](tmp_path / file)
+    one, other = mechanism(spec), mechanism(result.spec)
     low, high = bounds(spec)
-    lower, upper = bounds(found.spec)
+    lower, upper = bounds(result.spec)
     np.testing.assert_allclose([lower, upper], [low, high], atol=2e-4)
-    assert len(found.spec.parts) == len(spec.parts)
+    assert len(result.spec.parts) == len(spec.parts)
     for part in spec.parts:
-        twin = part.name if file == "object.urdf" or part.name != spec.root else spec.name
-        twin = (
-            twin if file == "object.urdf" or part.name == spec.root else f"{spec.name}_{part.name}"
-        )
+        named = file != "object.usda"
+        twin = spec.name if named and part.name == spec.root else part.name
         a, b = one.links[part.name], other.links[twin]
         assert b.mass == pytest.approx(a.mass, rel=1e-6)
         np.testing.assert_allclose(b.com, a.com, atol=2e-4)
@@ -74,13 +79,18 @@ def test_notes_name_what_was_left_out_or_assumed(tmp_path):
             "<transmission name='t'/>",
         )
     )
-    found = import_urdf(path)
+    result = import_urdf(path)
     # The world has no geometry and is the base; the tip moves by itself and gets a ball.
-    assert [p.name for p in found.spec.parts] == ["base_link", "p_1arm", "tip"]
-    assert found.spec.root == "base_link"
-    told = " / ".join(found.notes)
-    for said in ("transmissions", "floating: carried as fixed", "no mass", "tip has no geometry"):
-        assert said in told
+    assert [p.name for p in result.spec.parts] == ["base_link", "p_1arm", "tip"]
+    assert result.spec.root == "base_link"
+    reported = " / ".join(result.notes)
+    for message in (
+        "transmissions",
+        "floating: carried as fixed",
+        "no mass",
+        "tip has no geometry",
+    ):
+        assert message in reported
 
 
 def test_meshes_without_colliders_are_decomposed_and_kept(tmp_path, monkeypatch):
@@ -90,15 +100,15 @@ def test_meshes_without_colliders_are_decomposed_and_kept(tmp_path, monkeypatch)
     path.write_text(
         urdf("<link name='u'><visual><geometry><mesh filename='u.obj'/></geometry></visual></link>")
     )
-    found = import_urdf(path)
-    (geom,) = found.spec.parts[0].geoms
+    result = import_urdf(path)
+    (geom,) = result.spec.parts[0].geoms
     assert isinstance(geom.shape, Mesh)
     assert geom.role == "both"
     assert len(geom.shape.hulls) >= 3  # two posts and what joins them
     assert len(geom.shape.surface()[1]) == 28
-    assert any("no colliders" in note for note in found.notes)
+    assert any("no colliders" in note for note in result.notes)
     monkeypatch.setattr(decompose, "_coacd", lambda *_: pytest.fail("it was kept"))
-    assert import_urdf(path).spec == found.spec
+    assert import_urdf(path).spec == result.spec
 
 
 def test_without_coacd_a_mesh_collides_as_its_hull_and_a_note_says_so(tmp_path, monkeypatch):
@@ -109,9 +119,9 @@ def test_without_coacd_a_mesh_collides_as_its_hull_and_a_note_says_so(tmp_path, 
     path.write_text(
         urdf("<link name='u'><visual><geometry><mesh filename='u.obj'/></geometry></visual></link>")
     )
-    found = import_urdf(path)
-    assert len(found.spec.parts[0].geoms[0].shape.hulls) == 1
-    assert any("CoACD is not installed" in note for note in found.notes)
+    result = import_urdf(path)
+    assert len(result.spec.parts[0].geoms[0].shape.hulls) == 1
+    assert any("CoACD is not installed" in note for note in result.notes)
 
 
 def test_flat_sheets_get_a_thickness(tmp_path):
@@ -131,9 +141,9 @@ def test_impossible_inertias_are_imported_for_the_checks(tmp_path):
     )
     path = tmp_path / "a.xml"
     path.write_text(text.format("0.001 0.001 0.1"))
-    found = import_mjcf(path)
-    assert found.spec.parts[0].inertia.moments == pytest.approx((0.001, 0.001, 0.1))
-    assert any("refuses it as it is" in note for note in found.notes)
+    result = import_mjcf(path)
+    assert result.spec.parts[0].inertia.moments == pytest.approx((0.001, 0.001, 0.1))
+    assert any("refuses it as it is" in note for note in result.notes)
 
 
 def test_a_file_of_several_objects_is_refused_with_their_names(tmp_path):
@@ -168,11 +178,11 @@ STOVE = """<mujoco><compiler boundmass="0.001" boundinertia="1e-6"/><worldbody><
 def test_visual_links_merge_with_the_link_they_are_fixed_to(tmp_path):
     path = tmp_path / "stove.xml"
     path.write_text(STOVE)
-    found = import_mjcf(path)
+    result = import_mjcf(path)
     # The compiler's lower bound of the mass is not the burner's.
-    assert [part.name for part in found.spec.parts] == ["stove", "knob"]
-    assert [geom.role for geom in found.spec.part("stove").geoms] == ["collision", "visual"]
-    assert found.spec.part("stove").mass == pytest.approx(300 * 0.6 * 0.6 * 0.8)
+    assert [part.name for part in result.spec.parts] == ["stove", "knob"]
+    assert [geom.role for geom in result.spec.part("stove").geoms] == ["collision", "visual"]
+    assert result.spec.part("stove").mass == pytest.approx(300 * 0.6 * 0.6 * 0.8)
 
 
 def test_closed_meshes_are_split_finely(tmp_path):

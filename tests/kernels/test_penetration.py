@@ -57,9 +57,9 @@ def mixed():
         SceneObject(name=kind, spec=single(kind, (shape, (0.005, 0.0, 0.01), tilted)))
         for kind, shape in SHAPES.items()
     )
-    samples = jnp.stack([surface_samples(item, 50) for item in items])
-    found = collect_colliders(items)
-    assert all(len(group.owner) for group in found), "every kind occurs"
+    samples = jnp.stack([surface_samples(obj, 50) for obj in items])
+    colliders = collect_colliders(items)
+    assert all(len(group.owner) for group in colliders), "every kind occurs"
     rng = np.random.default_rng(0)
     shape = (POP, len(items))
     turns = Rotation.from_quat(rng.normal(size=(POP * len(items), 4))).as_matrix()
@@ -69,24 +69,24 @@ def mixed():
 
     def run(depth, among):
         def total(where):
-            told = depth(*where, samples, among)
-            return jnp.sum(weight * told), told
+            depths = depth(*where, samples, among)
+            return jnp.sum(weight * depths), depths
 
         both = jax.jit(jax.value_and_grad(total, has_aux=True))
 
         def call(*where):
-            (_, told), grad = both(where)
-            return np.asarray(told), [np.asarray(g) for g in grad]
+            (_, depths), grad = both(where)
+            return np.asarray(depths), [np.asarray(g) for g in grad]
 
         return call
 
     reference = jax.jit(pair_depth_reference)
     # Reverse mode through the whole reference takes long to compile; kinds differ in `distance`
     # only, which the culled one differentiates of all kinds.
-    some = without(found, "cylinder", "ellipsoid", "polytope", "sector")
-    runs = {"jnp": run(pair_depth_reference, some), "culled": run(pair_depth_culled, found)}
-    truth = np.asarray(reference(*where, samples, found))
-    return Mixed(tuple(where), samples, found, runs, weight, truth)
+    some = without(colliders, "cylinder", "ellipsoid", "polytope", "sector")
+    runs = {"jnp": run(pair_depth_reference, some), "culled": run(pair_depth_culled, colliders)}
+    truth = np.asarray(reference(*where, samples, colliders))
+    return Mixed(tuple(where), samples, colliders, runs, weight, truth)
 
 
 def without(found, *kinds):
@@ -119,63 +119,64 @@ def test_gradient_is_that_of_finite_differences(mixed, impl):
     cost = lambda *where: np.sum(weight * run(*where)[0], axis=(1, 2), dtype=float)
     _, grad = run(*mixed.where)
     rng = np.random.default_rng(2)
-    way = rng.normal(size=pos.shape), rng.normal(size=pos.shape), rng.normal(size=scale.shape)
-    way = [
+    direction = rng.normal(size=pos.shape), rng.normal(size=pos.shape), rng.normal(size=scale.shape)
+    direction = [
         w / np.linalg.norm(w.reshape(POP, -1), axis=1).reshape(-1, *(1,) * (w.ndim - 1))
-        for w in way
+        for w in direction
     ]
     # Turning by a small vector adds its cross products with the axes.
-    turned = np.cross(way[1][..., None, :], np.swapaxes(rot, -1, -2))
+    turned = np.cross(direction[1][..., None, :], np.swapaxes(rot, -1, -2))
     moves = {
-        "pos": (2e-4, (way[0], 0.0 * rot, 0.0 * scale)),
+        "pos": (2e-4, (direction[0], 0.0 * rot, 0.0 * scale)),
         "rot": (5e-3, (0.0 * pos, np.swapaxes(turned, -1, -2), 0.0 * scale)),
-        "scale": (5e-3, (0.0 * pos, 0.0 * rot, way[2])),
+        "scale": (5e-3, (0.0 * pos, 0.0 * rot, direction[2])),
     }
     for name, (step, move) in moves.items():
-        told = sum((g * m).reshape(POP, -1).sum(axis=1) for g, m in zip(grad, move, strict=True))
+        derivative = sum(
+            (g * m).reshape(POP, -1).sum(axis=1) for g, m in zip(grad, move, strict=True)
+        )
         low, mid, high = (
             cost(*(x + k * step * m for x, m in zip(mixed.where, move, strict=True)))
             for k in (-1.0, 0.0, 1.0)
         )
-        size = np.abs(told).max()
+        size = np.abs(derivative).max()
         # A kink is where the differences to both sides do not agree.
         even = np.abs((high - mid) - (mid - low)) / step < 0.02 * size
         assert even.mean() > 0.4, name
-        assert np.abs((high - low) / (2 * step) - told)[even].max() < 0.02 * size, name
-        assert (np.abs(told) > 0.05 * size)[even].mean() > 0.5, "most candidates overlap"
+        assert np.abs((high - low) / (2 * step) - derivative)[even].max() < 0.02 * size, name
+        assert (np.abs(derivative) > 0.05 * size)[even].mean() > 0.5, "most candidates overlap"
 
 
 def test_interpreted_kernel_agrees_with_the_reference(mixed):
     kernel = jax.jit(lambda *x: pair_depth(*x, impl="pallas", interpret=True))
-    told = np.asarray(kernel(*mixed.where, mixed.samples, mixed.colliders))
-    assert np.abs(told - mixed.truth).max() <= 1e-5
+    depths = np.asarray(kernel(*mixed.where, mixed.samples, mixed.colliders))
+    assert np.abs(depths - mixed.truth).max() <= 1e-5
     met = (mixed.truth > 1e-3).mean(axis=0) + np.eye(len(SHAPES))
     assert met.min() > 0.05, "all meet each other"
 
 
 def test_culled_agrees_with_the_reference_on_all_kinds(mixed):
-    told, _ = mixed.run["culled"](*mixed.where)
-    assert np.abs(told - mixed.truth).max() <= 1e-6
+    depths, _ = mixed.run["culled"](*mixed.where)
+    assert np.abs(depths - mixed.truth).max() <= 1e-6
 
 
-def test_culled_agrees_in_slabs_and_small_chunks(mixed, monkeypatch):
-    few = mixed.samples[:, :7]
-    found = without(mixed.colliders, "capsule", "cylinder", "ellipsoid", "sector")
-    truth = jax.jit(pair_depth_reference)(*mixed.where, few, found)
+def test_culled_agrees_in_small_blocks(mixed, monkeypatch):
+    subset = mixed.samples[:, :7]
+    colliders = without(mixed.colliders, "capsule", "cylinder", "ellipsoid", "sector")
+    truth = jax.jit(pair_depth_reference)(*mixed.where, subset, colliders)
     assert (truth > 0).mean() > 0.02
-    for name, value in (("SLAB", 32), ("CHUNK", 256), ("BLOCK", 3)):
-        monkeypatch.setattr(culled, name, value)
-    told = jax.jit(lambda *x: pair_depth_culled(*x))(*mixed.where, few, found)
-    assert np.abs(np.asarray(told - truth)).max() <= 1e-6
+    monkeypatch.setattr(culled, "BLOCK", 3)
+    depths = jax.jit(lambda *x: pair_depth_culled(*x))(*mixed.where, subset, colliders)
+    assert np.abs(np.asarray(depths - truth)).max() <= 1e-6
 
 
 def test_culled_agrees_with_the_reference_on_a_crowded_scene():
     scene = compile_scene(crowded(3))
     poses = jax.jit(lambda x: scene.place(x))(noisy_layouts(scene, 64))
     where = (poses.pos, rotation(poses.quat), poses.scale, scene.samples, scene.colliders)
-    told = np.asarray(jax.jit(pair_depth_culled)(*where))
+    depths = np.asarray(jax.jit(pair_depth_culled)(*where))
     truth = np.asarray(jax.jit(pair_depth_reference)(*where))
-    assert np.abs(told - truth).max() <= 1e-6
+    assert np.abs(depths - truth).max() <= 1e-6
     assert (truth > 0).sum() > 50
 
 
@@ -195,10 +196,10 @@ def test_a_lost_pose_makes_its_own_depths_nan_and_no_other(mixed):
 def test_a_gradient_is_a_number_where_there_is_none(mixed):
     """Concentric colliders with parallel axes, where norms and angles have no derivative."""
     pos, rot, scale = (jnp.asarray(x) for x in mixed.where)
-    told, grad = mixed.run["culled"](
+    depths, grad = mixed.run["culled"](
         0 * pos, jnp.broadcast_to(jnp.eye(3), rot.shape), 0 * scale + 1
     )
-    assert (told[0] > 0.001).sum() > 30
+    assert (depths[0] > 0.001).sum() > 30
     assert all(np.isfinite(g).all() for g in grad)
 
 

@@ -30,29 +30,29 @@ def turned(points, degrees):
 def test_concentric_spheres_are_apart_by_the_difference_of_their_radii():
     a = surface_points(thing(sphere(0.50)), 20_000)
     b = surface_points(thing(sphere(0.52)), 20_000)
-    found = closeness(a, b)
+    result = closeness(a, b)
     # The nearest sample lies a little beside the nearest point.
-    assert found.chamfer_x10 == pytest.approx(10 * 0.02, rel=0.06)
-    assert found.f_01 == 0 and found.f_05 == pytest.approx(100)
+    assert result.chamfer_x10 == pytest.approx(10 * 0.02, rel=0.06)
+    assert result.f_01 == 0 and result.f_05 == pytest.approx(100)
 
 
 def test_parallel_planes():
     """Samples on a lattice, one lattice straight above the other: every distance is the height."""
     flat = np.stack(np.meshgrid(np.arange(30) / 10, np.arange(20) / 10, [0.0]), -1).reshape(-1, 3)
     for height, f_01, f_05 in ((0.009, 100, 100), (0.03, 0, 100), (0.06, 0, 0)):
-        found = closeness(flat, flat + [0, 0, height])
-        assert found.chamfer_x10 == pytest.approx(10 * height)
-        assert found.f_01 == pytest.approx(f_01) and found.f_05 == pytest.approx(f_05)
+        result = closeness(flat, flat + [0, 0, height])
+        assert result.chamfer_x10 == pytest.approx(10 * height)
+        assert result.f_01 == pytest.approx(f_01) and result.f_05 == pytest.approx(f_05)
 
 
 def test_f_is_the_harmonic_mean_of_both_ways():
     """Half of one set is far away: precision 1/2, recall 1."""
     near = np.random.default_rng(0).uniform(size=(100, 3))
-    found = closeness(np.vstack([near, near + 50]), near)
-    assert found.f_01 == pytest.approx(100 * 2 * 0.5 / 1.5)
+    result = closeness(np.vstack([near, near + 50]), near)
+    assert result.f_01 == pytest.approx(100 * 2 * 0.5 / 1.5)
     swapped = closeness(near, np.vstack([near, near + 50]))
-    assert swapped.f_01 == pytest.approx(found.f_01)
-    assert swapped.chamfer_x10 == pytest.approx(found.chamfer_x10)
+    assert swapped.f_01 == pytest.approx(result.f_01)
+    assert swapped.chamfer_x10 == pytest.approx(result.chamfer_x10)
 
 
 def test_samples_are_even_by_area_and_repeatable():
@@ -87,22 +87,22 @@ def chair(at=(0, 0, 0)):
 
 def test_an_object_against_itself():
     spec = chair()
-    found = geometry_measure(spec, surface_points(spec, 10_000, seed=1))
-    assert found.unaligned.f_05 > 99.9 and found.unaligned.f_01 > 70
-    assert found.aligned.chamfer_x10 <= found.unaligned.chamfer_x10 * 1.02
-    assert abs(found.turn_deg) < 0.5 and found.scale == pytest.approx(1, abs=0.005)
+    result = geometry_measure(spec, surface_points(spec, 10_000, seed=1))
+    assert result.unaligned.f_05 > 99.9 and result.unaligned.f_01 > 70
+    assert result.aligned.chamfer_x10 <= result.unaligned.chamfer_x10 * 1.02
+    assert abs(result.turn_deg) < 0.5 and result.scale == pytest.approx(1, abs=0.005)
 
 
 @pytest.mark.parametrize(("turn", "factor"), [(90, 1.0), (180, 1.5), (-83, 0.6)])
 def test_a_fit_undoes_turn_shift_and_size(turn, factor):
     spec = chair()
     true = turned(surface_points(spec, 3000, seed=1), turn) * factor + [0.3, -0.2, 0.1]
-    found = geometry_measure(spec, true, samples=3000)
+    result = geometry_measure(spec, true, samples=3000)
     same = geometry_measure(spec, surface_points(spec, 3000, seed=1), samples=3000)
-    assert found.turn_deg == pytest.approx(turn, abs=1)
-    assert found.scale == pytest.approx(factor, rel=0.01)
-    assert found.aligned.chamfer_x10 == pytest.approx(same.aligned.chamfer_x10, rel=0.1)
-    assert found.unaligned.chamfer_x10 > 3 * found.aligned.chamfer_x10
+    assert result.turn_deg == pytest.approx(turn, abs=1)
+    assert result.scale == pytest.approx(factor, rel=0.01)
+    assert result.aligned.chamfer_x10 == pytest.approx(same.aligned.chamfer_x10, rel=0.1)
+    assert result.unaligned.chamfer_x10 > 3 * result.aligned.chamfer_x10
 
 
 def test_a_shifted_box_is_unaligned_by_its_shift():
@@ -111,18 +111,18 @@ def test_a_shifted_box_is_unaligned_by_its_shift():
     """
     d, count = 0.1, 20_000
     a = surface_points(thing(block((1, 1, 1))), count)
-    found = geometry_measure(a, a + [d, 0, 0])
+    result = geometry_measure(a, a + [d, 0, 0])
     outside = d  # of the face that stands out
     within = (1 - (1 - 2 * d) ** 3) / 6  # of the opposite one: d, or less near its edges
     strips = 4 * d * d / 2  # of four sides: the part of width d beyond the other cube
     expected = 10 * (outside + within + strips) / 6 / math.sqrt(3)
     # Four sides of six lie in each other: there the nearest sample is half a spacing away.
     noise = 10 * 4 / 6 * 0.5 * math.sqrt(6 / count) / math.sqrt(3)
-    assert expected < found.unaligned.chamfer_x10 < expected + noise
-    assert found.aligned.f_01 > 99
+    assert expected < result.unaligned.chamfer_x10 < expected + noise
+    assert result.aligned.f_01 > 99
 
 
 def test_wrong_proportions_stay_wrong_after_the_fit():
-    made = surface_points(thing(block((0.4, 0.4, 1.0))), 3000)
+    built = surface_points(thing(block((0.4, 0.4, 1.0))), 3000)
     true = surface_points(thing(block((0.4, 0.4, 0.5))), 3000)
-    assert geometry_measure(made, true).aligned.chamfer_x10 > 0.3
+    assert geometry_measure(built, true).aligned.chamfer_x10 > 0.3

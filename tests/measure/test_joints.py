@@ -40,34 +40,34 @@ def changed(joint, **update):
 
 
 def test_the_truth_itself_is_without_error():
-    found = joint_measure(TRUTH, TRUTH)
-    assert (found.total, found.predicted, found.hits, found.correct) == (2, 2, 2, 2)
-    assert found.miss == found.type_error == found.type_error_hits == 0
-    assert (found.axis_deg.value, found.axis_deg.n) == (0, 2)
-    assert (found.pivot.value, found.pivot.n) == (0, 1), "a slide has no pivot"
-    assert (found.limits.value, found.limits.n) == (1, 2)
+    result = joint_measure(TRUTH, TRUTH)
+    assert (result.total, result.predicted, result.hits, result.correct) == (2, 2, 2, 2)
+    assert result.miss == result.type_error == result.type_error_hits == 0
+    assert (result.axis_deg.value, result.axis_deg.n) == (0, 2)
+    assert (result.pivot.value, result.pivot.n) == (0, 1), "a slide has no pivot"
+    assert (result.limits.value, result.limits.n) == (1, 2)
 
 
 def test_names_do_not_matter():
-    found = joint_measure(
+    result = joint_measure(
         cabinet(changed(DOOR, name="drawer"), changed(DRAWER, name="door")), TRUTH
     )
-    assert {(p.true, p.predicted) for p in found.pairs} == {("door", "drawer"), ("drawer", "door")}
-    assert found.correct == 2
+    assert {(p.true, p.predicted) for p in result.pairs} == {("door", "drawer"), ("drawer", "door")}
+    assert result.correct == 2
 
 
 def test_a_missed_joint_counts_as_a_type_error_over_all_and_is_in_no_mean():
-    found = joint_measure(cabinet(DOOR), TRUTH)
-    assert found.missed == ("drawer",) and found.extra == ()
-    assert found.miss == found.type_error == 0.5
-    assert found.type_error_hits == 0
-    assert found.axis_deg.n == 1, "the mean says that it knows of one joint only"
+    result = joint_measure(cabinet(DOOR), TRUTH)
+    assert result.missed == ("drawer",) and result.extra == ()
+    assert result.miss == result.type_error == 0.5
+    assert result.type_error_hits == 0
+    assert result.axis_deg.n == 1, "the mean says that it knows of one joint only"
 
 
 def test_extra_joints_are_counted_and_no_error_of_the_others():
     knob = changed(DOOR, name="knob", moving_box=((0.2, 0.0, 0.6), (0.22, 0.02, 0.62)))
-    found = joint_measure(cabinet(DOOR, DRAWER, knob), TRUTH)
-    assert found.extra == ("knob",) and found.hits == 2 and found.predicted == 3
+    result = joint_measure(cabinet(DOOR, DRAWER, knob), TRUTH)
+    assert result.extra == ("knob",) and result.hits == 2 and result.predicted == 3
 
 
 def test_nothing_predicted_and_nothing_true():
@@ -80,17 +80,17 @@ def test_nothing_predicted_and_nothing_true():
 
 def test_a_door_made_to_slide_is_a_hit_of_the_wrong_type():
     slid = changed(DOOR, type="prismatic", axis=(0, 1, 0), limits=(0, 0.3))
-    found = joint_measure(cabinet(slid, DRAWER), TRUTH)
-    assert found.hits == 2 and found.correct == 1
-    assert found.type_error == found.type_error_hits == 0.5
-    assert found.axis_deg.n == 2 and found.axis_deg.value == pytest.approx(45)
-    assert found.pivot.n == 0 and found.limits.n == 1
+    result = joint_measure(cabinet(slid, DRAWER), TRUTH)
+    assert result.hits == 2 and result.correct == 1
+    assert result.type_error == result.type_error_hits == 0.5
+    assert result.axis_deg.n == 2 and result.axis_deg.value == pytest.approx(45)
+    assert result.pivot.n == 0 and result.limits.n == 1
 
 
 def test_a_hinge_on_the_other_side():
-    found = joint_measure(cabinet(changed(DOOR, pivot=(0.2, -0.3, 0.4)), DRAWER), TRUTH)
-    assert found.pivot.value == pytest.approx(0.6 / SIZE)
-    assert found.correct == 1 and found.axis_deg.value == 0
+    result = joint_measure(cabinet(changed(DOOR, pivot=(0.2, -0.3, 0.4)), DRAWER), TRUTH)
+    assert result.pivot.value == pytest.approx(0.6 / SIZE)
+    assert result.correct == 1 and result.axis_deg.value == 0
 
 
 def test_an_axis_that_points_the_other_way_is_the_same_line_with_its_range_turned():
@@ -146,16 +146,16 @@ def test_size_frame_and_front_do_not_matter():
         for joint in TRUTH.joints
     )
     other = ObjectTruth(name="cabinet", front="+y", box=box(BOX), joints=joints)
-    found = joint_measure(other, TRUTH)
-    assert found.correct == 2 and found.limits.value == pytest.approx(1)
-    assert found.pivot.value == pytest.approx(0, abs=1e-9)
+    result = joint_measure(other, TRUTH)
+    assert result.correct == 2 and result.limits.value == pytest.approx(1)
+    assert result.pivot.value == pytest.approx(0, abs=1e-9)
     wrong = joint_measure(other.model_copy(update={"front": "+x"}), TRUTH)
     assert wrong.correct < 2, "the front is not guessed"
 
 
 def test_canonical_frame():
-    found = canonical(ObjectTruth(name="a", front="-y", box=((1, 2, 3), (2, 5, 7))))
-    np.testing.assert_allclose(found.box, [(-1.5, -0.5, 0), (1.5, 0.5, 4)])
+    result = canonical(ObjectTruth(name="a", front="-y", box=((1, 2, 3), (2, 5, 7))))
+    np.testing.assert_allclose(result.box, [(-1.5, -0.5, 0), (1.5, 0.5, 4)])
 
 
 def test_a_front_without_its_tray_is_the_same_drawer_but_a_knob_is_no_door():
@@ -178,15 +178,15 @@ def test_each_of_four_drawers_finds_its_own():
             for k in order
         ]
 
-    found = joint_measure(cabinet(*stack([3, 1, 0, 2])), cabinet(*stack(range(4))))
-    assert [p.true == p.predicted for p in found.pairs] == [True] * 4
+    result = joint_measure(cabinet(*stack([3, 1, 0, 2])), cabinet(*stack(range(4))))
+    assert [p.true == p.predicted for p in result.pairs] == [True] * 4
 
 
 def test_motion_decides_between_joints_that_carry_the_same():
     """A part on a slide and a hinge in a row: both joints carry the same box."""
     slide = changed(DOOR, name="slide", type="prismatic", axis=(1, 0, 0), limits=(0, 0.1))
-    found = joint_measure(cabinet(slide, DOOR), cabinet(DOOR, slide))
-    assert all(p.true == p.predicted and p.motion == pytest.approx(1) for p in found.pairs)
+    result = joint_measure(cabinet(slide, DOOR), cabinet(DOOR, slide))
+    assert all(p.true == p.predicted and p.motion == pytest.approx(1) for p in result.pairs)
 
 
 def test_likeness_of_motion():
@@ -221,9 +221,9 @@ def test_lines():
 def test_a_turned_and_shifted_axis_is_measured_as_such(dx, dy, tilt, along):
     """The axis tilted about the line to it: angle is the tilt, distance the shift."""
     a = math.radians(tilt)
-    made = changed(DOOR, axis=(0, math.sin(a), math.cos(a)), pivot=(0.2 + dx, 0.3, 0))
+    built = changed(DOOR, axis=(0, math.sin(a), math.cos(a)), pivot=(0.2 + dx, 0.3, 0))
     true = changed(DOOR, pivot=(0.2, 0.3, 0))
-    pair = joint_measure(cabinet(made), cabinet(true)).pairs[0]
+    pair = joint_measure(cabinet(built), cabinet(true)).pairs[0]
     assert pair.axis_deg == pytest.approx(tilt, abs=1e-4)
     if tilt > 6:
         assert pair.pivot == pytest.approx(abs(dx) / SIZE, abs=1e-9)

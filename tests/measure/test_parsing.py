@@ -109,16 +109,16 @@ def test_a_perfect_parse_is_perfect_whatever_the_names_and_order():
         n.model_copy(update={"name": renamed[n.name], "parent": renamed.get(n.parent)})
         for n in reversed(truth.nodes)
     )
-    found = parse_measure(SceneTree(camera=truth.camera, nodes=nodes), truth)
-    assert found.matched == renamed
-    for mean in (found.iou_2d, found.iou_3d, found.iou_3d_scaled):
+    result = parse_measure(SceneTree(camera=truth.camera, nodes=nodes), truth)
+    assert result.matched == renamed
+    for mean in (result.iou_2d, result.iou_3d, result.iou_3d_scaled):
         assert (mean.value, mean.n) == (pytest.approx(1), 3)
-    assert (found.edge_f1, found.relations.value, found.tree_distance) == (1, 1, 0)
-    assert (found.depth_order.value, found.size_order.value) == (1, 1)
-    assert found.position_m.value == found.size_log.value == 0
-    assert found.yaw_deg.n == 1
-    assert found.missed == found.extra == ()
-    assert found.pitch_deg == found.fovy_deg == found.height_m == 0
+    assert (result.edge_f1, result.relations.value, result.tree_distance) == (1, 1, 0)
+    assert (result.depth_order.value, result.size_order.value) == (1, 1)
+    assert result.position_m.value == result.size_log.value == 0
+    assert result.yaw_deg.n == 1
+    assert result.missed == result.extra == ()
+    assert result.pitch_deg == result.fovy_deg == result.height_m == 0
 
 
 def test_missed_and_extra_objects_and_wrong_carriers():
@@ -126,26 +126,26 @@ def test_missed_and_extra_objects_and_wrong_carriers():
     table_, low, high, far = truth.nodes
     extra = node("ghost", (0.5, -0.3, 0), (0.05, 0.05, 0.05))
     moved = high.model_copy(update={"parent": "table"})
-    found = parse_measure(SceneTree(camera=CAMERA, nodes=(table_, low, moved, extra)), truth)
-    assert far.name in found.missed
-    assert found.missed == ("far",)
-    assert found.extra == ("ghost",)
+    result = parse_measure(SceneTree(camera=CAMERA, nodes=(table_, low, moved, extra)), truth)
+    assert far.name in result.missed
+    assert result.missed == ("far",)
+    assert result.extra == ("ghost",)
     # True edges: low, high, far. Parsed: low, high (wrong), ghost. One is common.
-    assert (found.edges_true, found.edges_parsed) == (3, 3)
-    assert found.edge_precision == found.edge_recall == found.edge_f1 == pytest.approx(1 / 3)
-    assert found.tree_distance == 1 + 1 + 1
-    assert found.iou_2d.n == 2
+    assert (result.edges_true, result.edges_parsed) == (3, 3)
+    assert result.edge_precision == result.edge_recall == result.edge_f1 == pytest.approx(1 / 3)
+    assert result.tree_distance == 1 + 1 + 1
+    assert result.iou_2d.n == 2
 
 
 def test_nothing_matched_is_no_figure():
     truth = three()
     elsewhere = node("a", (0.6, -0.4, 0), (0.02, 0.02, 0.02))
-    found = parse_measure(SceneTree(camera=CAMERA, nodes=(table(), elsewhere)), truth)
-    assert found.iou_3d.value is None
-    assert found.depth_order.value is None
-    assert found.iou_2d.n == 0
-    assert found.missed == ("low", "high", "far")
-    assert found.edge_f1 == 0
+    result = parse_measure(SceneTree(camera=CAMERA, nodes=(table(), elsewhere)), truth)
+    assert result.iou_3d.value is None
+    assert result.depth_order.value is None
+    assert result.iou_2d.n == 0
+    assert result.missed == ("low", "high", "far")
+    assert result.edge_f1 == 0
 
 
 def test_scale_about_the_camera_is_told_apart_from_the_rest():
@@ -163,32 +163,32 @@ def test_scale_about_the_camera_is_told_apart_from_the_rest():
         )
         for n in truth.nodes
     )
-    found = parse_measure(SceneTree(camera=camera, nodes=nodes), truth)
-    assert found.scale == pytest.approx(1 / s)
-    assert found.iou_3d.value < 0.2
-    assert found.iou_3d_scaled.value == pytest.approx(1)
-    assert found.size_ratio_log.value == pytest.approx(0, abs=1e-12)
-    assert found.size_log.value == pytest.approx(math.log(2))
-    assert found.height_m == pytest.approx(-0.3)
+    result = parse_measure(SceneTree(camera=camera, nodes=nodes), truth)
+    assert result.scale == pytest.approx(1 / s)
+    assert result.iou_3d.value < 0.2
+    assert result.iou_3d_scaled.value == pytest.approx(1)
+    assert result.size_ratio_log.value == pytest.approx(0, abs=1e-12)
+    assert result.size_log.value == pytest.approx(math.log(2))
+    assert result.height_m == pytest.approx(-0.3)
 
 
 def test_orders_count_pairs_and_leave_ties_out():
     truth = three()
     far = truth.node("far").box3d
     near = far.model_copy(update={"position": (0.3, -0.2, 0)})
-    found = parse_measure(changed(truth, "far", box3d=near), truth)
+    result = parse_measure(changed(truth, "far", box3d=near), truth)
     # "far" is now nearer than both others; low and high are apart by more than a tie in depth.
-    assert found.depth_order.n == 3
-    assert found.depth_order.value == pytest.approx(1 / 3)
+    assert result.depth_order.n == 3
+    assert result.depth_order.value == pytest.approx(1 / 3)
     small = far.model_copy(update={"size": (0.01, 0.01, 0.01)})
-    found = parse_measure(changed(truth, "far", box3d=small), truth)
+    result = parse_measure(changed(truth, "far", box3d=small), truth)
     sizes = {n.name: np.prod(n.box3d.size) ** (1 / 3) for n in truth.nodes}
     wrong = sum(sizes["far"] > sizes[other] for other in ("low", "high"))
     ties = sum(abs(sizes["far"] / sizes[o] - 1) < 0.02 for o in ("low", "high"))
-    assert found.size_order.n == 3 - ties
-    assert found.size_order.value == pytest.approx((3 - ties - wrong) / (3 - ties))
+    assert result.size_order.n == 3 - ties
+    assert result.size_order.value == pytest.approx((3 - ties - wrong) / (3 - ties))
     expected = abs(math.log(sizes["far"] / 0.01)) * 2 / 3
-    assert found.size_ratio_log.value == pytest.approx(expected)
+    assert result.size_ratio_log.value == pytest.approx(expected)
 
 
 def test_flags_parts_and_camera():
@@ -197,11 +197,11 @@ def test_flags_parts_and_camera():
     truth = changed(three(), "far", articulation=(door, drawer), occluded=True)
     seen = changed(three(), "far", articulation=(door,))
     camera = CAMERA.model_copy(update={"pitch": CAMERA.pitch + math.radians(3), "fovy": 0.7})
-    found = parse_measure(SceneTree(camera=camera, nodes=seen.nodes), truth)
-    assert (found.parts.value, found.parts.n) == (0.5, 1)
-    assert found.occluded.value == pytest.approx(2 / 3)
-    assert found.pitch_deg == pytest.approx(3)
-    assert found.fovy_deg == pytest.approx(math.degrees(-0.1))
+    result = parse_measure(SceneTree(camera=camera, nodes=seen.nodes), truth)
+    assert (result.parts.value, result.parts.n) == (0.5, 1)
+    assert result.occluded.value == pytest.approx(2 / 3)
+    assert result.pitch_deg == pytest.approx(3)
+    assert result.fovy_deg == pytest.approx(math.degrees(-0.1))
 
 
 def test_matching_takes_the_best_sum_not_the_first_come():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.measure import scene_measure
+from neoworld_mjx.measure import scene_measure, unstable_objects
 from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.spec import Box, Cylinder, SceneObject, Sphere
 from tests.support import scenes
@@ -13,22 +13,22 @@ def box(name, size=(0.1, 0.1, 0.1)):
 
 @pytest.mark.parametrize("depth", [0.0004, 0.004, 0.03])
 def test_depth_of_two_boxes_side_by_side(depth):
-    found = scene_measure(
+    result = scene_measure(
         scenes.on_table((box("a"), (0, 0), 0.0, {}), (box("b"), (0.1 - depth, 0), 0.0, {})),
         duration=0.01,
     )
-    assert found.max_depth_m == pytest.approx(depth, abs=1e-5)
-    assert found.s_pen == int(depth > 1e-3)
+    assert result.max_depth_m == pytest.approx(depth, abs=1e-5)
+    assert result.s_pen == int(depth > 1e-3)
 
 
 def test_one_thing_inside_another_is_deep_even_if_concentric():
     small = box("small", (0.04, 0.04, 0.04))
-    found = scene_measure(
+    result = scene_measure(
         scenes.on_table((box("big"), (0, 0), 0.0, {}), (small, (0, 0), 0.0, {"z": 0.07})),
         duration=0.002,
     )
     # Out through a side or the top: 5 cm and 2 cm, the small one's own half size included.
-    assert found.depths_m["big|small"] == pytest.approx(0.07, abs=1e-3)
+    assert result.depths_m["big|small"] == pytest.approx(0.07, abs=1e-3)
 
 
 def test_a_stack_stands_and_a_ball_on_a_slope_does_not():
@@ -49,16 +49,16 @@ def test_a_stack_stands_and_a_ball_on_a_slope_does_not():
 def test_rotation_counts_although_the_place_is_kept():
     pole = scenes.single("pole", (Cylinder(radius=0.004, height=0.3), (0, 0, 0.15)))
     scene = scenes.on_table((pole, (0, 0), 0.0, {"base_tilt": (np.cos(0.06), np.sin(0.06), 0, 0)}))
-    found = scene_measure(scene)
-    assert found.s_stab is False
-    assert found.max_tilt_deg > 45
+    result = scene_measure(scene)
+    assert result.s_stab is False
+    assert result.max_tilt_deg > 45
 
 
 def test_nothing_movable_means_no_figure():
-    found = scene_measure(scenes.on_table(), duration=0.01)
-    assert found.movable == 0
-    assert found.s_stab is None
-    assert found.s_pen == 0
+    result = scene_measure(scenes.on_table(), duration=0.01)
+    assert result.movable == 0
+    assert result.s_stab is None
+    assert result.s_pen == 0
 
 
 def test_a_support_on_a_support_is_not_penetration():
@@ -72,3 +72,22 @@ def test_snapping_exactly_leaves_the_gap(off):
     scene = scenes.on_table((scenes.cup(), (0, 0), 0.3, {"z": 0.04 + off}))
     snapped = snap_exactly(scene)
     assert snapped.object("cup").z == pytest.approx(0.0401, abs=2e-5)
+
+
+def test_moving_objects_are_named_with_the_reason_those_that_fall_first():
+    pole = scenes.single("pole", (Cylinder(radius=0.004, height=0.3), (0, 0, 0.15)))
+    scene = scenes.on_table(
+        (pole, (0, 0), 0.0, {"base_tilt": (np.cos(0.06), np.sin(0.06), 0, 0)}),
+        (box("beside"), (0.5, 0), 0.0, {}),
+        (box("deep"), (-0.2, 0.2), 0.0, {"z": 0.03}),
+        (box("rests"), (-0.2, -0.2), 0.0, {"z": 0.04}),
+        (box("rider"), (0, 0), 0.0, {"parent": "beside", "z": 0.1}),
+    )
+    entries = unstable_objects(scene, scene_measure(scene, duration=1.0))
+    reasons = {entry.name: (entry.kind, entry.why) for entry in entries}
+    assert reasons["beside"] == ("falls", "table is not below it, or does not hold it")
+    assert reasons["rider"] == ("falls", "beside, which carries it, moves")
+    assert reasons["pole"] == ("topples", "it does not rest on table")
+    assert "rests" not in reasons
+    assert [entry.kind for entry in entries[:2]] == ["falls", "falls"]
+    assert entries[0].phrase().startswith(f"{entries[0].name} falls ")

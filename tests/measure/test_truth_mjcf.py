@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.export.write_mjcf import mjcf_text
+from neoworld_mjx.export import export_object
 from neoworld_mjx.measure import geometry_measure, joint_measure, truth_of, truth_of_mjcf
 from neoworld_mjx.program import build
 
@@ -37,16 +37,16 @@ ARM = """
 @pytest.mark.parametrize("name", ["fs_microwave", "ia_cabinet4"])
 def test_an_exported_object_is_its_own_truth(name, tmp_path):
     spec = build((OBJECTS / f"{name}.py").read_text()).spec
-    path = tmp_path / "model.xml"
-    path.write_text(mjcf_text(spec))
+    export_object(spec, tmp_path)
+    path = tmp_path / "object.xml"
     truth, points = truth_of_mjcf(path, samples=4000)
     own = truth_of(spec)
     np.testing.assert_allclose(truth.box, own.box, atol=2e-3)
     assert {j.type for j in truth.joints} == {j.type for j in own.joints}
-    found = joint_measure(spec, truth)
-    assert found.correct == found.total == len(own.joints) and not found.extra
-    assert found.axis_deg.value == pytest.approx(0, abs=1e-4)
-    assert found.limits.value == pytest.approx(1, abs=1e-4)
+    result = joint_measure(spec, truth)
+    assert result.correct == result.total == len(own.joints) and not result.extra
+    assert result.axis_deg.value == pytest.approx(0, abs=1e-4)
+    assert result.limits.value == pytest.approx(1, abs=1e-4)
     assert geometry_measure(spec, points, samples=4000).unaligned.f_05 > 99
 
 

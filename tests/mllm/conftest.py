@@ -1,4 +1,4 @@
-"""What the tests of this room share: small requests."""
+"""Small requests that the tests of this folder share."""
 
 from types import SimpleNamespace
 

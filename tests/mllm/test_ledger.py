@@ -92,11 +92,11 @@ def test_carry_continues_the_books(make):
 
 def test_bound_lies_above_any_call_of_the_same_request(make):
     ledger = Ledger(1.0, PRICES)
-    asked = make.request(prompt="word " * 1000)
+    requests = make.request(prompt="word " * 1000)
     # English text has about four letters a token; pictures a token for 750 pixels.
-    real = Usage(len(asked.prompt) // 4 + 30 * 20 // 750 + 400, 256)
-    assert ledger.bound("m", most_tokens(asked, 256)) > PRICES["m"].cost(real)
-    assert most_tokens(asked, 256).output == 256
+    real = Usage(len(requests.prompt) // 4 + 30 * 20 // 750 + 400, 256)
+    assert ledger.bound("m", most_tokens(requests, 256)) > PRICES["m"].cost(real)
+    assert most_tokens(requests, 256).output == 256
 
 
 def test_calls_under_way_are_held_against_the_cap():

@@ -22,7 +22,7 @@ def panel_of(
 
 
 def wait_for(path: Path) -> Path:
-    for _ in range(500):
+    for _ in range(3000):
         if path.exists():
             return path
         time.sleep(0.01)
@@ -36,16 +36,16 @@ def in_background(work) -> threading.Thread:
 
 
 def test_folder_holds_all_that_is_needed_to_answer(make, tmp_path):
-    asked = make.request(name="program:cup", pictures=[Picture.of("the photo", make.noise())])
-    said: list[str] = []
+    requests = make.request(name="program:cup", pictures=[Picture.of("the photo", make.noise())])
+    message: list[str] = []
 
     def answer():
         folder = wait_for(tmp_path / "0001-program-cup")
         (folder / "response.json").write_text('{"name": "red"}')
 
     in_background(answer)
-    with panel_of(tmp_path, said=said) as panel:
-        given = panel.ask_sync(asked)
+    with panel_of(tmp_path, said=message) as panel:
+        given = panel.ask_sync(requests)
     assert given.value == make.Colour(name="red")
     folder = tmp_path / "0001-program-cup"
     names = {path.name for path in folder.iterdir()}
@@ -57,12 +57,12 @@ def test_folder_holds_all_that_is_needed_to_answer(make, tmp_path):
         "1-the-photo.png",
     }
     prompt = (folder / "prompt.md").read_text()
-    for part in (asked.system, asked.prompt, "1-the-photo.png: the photo (30 x 20 px)"):
+    for part in (requests.system, requests.prompt, "1-the-photo.png: the photo (30 x 20 px)"):
         assert part in prompt
-    assert json.loads((folder / "schema.json").read_text()) == asked.json_schema
-    assert (folder / "1-the-photo.png").read_bytes() == asked.pictures[0].data
-    assert len(said) == 1
-    assert str(tmp_path) in said[0]
+    assert json.loads((folder / "schema.json").read_text()) == requests.json_schema
+    assert (folder / "1-the-photo.png").read_bytes() == requests.pictures[0].data
+    assert len(message) == 1
+    assert str(tmp_path) in message[0]
 
 
 def test_invalid_responses_are_moved_aside_with_a_reason(make, tmp_path):
@@ -106,7 +106,7 @@ def test_a_response_written_in_pieces_is_waited_for(make, tmp_path):
 
 def test_many_wait_at_once_beyond_the_concurrency_limit(make, tmp_path):
     count = 20
-    asked = [make.request(prompt=f"p{i}", name=f"n{i}") for i in range(count)]
+    requests = [make.request(prompt=f"p{i}", name=f"n{i}") for i in range(count)]
 
     def answer():
         for i in reversed(range(count)):
@@ -115,7 +115,7 @@ def test_many_wait_at_once_beyond_the_concurrency_limit(make, tmp_path):
 
     in_background(answer)
     with panel_of(tmp_path) as panel:
-        answers = panel.ask_many(asked)
+        answers = panel.ask_many(requests)
     assert [given.value.name for given in answers] == [f"c{i}" for i in range(count)]
 
 
@@ -130,10 +130,10 @@ def test_time_out_then_taken_up_again(make, tmp_path):
         panel.ask_sync(make.request())
     assert [path.name for path in tmp_path.iterdir()] == [folder.name]
     (folder / "response.json").write_text('{"name": "red"}')
-    said: list[str] = []
-    with panel_of(tmp_path, timeout_s=0.1, said=said) as panel:
+    message: list[str] = []
+    with panel_of(tmp_path, timeout_s=0.1, said=message) as panel:
         assert panel.ask_sync(make.request()).value.name == "red"
-        assert said == []
+        assert message == []
         with pytest.raises(ModelError):
             panel.ask_sync(make.request(prompt="another"))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["0001-parse", "0002-parse"]
@@ -149,9 +149,9 @@ def test_unwritable_mailbox_is_one_message(make, tmp_path):
 
 
 def test_names_cannot_leave_the_mailbox(make, tmp_path):
-    asked = make.request(name="../../escape", pictures=[Picture.of("../x/y", make.noise())])
+    requests = make.request(name="../../escape", pictures=[Picture.of("../x/y", make.noise())])
     with panel_of(tmp_path / "box", timeout_s=0.05) as panel, pytest.raises(ModelError):
-        panel.ask_sync(asked)
+        panel.ask_sync(requests)
     assert [path.name for path in tmp_path.iterdir()] == ["box"]
     (folder,) = (tmp_path / "box").iterdir()
     assert "1-x-y.png" in {path.name for path in folder.iterdir()}

@@ -56,8 +56,8 @@ def test_auto_takes_openai_key_only_when_it_can_be_used(bundled, monkeypatch):
     assert chosen(photo=PHOTO) == "replay"
     with pytest.raises(ModelError, match=r"OPENAI_API_KEY is set, but .*roles still name models"):
         chosen(photo="cd" * 32)
-    found = importlib.util.find_spec("openai") is not None
-    assert chosen(other_models(), photo=PHOTO) == ("openai" if found else "replay")
+    result = importlib.util.find_spec("openai") is not None
+    assert chosen(other_models(), photo=PHOTO) == ("openai" if result else "replay")
     monkeypatch.setattr(provider, "_has_openai", lambda: False)
     assert chosen(other_models(), photo=PHOTO) == "replay"
     with pytest.raises(ModelError, match="the extra 'openai' is not installed"):
@@ -67,8 +67,8 @@ def test_auto_takes_openai_key_only_when_it_can_be_used(bundled, monkeypatch):
 def test_auto_with_nothing_lists_all_ways(bundled):
     with pytest.raises(ModelError) as caught:
         chosen(photo="cd" * 32)
-    for way in ("ANTHROPIC_API_KEY", "OPENAI_API_KEY", "base_url", "mailbox", ".tape.json"):
-        assert way in str(caught.value)
+    for direction in ("ANTHROPIC_API_KEY", "OPENAI_API_KEY", "base_url", "mailbox", ".tape.json"):
+        assert direction in str(caught.value)
 
 
 def test_given_tapes_come_before_bundled_ones(bundled, tmp_path):

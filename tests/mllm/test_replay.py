@@ -1,12 +1,15 @@
 """Tapes give back what was recorded, in any order, and say what is missing."""
 
+import asyncio
 import json
+from types import SimpleNamespace
 
 import pytest
 
 from neoworld_mjx.errors import MissingAnswerError, ModelError
-from neoworld_mjx.mllm import Panel, Picture, Tape, find_tape, open_panel
+from neoworld_mjx.mllm import Panel, Picture, Tape, calls, find_tape, open_panel
 from neoworld_mjx.mllm.replay import Replay
+from neoworld_mjx.mllm.requests import Reply, Usage
 
 
 def tape_of(*requests) -> Tape:
@@ -17,21 +20,21 @@ def tape_of(*requests) -> Tape:
 
 
 def test_round_trip_is_byte_for_byte_and_free_of_order(make, tmp_path):
-    asked = [make.request(prompt=f"p{i}", name=f"n{i}") for i in range(3)]
-    one, two = Tape(photo="ab", made="x"), Tape(photo="ab", made="x")
-    for r in asked:
-        one.put(r, '{"name":"ü"}', "m")
-    for r in reversed(asked):
-        two.put(r, '{"name": "ü"}', "m")
-    one.save(tmp_path / "one.tape.json")
-    two.save(tmp_path / "two.tape.json")
+    requests = [make.request(prompt=f"p{i}", name=f"n{i}") for i in range(3)]
+    first, second = Tape(photo="ab", made="x"), Tape(photo="ab", made="x")
+    for r in requests:
+        first.put(r, '{"name":"ü"}', "m")
+    for r in reversed(requests):
+        second.put(r, '{"name": "ü"}', "m")
+    first.save(tmp_path / "one.tape.json")
+    second.save(tmp_path / "two.tape.json")
     text = (tmp_path / "one.tape.json").read_text(encoding="utf-8")
     assert text == (tmp_path / "two.tape.json").read_text(encoding="utf-8")
     assert "ü" in text
-    assert Tape.load(tmp_path / "one.tape.json") == one
+    assert Tape.load(tmp_path / "one.tape.json") == first
 
-    with Panel(Replay(one, "one")) as panel:
-        answers = panel.ask_many([asked[2], asked[0], asked[1]])
+    with Panel(Replay(first, "one")) as panel:
+        answers = panel.ask_many([requests[2], requests[0], requests[1]])
     assert [a.value for a in answers] == [make.Colour(name="ü")] * 3
     assert panel.ledger.to_json()["cost_usd"] == 0
 
@@ -75,9 +78,9 @@ def test_missing_answer_names_request_and_nearest(make, changes, what):
 def test_tape_is_found_by_photo_only(make, tmp_path):
     tape_of(make.request()).save(tmp_path / "a.tape.json")
     (tmp_path / "broken.tape.json").write_text("{")
-    found = find_tape("ab" * 32, [tmp_path / "none", tmp_path])
-    assert found is not None
-    assert found[1] == tmp_path / "a.tape.json"
+    result = find_tape("ab" * 32, [tmp_path / "none", tmp_path])
+    assert result is not None
+    assert result[1] == tmp_path / "a.tape.json"
     assert find_tape("cd" * 32, [tmp_path]) is None
     assert find_tape(None, [tmp_path]) is None
     assert find_tape("cd" * 32, [tmp_path / "a.tape.json"]) is not None
@@ -87,7 +90,7 @@ def test_tape_is_found_by_photo_only(make, tmp_path):
 def test_broken_tape_is_one_message(tmp_path, text):
     path = tmp_path / "t.tape.json"
     path.write_text(text)
-    with pytest.raises(ModelError, match="is no tape"):
+    with pytest.raises(ModelError, match="is not a tape"):
         Tape.load(path)
     with pytest.raises(ModelError, match="No such file"):
         Tape.load(tmp_path / "missing.tape.json")
@@ -96,3 +99,21 @@ def test_broken_tape_is_one_message(tmp_path, text):
 def test_replay_without_tape_says_where_it_looked(tmp_path):
     with pytest.raises(MissingAnswerError, match="no tape was recorded for this photo"):
         open_panel(Panel(Replay(Tape(), "")).options, "replay", photo="00", tapes=[tmp_path])
+
+
+def test_time_with_the_provider_counts_once_for_requests_side_by_side(make, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(calls, "time", SimpleNamespace(perf_counter=lambda: now[0]))
+
+    class Slow(Replay):
+        async def reply(self, request, role, rejected):
+            now[0] += 1.0
+            await asyncio.sleep(0)
+            now[0] += 1.0
+            return Reply('{"name": "red"}', Usage(), "slow")
+
+    with Panel(Slow(Tape(), "none")) as panel:
+        panel.ask_many([make.request(prompt=prompt) for prompt in ("one", "two")])
+        now[0] += 10.0
+        panel.ask_many([make.request(prompt="three")])
+        assert panel.waited_s == 4.0 + 2.0

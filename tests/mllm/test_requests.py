@@ -11,7 +11,8 @@ from neoworld_mjx.errors import ModelError
 from neoworld_mjx.mllm import Picture
 from neoworld_mjx.parse.prompts import SceneCritique
 from neoworld_mjx.parse.schema import SceneSeen
-from neoworld_mjx.program.ask import ProgramAnswer, ProgramCritique
+from neoworld_mjx.program.ask import ProgramAnswer
+from neoworld_mjx.program.critique import ArticulationCritique, ExportCritique, GeometryCritique
 from neoworld_mjx.verify.critic import MotionCritique, ProposedEdit
 
 
@@ -78,10 +79,12 @@ def test_a_renamed_class_with_its_former_title_keeps_the_key(make):
 @pytest.mark.parametrize(
     ("schema", "digest_start"),
     [
-        (SceneSeen, "f5b183b4c52ad0a7"),
-        (SceneCritique, "2eefa6cca696c614"),
-        (ProgramAnswer, "137f314a91b7019c"),
-        (ProgramCritique, "b72b6c3d22dfdd0c"),
+        (SceneSeen, "3f263e835ac659a0"),
+        (SceneCritique, "7d0772cc902df206"),
+        (ProgramAnswer, "ea109e1999bb076f"),
+        (GeometryCritique, "aadf49dcd64b58d6"),
+        (ArticulationCritique, "fae4e1a89959b7b6"),
+        (ExportCritique, "3e5d73d39ab1872e"),
         (MotionCritique, "84a3c2e836d4acfd"),
         (ProposedEdit, "8d2b04cfc105d197"),
     ],

@@ -4,7 +4,8 @@ import numpy as np
 from PIL import Image
 
 from neoworld_mjx.parse import crops
-from neoworld_mjx.parse.crops import MARGIN, MARK
+from neoworld_mjx.parse.crops import MARGIN, MARK, colour_in_box
+from neoworld_mjx.parse.enlarge import enlarged
 from neoworld_mjx.parse.photo import Photo
 from neoworld_mjx.spec import Box2D
 from tests.support import answers
@@ -26,12 +27,14 @@ def scene():
 def test_crops_have_a_margin_and_mark_neighbours():
     found = crops(answers.photo(), scene())
     assert set(found) == {"table", "left", "right", "can"}
-    image = np.array(Image.open(io.BytesIO(found["right"].data)))
-    margin = round(MARGIN * 100)
-    assert image.shape == (100 + 2 * margin, 100 + 2 * margin, 3)
+    image = np.array(Image.open(io.BytesIO(found["right"].picture.data)))
+    margin, factor = round(MARGIN * 100), 4  # 124 pixels become at least 448.
+    assert image.shape == (factor * (100 + 2 * margin), factor * (100 + 2 * margin), 3)
+    assert found["right"].window == (400 - margin, 300 - margin, 500 + margin, 400 + margin)
     # The left box ends 20 pixels within the right one.
-    assert tuple(image[margin + 10, margin + 19]) == MARK
-    assert tuple(image[margin + 70, margin + 50]) == (128, 128, 128)
+    left, grey = factor * (margin + 19), image[factor * (margin + 10)]
+    assert grey[left : left + factor].min() <= MARK[0] + 8
+    assert tuple(image[factor * (margin + 70), factor * (margin + 50)]) == (128, 128, 128)
 
 
 def test_what_a_crop_does_not_show_is_said():
@@ -50,11 +53,23 @@ def test_colours_are_those_of_the_thing_alone():
     rgb[300:400, 400:500] = (20, 20, 200)
     photo = Photo(rgb, (800, 600), "0" * 64, answers.photo().path)
     tree = scene()
-    found = crops(photo, answers.with_node(tree, "can", box2d=tree.node("right").box2d))
-    assert np.allclose(found["left"].colour, np.array([200, 20, 20]) / 255)
+    tree = answers.with_node(tree, "can", box2d=tree.node("right").box2d)
+    assert np.allclose(colour_in_box(photo, tree, tree.node("left")), np.array([200, 20, 20]) / 255)
 
 
 def test_crops_of_a_shrunk_photo_are_cut_from_what_is_shown():
     small = answers.photo((400, 300), original=(800, 600))
-    image = np.array(Image.open(io.BytesIO(crops(small, scene())["right"].data)))
-    assert image.shape[:2] == (50 + 2 * 8, 50 + 2 * 8)
+    image = np.array(Image.open(io.BytesIO(crops(small, scene())["right"].picture.data)))
+    assert image.shape[:2] == (7 * (50 + 2 * 8), 7 * (50 + 2 * 8))
+    assert crops(small, scene())["right"].window == (384, 284, 516, 416)
+
+
+def test_enlarging_keeps_means_and_ramps_evenly():
+    row = np.array([[[0, 10, 200], [40, 10, 100]]], np.uint8)
+    large = enlarged(row, 8)
+    assert large.shape == (4, 8, 3)
+    assert large[0, :, 0].tolist() == [0, 0, 5, 15, 25, 35, 40, 40]
+    assert (large[..., 1] == 10).all()
+    assert (large == large[0]).all()
+    assert enlarged(row, 2) is row
+    assert enlarged(row, 1000).shape == (8, 16, 3)

@@ -26,9 +26,9 @@ def consistent(data=None):
     """An answer whose 2D boxes are those of its 3D boxes."""
     data = copy.deepcopy(data or answers.desk())
     tree = answers.exact(data)
-    for item in data["objects"]:
-        box = tree.node(item["name"]).box2d.as_tuple()
-        item["box"] = dict(zip(("left", "top", "right", "bottom"), box, strict=True))
+    for obj in data["objects"]:
+        box = tree.node(obj["name"]).box2d.as_tuple()
+        obj["box"] = dict(zip(("left", "top", "right", "bottom"), box, strict=True))
     return data
 
 
@@ -40,10 +40,10 @@ def run(*texts, photo=None, **options):
 
 
 def test_an_accepted_answer_takes_two_questions():
-    parsed, names, asked = run(consistent(), GOOD)
+    parsed, names, requests = run(consistent(), GOOD)
     assert names == ["parse", "parse:judge"]
-    assert [request.role for request in asked] == ["reasoner", "critic"]
-    assert asked[1].pictures[0].pixels == asked[0].pictures[0].pixels
+    assert [request.role for request in requests] == ["reasoner", "critic"]
+    assert requests[1].pictures[0].pixels == requests[0].pictures[0].pixels
     assert parsed.checks == ()
     assert parsed.fit is not None
     assert not parsed.fit.applied
@@ -62,9 +62,9 @@ def test_without_critic_rounds_no_critic_is_asked():
 def test_faults_go_back_and_the_better_round_is_kept():
     better = consistent()
     better["objects"][1]["description"] = "now with a pen"
-    parsed, names, asked = run(consistent(), BAD, better, GOOD)
+    parsed, names, requests = run(consistent(), BAD, better, GOOD)
     assert names == ["parse", "parse:judge", "parse:mend", "parse:judge"]
-    assert "A pen at the edge. Add pen." in asked[2].prompt
+    assert "A pen at the edge. Add pen." in requests[2].prompt
     assert parsed.kept == 1
     assert parsed.tree.node("left").description == "now with a pen"
 
@@ -92,19 +92,32 @@ def test_the_same_answer_again_ends_the_rounds():
 def test_errors_of_the_checks_go_back_even_if_the_critic_is_content():
     wrong = consistent()
     wrong["objects"][3]["parent"] = "right"  # the can, far from it
-    parsed, names, asked = run(wrong, GOOD, consistent(), GOOD)
+    parsed, names, requests = run(wrong, GOOD, consistent(), GOOD)
     assert names[2] == "parse:mend"
-    assert "can: only 0% of its footprint lies in that of right" in asked[2].prompt
+    assert "can: only 0% of its footprint lies in that of right" in requests[2].prompt
     assert parsed.kept == 1
     assert parsed.tree.node("can").parent == "left"
+
+
+def test_a_finding_that_the_critic_dismisses_costs_no_round():
+    data = consistent()
+    data["objects"][3]["position"]["z"] = 0.6  # The can floats.
+    kept, names, requests = run(data, GOOD | {"dismissed": [1, 2, 3, 4]}, fit=False)
+    assert names == ["parse", "parse:judge"]
+    assert "1. can: " in requests[1].prompt
+    assert "dismissed" in requests[1].prompt
+    assert kept.checks == ()
+    assert kept.rounds[0].checks
+    _, names, _ = run(data, GOOD, consistent(), GOOD, fit=False)
+    assert names[2] == "parse:mend"
 
 
 def test_a_box_outside_the_picture_goes_back_without_a_critic():
     outside = consistent()
     outside["objects"][1]["box"] = {"left": 900, "top": 10, "right": 950, "bottom": 50}
-    parsed, names, asked = run(outside, consistent(), GOOD)
+    parsed, names, requests = run(outside, consistent(), GOOD)
     assert names == ["parse", "parse:mend", "parse:judge"]
-    assert "lies outside the picture" in asked[1].prompt
+    assert "lies outside the picture" in requests[1].prompt
     assert parsed.kept == 1
 
 

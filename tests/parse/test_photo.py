@@ -231,3 +231,11 @@ def test_damaged_bytes_never_escape_as_another_error(tmp_path, seed):
         assert str(path) in str(error)
     else:
         assert photo.rgb.ndim == 3
+
+
+def test_a_small_photo_is_shown_enlarged_by_a_whole_factor(tmp_path):
+    path = saved(tmp_path / "a.png", Image.fromarray(np.full((24, 40, 3), 7, np.uint8)))
+    photo = load_photo(path, 1568, 100)
+    assert (photo.size, photo.original_size, photo.scale) == ((120, 72), (40, 24), 3)
+    assert load_photo(path, 100, 100).size == (80, 48)
+    assert load_photo(path, 1568, 40).size == (40, 24)

@@ -55,21 +55,21 @@ def test_the_visible_box_is_that_of_rays_that_hit(at, size, yaw):
     hit = (enter < leave) & (enter > 0.05)
     if np.all(np.abs(origin) < np.array(size) / 2 + 0.05):
         return
-    found = visible_box(CAMERA, box.corners())
-    if found is None:
+    result = visible_box(CAMERA, box.corners())
+    if result is None:
         assert not hit.any()
     elif hit.any():
         u, v = columns.ravel()[hit], rows.ravel()[hit]
         drawn = np.array([u.min(), v.min(), u.max(), v.max()])
-        assert (drawn[:2] >= found[:2] - 1e-6).all()
-        assert (drawn[2:] <= found[2:] + 1e-6).all()
+        assert (drawn[:2] >= result[:2] - 1e-6).all()
+        assert (drawn[2:] <= result[2:] + 1e-6).all()
 
 
 @pytest.mark.parametrize("label", ["book", "soda can", "bowl", "orange", "mug", "spoon", "thing"])
 def test_outlines_stay_in_the_box(label):
     size = (0.2, 0.05, 0.03) if label == "spoon" else (0.12, 0.08, 0.1)
-    item = answers.item("a", (0.8, 0.05, 0), size, label=label, yaw_deg=40)
-    tree = answers.exact(answers.answer(item))
+    obj = answers.item("a", (0.8, 0.05, 0), size, label=label, yaw_deg=40)
+    tree = answers.exact(answers.answer(obj))
     node = tree.node("a")
     points, weight = outline_points(node)
     assert np.abs(points[:, :2]).max() <= 0.5 + 1e-12
@@ -83,8 +83,8 @@ def test_outlines_stay_in_the_box(label):
 
 
 def test_a_ball_is_seen_as_a_ball():
-    item = answers.item("a", (0.8, 0.0, 0), (0.1, 0.1, 0.1), label="orange")
-    tree = answers.exact(answers.answer(item))
+    obj = answers.item("a", (0.8, 0.0, 0), (0.1, 0.1, 0.1), label="orange")
+    tree = answers.exact(answers.answer(obj))
     camera = tree.camera
     # The outline of a sphere is a cone around its middle.
     middle = np.array([0.8, 0, 0.05]) - camera.position()
@@ -92,9 +92,9 @@ def test_a_ball_is_seen_as_a_ball():
     down = math.atan2(-middle[2], middle[0]) - camera.pitch
     top = 300 + camera.focal * math.tan(down - half)
     bottom = 300 + camera.focal * math.tan(down + half)
-    found = expected_box(camera, tree.node("a"))
-    assert found[1] == pytest.approx(top, abs=1.5)
-    assert found[3] == pytest.approx(bottom, abs=1.5)
+    result = expected_box(camera, tree.node("a"))
+    assert result[1] == pytest.approx(top, abs=1.5)
+    assert result[3] == pytest.approx(bottom, abs=1.5)
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
 from neoworld_mjx.parse.checks import agreement, check_tree
 from neoworld_mjx.parse.prompts import SceneCritique, listing, parse_request
 from neoworld_mjx.parse.schema import SceneSeen, TiltSeen, tilt_quat, to_tree
+from neoworld_mjx.spec import Camera, Cues
 from neoworld_mjx.spec.pose import rotate
 from tests.support import answers
 
@@ -24,12 +25,12 @@ def test_degrees_become_radians_and_shown_pixels_original_ones():
     small = answers.photo((400, 300), original=(800, 600))
     data = answers.answer(answers.item("cup", (0.8, 0.1, 0.0), yaw_deg=270))
     data["objects"][0]["box"] = {"left": 0, "top": 0, "right": 400, "bottom": 300}
-    found = tree(data, small)
-    assert (found.camera.width, found.camera.height_px) == (800, 600)
-    assert found.camera.pitch == pytest.approx(math.radians(35))
-    assert found.node("cup").box2d.as_tuple() == (20, 20, 180, 180)
-    assert found.node("cup").box3d.yaw == pytest.approx(-math.pi / 2)
-    assert found.node("cup").box3d.position == (0.8, 0.1, 0)
+    result = tree(data, small)
+    assert (result.camera.width, result.camera.height_px) == (800, 600)
+    assert result.camera.pitch == pytest.approx(math.radians(35))
+    assert result.node("cup").box2d.as_tuple() == (20, 20, 180, 180)
+    assert result.node("cup").box3d.yaw == pytest.approx(-math.pi / 2)
+    assert result.node("cup").box3d.position == (0.8, 0.1, 0)
 
 
 def test_boxes_are_cut_at_the_picture_and_refused_outside_it():
@@ -39,6 +40,32 @@ def test_boxes_are_cut_at_the_picture_and_refused_outside_it():
     data["objects"][1]["box"] = {"left": 810, "top": 550, "right": 900, "bottom": 640}
     with pytest.raises(SpecError, match=r"cup.*outside the picture.*800 x 600"):
         tree(data)
+
+
+def test_cues_are_in_original_pixels_axes_and_radians():
+    small = answers.photo((400, 300), original=(800, 600))
+    cues = {
+        "contact": {"u": 30, "v": 44},
+        "cut_sides": ["bottom", "left"],
+        "known_size": ["height"],
+        "doubt": {"position": 0.03, "yaw_deg": 90},
+    }
+    data = answers.answer(answers.item("can", **cues), measured=["fovy_deg"])
+    data["objects"][0]["box"] = {"left": 0, "top": 0, "right": 400, "bottom": 300}
+    scene = tree(data, small)
+    assert scene.camera_measured == ("fovy",)
+    read = scene.node("can").cues
+    assert read.contact == (60, 88)
+    assert read.cut_sides == ("bottom", "left")
+    assert read.known_size == ("z",)
+    assert (read.position_sd, read.size_sd) == (0.03, None)
+    assert read.yaw_sd == pytest.approx(math.pi / 2)
+    assert scene.node("table").cues == Cues()
+
+
+def test_a_doubt_of_zero_is_refused_by_name():
+    with pytest.raises(ValidationError, match=r"cup: doubt.size must lie in 1e-06 .. 10, got 0"):
+        tree(answers.answer(answers.item("cup", doubt={"size": 0})))
 
 
 @pytest.mark.parametrize(
@@ -71,6 +98,26 @@ def test_the_position_of_a_tilted_thing_is_the_middle_of_its_footprint(yaw, degr
     assert middle == pytest.approx(np.array([0.8 * c + 0.1 * s, -0.8 * s + 0.1 * c]))
 
 
+def test_the_formula_that_the_reasoner_is_told_is_the_camera_with_its_roll():
+    text = package_text("neoworld_mjx.parse", "reasoner")
+    formula = re.search(
+        r"A = (.*?), B = (.*?) \(without.*?\n\s+t = (.*?), x = (.*?), y = (.*?)\.\n", text
+    )
+    assert formula is not None
+    camera = Camera(width=800, height_px=600, fovy=0.7, height=0.9, pitch=0.5, roll=0.2)
+    (u, v), _ = camera.project([1.3, 0.25, 0.1])
+    known = {
+        "a": (u - 400) / camera.focal, "b": (v - 300) / camera.focal, "height": 0.9, "z": 0.1,
+        "cos_r": math.cos(0.2), "sin_r": math.sin(0.2),
+        "cos_p": math.cos(0.5), "sin_p": math.sin(0.5),
+    }  # fmt: skip
+    for name, expression in zip(("A", "B", "t", "x", "y"), formula.groups(), strict=True):
+        code = re.sub(r"(sin|cos) ([rp])", r"\1_\2", expression)
+        code = re.sub(r"(?<=[\w)]) (?=[\w(])", " * ", code)
+        known[name] = eval(code, {}, known)
+    assert (known["x"], known["y"]) == pytest.approx((1.3, 0.25))
+
+
 def test_all_that_is_wrong_is_said_at_once():
     bad = answers.answer(
         answers.item("cup", parent="tabel"),
@@ -80,7 +127,7 @@ def test_all_that_is_wrong_is_said_at_once():
     )
     with pytest.raises(ValidationError) as error:
         SceneSeen.model_validate(bad)
-    said = str(error.value)
+    message = str(error.value)
     for part in (
         "cup: parent 'tabel'",
         "2nd: a name",
@@ -89,7 +136,7 @@ def test_all_that_is_wrong_is_said_at_once():
         "can: parent_link 'drawer'",
         "fovy_deg must lie in",
     ):
-        assert part in said
+        assert part in message
 
 
 @pytest.mark.parametrize(
@@ -119,17 +166,17 @@ def test_hidden_by_something_means_hidden():
 
 def test_the_schema_holds_nothing_that_servers_turn_down():
     for schema in (SceneSeen, SceneCritique):
-        said = str(schema.model_json_schema())
-        assert "prefixItems" not in said
-        assert "minimum" not in said
+        message = str(schema.model_json_schema())
+        assert "prefixItems" not in message
+        assert "minimum" not in message
 
 
 def test_the_example_of_the_guide_is_a_good_answer():
     guide = package_text("neoworld_mjx.parse", "reasoner")
     example = guide[guide.index('    {"observations"') : guide.index("And of a cabinet")]
-    found = to_tree(read_answer(example, SceneSeen), answers.photo())
-    assert all(agreement(found, node) > 0.7 for node in found.nodes)
-    assert check_tree(found) == ()
+    result = to_tree(read_answer(example, SceneSeen), answers.photo())
+    assert all(agreement(result, node) > 0.7 for node in result.nodes)
+    assert check_tree(result) == ()
 
 
 def test_the_guide_names_every_field_that_is_not_self_evident():
@@ -151,7 +198,7 @@ def test_a_mend_repeats_the_answer_and_the_findings():
 def test_the_listing_tells_the_critic_what_the_picture_cannot():
     data = answers.desk()
     data["objects"][1]["articulation"] = [{"part": "lid", "motion": "revolute", "opening": 0.5}]
-    said = listing(SceneSeen.model_validate(data))
-    assert "- can (soda can): on left; box 10 10 90 90" in said
-    assert "lid revolute 50% open" in said
-    assert "no carrier" in said
+    message = listing(SceneSeen.model_validate(data))
+    assert "- can (soda can): on left; box 10 10 90 90" in message
+    assert "lid revolute 50% open" in message
+    assert "no carrier" in message

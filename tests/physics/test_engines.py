@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from neoworld_mjx.bench.verdicts import motion
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics.derived import invweights
 from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.lowering import lowered
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine, open_batch
@@ -88,10 +88,10 @@ def test_early_stop_keeps_the_verdicts():
     layouts = Layout(layouts.xy * 3, layouts.yaw, layouts.log_scale)
     full = NativeEngine().rollout(scene, scene.place(layouts))
     early = NativeEngine().rollout(scene, scene.place(layouts), early_stop=EarlyStop())
-    verdicts = [np.all(np.asarray(drifts(scene, r)[0]) < 0.01, axis=1) for r in (full, early)]
+    verdicts = [motion(scene, r) < 1 for r in (full, early)]
     assert 0.1 < verdicts[0].mean() < 0.95
     assert np.mean(verdicts[0] == verdicts[1]) >= 0.98
-    assert early.steps.mean() < 0.8 * full.steps.mean()
+    assert early.steps.mean() < 0.3 * full.steps.mean()
     assert set(np.unique(early.status)) >= {int(RolloutStatus.SETTLED), int(RolloutStatus.DRIFTED)}
 
 
@@ -116,7 +116,7 @@ def test_a_scene_with_nothing_movable():
 def test_joint_shifts_are_angles_and_distances_from_each_candidates_start():
     scene = compile_scene(scenes.furnished())
     static = scene.static
-    assert static.joint_names == ("cabinet/slide", "cabinet/hinge", "cabinet/turn")
+    assert static.joint_names == ("cabinet-slide", "cabinet-hinge", "cabinet-turn")
     assert static.joint_object.tolist() == [1, 1, 1]
     assert static.joint_slides.tolist() == [True, False, False]
     poses = scene.place_exactly(random_layout(scene, 2, spread=0.2))
@@ -145,17 +145,3 @@ def test_the_shift_of_a_ball_is_its_angle():
 def test_an_unknown_engine_names_the_valid_ones():
     with pytest.raises(EngineError, match="native"):
         open_engine("isaac")
-
-
-def test_a_lowered_ellipsoid_lies_flat_where_the_true_one_does():
-    flat = scenes.single("egg", (scenes.Ellipsoid(radii=(0.03, 0.03, 0.015)), (0, 0, 0)))
-    table = scenes.SceneObject(name="t", spec=scenes.table(), environment=True, z=-0.04)
-    egg = scenes.SceneObject(name="egg", spec=flat, parent="t", z=0.04)
-    carried = lowered(compile_scene(scenes.SceneSpec(name="s", objects=(table, egg))))
-    model = carried.static.mjm
-    assert mujoco.mjtGeom.mjGEOM_ELLIPSOID not in model.geom_type
-    data = mujoco.MjData(model)
-    data.qpos[:] = carried.static.start
-    for _ in range(250):
-        mujoco.mj_step(model, data)
-    assert abs(data.qpos[3]) > np.cos(np.radians(0.5) / 2)

@@ -5,19 +5,10 @@ import pytest
 from neoworld_mjx.physics.mjcf import START, body_name, joint_order, to_mjspec
 from neoworld_mjx.spec import (
     Box,
-    Cylinder,
-    GeomSpec,
-    HollowBox,
-    JointSpec,
     Lathe,
-    Material,
-    Mimic,
     ObjectSpec,
-    PartSpec,
-    Prism,
     SceneObject,
     SceneSpec,
-    Site,
     Sphere,
     inertial,
     joint_value,
@@ -26,183 +17,20 @@ from neoworld_mjx.spec import (
     world_poses,
 )
 from neoworld_mjx.spec.pose import matrix, pose
-
-WOOD = Material(name="wood", density=600, friction=0.4, rgba=(0.6, 0.4, 0.2, 1))
-
-
-def cabinet() -> ObjectSpec:
-    """A body with a drawer, a door with a fixed knob, a wheel, and a follower of the drawer."""
-    hex_ = tuple((0.01 * np.cos(a), 0.01 * np.sin(a)) for a in np.arange(6) * np.pi / 3)
-    turned = (0.9, 0.1, 0.3, -0.2)
-    return ObjectSpec(
-        name="cabinet",
-        materials=(WOOD,),
-        parts=(
-            PartSpec(
-                name="door",
-                geoms=(
-                    GeomSpec(
-                        name="panel",
-                        shape=Box(size=(0.02, 0.2, 0.3)),
-                        pos=(0.16, -0.1, 0.15),
-                        material="wood",
-                    ),
-                ),
-            ),
-            PartSpec(
-                name="carcass",
-                geoms=(
-                    GeomSpec(
-                        name="case",
-                        shape=HollowBox(size=(0.3, 0.4, 0.3), wall=0.015, open=("+x",)),
-                        pos=(0, 0, 0.15),
-                        material="wood",
-                    ),
-                ),
-            ),
-            PartSpec(
-                name="knob",
-                geoms=(
-                    GeomSpec(
-                        name="stem",
-                        shape=Prism(outline=hex_, height=0.04),
-                        pos=(0.19, -0.18, 0.15),
-                        quat=turned,
-                        material="wood",
-                    ),
-                    GeomSpec(
-                        name="halo",
-                        shape=Sphere(radius=0.02),
-                        pos=(0.2, -0.18, 0.15),
-                        material="wood",
-                        role="visual",
-                    ),
-                ),
-            ),
-            PartSpec(
-                name="drawer",
-                mass=0.7,
-                geoms=(
-                    GeomSpec(
-                        name="tray",
-                        shape=HollowBox(size=(0.2, 0.15, 0.1), wall=0.01),
-                        pos=(0, 0.1, 0.1),
-                        material="wood",
-                    ),
-                    GeomSpec(
-                        name="cup",
-                        shape=Lathe(
-                            profile=((0, 0), (0.02, 0), (0.03, 0.05)), thickness=0.004, sectors=8
-                        ),
-                        pos=(0, 0.1, 0.06),
-                        quat=turned,
-                        material="wood",
-                    ),
-                ),
-            ),
-            PartSpec(
-                name="wheel",
-                geoms=(
-                    GeomSpec(
-                        name="disc",
-                        shape=Cylinder(radius=0.03, height=0.01),
-                        pos=(0, 0.25, 0.2),
-                        quat=(1, 1, 0, 0),
-                        material="wood",
-                    ),
-                ),
-            ),
-            PartSpec(
-                name="flap",
-                geoms=(
-                    GeomSpec(
-                        name="flap",
-                        shape=Box(size=(0.1, 0.1, 0.01)),
-                        pos=(0, 0, 0.33),
-                        material="wood",
-                    ),
-                ),
-            ),
-        ),
-        joints=(
-            JointSpec(
-                name="grip", type="fixed", parent="door", child="knob", pos=(0.17, -0.18, 0.15)
-            ),
-            JointSpec(
-                name="hinge",
-                type="revolute",
-                parent="carcass",
-                child="door",
-                pos=(0.15, 0.0, 0.1),
-                axis=(0.1, 0, 1),
-                upper=1.6,
-                damping=0.02,
-                friction=0.01,
-                stiffness=0.1,
-                armature=0.003,
-                effort=3.0,
-            ),
-            JointSpec(
-                name="slide",
-                type="prismatic",
-                parent="carcass",
-                child="drawer",
-                pos=(0.1, 0.1, 0.1),
-                axis=(1, 0, 0.05),
-                upper=0.15,
-            ),
-            JointSpec(
-                name="spin",
-                type="continuous",
-                parent="drawer",
-                child="wheel",
-                pos=(0, 0.25, 0.2),
-                axis=(0, 1, 0),
-            ),
-            JointSpec(
-                name="follow",
-                type="revolute",
-                parent="carcass",
-                child="flap",
-                pos=(-0.05, 0, 0.32),
-                axis=(0, -1, 0),
-                lower=-0.1,
-                upper=1.5,
-                mimic=Mimic(joint="slide", multiplier=5.0, offset=0.1),
-            ),
-        ),
-        sites=(Site(name="pull", part="knob", pos=(0.21, -0.18, 0.15)),),
-    )
+from tests.support import mechanisms as made
+from tests.support.mechanisms import cabinet
 
 
-def scene() -> SceneSpec:
-    table = ObjectSpec(
-        name="table",
-        materials=(WOOD,),
-        parts=(
-            PartSpec(
-                name="top",
-                geoms=(
-                    GeomSpec(
-                        name="slab", shape=Box(size=(1, 1, 0.04)), pos=(0, 0, 0.02), material="wood"
-                    ),
-                ),
-            ),
-        ),
-    )
+def scene(**box) -> SceneSpec:
+    """A cabinet on a table; more goes to the cabinet's place."""
+    state = {"hinge": 0.8, "slide": 0.1, "spin": 2.0}
+    place = {"parent": "table", "xy": (0.1, -0.2), "z": 0.05, "yaw": 0.7, "joint_state": state}
+    place["base_tilt"] = (0.99, 0.1, 0.0, 0.0)
+    table = made.single("table", Box(size=(1, 1, 0.04)), 0.02)
     return SceneSpec(
         objects=(
             SceneObject(name="table", spec=table, environment=True, yaw=0.2),
-            SceneObject(
-                name="box",
-                spec=cabinet(),
-                parent="table",
-                xy=(0.1, -0.2),
-                z=0.05,
-                yaw=0.7,
-                base_tilt=(0.99, 0.1, 0.0, 0.0),
-                joint_state={"hinge": 0.8, "slide": 0.1, "spin": 2.0},
-            ),
+            SceneObject(name="box", spec=cabinet(), **place, **box),
         )
     )
 
@@ -217,16 +45,7 @@ def start(model: mujoco.MjModel) -> mujoco.MjData:
 
 @pytest.mark.parametrize("fixed", [False, True])
 def test_world_geometry_follows_the_description(fixed):
-    items = scene()
-    if fixed:
-        items = items.model_copy(
-            update={
-                "objects": (
-                    items.objects[0],
-                    items.objects[1].model_copy(update={"fixed_base": True}),
-                )
-            }
-        )
+    items = scene(fixed_base=fixed)
     model = to_mjspec(items).compile()
     data = start(model)
     base = world_poses(items)
@@ -237,7 +56,7 @@ def test_world_geometry_follows_the_description(fixed):
             for geom, piece, at in pieces(part):
                 k = count.get(geom.name, 0)
                 count[geom.name] = k + 1
-                g = model.geom(f"{item.name}/{geom.name}/{k}").id
+                g = model.geom(f"{item.name}-{geom.name}-{k}").id
                 assert model.body(model.geom_bodyid[g]).name == body_name(item, part.name)
                 world = base[item.name].then(moved[part.name]).then(at)
                 if piece.kind != "mesh":
@@ -272,21 +91,17 @@ def test_joints_carry_their_numbers():
     spec = cabinet()
     model = to_mjspec(spec).compile()
     names = [model.joint(j).name for j in range(model.njnt)]
-    assert names == ["cabinet", *(f"cabinet/{joint.name}" for joint in joint_order(spec))]
-    hinge = model.joint("cabinet/hinge")
-    assert hinge.range.tolist() == [0.0, 1.6]
-    assert (hinge.damping, hinge.frictionloss, hinge.stiffness, hinge.armature) == (
-        0.02,
-        0.01,
-        0.1,
-        0.003,
-    )
+    assert names == ["cabinet", *(f"cabinet-{joint.name}" for joint in joint_order(spec))]
+    hinge = model.joint("cabinet-hinge")
+    assert hinge.range.tolist() == [-0.2, 1.6]
+    losses = (hinge.damping, hinge.frictionloss, hinge.stiffness, hinge.armature)
+    assert losses == (0.02, 0.01, 0.1, 0.003)
     assert hinge.pos.tolist() == [0, 0, 0]
     assert model.jnt_actfrcrange[hinge.id].tolist() == [-3.0, 3.0]
-    assert not model.jnt_limited[model.joint("cabinet/spin").id]
-    assert model.geom_friction[model.geom("cabinet/tray/0").id][0] == 0.4
+    assert not model.jnt_limited[model.joint("cabinet-spin").id]
+    assert model.geom_friction[model.geom("cabinet-tray-0").id][0] == 0.4
     data = start(model)
-    site = data.site_xpos[model.site("cabinet/pull").id]
+    site = data.site_xpos[model.site("cabinet-pull").id]
     assert np.allclose(site, (0.21, -0.18, 0.15))
 
 
@@ -297,7 +112,7 @@ def test_a_mimic_stands_where_its_leader_puts_it():
     flap = items.objects[1].spec.joints[4]
     want = joint_value(items.objects[1].spec, flap, items.objects[1].joint_state)
     assert (
-        data.qpos[model.joint("box/follow").qposadr[0]] == pytest.approx(want) == pytest.approx(0.6)
+        data.qpos[model.joint("box-follow").qposadr[0]] == pytest.approx(want) == pytest.approx(0.6)
     )
     mujoco.mj_forward(model, data)
     residual = data.efc_pos[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
@@ -307,19 +122,10 @@ def test_a_mimic_stands_where_its_leader_puts_it():
 def test_parts_that_a_joint_connects_never_collide_free_or_fixed():
     counts = []
     for fixed in (False, True):
-        items = (
-            scene()
-            .objects[1]
-            .model_copy(
-                update={
-                    "parent": None,
-                    "fixed_base": fixed,
-                    "base_tilt": (1, 0, 0, 0),
-                    "joint_state": {"hinge": 1.5},
-                }
-            )
+        box = SceneObject(
+            name="box", spec=cabinet(), fixed_base=fixed, z=0.05, joint_state={"hinge": 1.5}
         )
-        model = to_mjspec(SceneSpec(objects=(items,))).compile()
+        model = to_mjspec(SceneSpec(objects=(box,))).compile()
         data = start(model)
         mujoco.mj_collision(model, data)
         pairs = {
@@ -337,8 +143,13 @@ def test_visual_geoms_are_seen_only():
     assert bare.ngeom == int(np.sum(bare.geom_group == 0)) == int(np.sum(seen.geom_group == 0))
     extra = np.flatnonzero(seen.geom_group == 1)
     assert {seen.geom(g).name for g in extra} == {
-        "table/slab/visual",
-        *(f"box/{geom.name}/visual" for part in cabinet().parts for geom in part.geoms),
+        "table-body-visual",
+        *(
+            f"box-{geom.name}-visual"
+            for part in cabinet().parts
+            for geom in part.geoms
+            if geom.role != "collision"
+        ),
     }
     assert not seen.geom_contype[extra].any() and not seen.geom_conaffinity[extra].any()
     assert np.array_equal(bare.body_mass, seen.body_mass)
@@ -357,26 +168,10 @@ def test_the_same_scene_gives_the_same_bytes():
 
 def test_mjx_takes_what_it_can_collide():
     mjx = pytest.importorskip("mujoco.mjx")
-    ball = ObjectSpec(
-        name="ball",
-        materials=(WOOD,),
-        parts=(
-            PartSpec(
-                name="body",
-                geoms=(
-                    GeomSpec(name="ball", shape=Sphere(radius=0.1), material="wood"),
-                    GeomSpec(
-                        name="cone",
-                        shape=Lathe(profile=((0.1, 0), (0.05, 0.1)), sectors=8),
-                        material="wood",
-                    ),
-                ),
-            ),
-        ),
-    )
-    objects = (
-        scene().objects[0],
-        SceneObject(name="ball", spec=ball, z=0.2),
-    )
+    cone = Lathe(profile=((0.1, 0), (0.05, 0.1)), sectors=8)
+    ball, cone = made.geom("ball", Sphere(radius=0.1)), made.geom("cone", cone)
+    body = made.part("body", ball, cone)
+    ball = ObjectSpec(name="ball", materials=(made.WOOD,), parts=(body,))
+    objects = (scene().objects[0], SceneObject(name="ball", spec=ball, z=0.2))
     model = to_mjspec(SceneSpec(objects=objects)).compile()
     assert mjx.put_model(model).nq == model.nq == 7

@@ -121,6 +121,6 @@ def test_scaled_motion_is_similar():
         mjm.opt.gravity[:] = (3.0, 2.0, -9.81)
         for _ in range(600):
             mujoco.mj_step(mjm, data)
-        turns.append((data.joint("cabinet/hinge").qpos[0], data.joint("cabinet/slide").qpos[0] / s))
+        turns.append((data.joint("cabinet-hinge").qpos[0], data.joint("cabinet-slide").qpos[0] / s))
     # An authored mass breaks similarity of the door's drag on the free base, hence a fixed one.
     assert turns[0][1] == pytest.approx(turns[1][1], rel=2e-2)

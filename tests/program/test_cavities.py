@@ -24,14 +24,14 @@ def test_there_are_twenty_and_more():
 
 @pytest.mark.parametrize("name", VESSELS)
 def test_a_ball_dropped_in_stays_in_and_colliders_fill_the_solid(name: str):
-    found = held(name)
-    assert found.holds
+    result = held(name)
+    assert result.holds
     # Facets of round walls lie inside the true ones; nothing reaches out by more than rounding.
-    assert 0.85 < found.ratio < 1.02
+    assert 0.85 < result.ratio < 1.02
 
 
 @pytest.mark.parametrize("name", BY_FORMULA)
 def test_volumes_of_colliders(name: str):
     spec = vessel(name)
-    found = inertial(spec, spec.parts[0]).mass / 2400
-    assert found == pytest.approx(BY_FORMULA[name], rel=0.005 if name == "straight_cup" else 1e-9)
+    result = inertial(spec, spec.parts[0]).mass / 2400
+    assert result == pytest.approx(BY_FORMULA[name], rel=0.005 if name == "straight_cup" else 1e-9)

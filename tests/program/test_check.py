@@ -94,8 +94,8 @@ def test_combinations_of_joints_are_tried():
             f"o.revolute('turn_{name}', body, {name}, at={name}.anchor('{inner}.back'), "
             f"axis=(0, 0, {-sign}), range=(0, 1))\n"
         )
-    found = build(text).signals
-    assert {signal.code for signal in found} == {"overlap_in_combination"}
+    result = build(text).signals
+    assert {signal.code for signal in result} == {"overlap_in_combination"}
     assert build(text, ProgramOptions(sweep_combinations=0)).signals == ()
 
 
@@ -116,8 +116,8 @@ def test_a_mimic_moves_along():
 
 def test_the_same_thing_is_told_once():
     text = hinge(axis="(0, 0, -1)")
-    found = [signal.code for signal in build(text).signals]
-    assert len(found) == len(set(found)) == 1
+    result = [signal.code for signal in build(text).signals]
+    assert len(result) == len(set(result)) == 1
 
 
 def test_authored_mass_answers_for_itself():
@@ -136,8 +136,8 @@ def test_authored_mass_answers_for_itself():
 )
 def test_distance_of_a_line_from_a_box(point, axis, miss):
     unit = np.ones(3)
-    found = line_box_distance(np.array(point, float), np.array(axis, float), -unit, unit)
-    assert found == pytest.approx(miss, abs=1e-6)
+    result = line_box_distance(np.array(point, float), np.array(axis, float), -unit, unit)
+    assert result == pytest.approx(miss, abs=1e-6)
 
 
 LID = HEAD + "steel = o.material('lid_steel', like='stainless_steel')\n"
@@ -146,8 +146,8 @@ KNOB = "body.add(cylinder(0.015, 0.03), at=(0, 0, {z}), by='bottom', material=st
 
 def test_a_pot_lid_of_17_kg_is_an_error_and_a_shell_is_none():
     solid = LID + "body.add(lathe([(0.145, 0), (0.145, 0.02), (0.10, 0.04)]), material=steel)\n"
-    found = build(solid + KNOB.format(z=0.035)).signals
-    (heavy,) = [signal for signal in found if signal.code == "too_heavy"]
+    result = build(solid + KNOB.format(z=0.035)).signals
+    (heavy,) = [signal for signal in result if signal.code == "too_heavy"]
     assert "weighs 17" in heavy.message
     assert heavy.severity == "error" and "shell" in heavy.hint and heavy.line == 3
     shell = LID + (

@@ -10,7 +10,7 @@ from neoworld_mjx.program import build
 from neoworld_mjx.program.materials import MATERIALS
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.spec import bounds, link_poses
-from neoworld_mjx.verify import verify
+from neoworld_mjx.verify import Battery
 
 GUIDE = resources.files("neoworld_mjx.program").joinpath("guide.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", GUIDE, re.DOTALL)
@@ -34,7 +34,7 @@ def test_every_block_builds_cleanly_and_alike(text: str):
 def test_every_block_behaves(text: str):
     spec = build(text).spec
     assert spec is not None
-    verdict = verify(spec)
+    verdict = Battery(spec).verdict
     assert verdict.passed, [(c.name, c.value) for c in verdict.checks if c.outcome == "FAIL"]
 
 

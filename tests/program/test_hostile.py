@@ -24,6 +24,8 @@ def memory_is_given_back():
 CASES = [*((name, False) for name in HOSTILE), *((name, True) for name in list(HOSTILE)[::6])]
 
 
+# An interruption that meets the garbage collector is ignored there, and repeated.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(("name", "type_check"), CASES)
 def test_every_hostile_program_ends_in_a_signal(name: str, type_check: bool):
     memory, peak = resident_mb(), peak_mb()

@@ -9,16 +9,19 @@ from PIL import Image
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import MissingAnswerError, ModelError
 from neoworld_mjx.mllm import Picture
+from neoworld_mjx.program import build, stages, views
 from neoworld_mjx.program import synthesise as module
-from neoworld_mjx.program.ask import (
-    ProgramAnswer,
-    ProgramCritique,
+from neoworld_mjx.program.ask import ProgramAnswer, program_request
+from neoworld_mjx.program.attempt import Programmed
+from neoworld_mjx.program.critique import (
+    ArticulationCritique,
+    ExportCritique,
+    GeometryCritique,
     ProgramFault,
-    Subject,
-    judge_request,
-    program_request,
+    critic_request,
 )
-from neoworld_mjx.program.synthesise import Programmed, unfenced
+from neoworld_mjx.program.subject import Subject
+from neoworld_mjx.program.synthesise import unfenced
 from neoworld_mjx.program.views import draw, opened_state, view_from
 from neoworld_mjx.spec import Box2D, Box3D, Camera, PartState, TreeNode, bounds
 from neoworld_mjx.spec.pose import from_axis_angle
@@ -69,7 +72,9 @@ def _each_program_is_built_and_drawn_once():
         opened,
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "build", once(module.build, lambda text, options: text))
+        one = stages.STAGES["one"][0]
+        once_built = one._replace(build=once(one.build, lambda text, options: text))
+        patch.setitem(stages.STAGES, "one", (once_built,))
         patch.setattr(module, "draw", once(module.draw, drawn_by))
         yield
 
@@ -96,17 +101,25 @@ def written(text: str, *removed: str) -> ProgramAnswer:
     return ProgramAnswer(program=text, removed=list(removed))
 
 
-def verdict(geometry: float, accept: bool = False) -> ProgramCritique:
-    faults = (
-        [] if accept else [ProgramFault(part="door", what="too thin", change="make it 3 cm thick")]
-    )
-    return ProgramCritique(
-        geometry=geometry,
-        articulation=8,
-        colour=6,
-        faults=faults,
-        verdict="accept" if accept else "revise",
-    )
+FAULT = ProgramFault(part="door", what="too thin", change="make it 3 cm thick")
+
+
+def shape_verdict(geometry: float, accept: bool = False) -> GeometryCritique:
+    faults, decision = ([], "accept") if accept else ([FAULT], "revise")
+    return GeometryCritique(geometry=geometry, colour=6, faults=faults, verdict=decision)
+
+
+JOINTS_GOOD = ArticulationCritique(articulation=8, verdict="accept")
+JOINTS_BAD = ArticulationCritique(
+    articulation=3,
+    faults=[ProgramFault(part="door", what="opens inwards", change="turn the axis around")],
+    verdict="revise",
+)
+
+
+def verdict(geometry: float, accept: bool = False) -> list[Any]:
+    """Return the verdicts of both critics; only that about geometry varies."""
+    return [shape_verdict(geometry, accept), JOINTS_GOOD]
 
 
 def synthesised(
@@ -117,19 +130,20 @@ def synthesised(
 
 
 def test_a_good_program_takes_one_question_and_one_judgement():
-    script = ScriptedModel(written(GOOD), verdict(9, accept=True))
+    script = ScriptedModel(written(GOOD), *verdict(9, accept=True))
     outcome = synthesised(script)
     assert outcome.spec is not None and outcome.signals == () and outcome.reason == ""
-    assert [request.role for request in script.requests] == ["programmer", "critic"]
-    labels = [picture.label for picture in script.requests[1].pictures]
-    assert labels == ["crop", "made", "opened"]
+    names = [request.name for request in script.requests]
+    assert names == ["program:cabinet", "judge-geometry:cabinet", "judge-articulation:cabinet"]
+    labels = [[picture.label for picture in each.pictures] for each in script.requests[1:]]
+    assert labels == [["crop", "made"], ["crop", "made", "opened"]]
     assert outcome.score == pytest.approx(0.5 * 9 + 0.3 * 8 + 0.2 * 6)
     assert "0.400 m (x, front to back)" in script.requests[0].prompt
     assert "door (revolute)" in script.requests[0].prompt
 
 
 def test_signals_go_back_with_their_lines():
-    script = ScriptedModel(written(BROKEN), written(GOOD), verdict(9, accept=True))
+    script = ScriptedModel(written(BROKEN), written(GOOD), *verdict(9, accept=True))
     outcome = synthesised(script)
     assert outcome.spec is not None and outcome.text.strip() == GOOD.strip()
     assert "line 5" in script.requests[1].prompt and BROKEN.strip() in script.requests[1].prompt
@@ -141,7 +155,7 @@ def test_a_code_fence_is_removed():
 
 
 def test_deleting_the_joint_is_no_repair():
-    script = ScriptedModel(written(WRONG_WAY), written(DOORLESS), verdict(6, accept=True))
+    script = ScriptedModel(written(WRONG_WAY), written(DOORLESS), *verdict(6, accept=True))
     outcome = synthesised(script, articulation=())
     assert outcome.spec is not None and outcome.text.strip() == WRONG_WAY.strip()
     assert outcome.fallbacks and "overlap_in_motion" in outcome.fallbacks[0][1]
@@ -151,14 +165,14 @@ def test_deleting_the_joint_is_no_repair():
 
 def test_parts_named_as_removed_may_go():
     script = ScriptedModel(
-        written(WRONG_WAY), written(DOORLESS, "door", "hinge"), verdict(6, accept=True)
+        written(WRONG_WAY), written(DOORLESS, "door", "hinge"), shape_verdict(6, accept=True)
     )
     outcome = synthesised(script, articulation=())
     assert outcome.spec is not None and outcome.spec.joints == ()
 
 
 def test_a_moving_part_of_the_photo_is_required():
-    script = ScriptedModel(written(DOORLESS), written(GOOD), verdict(9, accept=True))
+    script = ScriptedModel(written(DOORLESS), written(GOOD), *verdict(9, accept=True))
     assert synthesised(script).text.strip() == GOOD.strip()
     assert "missing_joint" in script.requests[1].prompt
 
@@ -166,15 +180,15 @@ def test_a_moving_part_of_the_photo_is_required():
 def test_asserts_of_the_program_may_not_go():
     checked = GOOD + "assert door.anchor('front')[0] < 0.3\n"
     script = ScriptedModel(
-        written(checked), verdict(6), written(GOOD), written(checked), verdict(6.5)
+        written(checked), *verdict(6), written(GOOD), written(checked), *verdict(6.5)
     )
     outcome = synthesised(script)
     assert [a.stage for a in outcome.rounds] == ["program", "revise", "debug"]
     assert [s.code for s in outcome.rounds[1].built.signals] == ["lost"]
-    assert "1 assert statements, this one has 0" in script.requests[3].prompt
+    assert "1 assert statements, this one has 0" in script.requests[4].prompt
     assert outcome.text.strip() == checked.strip()
-    said = ScriptedModel(written(checked), verdict(6), written(GOOD, "assert"), verdict(7))
-    assert synthesised(said).text.strip() == GOOD.strip()
+    message = ScriptedModel(written(checked), *verdict(6), written(GOOD, "assert"), *verdict(7))
+    assert synthesised(message).text.strip() == GOOD.strip()
 
 
 def test_an_object_without_moving_parts_needs_no_joint():
@@ -187,7 +201,9 @@ def test_an_object_without_moving_parts_needs_no_joint():
 
 def test_the_request_names_hidden_parts():
     class Half:
-        data, note = crop(), "cut off at the left; the vase hides its foot"
+        picture = Picture("crop", crop())
+        note = "cut off at the left; the vase hides its foot"
+        window = (0.0, 0.0, 64.0, 64.0)
 
     script = ScriptedModel(written(GOOD))
     asyncio.run(module.synthesise(node(), Half(), script, UNJUDGED))
@@ -197,12 +213,12 @@ def test_the_request_names_hidden_parts():
 
 def test_an_open_part_enters_the_request_and_the_measured_box():
     # In the photo the door is open by half of 1.6 rad, so the box is deeper than the closed one.
-    spec = synthesised(ScriptedModel(written(GOOD), verdict(9, accept=True))).spec
+    spec = synthesised(ScriptedModel(written(GOOD), *verdict(9, accept=True))).spec
     assert spec is not None
     low, high = bounds(spec, {"hinge": 0.8})
     part = PartState(part="door", type="revolute", opening=0.5)
     box = Box3D(position=(2, 0.3, 0), size=tuple((high - low).tolist()), yaw=3.0)
-    script = ScriptedModel(written(GOOD), verdict(9, accept=True))
+    script = ScriptedModel(written(GOOD), *verdict(9, accept=True))
     outcome = synthesised(script, UNJUDGED, box3d=box, articulation=(part,))
     assert outcome.signals == ()
     assert "with door 50% open as in the photo (draw it closed" in script.requests[0].prompt
@@ -215,9 +231,10 @@ def test_an_open_part_enters_the_request_and_the_measured_box():
 @pytest.mark.parametrize(
     ("axis", "degrees", "words"),
     [
-        ((0, 1, 0), 90, "tilted by 90 degrees, its top towards its own front"),
-        ((0, 1, 0), -12, "tilted by 12 degrees, its top towards its own back"),
-        ((1, 0, 0), -90, "tilted by 90 degrees, its top towards its own left"),
+        ((0, 1, 0), 90, "it lies, tilted by 90 degrees, its top towards its own front"),
+        ((0, 1, 0), -12, "it leans, tilted by 12 degrees, its top towards its own back"),
+        ((1, 0, 0), -90, "it lies, tilted by 90 degrees, its top towards its own left"),
+        ((1, 0, 0), 150, "it is turned over, tilted by 150 degrees, its top towards its own right"),
         ((1, 0, 0), 180, "it stands upside down"),
         ((0, 0, 1), 40, ""),
     ],
@@ -225,26 +242,110 @@ def test_an_open_part_enters_the_request_and_the_measured_box():
 def test_programmer_and_critic_are_told_the_tilt(axis, degrees, words):
     tilt = tuple(from_axis_angle(axis, np.radians(degrees)).tolist())
     seen = node(base_tilt=tilt)
-    asked = program_request(Subject(seen, Picture("crop", crop())))
-    judged = judge_request(seen, [], {"parts": "-", "joints": "-"}, (1.0, 1.0, 1.0), OPTIONS)
-    for request in (asked, judged):
-        assert ("turned over" in request.prompt) == bool(words)
+    requests = program_request(Subject(seen, Picture("crop", crop())))
+    spec = build(GOOD).spec
+    assert spec is not None
+    judged = critic_request("geometry", seen, spec, [])
+    for request in (requests, judged):
+        assert ("turned over" in request.prompt) == ("turned over" in words)
         assert words in request.prompt
-    assert ("draw it upright" in asked.prompt) == bool(words)
+    assert ("draw it upright" in requests.prompt) == bool(words)
+
+
+@pytest.mark.parametrize(
+    ("yaw", "words"),
+    [
+        (180, "0 degrees from the object's front and 25 degrees above it; the picture's left is "
+              "its -y, its own right"),
+        (90, "90 degrees to its own left from the object's front and 25 degrees above it; the "
+             "picture's left is its +x, its front"),
+        (0, "180 degrees to its own left from the object's front and 25 degrees above it; the "
+            "picture's left is its +y, its own left"),
+        (-90, "90 degrees to its own right from the object's front and 25 degrees above it; the "
+              "picture's left is its -x, its back"),
+    ],
+)  # fmt: skip
+def test_the_request_says_from_where_the_photo_looks(yaw, words):
+    camera = Camera(width=640, height_px=480, fovy=0.8, height=1.2, pitch=0.4)
+    box = Box3D(position=(2, 0, 0), size=(0.4, 0.6, 0.5), yaw=float(np.radians(yaw - 1e-3)))
+    subject = Subject(node(box3d=box), Picture("crop", crop()), camera=camera)
+    assert words in program_request(subject).prompt.replace(
+        "stands 180 degrees to its own right", "stands 180 degrees to its own left"
+    )
+    assert "direction of view" not in program_request(subject._replace(camera=None)).prompt
+
+
+def test_a_critic_that_says_revise_is_obeyed_whatever_its_scores():
+    better = GOOD.replace("'oak'", "'pine'")
+    script = ScriptedModel(written(GOOD), *verdict(10), written(better), *verdict(10, accept=True))
+    synthesised(script)
+    assert [request.name for request in script.requests][3] == "revise:cabinet"
+
+
+def test_a_programmer_may_correct_the_measured_box():
+    flat = GOOD.replace("0.6, 0.6", "0.6, 0.3").replace("(0, 0, 0.3)", "(0, 0, 0.15)")
+    answer = written(flat).model_copy(update={"box": [0.4, 0.6, 0.3]})
+    outcome = synthesised(ScriptedModel(answer, *verdict(9, accept=True)))
+    assert outcome.size == (0.4, 0.6, 0.3)
+    assert outcome.signals == ()
+    absurd = written(GOOD).model_copy(update={"box": [0.4, 0.6, 6.0]})
+    kept = synthesised(ScriptedModel(absurd, *verdict(9, accept=True)))
+    assert kept.size is None
+    assert "over 4 times off" in kept.fallbacks[0][1]
+
+
+def test_a_critic_may_correct_the_measured_box_and_the_programmer_fills_that_one():
+    flat = GOOD.replace("0.6, 0.6", "0.6, 0.3").replace("(0, 0, 0.3)", "(0, 0, 0.15)")
+    wrong = shape_verdict(5).model_copy(update={"box": [0.4, 0.6, 0.3]})
+    script = ScriptedModel(
+        written(GOOD), wrong, JOINTS_GOOD, written(flat), *verdict(9, accept=True)
+    )
+    outcome = synthesised(script)
+    assert "by 0.300 m (z, up)" in script.requests[3].prompt
+    assert "the measured box was wrong" in script.requests[3].prompt
+    assert outcome.size == (0.4, 0.6, 0.3)
+    assert outcome.text.strip() == flat.strip()
+
+
+def test_the_made_object_is_drawn_in_the_frame_of_its_crop():
+    spec = synthesised(ScriptedModel(written(GOOD), *verdict(9, accept=True))).spec
+    assert spec is not None
+    camera = Camera(width=640, height_px=480, fovy=0.8, height=1.2, pitch=0.4, roll=0.1)
+    obj = node()
+    corners, _ = camera.project(obj.box3d.corners())
+    (x0, y0), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
+    window = (float(x0) - 40, float(y0) - 20, float(x1) + 40, float(y1) + 20)
+    picture = views.draw_in_place(spec, obj, camera, window)
+    image = np.array(Image.open(io.BytesIO(picture.data)).convert("RGB")).astype(int)
+    scale = views.WIDTH / (window[2] - window[0])
+    assert image.shape[1] == views.WIDTH
+    assert image.shape[0] == round((window[3] - window[1]) * scale)
+    # The cabinet's brown reaches from edge to edge of its projected box, and not beyond.
+    brown = image[..., 0] > image[..., 2] + 15
+    columns, rows = (np.flatnonzero(brown.any(axis=axis)) for axis in (0, 1))
+    assert columns[[0, -1]] == pytest.approx([40 * scale, image.shape[1] - 40 * scale], abs=4)
+    assert rows[[0, -1]] == pytest.approx([20 * scale, image.shape[0] - 20 * scale], abs=4)
+    # What reaches beyond the crop is shown, with the crop's frame.
+    half = (window[0], window[1], (window[0] + window[2]) / 2, window[3])
+    wider = np.array(Image.open(io.BytesIO(views.draw_in_place(spec, obj, camera, half).data)))
+    assert (wider == 255).all(axis=2).sum() > wider.shape[0]
+    # What would not be in the picture at all is drawn by itself.
+    apart = views.draw_in_place(spec, obj, camera, (0.0, 0.0, 10.0, 10.0))
+    assert apart.pixels == draw(spec, obj, camera).pixels
 
 
 def test_the_best_round_is_kept_not_the_last():
     worse = GOOD.replace("material='oak'", "material='steel', mass=3")
-    script = ScriptedModel(written(GOOD), verdict(7), written(worse), verdict(4))
+    script = ScriptedModel(written(GOOD), *verdict(7), written(worse), *verdict(4))
     outcome = synthesised(script)
     assert outcome.text.strip() == GOOD.strip()
-    assert "too thin" in script.requests[2].prompt
+    assert "too thin" in script.requests[3].prompt
     assert [attempt.stage for attempt in outcome.rounds] == ["program", "revise"]
 
 
 def test_proportions_are_compared_with_the_box():
     flat = GOOD.replace("0.6, 0.6", "0.6, 0.3")
-    script = ScriptedModel(written(flat), written(GOOD), verdict(9, accept=True))
+    script = ScriptedModel(written(flat), written(GOOD), *verdict(9, accept=True))
     assert synthesised(script).text.strip() == GOOD.strip()
     assert "proportions" in script.requests[1].prompt
 
@@ -255,28 +356,40 @@ def test_a_program_that_cannot_be_built_gives_the_reason():
 
 
 def test_a_failing_critic_is_a_fallback():
-    outcome = synthesised(ScriptedModel(written(GOOD), ModelError("server is down")))
-    assert outcome.spec is not None
-    assert outcome.fallbacks == (("cabinet: no judge round", "server is down"),)
+    down = ModelError("server is down")
+    outcome = synthesised(ScriptedModel(written(GOOD), down, JOINTS_GOOD))
+    assert outcome.spec is not None and list(outcome.rounds[0].critiques) == ["articulation"]
+    assert outcome.fallbacks == (("cabinet: no judge (geometry) round", "server is down"),)
 
 
 def test_a_missing_answer_is_no_fallback():
     with pytest.raises(MissingAnswerError):
-        synthesised(ScriptedModel(written(GOOD), MissingAnswerError("no answer for judge:cabinet")))
+        synthesised(ScriptedModel(written(GOOD), MissingAnswerError("no answer"), JOINTS_GOOD))
 
 
-@pytest.mark.parametrize(
-    ("geometry", "articulation", "pictures"), [(True, False, 2), (False, True, 3)]
-)
-def test_each_critic_can_be_switched_off(geometry: bool, articulation: bool, pictures: int):
-    options = OPTIONS.model_copy(
-        update={"geometry_critic": geometry, "articulation_critic": articulation}
-    )
-    script = ScriptedModel(written(GOOD), verdict(9, accept=True))
-    synthesised(script, options)
-    assert len(script.requests[1].pictures) == pictures
+@pytest.mark.parametrize("critic", ["geometry", "articulation"])
+def test_each_critic_can_be_switched_off(critic: str):
+    options = OPTIONS.model_copy(update={f"{critic}_critic": False})
+    verdicts = {"articulation": shape_verdict(9, accept=True), "geometry": JOINTS_GOOD}
+    script = ScriptedModel(written(GOOD), verdicts[critic])
+    outcome = synthesised(script, options)
+    asked = [request.name for request in script.requests[1:]]
+    assert len(asked) == 1 and critic not in asked[0]
+    assert outcome.score == pytest.approx((0.5 * 9 + 0.2 * 6) / 0.7 if "geo" in asked[0] else 8)
     none = OPTIONS.model_copy(update={"geometry_critic": False, "articulation_critic": False})
     assert synthesised(ScriptedModel(written(GOOD)), none).spec is not None
+
+
+def test_one_critic_alone_may_ask_for_another_program():
+    better = GOOD.replace("1.6", "1.7")
+    script = ScriptedModel(
+        *(written(GOOD), shape_verdict(9, accept=True), JOINTS_BAD),
+        *(written(better), *verdict(9, accept=True)),
+    )
+    outcome = synthesised(script)
+    assert outcome.text.strip() == better.strip()
+    revision = script.requests[3].prompt
+    assert "opens inwards -> turn the axis around" in revision and "too thin" not in revision
 
 
 @pytest.mark.parametrize(
@@ -296,28 +409,155 @@ def test_supports_are_made_without_a_model(
     assert np.allclose(high - low, size)
 
 
+def test_furniture_of_the_room_is_programmed_as_objects_are():
+    shape = {"environment": True, "furniture": True, "parent": None}
+    script = ScriptedModel(written(GOOD), *verdict(9, accept=True))
+    outcome = synthesised(script, **shape)
+    assert [each.role for each in script.requests] == ["programmer", "critic", "critic"]
+    assert outcome.rounds[0].stage == "program"
+
+
 def test_the_record_holds_all_rounds():
     import json
 
-    outcome = synthesised(ScriptedModel(written(BROKEN), written(GOOD), verdict(9, accept=True)))
+    outcome = synthesised(ScriptedModel(written(BROKEN), written(GOOD), *verdict(9, accept=True)))
     data = json.loads(outcome.to_json())
     assert [one["stage"] for one in data["rounds"]] == ["program", "debug"]
     assert [one["kept"] for one in data["rounds"]] == [False, True]
-    assert data["rounds"][1]["verdict"]["geometry"] == 9
+    assert data["rounds"][1]["verdicts"]["geometry"]["geometry"] == 9
 
 
 def test_the_object_is_drawn_from_the_side_that_the_photo_shows():
-    spec = synthesised(ScriptedModel(written(GOOD), verdict(9, accept=True))).spec
+    spec = synthesised(ScriptedModel(written(GOOD), *verdict(9, accept=True))).spec
     assert spec is not None
     camera = Camera(width=640, height_px=480, fovy=0.8, height=1.2, pitch=0.4)
-    item = node()
-    view = view_from(spec, {}, item, camera)
+    obj = node()
+    view = view_from(spec, {}, obj, camera)
     # The camera is at the world's origin; from the object, which faces it by 3.0 rad, it is
     # ahead and a little to the side.
     azimuth = np.arctan2(view.eye[1], view.eye[0])
-    wanted = np.arctan2(-0.3, -2.0) - 3.0
-    assert np.cos(azimuth - wanted) == pytest.approx(1, abs=0.02)
-    first, second = (draw(spec, item, camera, opened=True) for _ in range(2))
+    expected = np.arctan2(-0.3, -2.0) - 3.0
+    assert np.cos(azimuth - expected) == pytest.approx(1, abs=0.02)
+    first, second = (draw(spec, obj, camera, opened=True) for _ in range(2))
     assert first.pixels == second.pixels and first.data == second.data
-    assert draw(spec, item, camera).pixels != first.pixels
+    assert draw(spec, obj, camera).pixels != first.pixels
     assert isinstance(first, Picture) and opened_state(spec) == {"hinge": pytest.approx(1.28)}
+
+
+def test_a_picture_is_drawn_when_a_provider_wants_its_data_and_not_for_a_tape(monkeypatch):
+    drawn: list[str] = []
+    judged = ScriptedModel(written(GOOD), *verdict(9, accept=True))
+    spec = synthesised(judged).spec
+    assert spec is not None
+
+    def render(*args: Any, **options: Any) -> Any:
+        drawn.append("once")
+        return np.zeros((4, 4, 3), np.uint8)
+
+    monkeypatch.setattr(views, "render_object", render)
+    obj = node(name="another")
+    request = critic_request("geometry", obj, spec, [draw(spec, obj, None)])
+    assert request.key and not drawn
+    for _ in range(2):
+        request.draw_pictures()
+    assert len(drawn) == 1 and request.pictures[0].size == (4, 4)
+
+
+GEOMETRY = BODY + DOOR
+ARTICULATION = HINGE.format(sign=1).replace("o.revolute", "hinge = o.revolute")
+BACKWARDS = HINGE.format(sign=-1).replace("o.revolute", "hinge = o.revolute")
+EXPORT = "door.set_mass(4.0)\nhinge.set_dynamics(damping=0.4)\n"
+THREE = ProgramOptions(stages="three", debug_rounds=1, critic_rounds=1)
+EXPORT_GOOD = ExportCritique(masses=9, dynamics=8, verdict="accept")
+IN_THREE = [
+    *(written(GEOMETRY), shape_verdict(9, accept=True)),
+    *(written(ARTICULATION), JOINTS_GOOD),
+    *(written(EXPORT), EXPORT_GOOD),
+]
+
+
+def test_three_programs_are_asked_for_one_after_the_other_and_are_one():
+    script = ScriptedModel(*IN_THREE)
+    outcome = synthesised(script, THREE)
+    assert [request.name.split(":")[0] for request in script.requests] == [
+        *("geometry", "judge-geometry", "articulation", "judge-articulation"),
+        *("export", "judge-export"),
+    ]
+    assert list(outcome.texts) == ["geometry", "articulation", "export"]
+    assert GEOMETRY.strip() in script.requests[2].prompt
+    assert "This is the articulation program" in script.requests[4].prompt
+    labels = [picture.label for picture in script.requests[5].pictures]
+    assert labels == ["crop", "exported", "opened"]
+    assert "door: 4 kg" in script.requests[5].prompt
+    spec = outcome.spec
+    assert spec is not None and outcome.fallbacks == () and not outcome.signals
+    assert spec.parts[1].mass == 4.0 and spec.joint("hinge").damping == 0.4
+    # The texts joined are one program of the same meaning.
+    one = build(GEOMETRY + ARTICULATION + EXPORT).spec
+    assert one is not None and build(outcome.text).spec == spec == one
+
+
+def test_every_stage_has_its_own_debug_loop_with_its_own_lines():
+    jointed = written(GOOD)
+    script = ScriptedModel(
+        *(jointed, *IN_THREE[:2]),
+        *(written(BACKWARDS), *IN_THREE[2:4]),
+        *(written("kg = 2\nporte.set_mass(kg)\n"), *IN_THREE[4:]),
+    )
+    outcome = synthesised(script, THREE)
+    repairs = [each for each in script.requests if each.name.startswith("debug")]
+    names = ["debug-geometry:cabinet", "debug-articulation:cabinet", "debug-export:cabinet"]
+    assert [each.name for each in repairs] == names
+    assert "joint_in_geometry" in repairs[0].prompt
+    assert "overlap_in_motion: line 1:" in repairs[1].prompt
+    assert "line 2:" in repairs[2].prompt and "porte" in repairs[2].prompt
+    assert outcome.spec is not None and outcome.fallbacks == ()
+
+
+def test_the_critic_of_a_stage_revises_that_stage_alone():
+    script = ScriptedModel(
+        *IN_THREE[:2],
+        *(written(BACKWARDS.replace("0, 1.6", "-1.6, 0")), JOINTS_BAD),
+        *IN_THREE[2:],
+    )
+    outcome = synthesised(script, THREE)
+    assert [each.name for each in script.requests][4] == "revise-articulation:cabinet"
+    assert outcome.texts["articulation"].strip() == ARTICULATION.strip()
+    assert [attempt.file for attempt in outcome.rounds].count("geometry") == 1
+
+
+def test_parts_that_overlap_before_they_are_joined_are_refused():
+    sunk = GEOMETRY.replace("by='back')", "by='front')")
+    script = ScriptedModel(written(sunk), *IN_THREE)
+    assert synthesised(script, THREE).spec is not None
+    assert "overlap_at_rest" in script.requests[1].prompt
+
+
+def test_a_moving_part_of_the_photo_must_be_a_part_of_the_geometry():
+    script = ScriptedModel(written(DOORLESS), *IN_THREE)
+    assert synthesised(script, THREE).spec is not None
+    assert "missing_part" in script.requests[1].prompt
+
+
+def test_an_object_of_one_part_is_asked_for_no_joints():
+    script = ScriptedModel(
+        *(written(DOORLESS), shape_verdict(9, accept=True)), *(written("# fine"), EXPORT_GOOD)
+    )
+    outcome = synthesised(script, THREE, articulation=())
+    assert outcome.spec is not None and outcome.texts["articulation"] == stages.NOTHING_MOVES
+    assert [request.name for request in script.requests][2] == "export:cabinet"
+
+
+def test_a_broken_export_leaves_the_object_as_it_was_accepted():
+    broken = written("door.set_mass(-1)\n")
+    outcome = synthesised(ScriptedModel(*IN_THREE[:4], broken, broken), THREE)
+    assert outcome.spec is not None and list(outcome.texts) == ["geometry", "articulation"]
+    assert outcome.fallbacks[0][0] == "cabinet: no export program"
+    assert "mass must be positive" in outcome.fallbacks[0][1]
+
+
+def test_each_critic_of_three_stages_can_be_switched_off():
+    off = {f"{name}_critic": False for name in ("geometry", "articulation", "export")}
+    script = ScriptedModel(*IN_THREE[::2])
+    assert synthesised(script, THREE.model_copy(update=off)).spec is not None
+    assert all(request.role == "programmer" for request in script.requests)

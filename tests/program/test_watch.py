@@ -50,7 +50,7 @@ def watching(saved, tmp_path, monkeypatch, caplog):
 
     monkeypatch.setattr("neoworld_mjx.program.watch.time.sleep", sleep)
     caplog.set_level(logging.INFO, "neoworld_mjx")
-    told = lambda count: any(r.message.startswith(f"build {count} in") for r in caplog.records)
+    reported = lambda count: any(r.message.startswith(f"build {count} in") for r in caplog.records)
     builds: list[int] = []
     beside = (overlay_path(program),)
     thread = threading.Thread(target=lambda: builds.append(watch(program, out, plain, beside)))
@@ -59,7 +59,7 @@ def watching(saved, tmp_path, monkeypatch, caplog):
     def running():
         thread.start()
         try:
-            yield out, told
+            yield out, reported
         finally:
             stop.set()
             thread.join(20)
@@ -70,17 +70,17 @@ def watching(saved, tmp_path, monkeypatch, caplog):
 def test_every_save_builds_again_and_errors_leave_what_was_there(saved, watching, caplog):
     program, save = saved
     running, builds = watching
-    with running() as (out, told):
-        wait_for(lambda: told(1))
+    with running() as (out, reported):
+        wait_for(lambda: reported(1))
         first = (out / "render.png").read_bytes()
         save("1 / 0")
-        wait_for(lambda: told(2))
+        wait_for(lambda: reported(2))
         assert (out / "render.png").read_bytes() == first
-        assert any("ZeroDivisionError" in r.message for r in caplog.records)
+        wait_for(lambda: any("ZeroDivisionError" in r.message for r in caplog.records))
         program.unlink()
         wait_for(lambda: any("cannot read" in r.message for r in caplog.records))
         save(CUP.format(shape="sphere(0.1), name='ball'"))
-        wait_for(lambda: told(3))
+        wait_for(lambda: reported(3))
         assert (out / "render.png").read_bytes() != first
         assert "sphere" in (out / "program.py").read_text()
         assert '"ball"' in (out / "spec.json").read_text()
@@ -93,20 +93,20 @@ def test_the_patch_beside_a_program_is_laid_over_every_build(saved, watching, ca
     weighs = lambda out: json.loads((out / "spec.json").read_text())["parts"][0]["mass"]
     write_overlay(program, heavy(3.0))
     running, builds = watching
-    with running() as (out, told):
-        wait_for(lambda: told(1))
+    with running() as (out, reported):
+        wait_for(lambda: reported(1))
         assert weighs(out) == 3.0
-        assert any("patch: part body: mass = 3" in r.message for r in caplog.records)
+        wait_for(lambda: any("patch: part body: mass = 3" in r.message for r in caplog.records))
         # The patch is a reason to build, and goes with the program.
         write_overlay(program, heavy(4.0))
-        wait_for(lambda: told(2))
+        wait_for(lambda: reported(2))
         assert weighs(out) == 4.0
         assert (out / "program.patch.json").read_text() == heavy(4.0).to_json()
         overlay_path(program).write_text("{")
         wait_for(lambda: any("waiting" in r.message for r in caplog.records))
         assert weighs(out) == 4.0
         overlay_path(program).unlink()
-        wait_for(lambda: told(4))
+        wait_for(lambda: reported(4))
         assert weighs(out) is None
         assert not (out / "program.patch.json").exists()
     assert builds == [4]
@@ -118,8 +118,8 @@ def test_plain_and_watched_builds_write_the_same_files(saved, watching, tmp_path
     with pytest.raises(SystemExit):
         cli.main(["build", str(program), "--out", str(tmp_path / "plain"), "--json"])
     running, _ = watching
-    with running() as (out, told):
-        wait_for(lambda: told(1))
+    with running() as (out, reported):
+        wait_for(lambda: reported(1))
     files = lambda folder: {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()}
     assert files(out) == files(tmp_path / "plain")
     assert "program.patch.json" in files(out)
@@ -132,8 +132,11 @@ def wait_for(found) -> None:
         pause.wait(0.02)
 
 
-def test_ctrl_c_ends_it_well(saved, tmp_path):
+def test_ctrl_c_ends_it_well(saved, tmp_path, request):
     program, _ = saved
+    # What runs in the background of a shell ignores Ctrl-C, and so would what it starts.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     command = [sys.executable, "-m", "neoworld_mjx.cli", "build", str(program)]
     with subprocess.Popen(
         [*command, "--out", str(tmp_path / "out"), "--watch"],
@@ -144,5 +147,8 @@ def test_ctrl_c_ends_it_well(saved, tmp_path):
         assert running.stderr is not None and running.stdout is not None
         assert running.stderr.readline().startswith("build 1 in")
         running.send_signal(signal.SIGINT)
-        assert running.wait(20) == 0
+        try:
+            assert running.wait(20) == 0
+        finally:
+            running.kill()
         assert "builds: 1" in running.stdout.read()

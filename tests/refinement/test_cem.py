@@ -10,6 +10,7 @@ from neoworld_mjx.config import CEMOptions
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.refinement import open_cem
+from neoworld_mjx.spec import Box
 from tests.support import scenes
 
 
@@ -28,6 +29,20 @@ def test_initial_deviations_are_the_papers(scene):
     table = scene.names.index("table")
     assert not np.any(np.asarray(params.sigma.xy[0, table]))
     assert not np.any(np.asarray(params.sigma.log_scale[0, table]))
+
+
+def test_what_hangs_on_a_wall_moves_along_it_and_does_not_turn():
+    wall = scenes.single("wall", (Box(size=(0.05, 2.0, 1.5)), (0, 0, 0.75)))
+    picture = scenes.single("picture", (Box(size=(0.02, 0.4, 0.3)), (0, 0, 0.15)))
+    hung = {"parent": "wall", "relation": "attached", "z": 0.8}
+    scene = compile_scene(
+        scenes.on_table((wall, (0, 0), 0.7, {}), (picture, (0.04, 0.2), 0.0, hung))
+    )
+    sigma = open_cem(scene, CEMOptions()).params.sigma
+    wall, picture = (scene.names.index(name) for name in ("wall", "picture"))
+    assert sigma.xy[0, picture, 0] == 0 and sigma.xy[0, picture, 1] > 0.01
+    assert sigma.yaw[0, picture] == 0 and sigma.log_scale[0, picture] > 0
+    assert (np.asarray(sigma.xy[0, wall]) > 0).all() and sigma.yaw[0, wall] > 0
 
 
 def test_ask_draws_the_gaussian_and_the_zero_layout(scene):

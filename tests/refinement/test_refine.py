@@ -40,12 +40,12 @@ def options(population=64, iterations=6, steps=50):
 @pytest.mark.parametrize("engine", [NativeEngine(), MjxEngine()], ids=["native", "mjx"])
 def test_an_invalid_scene_becomes_valid(engine):
     population = 64 if engine.name == "native" else 32
-    found = refine(clashing(), options(population), seed=1, engine=engine)
-    assert found.engine == engine.name
-    before, after = found.before, found.measure
+    result = refine(clashing(), options(population), seed=1, engine=engine)
+    assert result.engine == engine.name
+    before, after = result.before, result.measure
     assert before.s_pen == 1
     assert before.max_depth_m > 0.005
-    assert found.passed
+    assert result.passed
     assert after.s_pen == 0
     assert after.s_stab is True
     assert after.movable == 3
@@ -54,20 +54,20 @@ def test_an_invalid_scene_becomes_valid(engine):
     tried = refine(clashing(), plain, seed=1, engine=engine).history
     assert not tried["xy"][0, 0].any()  # without a warm start the zero layout comes first
     assert tried["absolute"].max() > tried["absolute"][0, 0] + 0.2
-    assert found.history["absolute"][0].max() > tried["absolute"][0].max()
-    again = scene_measure(found.scene)
+    assert result.history["absolute"][0].max() > tried["absolute"][0].max()
+    again = scene_measure(result.scene)
     assert again == after
 
 
 def test_the_same_seed_gives_the_same_bits():
-    one = refine(clashing(), options(32, 3), seed=5)
-    two = refine(clashing(), options(32, 3), seed=5)
+    first = refine(clashing(), options(32, 3), seed=5)
+    second = refine(clashing(), options(32, 3), seed=5)
     other = refine(clashing(), options(32, 3), seed=6)
-    assert one.scene.to_json() == two.scene.to_json()
-    for name, values in one.history.items():
-        same = np.array_equal(values, two.history[name], equal_nan=values.dtype.kind == "f")
+    assert first.scene.to_json() == second.scene.to_json()
+    for name, values in first.history.items():
+        same = np.array_equal(values, second.history[name], equal_nan=values.dtype.kind == "f")
         assert same, name
-    assert not np.array_equal(one.history["xy"], other.history["xy"])
+    assert not np.array_equal(first.history["xy"], other.history["xy"])
 
 
 class Stubborn:
@@ -81,19 +81,19 @@ class Stubborn:
 
 
 def test_when_every_candidate_fails_that_is_said():
-    found = refine(clashing(), options(8, 2), engine=Stubborn())
-    assert not found.passed
-    assert found.winner == (-1, -1)
-    assert found.fallbacks
-    assert found.mean_log_scale == 0.0
+    result = refine(clashing(), options(8, 2), engine=Stubborn())
+    assert not result.passed
+    assert result.winner == (-1, -1)
+    assert result.fallbacks
+    assert result.mean_log_scale == 0.0
 
 
 def test_a_scene_that_is_valid_already_keeps_its_layout():
-    found = refine(scenes.blocks(), options(16, 4))
-    assert found.passed
-    assert math.isfinite(found.measure.max_drift_m)
-    assert isinstance(found.layout, Layout)
-    assert found.history["valid"][0, 0]
+    result = refine(scenes.blocks(), options(16, 4))
+    assert result.passed
+    assert math.isfinite(result.measure.max_drift_m)
+    assert isinstance(result.layout, Layout)
+    assert result.history["valid"][0, 0]
 
 
 def test_without_simulation_only_the_final_check_tells_what_falls():
@@ -107,8 +107,8 @@ def test_without_simulation_only_the_final_check_tells_what_falls():
         rollout=RolloutOptions(duration_s=0.0),
         descent=DescentOptions(warm_steps=0),
     )
-    found = refine(scene, options, seed=0)
-    assert not found.passed and not found.measure.s_stab
-    assert np.nanmax(found.history["d_drift"]) < 1e-6
+    result = refine(scene, options, seed=0)
+    assert not result.passed and not result.measure.s_stab
+    assert np.nanmax(result.history["d_drift"]) < 1e-6
     simulated = options.model_copy(update={"rollout": RolloutOptions(duration_s=0.5)})
     assert np.nanmin(refine(scene, simulated, seed=0).history["d_drift"]) > 1.0

@@ -47,7 +47,7 @@ def model():
 def rounds(model):
     """Populations of four iterations with their poses."""
     layouts = [scenes.random_layout(model, POP, seed=t) for t in range(4)]
-    return [(found, model.place(found)) for found in layouts]
+    return [(result, model.place(result)) for result in layouts]
 
 
 def options(**given):
@@ -56,8 +56,8 @@ def options(**given):
 
 @contextmanager
 def panel_to(url, record=None, **given):
-    asked = MLLMOptions(**{"base_url": url, "timeout_s": 5.0, "retries": 4, **given})
-    with Panel(Anthropic(asked), asked, record=record, backoff_s=0.01) as panel:
+    requests = MLLMOptions(**{"base_url": url, "timeout_s": 5.0, "retries": 4, **given})
+    with Panel(Anthropic(requests), requests, record=record, backoff_s=0.01) as panel:
         yield panel
 
 
@@ -80,8 +80,8 @@ def expected(model, layouts, poses, k):
 def same(a, b):
     return all(
         np.array_equal(x, y)
-        for one, two in zip(a, b, strict=True)
-        for x, y in zip(one, two, strict=True)
+        for first, second in zip(a, b, strict=True)
+        for x, y in zip(first, second, strict=True)
     )
 
 
@@ -108,10 +108,15 @@ def test_no_score_is_lost_or_given_to_another_candidate(model, rounds, tmp_path)
             assert marks[k] == Mark.SCORED
             assert score.levels == expected(model, layouts, poses, k)
             assert score.value == sum(score.levels.values()) / 16 == values[k]
-    told = scorer.summary()
-    assert (told["submitted"], told["scored"], told["failed"], told["unused"]) == (40, 40, 0, 0)
-    assert told["cost_usd"] == pytest.approx(panel.ledger.spent_usd, abs=1e-6)
-    assert told["cost_usd"] > 0
+    reported = scorer.summary()
+    assert (reported["submitted"], reported["scored"], reported["failed"], reported["unused"]) == (
+        40,
+        40,
+        0,
+        0,
+    )
+    assert reported["cost_usd"] == pytest.approx(panel.ledger.spent_usd, abs=1e-6)
+    assert reported["cost_usd"] > 0
     assert scorer.fallbacks == ()
     lines = read_scores(log)
     assert [s.identity for s in lines] == [(t, k) for t in range(4) for k in sorted(best)]
@@ -154,8 +159,8 @@ def test_equal_pictures_are_asked_about_once(model, rounds):
         ):
             play(scorer, rounds[:2])
         assert server.calls == len(server.sent) == 2
-    told = scorer.summary()
-    assert (told["scored"], told["equal_pictures"]) == (2 * POP, 2 * POP - 2)
+    reported = scorer.summary()
+    assert (reported["scored"], reported["equal_pictures"]) == (2 * POP, 2 * POP - 2)
     for k in range(POP):
         assert scorer.known((0, k)).levels == levels_of(draw(model.apply(layouts, k, poses)))
 
@@ -298,8 +303,8 @@ def test_the_cost_cap_holds(model, rounds):
             seen = play(scorer, rounds)
     assert panel.ledger.spent_usd <= 0.26
     assert "cost cap reached" in scorer.stopped
-    told = scorer.summary()
-    assert 12 <= told["scored"] < told["submitted"] == 48
+    reported = scorer.summary()
+    assert 12 <= reported["scored"] < reported["submitted"] == 48
     assert "cost cap reached" in scorer.fallbacks[0]
     assert set(seen[-1][1]) == {Mark.ESTIMATED}
 

@@ -1,5 +1,7 @@
 """Reward terms and optimizers of a user's own, and drift of joints."""
 
+from inspect import unwrap
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -15,8 +17,10 @@ from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import OPTIMIZERS, Term, refine
 from neoworld_mjx.refinement.rewards import d_drift
-from neoworld_mjx.spec import Box, GeomSpec, JointSpec, ObjectSpec, PartSpec
+from neoworld_mjx.refinement.scene_refinement import open_scene
+from neoworld_mjx.spec import Box, ObjectSpec
 from tests.support import scenes
+from tests.support.mechanisms import geom, joint, part
 
 SMALL = {
     "cem": {"population": 12, "first": 0, "iterations": 2, "elite_ratio": 0.25},
@@ -80,7 +84,7 @@ def test_an_optimizer_of_ones_own(scene):
 
 def test_a_term_with_a_bound_is_pruned(scene):
     term = Term("left", lambda s, z, r: -right(s, z, r), 1.0, bound="exact")
-    cem = SMALL["cem"] | {"population": 48, "iterations": 1, "elite_ratio": 0.03, "batch": 4}
+    cem = SMALL["cem"] | {"population": 48, "iterations": 1, "elite_ratio": 0.03, "batch": 8}
     every = refine(scene, options(cem=cem | {"prune": False}), terms=[term])
     pruned = refine(scene, options(cem=cem), terms=[term])
     assert pruned.pruned > 0 == every.pruned
@@ -148,32 +152,23 @@ def test_a_candidate_that_a_term_makes_nan_has_failed(scene):
 
 def test_a_scene_may_be_a_path_and_nothing_else(scene, tmp_path):
     (tmp_path / "scene.json").write_text(scene.spec.to_json())
-    o = options(rollout={"duration_s": 0.0, "samples_per_object": 16})
+    o = options(rollout={"duration_s": 0.0, "samples_per_object": 64})
     by_path = refine(str(tmp_path), o, engine="native")
     assert by_path.history["reward"].shape == (2, 12)
     with pytest.raises(TypeError, match="SceneSpec"):
-        refine(3)
+        unwrap(open_scene)(3, o)
 
 
 def gate(tilt):
     """A post on the ground whose leaf hangs on a hinge without friction, the axis tilted [rad]."""
-    post = GeomSpec(
-        name="post", shape=Box(size=(0.04, 0.04, 0.3)), pos=(0, 0, 0.15), material="wood"
+    axis = (0.0, np.sin(tilt), np.cos(tilt))
+    parts = (
+        part("post", geom("post", Box(size=(0.04, 0.04, 0.3)), (0, 0, 0.15))),
+        part("leaf", geom("leaf", Box(size=(0.2, 0.01, 0.2)), (0.13, 0, 0.17))),
     )
-    leaf = GeomSpec(
-        name="leaf", shape=Box(size=(0.2, 0.01, 0.2)), pos=(0.13, 0, 0.17), material="wood"
+    hinge = joint(
+        "hinge", "revolute", "post", "leaf", (0.025, 0, 0.15), axis, lower=-1.5, upper=1.5
     )
-    hinge = JointSpec(
-        name="hinge",
-        type="revolute",
-        parent="post",
-        child="leaf",
-        pos=(0.025, 0, 0.15),
-        axis=(0.0, np.sin(tilt), np.cos(tilt)),
-        lower=-1.5,
-        upper=1.5,
-    )
-    parts = (PartSpec(name="post", geoms=(post,)), PartSpec(name="leaf", geoms=(leaf,)))
     spec = ObjectSpec(name="gate", materials=(scenes.WOOD,), parts=parts, joints=(hinge,))
     return scenes.on_table((spec, (0, 0), 0.0, {"fixed_base": True}))
 

@@ -19,8 +19,8 @@ def test_shows_what_the_full_picture_shows():
     # Outlines are where objects end, and nowhere else does a flat side change by as much.
     dark = plain.astype(int).sum(axis=2)
     for k in np.unique(full.segmentation):
-        mine = full.segmentation == k
-        assert np.median(dark[mine & edge]) < 0.8 * np.median(dark[mine & ~edge])
+        own = full.segmentation == k
+        assert np.median(dark[own & edge]) < 0.8 * np.median(dark[own & ~edge])
 
 
 def test_the_same_scene_gives_the_same_bytes():

@@ -12,27 +12,23 @@ from neoworld_mjx.render.ray_caster import RayCaster
 from neoworld_mjx.spec import (
     Box,
     Camera,
-    GeomSpec,
-    JointSpec,
     Lathe,
     Material,
     ObjectSpec,
-    PartSpec,
     SceneObject,
     SceneSpec,
     Shape,
     Sphere,
 )
+from tests.support.mechanisms import geom, joint, part
 
 PAINT = Material(name="paint", density=500, rgba=(0.8, 0.2, 0.1, 1))
 WOOD = Material(name="wood", density=600, rgba=(0.6, 0.4, 0.2, 1))
 
 
 def thing(name: str, shape: Shape, z: float, material: Material = PAINT) -> ObjectSpec:
-    geom = GeomSpec(name="body", shape=shape, pos=(0, 0, z), material=material.name)
-    return ObjectSpec(
-        name=name, materials=(material,), parts=(PartSpec(name="body", geoms=(geom,)),)
-    )
+    body = part("body", geom("body", shape, (0, 0, z), material.name))
+    return ObjectSpec(name=name, materials=(material,), parts=(body,))
 
 
 CAMERA = Camera(width=200, height_px=150, fovy=math.radians(40), height=0.6, pitch=math.radians(35))
@@ -40,24 +36,13 @@ CAMERA = Camera(width=200, height_px=150, fovy=math.radians(40), height=0.6, pit
 
 def scene() -> SceneSpec:
     table = thing("table", Box(size=(1.2, 1.2, 0.04)), -0.02, WOOD)
+    ball = thing("ball", Sphere(radius=0.08), 0.08)
+    bowl = thing("bowl", Lathe(profile=((0, 0), (0.05, 0), (0.1, 0.06)), thickness=0.004), 0)
     return SceneSpec(
         objects=(
             SceneObject(name="table", spec=table, environment=True, xy=(0.8, 0)),
-            SceneObject(
-                name="ball",
-                spec=thing("ball", Sphere(radius=0.08), 0.08),
-                parent="table",
-                xy=(0, 0.15),
-            ),
-            SceneObject(
-                name="bowl",
-                spec=thing(
-                    "bowl", Lathe(profile=((0, 0), (0.05, 0), (0.1, 0.06)), thickness=0.004), 0
-                ),
-                parent="table",
-                xy=(0, -0.15),
-                yaw=1.0,
-            ),
+            SceneObject(name="ball", spec=ball, parent="table", xy=(0, 0.15)),
+            SceneObject(name="bowl", spec=bowl, parent="table", xy=(0, -0.15), yaw=1.0),
         ),
         camera=CAMERA,
     )
@@ -77,14 +62,9 @@ def test_segmentation_and_depth_agree_with_the_camera():
     assert picture.depth[row, column] == pytest.approx(depth - 0.08 * cosine, abs=2e-4)
     mask = picture.segmentation == 1
     rows, columns = np.nonzero(mask)
-    hit = (
-        CAMERA.position()
-        + CAMERA.rays(np.column_stack([columns, rows]) + 0.5)
-        * (
-            picture.depth[mask]
-            / (CAMERA.rays(np.column_stack([columns, rows]) + 0.5) @ CAMERA.axes()[:, 2])
-        )[:, None]
-    )
+    rays = CAMERA.rays(np.column_stack([columns, rows]) + 0.5)
+    reach = picture.depth[mask] / (rays @ CAMERA.axes()[:, 2])
+    hit = CAMERA.position() + rays * reach[:, None]
     radial = (hit - at) / 0.08
     assert np.allclose(np.linalg.norm(radial, axis=1), 1, atol=1e-6)
     assert np.allclose(picture.normal[mask], radial, atol=1e-6)
@@ -157,39 +137,10 @@ def test_models_without_visual_geoms_are_rendered():
 
 
 def test_joint_states_and_geom_roles_show_in_images():
-    lid = PartSpec(
-        name="lid",
-        geoms=(
-            GeomSpec(
-                name="lid", shape=Box(size=(0.2, 0.2, 0.02)), pos=(0, 0, 0.11), material="paint"
-            ),
-        ),
-    )
-    hidden = GeomSpec(
-        name="hull",
-        shape=Box(size=(0.5, 0.5, 0.5)),
-        pos=(0, 0, 0.25),
-        material="paint",
-        role="collision",
-    )
-    body = PartSpec(
-        name="body",
-        geoms=(
-            GeomSpec(
-                name="body", shape=Box(size=(0.2, 0.2, 0.1)), pos=(0, 0, 0.05), material="paint"
-            ),
-            hidden,
-        ),
-    )
-    hinge = JointSpec(
-        name="hinge",
-        type="revolute",
-        parent="body",
-        child="lid",
-        pos=(-0.1, 0, 0.1),
-        axis=(0, -1, 0),
-        upper=1.6,
-    )
+    lid = part("lid", geom("lid", Box(size=(0.2, 0.2, 0.02)), (0, 0, 0.11), "paint"))
+    hidden = geom("hull", Box(size=(0.5, 0.5, 0.5)), (0, 0, 0.25), "paint", role="collision")
+    body = part("body", geom("body", Box(size=(0.2, 0.2, 0.1)), (0, 0, 0.05), "paint"), hidden)
+    hinge = joint("hinge", "revolute", "body", "lid", (-0.1, 0, 0.1), (0, -1, 0), upper=1.6)
     box = ObjectSpec(name="box", materials=(PAINT,), parts=(body, lid), joints=(hinge,))
     closed = render_object(box, width=90, height=60)
     opened = render_object(box, {"hinge": 1.5}, width=90, height=60)
@@ -226,13 +177,8 @@ def test_every_ray_of_a_picture_meets_what_it_meets_alone():
             for j, y in enumerate((-0.38, 0.38))
         },
     }
-    geoms = [
-        GeomSpec(name=name, shape=Box(size=size), pos=pos, material="paint")
-        for name, (size, pos) in boxes.items()
-    ]
-    cabinet = ObjectSpec(
-        name="cabinet", materials=(PAINT,), parts=(PartSpec(name="body", geoms=tuple(geoms)),)
-    )
+    geoms = [geom(name, Box(size=size), pos, "paint") for name, (size, pos) in boxes.items()]
+    cabinet = ObjectSpec(name="cabinet", materials=(PAINT,), parts=(part("body", *geoms),))
     model = to_mjspec(cabinet, visual=True).compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

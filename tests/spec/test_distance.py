@@ -36,12 +36,12 @@ def inside_pieces(shape, points):
     from neoworld_mjx.spec.csg import faceted
     from neoworld_mjx.spec.pose import pose
 
-    found = np.zeros(len(points), bool)
+    result = np.zeros(len(points), bool)
     for piece in shape.pieces():
         flat = piece if piece.kind in ("box", "mesh") else polytope(faceted(piece, 48))
         half = poly(flat, pose(piece.pos, piece.quat))[1]
-        found |= (points @ half[:, :3].T <= half[:, 3] + 1e-12).all(axis=1)
-    return found
+        result |= (points @ half[:, :3].T <= half[:, 3] + 1e-12).all(axis=1)
+    return result
 
 
 @pytest.mark.parametrize("name", SHAPES)

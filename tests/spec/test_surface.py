@@ -75,3 +75,13 @@ def test_the_surface_holds_the_corners_of_a_lathes_colliders():
     corners = np.vstack([piece.vertices for piece in shape.pieces()])
     gap = np.linalg.norm(corners[:, None] - vertices[None], axis=2).min(axis=1)
     assert gap.max() < 1e-12
+
+
+def test_equal_shapes_share_their_pieces(monkeypatch):
+    built = []
+    build = Lathe.build_pieces
+    monkeypatch.setattr(Lathe, "build_pieces", lambda self: built.append(self) or build(self))
+    cups = [Lathe(profile=((0, 0), (0.031, 0), (0.04, 0.08)), thickness=0.003) for _ in range(2)]
+    assert [cup.pieces() for cup in cups] == 2 * [cups[0].pieces()] and len(built) == 1
+    cups[0].pieces().clear()
+    assert cups[0].pieces()

@@ -61,10 +61,10 @@ def test_surfaces_are_closed_and_outward(shape):
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.type)
 def test_pieces_do_not_overlap(shape):
     random = np.random.default_rng(0)
-    found = [planes(piece) for piece in shape.pieces()]
+    result = [planes(piece) for piece in shape.pieces()]
     corners = np.vstack([np.array(piece.vertices) for piece in shape.pieces()])
     points = random.uniform(corners.min(axis=0), corners.max(axis=0), (20000, 3))
-    depth = np.array([(p[:, 3] - points @ p[:, :3].T).min(axis=1) for p in found])
+    depth = np.array([(p[:, 3] - points @ p[:, :3].T).min(axis=1) for p in result])
     assert np.sum(depth > 1e-9, axis=0).max() <= 1
     assert np.sum(depth > 1e-9) > 100
 
@@ -133,5 +133,43 @@ def test_a_strap_is_wide_across_its_plane():
     ],
 )
 def test_invalid_shapes_are_refused_with_the_reason(make, words):
+    with pytest.raises(ValidationError, match=words):
+        make()
+
+
+def strip(*points) -> Sweep:
+    return Sweep(path=((0, 0, 0), *points), width=(0.01,), thickness=(0.01,))
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (
+            lambda: strip((0.1, 0, 0), (0.01, 0.01, 0)),
+            r"turns by 174 degrees at path\[1\], at most 120",
+        ),
+        (
+            lambda: strip((0.1, 0, 0), (0.1, 0, 0)),
+            r"repeats a point: path\[1\] and path\[2\]",
+        ),
+        (
+            lambda: Lathe(profile=((0, 0), (0.05, 0), (0.05, 0.1), (0.04, 0.08))),
+            r"from profile\[2\] \(0.05, 0.1\) to profile\[3\] \(0.04, 0.08\)",
+        ),
+        (
+            lambda: Lathe(profile=((0, 0), (0.05, 0), (0, 0.1)), thickness=0.002),
+            r"only at its first point, not at profile\[2\] \(0, 0.1\)",
+        ),
+        (
+            lambda: Lathe(profile=((0, 0), (-0.05, 0), (0, 0.1))),
+            r"profile\[1\] is \(-0.05, 0\)",
+        ),
+        (
+            lambda: Extrusion(outline=((0, 0), (2, 2), (2, 0), (0, 1)), height=0.1),
+            r"edges from outline\[0\] and outline\[2\]",
+        ),
+    ],
+)
+def test_errors_name_the_point_or_the_angle_that_they_mean(make, words):
     with pytest.raises(ValidationError, match=words):
         make()

@@ -1,3 +1,1 @@
-"""What several tests and developer benchmarks share: small scenes, known objects, hostile
-programs.
-"""
+"""Scenes, objects, hostile programs and fake servers that tests and developer benchmarks share."""

@@ -38,8 +38,8 @@ def table(**extra):
 
 
 def answer(*objects, **camera):
-    seen = {"pitch_deg": 35.0, "height": 0.55, "fovy_deg": 40.0, **camera}
-    return {"camera": seen, "objects": [table(), *objects]}
+    view = {"pitch_deg": 35.0, "height": 0.55, "fovy_deg": 40.0, **camera}
+    return {"camera": view, "objects": [table(), *objects]}
 
 
 def desk():

@@ -1,6 +1,4 @@
-"""Programs that mean harm, each with the codes that may come back for it, and what contains
-them.
-"""
+"""Hostile programs, each with the signals that it may end in, and a check of the sandbox."""
 
 import os
 import time
@@ -11,17 +9,19 @@ from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
 
 SECONDS, MEGABYTES = 3.0, 100.0
-"""Within which a hostile program must have ended, and what this process may have grown by."""
+"""Time in which a hostile program must end, and growth of this process's memory."""
 
 SDK = (
     "from neoworld_mjx.program.sdk import Object, box, cylinder, difference, extrusion, lathe, "
     "sphere, sweep, union\n"
 )
 BODY = SDK + "o = Object('thing')\np = o.part('body', material='oak')\n"
+SHARED = "x = [1.0] * 6\nfor i in range(15):\n    x = [x, x, x, x, x, x]\n"
+"""A list of 6^16 leaves in a few bytes."""
 FINE = BODY + "p.add(box((0.1, 0.1, 0.1)))\n"
-"""A program that must run after each of them."""
+"""A valid program that must build after each of them."""
 ASIDE = {"loose_shape", "heavy"}
-"""Codes that may come along with any other."""
+"""Codes that may accompany any other."""
 
 DENIED = {"type", "import", "forbidden", "runtime", "unsupported", "value", "no_object"}
 STOPPED = {"timeout", "crashed", "memory", "too_many_calls", "too_big", "recursion", "output"}
@@ -188,7 +188,27 @@ HOSTILE: dict[str, tuple[str, set[str]]] = {
     "far_away": (BODY + "p.add(box((1, 1, 1)), at=(1e300, 0, 0))", {"value"}),
     "complex": (BODY + "p.add(sphere(1j))", DENIED),
     "boolean": (BODY + "x: bool = True\np.add(sphere(x))", {"value", "type"}),
-    # Wrong things in the SDK's hands.
+    # Values that are small in the sandbox and large written out.
+    "shared_list": (BODY + SHARED + "p.add(box((x, 1, 1)))", {"type", "value"}),
+    "shared_lists_everywhere": (
+        BODY + SHARED + "for f in (box, sphere, lathe, extrusion, sweep, union, difference):\n"
+        "    try:\n        f(x)\n    except Exception:\n        pass\n"
+        "    try:\n        f(*x, at=x)\n    except Exception:\n        pass\n"
+        "for f in (o.part, o.material, p.add, p.anchor):\n"
+        "    try:\n        f(x)\n    except Exception:\n        pass\n",
+        DENIED | STOPPED | {"empty_part"},
+    ),
+    "shared_tuples": (
+        BODY + SHARED.replace("[", "(").replace("]", ",)") + "o.part(x)",
+        {"type", "value"},
+    ),
+    "shared_dictionary": (
+        BODY + "x = {}\nfor i in range(40):\n    x = {'a': x, 'b': x, 'c': x}\no.part(x)",
+        {"type", "value"},
+    ),
+    "long_name": (BODY + "o.part('x' * 10 ** 7)", {"value"} | STOPPED),
+    "digits": (BODY + "p.add(box((10 ** 100000, 1, 1)))", {"value"} | STOPPED),
+    # Arguments of wrong types.
     "own_class": (BODY + "class S:\n    size = 1\np.add(S())", DENIED),
     "function": (BODY + "p.add(lambda: 1)", DENIED),
     "part_as_shape": (BODY + "p.add(p)", DENIED),
@@ -208,25 +228,25 @@ HOSTILE: dict[str, tuple[str, set[str]]] = {
 
 
 class Contained(NamedTuple):
-    """What became of one hostile program."""
+    """The outcome of one hostile program."""
 
     name: str
     codes: tuple[str, ...]
     seconds: float
     grown_mb: float
     why: str
-    """What was wrong with its end; empty if it was contained."""
+    """Faults of the sandbox; empty if it contained the program."""
 
 
 def contain(
     name: str, options: ProgramOptions | None = None, *, within_s: float = SECONDS
 ) -> Contained:
-    """Run a hostile program, and an honest one after it.
+    """Run a hostile program, and a valid one after it.
 
     Args:
         name: one of `HOSTILE`.
-        options: by default without the type check, which would stop many before they start.
-        within_s: time [s] in which it must have ended.
+        options: by default without the type check, which would refuse many programs.
+        within_s: time [s] in which it must end.
     """
     text, allowed = HOSTILE[name]
     before, start = resident_mb(), time.monotonic()
@@ -242,12 +262,12 @@ def contain(
         "the next program does not run": not build(FINE).ok,
     }
     return Contained(
-        name, codes, seconds, grown, "; ".join(what for what, wrong in faults.items() if wrong)
+        name, codes, seconds, grown, "; ".join(fault for fault, wrong in faults.items() if wrong)
     )
 
 
 def resident_mb() -> float:
-    """Return the memory that this process holds [MB]; 0 where the system does not tell."""
+    """Return the resident memory of this process [MB]; 0 where the system does not report it."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     except OSError:

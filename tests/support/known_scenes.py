@@ -22,13 +22,10 @@ from neoworld_mjx.spec import (
     Box3D,
     Camera,
     Cylinder,
-    GeomSpec,
     HollowBox,
-    JointSpec,
     Lathe,
     Material,
     ObjectSpec,
-    PartSpec,
     PartState,
     SceneObject,
     SceneSpec,
@@ -41,6 +38,7 @@ from neoworld_mjx.spec import (
 )
 from neoworld_mjx.spec.pose import yaw_of
 from tests.support import scenes
+from tests.support.mechanisms import geom, joint, part
 
 SIZE = (640, 480)
 SMALL = 0.03
@@ -114,49 +112,22 @@ def _chest(rng: np.random.Generator) -> ObjectSpec:
     """A small chest with one drawer that fills its front."""
     x, y, z = rng.uniform(0.2, 0.26), rng.uniform(0.22, 0.32), rng.uniform(0.12, 0.18)
     wall, paint = 0.012, _paint(rng, 600)
-    shell = GeomSpec(
-        name="shell",
-        shape=HollowBox(size=(x, y, z), wall=wall, open=("+x",)),
-        pos=(0, 0, z / 2),
-        material="paint",
-    )
     inner = (x - wall - 0.006, y - 2 * wall - 0.006, z - 2 * wall - 0.006)
     low = wall + 0.003 + 0.6 * inner[2] / 2
-    tray = GeomSpec(
-        name="tray",
-        shape=HollowBox(size=(inner[0], inner[1], 0.6 * inner[2]), wall=0.006),
-        pos=(wall / 2, 0, low),
-        material="paint",
+    shell = HollowBox(size=(x, y, z), wall=wall, open=("+x",))
+    tray = HollowBox(size=(inner[0], inner[1], 0.6 * inner[2]), wall=0.006)
+    front = Box(size=(0.01, inner[1], inner[2]))
+    parts = (
+        part("shell", geom("shell", shell, (0, 0, z / 2), "paint")),
+        part(
+            "drawer",
+            geom("tray", tray, (wall / 2, 0, low), "paint"),
+            geom("front", front, (x / 2 + 0.002, 0, z / 2), "paint"),
+            geom("knob", Sphere(radius=0.01), (x / 2 + 0.015, 0, z / 2), "paint"),
+        ),
     )
-    front = GeomSpec(
-        name="front",
-        shape=Box(size=(0.01, inner[1], inner[2])),
-        pos=(x / 2 + 0.002, 0, z / 2),
-        material="paint",
-    )
-    knob = GeomSpec(
-        name="knob", shape=Sphere(radius=0.01), pos=(x / 2 + 0.015, 0, z / 2), material="paint"
-    )
-    return recentred(
-        ObjectSpec(
-            name="chest",
-            materials=(paint,),
-            parts=(
-                PartSpec(name="shell", geoms=(shell,)),
-                PartSpec(name="drawer", geoms=(tray, front, knob)),
-            ),
-            joints=(
-                JointSpec(
-                    name="slide",
-                    type="prismatic",
-                    parent="shell",
-                    child="drawer",
-                    axis=(1, 0, 0),
-                    upper=0.75 * x,
-                ),
-            ),
-        )
-    )
+    slide = joint("slide", "prismatic", "shell", "drawer", axis=(1, 0, 0), upper=0.75 * x)
+    return recentred(ObjectSpec(name="chest", materials=(paint,), parts=parts, joints=(slide,)))
 
 
 MAKERS = {
@@ -177,22 +148,22 @@ BEARS = {
     "drawer": ("ball", "can"),
     "chest": ("book", "mug", "can"),
 }
-"""What may stand on, or in, what."""
+"""Kinds of objects that may stand on, or in, each kind."""
 
 
 def known(seed: int, count: int, *, drawer: bool = False, size: tuple[int, int] = SIZE) -> Known:
-    """Draw a scene, take its picture, and write down what it shows.
+    """Sample a scene, render it, and describe its visible objects.
 
     Args:
-        seed: of all draws.
-        count: objects, without the table.
-        drawer: whether a chest with something in its open drawer is among them.
-        size: of the picture, in pixels.
+        seed: seed of all samples.
+        count: number of objects, without the table.
+        drawer: whether one is a chest with an object in its open drawer.
+        size: width and height of the picture, in pixels.
     """
     rng = np.random.default_rng(seed)
     for _ in range(200):
         camera, middle = _camera(rng, size)
-        scene, kinds = _scene(rng, count, drawer, camera, middle)
+        scene, kinds = sample_scene(rng, count, drawer, camera, middle)
         picture = render(scene, camera)
         truth = _truth(scene, kinds, camera, picture)
         if truth is not None:
@@ -213,34 +184,34 @@ def _camera(rng: np.random.Generator, size: tuple[int, int]) -> tuple[Camera, fl
     return camera, distance * math.cos(pitch)
 
 
-def _scene(
+def sample_scene(
     rng: np.random.Generator, count: int, drawer: bool, camera: Camera, middle: float
 ) -> tuple[SceneSpec, dict[str, str]]:
     """Return a scene on a table around (middle, 0), and each object's kind."""
     top = scenes.single("table", (Box(size=(1.6, 2.2, 0.04)), (0, 0, 0)))
     table = SceneObject(name="table", spec=top, environment=True, xy=(middle + 0.2, 0), z=-0.04)
-    items, kinds = [table], {"table": "table"}
-    taken: list[tuple[float, float, float]] = []
+    objects, kinds = [table], {"table": "table"}
+    circles: list[tuple[float, float, float]] = []
     if drawer:
-        chest = _place(rng, "chest", items, kinds, taken, middle, facing=True)
+        chest = _place(rng, "chest", objects, kinds, circles, middle, facing=True)
         if chest is not None:
             inside = str(rng.choice(BEARS["drawer"]))
-            _stack(rng, inside, chest, items, kinds, link="drawer")
+            _stack(rng, inside, chest, objects, kinds, link="drawer")
     for _ in range(60):
-        if len(items) > count:
+        if len(objects) > count:
             break
-        bearing = [i for i in items if kinds[i.name] in BEARS and not _bears(i, items)]
+        bearing = [i for i in objects if kinds[i.name] in BEARS and not _bears(i, objects)]
         if bearing and rng.uniform() < 0.45:
             below = bearing[int(rng.integers(len(bearing)))]
-            _stack(rng, str(rng.choice(BEARS[kinds[below.name]])), below, items, kinds)
+            _stack(rng, str(rng.choice(BEARS[kinds[below.name]])), below, objects, kinds)
         else:
             kind = str(rng.choice([k for k in MAKERS if k != "chest"]))
-            _place(rng, kind, items, kinds, taken, middle)
-    return snap(SceneSpec(name="known", objects=tuple(items), camera=camera)), kinds
+            _place(rng, kind, objects, kinds, circles, middle)
+    return snap(SceneSpec(name="known", objects=tuple(objects), camera=camera)), kinds
 
 
-def _bears(item: SceneObject, items: list[SceneObject]) -> bool:
-    return any(other.parent == item.name and other.parent_link is None for other in items)
+def _bears(obj: SceneObject, objects: list[SceneObject]) -> bool:
+    return any(other.parent == obj.name and other.parent_link is None for other in objects)
 
 
 def _name(kind: str, kinds: dict[str, str]) -> str:
@@ -250,14 +221,14 @@ def _name(kind: str, kinds: dict[str, str]) -> str:
 def _place(
     rng: np.random.Generator,
     kind: str,
-    items: list[SceneObject],
+    objects: list[SceneObject],
     kinds: dict[str, str],
-    taken: list[tuple[float, float, float]],
+    circles: list[tuple[float, float, float]],
     middle: float,
     *,
     facing: bool = False,
 ) -> SceneObject | None:
-    """Put a thing down where the table is free; None if there is no room."""
+    """Add an object where the table is free; None if there is no room."""
     spec = MAKERS[kind][0](rng)
     state = {"slide": rng.uniform(0.35, 0.9) * spec.joints[0].upper} if spec.joints else {}
     low, high = bounds(spec, state)
@@ -265,10 +236,10 @@ def _place(
     for _ in range(40):
         x, y = rng.uniform(-0.22, 0.22), rng.uniform(-0.3, 0.3)
         # Circles around footprints may overlap a little: corners seldom point at each other.
-        if all(math.hypot(x - a, y - b) > 0.85 * (reach + r) for a, b, r in taken):
-            taken.append((x, y, reach))
+        if all(math.hypot(x - a, y - b) > 0.85 * (reach + r) for a, b, r in circles):
+            circles.append((x, y, reach))
             yaw = math.pi + rng.uniform(-0.5, 0.5) if facing else rng.uniform(-math.pi, math.pi)
-            item = SceneObject(
+            obj = SceneObject(
                 name=_name(kind, kinds),
                 spec=spec,
                 parent="table",
@@ -277,9 +248,9 @@ def _place(
                 yaw=yaw,
                 joint_state=state,
             )
-            items.append(item)
-            kinds[item.name] = kind
-            return item
+            objects.append(obj)
+            kinds[obj.name] = kind
+            return obj
     return None
 
 
@@ -287,7 +258,7 @@ def _stack(
     rng: np.random.Generator,
     kind: str,
     below: SceneObject,
-    items: list[SceneObject],
+    objects: list[SceneObject],
     kinds: dict[str, str],
     *,
     link: str | None = None,
@@ -297,12 +268,12 @@ def _stack(
     hollow = link is not None or kinds[below.name] == "bowl"
     room = (high - low)[:2] * (0.0 if hollow or kinds[below.name] == "plate" else 0.12)
     if link is not None:
-        # In front of the shell, where the drawer stands out.
+        # In front of the shell, in the open part of the drawer.
         room = np.array([0.0, 0.2 * (high - low)[1]])
     x, y = rng.uniform(-room, room + 1e-9)
     if link is not None:
         x += (high - low)[0] * 0.22
-    item = SceneObject(
+    obj = SceneObject(
         name=_name(kind, kinds),
         spec=spec,
         parent=below.name,
@@ -312,73 +283,73 @@ def _stack(
         z=float(high[2]),
         yaw=rng.uniform(-math.pi, math.pi),
     )
-    items.append(item)
-    kinds[item.name] = kind
+    objects.append(obj)
+    kinds[obj.name] = kind
 
 
 def _truth(
     scene: SceneSpec, kinds: dict[str, str], camera: Camera, picture: RenderedImage
 ) -> SceneTree | None:
-    """Write down what a picture shows; None if something in it is hidden for the most part."""
+    """Return the scene tree of a picture; None if an object is mostly hidden or cut off."""
     poses = world_poses(scene)
     nodes = []
-    for index, item in enumerate(scene.objects):
-        seen = picture.segmentation == index
+    for index, obj in enumerate(scene.objects):
+        visible = picture.segmentation == index
         alone = scene.model_copy(
             update={
                 "objects": (
-                    item.model_copy(
+                    obj.model_copy(
                         update={
                             "parent": None,
                             "parent_link": None,
-                            "xy": tuple(poses[item.name].pos[:2].tolist()),
-                            "z": float(poses[item.name].pos[2]),
-                            "yaw": yaw_of(poses[item.name].quat),
+                            "xy": tuple(poses[obj.name].pos[:2].tolist()),
+                            "z": float(poses[obj.name].pos[2]),
+                            "yaw": yaw_of(poses[obj.name].quat),
                         }
                     ),
                 )
             }
         )
         whole = render(alone, camera, supersample=1).segmentation == 0
-        hidden = 1 - seen.sum() / max(int(whole.sum()), 1)
-        rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
-        if (hidden > 0.75 and not item.environment) or len(rows) == 0:
+        hidden = 1 - visible.sum() / max(int(whole.sum()), 1)
+        rows, columns = np.flatnonzero(visible.any(axis=1)), np.flatnonzero(visible.any(axis=0))
+        if (hidden > 0.75 and not obj.environment) or len(rows) == 0:
             return None
         box2d = Box2D(x0=columns[0], y0=rows[0], x1=columns[-1] + 1, y1=rows[-1] + 1)
-        if not item.environment and _cut(box2d, camera):
+        if not obj.environment and _cut(box2d, camera):
             return None
-        behind = whole & ~seen
+        behind = whole & ~visible
         occluders = tuple(
             other.name
             for k, other in enumerate(scene.objects)
             if k != index and (behind & (picture.segmentation == k)).sum() > SMALL * whole.sum()
         )
-        low, high = bounds(item.spec, item.joint_state)
-        foot = poses[item.name].apply([*((low + high) / 2)[:2], low[2]])
+        low, high = bounds(obj.spec, obj.joint_state)
+        foot = poses[obj.name].apply([*((low + high) / 2)[:2], low[2]])
         states = tuple(
             PartState(
                 part=joint.child,
                 type=joint.type,
-                opening=float(np.clip(item.joint_state.get(joint.name, 0.0) / joint.upper, 0, 1)),
+                opening=float(np.clip(obj.joint_state.get(joint.name, 0.0) / joint.upper, 0, 1)),
             )
-            for joint in item.spec.joints
+            for joint in obj.spec.joints
             if joint.type in ("revolute", "continuous", "prismatic")
         )
         nodes.append(
             TreeNode(
-                name=item.name,
-                label="table" if item.environment else MAKERS[kinds[item.name]][1],
-                parent=item.parent,
-                relation=item.relation,
-                parent_link=item.parent_link,
-                environment=item.environment,
-                occluded=item.environment or bool(occluders),
-                occluded_by=() if item.environment else occluders,
+                name=obj.name,
+                label="table" if obj.environment else MAKERS[kinds[obj.name]][1],
+                parent=obj.parent,
+                relation=obj.relation,
+                parent_link=obj.parent_link,
+                environment=obj.environment,
+                occluded=obj.environment or bool(occluders),
+                occluded_by=() if obj.environment else occluders,
                 box2d=box2d,
                 box3d=Box3D(
                     position=tuple(foot.tolist()),
                     size=tuple((high - low).tolist()),
-                    yaw=yaw_of(poses[item.name].quat),
+                    yaw=yaw_of(poses[obj.name].quat),
                 ),
                 articulation=states,
             )
@@ -391,7 +362,7 @@ def _cut(box: Box2D, camera: Camera) -> bool:
 
 
 def five(first: int = 0) -> dict[str, Known]:
-    """Return five scenes of 3 to 9 objects, the last one with something in an open drawer."""
+    """Return five scenes of 3 to 9 objects, the last with an object in an open drawer."""
     counts = (3, 5, 7, 9, 6)
     return {f"known{k}": known(first + k, count, drawer=k == 4) for k, count in enumerate(counts)}
 
@@ -399,9 +370,9 @@ def five(first: int = 0) -> dict[str, Known]:
 def main(folder: Path, first: int) -> None:
     """Write pictures and truths."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, item in five(first).items():
-        (folder / f"{name}.png").write_bytes(to_png(item.picture.color))
-        (folder / f"{name}.truth.json").write_text(item.truth.to_json())
+    for name, scene in five(first).items():
+        (folder / f"{name}.png").write_bytes(to_png(scene.picture.color))
+        (folder / f"{name}.truth.json").write_text(scene.truth.to_json())
 
 
 if __name__ == "__main__":

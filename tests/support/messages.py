@@ -1,9 +1,8 @@
-"""A scoring model behind the Messages API, with the delay and the share of failures that it is
-given.
+"""A scoring model behind the Messages API, with a given delay and share of failures.
 
-It answers scoring requests by the picture that it is shown, so that callers can tell whether an
-answer has come to the right place. Which calls fail depends on the picture and on how often it was
-sent, not on the order in which calls come.
+Its answer depends on the picture of the request, so that callers can check that each answer reached
+the right candidate. Failures depend on the picture and its number of calls, not on the order of
+calls.
 """
 
 import base64

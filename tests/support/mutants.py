@@ -33,28 +33,28 @@ def mutate(text: str, source: random.Random) -> str:
         elif kind == 3:
             tokens[source.choice(numbers)] = source.choice(_NUMBERS)
         elif kind == 4:
-            one, two = source.choice(numbers), source.choice(numbers)
-            tokens[one], tokens[two] = tokens[two], tokens[one]
+            i, j = source.choice(numbers), source.choice(numbers)
+            tokens[i], tokens[j] = tokens[j], tokens[i]
         else:
             tokens[at] = tokens[at][::-1]
     return "".join(tokens)
 
 
 def crashed(seed: int, count: int, valid: Sequence[str] | None = None) -> list[str]:
-    """Return mutants that ended in anything but an object or a signal about the program.
+    """Return mutants that ended in neither an object nor a signal about the program.
 
     Args:
-        seed: of the mutations.
-        count: how many mutants are run.
-        valid: what they are made of; by default the guide's programs.
+        seed: seed of the mutations.
+        count: number of mutants.
+        valid: programs to mutate; by default the guide's.
     """
     source, bad = random.Random(seed), []
     originals = list(valid or programs())
     for k in range(count):
         text = mutate(source.choice(originals), source)
-        # Unchecked mutants get further; some go the usual way.
+        # Mutants without a type check run further, so only every fourth has one.
         built = build(text, ProgramOptions(type_check=k % 4 == 0))
-        told = {signal.code for signal in built.signals}
-        if told & {"internal", "crashed", "busy"} or (built.spec is None and not told):
+        codes = {signal.code for signal in built.signals}
+        if codes & {"internal", "crashed", "busy"} or (built.spec is None and not codes):
             bad.append(text)
     return bad

@@ -14,15 +14,12 @@ from neoworld_mjx.spec import (
     Capsule,
     Cylinder,
     Ellipsoid,
-    GeomSpec,
     HollowBox,
-    JointSpec,
     Lathe,
     Material,
     Mimic,
     ObjectSpec,
     Operand,
-    PartSpec,
     Prism,
     SceneObject,
     SceneSpec,
@@ -30,6 +27,7 @@ from neoworld_mjx.spec import (
     Sphere,
     recentred,
 )
+from tests.support.mechanisms import geom, joint, part
 
 WOOD = Material(name="wood", density=600, friction=0.5, rgba=(0.5, 0.3, 0.1, 1))
 CERAMIC = Material(name="ceramic", density=2300, friction=0.4, rgba=(0.9, 0.9, 0.85, 1))
@@ -80,76 +78,27 @@ def spoon():
 
 def cabinet():
     """A carcass with a drawer, a door, a mimic knob, sites and an authored mass."""
-    body = GeomSpec(
-        name="carcass",
-        shape=HollowBox(size=(0.4, 0.5, 0.5), wall=0.02, open=("+x",)),
-        pos=(0, 0, 0.25),
-        material="wood",
+    body = HollowBox(size=(0.4, 0.5, 0.5), wall=0.02, open=("+x",))
+    tray, leaf = HollowBox(size=(0.36, 0.44, 0.12), wall=0.01), Box(size=(0.02, 0.44, 0.26))
+    handle = Prism(outline=((0.01, 0), (0, 0.01), (-0.01, 0), (0, -0.01)), height=0.02)
+    parts = (
+        part("carcass", geom("carcass", body, (0, 0, 0.25))),
+        part("drawer", geom("tray", tray, (0, 0, 0.1))),
+        part("door", geom("leaf", leaf, (0.19, 0, 0.33)), mass=1.5),
+        part("knob", geom("knob", handle, (0.21, 0.18, 0.33), "steel")),
     )
-    drawer = GeomSpec(
-        name="tray",
-        shape=HollowBox(size=(0.36, 0.44, 0.12), wall=0.01),
-        pos=(0.0, 0, 0.1),
-        material="wood",
+    slide = {"upper": 0.3, "damping": 2.0, "friction": 1.0, "effort": 30.0, "armature": 0.05}
+    hinge = {"lower": -1.5, "upper": 0.1, "damping": 0.1, "friction": 0.05, "stiffness": 0.01}
+    turn = {"damping": 0.001, "mimic": Mimic(joint="slide", multiplier=2.0, offset=0.1)}
+    joints = (
+        joint("slide", "prismatic", "carcass", "drawer", axis=(1, 0, 0), **slide),
+        joint("hinge", "revolute", "carcass", "door", (0.19, -0.22, 0.33), **hinge),
+        joint("turn", "continuous", "door", "knob", (0.21, 0.18, 0.33), (1, 0, 0), **turn),
     )
-    door = GeomSpec(
-        name="leaf", shape=Box(size=(0.02, 0.44, 0.26)), pos=(0.19, 0, 0.33), material="wood"
-    )
-    knob = GeomSpec(
-        name="knob",
-        shape=Prism(outline=((0.01, 0), (0, 0.01), (-0.01, 0), (0, -0.01)), height=0.02),
-        pos=(0.21, 0.18, 0.33),
-        material="steel",
-    )
+    sites = (Site(name="handle", part="drawer", pos=(0.18, 0, 0.1)),)
+    materials = (WOOD, STEEL)
     return recentred(
-        ObjectSpec(
-            name="cabinet",
-            materials=(WOOD, STEEL),
-            parts=(
-                PartSpec(name="carcass", geoms=(body,)),
-                PartSpec(name="drawer", geoms=(drawer,)),
-                PartSpec(name="door", geoms=(door,), mass=1.5),
-                PartSpec(name="knob", geoms=(knob,)),
-            ),
-            joints=(
-                JointSpec(
-                    name="slide",
-                    type="prismatic",
-                    parent="carcass",
-                    child="drawer",
-                    axis=(1, 0, 0),
-                    upper=0.3,
-                    damping=2.0,
-                    friction=1.0,
-                    effort=30.0,
-                    armature=0.05,
-                ),
-                JointSpec(
-                    name="hinge",
-                    type="revolute",
-                    parent="carcass",
-                    child="door",
-                    pos=(0.19, -0.22, 0.33),
-                    axis=(0, 0, 1),
-                    lower=-1.5,
-                    upper=0.1,
-                    damping=0.1,
-                    friction=0.05,
-                    stiffness=0.01,
-                ),
-                JointSpec(
-                    name="turn",
-                    type="continuous",
-                    parent="door",
-                    child="knob",
-                    pos=(0.21, 0.18, 0.33),
-                    axis=(1, 0, 0),
-                    damping=0.001,
-                    mimic=Mimic(joint="slide", multiplier=2.0, offset=0.1),
-                ),
-            ),
-            sites=(Site(name="handle", part="drawer", pos=(0.18, 0, 0.1)),),
-        )
+        ObjectSpec(name="cabinet", materials=materials, parts=parts, joints=joints, sites=sites)
     )
 
 
@@ -218,32 +167,12 @@ def lamp():
         ),
         sectors=8,
     )
-    make = lambda name, shape, z: GeomSpec(name=name, shape=shape, pos=(0, 0, z), material="wood")
-    pole = GeomSpec(
-        name="pole", shape=Box(size=(0.02, 0.02, 0.2)), pos=(-0.035, 0, 0.14), material="wood"
-    )
-    spec = ObjectSpec(
-        name="lamp",
-        materials=(WOOD,),
-        parts=(
-            PartSpec(name="foot", geoms=(make("foot", drilled, 0.02), pole)),
-            PartSpec(name="head", geoms=(make("head", Box(size=(0.06, 0.04, 0.03)), 0.27),)),
-        ),
-        joints=(
-            JointSpec(
-                name="neck",
-                type="ball",
-                parent="foot",
-                child="head",
-                pos=(-0.035, 0, 0.25),
-                upper=0.9,
-                damping=0.002,
-                friction=0.001,
-                stiffness=0.02,
-                armature=1e-5,
-            ),
-        ),
-    )
+    pole = geom("pole", Box(size=(0.02, 0.02, 0.2)), (-0.035, 0, 0.14))
+    foot = part("foot", geom("foot", drilled, (0, 0, 0.02)), pole)
+    head = part("head", geom("head", Box(size=(0.06, 0.04, 0.03)), (0, 0, 0.27)))
+    turns = {"upper": 0.9, "damping": 0.002, "friction": 0.001, "stiffness": 0.02}
+    neck = joint("neck", "ball", "foot", "head", (-0.035, 0, 0.25), armature=1e-5, **turns)
+    spec = ObjectSpec(name="lamp", materials=(WOOD,), parts=(foot, head), joints=(neck,))
     state = {"neck.x": 0.2, "neck.y": 0.3, "neck.z": -0.1}
     return on_table((recentred(spec), (0, 0), 0.3, {"joint_state": state}), name="lit")
 

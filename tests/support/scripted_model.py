@@ -1,4 +1,4 @@
-"""A model whose answers are written beforehand, for tests of the steps that ask models."""
+"""A model with given answers, for tests of the steps that send requests."""
 
 import json
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from neoworld_mjx.mllm.requests import Reply
 
 
 class ScriptedModel:
-    """Gives its answers in order and keeps the requests; raises those that are exceptions.
+    """Gives its answers in order, raising exceptions among them, and records the requests.
 
     It is a `Model` by itself, and a `Provider` for a panel.
 

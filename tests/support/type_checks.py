@@ -1,6 +1,116 @@
-"""The type checker that jaxtyping runs annotations with in tests (`--jaxtyping-packages`)."""
+"""Annotations of our packages, checked at every call in tests: beartype for types, jaxtyping for
+shapes.
+
+jaxtyping's own hook (`--jaxtyping-packages`) checks each call twice and builds the checks of every
+function at import, which was half of the time of the suite. Here a function's checks are built at
+its first call, and only functions with shapes get jaxtyping's scope of named axes.
+"""
+
+import ast
+import dataclasses
+import functools
+import importlib.machinery
+import inspect
+import sys
+import typing
+from collections.abc import Callable
+from typing import Any
 
 from beartype import BeartypeConf, beartype
+from jaxtyping import AbstractArray, jaxtyped
 
-checked = beartype(conf=BeartypeConf(is_pep484_tower=True))
-"""Beartype, with an int valid where a float is annotated, as type checkers have it."""
+PACKAGES = ("neoworld_mjx", "neoworld_kernels")
+SETTINGS = BeartypeConf(is_pep484_tower=True)
+"""An int is valid where a float is annotated, as type checkers have it."""
+
+
+def checked(item: Any) -> Any:
+    """Check a function's calls, or how a dataclass is built."""
+    if inspect.isclass(item):
+        if dataclasses.is_dataclass(item) and not hasattr(item.__init__, "__wrapped__"):
+            item.__init__ = checked(item.__init__)  # pyright: ignore[reportAttributeAccessIssue]
+        return item
+    if not item.__annotations__:
+        return item
+    checks: list[Callable[..., Any]] = []
+
+    @functools.wraps(item)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        __tracebackhide__ = True
+        if not checks:
+            checks.append(_with_checks(item))
+        return checks[0](*args, **kwargs)
+
+    return call
+
+
+def _with_checks(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Build the checks of a function; a name that only type checkers import is not checked."""
+    written = function.__annotations__
+    hints = {name: _resolved(hint, function) for name, hint in written.items()}
+    try:
+        function.__annotations__ = hints
+        typed = beartype(conf=SETTINGS)(function)
+    finally:
+        function.__annotations__ = written
+    return jaxtyped(typed, typechecker=None) if any(map(_has_shape, hints.values())) else typed
+
+
+def _resolved(hint: Any, function: Callable[..., Any]) -> Any:
+    holder = type("holder", (), {"__annotations__": {"hint": hint}})
+    try:
+        return typing.get_type_hints(holder, function.__globals__, {}, include_extras=True)["hint"]
+    except NameError:
+        return Any
+
+
+def _has_shape(hint: Any) -> bool:
+    if inspect.isclass(hint) and issubclass(hint, AbstractArray):
+        return True
+    return any(map(_has_shape, typing.get_args(hint)))
+
+
+class _Decorate(ast.NodeTransformer):
+    def visit_ClassDef(self, node: ast.ClassDef) -> ast.AST:
+        # Outermost, after `@dataclass`.
+        return self._decorated(node, 0)
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
+        # Innermost, before `@property` and `@jax.jit`.
+        return self._decorated(node, len(node.decorator_list))
+
+    def _decorated(self, node: Any, at: int) -> ast.AST:
+        if any(ast.unparse(one).endswith("no_type_check") for one in node.decorator_list):
+            return node
+        name = ast.copy_location(ast.Name("__checked__", ast.Load()), node)
+        node.decorator_list.insert(at, name)
+        return self.generic_visit(node)
+
+
+class _Loader(importlib.machinery.SourceFileLoader):
+    def get_code(self, fullname: str) -> Any:
+        path = self.get_filename(fullname)
+        tree = _Decorate().visit(ast.parse(self.get_data(path), path))
+        return compile(tree, path, "exec", dont_inherit=True)
+
+    def exec_module(self, module: Any) -> None:
+        module.__checked__ = checked
+        super().exec_module(module)
+
+
+class _Finder:
+    @staticmethod
+    def find_spec(name: str, path: Any = None, target: Any = None) -> Any:
+        if name.partition(".")[0] not in PACKAGES:
+            return None
+        spec = importlib.machinery.PathFinder.find_spec(name, path, target)
+        if spec is not None and isinstance(spec.loader, importlib.machinery.SourceFileLoader):
+            spec.loader = _Loader(spec.loader.name, spec.loader.path)
+        return spec
+
+
+def check_annotations() -> None:
+    """Check what is imported of our packages from here on."""
+    early = sorted(name for name in sys.modules if name.partition(".")[0] in PACKAGES)
+    assert not early, f"imported before their annotations could be checked: {early}"
+    sys.meta_path.insert(0, _Finder)  # pyright: ignore[reportArgumentType]

@@ -1,4 +1,4 @@
-"""Vessels: what is hollow in life is hollow in the colliders, and a ball dropped in stays in."""
+"""Vessels, whose colliders must be hollow: a ball that is dropped into one stays in it."""
 
 from typing import NamedTuple
 
@@ -83,7 +83,7 @@ VESSELS: dict[str, str] = {
         "p.add(difference(cylinder(0.05, 0.07), sphere(0.04).moved((0, 0, 0.035))), by='bottom')\n"
     ),
 }
-"""Programs' bodies, each of one part that a ball can fall into."""
+"""Bodies of programs, each of one part that a ball can fall into."""
 BALL_M = 0.012
 INNER_M = {
     **dict.fromkeys(["ring_vase", "tube", "thin_tube"], 0.036),
@@ -93,17 +93,17 @@ INNER_M = {
     "cross_of_pipes": 0.09,
     **dict.fromkeys(["bored_block", "mortar"], 0.04),
 }
-"""Half width of cavities in what is wider than they are."""
+"""Half width of cavities that are narrower than their vessel."""
 
 
 class Held(NamedTuple):
-    """One vessel: its volumes, and what became of the ball."""
+    """Measures of one vessel, and the outcome of dropping a ball into it."""
 
     name: str
     pieces: int
     colliders_cm3: float
     solid_cm3: float
-    """Of the shapes as they are drawn; where two of them overlap, both count, as above."""
+    """Volume of the shapes; where two overlap, both count, as for the colliders."""
     holds: bool
     """Whether the ball, dropped from above, lies in the cavity after 1.5 s."""
 
@@ -116,9 +116,9 @@ class Held(NamedTuple):
 def vessel(name: str) -> ObjectSpec:
     """Build one of `VESSELS`."""
     # Run-time type checks of the tests slow the SDK down.
-    made = run(_HEAD + VESSELS[name], ProgramOptions(timeout_s=10.0))
-    assert made.spec is not None, made.signals
-    return made.spec
+    built = run(_HEAD + VESSELS[name], ProgramOptions(timeout_s=10.0))
+    assert built.spec is not None, built.signals
+    return built.spec
 
 
 def held(name: str) -> Held:
@@ -142,7 +142,7 @@ def _holds(name: str, spec: ObjectSpec) -> bool:
     ball = model.worldbody.add_body(name="ball", pos=start)
     ball.add_freejoint()
     hard = ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[BALL_M, 0, 0])
-    # At MuJoCo's default softness a ball at 1 m/s sinks in deeper than such walls are thick.
+    # In MuJoCo's default soft contacts a ball at 1 m/s would pass through such thin walls.
     hard.solref, hard.priority = [0.002, 1.0], 1
     ball.mass, ball.explicitinertial = 0.01, True
     ball.inertia = [0.4 * 0.01 * BALL_M**2] * 3

@@ -3,11 +3,11 @@ import jax
 import numpy as np
 import pytest
 
+from neoworld_mjx.compilations import compilations
 from neoworld_mjx.config import RefineOptions, list_options, option_values
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.refinement.cem import open_cem
 from neoworld_mjx.refinement.objective import open_objective
-from neoworld_mjx.sweeps.compiles import compilations
 from neoworld_mjx.sweeps.grouping import STATIC, TRACED, grouped, reasons
 from tests.support import scenes
 
@@ -67,12 +67,12 @@ def test_other_values_of_traced_options_compile_nothing():
 
 
 def test_weights_of_terms_are_traced_and_their_names_are_not():
-    one, two, three = (
+    first, second, three = (
         put("reward.terms", terms) for terms in ({"math:ceil": 1}, {"math:ceil": 2}, {})
     )
-    assert jax.tree.structure(traced(one)) == jax.tree.structure(traced(two))
-    assert float(traced(two)[0].terms[-1].weight) == 2
-    assert [group.members for group in grouped([one, two, three])] == [(0, 1), (2,)]
+    assert jax.tree.structure(traced(first)) == jax.tree.structure(traced(second))
+    assert float(traced(second)[0].terms[-1].weight) == 2
+    assert [group.members for group in grouped([first, second, three])] == [(0, 1), (2,)]
 
 
 OTHERS = {
@@ -87,6 +87,8 @@ OTHERS = {
     "rollout.engine": "native",
     "rollout.early_stop": False,
     "cem.prune": False,
+    "cem.stop_by": "elites",
+    "cem.keep_sound": False,
 }
 """Of options without a number to change a little."""
 

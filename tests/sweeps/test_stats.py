@@ -9,9 +9,9 @@ from neoworld_mjx.sweeps.stats import mean, rate, rate_difference
 
 @pytest.mark.parametrize(("hits", "n"), [(0, 5), (3, 7), (20, 20), (99, 100)])
 def test_a_rate_is_wilsons(hits, n):
-    found = rate([True] * hits + [False] * (n - hits))
+    result = rate([True] * hits + [False] * (n - hits))
     truth = known.binomtest(hits, n).proportion_ci(method="wilson")
-    assert found == pytest.approx((hits / n, truth.low, truth.high, n))
+    assert result == pytest.approx((hits / n, truth.low, truth.high, n))
 
 
 def test_a_mean_is_students():
@@ -29,8 +29,8 @@ def test_paired_rates_cover_the_truth():
         first = rng.random(60) < 0.7
         # A pair's second outcome is the first one's, but for a tenth that get worse.
         second = first & (rng.random(60) > truth / 0.7)
-        found = rate_difference(second.tolist(), first.tolist())
-        inside += found.low <= -truth <= found.high
+        result = rate_difference(second.tolist(), first.tolist())
+        inside += result.low <= -truth <= result.high
     assert 0.92 <= inside / 500 <= 0.99
     agreed = rate_difference([True] * 10, [True] * 10)
     assert agreed.mean == 0 and agreed.low < 0 < agreed.high

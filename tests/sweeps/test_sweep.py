@@ -16,7 +16,7 @@ BASE = {
     "refine": {
         "cem": {"population": 8, "first": 0, "iterations": 2, "elite_ratio": 0.25},
         "descent": {"warm_steps": 0, "project": "never"},
-        "rollout": {"engine": "native", "duration_s": 0.2, "samples_per_object": 16},
+        "rollout": {"engine": "native", "duration_s": 0.2, "samples_per_object": 64},
         "check_duration_s": 0.2,
         "finalists": 2,
     }
@@ -36,13 +36,13 @@ def plan(seeds=(0, 1), **axes):
 @pytest.fixture(scope="module", autouse=True)
 def _compiled_once():
     """Most of the time of a small sweep is compiling its scene, which these tests share."""
-    kept, made = run.compile_for_search, {}
+    remaining, built = run.compile_for_search, {}
 
     def compiled(scene, o):
         key = (scene.model_dump_json(), o.cem.sigma_xy, o.rollout.timestep_s)
-        if key not in made:
-            made[key] = kept(scene, o)
-        return made[key]
+        if key not in built:
+            built[key] = remaining(scene, o)
+        return built[key]
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "compile_for_search", compiled)
@@ -65,15 +65,15 @@ def test_the_public_name_is_a_function():
 
 
 def test_a_row_is_a_run(swept):
-    out, found = swept
+    out, result = swept
     rows = read_parquet(out / "results.parquet")
     assert [(row[DRIFT], row[SIGMA], row["seed"]) for row in rows] == [
         (w, s, k) for w in (1.0, 2.0) for s in (5.0, 10.0) for k in (0, 1)
     ]
     assert list(rows[0]) == ["scene", "point", "seed", DRIFT, SIGMA, *COLUMNS]
     assert len({row["fingerprint"] for row in rows}) == 8
-    for row, mine in zip(rows, found.rows, strict=True):
-        assert {name: mine.get(name) for name in row} == row
+    for row, own in zip(rows, result.rows, strict=True):
+        assert {name: own.get(name) for name in row} == row
         assert row["rollouts"] == 16
         assert row["xy_error_m"] is None
         assert np.isfinite(
@@ -82,13 +82,13 @@ def test_a_row_is_a_run(swept):
 
 
 def test_the_table_sums_points_up(swept):
-    out, found = swept
+    out, result = swept
     text = (out / "table.md").read_text()
     assert text.count("\n| reward.w_drift ") == 4
-    point = found.points[0]
-    mine = [row for row in found.rows if row["point"] == point["point"]]
+    point = result.points[0]
+    own = [row for row in result.rows if row["point"] == point["point"]]
     assert point["n"] == 2
-    assert point["reward"]["mean"] == pytest.approx(np.mean([row["reward"] for row in mine]))
+    assert point["reward"]["mean"] == pytest.approx(np.mean([row["reward"] for row in own]))
     assert 0 <= point["passed"]["low"] <= point["passed"]["mean"] <= point["passed"]["high"] <= 1
     about = json.loads((out / "sweep.json").read_text())
     assert about["finished"]
@@ -102,7 +102,7 @@ def test_a_sweep_is_not_lost(swept, tmp_path):
     before = (out / "results.parquet").read_bytes()
     with pytest.raises(RunError, match="holds a sweep: go on with --resume, begin anew"):
         sweep(plan(drift=[1]), out, cases=[SCENE])
-    with pytest.raises(RunError, match=r"has 4 rows that are not asked for now.*--overwrite"):
+    with pytest.raises(RunError, match=r"has 4 rows that this plan does not contain.*--overwrite"):
         sweep(plan(drift=[1], sigma=[5, 10]), out, cases=[SCENE], resume=True)
     with pytest.raises(RunError, match="holds another kind of run, sweep"):
         variants = {"free": {DRIFT: 0}}
@@ -125,36 +125,40 @@ class Failing(NativeEngine):
 
 
 def test_what_is_done_stays_and_is_not_done_again(tmp_path, monkeypatch):
-    asked = plan(seeds=[0], static=[0.2, 0.3])
+    requests = plan(seeds=[0], static=[0.2, 0.3])
     with pytest.raises(KeyboardInterrupt):
-        sweep(asked, tmp_path, cases=[SCENE], engine=Failing())
+        sweep(requests, tmp_path, cases=[SCENE], engine=Failing())
     (row,) = read_parquet(tmp_path / "results.parquet")
     assert row["refine.rollout.duration_s"] == 0.2
     about = json.loads((tmp_path / "sweep.json").read_text())
     assert (about["finished"], len(about["groups"])) == (False, 1)
-    done = []
-    kept = run.search
+    completed = []
+    remaining = run.search
     monkeypatch.setattr(
-        run, "search", lambda m, r, e, **o: done.append(len(r)) or kept(m, r, e, **o)
+        run, "search", lambda m, r, e, **o: completed.append(len(r)) or remaining(m, r, e, **o)
     )
-    found = sweep(asked, tmp_path, cases=[SCENE], engine=NativeEngine(), resume=True)
-    assert done == [1]
-    assert len(found.about["groups"]) == 2
-    assert found.about["static"][0].startswith("refine.rollout.duration_s = 0.2, 0.3 (all cand")
-    assert without_times(found.rows)[0] == without_times([row])[0]
+    result = sweep(requests, tmp_path, cases=[SCENE], engine=NativeEngine(), resume=True)
+    assert completed == [1]
+    assert len(result.about["groups"]) == 2
+    assert result.about["static"][0].startswith("refine.rollout.duration_s = 0.2, 0.3 (all cand")
+    assert result.rows[0]["history"]
+    assert (
+        without_times(result.rows)[0]
+        == without_times([row | {"history": result.rows[0]["history"]}])[0]
+    )
     # Other options are other runs, whatever their labels.
-    other = asked | {"base": {"refine": BASE["refine"] | {"finalists": 3}}}
+    other = requests | {"base": {"refine": BASE["refine"] | {"finalists": 3}}}
     sweep(other, tmp_path, cases=[SCENE], engine=NativeEngine(), resume=True)
-    assert done == [1, 1, 1]
+    assert completed == [1, 1, 1]
 
 
 def test_an_ablation_tells_differences(tmp_path):
     variants = {"not pruned": {"refine.cem.prune": False}, "elsewhere": {SIGMA: 60}}
-    asked = {"base": BASE, "seeds": [0, 1], "variants": variants}
-    found = ablate(asked, tmp_path / "a", cases=[SCENE])
+    requests = {"base": BASE, "seeds": [0, 1], "variants": variants}
+    result = ablate(requests, tmp_path / "a", cases=[SCENE])
     rows = read_parquet(tmp_path / "a" / "results.parquet")
     assert [row["variant"] for row in rows[::2]] == ["base", "not pruned", "elsewhere"]
-    same, other = found.differences
+    same, other = result.differences
     assert (same["point"], same["n"]) == ("not pruned", 2)
     assert same["reward"]["mean"] == 0
     assert other["reward"]["mean"] == pytest.approx(
@@ -163,7 +167,7 @@ def test_an_ablation_tells_differences(tmp_path):
     assert other["reward"]["mean"] != 0
     assert "## Differences from the base" in (tmp_path / "a" / "table.md").read_text()
     # As one computation it comes to the same.
-    folded = ablate(asked | {"fold": True}, cases=[SCENE])
+    folded = ablate(requests | {"fold": True}, cases=[SCENE])
     for a, b in zip(folded.rows, rows, strict=True):
         assert a["iterations"] == b["iterations"]
         assert (a["reward"], a["mean_log_scale"]) == (b["reward"], b["mean_log_scale"])
@@ -183,9 +187,9 @@ def test_the_commands(tmp_path, capfd):
     path = tmp_path / "plan.yaml"
     path.write_text(yaml.safe_dump(plan(seeds=[0], drift=[1]) | {"scenes": ["crowded:2"]}))
     assert command(SweepCommand(plan=path, out=tmp_path / "out", json=True)) == 0
-    told = json.loads(capfd.readouterr().out)
-    assert (told["runs"], told["points"][0]["n"]) == (1, 1)
-    assert told["points"][0]["reward_low"] is None  # one run has no interval
+    reported = json.loads(capfd.readouterr().out)
+    assert (reported["runs"], reported["points"][0]["n"]) == (1, 1)
+    assert reported["points"][0]["reward_low"] is None  # one run has no interval
     assert command(SweepCommand(plan=path, out=tmp_path / "out", json=True)) == 2
     assert "--resume" in json.loads(capfd.readouterr().out)["error"]
     assert command(AblateCommand(plan=path, out=tmp_path / "b", json=True)) == 2

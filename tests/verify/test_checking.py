@@ -30,8 +30,8 @@ def checked(capfd):
     def run(*words):
         with pytest.raises(SystemExit) as ended:
             cli.main(["check", *map(str, words), "--json"])
-        said = capfd.readouterr()
-        return ended.value.code, json.loads(said.out), said.err
+        message = capfd.readouterr()
+        return ended.value.code, json.loads(message.out), message.err
 
     return run
 
@@ -47,6 +47,7 @@ MESH = (
     '<robot name="r"><link name="a"><visual><geometry><mesh filename="{}"/></geometry></visual>'
     "</link></robot>"
 )
+BODY = 'def Cube "{}" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI"]) {{}}\n'
 BROKEN = {
     "truncated.urdf": ('<robot name="r"><link name="a">', "is not whole XML"),
     "truncated.xml": ('<mujoco><worldbody><body name="a"', "is not whole XML"),
@@ -123,7 +124,7 @@ BROKEN = {
     "many.xml": (
         '<mujoco><worldbody><replicate count="100000000"><body><geom size="1"/></body></replicate>'
         "</worldbody></mujoco>",
-        "at most 1000 are read",
+        "repeats to more than",
     ),
     "memory.xml": (
         '<mujoco><size nuser_geom="2000000000"/><worldbody><body><geom size="1"/></body>'
@@ -141,15 +142,46 @@ BROKEN = {
         "follows itself through other joints",
     ),
     "bad_mesh.urdf": (MESH.format("in.obj"), "holds no triangles"),
-    "scene.usda": ("#usda 1.0", "USD is not read yet"),
+    "empty.usda": ("#usda 1.0", "holds nothing that could collide"),
+    "cut.usda": ('#usda 1.0\ndef Xform "a" {', "is no whole USD"),
+    "text.usdc": ("hello", "is no whole USD"),
+    "away.usda": (
+        '#usda 1.0\ndef Xform "a" (references = @../secret.usda@) {}',
+        "lies outside its folder",
+    ),
+    "far.usda": (
+        '#usda 1.0\n(subLayers = [@/etc/passwd@])',
+        "lies outside its folder",
+    ),
+    "payload.usda": (
+        '#usda 1.0\ndef Xform "a" (\nvariants = { string v = "x" }\nprepend variantSets = "v"\n) {'
+        '\nvariantSet "v" = {\n"x" (payload = @../secret.usda@) {\n}\n}\n}\n',
+        "lies outside its folder",
+    ),
+    "missing.usda": ('#usda 1.0\n(subLayers = [@./no.usda@])', "there is no such file"),
+    "net.usda": ('#usda 1.0\n(subLayers = [@http://x/a.usda@])', "no file of its folder"),
+    "faces.usda": (
+        '#usda 1.0\ndef Mesh "m" {\nint[] faceVertexCounts = [3]\n'
+        "int[] faceVertexIndices = [0, 1, 9]\n"
+        "point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]\n}\n",
+        "names a corner that is not there",
+    ),
+    "slides.usda": (
+        "#usda 1.0\n" + BODY.format("a") + BODY.format("b")
+        + 'def PhysicsPrismaticJoint "j" {\nrel physics:body0 = </a>\n'
+        "rel physics:body1 = </b>\n}\n",
+        "slides and states no limits",
+    ),
+    "robot.xacro": ('<robot name="r" xmlns:xacro="x"><xacro:macro name="m"/></robot>', "xacro"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_broken_file_exits_2_with_one_message(checked, tmp_path, name):
-    text, said = BROKEN[name]
+    text, message = BROKEN[name]
     (tmp_path / "secret.obj").write_text(CUBE)
     (tmp_path / "secret.xml").write_text("<mujoco/>")
+    (tmp_path / "secret.usda").write_text("#usda 1.0")
     home = tmp_path / "in"
     home.mkdir()
     (home / "in.obj").write_text("hello")
@@ -158,7 +190,7 @@ def test_a_broken_file_exits_2_with_one_message(checked, tmp_path, name):
     assert code == 2
     assert list(answer) == ["error"]
     assert name in answer["error"]
-    assert said.lower() in answer["error"].lower()
+    assert message.lower() in answer["error"].lower()
     assert err.count("error:") == 1
     assert "Traceback" not in err
     assert "\n" not in answer["error"]

@@ -1,6 +1,9 @@
 """The critic sees labelled strips; the reasoner's edits are kept only where they help."""
 
+import io
+
 import pytest
+from PIL import Image
 
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import MissingAnswerError, ModelError
@@ -14,6 +17,7 @@ from neoworld_mjx.verify.critic import (
     key_frames_request,
     with_models,
 )
+from neoworld_mjx.verify.films import films
 from neoworld_mjx.verify.key_frames import questionable, strips
 from neoworld_mjx.verify.verdict import Fault, Limit, judged
 from tests.support import furniture as objects
@@ -53,13 +57,13 @@ def edited_by(*answers):
 
 def test_strips_show_failed_checks_with_labels():
     battery = battery_of(BAD)
-    found = strips(battery)
-    assert 1 <= len(found) <= 3
-    assert found[0].label == "joint_range depth:hinge"
-    assert found[0].size == (880, 216)
+    result = strips(battery)
+    assert 1 <= len(result) <= 3
+    assert result[0].label == "joint_range depth:hinge"
+    assert result[0].size == (880, 216)
     # The same object gives the same key on every machine; another one gives another.
-    assert found[0].pixels == strips(Battery(BAD))[0].pixels
-    assert found[0].pixels != strips(battery_of(objects.cupboard(lower=-0.5)))[0].pixels
+    assert result[0].pixels == strips(Battery(BAD))[0].pixels
+    assert result[0].pixels != strips(battery_of(objects.cupboard(lower=-0.5)))[0].pixels
 
 
 def test_a_sound_object_has_no_strips():
@@ -74,10 +78,10 @@ def test_requests_state_numbers_and_editable_fields():
     request = key_frames_request(battery)
     assert request.role == "critic"
     assert "FAIL joint_range depth:hinge" in request.prompt
-    asked = edit_request(battery, FOUND)
-    assert asked.role == "reasoner"
-    assert "swings in" in asked.prompt
-    assert "joint hinge: revolute, door on carcass" in asked.prompt
+    requests = edit_request(battery, FOUND)
+    assert requests.role == "reasoner"
+    assert "swings in" in requests.prompt
+    assert "joint hinge: revolute, door on carcass" in requests.prompt
 
 
 def only_just():
@@ -114,8 +118,8 @@ def test_a_value_just_within_its_threshold_is_doubtful_and_shown():
     ],
 )
 def test_a_value_is_doubtful_near_its_threshold(value, limit, doubt):
-    found = judged("static", "x", value, Limit(unit="m", fault=Fault.PARTS_OVERLAP, **limit))
-    assert found.doubtful is doubt
+    result = judged("static", "x", value, Limit(unit="m", fault=Fault.PARTS_OVERLAP, **limit))
+    assert result.doubtful is doubt
 
 
 def test_a_doubtful_object_is_shown_and_not_edited():
@@ -128,6 +132,49 @@ def test_a_doubtful_object_is_shown_and_not_edited():
     script = ScriptedModel()
     verify_and_repair(objects.cupboard(), models=Panel(script))
     assert script.requests == []  # Nothing in doubt: nobody is asked.
+
+
+def test_always_shows_what_passes_in_the_standard_scenarios():
+    options = VerifyOptions(critic="always")
+    script = ScriptedModel(MotionCritique(verdict="sound"))
+    result = verify_and_repair(objects.cupboard(), options, models=Panel(script))
+    assert result.verdict.passed
+    labels = [picture.label for picture in script.requests[0].pictures]
+    assert labels == ["free fall", "force perturbation"]
+    slab = objects.cupboard().model_copy(
+        update={"parts": objects.cupboard().parts[:1], "joints": ()}
+    )
+    script = ScriptedModel()
+    verify_and_repair(slab, options, fixed_base=True, models=Panel(script))
+    assert script.requests == []  # A support is in no scenario.
+
+
+def test_what_a_tape_lacks_is_an_error_only_where_it_must_be_there():
+    lacking = lambda: Panel(ScriptedModel(MissingAnswerError("no answer for simulation")))
+    result = verify_and_repair(only_just(), models=lacking())
+    assert result.seen == () and "the tape does not hold the answer" in result.tried[-1]
+    with pytest.raises(MissingAnswerError):
+        verify_and_repair(only_just(), VerifyOptions(critic="always"), models=lacking())
+
+
+def test_a_cached_result_is_taken_where_nothing_is_in_doubt(tmp_path, monkeypatch):
+    monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path))
+    first = verify_and_repair(objects.cupboard())
+    monkeypatch.setattr(verification, "Battery", None)
+    assert verify_and_repair(objects.cupboard(), models=Panel(ScriptedModel())) == first
+
+
+def test_films_show_the_two_standard_scenarios():
+    films_of = films(battery_of(objects.cupboard()))
+    assert list(films_of) == ["free_fall", "force_perturbation"]
+    for data in films_of.values():
+        with Image.open(io.BytesIO(data), formats=["GIF"]) as film:
+            assert film.n_frames >= 2 and film.size == (240, 200)
+            moved = film.convert("RGB").tobytes()
+            film.seek(film.n_frames - 1)
+            assert film.convert("RGB").tobytes() != moved
+    # What is fixed is filmed while it is driven; what has no joint then does nothing.
+    assert list(films(Battery(objects.cupboard(), fixed_base=True))) == ["joint_drive"]
 
 
 def test_a_critique_changes_no_outcome():
@@ -175,8 +222,6 @@ def test_a_failing_model_costs_the_edit_not_the_run():
     repaired, critiques, _ = edited_by(ModelError("gone"))
     assert critiques == []
     assert "was not answered: gone" in repaired.tried[0]
-    with pytest.raises(MissingAnswerError):
-        edited_by(MissingAnswerError("the tape has none"))
 
 
 def test_direct_repairs_come_before_models():

@@ -11,7 +11,7 @@ from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.spec.kinematics import with_joint
 from neoworld_mjx.verify.joint_checks import check_joints
 from tests.support.furniture import chest
-from tests.support.sound import made
+from tests.support.valid_objects import valid_object
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "objects").glob("*.py"))
 DEPTH = ProgramOptions().max_depth_m
@@ -49,7 +49,7 @@ def test_examples_pass_both(path):
 @pytest.mark.parametrize("family", ["cabinet", "chest", "box", "lever", "oven", "button"])
 @pytest.mark.parametrize("share", [0.0, -0.004, -0.3])
 def test_generated_objects_with_limits_past_rest_are_judged_alike(family, share):
-    spec = made(family, 1)
+    spec = valid_object(family, 1)
     joint = spec.joints[0]
     spec = limited(spec, lower=joint.lower + share * (joint.upper - joint.lower))
     one, other = depth_of_step_2(spec), depth_of_step_3(spec)
@@ -67,7 +67,7 @@ def test_a_drawer_is_judged_alike_on_either_side_of_the_threshold(beyond):
 
 
 def test_a_pair_that_collides_in_two_joints_fails_both():
-    spec = made("chest", 1)
+    spec = valid_object("chest", 1)
     for joint in spec.joints:
         spec = with_joint(spec, joint.model_copy(update={"lower": -0.2}))
     failed = {c.joint for c in check_joints(spec, VerifyOptions()).checks if c.outcome == "FAIL"}
@@ -75,7 +75,7 @@ def test_a_pair_that_collides_in_two_joints_fails_both():
 
 
 def test_gaps_are_measured_at_rest_whatever_the_sweep_did():
-    spec = made("chest", 1)
+    spec = valid_object("chest", 1)
     pushed = limited(spec, lower=-0.2)
     gap = [
         next(c.value for c in check_joints(each, VerifyOptions()).checks if c.name[:4] == "gap:")

@@ -62,22 +62,22 @@ def test_no_patch_changes_tree_types_axes_or_pictures():
             "geoms": {"leaf": {"shrink": 0.9}, "back": {"shrink": 0.95}},
         }
     )
-    made, stale = apply(patch, spec)
+    built, stale = apply(patch, spec)
     assert stale == ()
-    assert seen(made) == seen(spec)
-    assert [p.name for p in made.parts] == [p.name for p in spec.parts]
-    for new, old in zip(made.joints, spec.joints, strict=True):
+    assert seen(built) == seen(spec)
+    assert [p.name for p in built.parts] == [p.name for p in spec.parts]
+    for new, old in zip(built.joints, spec.joints, strict=True):
         assert (new.type, new.axis, new.parent, new.child) == (
             old.type, old.axis, old.parent, old.child,
         )  # fmt: skip
-    assert made.part("door").mass == 3.0
+    assert built.part("door").mass == 3.0
     assert len(patch.changes()) == 8
 
 
 def test_what_is_gone_from_the_program_is_told_not_fatal():
     patch = Patch.model_validate({"joints": {"gone": {"damping": 1.0}}})
-    made, stale = apply(patch, objects.cupboard())
-    assert made == objects.cupboard()
+    built, stale = apply(patch, objects.cupboard())
+    assert built == objects.cupboard()
     assert stale == ("joint gone",)
 
 
@@ -88,9 +88,9 @@ def test_edits_that_contradict_each_other_are_refused():
 
 
 def test_patches_join_and_survive_json():
-    one = Patch.model_validate({"parts": {"door": {"shift": (0.1, 0, 0)}}})
-    two = Patch.model_validate({"parts": {"door": {"shift": (0.2, 0, 0), "mass": "derived"}}})
-    both = one.joined(two)
+    first = Patch.model_validate({"parts": {"door": {"shift": (0.1, 0, 0)}}})
+    second = Patch.model_validate({"parts": {"door": {"shift": (0.2, 0, 0), "mass": "derived"}}})
+    both = first.joined(second)
     assert both.parts["door"].shift == pytest.approx((0.3, 0, 0))
     assert Patch.model_validate_json(both.to_json()) == both
     assert "joints" not in json.loads(both.to_json())
@@ -107,12 +107,12 @@ def test_patches_join_and_survive_json():
     ],
 )
 def test_numbers_mend_what_numbers_can_tell(spec, fault):
-    made = repair(spec, Battery)
-    assert made.before.cause is fault
-    assert made.after.passed, made.tried
-    assert made.changes
-    assert seen(made.spec) == seen(spec)
-    assert apply(made.patch, spec)[0] == made.spec
+    built = repair(spec, Battery)
+    assert built.before.cause is fault
+    assert built.after.passed, built.tried
+    assert built.changes
+    assert seen(built.spec) == seen(spec)
+    assert apply(built.patch, spec)[0] == built.spec
 
 
 def test_an_authored_inertia_is_recomputed():
@@ -122,29 +122,29 @@ def test_an_authored_inertia_is_recomputed():
         p.model_copy(update={"mass": 2.0, "inertia": odd}) if p.name == "door" else p
         for p in spec.parts
     )
-    made = repair(spec.model_copy(update={"parts": parts}), Battery)
-    assert made.after.passed
-    assert made.patch.parts["door"].inertia == "derived"
+    built = repair(spec.model_copy(update={"parts": parts}), Battery)
+    assert built.after.passed
+    assert built.patch.parts["door"].inertia == "derived"
 
 
 def test_what_no_edit_can_mend_is_left_as_it_is():
     intent = {"opens": (1, 0, 0)}
     spec = objects.cupboard(axis=(0, 0, -1), intent=intent)
-    made = repair(spec, Battery, rounds=3)
-    assert made.before.cause is Fault.AXIS_REVERSED
-    assert not made.after.passed
-    assert made.after.score <= made.before.score
-    assert made.spec.joints[0].axis == spec.joints[0].axis
+    built = repair(spec, Battery, rounds=3)
+    assert built.before.cause is Fault.AXIS_REVERSED
+    assert not built.after.passed
+    assert built.after.score <= built.before.score
+    assert built.spec.joints[0].axis == spec.joints[0].axis
 
 
 def test_a_patch_that_does_not_help_is_dropped(monkeypatch):
     useless = Patch.model_validate({"joints": {"hinge": {"damping": 0.0}}})
     monkeypatch.setattr("neoworld_mjx.verify.repairs.proposals", lambda *_: iter([useless]))
     spec = objects.cupboard(damping=0.0, friction=0.0)
-    made = repair(spec, Battery, rounds=2)
-    assert made.patch.empty
-    assert made.after == made.before
-    assert made.tried
+    built = repair(spec, Battery, rounds=2)
+    assert built.patch.empty
+    assert built.after == built.before
+    assert built.tried
 
 
 def test_results_are_kept_by_content_and_version(tmp_path, monkeypatch):

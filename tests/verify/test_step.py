@@ -6,6 +6,7 @@ import math
 import pytest
 
 from neoworld_mjx.config import Config, VerifyOptions
+from neoworld_mjx.pipeline.pictures import Pictures
 from neoworld_mjx.pipeline.steps import StepContext, verify_objects
 from neoworld_mjx.program.allowance import Allowance
 from neoworld_mjx.run_folder import RunFolder
@@ -85,18 +86,19 @@ def stepped(tmp_path, spec, allowances=(), **more):
     }
     config = Config(verify=VerifyOptions(rounds=0))
     with RunFolder(tmp_path / "run", config) as run:
-        tree = SceneTree(camera=CAMERA, nodes=tuple(made for made, _ in things.values()))
+        tree = SceneTree(camera=CAMERA, nodes=tuple(built for built, _ in things.values()))
         (run.path / "tree.json").write_text(tree.to_json())
-        for name, (_, made) in things.items():
+        for name, (_, built) in things.items():
             home = run.path / "objects" / name
             home.mkdir(parents=True)
-            (home / "spec.json").write_text(made.to_json())
+            (home / "spec.json").write_text(built.to_json())
             granted = [one._asdict() for one in allowances] if name == "thing" else []
             (home / "program.json").write_text(json.dumps({"allowances": granted}))
-        verify_objects(StepContext(run, config, None, None))
-        told = [one for one in run.data["fallbacks"] if one["step"] == "verify/thing"]
+        with Pictures(run, config.render) as pictures:
+            verify_objects(StepContext(run, config, None, None, pictures))
+        reported = [one for one in run.data["fallbacks"] if one["step"] == "verify/thing"]
         verdict = json.loads((run.path / "objects" / "thing" / "verify.json").read_text())
-    return verdict, told
+    return verdict, reported
 
 
 def ran(verdict, scenario):
@@ -104,12 +106,12 @@ def ran(verdict, scenario):
 
 
 def test_an_overlap_that_the_program_asks_for_is_granted_and_told(tmp_path):
-    verdict, told = stepped(tmp_path / "plain", pot())
+    verdict, reported = stepped(tmp_path / "plain", pot())
     assert any(check["fault"] == "parts_overlap" for check in verdict["checks"])
-    assert told
-    verdict, told = stepped(tmp_path / "granted", pot(), [GRANT])
+    assert reported
+    verdict, reported = stepped(tmp_path / "granted", pot(), [GRANT])
     assert verdict["passed"], [c for c in verdict["checks"] if c["outcome"] == "FAIL"]
-    assert told == []
+    assert reported == []
     (check,) = [c for c in verdict["checks"] if c["name"] == "part_depth:pot:lid"]
     assert (check["outcome"], check["threshold"], check["doubtful"]) == ("PASS", 0.002, False)
     assert check["value"] == pytest.approx(0.0018, abs=1e-5)
@@ -133,9 +135,9 @@ def test_a_grant_belongs_to_what_is_kept():
 
 
 def test_what_lies_is_dropped_lying(tmp_path):
-    verdict, told = stepped(tmp_path, rod(), base_tilt=tilted(83))
+    verdict, reported = stepped(tmp_path, rod(), base_tilt=tilted(83))
     tilts = {c["name"]: c["value"] for c in verdict["checks"] if c["scenario"] == "free_fall"}
-    assert verdict["passed"], told
+    assert verdict["passed"], reported
     assert tilts["tilt"] < 1.0
     # Upright it would fall over.
     assert not Battery(rod()).verdict.passed
@@ -143,15 +145,17 @@ def test_what_lies_is_dropped_lying(tmp_path):
 
 @pytest.mark.parametrize("relation", ["in", "on"])
 def test_what_is_held_tilted_by_another_thing_is_not_dropped(tmp_path, relation):
-    verdict, told = stepped(tmp_path, rod(), base_tilt=tilted(25), parent="cup", relation=relation)
+    verdict, reported = stepped(
+        tmp_path, rod(), base_tilt=tilted(25), parent="cup", relation=relation
+    )
     assert ran(verdict, "free_fall") == {"rests"}
-    assert verdict["passed"], told
+    assert verdict["passed"], reported
 
 
 def test_what_is_tilted_on_level_ground_and_rests_on_no_side_falls_as_it_is_seen(tmp_path):
-    verdict, told = stepped(tmp_path, rod(), base_tilt=tilted(45))
+    verdict, reported = stepped(tmp_path, rod(), base_tilt=tilted(45))
     assert "fall" in ran(verdict, "free_fall")
     failed = {c["name"]: c["value"] for c in verdict["checks"] if c["outcome"] == "FAIL"}
     # It comes down from 45 degrees, where upright it would have to fall by 90.
     assert 40 < failed["tilt"] < 50
-    assert told
+    assert reported

@@ -13,8 +13,10 @@ from neoworld_mjx.refinement import outcome, pruning
 from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.verify import Verdict
 from neoworld_mjx.view import convergence
+from neoworld_mjx.view.changes import changes
 from neoworld_mjx.view.charts import Series, bars, line_chart, nice_ticks
 from neoworld_mjx.view.report import write_report
+from tests.support import scenes
 
 EVIL = '<script>alert("x")</script><img src=http://evil/a.png>'
 
@@ -31,9 +33,9 @@ def _scene():
         **{"name": "lid_hinge", "type": "revolute", "parent": "body", "child": "lid"},
         **{"axis": [0, 1, 0], "lower": 0.0, "upper": 1.5707963, "damping": 0.01},
     }
-    item = {"name": "jar", "parent": "table", "xy": [0.1, 0.02], "z": 0.0, "yaw": 0.1}
-    item |= {"scale_residual": [0.0, 0.1, -0.05], "spec": {"joints": [joint]}}
-    return {"objects": [item | {"joint_state": {"lid_hinge": 0.7853982}}]}
+    obj = {"name": "jar", "parent": "table", "xy": [0.1, 0.02], "z": 0.0, "yaw": 0.1}
+    obj |= {"scale_residual": [0.0, 0.1, -0.05], "spec": {"joints": [joint]}}
+    return {"objects": [obj | {"joint_state": {"lid_hinge": 0.7853982}}]}
 
 
 def _history(path, iterations=5, population=16, objects=3):
@@ -74,8 +76,8 @@ def finished(tmp_path):
             fell = {"name": "drift", "value": 0.0021, "threshold": 0.01, "unit": "m"}
             fell |= {"scenario": "free_fall", "outcome": "PASS"}
             pushed = {"scenario": "force_perturbation", "name": "energy", "outcome": "SKIP"}
-            found = {"object": "jar", "passed": True, "mass_kg": 0.3, "checks": [fell, pushed]}
-            verdict = Verdict.model_validate(found)
+            result = {"object": "jar", "passed": True, "mass_kg": 0.3, "checks": [fell, pushed]}
+            verdict = Verdict.model_validate(result)
             (stage / "objects" / "jar" / "verify.json").write_text(verdict.to_json())
         with run.step("compose", {}) as stage:
             assert stage is not None
@@ -90,6 +92,10 @@ def finished(tmp_path):
         run.record("metrics", max_tilt_deg=0.1, mean_log_scale=-0.01, objects=4, movable=3)
         run.record("metrics", depths_m={}, drift_m={"cup": 0.0004}, tilt_deg={"cup": 0.1})
         run.record("metrics", before=before)
+        ious = {"parsed": 0.9, "composed": 0.8, "refined": 0.85}
+        objects = {"cup": ious | {"parsed": None, "refined": 0.61}, "jar": ious}
+        worst = {"name": "cup", "value": 0.61}
+        run.record("metrics", box_iou=ious | {"worst": worst, "objects": objects})
         run.finish()
     return out
 
@@ -123,15 +129,16 @@ def test_a_whole_run_shows_its_numbers_pictures_and_verdicts(finished):
     page, words = _Page(html), _words(html)
     assert page.tags.count("img") >= 2
     assert page.tags.count("polyline") >= 6
-    for said in (
+    for message in (
         *("1 fallback was used", "refine : native — no GPU here", "0.40 mm", "limit 10 mm in 2 s"),
         *("free fall drift 2.10 mm 10.00 mm ✓ pass", "cup – saucer 4.00 0.00 ✓ pass", "stable"),
         "force perturbation energy skipped",
         "cup 50.00 0.40 0.10°",
+        "mean 0.90 0.80 0.85 cup 0.80 0.61 jar 0.90 0.80 0.85",
         *("lid_hinge revolute body → lid (0.00, 1.00, 0.00) 0 to 90 ° 45 °", "a saucer"),
         *("refine.cem.population 16 256", "+0 / +10 / -5", "3 movable objects of 4"),
     ):
-        assert said in words, said
+        assert message in words, message
 
 
 def test_the_page_loads_nothing_from_the_network(finished):
@@ -165,9 +172,19 @@ def test_allowed_overlaps_are_listed_with_their_reason(finished):
     assert "0.004" in page
 
 
+def test_objects_of_the_composed_scene_that_fall_are_named_at_the_head(finished):
+    assert "not stay" not in _words(write_report(finished).read_text())
+    phrase = "frame falls 1.6 m: it is attached to wall, but not fastened there"
+    (finished / "compose").mkdir(exist_ok=True)
+    text = json.dumps({"unstable": [{"phrase": phrase}]})
+    (finished / "compose" / "check.json").write_text(text)
+    head = write_report(finished).read_text().partition("</header>")[0]
+    assert f"Before the search 1 object does not stay: {phrase}" in _words(head)
+
+
 def test_doubtful_checks_and_findings_of_the_critic_are_shown(finished):
     check = {"scenario": "static", "name": "part_depth:a:b", "outcome": "PASS", "value": 0.002}
-    told = {
+    reported = {
         "passed": True,
         "checks": [
             {**check, "evidence": "a and b, granted: a groove"},
@@ -175,7 +192,7 @@ def test_doubtful_checks_and_findings_of_the_critic_are_shown(finished):
         ],
         "seen": ["door: rattles"],
     }
-    (finished / "objects" / "jar" / "verify.json").write_text(json.dumps(told))
+    (finished / "objects" / "jar" / "verify.json").write_text(json.dumps(reported))
     page = write_report(finished).read_text()
     assert page.count("only just") == 1
     assert "a and b, granted: a groove" in page
@@ -311,3 +328,42 @@ def test_pruned_and_failed_candidates_are_counted_apart(tmp_path):
     first, second = [c for c in cells if c][-2:]
     assert first[3:5] == ["3", "0"] and first[6] == "0"
     assert second[3:5] == ["8", "2"] and second[6] == "1"
+
+
+def _change(name, place, scale=1.0, refused=""):
+    box = {"position": [0.5, 0.1, 0.0], "size": [0.1, 0.2, 0.3], "yaw": 0.5}
+    change = {"before": box, "after": box, "distance_m": place, "size_ratio": [scale] * 3}
+    change |= {"yaw_deg": 0.0, "hidden": [False, True, False, False], "refused": refused}
+    return {name: change}
+
+
+def test_the_report_tells_what_was_said_and_who_moved_it(tmp_path):
+    """The round that was kept counts; a step that is not done yet leaves its column empty."""
+    said = _change("cup", 0.0123, 0.95) | _change("jug", 0.0, refused="checks would report gap_m")
+    rounds = [
+        {"kept": False, "fit": {"objects": _change("cup", 0.9)}},
+        {"kept": True, "fit": {"objects": said}},
+    ]
+    (tmp_path / "parse.json").write_text(json.dumps({"rounds": rounds}))
+    table = changes(tmp_path)
+    assert "50.0, 10.0, 0.0" in table
+    assert "1.2 cm, -5.0 %, +0.0°" in table
+    assert "90.0 cm" not in table
+    assert "kept: the fit was refused" in table
+    (tmp_path / "compose").mkdir()
+    refit = {"objects": _change("cup", 0.0) | _change("jug", 0.02)}
+    (tmp_path / "compose" / "fit.json").write_text(json.dumps(refit))
+    before = scenes.coffee()
+    moved = [
+        obj.model_copy(update={"xy": (obj.xy[0] + 0.01, obj.xy[1]), "yaw": obj.yaw + 0.1})
+        if obj.name == "cup"
+        else obj
+        for obj in before.objects
+    ]
+    after = before.model_copy(update={"objects": tuple(moved)})
+    (tmp_path / "compose" / "scene.json").write_text(before.to_json())
+    (tmp_path / "scene.json").write_text(after.to_json())
+    table = changes(tmp_path)
+    assert "2.0 cm, +0.0 %, +0.0°" in table
+    assert "1.0 cm, +0.0 %, +5.7°" in table
+    assert ">top<" in table

@@ -1,0 +1,189 @@
+"""Objects written in a format and read again: how far is what comes back from what was written."""
+
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.random_objects import random_object
+from benchmarks.suites import RoundTrips
+from neoworld_mjx.config import ProgramOptions
+from neoworld_mjx.errors import NeoWorldError
+from neoworld_mjx.export import import_mjcf, import_urdf, import_usd
+from neoworld_mjx.export.formats import write_formats
+from neoworld_mjx.export.importing import Imported
+from neoworld_mjx.format_names import Format
+from neoworld_mjx.program import build
+from neoworld_mjx.spec import JointSpec, ObjectSpec, inertial, link_poses, part_bounds, recentred
+from neoworld_mjx.spec.pose import matrix
+from neoworld_mjx.templates import templates
+
+OBJECTS = Path(__file__).parents[1] / "examples" / "objects"
+READERS: dict[Format, tuple[str, Callable[[Path], Imported]]] = {
+    "mjcf": ("object.xml", import_mjcf),
+    "urdf": ("object.urdf", import_urdf),
+    "usd": ("object.usdc", import_usd),
+}
+BOUNDS: dict[str, float] = {
+    "pose_m": 1e-5, "axis": 1e-5, "limits": 1e-5, "mass": 1e-5, "inertia": 1e-4, "dynamics": 1e-5,
+    "mimic": 1e-5, "sites_m": 1e-5, "friction": 1e-4, "colour": 0.005,
+}  # fmt: skip
+"""Largest differences: of masses, inertias and dynamics over the greater of both."""
+LOST: dict[Format, frozenset[str]] = {
+    "mjcf": frozenset({"velocity"}),
+    "urdf": frozenset({"stiffness", "armature"}),
+    "usd": frozenset(),
+}
+"""Numbers of joints that a format has no place for, as `neoworld export` says."""
+DYNAMICS = ("damping", "friction", "stiffness", "armature", "effort", "velocity")
+
+
+def answer(o: RoundTrips) -> dict[str, Any]:
+    """Write and read objects in every format and compare."""
+    rows = {kind: {"format": kind, "objects": 0} | dict.fromkeys(BOUNDS, 0.0) for kind in READERS}
+    bounds_mm = dict.fromkeys(READERS, 0.0)
+    faults: list[str] = []
+    for spec in objects(o):
+        for kind in READERS:
+            rows[kind]["objects"] += 1
+            try:
+                differences = round_trip(spec, kind)
+            except NeoWorldError as error:
+                faults.append(f"{spec.name} {kind}: {error}")
+                continue
+            bounds_mm[kind] = max(bounds_mm[kind], 1e3 * differences.pop("extent_m"))
+            for name, value in differences.items():
+                rows[kind][name] = max(rows[kind][name], value)
+                if value > BOUNDS[name]:
+                    faults.append(f"{spec.name} {kind}: {name} {value:.3g}")
+    for kind in READERS:
+        rows[kind]["colliders_mm"] = bounds_mm[kind]
+    return {"passed": not faults, "rows": list(rows.values()), "faults": faults}
+
+
+def objects(o: RoundTrips) -> Iterator[ObjectSpec]:
+    """Yield the examples, templates, random trees and assets."""
+    options = ProgramOptions()
+    texts = [path.read_text() for path in sorted(OBJECTS.glob("*.py"))]
+    bundled = list(templates().values())
+    texts += [t.program(t.draw(o.seed)) for t in bundled[:: max(len(bundled) // o.templates, 1)]]
+    for text in texts[: len(list(OBJECTS.glob("*.py"))) + o.templates]:
+        built = build(text, options)
+        if built.spec is None:
+            raise ValueError(f"a program does not build: {built.signals}")
+        yield built.spec
+    for seed in range(o.random):
+        yield random_object(o.seed + seed)
+    if o.assets is not None:
+        for path in sorted(o.assets.glob("*/model.xml")):
+            yield import_mjcf(path).spec
+
+
+def round_trip(spec: ObjectSpec, kind: Format) -> dict[str, float]:
+    """Write an object in a format, read it again, and return the largest differences."""
+    file, read = READERS[kind]
+    with tempfile.TemporaryDirectory() as folder:
+        write_formats(spec, Path(folder), [kind])
+        return compare(recentred(spec), read(Path(folder) / file).spec, LOST[kind])
+
+
+def compare(own: ObjectSpec, back: ObjectSpec, lost: frozenset[str]) -> dict[str, float]:
+    """Return the largest differences between an object and what came back of it.
+
+    Places are relative to the root's centre of mass, as the middle of an object's box moves with
+    the facets of its round shapes; `extent_m` is by how much colliders' bounds differ.
+    """
+    names = {part.name: part.name for part in own.parts} | {own.root: back.root}
+    joints = {joint.name: joint for joint in back.joints}
+    result = dict.fromkeys([*BOUNDS, "extent_m"], 0.0)
+
+    def note(name: str, difference: float) -> None:
+        result[name] = max(result[name], float(difference))
+
+    root, other_root = (inertial(s, s.part(s.root)).pos for s in (own, back))
+    shift = np.array(other_root) - np.array(root)
+    for part in own.parts:
+        twin = back.part(names[part.name])
+        one, other = inertial(own, part), inertial(back, twin)
+        note("mass", abs(one.mass - other.mass) / one.mass)
+        tensors = [matrix(m.quat) @ np.diag(m.diagonal) @ matrix(m.quat).T for m in (one, other)]
+        note("inertia", np.abs(tensors[0] - tensors[1]).max() / np.abs(tensors[0]).max())
+        boxes = [np.array(part_bounds(s, p)) for s, p in ((own, part), (back, twin))]
+        note("extent_m", np.abs(boxes[0] + shift - boxes[1]).max())
+        for name, pick in (("friction", "collision"), ("colour", "visual")):
+            looks = [_materials(s, p, pick) for s, p in ((own, part), (back, twin))]
+            note(name, _apart(*looks))
+    for joint in own.joints:
+        if joint.type != "fixed":
+            _compare_joint(own, back, joint, joints[joint.name], lost, note)
+    rng = np.random.default_rng(0)
+    moving = [j for j in own.joints if j.mimic is None and j.type != "fixed"]
+    for _ in range(3):
+        state = {k: v for j in moving for k, v in _values(j, rng).items()}
+        moved, other_moved = link_poses(own, state), link_poses(back, state)
+        for part in own.parts:
+            # Three points tell a rotation besides.
+            for point in np.array(inertial(own, part).pos) + [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]]:
+                at = moved[part.name].apply(point)
+                read = other_moved[names[part.name]].apply(point + shift)
+                note("pose_m", np.abs(at + shift - read).max())
+    sites = {site.name: site for site in back.sites}
+    for site in own.sites:
+        twin_site = sites[site.name]
+        away = np.array(site.pos) + shift - twin_site.pos
+        note("sites_m", np.abs(away).max() if twin_site.part == names[site.part] else np.inf)
+    return result
+
+
+def _compare_joint(
+    own: ObjectSpec,
+    back: ObjectSpec,
+    joint: JointSpec,
+    read: JointSpec,
+    lost: frozenset[str],
+    note: Callable[[str, float], None],
+) -> None:
+    if read.type != joint.type:
+        note("limits", np.inf)
+        return
+    if joint.type != "ball":
+        note("axis", np.abs(np.array(joint.axis) - read.axis).max())
+    note("limits", max(abs(joint.lower - read.lower), abs(joint.upper - read.upper)))
+    for name in DYNAMICS:
+        one, other = getattr(joint, name), getattr(read, name)
+        if name in lost:
+            continue
+        if (one is None) != (other is None):
+            note("dynamics", np.inf)
+        elif one or other:
+            note("dynamics", abs(one - other) / max(abs(one), abs(other)))
+    if (joint.mimic is None) != (read.mimic is None):
+        note("mimic", np.inf)
+    elif joint.mimic is not None and read.mimic is not None:
+        note("mimic", 0.0 if joint.mimic.joint == read.mimic.joint else np.inf)
+        note("mimic", abs(joint.mimic.multiplier - read.mimic.multiplier))
+        note("mimic", abs(joint.mimic.offset - read.mimic.offset))
+
+
+def _values(joint: JointSpec, rng: np.random.Generator) -> dict[str, float]:
+    if joint.type == "ball":
+        return {f"{joint.name}.{axis}": rng.uniform(-0.5, 0.5) for axis in "xyz"}
+    low, high = (joint.lower, joint.upper) if joint.lower < joint.upper else (-1.0, 1.0)
+    return {joint.name: rng.uniform(low, high)}
+
+
+def _materials(spec: ObjectSpec, part: Any, role: str) -> list[list[float]]:
+    """Return the frictions of a part's colliders, or the colours of what is seen, each once."""
+    chosen = [spec.material(geom.material) for geom in part.geoms if geom.role in (role, "both")]
+    values = [[m.friction] if role == "collision" else list(m.rgba) for m in chosen]
+    return sorted({tuple(v): v for v in values}.values())
+
+
+def _apart(one: list[list[float]], other: list[list[float]]) -> float:
+    """Return how far each value of one list is from the nearest of the other, at most."""
+    if not one or not other:
+        return 0.0 if one == other else np.inf
+    gaps = np.abs(np.array(one)[:, None] - np.array(other)[None]).max(axis=2)
+    return float(max(gaps.min(axis=0).max(), gaps.min(axis=1).max()))

@@ -1,0 +1,37 @@
+"""Carry a test tube into a rack, the paper's demonstration of Section 4.4, and draw it.
+
+    python examples/test_tube.py test_tube.png
+
+Prints what came of the reference plan, of the same plan with the rack 2 cm off, and writes six
+moments of the first as a picture.
+"""
+
+import sys
+from pathlib import Path
+
+from PIL import Image
+
+from neoworld_mjx.bench.tasks import execute, find_task
+from neoworld_mjx.bench.tasks.picture_strip import picture_strip
+
+MOMENTS = (0.02, 1.4, 2.6, 4.2, 5.3, 7.9)
+
+
+def main(out: Path) -> None:
+    """Carry the tube, and draw it into a file."""
+    task = find_task("tube_into_rack")
+    print(task.instruction)
+    print("reference plan:", execute(task.scene, task.plan, task.predicate))
+    x, y = task.scene.object("tube_rack").xy
+    off = task.with_object("tube_rack", xy=(x + 0.02, y))
+    print("rack 2 cm off:", execute(off, task.plan, task.predicate))
+    strip = picture_strip(task, MOMENTS, azimuth_deg=50.0)
+    width = strip.width // 2
+    picture = Image.new("RGB", (width, 2 * strip.height))
+    picture.paste(strip.crop((0, 0, width, strip.height)), (0, 0))
+    picture.paste(strip.crop((width, 0, strip.width, strip.height)), (0, strip.height))
+    picture.save(out)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "test_tube.png"))

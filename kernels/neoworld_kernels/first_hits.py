@@ -1,0 +1,336 @@
+"""First hits of camera rays on convex pieces, for a population of poses: a z-buffer without pixels.
+
+Along a ray, the inverse of the depth at which it crosses a plane is linear in the ray's place in
+the picture. So a convex polytope is hit where the least of the planes that face the eye exceeds the
+greatest of the others, and its front is there; a quadric adds a square root. Rays come in blocks; a
+piece is compared with a block only if their boxes in the picture overlap for some candidate. What
+is near is known only at run time, so loops have as many turns as needed, and what is padded costs
+next to nothing.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from .convex_pieces import SPARE, Colliders, PieceGroup
+from .culled import ObjectPoses, dot, true_indices
+
+UNROLL = 4
+"""Planes that one pass over a block's rays looks at."""
+NEAREST = 1e5
+"""Inverse depth [1/m] from which the eye counts as inside a piece, which then hides nothing."""
+CLOSE = 1e-2
+"""Depth [m] within which a box is taken to fill the picture."""
+
+
+class Rays(NamedTuple):
+    """Rays in blocks: the ray through (x, y, 1) in the camera's frame, right, down and forward."""
+
+    x: Float[Array, "block ray pop"]
+    y: Float[Array, "block ray pop"]
+
+
+class ConvexRows(NamedTuple):
+    """Pieces of one family, as the loops take them."""
+
+    owner: Int[Array, " row"]
+    pos: Float[Array, "row 3"]
+    rot: Float[Array, "row 3 3"]
+    extent: Float[Array, "row 2 3"]
+    planes: Float[Array, "row face 4"]
+    weights: Float[Array, "row 3"]
+    """A quadric: the sum of weights times squared coordinates is at most 1; zero for polytopes."""
+    times: Float[Array, " row"]
+    """How often a row is repeated about its z axis."""
+    used: Bool[Array, " row"]
+
+
+def flat_rows(colliders: Colliders) -> ConvexRows:
+    """List the pieces that planes define: boxes, polytopes and repeated polytopes."""
+    box, groups = colliders.box, (colliders.polytope, colliders.sector)
+    most = max(6, *(g.planes.shape[1] for g in groups))
+    most += -most % UNROLL
+    spare = np.array([0.0, 0.0, 0.0, SPARE], np.float32)
+    fill = lambda planes: jnp.concatenate(
+        [planes, jnp.broadcast_to(spare, (len(planes), most - planes.shape[1], 4))], axis=1
+    )
+    normals = np.concatenate([np.eye(3), -np.eye(3)]).astype(np.float32)
+    sides = jnp.concatenate(
+        [
+            jnp.broadcast_to(normals, (len(box.owner), 6, 3)),
+            jnp.tile(box.size, (1, 2))[..., None],
+        ],
+        axis=-1,
+    )
+    join = lambda leaf: jnp.concatenate([getattr(g, leaf) for g in (box, *groups)])
+    extent = join("extent")
+    once = jnp.ones(len(box.owner) + len(colliders.polytope.owner))
+    return ConvexRows(
+        join("owner"),
+        join("pos"),
+        join("rot"),
+        extent,
+        jnp.concatenate([fill(sides), *(fill(g.planes) for g in groups)]),
+        jnp.zeros_like(extent[:, 0]),
+        jnp.concatenate([once, colliders.sector.size[:, 0]]),
+        jnp.all(extent[:, 1] > extent[:, 0], axis=1),
+    )
+
+
+def round_rows(colliders: Colliders) -> ConvexRows:
+    """List the pieces that quadrics define; a capsule is a cylinder and two balls."""
+    rod, can, egg = colliders.capsule, colliders.cylinder, colliders.ellipsoid
+    zero = lambda n: jnp.zeros(n)
+    long = rod.size[:, 1] > 0
+    parts = []
+
+    def add(
+        group: PieceGroup,
+        weights: Array,
+        half: Array | float,
+        shift: Array | float = 0.0,
+        used: Array | bool = True,
+        extent: Array | None = None,
+    ) -> None:
+        real = jnp.all(group.extent[:, 1] > group.extent[:, 0], axis=1)
+        pos = group.pos + group.rot[..., 2] * jnp.reshape(shift, (-1, 1))
+        extent = group.extent if extent is None else extent
+        half = half + zero(len(group.owner))
+        parts.append((group.owner, pos, group.rot, extent, weights, half, real & used))
+
+    squared = lambda r: 1.0 / jnp.maximum(r, 1e-6) ** 2
+    for group in (can, rod):
+        w = squared(group.size[:, 0])
+        used = long if group is rod else True
+        add(group, jnp.stack([w, w, 0 * w], axis=-1), group.size[:, 1], used=used)
+    ball = squared(rod.size[:, :1]) * jnp.ones(3)
+    reach = rod.size[:, :1, None] * np.array([[-1.0], [1.0]], np.float32) * jnp.ones(3)
+    add(rod, ball, SPARE, rod.size[:, 1], True, reach)
+    add(rod, ball, SPARE, -rod.size[:, 1], long, reach)
+    add(egg, squared(egg.size), SPARE)
+    owner, pos, rot, extent, weights, half, used = map(jnp.concatenate, zip(*parts, strict=True))
+    count = len(owner)
+    up = jnp.tile(np.array([0.0, 0.0, 1.0], np.float32), (count, 1))
+    faces = jnp.stack(
+        [
+            jnp.concatenate([up, half[:, None]], axis=1),
+            jnp.concatenate([-up, half[:, None]], axis=1),
+        ],
+        axis=1,
+    )
+    spare = np.array([0.0, 0.0, 0.0, SPARE], np.float32)
+    planes = jnp.concatenate([faces, jnp.broadcast_to(spare, (count, UNROLL - 2, 4))], axis=1)
+    return ConvexRows(owner, pos, rot, extent, planes, weights, jnp.ones(count), used)
+
+
+def picture_boxes(
+    placed: ObjectPoses, owner: Array, pos: Array, rot: Array, extent: Array
+) -> Float[Array, "row 5 pop"]:
+    """Return boxes of rows in the picture and their greatest inverse depth.
+
+    Args:
+        placed: objects in the camera's frame.
+        owner: object of each row.
+        pos: of each row in its object's frame [m].
+        rot: of each row in its object's frame.
+        extent: lowest and highest corner in each row's frame [m].
+
+    Returns:
+        left, top, right, bottom and the inverse depth [1/m] of the nearest corner; a box that
+        reaches the eye's plane fills the picture.
+    """
+    # Coordinates first: [3, corner, row, pop].
+    own = jnp.transpose(placed.rot[owner], (1, 2, 0, 3))
+    size = placed.scale[owner]
+    unit = np.array([*np.ndindex(2, 2, 2)], np.float32).T[..., None, None]
+    low, high = (extent[:, k].T[:, None, :, None] for k in range(2))
+    local = low + unit * (high - low)
+    at = _times(jnp.transpose(rot, (1, 2, 0))[..., None, :, None], local) + pos.T[:, None, :, None]
+    at = _times(own[:, :, None], at) * size + placed.pos[owner].swapaxes(0, 1)[:, None]
+    close = jnp.min(at[2], axis=0)
+    sides = at[:2] / jnp.maximum(at[2], CLOSE)
+    fills = close <= CLOSE
+    return jnp.concatenate(
+        [
+            jnp.where(fills, -jnp.inf, jnp.min(sides, axis=1)),
+            jnp.where(fills, jnp.inf, jnp.max(sides, axis=1)),
+            1.0 / jnp.maximum(close, CLOSE)[None],
+        ]
+    ).swapaxes(0, 1)
+
+
+def _times(matrix: Array, vectors: Array) -> Array:
+    """Multiply matrices [3, 3, ...] by vectors [3, ...], elementwise."""
+    return dot([matrix[:, k] for k in range(3)], vectors)
+
+
+def first_hits(
+    placed: ObjectPoses,
+    families: list[ConvexRows],
+    near: list[Bool[Array, " row"]],
+    rays: Rays,
+    layer: Int[Array, " object"],
+    layers: int,
+) -> Float[Array, "layer block ray pop"]:
+    """Return where rays first hit the objects of each layer.
+
+    Args:
+        placed: objects in the camera's frame: right, down, forward.
+        families: of `flat_rows` and `round_rows`.
+        near: rows of each family to look at.
+        rays: through the picture.
+        layer: of each object; layers do not hide one another.
+        layers: number of layers.
+
+    Returns:
+        Inverse depths [1/m] of the nearest surfaces along the view; 0 where nothing is hit.
+    """
+    hits = jnp.zeros((layers, *rays.x.shape), jnp.float32)
+    bounds = [
+        rays.x.min(axis=1),
+        rays.y.min(axis=1),
+        rays.x.max(axis=1),
+        rays.y.max(axis=1),
+    ]
+    for rows, mask in zip(families, near, strict=True):
+        if len(rows.owner):
+            curved = rows.planes.shape[1] == UNROLL
+            order, number = true_indices(mask)
+
+            def look(i, hits, rows=rows, order=order, curved=curved):
+                return _cast_row(hits, placed, rows, order[i], rays, bounds, layer, curved)
+
+            hits = lax.fori_loop(0, number, look, hits)
+    return hits
+
+
+def _cast_row(
+    hits: Float[Array, "layer block ray pop"],
+    placed: ObjectPoses,
+    rows: ConvexRows,
+    row: Array,
+    rays: Rays,
+    bounds: list[Array],
+    layer: Int[Array, " object"],
+    curved: bool,
+) -> Float[Array, "layer block ray pop"]:
+    owner, pos, rot = rows.owner[row], rows.pos[row], rows.rot[row]
+    size = placed.scale[owner]
+    planes = rows.planes[row]
+    faces = jnp.sum(planes[:, 3] < SPARE / 2)
+    low, high = rows.extent[row]
+    step = 2 * math.pi / rows.times[row]
+    if not curved:
+        # A wedge lies within angles 0 to `step`, so its box is narrower than the whole's.
+        narrow = step <= math.pi / 2
+        low = jnp.where(narrow, jnp.maximum(low, jnp.array([0.0, 0.0, -jnp.inf])), low)
+        wedge = high.at[1].multiply(jnp.sin(step))
+        high = jnp.where(narrow, jnp.minimum(high, wedge), high)
+
+    def one(k: Array | int, hits: Array) -> Array:
+        turn = rot
+        if not curved:
+            c, s = jnp.cos(k * step), jnp.sin(k * step)
+            turn = jnp.stack(
+                [rot[:, 0] * c + rot[:, 1] * s, rot[:, 1] * c - rot[:, 0] * s, rot[:, 2]], axis=1
+            )
+        box = picture_boxes(
+            placed, owner[None], pos[None], turn[None], jnp.stack([low, high])[None]
+        )[0]
+        touched = (box[0] <= bounds[2]) & (box[2] >= bounds[0])
+        touched &= (box[1] <= bounds[3]) & (box[3] >= bounds[1])
+        order, number = _listed(jnp.any(touched, axis=1))
+        # Camera to piece: a ray's point at depth t is eye + t (columns of `into` at (x, y, 1)).
+        own = jnp.swapaxes(placed.rot[owner], 0, 1) / size
+        into = jnp.sum(turn.T[:, :, None, None] * own, axis=1)
+        eye = -_times(into, placed.pos[owner]) - jnp.sum(turn * pos[:, None], axis=0)[:, None]
+        table = _bounds_of_planes(planes, into, eye)
+        quadric = _quadric(rows.weights[row], into, eye) if curved else table
+
+        def block(i: Array, hits: Array) -> Array:
+            b = order[i]
+            x, y = rays.x[b], rays.y[b]
+            if curved:
+                upper, lower = _through_quadric(quadric, x, y)
+            else:
+                upper, lower = jnp.full_like(x, 2 * NEAREST), jnp.zeros_like(x)
+
+            def cut(j: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
+                upper, lower, some = carry
+                for a, d, up, down in some:
+                    sloped = a * x + d * y
+                    upper = jnp.minimum(upper, sloped + up)
+                    lower = jnp.maximum(lower, sloped + down)
+                return upper, lower, following(j + 1)
+
+            # Taken a turn ahead: XLA vectorises no loop that looks an index up.
+            following = lambda j: lax.dynamic_slice_in_dim(table, j * UNROLL, UNROLL)
+            turns = -(-faces // UNROLL)
+            upper, lower, _ = lax.fori_loop(0, turns, cut, (upper, lower, following(0)))
+            covered = (upper > lower) & (upper < NEAREST)
+            # One array that is read and written in one place, else XLA copies it at every turn.
+            nearest = jnp.maximum(hits[layer[owner], b], jnp.where(covered, upper, 0.0))
+            return hits.at[layer[owner], b].set(nearest)
+
+        return lax.fori_loop(0, number, block, hits)
+
+    return (
+        one(0, hits) if curved else lax.fori_loop(0, rows.times[row].astype(jnp.int32), one, hits)
+    )
+
+
+def _listed(mask: Bool[Array, " block"]) -> tuple[Int[Array, " block"], Int[Array, ""]]:
+    """Return the indices of what is true, in order, and how many there are; for short masks."""
+    index = np.arange(mask.shape[0], dtype=np.int32)
+    place = jnp.sum((index < index[:, None]) & mask, axis=1, dtype=jnp.int32)
+    chosen = (place == index[:, None]) & mask
+    return jnp.sum(jnp.where(chosen, index, 0), axis=1), jnp.sum(mask, dtype=jnp.int32)
+
+
+def _bounds_of_planes(
+    planes: Float[Array, "face 4"], turn: Float[Array, "3 3 pop"], eye: Float[Array, "3 pop"]
+) -> Float[Array, "face 4 pop"]:
+    """Return slopes in x and y and offsets of the bounds that planes set to the inverse depth.
+
+    Those that face the eye bound it from above, the others from below.
+    """
+    # Sums of products: XLA hands short reductions to a library that is slow on small arrays.
+    *normal, far = planes[:, :, None].swapaxes(0, 1)
+    room = far - dot(normal, eye)
+    facing = room < 0
+    room = jnp.where(jnp.abs(room) < 1e-9, 1e-9, room)
+    x, y, end = (dot(normal, turn[:, k]) / room for k in range(3))
+    large = 2 * NEAREST
+    up, down = jnp.where(facing, end, large), jnp.where(facing, -large, end)
+    return jnp.stack([x, y, up, down], axis=1)
+
+
+def _quadric(
+    weights: Float[Array, " 3"], turn: Float[Array, "3 3 pop"], eye: Float[Array, "3 pop"]
+) -> Float[Array, "term pop"]:
+    """Return the coefficients of `_through_quadric`."""
+    w = weights[:, None]
+    e = jnp.sum(w * eye * eye, axis=0) - 1.0
+    f = jnp.sum((w * eye)[:, None] * turn, axis=0)
+    g = jnp.sum((w[:, None] * turn)[:, :, None] * turn[:, None], axis=0)
+    safe = jnp.where(jnp.abs(e) < 1e-9, 1e-9, e)
+    # The quadratic e u^2 + 2 f u + g <= 0 in the inverse depth u, divided by e.
+    return jnp.concatenate([f / safe, g.reshape(9, -1) / safe, safe[None]])
+
+
+def _through_quadric(quadric: Array, x: Array, y: Array) -> tuple[Array, Array]:
+    fx, fy, f0, xx, xy, x0, _, yy, y0, _, _, gg, e = quadric
+    outside = e > 0
+    f = fx * x + fy * y + f0
+    g = (xx * x + 2.0 * (xy * y + x0)) * x + (yy * y + 2.0 * y0) * y + gg
+    square = f * f - g
+    root = jnp.sqrt(jnp.maximum(square, 0.0))
+    missed = square <= 0.0
+    large = 2 * NEAREST
+    # From within an infinite cylinder it ends, and does not begin, where its side is met.
+    upper = jnp.where(missed, -large, jnp.where(outside, root - f, large))
+    return upper, jnp.where(outside, -f - root, root - f)

@@ -1,0 +1,75 @@
+"""How far a scene's layout is from the truth, over the objects that may move."""
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+from ...spec import SceneObject, SceneSpec, bounds, world_poses
+from ...spec.pose import Pose, conjugate, quat_mul, yaw_of
+from ..refine_scenes import symmetry
+
+MOST_TILT_DEG = 15.0
+MOST_HEIGHT, MOST_HEIGHT_M = 0.1, 0.01
+"""Bounds of `displaced`; answers' sizes alone move a middle by a few percent of its height."""
+
+
+def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
+    """Compare a scene with the truth of the same objects.
+
+    What all objects are off by alike, their median shift, is not counted: it is that of the
+    answer's camera, and no layout shows it.
+
+    Returns:
+        "xy_error_m", horizontal distance of the objects' middles; "yaw_error_deg", up to an
+        object's symmetry and without round ones; "scale_error", of the logarithm. Means over the
+        objects that are no supports.
+    """
+    ends, starts = world_poses(scene), world_poses(truth)
+    items = [item for item in truth.objects if not item.static]
+    offs, turns, scales = [], [], []
+    for item in items:
+        other = scene.object(item.name)
+        offs.append((_middle(other, ends[item.name]) - _middle(item, starts[item.name]))[:2])
+        scales.append(abs(math.log(_size(other) / _size(item))))
+        period = symmetry(item)
+        if period > 0:
+            turned = quat_mul(ends[item.name].quat, conjugate(starts[item.name].quat))
+            turns.append(abs(math.remainder(yaw_of(turned), period)))
+    shift = np.array(offs) - np.median(offs, axis=0)
+    return {
+        "xy_error_m": float(np.mean(np.linalg.norm(shift, axis=1))),
+        "yaw_error_deg": math.degrees(float(np.mean(turns))) if turns else 0.0,
+        "scale_error": float(np.mean(scales)),
+    }
+
+
+def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
+    """Return the objects that a scene shows in another way than the truth: toppled or fallen down.
+
+    Whatever has come to rest is stable, a toppled book as well; this tells the two apart. An object
+    is displaced whose vertical axis is tilted by MOST_TILT_DEG from the truth's, or whose middle is
+    higher or lower than the truth's by MOST_HEIGHT of its diagonal and MOST_HEIGHT_M.
+    """
+    ends, starts = world_poses(scene), world_poses(truth)
+    names = []
+    for item in truth.objects:
+        if item.static:
+            continue
+        end, start = ends[item.name], starts[item.name]
+        up = [at.apply([0.0, 0.0, 1.0]) - at.pos for at in (end, start)]
+        tilt = math.degrees(math.acos(float(np.clip(up[0] @ up[1], -1.0, 1.0))))
+        rise = abs(float((_middle(scene.object(item.name), end) - _middle(item, start))[2]))
+        if tilt > MOST_TILT_DEG or rise > MOST_HEIGHT * _size(item) + MOST_HEIGHT_M:
+            names.append(item.name)
+    return names
+
+
+def _middle(item: SceneObject, at: Pose) -> Float[np.ndarray, " 3"]:
+    low, high = bounds(item.spec, item.joint_state)
+    return at.apply((low + high) / 2)
+
+
+def _size(item: SceneObject) -> float:
+    low, high = bounds(item.spec)
+    return float(np.linalg.norm(high - low))

@@ -1,0 +1,120 @@
+"""Methods that make a layout from a start: ours, its ablations and baselines, gravity, nothing."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...config import RefineOptions
+from ...measure import SceneMeasure, measured, passes
+from ...physics.engine import Engine
+from ...physics.exact import snap_exactly
+from ...refinement.scene_refinement import compile_for_search, refine
+from ...spec import SceneSpec
+from ..baselines import algorithm1, with_budget
+from .at_rest import at_rest
+
+DROP = ((False, 3.0),)
+"""What `gravity` simulates: free motion, as in the final check, but longer."""
+
+
+@dataclass(frozen=True)
+class MethodResult:
+    """What a method made of a start."""
+
+    scene: SceneSpec
+    measure: SceneMeasure
+    check_passed: bool
+    seconds_to_valid: float | None
+    """Until the first candidate that passes was known; None where none was."""
+    seconds: float
+    rollouts: int = 0
+
+
+def ours(o: RefineOptions) -> RefineOptions:
+    """Return the options as they are."""
+    return o
+
+
+def gradient(o: RefineOptions) -> RefineOptions:
+    """Return the options of gradient refinement alone: one iteration of two candidates."""
+    cem = {"population": 2, "first": 0, "iterations": 1, "prune": False}
+    return o.model_copy(update={"cem": o.cem.model_copy(update=cem)})
+
+
+def no_simulation(o: RefineOptions) -> RefineOptions:
+    """Return the options of the search by the photograph and penetration alone."""
+    return o.model_copy(
+        update={
+            "reward": o.reward.model_copy(update={"w_drift": 0.0}),
+            "rollout": o.rollout.model_copy(update={"duration_s": 0.0}),
+        }
+    )
+
+
+SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
+    "ours": ours,
+    "gradient": gradient,
+    "no_simulation": no_simulation,
+    "algorithm1": algorithm1,
+}
+"""Methods that are a refinement with other options."""
+BUDGETED = ("random", "cma_es")
+"""Other optimizers, with as many rollouts as ours made from the same start."""
+METHODS = ("open_loop", "gravity", "gradient", "no_simulation", "algorithm1", *BUDGETED, "ours")
+USUAL = ("ours", "open_loop", "gravity", "gradient", "no_simulation", "algorithm1")
+"""Methods that a run takes by default."""
+
+
+def outcome_of(
+    method: str,
+    composed: SceneSpec,
+    o: RefineOptions,
+    engine: Engine,
+    *,
+    seed: int = 0,
+    rollouts: int = 0,
+    warm: bool = True,
+) -> MethodResult:
+    """Run a method from a start.
+
+    Args:
+        method: of METHODS.
+        composed: where it starts.
+        o: options of the refinement and of the final check.
+        engine: that rolls candidates out.
+        seed: of searches.
+        rollouts: budget of BUDGETED.
+        warm: whether to search once for a single iteration before the clock runs, so that its time
+            is without compiling.
+    """
+    if method in ("open_loop", "gravity"):
+        began = time.perf_counter()
+        scene = snap_exactly(composed)
+        if method == "gravity":
+            scene = at_rest(scene, DROP)
+        spent = time.perf_counter() - began
+        measure = measured(scene, o)
+        valid = passes(measure, o)
+        return MethodResult(scene, measure, valid, spent if valid else None, spent)
+    options = (
+        with_budget(o, method, max(rollouts, 1)) if method in BUDGETED else SEARCHES[method](o)
+    )
+    model = compile_for_search(composed, options)
+    if warm:
+        once = options.cem.model_copy(update={"iterations": 1})
+        refine(model, options.model_copy(update={"cem": once}), seed=seed, engine=engine)
+    began = time.perf_counter()
+    refined = refine(model, options, seed=seed, engine=engine)
+    spent = time.perf_counter() - began
+    to_valid = refined.seconds["to_valid"]
+    return MethodResult(
+        refined.scene,
+        refined.measure,
+        refined.passed,
+        # A candidate of coarse rollouts that fails the final check is not valid.
+        float(to_valid) if refined.passed and not np.isnan(to_valid) else None,
+        spent,
+        refined.rollouts,
+    )

@@ -1,0 +1,294 @@
+"""Run methods over scenes and starts, in processes of their own, and keep a row of each."""
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...config import ComposeOptions, RefineOptions
+from ...errors import RunError, SpecError, choices
+from ...files import content_hash
+from ...measure import visible_box_iou
+from ...physics.native import NativeEngine
+from ...reading.parquet_files import read_rows, write_rows
+from ...spec import SceneSpec
+from ..rows import Row, log
+from .declaration import declaration, declarations
+from .layout_errors import displaced, layout_errors
+from .scene_methods import BUDGETED, METHODS, MethodResult, outcome_of
+from .starts import composed_start, is_evaluation, noise_number, photographed, true_tree
+
+RESULTS = "results.parquet"
+
+
+class SceneRow(Row):
+    """One method on one scene from one start."""
+
+    scene: str
+    room: str
+    tabletop: bool
+    objects: int
+    start: int
+    seed: int
+    evaluation: bool
+    """Whether the start is of the evaluation half."""
+    method: str
+    valid: bool
+    """Whether the result passes the final check, and no object is displaced."""
+    check_passed: bool
+    displaced: int
+    """Objects that are toppled or have fallen from where the truth has them."""
+    s_pen: int
+    """1 if two objects are deeper than the bound in the result."""
+    s_stab: bool
+    o_stab: float
+    """Share of the movable objects that stay within the bounds."""
+    max_depth_m: float
+    max_drift_m: float
+    max_tilt_deg: float
+    xy_error_m: float
+    yaw_error_deg: float
+    scale_error: float
+    box_iou: float
+    """Overlap of visible boxes with the truth's, mean over objects."""
+    seconds_to_valid: float | None
+    """Time at the first valid candidate; None where the result is not valid."""
+    seconds: float
+    rollouts: int
+    fingerprint: str
+    """Hash of the scene's declaration and of the options."""
+
+
+_KINDS: dict[str, type] = {
+    name: next(kind for kind in (bool, int, float, str) if field.annotation in (kind, kind | None))
+    for name, field in SceneRow.model_fields.items()
+}
+
+
+@dataclass(frozen=True)
+class SceneTask:
+    """The starts and methods of one scene that are to be run."""
+
+    scene: str
+    wanted: tuple[tuple[int, tuple[str, ...]], ...]
+    """Starts, each with its methods."""
+    seed: int
+    refine: RefineOptions
+    compose: ComposeOptions
+    threads: int
+
+
+def chosen_scenes(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the scenes that names mean; none means all, one number so many, evenly chosen.
+
+    Raises:
+        SpecError: there is no such scene, or there are not so many.
+    """
+    every = tuple(declarations())
+    if len(names) == 1 and names[0].isdecimal():
+        count = int(names[0])
+        if not 1 <= count <= len(every):
+            raise SpecError(f"scenes: there are 1 to {len(every)} to take, not {count}")
+        return tuple(every[int(k * len(every) / count)] for k in range(count))
+    for name in names:
+        if name not in every:
+            raise SpecError(f"scenes: {choices(name, every)}")
+    return tuple(names) or every
+
+
+def run_scenes(
+    scenes: Sequence[str],
+    methods: Sequence[str],
+    *,
+    starts: int,
+    seed: int,
+    refine: RefineOptions,
+    compose: ComposeOptions,
+    workers: int = 0,
+    out: Path | None = None,
+) -> list[SceneRow]:
+    """Run methods; rows that are in the folder's file already are not run again.
+
+    Args:
+        scenes: names.
+        methods: of METHODS.
+        starts: number of starts of each scene.
+        seed: of noise and searches.
+        refine: options of the search and of the final check.
+        compose: options of composition.
+        workers: processes; 0 takes one for every two cores.
+        out: folder of `results.parquet`; None keeps nothing.
+
+    Raises:
+        RunError: the file cannot be read or written, or a scene's process died.
+    """
+    for method in methods:
+        if method not in METHODS:
+            raise SpecError(f"method: {choices(method, METHODS)}")
+    file = None if out is None else out / RESULTS
+    if file is not None and not file.exists():
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RunError(f"cannot make {file.parent}: {error.strerror}") from None
+    rows = [] if file is None or not file.exists() else _known(file)
+    prints = {name: _fingerprint(name, refine, compose) for name in scenes}
+    done = {
+        (r.scene, r.start, r.seed, r.method) for r in rows if prints.get(r.scene) == r.fingerprint
+    }
+    cores = os.cpu_count() or 1
+    workers = workers or max(1, cores // 2)
+    tasks = []
+    for name in scenes:
+        wanted = [
+            (k, tuple(m for m in methods if (name, k, seed, m) not in done)) for k in range(starts)
+        ]
+        if any(own for _, own in wanted):
+            tasks.append(
+                SceneTask(name, tuple(wanted), seed, refine, compose, max(1, cores // workers))
+            )
+    for row in _rows_of(tasks, workers):
+        rows = [r for r in rows if _key(r) != _key(row)] + [row]
+        log.info(_line(row))
+        if file is not None:
+            write_rows(file, [r.model_dump() for r in rows], _KINDS, RunError)
+    return sorted(
+        (
+            r
+            for r in rows
+            if r.scene in scenes
+            and r.fingerprint == prints[r.scene]
+            and r.method in methods
+            and r.seed == seed
+            and r.start < starts
+        ),
+        key=_key,
+    )
+
+
+def _rows_of(tasks: Sequence[SceneTask], workers: int) -> Iterator[SceneRow]:
+    if workers == 1:
+        for task in tasks:
+            yield from scene_rows(task)
+        return
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        # One start a future, so that rows come as they are made.
+        futures = [
+            pool.submit(_listed, SceneTask(t.scene, (own,), t.seed, t.refine, t.compose, t.threads))
+            for t in tasks
+            for own in t.wanted
+        ]
+        for future in as_completed(futures):
+            yield from future.result()
+
+
+def _listed(task: SceneTask) -> list[SceneRow]:
+    from ...cache import keep_compilations
+
+    keep_compilations()
+    return list(scene_rows(task))
+
+
+def scene_rows(task: SceneTask) -> Iterator[SceneRow]:
+    """Run the methods of a scene, one row as soon as it is known."""
+    declared = declaration(task.scene)
+    truth = photographed(declared)
+    tree = true_tree(truth)
+    engine = NativeEngine(threads=task.threads)
+    for start, methods in task.wanted:
+        number = noise_number(task.scene, task.seed, start)
+        composed = composed_start(truth, tree, number, task.compose) if methods else truth
+        rollouts = 0
+        # Ours comes first: the others may get its budget.
+        for method in sorted(methods, key=lambda name: (name != "ours", METHODS.index(name))):
+            if method in BUDGETED and not rollouts:
+                rollouts = outcome_of(
+                    "ours", composed, task.refine, engine, seed=task.seed, warm=False
+                ).rollouts
+            result = outcome_of(
+                method, composed, task.refine, engine, seed=task.seed, rollouts=rollouts
+            )
+            rollouts = result.rollouts if method == "ours" else rollouts
+            yield _row(task, start, method, result, truth)
+
+
+def _row(
+    task: SceneTask, start: int, method: str, result: MethodResult, truth: SceneSpec
+) -> SceneRow:
+    declared, m = declaration(task.scene), result.measure
+    o = task.refine
+    still = [
+        m.drift_m[name] < o.max_drift_m and m.tilt_deg[name] < o.max_tilt_deg for name in m.drift_m
+    ]
+    # Its own camera: that of the answer, as fitted.
+    seen = {item.name: item for item in truth.objects}
+    shown = [
+        item.model_copy(
+            update={"box2d": seen[item.name].box2d, "occluded": seen[item.name].occluded}
+        )
+        for item in result.scene.objects
+    ]
+    photographed_as = result.scene.model_copy(update={"objects": tuple(shown)})
+    lost = displaced(result.scene, truth)
+    valid = result.check_passed and not lost
+    return SceneRow(
+        scene=task.scene,
+        room=declared.room,
+        tabletop=declared.tabletop,
+        objects=len(declared.movable()),
+        start=start,
+        seed=task.seed,
+        evaluation=is_evaluation(start),
+        method=method,
+        valid=valid,
+        check_passed=result.check_passed,
+        displaced=len(lost),
+        s_pen=m.s_pen or 0,
+        s_stab=bool(m.s_stab),
+        o_stab=float(np.mean(still)),
+        max_depth_m=m.max_depth_m,
+        max_drift_m=min(m.max_drift_m, 1e6),
+        max_tilt_deg=min(m.max_tilt_deg, 1e6),
+        **layout_errors(result.scene, truth),
+        box_iou=float(np.mean(list(visible_box_iou(photographed_as).values()))),
+        seconds_to_valid=result.seconds_to_valid if valid else None,
+        seconds=result.seconds,
+        rollouts=result.rollouts,
+        fingerprint=_fingerprint(task.scene, task.refine, task.compose),
+    )
+
+
+def _fingerprint(name: str, refine: RefineOptions, compose: ComposeOptions) -> str:
+    parts = [declaration(name), refine, compose]
+    return content_hash([part.model_dump(mode="json") for part in parts])[:16]
+
+
+def _known(file: Path) -> list[SceneRow]:
+    rows: list[Mapping[str, Any]] = list(read_rows(file, list(_KINDS), RunError))
+    return [SceneRow.model_validate(row) for row in rows]
+
+
+def known_rows(folder: Path) -> list[SceneRow]:
+    """Read the rows of a folder.
+
+    Raises:
+        RunError: it has none, or they cannot be read.
+    """
+    return _known(folder / RESULTS)
+
+
+def _key(row: SceneRow) -> tuple[str, int, int, str]:
+    return row.scene, row.start, row.seed, row.method
+
+
+def _line(row: SceneRow) -> str:
+    valid = "valid" if row.valid else "not valid"
+    return (
+        f"{row.scene} start {row.start} {row.method}: {valid}, "
+        f"{1e3 * row.xy_error_m:.1f} mm, {row.seconds:.1f} s"
+    )

@@ -1,0 +1,102 @@
+"""Figures of methods over scenes and starts, and whether the data set is hard enough."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from .scene_runs import SceneRow
+
+BOUNDS = {"open_loop": 0.1, "gravity": 0.5, "gradient": 0.5, "no_simulation": 0.7}
+"""Highest share of starts that these may leave valid; above it the set is too easy."""
+DRAWS, LEVEL = 2000, 0.95
+"""Bootstrap draws, and the level of their interval."""
+MEASURES: dict[str, Callable[[SceneRow], float]] = {
+    "valid_rate": lambda r: r.valid,
+    "check_rate": lambda r: r.check_passed,
+    "displaced": lambda r: r.displaced / r.objects,
+    "s_pen": lambda r: r.s_pen,
+    "s_stab": lambda r: r.s_stab,
+    "o_stab": lambda r: r.o_stab,
+    "xy_error_m": lambda r: r.xy_error_m,
+    "yaw_error_deg": lambda r: r.yaw_error_deg,
+    "scale_error": lambda r: r.scale_error,
+    "box_iou": lambda r: r.box_iou,
+}
+"""Means over scenes and starts; rates are shares."""
+OF_OBJECTS = ("o_stab", "displaced")
+"""Measures whose mean is over objects."""
+
+
+def summarise(rows: Sequence[SceneRow]) -> dict[str, Any]:
+    """Sum rows up: all starts by method, the evaluation half apart, and the difficulty."""
+    return {
+        "scenes": len({row.scene for row in rows}),
+        "starts": len({row.start for row in rows}),
+        "methods": by_method(rows),
+        "evaluation": by_method([row for row in rows if row.evaluation]),
+        "difficulty": difficulty(rows),
+    }
+
+
+def by_method(rows: Sequence[SceneRow]) -> dict[str, Any]:
+    """Return the figures of each method."""
+    names = dict.fromkeys(row.method for row in rows)
+    return {name: figures([row for row in rows if row.method == name]) for name in names}
+
+
+def figures(rows: Sequence[SceneRow]) -> dict[str, Any]:
+    """Return the figures of rows of one method.
+
+    "objects" is the number of movable objects over all rows, the denominator of O-Stab.
+    "seconds_to_valid" is the median over the valid ones, None without any.
+    """
+    times = [row.seconds_to_valid for row in rows if row.seconds_to_valid is not None]
+    means = {name: float(np.mean([of(row) for row in rows])) for name, of in MEASURES.items()}
+    counts = [row.objects for row in rows]
+    for name in OF_OBJECTS:
+        means[name] = float(np.average([MEASURES[name](row) for row in rows], weights=counts))
+    return {
+        "n": len(rows),
+        "objects": sum(row.objects for row in rows),
+        **means,
+        "seconds_to_valid": float(np.median(times)) if times else None,
+        "seconds": float(np.median([row.seconds for row in rows])),
+    }
+
+
+def difficulty(rows: Sequence[SceneRow]) -> dict[str, Any]:
+    """Hold the easy methods against BOUNDS, and gravity's errors against ours."""
+    by = by_method(rows)
+    checks: dict[str, Any] = {
+        name: {"n": by[name]["n"], "valid_rate": by[name]["valid_rate"], "at_most": most}
+        | {"hard_enough": by[name]["valid_rate"] <= most}
+        for name, most in BOUNDS.items()
+        if name in by
+    }
+    if {"gravity", "ours"} <= set(by):
+        for error in ("xy_error_m", "yaw_error_deg"):
+            gravity, ours = by["gravity"][error], by["ours"][error]
+            checks[f"gravity_{error}"] = {
+                "gravity": gravity,
+                "ours": ours,
+                "hard_enough": gravity > ours,
+            }
+    return checks
+
+
+def interval(rows: Sequence[SceneRow], measure: str) -> tuple[float, float, float]:
+    """Return the mean and a bootstrap interval of one of MEASURES, drawing whole scenes.
+
+    Starts of one scene are alike, so scenes are what is drawn again.
+    """
+    of = MEASURES[measure]
+    weigh = lambda r: r.objects if measure in OF_OBJECTS else 1.0
+    scenes = sorted({row.scene for row in rows})
+    sums = np.array([sum(weigh(r) for r in rows if r.scene == s) for s in scenes], float)
+    totals = np.array([sum(weigh(r) * of(r) for r in rows if r.scene == s) for s in scenes], float)
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(len(scenes), size=(DRAWS, len(scenes)))
+    means = totals[drawn].sum(axis=1) / sums[drawn].sum(axis=1)
+    low, high = np.quantile(means, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return float(totals.sum() / sums.sum()), float(low), float(high)

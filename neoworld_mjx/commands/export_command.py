@@ -1,0 +1,77 @@
+"""The command that writes a scene or an object in the formats of other programs."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional, UseAppendAction, arg
+
+from ..errors import RunError, SpecError
+from ..format_names import BEST, FORMATS, Format, Simulator
+from .base_command import Answer, ConfiguredCommand
+
+if TYPE_CHECKING:
+    from ..spec import ObjectSpec, SceneSpec
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportCommand(ConfiguredCommand):
+    """Write a scene or an object in a format, or for a simulator, and say what is lost."""
+
+    target: Positional[Path]
+    """A run folder, a scene.json, a program (.py), a URDF, an MJCF or a USD file."""
+    out: Path
+    """Folder to write; a new or empty one."""
+    format: UseAppendAction[tuple[Format, ...]] = ()
+    """Format to write; may be repeated. All of them by default."""
+    simulator: Annotated[Simulator | None, arg(name="for")] = None
+    """Simulator to write for: its formats, and for mjx only colliders that it has."""
+    floor: bool = False
+    """Put a floor without end below everything (MJCF)."""
+    overwrite: bool = False
+    """Write into a folder that is not empty."""
+
+    def run(self) -> Answer:
+        """Write the files."""
+        from ..export.formats import collider_error, lost, write_formats
+
+        if self.out.exists() and not self.out.is_dir():
+            raise RunError(f"{self.out} is a file; name a folder")
+        if self.out.is_dir() and any(self.out.iterdir()) and not self.overwrite:
+            raise RunError(f"{self.out} is not empty: name a new folder, or use --overwrite")
+        kinds = self.format or (BEST[self.simulator] if self.simulator else FORMATS)
+        mjx = self.simulator == "mjx"
+        if mjx and "mjcf" not in kinds:
+            raise SpecError("--for mjx is about MJCF: leave --format away, or name mjcf")
+        described, notes = self._read()
+        files = write_formats(described, self.out, kinds, mjx=mjx, floor=self.floor)
+        answer: Answer = {
+            "target": str(self.target),
+            "folder": str(self.out),
+            "files": files,
+            "lost": {kind: lost(described, kind) for kind in kinds},
+        }
+        if notes:
+            answer["notes"] = notes
+        if mjx:
+            answer["collider_error_mm"] = round(1e3 * collider_error(described), 3)
+        return answer
+
+    def _read(self) -> "tuple[SceneSpec | ObjectSpec, list[str]]":
+        """Return what is to be written, and what was lost in reading it."""
+        if self.target.is_dir() or self.target.suffix == ".json":
+            from ..spec import read_scene
+
+            return read_scene(self.target), []
+        if self.target.suffix == ".py":
+            from ..verify.patched import build_patched
+
+            built = build_patched(self.target, self.load_config().program).built
+            if built.spec is None or not built.ok:
+                words = "; ".join(str(signal.message) for signal in built.signals)
+                raise SpecError(f"{self.target} does not build: {words}")
+            return built.spec, []
+        from ..export.importing_scene import import_file
+
+        imported = import_file(self.target)
+        return imported.spec, list(imported.notes)

@@ -1,0 +1,69 @@
+"""The command `template`: object programs of everyday things, by name, seed or measured box."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional, UseAppendAction
+
+from ..errors import RunError, SpecError
+from .base_command import Answer, Command
+
+
+@dataclass(frozen=True, kw_only=True)
+class TemplateCommand(Command):
+    """List the templates of objects, or write the program of one."""
+
+    name: Positional[str | None] = None
+    """The template; without it all are listed."""
+    out: Path | None = None
+    """The program (.py) to write; `neoworld build` makes the object of it."""
+    seed: int | None = None
+    """Draw all parameters from their ranges; by default they are the template's own."""
+    size: tuple[float, float, float] | None = None
+    """Depth, width and height [m], such as a measured box; held within their ranges."""
+    set: UseAppendAction[tuple[str, ...]] = ()
+    """A parameter as NAME=VALUE, such as --set drawers=4; may be repeated."""
+
+    def run(self) -> Answer:
+        """List templates, or write a program."""
+        from ..files import write_atomic
+        from ..templates import template, templates
+
+        if self.name is None:
+            if self.out or self.size or self.set or self.seed is not None:
+                raise SpecError("template: name one of those that `neoworld template` lists")
+            return {"templates": {name: each.label for name, each in templates().items()}}
+        chosen = template(self.name)
+        values = {} if self.seed is None else chosen.draw(self.seed)
+        values |= {} if self.size is None else chosen.of_box(self.size)
+        for setting in self.set:
+            key, equals, value = setting.partition("=")
+            if not equals:
+                raise SpecError(f"--set takes NAME=VALUE, such as width=0.4, got {setting!r}")
+            values[key] = _number(value)
+        text = chosen.program(values)
+        if self.out is not None:
+            try:
+                write_atomic(self.out, text)
+            except OSError as error:
+                raise RunError(f"cannot write {self.out}: {error.strerror}") from None
+        written = {} if self.out is None else {"program": str(self.out)}
+        parameters = {
+            name: {"value": values.get(name, p.default)}
+            | ({"choices": list(p.choices)} if p.choices else {"range": [p.low, p.high]})
+            | ({"unit": p.unit} if p.unit else {})
+            for name, p in chosen.parameters.items()
+        }
+        return {
+            "template": chosen.name,
+            "label": chosen.label,
+            **written,
+            "parameters": parameters,
+        }
+
+
+def _number(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text

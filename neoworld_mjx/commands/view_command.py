@@ -1,0 +1,99 @@
+"""The commands `view` and `annotate`: pages in the browser."""
+
+import logging
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from ..errors import RunError
+from .base_command import Answer, ConfiguredCommand
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageCommand(ConfiguredCommand):
+    """Options of the commands that serve a page."""
+
+    host: str = "127.0.0.1"
+    """Address to listen on; by default nobody else can open the page. Who can may change files."""
+    port: int | None = None
+    """Port to listen on; by default 8080 or, where that is in use, any free one."""
+
+    def serve_until_interrupted(self, address: str) -> Answer:
+        """Say where the page is, and wait for Ctrl-C."""
+        _log.info("open %s in a browser; Ctrl-C ends it", address)
+        try:
+            threading.Event().wait()
+        except KeyboardInterrupt:
+            _log.info("closed")
+        return {"page": address}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewCommand(PageCommand):
+    """Show a scene or an object in the browser, and change it there."""
+
+    target: Positional[Path]
+    """A run folder, a scene.json, an object's folder, a program (.py), a URDF or an MJCF file."""
+
+    def run(self) -> Answer:
+        """Serve the page."""
+        from ..viewer.local_server import address, close_server, open_server
+        from ..viewer.scene_viewer import SceneViewer
+        from ..viewer.view_target import open_target
+
+        config = self.load_config()
+        target = open_target(self.target, config)  # Report a wrong path before a port is taken.
+        server = open_server(f"neoworld: {target.title}", host=self.host, port=self.port)
+        try:
+            SceneViewer(server, self.target, target, config)
+            return self.serve_until_interrupted(address(server))
+        finally:
+            close_server(server)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnnotateCommand(PageCommand):
+    """Make a scene of a photograph by hand, with no model: boxes, labels, camera, templates."""
+
+    photo: Positional[Path]
+    """The photograph."""
+    out: Path
+    """Run folder to write; a new or empty one, or a run of this photograph to correct."""
+    start: Annotated[Literal["parse"] | None, arg(name="from")] = None
+    """Begin with what the run in --out parsed or annotated, instead of an empty page."""
+
+    def run(self) -> Answer:
+        """Serve the page."""
+        from ..pipeline.annotated import read_annotation
+        from ..viewer.annotator import Annotator, empty_annotation
+        from ..viewer.local_server import address, close_server, open_server
+
+        config = self.load_config()
+        annotation = empty_annotation(self.photo, config)
+        if self.start is not None:
+            empty, annotation = annotation.camera, read_annotation(self.out)
+            of_run, of_photo = (
+                f"{camera.width} x {camera.height_px} pixels"
+                for camera in (annotation.camera, empty)
+            )
+            if of_run != of_photo:
+                raise RunError(
+                    f"{self.out} is a run of another photograph: its own has {of_run}, "
+                    f"{self.photo} has {of_photo}"
+                )
+        elif self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
+            raise RunError(
+                f"{self.out} is not empty: correct its run with --from parse, or name "
+                "another folder"
+            )
+        server = open_server(f"annotate {self.photo.name}", host=self.host, port=self.port)
+        try:
+            Annotator(server, self.photo, self.out, annotation, config)
+            return self.serve_until_interrupted(address(server))
+        finally:
+            close_server(server)

@@ -1,0 +1,112 @@
+"""Poses and joint states that a person gave, laid over a composed scene.
+
+The patch lies in the run folder beside the files of the steps. Composition applies it last, so it
+holds whatever is programmed, fitted or composed again.
+"""
+
+from pathlib import Path
+
+from pydantic import Field
+
+from ..errors import SpecError
+from ..files import write_atomic
+from ..reading import read_model
+from ..spec import JointKey, Name, Number, SceneSpec, Spec, joint_keys
+from .compose import snap
+
+LAYOUT_PATCH = "layout.patch.json"
+"""Name of the file in a run folder."""
+
+
+class ObjectPlacement(Spec):
+    """What a person set of one object; None leaves what composition says."""
+
+    xy: tuple[Number, Number] | None = None
+    """Position in the parent's frame [m]."""
+    yaw: Number | None = None
+    """Heading in the parent's frame [rad]."""
+    joint_state: dict[JointKey, Number] = Field(default_factory=dict)
+    """Joint values [rad or m]; joints not named stay."""
+
+
+class LayoutPatch(Spec):
+    """All placements of a scene that a person set, by object."""
+
+    objects: dict[Name, ObjectPlacement] = Field(default_factory=dict)
+
+    def merged(self, name: str, placement: ObjectPlacement) -> "LayoutPatch":
+        """Return the patch with what `placement` sets of an object, over what it set before."""
+        before = self.objects.get(name, ObjectPlacement())
+        update = {key: getattr(placement, key) for key in placement.model_fields_set}
+        update["joint_state"] = before.joint_state | placement.joint_state
+        return LayoutPatch(objects=self.objects | {name: before.model_copy(update=update)})
+
+    def to_json(self) -> str:
+        """Serialise, the same bytes for the same patch."""
+        return self.model_dump_json(indent=1, exclude_none=True) + "\n"
+
+
+def apply_layout(
+    scene: SceneSpec, patch: LayoutPatch, gap: float = 1e-4
+) -> tuple[SceneSpec, tuple[str, ...]]:
+    """Place objects as a patch says and snap them onto their supports.
+
+    Args:
+        scene: the composed scene.
+        patch: the placements.
+        gap: clearance under snapped objects [m].
+
+    Returns:
+        The scene, and the objects and joints that the patch names but the scene lacks.
+
+    Raises:
+        SpecError: the placed scene is invalid.
+    """
+    stale = [name for name in patch.objects if name not in {obj.name for obj in scene.objects}]
+    objects = []
+    for obj in scene.objects:
+        placement = patch.objects.get(obj.name)
+        if placement is None:
+            objects.append(obj)
+            continue
+        known = {key for joint in obj.spec.joints for key in joint_keys(joint)}
+        stale += [f"{obj.name}/{key}" for key in placement.joint_state if key not in known]
+        state = {key: v for key, v in placement.joint_state.items() if key in known}
+        objects.append(
+            obj.model_copy(
+                update={
+                    "xy": placement.xy or obj.xy,
+                    "yaw": obj.yaw if placement.yaw is None else placement.yaw,
+                    "joint_state": obj.joint_state | state,
+                }
+            )
+        )
+    return snap(scene.model_copy(update={"objects": tuple(objects)}), gap), tuple(stale)
+
+
+def read_layout_patch(folder: Path) -> LayoutPatch:
+    """Read the patch of a run folder; an empty one if there is none.
+
+    Raises:
+        SpecError: the file cannot be read or is no patch.
+    """
+    path = folder / LAYOUT_PATCH
+    if not path.is_file():
+        return LayoutPatch()
+    return read_model(path, LayoutPatch, SpecError, "a layout patch")
+
+
+def write_layout_patch(folder: Path, patch: LayoutPatch) -> None:
+    """Write the patch of a run folder; an empty one deletes the file.
+
+    Raises:
+        SpecError: the file cannot be written.
+    """
+    path = folder / LAYOUT_PATCH
+    try:
+        if patch.objects:
+            write_atomic(path, patch.to_json())
+        else:
+            path.unlink(missing_ok=True)
+    except OSError as error:
+        raise SpecError(f"cannot write {path}: {error.strerror}") from None

@@ -1,0 +1,1 @@
+"""Environments for robot learning, made of a run folder or a scene."""

@@ -1,0 +1,189 @@
+"""A Gymnasium environment of a scene, simulated by C MuJoCo."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import EngineError
+from ..physics.gripper import PREFIX, Gripper
+from ..render import render_scene
+from ..spec import SceneSpec
+from ..spec.pose import conjugate, from_yaw, quat_mul, yaw_of
+from .controlled_scene import ControlledScene, ResetNoise, controlled_scene
+
+try:
+    import gymnasium
+    from gymnasium import spaces
+except ImportError:
+    raise EngineError(
+        "gym_env needs the extra gym (gymnasium is missing): pip install 'neoworld-mjx[gym]'"
+    ) from None
+
+Observation = dict[str, NDArray]
+"""What is observed, by name:
+
+poses [object, 7]: position [m] and rotation (w, x, y, z) of every object's root;
+joints, joint_velocities [joint]: [rad or m, and per s];
+gripper [8], where there is one: the tool's pose, and the distance of the pads [m];
+picture [height, width, 3], where asked for.
+"""
+Reward = Callable[[Observation], float]
+
+
+class SceneEnv(gymnasium.Env[Observation, NDArray]):
+    """Actions are targets of the joints in `drives`, then the gripper's seven numbers.
+
+    Nothing is rewarded without a `reward`; an episode ends early only when the simulation diverges.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 50}
+
+    def __init__(
+        self,
+        controlled: ControlledScene,
+        *,
+        reward: Reward | None,
+        noise: ResetNoise,
+        picture: tuple[int, int] | None,
+        control_s: float,
+        horizon: int,
+    ) -> None:
+        self.controlled = controlled
+        self.model = controlled.model
+        self.data = mujoco.MjData(self.model)
+        self.render_mode = "rgb_array"
+        self._reward, self._noise, self._picture = reward, noise, picture
+        self._substeps = max(round(control_s / self.model.opt.timestep), 1)
+        self._horizon, self._steps = horizon, 0
+        low, high = controlled.action_bounds
+        self.action_space = spaces.Box(low, high, dtype=np.float32)
+        box = lambda *shape: spaces.Box(-np.inf, np.inf, shape, np.float32)
+        count = len(controlled.joints)
+        space: dict[str, spaces.Space[Any]] = {
+            "poses": box(len(controlled.names), 7),
+            "joints": box(count),
+            "joint_velocities": box(count),
+        }
+        if controlled.gripper is not None:
+            space["gripper"] = box(8)
+        if picture is not None:
+            space["picture"] = spaces.Box(0, 255, (*picture, 3), np.uint8)
+        # Its own type is invariant in what a space holds.
+        self.observation_space: Any = spaces.Dict(space)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode; the same seed gives the same start."""
+        super().reset(seed=seed)
+        mujoco.mj_resetData(self.model, self.data)
+        key = jax.random.key(int(self.np_random.integers(2**31)))
+        start = self.controlled.start
+        if self._noise != ResetNoise():
+            start = np.asarray(self.controlled.reset_state(key, self._noise), float)
+        self.data.qpos[:] = start
+        self.data.ctrl[:] = self.controlled.controls(self.controlled.hold)
+        mujoco.mj_forward(self.model, self.data)
+        self._steps = 0
+        return self._observe(), {}
+
+    def step(self, action: NDArray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Hold targets for one control interval."""
+        self.data.ctrl[:] = self.controlled.controls(np.asarray(action, np.float32))
+        mujoco.mj_step(self.model, self.data, self._substeps)
+        self._steps += 1
+        # MuJoCo resets a state that is no longer made of numbers, and says so.
+        lost = bool(self.data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number)
+        lost = lost or not np.isfinite(self.data.qpos).all()
+        observation = self._observe()
+        reward = 0.0 if self._reward is None else float(self._reward(observation))
+        return observation, reward, lost, self._steps >= self._horizon, {"diverged": lost}
+
+    def render(self) -> NDArray:
+        """Return a picture of the present state [height, width, 3]; the gripper is not drawn."""
+        height, width = self._picture or (320, 480)
+        return np.asarray(render_scene(self.posed(), width=width, height=height).color)
+
+    def posed(self) -> SceneSpec:
+        """Return the scene as it is now."""
+        scene = self.controlled.scene.spec
+        joints = dict(zip(self.controlled.joints, self._joints(), strict=True))
+        items = []
+        for item, body in zip(scene.objects, self.controlled.bodies, strict=True):
+            at, turn = self.data.xpos[body], self.data.xquat[body]
+            yaw = yaw_of(turn)
+            names = {j.name: f"{item.name}-{j.name}" for j in item.spec.joints}
+            state = {name: float(joints[full]) for name, full in names.items() if full in joints}
+            update = {
+                "parent": None,
+                "parent_link": None,
+                "xy": (float(at[0]), float(at[1])),
+                "z": float(at[2]),
+                "yaw": yaw,
+                "base_tilt": tuple(quat_mul(conjugate(from_yaw(yaw)), turn).tolist()),
+                "joint_state": {**item.joint_state, **state},
+            }
+            items.append(item.model_copy(update=update))
+        return scene.model_copy(update={"objects": tuple(items)})
+
+    def _joints(self) -> NDArray:
+        return self.data.qpos[self.controlled.qpos_of_joints]
+
+    def _observe(self) -> Observation:
+        own = self.controlled
+        poses = np.concatenate([self.data.xpos[own.bodies], self.data.xquat[own.bodies]], axis=1)
+        result = {
+            "poses": poses.astype(np.float32),
+            "joints": self._joints().astype(np.float32),
+            "joint_velocities": self.data.qvel[own.dof_of_joints].astype(np.float32),
+        }
+        if own.gripper is not None:
+            hand = self.data.body(f"{PREFIX}-hand")
+            fingers = [float(self.data.joint(f"{PREFIX}-{s}").qpos[0]) for s in ("left", "right")]
+            result["gripper"] = np.array([*hand.xpos, *hand.xquat, sum(fingers)], np.float32)
+        if self._picture is not None:
+            result["picture"] = self.render()
+        return result
+
+
+def gym_env(
+    run: Path | str | SceneSpec,
+    *,
+    gripper: Gripper | str | None = None,
+    drive_joints: bool | None = None,
+    reward: Reward | None = None,
+    noise: ResetNoise | None = None,
+    picture: tuple[int, int] | None = None,
+    control_s: float = 0.02,
+    horizon: int = 500,
+) -> SceneEnv:
+    """Make a Gymnasium environment of a run folder, a scene.json or a scene.
+
+    Args:
+        run: the folder, file or scene.
+        gripper: where a free gripper starts, or the handle, <object>-<frame>, that it faces.
+        drive_joints: whether actions hold the joints' targets; by default without a gripper.
+        reward: takes an observation and returns a number.
+        noise: what every reset adds to the scene; none by default.
+        picture: height and width of pictures in observations; they cost a second or so each.
+        control_s: how long each action lasts [s].
+        horizon: steps after which an episode is truncated.
+
+    Raises:
+        SpecError: there is no scene, no such handle, or nothing to act on.
+        EngineError: gymnasium is not installed.
+    """
+    controlled = controlled_scene(run, gripper=gripper, drive_joints=drive_joints)
+    return SceneEnv(
+        controlled,
+        reward=reward,
+        noise=noise or ResetNoise(),
+        picture=picture,
+        control_s=control_s,
+        horizon=horizon,
+    )

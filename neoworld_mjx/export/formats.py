@@ -1,0 +1,225 @@
+"""The files of a scene or an object in one format, or in those that a simulator wants."""
+
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from pxr import Sdf, UsdUtils
+
+from ..errors import ExportError
+from ..format_names import Format
+from ..physics.lowering import polyhedron_error
+from ..spec import ObjectSpec, SceneSpec, bounds, link_poses, pieces, world_poses
+from ..spec.convex import box_around
+from .meshes import mesh_files
+from .write_directives import directives_text, package_text
+from .write_drives import drives_text
+from .write_glb import glb_bytes
+from .write_mjcf import mjcf_text
+from .write_scene_usd import scene_usd_layer
+from .write_sdf import sdf_text
+from .write_urdf import srdf_text, urdf_text
+from .write_usd import usd_layer
+
+Described = SceneSpec | ObjectSpec
+
+
+def format_files(
+    described: Described, kind: Format, *, mjx: bool = False, floor: bool = False
+) -> dict[str, bytes]:
+    """Return the files of a scene or an object in a format: path in its folder, and content.
+
+    A scene's objects are in objects/<name>/.
+
+    Args:
+        described: the scene or object.
+        kind: the format; USD is written in its binary form.
+        mjx: whether MJCF has only colliders that MJX knows.
+        floor: whether MJCF has a floor without end below everything.
+    """
+    if kind == "usdz":
+        return _usdz(described)
+    makers: dict[str, Callable[[Described, bool, bool], dict[str, bytes]]] = {
+        "mjcf": _mjcf,
+        "urdf": _urdf,
+        "usd": _usd,
+        "sdf": _sdf,
+        "glb": _glb,
+    }
+    return makers[kind](described, mjx, floor)
+
+
+def lost(described: Described, kind: Format) -> list[str]:
+    """List, in words, what a format does not hold of a scene or an object."""
+    joints = [(owner, joint) for owner, spec in _objects(described) for joint in spec.joints]
+    result = []
+
+    def tell(what: str, names: list[str]) -> None:
+        if names:
+            result.append(f"{what}: {', '.join(names)}")
+
+    def with_(*fields: str) -> list[str]:
+        return [
+            f"{owner}.{joint.name}"
+            for owner, joint in joints
+            if any(getattr(joint, field) for field in fields)
+        ]
+
+    def balls() -> list[str]:
+        return [f"{owner}.{joint.name}" for owner, joint in joints if joint.type == "ball"]
+
+    if kind == "glb":
+        return ["colliders, joints, masses and friction"]
+    if kind == "urdf":
+        tell("stiffness and armature of joints", with_("stiffness", "armature"))
+        tell("balls are three hinges", balls())
+        result.append("colliders of what moves are drawn in by 0.5 mm, ellipsoids are meshes")
+    if kind == "sdf":
+        tell("armature of joints", with_("armature"))
+        if isinstance(described, SceneSpec):
+            moved = [item.name for item in described.objects if any(item.joint_state.values())]
+            tell("joints are at 0", moved)
+    if kind == "mjcf":
+        tell("velocity limits", with_("velocity"))
+    if kind in ("usd", "usdz"):
+        tell("the twist of balls is not limited, their damping is our own attribute", balls())
+        result.append("ellipsoids collide as meshes")
+    return result
+
+
+def collider_error(described: Described) -> float:
+    """Return how far [m] colliders for MJX lie beside the true surfaces, at most."""
+    return max(
+        (
+            polyhedron_error(piece.kind, piece.size)
+            for _, spec in _objects(described)
+            for part in spec.parts
+            for _, piece, _ in pieces(part)
+        ),
+        default=0.0,
+    )
+
+
+def write_formats(
+    described: Described,
+    out: Path,
+    kinds: Sequence[Format],
+    *,
+    mjx: bool = False,
+    floor: bool = False,
+) -> list[str]:
+    """Write formats into a folder and return the paths, relative to it.
+
+    Raises:
+        ExportError: a file cannot be written.
+    """
+    files: dict[str, bytes] = {}
+    for kind in kinds:
+        files |= format_files(described, kind, mjx=mjx, floor=floor)
+    for path, content in files.items():
+        target = out / path
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(content)
+        except OSError as error:
+            raise ExportError(f"cannot write {target}: {error.strerror}") from None
+    return sorted(files)
+
+
+def _objects(described: Described) -> list[tuple[str, ObjectSpec]]:
+    if isinstance(described, ObjectSpec):
+        return [(described.name, described)]
+    return [(item.name, item.spec) for item in described.objects]
+
+
+def _stem(described: Described) -> str:
+    return "object" if isinstance(described, ObjectSpec) else "scene"
+
+
+def _folder(described: Described, name: str) -> str:
+    return "" if isinstance(described, ObjectSpec) else f"objects/{name}/"
+
+
+def _meshes(described: Described) -> dict[str, bytes]:
+    return {
+        f"{_folder(described, name)}{path}": text.encode()
+        for name, spec in _objects(described)
+        for path, text in mesh_files(spec).items()
+    }
+
+
+def _mjcf(described: Described, mjx: bool, floor: bool) -> dict[str, bytes]:
+    file = f"{_stem(described)}.xml"
+    text = mjcf_text(
+        described, target="mjx" if mjx else "mujoco", floor=_lowest(described) if floor else None
+    )
+    drives = drives_text(described, file)
+    files = {file: text.encode(), **_meshes(described)}
+    return files if drives is None else {**files, "drives.xml": drives.encode()}
+
+
+def _lowest(described: Described) -> float:
+    """Return the height of the lowest collider [m]."""
+    if isinstance(described, ObjectSpec):
+        return float(bounds(described)[0][2])
+    lows = []
+    poses = world_poses(described)
+    for item in described.objects:
+        moved = link_poses(item.spec, item.joint_state)
+        for part in item.spec.parts:
+            for _, piece, at in pieces(part):
+                place = poses[item.name].then(moved[part.name]).then(at)
+                lows.append(float(box_around(piece, place)[0][2]))
+    return min(lows)
+
+
+def _urdf(described: Described, mjx: bool, floor: bool) -> dict[str, bytes]:
+    files = _meshes(described)
+    for name, spec in _objects(described):
+        home = _folder(described, name)
+        files[f"{home}object.urdf"] = urdf_text(spec).encode()
+        files[f"{home}object.srdf"] = srdf_text(spec).encode()
+    if isinstance(described, SceneSpec):
+        files["scene.dmd.yaml"] = directives_text(described).encode()
+        files["package.xml"] = package_text(described).encode()
+    return files
+
+
+def _sdf(described: Described, mjx: bool, floor: bool) -> dict[str, bytes]:
+    return {f"{_stem(described)}.sdf": sdf_text(described).encode(), **_meshes(described)}
+
+
+def _glb(described: Described, mjx: bool, floor: bool) -> dict[str, bytes]:
+    files = {f"{_stem(described)}.glb": glb_bytes(described)}
+    if isinstance(described, SceneSpec):
+        files |= {f"objects/{n}/object.glb": glb_bytes(s) for n, s in _objects(described)}
+    return files
+
+
+def _usd(described: Described, mjx: bool, floor: bool) -> dict[str, bytes]:
+    files = {
+        f"{_folder(described, name)}object.usdc": _binary(usd_layer(spec))
+        for name, spec in _objects(described)
+    }
+    if isinstance(described, SceneSpec):
+        files["scene.usdc"] = _binary(scene_usd_layer(described, "usdc"))
+    return files
+
+
+def _binary(layer: Sdf.Layer) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "layer.usdc"
+        if not layer.Export(str(path)):
+            raise ExportError(f"USD cannot write {path}")
+        return path.read_bytes()
+
+
+def _usdz(described: Described) -> dict[str, bytes]:
+    stem = _stem(described)
+    with tempfile.TemporaryDirectory() as folder:
+        home = Path(folder)
+        write_formats(described, home, ["usd"])
+        package = home / f"{stem}.usdz"
+        if not UsdUtils.CreateNewUsdzPackage(str(home / f"{stem}.usdc"), str(package)):
+            raise ExportError(f"USD cannot pack {package.name}")
+        return {package.name: package.read_bytes()}

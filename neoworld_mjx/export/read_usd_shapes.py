@@ -1,0 +1,272 @@
+"""Shapes and materials of USD prims."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom, UsdPhysics, UsdShade
+
+from ..errors import SpecError
+from ..spec import Box, Capsule, Cylinder, Ellipsoid, Sphere
+from ..spec.base_shape import BaseShape
+from ..spec.mesh import MAX_VERTICES
+from .mechanism import LinkShape, Triangles
+
+GREY = (0.7, 0.7, 0.7, 1.0)
+SECTORS = 32
+"""Corners around a cone, or a cylinder that is not round."""
+_TURNS = {
+    "X": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
+    "Y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
+    "Z": np.eye(3),
+}
+"""Rotations that take z to the axis that a prim names."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """Appearance and friction of a prim, and the name and density of its material, if stated."""
+
+    rgba: tuple[float, float, float, float] = GREY
+    friction: float = 0.5
+    name: str = ""
+    density: float | None = None
+
+
+def shapes_of(prim: Usd.Prim, at: NDArray, notes: list[str]) -> Iterator[LinkShape]:
+    """Yield what a prim is as a shape that is seen, collides, or both.
+
+    Args:
+        prim: a geometric prim.
+        at: transform of its frame, with scale, into the mechanism's frame [4, 4] m.
+        notes: takes what cannot be carried.
+
+    Raises:
+        SpecError: a mesh is broken or too large.
+    """
+    collides, hull, round_it = _collision(prim)
+    image = UsdGeom.Imageable(prim)
+    seen = (
+        image.ComputePurpose() in ("default", "render", "proxy")
+        and image.ComputeVisibility() != UsdGeom.Tokens.invisible
+    )
+    if not (collides or seen):
+        return
+    made = _shape(prim, at, notes)
+    if made is None:
+        return
+    shape, place = made
+    if collides and round_it and not isinstance(shape, BaseShape):
+        shape, place = _around(shape, place, round_it)
+    role = "both" if collides and seen else "collision" if collides else "visual"
+    look = _look(prim, collides)
+    yield LinkShape(
+        shape, place, role, look.rgba, look.friction, hull=hull, name=look.name,
+        density=look.density,
+    )  # fmt: skip
+
+
+def _collision(prim: Usd.Prim) -> tuple[bool, bool, str]:
+    """Return whether a prim collides, whether as its hull, and as which other shape."""
+    holder = prim
+    while holder and not holder.HasAPI(UsdPhysics.CollisionAPI):
+        # A collider may be told of the group that holds the mesh.
+        holder = holder.GetParent()
+        if (
+            holder
+            and (holder.IsA(UsdGeom.Gprim) or holder.HasAPI(UsdPhysics.RigidBodyAPI))
+            and not holder.HasAPI(UsdPhysics.CollisionAPI)
+        ):
+            return False, False, ""
+    if not holder or holder.IsPseudoRoot():
+        return False, False, ""
+    if UsdPhysics.CollisionAPI(holder).GetCollisionEnabledAttr().Get() is False:
+        return False, False, ""
+    kind = ""
+    for one in (prim, holder):
+        if one.HasAPI(UsdPhysics.MeshCollisionAPI):
+            kind = UsdPhysics.MeshCollisionAPI(one).GetApproximationAttr().Get() or ""
+            break
+    return True, kind == "convexHull", kind if kind in ("boundingCube", "boundingSphere") else ""
+
+
+def _shape(
+    prim: Usd.Prim, at: NDArray, notes: list[str]
+) -> tuple[BaseShape | Triangles, NDArray] | None:
+    if prim.IsA(UsdGeom.Mesh):
+        return _mesh(prim, at)
+    place, scale = unscaled(at, even=True)
+    if scale is None or not np.all(scale > 1e-9):
+        notes.append(f"{prim.GetPath()} is sheared or flat, and left out")
+        return None
+    if prim.IsA(UsdGeom.Cube):
+        edge = UsdGeom.Cube(prim).GetSizeAttr().Get()
+        x, y, z = (float(edge * s) for s in scale)
+        return Box(size=(x, y, z)), place
+    if prim.IsA(UsdGeom.Sphere):
+        radii = UsdGeom.Sphere(prim).GetRadiusAttr().Get() * scale
+        if np.ptp(radii) <= 1e-6 * radii.max():
+            return Sphere(radius=float(radii.mean())), place
+        x, y, z = (float(v) for v in radii)
+        return Ellipsoid(radii=(x, y, z)), place
+    along = str(getattr(prim.GetAttribute("axis"), "Get", lambda: "Z")() or "Z")
+    kinds = (UsdGeom.Cylinder, UsdGeom.Capsule, UsdGeom.Cone)
+    kind = next((k for k in kinds if prim.IsA(k)), None)
+    if kind is None or along not in _TURNS:
+        notes.append(f"{prim.GetPath()} is a {prim.GetTypeName()}, which is not carried")
+        return None
+    typed = kind(prim)
+    radius, height = (float(v.Get()) for v in (typed.GetRadiusAttr(), typed.GetHeightAttr()))
+    turn = np.eye(4)
+    turn[:3, :3] = _TURNS[along]
+    k = "XYZ".index(along)
+    across = np.delete(scale, k)
+    tall = height * float(scale[k])
+    even = np.ptp(across) <= 1e-6 * across.max()
+    if kind is UsdGeom.Cylinder and even:
+        return Cylinder(radius=radius * float(across[0]), height=tall), place @ turn
+    if kind is UsdGeom.Capsule and np.ptp(scale) <= 1e-6 * scale.max():
+        return Capsule(radius=radius * float(scale[0]), length=tall), place @ turn
+    if kind is UsdGeom.Capsule:
+        notes.append(f"{prim.GetPath()} is an uneven capsule, and left out")
+        return None
+    return _prism(radius, height, 0.0 if kind is UsdGeom.Cone else radius, turn, scale), place
+
+
+def _prism(low: float, height: float, high: float, turn: NDArray, scale: NDArray) -> Triangles:
+    """Return triangles of a cone or a cylinder, scaled, about the prim's origin."""
+    angle = np.arange(SECTORS) * 2 * np.pi / SECTORS
+    ring = np.column_stack([np.cos(angle), np.sin(angle)])
+    rows = [np.column_stack([r * ring, np.full(SECTORS, z)])
+            for r, z in ((low, -height / 2), (max(high, 1e-4 * low), height / 2))]  # fmt: skip
+    ends = [[0.0, 0.0, -height / 2], [0.0, 0.0, height / 2]]
+    vertices = np.vstack([*rows, ends]) @ turn[:3, :3].T * scale
+    faces = []
+    for k in range(SECTORS):
+        n = (k + 1) % SECTORS
+        up, up_n = k + SECTORS, n + SECTORS
+        faces += [(k, n, up_n), (k, up_n, up), (2 * SECTORS, n, k), (2 * SECTORS + 1, up, up_n)]
+    return vertices, np.array(faces)
+
+
+def _mesh(prim: Usd.Prim, at: NDArray) -> tuple[Triangles, NDArray] | None:
+    mesh = UsdGeom.Mesh(prim)
+    points = mesh.GetPointsAttr().Get()
+    counts, index = mesh.GetFaceVertexCountsAttr().Get(), mesh.GetFaceVertexIndicesAttr().Get()
+    if not points or not counts or not index:
+        return None
+    vertices = np.array(points, float)
+    faces = _triangles(str(prim.GetPath()), np.array(counts), np.array(index), len(vertices))
+    if len(vertices) > MAX_VERTICES:
+        raise SpecError(
+            f"{prim.GetPath()} has {len(vertices)} corners; at most {MAX_VERTICES} are read"
+        )
+    place, scale = unscaled(at)
+    if scale is None:
+        place = np.eye(4)
+        place[:3, 3] = at[:3, 3]
+        vertices = vertices @ at[:3, :3].T
+    else:
+        vertices = vertices * scale
+    left = mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded
+    if left != (np.linalg.det(at[:3, :3]) < 0):
+        faces = faces[:, ::-1]
+    vertices, same = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)
+    faces = same.reshape(-1)[faces]
+    a, b, c = faces.T
+    return (vertices, faces[(a != b) & (b != c) & (c != a)]), place
+
+
+def _triangles(name: str, counts: NDArray, index: NDArray, vertices: int) -> NDArray:
+    """Cut polygons into fans of triangles [f, 3]."""
+    if counts.min() < 0 or counts.sum() != len(index):
+        raise SpecError(f"{name}: its faces name {len(index)} corners and count {counts.sum()}")
+    if index.min() < 0 or index.max() >= vertices:
+        raise SpecError(f"{name}: a face names a corner that is not there")
+    first = np.cumsum(counts) - counts
+    fans = np.repeat(first, np.maximum(counts - 2, 0))
+    step = np.concatenate([np.arange(n) for n in np.maximum(counts - 2, 0)] or [np.zeros(0, int)])
+    return np.column_stack([index[fans], index[fans + step + 1], index[fans + step + 2]])
+
+
+def unscaled(at: NDArray, *, even: bool = False) -> tuple[NDArray, NDArray | None]:
+    """Split a transform [4, 4] into a rigid one and scales along its axes [3]; None if sheared.
+
+    A mirrored transform counts as sheared, unless what it places is `even`: the same when mirrored.
+    """
+    linear = at[:3, :3]
+    scale = np.linalg.norm(linear, axis=0)
+    rigid = at.copy()
+    if not np.all(scale > 0):
+        return rigid, None
+    turn = linear / scale
+    if np.linalg.det(turn) < 0:
+        if not even:
+            return rigid, None
+        turn[:, 0] *= -1
+    if not np.allclose(turn.T @ turn, np.eye(3), atol=1e-5):
+        return rigid, None
+    rigid[:3, :3] = turn
+    return rigid, scale
+
+
+def _around(mesh: Triangles, at: NDArray, kind: str) -> tuple[BaseShape, NDArray]:
+    """Return the box or the ball around a mesh, as its approximation asks."""
+    low, high = mesh[0].min(axis=0), mesh[0].max(axis=0)
+    shift = np.eye(4)
+    shift[:3, 3] = (low + high) / 2
+    if kind == "boundingSphere":
+        radius = float(np.linalg.norm(mesh[0] - shift[:3, 3], axis=1).max())
+        return Sphere(radius=radius), at @ shift
+    x, y, z = (float(max(v, 1e-6)) for v in high - low)
+    return Box(size=(x, y, z)), at @ shift
+
+
+def _look(prim: Usd.Prim, collides: bool) -> Look:
+    binding = UsdShade.MaterialBindingAPI(prim)
+    drawn = binding.ComputeBoundMaterial()[0]
+    physical = binding.ComputeBoundMaterial("physics")[0] if collides else None
+    rgba = _bound_colour(drawn) or _own_colour(prim)
+    holder = physical or drawn
+    friction, density = 0.5, None
+    if holder and holder.GetPrim().HasAPI(UsdPhysics.MaterialAPI):
+        physics = UsdPhysics.MaterialAPI(holder.GetPrim())
+        stated = physics.GetDynamicFrictionAttr()
+        # Single precision there: the shortest number that gives the same.
+        friction = float(f"{stated.Get():.7g}") if stated.HasAuthoredValue() else 0.5
+        density = float(physics.GetDensityAttr().Get() or 0.0) or None
+    name = holder.GetPrim().GetName() if holder else ""
+    return Look(rgba, friction, name, density)
+
+
+def _own_colour(prim: Usd.Prim) -> tuple[float, float, float, float]:
+    colours = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get()
+    opacities = UsdGeom.Gprim(prim).GetDisplayOpacityAttr().Get()
+    if not colours:
+        return GREY
+    return _displayed(colours[0], float(opacities[0]) if opacities else 1.0)
+
+
+def _bound_colour(material: UsdShade.Material | None) -> tuple[float, float, float, float] | None:
+    """Return the colour of a material's surface, if it states a plain one."""
+    if not material:
+        return None
+    surface = material.ComputeSurfaceSource()[0] or material.ComputeSurfaceSource(["mdl"])[0]
+    if not surface:
+        return None
+    for name in ("diffuseColor", "diffuse_color_constant"):
+        stated = surface.GetInput(name)
+        if stated and not stated.HasConnectedSource() and stated.Get() is not None:
+            opacity = surface.GetInput("opacity")
+            alpha = opacity.Get() if opacity and not opacity.HasConnectedSource() else 1.0
+            return _displayed(stated.Get(), float(1.0 if alpha is None else alpha))
+    return None
+
+
+def _displayed(linear: object, alpha: float) -> tuple[float, float, float, float]:
+    """Return a linear colour as it is displayed, as ours are."""
+    c = np.clip(np.array(list(linear), float), 0.0, 1.0)  # pyright: ignore[reportArgumentType]
+    shown = np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)
+    r, g, b = (round(float(v), 5) for v in shown)
+    return r, g, b, min(max(alpha, 0.0), 1.0)

@@ -1,0 +1,145 @@
+"""MJCF of drives: a file that includes a scene's or an object's, and holds its joints by position.
+
+They are a file of their own because a position actuator holds whatever its target is: a drawer of
+the scene by itself is to be pulled out by its handle.
+"""
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from ..physics.mjcf import START, to_mjspec
+from ..spec import ObjectSpec, SceneSpec
+from .meshes import numbers
+
+RATE = 20.0
+"""Natural frequency of a drive [rad/s], at critical damping."""
+GROUP = 1
+"""Group of the actuators; <option actuatorgroupdisable="1"/> switches them off."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A position actuator of a joint, critically damped."""
+
+    name: str
+    """The joint's in the model, with -x, -y or -z for one axis of a ball."""
+    joint: str
+    axis: str
+    """x, y or z of a ball, else empty."""
+    stiffness: float
+    """[N m/rad or N/m]"""
+    damping: float
+    range: tuple[float, float] | None
+    """Of targets [rad or m]; None is no limit."""
+    effort: float | None
+    """Largest force [N m or N]; None is no limit."""
+    held: float
+    """Target that holds the joint where the scene has it."""
+
+
+def drives(scene: SceneSpec | ObjectSpec) -> tuple[Drive, ...]:
+    """List the drives of a scene's or object's joints.
+
+    Joints that follow others have none, a ball has three.
+    """
+    if isinstance(scene, SceneSpec):
+        objects = [(item.name, item.spec) for item in scene.objects]
+    else:
+        objects = [(scene.name, scene)]
+    driven = [
+        (f"{owner}-{joint.name}", joint, axis)
+        for owner, spec in objects
+        for joint in spec.joints
+        if joint.type != "fixed" and joint.mimic is None
+        for axis in ("xyz" if joint.type == "ball" else [""])
+    ]
+    if not driven:
+        return ()
+    model, data = _posed(scene)
+    result = []
+    for name, joint, axis in driven:
+        dof = model.joint(name).dofadr[0] + max("xyz".find(axis), 0)
+        inertia = float(model.dof_M0[dof])
+        limited = joint.type in ("revolute", "prismatic")
+        result.append(
+            Drive(
+                name=name + (f"-{axis}" if axis else ""),
+                joint=name,
+                axis=axis,
+                stiffness=round_to(inertia * RATE**2, 4),
+                damping=round_to(2 * inertia * RATE, 4),
+                range=(joint.lower, joint.upper) if limited else None,
+                effort=joint.effort,
+                held=_held(data.joint(name).qpos, axis),
+            )
+        )
+    return tuple(result)
+
+
+def drives_text(scene: SceneSpec | ObjectSpec, file: str) -> str | None:
+    """Return MJCF that adds position actuators to a file beside it; None without joints.
+
+    The keyframe "held" has every joint where the scene has it, and the drives hold it there.
+
+    Args:
+        scene: what `file` describes.
+        file: name of the file to include.
+    """
+    every = drives(scene)
+    if not every:
+        return None
+    root = ET.Element("mujoco", model=scene.name)
+    ET.SubElement(root, "include", file=file)
+    defaults = ET.SubElement(ET.SubElement(root, "default"), "default", {"class": "drives"})
+    ET.SubElement(defaults, "position", group=str(GROUP))
+    actuators = ET.SubElement(root, "actuator")
+    for drive in every:
+        _add_drive(actuators, drive)
+    keys = ET.SubElement(root, "keyframe")
+    _, data = _posed(scene)
+    targets = numbers([drive.held for drive in every])
+    ET.SubElement(keys, "key", name="held", qpos=numbers(data.qpos), ctrl=targets)
+    ET.indent(root, " ")
+    return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _posed(scene: SceneSpec | ObjectSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    model = to_mjspec(scene).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+def _add_drive(actuators: ET.Element, drive: Drive) -> None:
+    fields = {
+        "class": "drives",
+        "name": drive.name,
+        "joint": drive.joint,
+        "kp": numbers([drive.stiffness]),
+        "kv": numbers([drive.damping]),
+    }
+    if drive.axis:
+        fields["gear"] = " ".join(str(int(drive.axis == a)) for a in "xyz") + " 0 0 0"
+    elif drive.range is not None:
+        fields["ctrlrange"] = numbers(drive.range)
+    if drive.effort is not None:
+        fields["forcerange"] = numbers([-drive.effort, drive.effort])
+    ET.SubElement(actuators, "position", fields)
+
+
+def _held(qpos: np.ndarray, axis: str) -> float:
+    """Return the target that holds a joint where it is."""
+    if not axis:
+        return float(qpos[0])
+    vector = np.zeros(3)
+    mujoco.mju_quat2Vel(vector, qpos, 1.0)
+    return float(vector["xyz".find(axis)])
+
+
+def round_to(value: float, digits: int) -> float:
+    """Round to significant digits."""
+    return float(f"{value:.{digits}g}")

@@ -1,0 +1,201 @@
+"""SDF of an object or a scene, for Gazebo and Drake.
+
+A link's frame has its origin at its joint's anchor and the object's orientation, as in URDF. All
+joints are at 0: SDF has no place for another state, nor for armature.
+"""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..spec import (
+    GeomSpec,
+    JointSpec,
+    Material,
+    ObjectSpec,
+    PartSpec,
+    SceneSpec,
+    inertial,
+    world_poses,
+)
+from ..spec.convex import Piece
+from ..spec.pose import Pose, matrix, pose, to_rpy
+from .handles import frames
+from .looks import look
+from .meshes import collision_file, number, numbers, visual_file
+from .write_urdf import DRAKE, link_name
+
+VERSION = "1.11"
+"""The first that knows joints which follow others."""
+
+
+def sdf_text(scene: SceneSpec | ObjectSpec) -> str:
+    """Return a scene as an SDF world, or an object as an SDF model; meshes are files beside it."""
+    root = ET.Element("sdf", {"version": VERSION, "xmlns:drake": DRAKE})
+    if isinstance(scene, ObjectSpec):
+        _add_model(root, scene.name, scene, "")
+    else:
+        world = ET.SubElement(root, "world", name=scene.name)
+        _put(world, "gravity", scene.gravity)
+        _add_sun(world)
+        poses = world_poses(scene)
+        for item in scene.objects:
+            model = _add_model(world, item.name, item.spec, f"objects/{item.name}/")
+            _pose(model, poses[item.name])
+            if item.static:
+                moves = any(joint.type != "fixed" for joint in item.spec.joints)
+                if moves:
+                    hold = ET.SubElement(model, "joint", name="hold_in_world_", type="fixed")
+                    ET.SubElement(hold, "parent").text = "world"
+                    ET.SubElement(hold, "child").text = link_name(item.spec, item.spec.root)
+                else:
+                    ET.SubElement(model, "static").text = "true"
+    ET.indent(root, " ")
+    return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _put(parent: ET.Element, tag: str, values: Iterable[float] | float) -> ET.Element:
+    element = ET.SubElement(parent, tag)
+    element.text = number(values) if isinstance(values, float | int) else numbers(values)
+    return element
+
+
+def _pose(parent: ET.Element, at: Pose) -> ET.Element:
+    return _put(parent, "pose", (*at.pos, *to_rpy(at.quat)))
+
+
+def _add_sun(world: ET.Element) -> None:
+    sun = ET.SubElement(world, "light", name="sun_", type="directional")
+    _put(sun, "diffuse", (0.8, 0.8, 0.8, 1.0))
+    _put(sun, "direction", (0.3, -0.4, -1.0))
+
+
+def _add_model(parent: ET.Element, name: str, spec: ObjectSpec, folder: str) -> ET.Element:
+    model = ET.SubElement(parent, "model", name=name)
+    origins = {joint.child: np.array(joint.pos) for joint in spec.joints}
+    origins[spec.root] = np.zeros(3)
+    for part, _ in spec.ordered:
+        _add_link(model, spec, part, origins[part.name], folder)
+    for joint in spec.joints:
+        _add_joint(model, spec, joint)
+    taken = {link_name(spec, part.name) for part in spec.parts}
+    taken |= {joint.name for joint in spec.joints}
+    for frame in frames(spec):
+        label = frame.name
+        while label in taken:
+            label += "_"
+        taken.add(label)
+        attached = {"name": label, "attached_to": link_name(spec, frame.part)}
+        place = pose(np.array(frame.pos) - origins[frame.part])
+        _pose(ET.SubElement(model, "frame", attached), place)
+    return model
+
+
+def _add_link(
+    model: ET.Element, spec: ObjectSpec, part: PartSpec, origin: NDArray, folder: str
+) -> None:
+    link = ET.SubElement(model, "link", name=link_name(spec, part.name))
+    _pose(link, pose(origin))
+    mass = inertial(spec, part)
+    element = ET.SubElement(link, "inertial")
+    _pose(element, pose(np.array(mass.pos) - origin))
+    _put(element, "mass", mass.mass)
+    turn = matrix(mass.quat)
+    tensor = turn @ np.diag(mass.diagonal) @ turn.T
+    inertia = ET.SubElement(element, "inertia")
+    for key, at in zip(
+        ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
+        ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)),
+        strict=True,
+    ):
+        _put(inertia, key, float(tensor[at]))
+    for geom in part.geoms:
+        material = spec.material(geom.material)
+        local = Pose(np.array(geom.pos) - origin, np.array(geom.quat))
+        if geom.role != "collision":
+            visual = ET.SubElement(link, "visual", name=geom.name)
+            _pose(visual, local)
+            _shape(visual, geom.shape.primitive(), f"{folder}{visual_file(geom)}")
+            _shine(visual, material)
+        if geom.role != "visual":
+            for k, piece in enumerate(geom.shape.pieces()):
+                _add_collision(link, geom, k, piece, local, material, folder)
+
+
+def _add_collision(
+    link: ET.Element,
+    geom: GeomSpec,
+    k: int,
+    piece: Piece,
+    local: Pose,
+    material: Material,
+    folder: str,
+) -> None:
+    collision = ET.SubElement(link, "collision", name=f"{geom.name}-{k}")
+    _pose(collision, local.then(pose(piece.pos, piece.quat)))
+    _shape(collision, None if piece.kind == "mesh" else piece, folder + collision_file(geom, k))
+    friction = ET.SubElement(ET.SubElement(collision, "surface"), "friction")
+    ode = ET.SubElement(friction, "ode")
+    for name in ("mu", "mu2"):
+        _put(ode, name, material.friction)
+    properties = ET.SubElement(collision, "drake:proximity_properties")
+    for name in ("drake:mu_static", "drake:mu_dynamic"):
+        _put(properties, name, material.friction)
+
+
+def _shape(parent: ET.Element, piece: Piece | None, file: str) -> None:
+    geometry = ET.SubElement(parent, "geometry")
+    if piece is None:
+        mesh = ET.SubElement(geometry, "mesh")
+        ET.SubElement(mesh, "uri").text = file
+        return
+    shape = ET.SubElement(geometry, piece.kind)
+    if piece.kind == "box":
+        _put(shape, "size", [2 * v for v in piece.size])
+    elif piece.kind == "ellipsoid":
+        _put(shape, "radii", piece.size)
+    else:
+        _put(shape, "radius", piece.size[0])
+        if piece.kind != "sphere":
+            _put(shape, "length", 2 * piece.size[1])
+
+
+def _shine(visual: ET.Element, material: Material) -> None:
+    element = ET.SubElement(visual, "material")
+    for tag in ("ambient", "diffuse"):
+        _put(element, tag, material.rgba)
+    metallic, roughness = look(material)
+    metal = ET.SubElement(ET.SubElement(element, "pbr"), "metal")
+    _put(metal, "metalness", metallic)
+    _put(metal, "roughness", roughness)
+
+
+def _add_joint(model: ET.Element, spec: ObjectSpec, joint: JointSpec) -> None:
+    element = ET.SubElement(model, "joint", name=joint.name, type=joint.type)
+    ET.SubElement(element, "parent").text = link_name(spec, joint.parent)
+    ET.SubElement(element, "child").text = link_name(spec, joint.child)
+    if joint.type == "fixed":
+        return
+    axis = ET.SubElement(element, "axis")
+    if joint.type != "ball":
+        _put(axis, "xyz", joint.axis)
+        if joint.mimic is not None:
+            tie = ET.SubElement(axis, "mimic", joint=joint.mimic.joint, axis="axis")
+            _put(tie, "multiplier", joint.mimic.multiplier)
+            _put(tie, "offset", joint.mimic.offset)
+            _put(tie, "reference", 0.0)
+        limit = ET.SubElement(axis, "limit")
+        if joint.type != "continuous":
+            _put(limit, "lower", joint.lower)
+            _put(limit, "upper", joint.upper)
+        for tag, value in (("effort", joint.effort), ("velocity", joint.velocity)):
+            if value is not None:
+                _put(limit, tag, value)
+    dynamics = ET.SubElement(axis, "dynamics")
+    _put(dynamics, "damping", joint.damping)
+    _put(dynamics, "friction", joint.friction)
+    if joint.stiffness:
+        _put(dynamics, "spring_reference", 0.0)
+        _put(dynamics, "spring_stiffness", joint.stiffness)

@@ -1,0 +1,21 @@
+"""Names of the formats that scenes and objects are written in, and of simulators that read them."""
+
+from typing import Literal, get_args
+
+Format = Literal["mjcf", "urdf", "usd", "usdz", "sdf", "glb"]
+FORMATS: tuple[Format, ...] = get_args(Format)
+Simulator = Literal[
+    "mujoco", "mjx", "newton", "isaac", "drake", "gazebo", "pybullet", "sapien", "pinocchio"
+]
+BEST: dict[Simulator, tuple[Format, ...]] = {
+    "mujoco": ("mjcf",),
+    "mjx": ("mjcf",),
+    "newton": ("usd",),
+    "isaac": ("usd",),
+    "drake": ("sdf", "urdf"),
+    "gazebo": ("sdf",),
+    "pybullet": ("urdf",),
+    "sapien": ("urdf",),
+    "pinocchio": ("urdf",),
+}
+"""Formats that carry most to each simulator."""

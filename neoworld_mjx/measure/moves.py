@@ -1,0 +1,38 @@
+"""How far objects are moved, scaled and turned from one scene to another."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..spec import SceneSpec, bounds, world_poses
+from ..spec.pose import yaw_of
+
+
+class Move(NamedTuple):
+    """The change of one object."""
+
+    distance_m: float
+    """Between its origins in the world."""
+    size_ratio: float
+    """New over old size, mean of the axes."""
+    yaw_deg: float
+
+
+def object_moves(before: SceneSpec, after: SceneSpec) -> dict[str, Move]:
+    """Return the changes of the objects that are in both scenes, environment supports left out."""
+    old, new = ({item.name: item for item in scene.objects} for scene in (before, after))
+    poses_before, poses_after = world_poses(before), world_poses(after)
+    result = {}
+    for name, item in old.items():
+        if item.environment or name not in new:
+            continue
+        a, b = poses_before[name], poses_after[name]
+        sizes = [np.subtract(*bounds(of.spec, of.joint_state)) for of in (new[name], item)]
+        turn = math.remainder(yaw_of(b.quat) - yaw_of(a.quat), 2 * math.pi)
+        result[name] = Move(
+            float(np.linalg.norm(np.subtract(b.pos, a.pos))),
+            float(np.prod(sizes[0] / sizes[1])) ** (1 / 3),
+            math.degrees(turn),
+        )
+    return result

@@ -1,0 +1,73 @@
+"""Whether a scene passes: each bound by itself. `check`, `refine` and their answers share it."""
+
+import math
+
+from ..config import RefineOptions
+from ..spec import SceneSpec, Spec
+from .stability import SceneMeasure, scene_measure
+
+
+class SceneCheck(Spec):
+    """One bound of a scene."""
+
+    name: str
+    value: float
+    threshold: float
+    passed: bool
+    where: str = ""
+    """The object, pair or joint of the value; empty where nothing moves or overlaps."""
+
+    def phrase(self) -> str:
+        """Return one line, such as "max_tilt_deg 12.3 of mug, over 5"."""
+        return (
+            f"{self.name} {self.value:.3g} of {self.where or 'the scene'}, over {self.threshold:g}"
+        )
+
+
+def measured(scene: SceneSpec, o: RefineOptions) -> SceneMeasure:
+    """Measure a scene for as long as the final check does; see `scene_measure`."""
+    return scene_measure(
+        scene,
+        duration=o.check_duration_s,
+        timestep=o.check_timestep_s,
+        max_depth=o.max_depth_m,
+        max_drift=o.max_drift_m,
+        max_tilt=o.max_tilt_deg,
+    )
+
+
+def scene_checks(measure: SceneMeasure, o: RefineOptions) -> tuple[SceneCheck, ...]:
+    """Hold every measure against its bound.
+
+    A joint that slides by itself may go as far as an object, one that turns as wide.
+    A value that is not finite passes nothing: what diverged fails by every bound of its motion.
+    """
+    depth, drift, tilt = o.max_depth_m, o.max_drift_m, o.max_tilt_deg
+    rows = (
+        ("max_depth_m", measure.max_depth_m, depth, measure.depths_m),
+        ("settled_depth_m", measure.settled_depth_m, depth, measure.settled_depths_m),
+        ("max_drift_m", measure.max_drift_m, drift, measure.drift_m),
+        ("max_tilt_deg", measure.max_tilt_deg, tilt, measure.tilt_deg),
+        ("max_joint_slide_m", _most(measure.joint_slide_m), drift, measure.joint_slide_m),
+        ("max_joint_turn_deg", _most(measure.joint_turn_deg), tilt, measure.joint_turn_deg),
+    )
+    checks = []
+    for name, value, threshold, places in rows:
+        # Depths may reach their bound, as they do in S-Pen; motions may not.
+        kept = value <= threshold if "depth" in name else value < threshold
+        if measure.diverged and "max_depth" not in name:
+            value, kept = math.inf, False
+        where = max(places, key=places.__getitem__, default="")
+        checks.append(
+            SceneCheck(name=name, value=value, threshold=threshold, passed=kept, where=where)
+        )
+    return tuple(checks)
+
+
+def passes(measure: SceneMeasure, o: RefineOptions) -> bool:
+    """Tell whether a scene keeps every bound."""
+    return all(check.passed for check in scene_checks(measure, o))
+
+
+def _most(values: dict[str, float]) -> float:
+    return max(values.values(), default=0.0)

@@ -1,0 +1,110 @@
+"""Names the objects of a scene that do not stay where they were composed, and says why."""
+
+from collections.abc import Sequence
+from typing import Literal
+
+from ..spec import SceneObject, SceneSpec, Spec
+from .stability import SceneMeasure
+
+FALLS_M = 0.03
+"""Descent from which an object falls, rather than settles or tips."""
+
+
+class UnstableObject(Spec):
+    """An object that leaves its composed pose under gravity."""
+
+    name: str
+    kind: Literal["falls", "topples", "slides", "diverges"]
+    drop_m: float
+    """How far it went down [m]."""
+    drift_m: float
+    tilt_deg: float
+    held: bool
+    """Whether anything in the scene may hold it: False for what is attached but not fastened,
+    which no layout can hold."""
+    why: str
+
+    def phrase(self) -> str:
+        """Return one line, such as "frame falls 1.64 m: it is attached to wall, but ..."."""
+        how = {
+            "falls": f"falls {self.drop_m:.2g} m",
+            "topples": f"topples by {self.tilt_deg:.0f} deg",
+            "slides": f"moves {1e3 * self.drift_m:.0f} mm",
+            "diverges": "makes the simulation diverge",
+        }[self.kind]
+        return f"{self.name} {how}: {self.why}"
+
+
+def unstable_objects(
+    scene: SceneSpec, measure: SceneMeasure, *, max_drift: float = 0.01, max_tilt: float = 5.0
+) -> tuple[UnstableObject, ...]:
+    """Name the objects that a check found moving, those that fall first, and give the reasons.
+
+    Args:
+        scene: the scene that was measured.
+        measure: its check.
+        max_drift: translation bound of the check [m].
+        max_tilt: rotation bound of the check [deg].
+    """
+    moving = [
+        obj
+        for obj in scene.objects
+        if not obj.static
+        and not (measure.drift_m[obj.name] < max_drift and measure.tilt_deg[obj.name] < max_tilt)
+    ]
+    names = {obj.name for obj in moving}
+    entries = [_entry(scene, obj, measure, names, max_tilt) for obj in moving]
+    order = ("diverges", "falls", "topples", "slides")
+    return tuple(sorted(entries, key=lambda entry: (order.index(entry.kind), -entry.drop_m)))
+
+
+def phrases(entries: Sequence[UnstableObject]) -> str:
+    """Return one line that names all entries."""
+    return "; ".join(entry.phrase() for entry in entries)
+
+
+def _entry(
+    scene: SceneSpec, obj: SceneObject, measure: SceneMeasure, moving: set[str], max_tilt: float
+) -> UnstableObject:
+    name = obj.name
+    drop, tilt = measure.drop_m.get(name, 0.0), measure.tilt_deg[name]
+    held = obj.relation != "attached"
+    kind: Literal["falls", "topples", "slides", "diverges"] = "slides"
+    if not (drop < float("inf") and tilt < float("inf")):
+        kind = "diverges"
+    elif drop > FALLS_M:
+        kind = "falls"
+    elif tilt >= max_tilt:
+        kind = "topples"
+    return UnstableObject(
+        name=name,
+        kind=kind,
+        drop_m=drop,
+        drift_m=measure.drift_m[name],
+        tilt_deg=tilt,
+        held=held,
+        why=_why(scene, obj, measure, moving, kind),
+    )
+
+
+def _why(
+    scene: SceneSpec, obj: SceneObject, measure: SceneMeasure, moving: set[str], kind: str
+) -> str:
+    if obj.relation == "attached":
+        host = None if obj.parent is None else scene.object(obj.parent)
+        free = "" if host is None or host.static else ", which is free to move"
+        return f"it is attached to {obj.parent or 'the world'}{free}, but not fastened there"
+    carrier = obj.parent
+    if carrier in moving:
+        return f"{carrier}, which carries it, moves"
+    deep = {pair: depth for pair, depth in measure.depths_m.items() if obj.name in pair.split("|")}
+    if deep:
+        pair = max(deep, key=deep.__getitem__)
+        other = next(part for part in pair.split("|") if part != obj.name)
+        if deep[pair] > 1e-3:
+            return f"it begins {1e3 * deep[pair]:.1f} mm deep in {other}"
+    if obj.relation == "leaning":
+        return f"it stands on {carrier}, and nothing that it leans against holds it"
+    if kind == "falls":
+        return f"{carrier} is not below it, or does not hold it"
+    return f"it does not rest on {carrier}"

@@ -1,0 +1,70 @@
+"""Bounds of every number in the reasoner's answer, told to its author if they are exceeded.
+
+They are not part of the JSON schema, as some servers turn schemas with bounds down.
+"""
+
+from collections.abc import Iterator
+
+from pydantic import BaseModel
+
+from ..names import MAX_NAME, plain_text
+
+FURTHEST_M, LARGEST_M, THINNEST_M = 1000.0, 1000.0, 1e-4
+MAX_LISTED = 200
+_PLACE, _EDGE = (-FURTHEST_M, FURTHEST_M), (THINNEST_M, LARGEST_M)
+_PIXEL, _TURN, _SHARE = (-1e5, 1e5), (-720.0, 720.0), (-1.0, 1.0)
+BOUNDS: dict[str, tuple[float, float]] = {
+    **{f"position.{axis}": _PLACE for axis in "xyz"},
+    **{f"size.{edge}": _EDGE for edge in ("length", "width", "height")},
+    **{f"box.{side}": _PIXEL for side in ("left", "top", "right", "bottom")},
+    **{"contact.u": _PIXEL, "contact.v": _PIXEL},
+    **{"yaw_deg": _TURN, "tilt.degrees": _TURN},
+    **{"articulation.opening": (0.0, 1.0)},
+    **{"outline.points.x": _SHARE, "outline.points.y": _SHARE},
+    **{"surface.step": (THINNEST_M, 10.0)},
+    **{"surface.colour": (0.0, 1.0), "surface.second_colour": (0.0, 1.0)},
+    **{"doubt.position": (1e-6, FURTHEST_M), "doubt.size": (1e-6, 10.0)},
+    **{"doubt.yaw_deg": (1e-6, 360.0)},
+    **{"camera.pitch_deg": (-90.0, 90.0), "camera.roll_deg": _TURN},
+    **{"camera.fovy_deg": (1.0, 170.0), "camera.height": _PLACE},
+}
+"""Least and largest value [m, degrees, pixels, shares] by the path of a number in an object or in
+the answer."""
+
+
+def out_of_bounds(answer: BaseModel) -> Iterator[str]:
+    """Yield an error for each number of an answer that lies outside of its bounds."""
+    for path, name, value in _numbers(answer):
+        low, high = BOUNDS[path]
+        if not low <= value <= high:
+            where = f"object {plain_text(name, MAX_NAME)}: " if name else ""
+            yield f"{where}{path} must lie in {low:g} .. {high:g}, got {value:g}"
+
+
+def too_long(answer: BaseModel, at: str = "") -> Iterator[str]:
+    """Yield an error for each list of an answer that is longer than any scene needs."""
+    for field in type(answer).model_fields:
+        value = getattr(answer, field)
+        parts = [value] if isinstance(value, BaseModel) else value
+        if not isinstance(parts, list):
+            continue
+        if len(parts) > MAX_LISTED:
+            yield f"{at}{field} lists {len(parts)} things, at most {MAX_LISTED} are taken"
+            continue
+        for part in parts:
+            if isinstance(part, BaseModel):
+                yield from too_long(part, f"{at}{field}.")
+
+
+def _numbers(part: BaseModel, at: str = "", name: str = "") -> Iterator[tuple[str, str, float]]:
+    """Yield path, name of the object, and value of every number."""
+    for field in type(part).model_fields:
+        value = getattr(part, field)
+        # Paths of objects begin anew, as their names say which is meant.
+        path = "" if field == "objects" else f"{at}{field}"
+        for inner in value if isinstance(value, list) else [value]:
+            if isinstance(inner, float):
+                yield path, name, inner
+            if isinstance(inner, BaseModel):
+                own = getattr(inner, "name", name)
+                yield from _numbers(inner, f"{path}." if path else "", own)

@@ -1,0 +1,175 @@
+"""Schema of what an answer says about supports of the room: their outline and their surface.
+
+Names, docstrings and descriptions of the classes are part of the request, as those in `schema`.
+"""
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from ..spec import SupportOutline, SupportSurface, SurfacePattern
+from ..spec.surface_pattern import RGB, PatternKind
+
+
+class AnswerPart(BaseModel):
+    """Base of the parts of an answer: closed against unknown keys."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class OutlinePointSeen(AnswerPart):
+    """A corner of an outline, in shares of the support's size, from the middle of its footprint."""
+
+    x: float = Field(description="-0.5 at its back, 0.5 at its front.")
+    y: float = Field(description="-0.5 at its right side, 0.5 at its left side.")
+
+
+class OutlineSeen(AnswerPart):
+    """Outline of a support of the environment, seen from above."""
+
+    shape: Literal["rectangle", "round", "polygon"] = Field(
+        description="round: a circle or an ellipse that fills length and width."
+    )
+    points: list[OutlinePointSeen] = Field(
+        default_factory=list,
+        description="Only for polygon: its 3 to 24 corners in order around it. They reach from "
+        "-0.5 to 0.5 both ways.",
+    )
+
+
+class SurfaceSeen(AnswerPart):
+    """What the visible face of a support of the environment is made of, and its pattern."""
+
+    material: Literal[
+        "wood",
+        "stone",
+        "concrete",
+        "brick",
+        "ceramic",
+        "steel",
+        "glass",
+        "plastic",
+        "fabric",
+        "paper",
+        "soil",
+    ] = Field(
+        description="Of the face itself: fabric is carpet or cloth, ceramic tiles, plastic also "
+        "laminate, vinyl or thick paint, concrete also plaster."
+    )
+    pattern: PatternKind = Field(
+        default="plain",
+        description="grain: of one piece of wood; boards: side by side; veins: of stone; "
+        "speckles: of terrazzo or granite; weave: of carpet or cloth.",
+    )
+    colour: list[float] | None = Field(
+        default=None,
+        description="Red, green, blue from 0 to 1 as in white light. It counts where the picture "
+        "hardly shows the face; else the colour is measured there.",
+    )
+    second_colour: list[float] | None = Field(
+        default=None, description="Of joints, veins, speckles or the weave's gaps."
+    )
+    step: float | None = Field(
+        default=None,
+        description="Width of a board, edge of a tile, height of a brick, distance of veins, "
+        "speckles or threads [m]; null is what is usual.",
+    )
+    run: Literal["along_length", "along_width", "level", "upright"] | None = Field(
+        default=None,
+        description="Direction of boards and courses: along the support's length or width, or on a "
+        "wall level or upright; null is along its length, or level.",
+    )
+
+
+def support_surface(surface: SurfaceSeen | None) -> SupportSurface | None:
+    """Convert a surface; None stays None.
+
+    Raises:
+        ValueError: a colour is none.
+    """
+    if surface is None:
+        return None
+    first, second = surface_colours(surface)
+    pattern = SurfacePattern(
+        kind=surface.pattern,
+        rgb=second,
+        step=surface.step,
+        # The second axis of a floor's face is the width, that of a wall's face is upright.
+        along="y" if surface.run in ("along_width", "upright") else "x",
+    )
+    return SupportSurface(material=surface.material, pattern=pattern, rgb=first)
+
+
+def surface_colours(surface: SurfaceSeen) -> tuple[RGB | None, RGB | None]:
+    """Return both colours of a surface.
+
+    Raises:
+        ValueError: one is no colour; the message is written for the author of the answer.
+    """
+    first = None if surface.colour is None else _rgb("colour", surface.colour)
+    second = surface.second_colour
+    return first, None if second is None else _rgb("second_colour", second)
+
+
+def _rgb(field: str, colour: list[float]) -> tuple[float, float, float]:
+    if len(colour) != 3:
+        raise ValueError(f"surface.{field} must be three numbers, got {len(colour)}")
+    red, green, blue = colour
+    return red, green, blue
+
+
+def support_outline(outline: OutlineSeen | None) -> SupportOutline:
+    """Convert an outline; None is a rectangle.
+
+    Raises:
+        ValueError: a polygon is none; the message is written for the author of the answer.
+    """
+    if outline is None:
+        return SupportOutline()
+    points = tuple((point.x, point.y) for point in outline.points)
+    try:
+        return SupportOutline(shape=outline.shape, points=points)
+    except ValidationError as error:
+        raise ValueError(phrase(error)) from None
+
+
+def support_problems(
+    environment: bool,
+    furniture: bool,
+    outline: OutlineSeen | None,
+    surface: SurfaceSeen | None,
+) -> list[str]:
+    """List what is wrong with what an object declares that only supports of the environment have.
+
+    Args:
+        environment: whether it is such a support.
+        furniture: whether its shape is built from the picture.
+        outline: its outline.
+        surface: its surface.
+    """
+    declared = {"outline": outline, "surface": surface}
+    given = [name for name, value in declared.items() if value is not None]
+    if not environment:
+        problems = [f"{name} is for environment supports only; leave it null" for name in given]
+        if furniture:
+            problems.append("furniture is for environment supports only; every object is built")
+        return problems
+    if furniture and given:
+        return [f"furniture is built from the picture; leave {' and '.join(given)} null"]
+    try:
+        support_outline(outline)
+        if surface is not None:
+            surface_colours(surface)
+    except ValueError as error:
+        return [str(error)]
+    return []
+
+
+def phrase(error: ValidationError) -> str:
+    """Return the errors of a validation in one line, each with its place."""
+    lines = []
+    for problem in error.errors():
+        where = ".".join(str(step) for step in problem["loc"])
+        message = problem["msg"].removeprefix("Value error, ")
+        lines.append(f"{where}: {message}" if where else message)
+    return "; ".join(lines)

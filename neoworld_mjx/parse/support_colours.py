@@ -1,0 +1,134 @@
+"""Colours of supports, measured where the photograph shows a support and nothing else.
+
+A pixel shows a support if the support is the first that its ray meets, the pixel is within the
+support's 2D box, and it is in no object's box.
+"""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import binary_erosion
+
+from ..spec import SceneTree, TreeNode
+from ..spec.outlines import inside_edges
+from ..spec.pose import conjugate, from_yaw, quat_mul, rotate
+from .crops import colour_in_box
+from .photo import Photo
+
+RASTER = 320
+"""Columns or rows of the raster along the picture's longer side."""
+MARGIN = 0.012
+"""Width left out around other things and the support's own outline, over the longer side."""
+LEAST_SHARE = 0.004
+"""Least share of the picture in which a colour is measured."""
+
+
+class SupportColour(NamedTuple):
+    """Colour of a support, and where it is from."""
+
+    rgb: tuple[float, float, float] | None
+    """0 to 1; None is that of its material."""
+    source: Literal["photo", "answer", "material", "box"]
+    """`photo`: median over the pixels that show it alone; `answer`: the parse's; `box`: median over
+    its 2D box less those of objects, for supports without a declared surface."""
+    share: float
+    """Share of the picture that shows it alone."""
+
+
+def support_colours(photo: Photo, tree: SceneTree) -> dict[str, SupportColour]:
+    """Return the colour of every environment support that is made from its box.
+
+    The photograph's comes before the answer's, where it shows the support well enough.
+
+    Args:
+        photo: the photograph.
+        tree: the parse; its numbers are taken as they are.
+    """
+    measured = measured_colours(photo, tree)
+    colours = {}
+    for node in tree.nodes:
+        if not node.slab:
+            continue
+        rgb, share = measured[node.name]
+        if node.surface is None:
+            colours[node.name] = SupportColour(colour_in_box(photo, tree, node), "box", share)
+        elif rgb is not None:
+            colours[node.name] = SupportColour(rgb, "photo", share)
+        else:
+            source = "material" if node.surface.rgb is None else "answer"
+            colours[node.name] = SupportColour(node.surface.rgb, source, share)
+    return colours
+
+
+def measured_colours(
+    photo: Photo, tree: SceneTree
+) -> dict[str, tuple[tuple[float, float, float] | None, float]]:
+    """Measure the colours of environment supports that are made from their boxes.
+
+    Returns:
+        For each its colour, None if it is hardly seen, and the share of the picture that shows it
+        and nothing else.
+    """
+    width, height = photo.original_size
+    step = max(1.0, max(photo.size) / RASTER)
+    columns, rows = (np.arange(step / 2, edge, step) for edge in photo.size)
+    shown = np.stack(np.meshgrid(columns, rows), axis=-1)
+    pixels = shown / photo.scale
+    rays = tree.camera.rays(pixels.reshape(-1, 2))
+    rays = (rays / np.linalg.norm(rays, axis=1, keepdims=True)).reshape(*pixels.shape[:2], 3)
+    supports = [node for node in tree.nodes if node.slab]
+    eye = tree.camera.position()
+    if not supports:
+        return {}
+    reach = np.stack([_distance(node, eye, rays) for node in supports])
+    first = np.where(np.isfinite(reach.min(axis=0)), reach.argmin(axis=0), -1)
+    margin = MARGIN * max(width, height)
+    free = np.ones(first.shape, bool)
+    for node in tree.nodes:
+        if not node.slab:
+            free &= ~_within(node, pixels, margin)
+    colours = photo.rgb[shown[..., 1].astype(int), shown[..., 0].astype(int)]
+    erosions = max(1, round(MARGIN * RASTER))
+    measured = {}
+    for k, node in enumerate(supports):
+        own = (first == k) & free & _within(node, pixels, 0.0)
+        own = binary_erosion(own, iterations=erosions, border_value=1)
+        share, rgb = float(own.mean()), None
+        if share >= LEAST_SHARE:
+            red, green, blue = (np.median(colours[np.asarray(own, bool)], axis=0) / 255).tolist()
+            rgb = (red, green, blue)
+        measured[node.name] = (rgb, share)
+    return measured
+
+
+def _within(
+    node: TreeNode, pixels: Float[np.ndarray, "h w 2"], margin: float
+) -> Bool[np.ndarray, "h w"]:
+    x0, y0, x1, y1 = node.box2d.as_tuple()
+    u, v = pixels[..., 0], pixels[..., 1]
+    return (u > x0 - margin) & (u < x1 + margin) & (v > y0 - margin) & (v < y1 + margin)
+
+
+def _distance(
+    node: TreeNode, eye: Float[np.ndarray, "3"], rays: Float[np.ndarray, "h w 3"]
+) -> Float[np.ndarray, "h w"]:
+    """Return how far along each ray a support's box is, or the top of its outline [m]; inf beside.
+
+    The sides of an outline that is no rectangle are left out.
+    """
+    box = node.box3d
+    turn = conjugate(quat_mul(from_yaw(box.yaw), np.array(node.base_tilt)))
+    local = rotate(turn, (eye - np.array(box.position))[None])[0]
+    d = rotate(turn, rays.reshape(-1, 3))
+    d = np.where(np.abs(d) < 1e-12, 1e-12, d)
+    half = np.array(box.size) / 2
+    middle = np.array([0.0, 0.0, half[2]])
+    if node.outline.shape != "rectangle":
+        t = (box.size[2] - local[2]) / d[:, 2]
+        corners = node.outline.corners() * np.array(box.size[:2])
+        on = inside_edges((local + t[:, None] * d)[:, :2], corners, np.roll(corners, -1, axis=0))
+        return np.where(on & (t > 0), t, np.inf).reshape(rays.shape[:2])
+    low, high = (middle - half - local) / d, (middle + half - local) / d
+    near, far = np.minimum(low, high).max(axis=1), np.maximum(low, high).min(axis=1)
+    return np.where((near <= far) & (near > 0), near, np.inf).reshape(rays.shape[:2])

@@ -1,0 +1,91 @@
+"""The engine that `auto` stands for: of all that can run here, the one that costs least."""
+
+import os
+import time
+import weakref
+from collections.abc import Mapping
+
+import jax
+
+from ..errors import EngineError
+from .engine import EarlyStop, Engine, Rollout, record_steps
+from .engine_costs import read_costs, scene_class, write_costs
+from .layout import Poses
+from .model import SceneModel, StaticScene
+
+
+class AutomaticEngine:
+    """Chooses an engine for every rollout by what it costs, as measured on this machine.
+
+    A few candidates go to the CPU's cores, large populations to the accelerator; where that
+    changes depends on the scene and the machine. Verdicts of engines agree but for candidates near
+    a bound, so which engine it was is said by `name`.
+    """
+
+    def __init__(self, engines: Mapping[str, Engine]) -> None:
+        """Choose among opened engines, by name."""
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+        self._engines = dict(engines)
+        self._machine = f"{jax.devices()[0].device_kind}, {cores} cores"
+        self._costs = read_costs(self._machine, cores or 1)
+        self._started: weakref.WeakKeyDictionary[StaticScene, set[str]] = (
+            weakref.WeakKeyDictionary()
+        )
+        self._refused: weakref.WeakKeyDictionary[StaticScene, set[str]] = (
+            weakref.WeakKeyDictionary()
+        )
+        self.name = "auto"
+        """The engines that have rolled out, joined by plus signs; `auto` before."""
+        self._used: list[str] = []
+        self.refusals: list[str] = []
+        """Why engines could not simulate a scene, one line each."""
+
+    def rollout(
+        self,
+        scene: SceneModel,
+        poses: Poses,
+        *,
+        duration: float = 1.0,
+        record_every: float = 0.1,
+        early_stop: EarlyStop | None = None,
+    ) -> Rollout:
+        """Simulate every candidate on the engine of the least predicted cost; see `Engine.rollout`.
+
+        Raises:
+            EngineError: no engine can simulate the scene.
+        """
+        records, every = record_steps(scene.static.mjm.opt.timestep, duration, record_every)
+        steps, candidates = records * every, poses.scale.shape[0]
+        model = scene.static.mjm
+        scenes = scene_class(len(scene.names), model.ngeom, early_stop=early_stop is not None)
+        started = self._started.setdefault(scene.static, set())
+        refused = self._refused.setdefault(scene.static, set())
+        while left := [name for name in self._engines if name not in refused]:
+            predict = lambda name: self._costs[name].predict(
+                scenes, candidates, steps, started=name in started
+            )
+            name = min(left, key=predict)
+            began = time.perf_counter()
+            try:
+                rollout = jax.block_until_ready(
+                    self._engines[name].rollout(
+                        scene,
+                        poses,
+                        duration=duration,
+                        record_every=record_every,
+                        early_stop=early_stop,
+                    )
+                )
+            except EngineError as error:
+                refused.add(name)
+                self.refusals.append(f"{name} cannot simulate this scene: {error}")
+                continue
+            seconds = time.perf_counter() - began
+            self._costs[name].add(scenes, candidates, steps, seconds, started=name in started)
+            started.add(name)
+            if name not in self._used:
+                self._used.append(name)
+                self.name = "+".join(self._used)
+            write_costs(self._machine, self._costs)
+            return rollout
+        raise EngineError("; ".join(self.refusals) or "no engine can run here")

@@ -1,0 +1,318 @@
+"""MJX for a scene: `mjx.step` with the collision of `manifold` in place of MJX's own.
+
+MJX unrolls its routines over all pairs of geoms while it is traced, which takes minutes for convex
+pieces. Here the nearest pairs of geoms are looked at by one routine, whatever their number, and
+fill MJX's contacts; all else is MJX's own: kinematics, constraints, solver, integrator.
+"""
+
+import contextlib
+import copy
+import io
+from typing import Any, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..errors import EngineError
+from .derived import invweights
+from .layout import Layout, Poses
+from .manifold import POINTS, PosedSolid, manifolds
+from .model import SceneModel
+from .model_fields import model_fields
+from .solids import GeomPairs, Solids, geom_pairs, geom_solids
+
+# MJX prints that warp is missing, which is an extra here and no failure.
+with contextlib.redirect_stdout(io.StringIO()):
+    from mujoco import mjx
+    from mujoco.mjx._src import constraint, math
+
+ITERATIONS, LINE_SEARCH = 8, 8
+"""Most iterations of Newton's method a step, and of the search along its direction. With 4 and 4 a
+box that should slide is held back by half.
+"""
+NEAR = 0.002
+"""Gap [m] up to which pairs of geoms of the composed scene count as near."""
+LOOKUP = 5
+"""Steps between two look-ups of near geoms."""
+SPARE = 16
+"""Pairs of geoms looked at besides half as many again as are near in the composed scene."""
+CONTACTS, FEWEST = 8, 32
+"""Contacts kept for each movable body, and at least; the deepest ones."""
+
+MODEL_FIELDS = (
+    *("body_pos", "body_quat", "body_ipos", "body_mass", "body_inertia", "geom_pos", "geom_size"),
+    *("geom_rbound", "geom_aabb", "jnt_pos", "jnt_range", "jnt_stiffness", "jnt_actfrcrange"),
+    *("dof_armature", "dof_damping", "dof_frictionloss", "qpos0", "qpos_spring", "eq_data"),
+    *("body_invweight0", "dof_invweight0"),
+)
+
+MjxData = mjx.Data
+"""State and contacts, of one candidate or with a leading axis of candidates."""
+Fields = dict[str, Any]
+"""Per-candidate values of fields of `mjx.Model`, leading axis [pop]."""
+
+
+class MjxModel(eqx.Module):
+    """A scene for `mjx_step`: MJX's model and the solids of its geoms."""
+
+    mjx: mjx.Model
+    """Its fields may be batched; a geom's scale is its `geom_rbound` over that of scale 1."""
+    solids: Solids
+    pairs: GeomPairs
+    rbound: Float[Array, " geom"]
+    """Bounding radii of the geoms at scale 1 [m]."""
+    near: int = eqx.field(static=True)
+    """Pairs of geoms that a step looks at closely: the nearest ones."""
+    contacts: int = eqx.field(static=True)
+    """Contacts that a step keeps: the deepest ones."""
+    ellipsoids: bool = eqx.field(static=True)
+    """Whether any geom is one."""
+
+
+def put_model(scene: SceneModel) -> MjxModel:
+    """Put a scene on JAX's default device.
+
+    Raises:
+        EngineError: the scene has something that MJX cannot simulate.
+    """
+    return put_compiled(scene.static.mjm, scene.static.start)
+
+
+def put_compiled(mjm: mujoco.MjModel, start: Float[np.ndarray, " nq"]) -> MjxModel:
+    """Put a compiled model on JAX's default device, as `put_model` does.
+
+    Args:
+        mjm: the model.
+        start: its qpos, which tells how many pairs of geoms are near each other.
+
+    Raises:
+        EngineError: the model has something that MJX cannot simulate.
+    """
+    pairs, solids = geom_pairs(mjm), geom_solids(mjm)
+    bare = copy.copy(mjm)
+    # MJX then has no pairs to unroll.
+    bare.geom_contype[:] = 0
+    bare.geom_conaffinity[:] = 0
+    bare.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    bare.opt.iterations, bare.opt.ls_iterations = ITERATIONS, LINE_SEARCH
+    if not np.any(mjm.dof_damping) and not mjm.nu:
+        # The integrator then has nothing to treat implicitly, and factors no second matrix.
+        off = mujoco.mjtDisableBit.mjDSBL_DAMPER | mujoco.mjtDisableBit.mjDSBL_ACTUATION
+        bare.opt.disableflags |= int(off)
+    try:
+        model = mjx.put_model(bare, impl="jax")
+    except NotImplementedError as error:
+        raise EngineError(
+            f"engine mjx cannot carry this scene: {error}; take --engine native"
+        ) from None
+    near = 3 * _near_at_start(mjm, start, pairs) // 2 + SPARE
+    near = near if near < 3 * len(pairs.first) // 4 else len(pairs.first)
+    movable = int(np.sum(mjm.body_weldid[1:] == np.arange(1, mjm.nbody)))
+    return MjxModel(
+        mjx=model,
+        solids=jax.tree.map(jnp.asarray, solids),
+        pairs=jax.tree.map(jnp.asarray, pairs),
+        rbound=jnp.asarray(mjm.geom_rbound, jnp.float32),
+        near=near,
+        contacts=min(POINTS * near, max(CONTACTS * movable, FEWEST)),
+        ellipsoids=bool(np.any(np.ptp(solids.radii, axis=1) > 0)),
+    )
+
+
+def _near_at_start(mjm: mujoco.MjModel, start: np.ndarray, pairs: GeomPairs) -> int:
+    if not len(pairs.first):
+        return 0
+    data = mujoco.MjData(mjm)
+    data.qpos[:] = start
+    mujoco.mj_kinematics(mjm, data)
+    gap = box_gaps(
+        data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3), mjm.geom_aabb.reshape(-1, 6), pairs
+    )
+    return int(np.sum(np.asarray(gap) < NEAR))
+
+
+def candidate_fields(scene: SceneModel, poses: Poses) -> tuple[Fields, Float[Array, "pop nq"]]:
+    """Compute the fields of `mjx.Model` that candidates differ in, and their start states."""
+    every = model_fields(scene, poses) | invweights(scene, poses)
+    return {name: every[name] for name in MODEL_FIELDS if name in every}, every["qpos"]
+
+
+def with_fields(model: MjxModel, fields: Fields) -> MjxModel:
+    """Put fields of `mjx.Model` in place of the model's own."""
+    return eqx.tree_at(lambda m: m.mjx, model, model.mjx.replace(**fields))
+
+
+def mjx_batch(scene: SceneModel, layouts: Layout) -> tuple[MjxModel, MjxModel, mjx.Data]:
+    """Prepare candidates for `jax.vmap(mjx_step, in_axes=(axes, 0))`.
+
+    Args:
+        scene: the compiled scene.
+        layouts: the candidates.
+
+    Returns:
+        The model, whose fields that depend on the layout have a leading axis [pop]; its axes for
+        `vmap`; and the candidates' data, at rest where they are placed.
+
+    Raises:
+        EngineError: the scene has something that MJX cannot simulate.
+    """
+    model = put_model(scene)
+    fields, qpos = _candidates(scene, layouts)
+    axes = with_fields(jax.tree.map(lambda _: None, model), dict.fromkeys(fields, 0))
+    spread = lambda x: np.broadcast_to(np.asarray(x), (len(qpos), *np.shape(x)))
+    data = jax.device_put(jax.tree.map(spread, make_data(model)))
+    return with_fields(model, fields), axes, data.replace(qpos=qpos)
+
+
+@eqx.filter_jit
+def _candidates(scene: SceneModel, layouts: Layout) -> tuple[Fields, Float[Array, "pop nq"]]:
+    return candidate_fields(scene, scene.place(layouts))
+
+
+def make_data(model: MjxModel) -> mjx.Data:
+    """Make the data of one candidate, at the model's zero, with room for its contacts."""
+    m = model.mjx
+    data = mjx.make_data(m)
+    dim = np.full(model.contacts, 3)
+    kinds = constraint.make_efc_type(m, dim)
+    ne, nf, nl, nc = (int(n) for n in constraint.counts(kinds))
+    rows = ne + nf + nl + nc
+    # On the host, where no shape is compiled for.
+    zero = lambda *shape: np.zeros(shape, np.float32)
+    n = model.contacts
+    contact = cast(Any, data)._impl.contact.replace(
+        **{"dist": zero(n), "pos": zero(n, 3), "frame": zero(n, 3, 3), "includemargin": zero(n)},
+        **{"friction": zero(n, 5), "solref": zero(n, 2), "solreffriction": zero(n, 2)},
+        **{"solimp": zero(n, 5), "geom": np.zeros((n, 2), np.int32), "dim": dim},
+        **{"geom1": np.zeros(n, np.int32), "geom2": np.zeros(n, np.int32)},
+        efc_address=constraint.make_efc_address(m, dim, kinds),
+    )
+    efc = {
+        f"efc_{name}": zero(rows)
+        for name in ("pos", "margin", "frictionloss", "D", "aref", "force")
+    }
+    impl = cast(Any, data)._impl.replace(
+        ne=ne,
+        nf=nf,
+        nl=nl,
+        nefc=rows,
+        ncon=n,
+        contact=contact,
+        efc_type=kinds,
+        efc_J=zero(rows, m.nv),
+        **efc,
+    )
+    return data.replace(_impl=impl)
+
+
+def mjx_step(model: MjxModel, data: mjx.Data, nstep: int = 1) -> mjx.Data:
+    """Advance one candidate's simulation, as `mjx.step` does. Traceable; for `jax.vmap`.
+
+    Args:
+        model: of one candidate.
+        data: its state.
+        nstep: how many time steps. Which geoms are near each other is looked up in the first one
+            and in every `LOOKUP`-th after it.
+    """
+
+    def once(k: Any, carry: tuple[mjx.Data, Array]) -> tuple[mjx.Data, Array]:
+        d, nearest = carry
+        d = mjx.kinematics(model.mjx, d)
+        # The condition is the same for all candidates, so that it stays one under vmap.
+        look = lambda: nearest_pairs(model, d)
+        nearest = jax.lax.cond(k % LOOKUP == 0, look, lambda: nearest) if nstep > 1 else look()
+        return _dynamics(model, d, nearest), nearest
+
+    # Ampere and later GPUs multiply single-precision matrices in TF32 unless told not to.
+    with jax.default_matmul_precision("highest"):
+        start = data, jnp.arange(model.near, dtype=jnp.int32)
+        return (once(0, start) if nstep == 1 else jax.lax.fori_loop(0, nstep, once, start))[0]
+
+
+def _dynamics(model: MjxModel, d: mjx.Data, nearest: Int[Array, " near"]) -> mjx.Data:
+    """Do what follows kinematics in a step."""
+    m = model.mjx
+    for stage in (mjx.com_pos, mjx.crb, mjx.factor_m):
+        d = stage(m, d)
+    if model.contacts:
+        d = collide(model, d, nearest)
+    if m.nu:
+        d = mjx.transmission(m, d)
+    for stage in (mjx.make_constraint, mjx.fwd_velocity, mjx.fwd_actuation, mjx.fwd_acceleration):
+        d = stage(m, d)
+    d = mjx.solve(m, d) if cast(Any, d)._impl.efc_J.size else d.replace(qacc=d.qacc_smooth)
+    return mjx.implicit(m, d)
+
+
+def nearest_pairs(model: MjxModel, d: mjx.Data) -> Int[Array, " near"]:
+    """Return the indices of the pairs of geoms whose bounding boxes are nearest."""
+    if model.near == len(model.pairs.first):
+        return jnp.arange(model.near, dtype=jnp.int32)
+    return jax.lax.top_k(-_gaps(model, d), model.near)[1]
+
+
+def pairs_dropped(model: MjxModel, d: mjx.Data) -> Bool[Array, ""]:
+    """Return whether in the last step more bounding boxes overlapped than pairs were looked at."""
+    if model.near == len(model.pairs.first):
+        return jnp.array(False)
+    return jnp.sum(_gaps(model, d) < 0) > model.near
+
+
+def _gaps(model: MjxModel, d: mjx.Data) -> Float[Array, " pair"]:
+    return box_gaps(d.geom_xpos, d.geom_xmat, model.mjx.geom_aabb.reshape(-1, 6), model.pairs)
+
+
+def box_gaps(xpos: Any, xmat: Any, aabb: Any, pairs: GeomPairs) -> Float[Array, " pair"]:
+    """Return lower bounds of the gaps between geoms [m], by the faces of their bounding boxes.
+
+    Args:
+        xpos: [geom, 3] positions in the world.
+        xmat: [geom, 3, 3] rotations.
+        aabb: [geom, 6] centres and half edges of the boxes in the geoms' frames.
+        pairs: of geoms.
+    """
+    half = jnp.asarray(aabb[:, 3:])
+    centre = xpos + jnp.sum(xmat * jnp.asarray(aabb[:, None, :3]), axis=-1)
+    a, b = pairs.first, pairs.second
+    apart = centre[b] - centre[a]
+    one, two = jnp.asarray(xmat)[a], jnp.asarray(xmat)[b]
+    turn = jnp.abs(jnp.sum(one[:, :, :, None] * two[:, :, None, :], axis=1))
+    along = lambda rot: jnp.abs(jnp.sum(rot * apart[:, :, None], axis=1))
+    gap = along(one) - half[a] - jnp.sum(turn * half[b][:, None, :], axis=2)
+    other = along(two) - half[b] - jnp.sum(turn * half[a][:, :, None], axis=1)
+    return jnp.maximum(jnp.max(gap, axis=1), jnp.max(other, axis=1))
+
+
+def collide(model: MjxModel, d: mjx.Data, nearest: Int[Array, " near"]) -> mjx.Data:
+    """Fill MJX's contacts with the deepest ones of some pairs of geoms."""
+    pairs = jax.tree.map(lambda leaf: leaf[nearest], model.pairs)
+    scale = model.mjx.geom_rbound / jnp.maximum(model.rbound, 1e-12)
+    a, b = pairs.first, pairs.second
+    centre = d.geom_xpos[a]
+
+    def placed(g: Int[Array, " pair"]) -> PosedSolid:
+        solid = jax.tree.map(lambda leaf: leaf[g], model.solids)
+        return PosedSolid(solid, d.geom_xpos[g] - centre, d.geom_xmat[g], scale[g])
+
+    contacts = manifolds(placed(a), placed(b), model.ellipsoids)
+    dist, which = jax.lax.top_k(-contacts.dist.reshape(-1), model.contacts)
+    pair = which // POINTS
+    geom = jnp.stack([a[pair], b[pair]], axis=1)
+    contact = cast(Any, d)._impl.contact.replace(
+        dist=-dist,
+        pos=contacts.pos.reshape(-1, 3)[which] + centre[pair],
+        frame=jax.vmap(math.make_frame)(contacts.normal[pair]),
+        includemargin=jnp.zeros(model.contacts),
+        friction=pairs.friction[pair],
+        solref=pairs.solref[pair],
+        solreffriction=jnp.zeros((model.contacts, 2)),
+        solimp=pairs.solimp[pair],
+        geom=geom,
+        geom1=geom[:, 0],
+        geom2=geom[:, 1],
+    )
+    return d.tree_replace({"_impl.contact": contact})

@@ -1,0 +1,119 @@
+"""The photograph as scoring needs it: camera, 2D boxes and depths, by object."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import NDArray
+
+from ..spec import Camera, ObjectSpec, SceneSpec, world_poses
+from .sampling import surface_samples
+from .support import Either
+
+SAMPLES = 256
+"""Surface samples that give the 2D box of an object without a parsed one."""
+
+
+BORDER_PX = 2.0
+"""A box that ends so near the picture's border is taken to be cut by it."""
+SIDE_GAP = 0.03
+"""Gap between a box's side and a nearer box that still counts as touching, of the box's size."""
+
+
+class PhotoView(NamedTuple):
+    """The photograph's camera, boxes and depths, by object."""
+
+    axes: Float[Either, "3 3"]
+    """Columns are the camera's right, down and forward axes in the world."""
+    position: Float[Either, " 3"]
+    """[m]"""
+    focal: Float[Either, ""]
+    """[px]"""
+    half_size: Float[Either, " 2"]
+    """Half the picture's width and height [px]."""
+    boxes: Float[Either, "object 4"]
+    """2D boxes: left, top, right, bottom from the middle of the picture [px]."""
+    parsed: Bool[Either, " object"]
+    """Whether a box was parsed, so that it is of what is visible; others are of whole objects."""
+    sides: Bool[Either, "object 4"]
+    """Sides of boxes where the object itself ends: not cut by the picture's border, and not where
+    a nearer object's box hides the rest of one that is partly hidden."""
+    depth: Float[Either, " object"]
+    """Distance along the view [m]."""
+    judged: Bool[Either, " object"]
+    """True for objects that count, which are all but environment supports."""
+    whole: Bool[Either, " object"]
+    """True for objects of which the photograph shows all."""
+    hides: Bool[Either, " object"]
+    """True for objects that hide what is behind them; one of glass alone does not."""
+
+
+def photo_view(spec: SceneSpec) -> PhotoView:
+    """Collect the photograph's boxes and depths; the composed scene gives those not parsed."""
+    camera = spec.camera or _camera_for(spec)
+    middle = np.tile([camera.width / 2, camera.height_px / 2], 2)
+    poses = world_poses(spec)
+    boxes, depth, parsed = [], [], []
+    for item in spec.objects:
+        box, distance = item.box2d and item.box2d.as_tuple(), item.depth
+        if box is None or distance is None:
+            points = np.asarray(surface_samples(item, SAMPLES), float)
+            pixels, distances = camera.project(poses[item.name].apply(points))
+            box = [*pixels.min(axis=0), *pixels.max(axis=0)] if box is None else box
+            distance = distances.mean() if distance is None else distance
+        boxes.append(np.array(box) - middle)
+        depth.append(distance)
+        parsed.append(item.box2d is not None)
+    boxes, depth = np.array(boxes), np.array(depth, float)
+    judged = np.array([not item.environment for item in spec.objects])
+    occluded = np.array([item.occluded for item in spec.objects])
+    within = np.abs(boxes) < middle - BORDER_PX
+    whole = ~occluded & (within.all(axis=1) | ~np.array(parsed))
+    hides = np.array([not see_through(item.spec) for item in spec.objects])
+    sides = within & ~(occluded[:, None] & _behind(boxes, _hides(spec, depth, judged & hides)))
+    return PhotoView(
+        axes=camera.axes(),
+        position=camera.position(),
+        focal=np.float64(camera.focal),
+        half_size=middle[:2],
+        boxes=boxes,
+        parsed=np.array(parsed),
+        sides=sides | ~np.array(parsed)[:, None],
+        depth=depth,
+        judged=judged,
+        whole=whole,
+        hides=hides,
+    )
+
+
+def see_through(spec: ObjectSpec) -> bool:
+    """Tell whether all that is drawn of an object is see-through."""
+    drawn = [geom for part in spec.parts for geom in part.geoms if geom.role != "collision"]
+    return bool(drawn) and all(spec.material(geom.material).see_through for geom in drawn)
+
+
+def _hides(spec: SceneSpec, depth: NDArray, able: NDArray) -> Bool[np.ndarray, "hider object"]:
+    """Return which of the able objects may hide which: nearer ones, and those that one is in."""
+    hides = depth[:, None] < depth
+    for k, item in enumerate(spec.objects):
+        if item.parent is not None and item.relation == "in":
+            hides[spec.index(item.parent), k] = True
+    return hides & able[:, None]
+
+
+def _behind(boxes: NDArray, hides: NDArray) -> Bool[np.ndarray, "object 4"]:
+    """Return which sides of boxes the box of an object that may hide them reaches, or nearly."""
+    size = np.sqrt(np.prod(boxes[:, 2:] - boxes[:, :2], axis=1))
+    hidden = np.zeros(boxes.shape, bool)
+    for k, (x0, y0, x1, y1) in enumerate(boxes):
+        reach = SIDE_GAP * size[k]
+        sides = np.array([[x0, y0, x0, y1], [x0, y0, x1, y0], [x1, y0, x1, y1], [x0, y1, x1, y1]])
+        for j in np.flatnonzero(hides[:, k]):
+            low, high = boxes[j, :2] - reach, boxes[j, 2:] + reach
+            hidden[k] |= ((sides[:, :2] <= high) & (sides[:, 2:] >= low)).all(axis=1)
+    return hidden
+
+
+def _camera_for(scene: SceneSpec) -> Camera:
+    far = max(float(np.abs(pose.pos).max()) for pose in world_poses(scene).values())
+    return Camera(width=600, height_px=400, fovy=0.8, height=1.0 + far, pitch=0.6)

@@ -1,0 +1,224 @@
+"""The arrays of a compiled scene, as jitted functions take them, and their padding to buckets.
+
+A jitted function is compiled anew for other shapes. Scenes padded to the same bucket have the same
+shapes, so what was compiled for one serves all; what is padded can touch nothing and is not moved,
+seen or judged.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from neoworld_kernels import SPARE, Colliders, PieceGroup
+
+from .layout import Arrangement, Layout, Poses, heights, place
+from .photo_view import PhotoView
+from .support import Either, nothing
+
+FAR = 1e4
+"""How far below the scene padded objects lie [m]."""
+
+
+class SceneArrays(eqx.Module):
+    """A scene as arrays: all that placing and scoring need, padded or not.
+
+    Pass it to jitted functions as it is. A `SceneModel` is one, with the host's data beside it.
+    """
+
+    arrangement: Arrangement
+    """What placing depends on, in single precision."""
+    samples: Float[Either, "object sample 3"]
+    """Surface points in object frames [m]."""
+    outline: Float[Either, "object point 3"]
+    """Points of each object's convex hull that reach farthest in directions all around [m]."""
+    round: Bool[Either, " object"]
+    """Objects that look the same however they are turned about their frame's z axis."""
+    colliders: Colliders
+    """Canonical colliders in object frames."""
+    photo: PhotoView
+    """Camera, boxes and depths of the photograph."""
+    optimised: Bool[Either, " object"]
+    """Objects that the search moves: all but environment supports."""
+    movable: Bool[Either, " object"]
+    """Objects whose base is free."""
+    diagonal: Float[Either, " object"]
+    """Horizontal bounding-box diagonal [m]."""
+    corners: Float[Either, "object 8 3"]
+    """Corners of each object's box in its frame, as posed [m]."""
+    pair_mask: Bool[Either, "object object"]
+    """Pairs that can penetrate by a layout's fault: not both environment supports."""
+    joint_object: Int[Either, " joint"]
+    """Object of each joint, free bases left out."""
+    joint_slides: Bool[Either, " joint"]
+    """Whether each joint slides, so that its shift is in m and not in rad."""
+
+    @property
+    def count(self) -> int:
+        """Length of the object axis."""
+        return self.diagonal.shape[0]
+
+    @eqx.filter_jit(inline=True)  # pyright: ignore[reportCallIssue]
+    def place(self, layouts: Layout) -> Poses:
+        """Place every object of every candidate; see `layout.place`.
+
+        May be jitted, vmapped over further leading axes of the layouts, and differentiated.
+        """
+        return place(self.arrangement, layouts)
+
+
+class Bucket(NamedTuple):
+    """Lengths of the padded axes."""
+
+    objects: int
+    joints: int
+    faces: int
+    """Planes of a polytope or sector."""
+    box: int
+    capsule: int
+    cylinder: int
+    ellipsoid: int
+    polytope: int
+    sector: int
+
+
+SMALLEST = Bucket(16, 16, 64, 64, 16, 32, 16, 128, 32)
+"""A table with what stands on it; other buckets are this one doubled, faces by themselves."""
+
+
+def bucket_of(scene: SceneArrays) -> Bucket:
+    """Return the smallest bucket that a scene fits into."""
+    groups = scene.colliders._asdict()
+    need = Bucket(
+        objects=scene.count,
+        joints=len(scene.joint_object),
+        faces=max(group.planes.shape[1] for group in groups.values()),
+        **{kind: len(group.owner) for kind, group in groups.items()},
+    )
+    times = lambda n, smallest: 1 << max(0, -(-n // smallest) - 1).bit_length()
+    faces = SMALLEST.faces * times(need.faces, SMALLEST.faces)
+    factor = max(times(*of) for of in zip(need._replace(faces=1), SMALLEST, strict=True))
+    return Bucket(*(n * factor for n in SMALLEST))._replace(faces=faces)
+
+
+def pad_scene(scene: SceneArrays, bucket: Bucket | None = None) -> SceneArrays:
+    """Pad a scene's arrays to a bucket, by default the smallest that it fits into."""
+    b = bucket or bucket_of(scene)
+    n, photo = b.objects, scene.photo
+    pair_mask = np.zeros((n, n), bool)
+    pair_mask[: scene.count, : scene.count] = scene.pair_mask
+    padded = SceneArrays(
+        arrangement=pad_arrangement(scene.arrangement, n),
+        samples=pad_axis(scene.samples, n),
+        outline=pad_axis(scene.outline, n),
+        round=pad_axis(scene.round, n),
+        colliders=Colliders(
+            *(
+                _pad_pieces(group, getattr(b, kind), b.faces, n - 1)
+                for kind, group in scene.colliders._asdict().items()
+            )
+        ),
+        photo=photo._replace(
+            boxes=pad_axis(photo.boxes, n, np.array([0.0, 0.0, 1.0, 1.0])),
+            parsed=pad_axis(photo.parsed, n),
+            sides=pad_axis(photo.sides, n),
+            depth=pad_axis(photo.depth, n, 1.0),
+            judged=pad_axis(photo.judged, n),
+            whole=pad_axis(photo.whole, n),
+            hides=pad_axis(photo.hides, n),
+        ),
+        optimised=pad_axis(scene.optimised, n),
+        movable=pad_axis(scene.movable, n),
+        diagonal=pad_axis(scene.diagonal, n, 1.0),
+        corners=pad_axis(scene.corners, n),
+        pair_mask=pair_mask,
+        joint_object=pad_axis(scene.joint_object, b.joints, n - 1),
+        joint_slides=pad_axis(scene.joint_slides, b.joints),
+    )
+    return on_device(padded)
+
+
+def pad_arrangement(a: Arrangement, objects: int) -> Arrangement:
+    """Pad an arrangement, on the host, to a number of objects; those lie far below the scene."""
+    count = len(a.parent)
+    ancestors = np.eye(objects)
+    ancestors[:count, :count] = a.ancestors
+    return Arrangement(
+        xy=pad_axis(a.xy, objects),
+        z=pad_axis(a.z, objects, -FAR),
+        yaw=pad_axis(a.yaw, objects),
+        tilt=pad_axis(a.tilt, objects, np.array([1.0, 0.0, 0.0, 0.0])),
+        frame_pos=pad_axis(a.frame_pos, objects),
+        frame_yaw=pad_axis(a.frame_yaw, objects),
+        parent=pad_axis(a.parent, objects, -1),
+        ancestors=ancestors,
+        snapped=pad_axis(a.snapped, objects),
+        support=jax.tree.map(lambda x, empty: pad_axis(x, objects, empty), a.support, nothing()),
+        gap=a.gap,
+    )
+
+
+def object_bucket(count: int) -> int:
+    """Return the length of the object axis that `count` objects are padded to."""
+    return SMALLEST.objects << (-(-count // SMALLEST.objects) - 1).bit_length()
+
+
+def pad_objects(tree: Any, objects: int) -> Any:
+    """Pad the object axis of arrays [pop, object, ...] on the host."""
+    pad = lambda x: np.swapaxes(pad_axis(np.swapaxes(np.asarray(x), 0, 1), objects), 0, 1)
+    return jax.tree.map(pad, tree)
+
+
+_heights = jax.jit(heights)
+
+
+def snapped_heights(arrangement: Arrangement, layout: Layout) -> Float[np.ndarray, " object"]:
+    """Return the heights [m] at which one candidate is snapped; compiled once for many scenes.
+
+    Args:
+        arrangement: of the scene, on the host or the device.
+        layout: pop axis of length 1.
+    """
+    count = len(arrangement.parent)
+    wide = object_bucket(count)
+    # Jitted, so that it rounds as in a search.
+    padded = on_device(pad_arrangement(arrangement, wide))
+    return np.asarray(_heights(padded, on_device(pad_objects(layout, wide)))[0])[:count]
+
+
+def _pad_pieces(group: PieceGroup, pieces: int, faces: int, owner: int) -> PieceGroup:
+    """Pad with pieces that hold no point, far from all objects."""
+    spare = np.array([0.0, 0.0, 0.0, SPARE])
+    planes = np.moveaxis(pad_axis(np.moveaxis(np.asarray(group.planes), 1, 0), faces, spare), 0, 1)
+    empty = np.tile(spare, (faces, 1))
+    if faces:
+        empty[0, 3] = -1.0
+    rows = {
+        "owner": pad_axis(group.owner, pieces, owner),
+        "pos": pad_axis(group.pos, pieces, np.array([0.0, 0.0, FAR])),
+        "rot": pad_axis(group.rot, pieces, np.eye(3)),
+        # Ellipsoids are divided by their sizes, circles by how often a sector is repeated.
+        "size": pad_axis(group.size, pieces, np.array([1.0, 1e-6, 1e-6])),
+        "planes": pad_axis(planes, pieces, empty),
+        "extent": pad_axis(group.extent, pieces),
+    }
+    return PieceGroup(**on_device(rows))
+
+
+def pad_axis(x: Any, length: int, fill: Any = 0) -> np.ndarray:
+    """Lengthen the leading axis of an array to `length`, on the host, with copies of `fill`."""
+    x = np.asarray(x)
+    out = np.empty((length, *x.shape[1:]), x.dtype)
+    out[: len(x)], out[len(x) :] = x, fill
+    return out
+
+
+def on_device(tree: Any) -> Any:
+    """Put the arrays of a tree on the device, numbers in single precision; nothing is compiled."""
+
+    def put(x: Any) -> Array:
+        x = np.asarray(x)
+        return jax.device_put(x.astype(np.float32) if x.dtype == np.float64 else x)
+
+    return jax.tree.map(put, tree)

@@ -1,0 +1,208 @@
+"""Colliding geoms of a MuJoCo model as convex solids of one form, padded to the same shape.
+
+Code that takes any two solids is traced once, however many a scene has and of whatever type.
+"""
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from ..errors import EngineError
+from .support import Either
+
+CORNERS, SIDES = 8, 12
+"""Corners of the ring that stands for a cylinder's edge where contacts are placed, and faces of its
+wall; one of each points at what touches it.
+"""
+
+_GEOM = mujoco.mjtGeom
+
+
+class Solids(NamedTuple):
+    """Convex solids in their geoms' frames at scale 1 [m].
+
+    A solid is the hull of `vert`, thickened by a disc about its z axis and by an ellipsoid. Thus a
+    sphere is a point and radii, a cylinder a segment and a disc.
+    """
+
+    vert: Float[Either, "*solid vert 3"]
+    """Corners; rows repeat the first one where there are fewer."""
+    edge: Float[Either, "*solid edge 2 3"]
+    """Ends of the edges that contacts are looked for along."""
+    plane: Float[Either, "*solid face 4"]
+    """Outward normals and offsets of the faces; a normal of zero stands for no face."""
+    disc: Float[Either, "*solid"]
+    """Radius of a cylinder; its edges and planes may be turned about its axis."""
+    radii: Float[Either, "*solid 3"]
+    """Semi-axes of what a sphere, a capsule or an ellipsoid adds around its core."""
+    core: Float[Either, "*solid 2 3"]
+    """Ends of the segment in the middle: a cylinder's or capsule's axis, or twice the centre."""
+
+
+class GeomPairs(NamedTuple):
+    """Pairs of geoms that may touch, and the contact parameters that MuJoCo gives them."""
+
+    first: Int[Either, " pair"]
+    second: Int[Either, " pair"]
+    friction: Float[Either, "pair 5"]
+    solref: Float[Either, "pair 2"]
+    solimp: Float[Either, "pair 5"]
+
+
+def geom_solids(m: mujoco.MjModel) -> Solids:
+    """Describe every geom of a model; those that do not collide get a point.
+
+    Raises:
+        EngineError: a colliding geom is of a type that scenes never have.
+    """
+    each = [_solid(m, g) if collides(m, g) else _point() for g in range(m.ngeom)] or [_point()]
+    rows = {}
+    for name in Solids._fields:
+        leaves = [getattr(solid, name) for solid in each]
+        if name in ("vert", "edge", "plane"):
+            most = max(len(leaf) for leaf in leaves)
+            leaves = [np.concatenate([x, np.repeat(x[:1], most - len(x), axis=0)]) for x in leaves]
+        rows[name] = np.stack(leaves).astype(np.float32)
+    return Solids(**rows)
+
+
+def collides(m: mujoco.MjModel, geom: int) -> bool:
+    """Return whether a geom may touch anything."""
+    return bool(m.geom_contype[geom] | m.geom_conaffinity[geom])
+
+
+def geom_pairs(m: mujoco.MjModel) -> GeomPairs:
+    """List the pairs of geoms that MuJoCo's filters leave, in the order of their bodies.
+
+    Raises:
+        EngineError: the model has explicit pairs, priorities, margins or another contact dimension,
+            which scenes never have.
+    """
+    if m.npair or np.any(m.geom_priority) or np.any(m.geom_margin) or np.any(m.geom_condim != 3):
+        raise EngineError(
+            "engine mjx collides geoms of condim 3 without explicit pairs, priorities and margins; "
+            "take --engine native"
+        )
+    excluded = set(m.exclude_signature.tolist())
+    geoms = [g for g in range(m.ngeom) if collides(m, g)]
+    pairs = [
+        (a, b) for k, a in enumerate(geoms) for b in geoms[k + 1 :] if _may_touch(m, a, b, excluded)
+    ]
+    first, second = np.array(pairs, np.int32).reshape(-1, 2).T
+    mix = m.geom_solmix[first] + m.geom_solmix[second]
+    part = (m.geom_solmix[first] / np.where(mix > 0, mix, 1.0))[:, None]
+    friction = np.maximum(m.geom_friction[first], m.geom_friction[second])
+    blend = lambda x: (part * x[first] + (1 - part) * x[second]).astype(np.float32)
+    return GeomPairs(
+        first=first,
+        second=second,
+        friction=friction[:, [0, 0, 1, 2, 2]].astype(np.float32),
+        solref=blend(m.geom_solref),
+        solimp=blend(m.geom_solimp),
+    )
+
+
+def _may_touch(m: mujoco.MjModel, a: int, b: int, excluded: set[int]) -> bool:
+    one, two = sorted((int(m.geom_bodyid[a]), int(m.geom_bodyid[b])))
+    if (one << 16) + two in excluded:
+        return False
+    weld, other = int(m.body_weldid[one]), int(m.body_weldid[two])
+    above = lambda w: int(m.body_weldid[m.body_parentid[w]])
+    # As MuJoCo: what is welded never touches, nor do a parent, but for the world, and its child.
+    related = weld and other and (weld == above(other) or other == above(weld))
+    types = (m.geom_contype[a] & m.geom_conaffinity[b]) | (
+        m.geom_contype[b] & m.geom_conaffinity[a]
+    )
+    return weld != other and not related and bool(types)
+
+
+def _solid(m: mujoco.MjModel, geom: int) -> Solids:
+    kind, size = int(m.geom_type[geom]), np.array(m.geom_size[geom])
+    if kind == _GEOM.mjGEOM_MESH:
+        mesh = m.geom_dataid[geom]
+        first = m.mesh_vertadr[mesh]
+        return _polytope(np.array(m.mesh_vert[first : first + m.mesh_vertnum[mesh]], float))
+    if kind == _GEOM.mjGEOM_BOX:
+        return _polytope(np.array(np.meshgrid(*([-1.0, 1.0],) * 3)).reshape(3, -1).T * size)
+    if kind == _GEOM.mjGEOM_CYLINDER:
+        return _cylinder(size[0], size[1])
+    if kind == _GEOM.mjGEOM_SPHERE:
+        return _point()._replace(radii=np.full(3, size[0]))
+    if kind == _GEOM.mjGEOM_ELLIPSOID:
+        return _point()._replace(radii=size)
+    if kind == _GEOM.mjGEOM_CAPSULE:
+        ends = np.array([[0.0, 0.0, -size[1]], [0.0, 0.0, size[1]]])
+        return _point()._replace(vert=ends, edge=ends[None], radii=np.full(3, size[0]), core=ends)
+    raise EngineError(
+        f"engine mjx cannot collide geom {m.geom(geom).name!r} of type {_GEOM(kind).name}; "
+        "take --engine native"
+    )
+
+
+def _point() -> Solids:
+    zero = np.zeros((1, 3))
+    return Solids(
+        vert=zero,
+        edge=np.zeros((1, 2, 3)),
+        plane=np.zeros((1, 4)),
+        disc=np.float64(0.0),
+        radii=np.zeros(3),
+        core=np.zeros((2, 3)),
+    )
+
+
+def _cylinder(radius: float, half: float) -> Solids:
+    turn = lambda n: 2 * np.pi * np.arange(n) / n
+    out = lambda n: np.column_stack([np.cos(turn(n)), np.sin(turn(n)), np.zeros(n)])
+    up = np.array([0.0, 0.0, half])
+    low, high = radius * out(CORNERS) - up, radius * out(CORNERS) + up
+    around = lambda ring: np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
+    caps = np.array([[0.0, 0.0, -1.0, half], [0.0, 0.0, 1.0, half]])
+    return Solids(
+        vert=np.stack([-up, up]),
+        edge=np.concatenate([around(low), around(high), np.stack([low, high], axis=1)]),
+        plane=np.concatenate([np.column_stack([out(SIDES), np.full(SIDES, radius)]), caps]),
+        disc=np.float64(radius),
+        radii=np.zeros(3),
+        core=np.stack([-up, up]),
+    )
+
+
+def _polytope(points: NDArray) -> Solids:
+    """Build a polytope from the corners of its hull; triangles of one plane are one face."""
+    middle, span = points.mean(axis=0), np.ptp(points, axis=0).max()
+    hull = ConvexHull((points - middle) / span)
+    normals = hull.equations
+    # Triangles by the plane that they lie in.
+    face = np.full(len(normals), -1)
+    planes: list[NDArray] = []
+    for k, row in enumerate(normals):
+        if face[k] < 0:
+            same = np.all(np.abs(normals - row) < 1e-4, axis=1) & (face < 0)
+            face[same] = len(planes)
+            planes.append(row)
+    sides: dict[tuple[int, int], list[int]] = {}
+    for k, (a, b, c) in enumerate(hull.simplices.tolist()):
+        for one, two in ((a, b), (b, c), (c, a)):
+            sides.setdefault((min(one, two), max(one, two)), []).append(int(face[k]))
+    edges = [pair for pair, faces in sides.items() if len(set(faces)) > 1]
+    stacked = np.array(planes)
+    offset = span * -stacked[:, 3] + stacked[:, :3] @ middle
+    # Corners in the middle of a face, as triangulations leave them, are none.
+    used = np.unique(np.array(edges))
+    centre = points[used].mean(axis=0)
+    return Solids(
+        vert=points[used],
+        edge=points[np.array(edges)],
+        plane=np.column_stack([stacked[:, :3], offset]),
+        disc=np.float64(0.0),
+        radii=np.zeros(3),
+        core=np.stack([centre, centre]),
+    )
+
+
+__all__ = ["GeomPairs", "Solids", "collides", "geom_pairs", "geom_solids"]

@@ -1,0 +1,304 @@
+"""Visibility: which object a photograph's camera sees where, for whole populations of layouts.
+
+Objects hide one another, and the picture ends. Each object is looked at through a window of its
+own, its box in the picture cut at the picture's border, so that small objects are seen as finely as
+large ones; a raster of the whole picture is the same with one window.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+from neoworld_kernels.culled import ObjectPoses, dot, true_indices
+from neoworld_kernels.first_hits import (
+    ConvexRows,
+    Rays,
+    first_hits,
+    flat_rows,
+    picture_boxes,
+    round_rows,
+)
+
+from .layout import Poses, rotation
+from .photo_view import PhotoView
+from .scene_arrays import SceneArrays
+
+TILE, TILES = 8, 3
+"""Cells along a tile, and tiles along a window of an object."""
+GOLDEN = 0.618034
+"""Cells are looked at off their middle by multiples of this, so that an edge along the grid is met
+at many places within a cell."""
+INSET = 0.01
+"""How far inside an object's extreme points it is looked for, as a share of its box."""
+DEEPEST = 1e-3
+"""Least depth [m] of a point that is projected."""
+
+
+class Outlines(eqx.Module):
+    """Where objects are in the picture, hidden or not."""
+
+    boxes: Float[Array, "pop object 4"]
+    """left, top, right, bottom from the middle of the picture [px]."""
+    extremes: Float[Array, "pop object 4 2"]
+    """The points (x, y) that reach farthest left, up, right and down [px]."""
+    middle: Float[Array, "pop object 2"]
+    """Means of the outline's points [px]."""
+    depth: Float[Array, "pop object"]
+    """Of the middle of each object's box along the view [m]."""
+    inside: Float[Array, "pop object"]
+    """Share of the surface samples that lie within the picture's border."""
+
+
+class Visible(eqx.Module):
+    """What the camera sees of objects."""
+
+    boxes: Float[Array, "pop object 4"]
+    """Boxes of what is visible [px], from the middle of the picture; without area where nothing
+    is."""
+    share: Float[Array, "pop object"]
+    """Visible share of the area that an object would cover if nothing hid it and the picture did
+    not end."""
+    own_sides: Bool[Array, "pop object 4"]
+    """Whether each side is where the object itself ends: not hidden, and not at the border."""
+    outlines: Outlines
+
+
+def as_parsed(photo: PhotoView, pop: int) -> Visible:
+    """Return candidates that look like the photograph."""
+    many = lambda x: jnp.broadcast_to(jnp.asarray(x, jnp.float32), (pop, *np.shape(x)))
+    boxes, whole = many(photo.boxes), jnp.ones((pop, len(photo.boxes)))
+    x, y = ((boxes[..., k] + boxes[..., k + 2]) / 2 for k in range(2))
+    tips = [(boxes[..., 0], y), (x, boxes[..., 1]), (boxes[..., 2], y), (x, boxes[..., 3])]
+    extremes = jnp.stack([jnp.stack(tip, axis=-1) for tip in tips], axis=2)
+    middle = jnp.stack([x, y], axis=-1)
+    shown = Outlines(boxes, extremes, middle, many(photo.depth), whole)
+    return Visible(boxes, whole, jnp.broadcast_to(whole[..., None] > 0, boxes.shape), shown)
+
+
+def outlines(scene: SceneArrays, poses: Poses) -> Outlines:
+    """Project objects' outlines. Differentiable."""
+    v = scene.photo
+    poses = without_spin(scene, poses)
+    turn = rotation(poses.quat) * poses.scale[..., None, None]
+    gap = poses.pos - v.position
+    # Sums of products, which XLA fuses with the minima; small matrix products are slow on CPUs.
+    turn = dot([axis[:, None] for axis in v.axes], [turn[..., None, i, :] for i in range(3)])
+    shift = dot(v.axes, [gap[..., None, i] for i in range(3)])
+
+    def project(points: Array) -> tuple[Array, Array, Array]:
+        apart = [points[..., j] for j in range(3)]
+        x, y, z = (
+            dot([turn[..., None, k, j] for j in range(3)], apart) + shift[..., None, k]
+            for k in range(3)
+        )
+        z = jnp.maximum(z, DEEPEST)
+        return x / z * v.focal, y / z * v.focal, z
+
+    x, y, _ = project(scene.outline)
+    box, extremes = [], []
+    for axis, least in ((0, True), (1, True), (0, False), (1, False)):
+        along, other = (x, y) if axis == 0 else (y, x)
+        side = along.min(axis=2) if least else along.max(axis=2)
+        beside = jnp.min(jnp.where(along == side[..., None], other, jnp.inf), axis=2)
+        box.append(side)
+        extremes.append(jnp.stack((side, beside) if axis == 0 else (beside, side), axis=-1))
+    _, _, depth = project(jnp.mean(scene.corners, axis=1, keepdims=True))
+    u, w, _ = project(scene.samples)
+    within = (jnp.abs(u) <= v.half_size[0]) & (jnp.abs(w) <= v.half_size[1])
+    return Outlines(
+        jnp.stack(box, axis=-1),
+        jnp.stack(extremes, axis=2),
+        jnp.stack([x.mean(axis=2), y.mean(axis=2)], axis=-1),
+        depth[..., 0],
+        jnp.mean(within, axis=2),
+    )
+
+
+def without_spin(scene: SceneArrays, poses: Poses) -> Poses:
+    """Undo turns of round objects about their own axis, which nobody sees."""
+    w, x, y, z = jnp.moveaxis(poses.quat, -1, 0)
+    square = w * w + z * z
+    length = jnp.sqrt(jnp.where(square > 1e-12, square, 1.0))
+    c, s = w / length, z / length
+    swing = jnp.stack([w * c + z * s, x * c - y * s, y * c + x * s, z * c - w * s], axis=-1)
+    undo = scene.round[:, None] & (square > 1e-12)[..., None]
+    return eqx.tree_at(lambda p: p.quat, poses, jnp.where(undo, swing, poses.quat))
+
+
+class _Prepared(NamedTuple):
+    placed: ObjectPoses
+    families: list[ConvexRows]
+    boxes: list[Float[Array, "row 5 pop"]]
+
+
+def _prepared(scene: SceneArrays, poses: Poses) -> _Prepared:
+    v = scene.photo
+    poses = without_spin(scene, poses)
+    turn, gap = rotation(poses.quat), poses.pos - v.position
+    rot = jnp.stack([dot(axis, [turn[..., i, :] for i in range(3)]) for axis in v.axes.T], axis=2)
+    pos = jnp.stack([dot(axis, [gap[..., i] for i in range(3)]) for axis in v.axes.T], axis=2)
+    placed = ObjectPoses(
+        jnp.transpose(pos, (1, 2, 0)), jnp.transpose(rot, (1, 2, 3, 0)), poses.scale.T
+    )
+    families = [rows(scene.colliders) for rows in (flat_rows, round_rows)]
+    boxes = [picture_boxes(placed, f.owner, f.pos, f.rot, f.extent) for f in families]
+    return _Prepared(placed, families, boxes)
+
+
+def _near(prepared: _Prepared, window: Float[Array, "4 pop"], behind: Any) -> list[Array]:
+    """Return rows whose boxes reach into a window for some candidate, not wholly behind a depth."""
+    masks = []
+    for rows, box in zip(prepared.families, prepared.boxes, strict=True):
+        meets = (box[:, 0] <= window[2]) & (box[:, 2] >= window[0])
+        meets &= (box[:, 1] <= window[3]) & (box[:, 3] >= window[1]) & (box[:, 4] >= behind)
+        masks.append(rows.used & jnp.any(meets, axis=1))
+    return masks
+
+
+def _grid() -> Float[np.ndarray, "2 tile cell"]:
+    """Return where cells of a window are looked at, from 0 to 1, in tiles."""
+    n = TILE * TILES
+    row, column = np.mgrid[:n, :n]
+    x = (column + (0.5 + GOLDEN * row) % 1) / n
+    y = (row + (0.5 + GOLDEN * column) % 1) / n
+    tiles = lambda v: v.reshape(TILES, TILE, TILES, TILE).swapaxes(1, 2).reshape(TILES**2, -1)
+    return np.stack([tiles(x), tiles(y)]).astype(np.float32)
+
+
+def visibility(scene: SceneArrays, poses: Poses) -> Visible:
+    """Return what the photograph's camera sees of each judged object.
+
+    Boxes are good to about a hundredth of an object's size where another one hides it, and exact
+    where the object itself ends or the picture does. Without gradients; may be jitted and vmapped.
+    """
+    scene, poses = jax.tree.map(lax.stop_gradient, (scene, poses))
+    return _visible(scene, poses, outlines(scene, poses))
+
+
+def _visible(scene: SceneArrays, poses: Poses, seen: Outlines) -> Visible:
+    focal = scene.photo.focal
+    prepared = _prepared(scene, poses)
+    last = lambda v: jnp.moveaxis(v, 0, -1) / focal
+    full, extremes, middle = last(seen.boxes), last(seen.extremes), last(seen.middle)
+    border = jnp.concatenate([-scene.photo.half_size, scene.photo.half_size]) / focal
+    low, high = jnp.tile(border[:2], 2)[:, None], jnp.tile(border[2:], 2)[:, None]
+    least = _least_inverse_depth(prepared, scene.count)
+    grid = jnp.asarray(_grid())
+    order, number = true_indices(scene.photo.judged)
+    pop = poses.scale.shape[0]
+    start = (
+        jnp.zeros((scene.count, 4, pop)),
+        jnp.zeros((scene.count, pop)),
+        jnp.zeros((scene.count, 4, pop), bool),
+    )
+
+    def look(i: Array, result: tuple[Array, ...]) -> tuple[Array, ...]:
+        k = order[i]
+        window = jnp.clip(full[k], low, high)
+        window = window.at[2:].set(jnp.maximum(window[2:], window[:2] + 1e-6))
+        span = window[2:] - window[:2]
+        # Tiles of cells, then one block whose first rays go just inside the extreme points.
+        size = full[k, 2:] - full[k, :2]
+        inward = middle[k] - extremes[k]
+        length = jnp.maximum(jnp.max(jnp.abs(inward) / jnp.maximum(size, 1e-6), axis=1), 1e-6)
+        inner = extremes[k] + inward * jnp.minimum(INSET / length, 1.0)[:, None]
+        ends = jnp.repeat(inner, TILE * TILE // 4, axis=0)
+        x, y = (
+            jnp.concatenate([grid[a][..., None] * span[a] + window[a], ends[None, :, a]])
+            for a in range(2)
+        )
+        near = [
+            rows & (scene.photo.hides[family.owner] | (family.owner == k))
+            for rows, family in zip(
+                _near(prepared, window, least[k]), prepared.families, strict=True
+            )
+        ]
+        target = jnp.arange(scene.count) == k
+        others, itself = first_hits(
+            prepared.placed, prepared.families, near, Rays(x, y), target.astype(jnp.int32), 2
+        )
+        own, shown = itself > 0, itself > others
+        cells = shown[:-1]
+        any_cell = jnp.any(cells, axis=(0, 1))
+        extent = lambda v: [
+            jnp.min(jnp.where(cells, v[:-1], jnp.inf), axis=(0, 1)),
+            jnp.max(jnp.where(cells, v[:-1], -jnp.inf), axis=(0, 1)),
+        ]
+        (x0, x1), (y0, y1) = extent(x), extent(y)
+        sampled = jnp.stack([x0, y0, x1, y1])
+        cell = jnp.tile(span, (2, 1)) / (TILE * TILES)
+        in_picture = (full[k] >= low) & (full[k] <= high)
+        tips = slice(None, None, TILE * TILE // 4)
+        tip_shown, tip_own = shown[-1][tips], own[-1][tips]
+        # A thin tip may be missed by its ray; then the cells beside it decide.
+        by_cells = ~tip_own & (jnp.abs(sampled - full[k]) < 1.5 * cell)
+        ends_here = in_picture & (tip_shown | by_cells)
+        cut = ~in_picture & (jnp.abs(sampled - window) < 1.5 * cell)
+        box = jnp.where(ends_here | cut, window, sampled)
+        some = any_cell | jnp.any(tip_shown, axis=0)
+        centre = jnp.tile(middle[k], (2, 1))
+        box = jnp.where(some & jnp.all(jnp.isfinite(box), axis=0), box, centre)
+        count = jnp.sum(own[:-1], axis=(0, 1))
+        share = jnp.sum(cells, axis=(0, 1)) / jnp.maximum(count, 1)
+        new = (box, share, ends_here & some)
+        return tuple(a.at[k].set(b) for a, b in zip(result, new, strict=True))
+
+    boxes, share, sides = lax.fori_loop(0, number, look, start)
+    first = lambda v: jnp.moveaxis(v, -1, 0)
+    return Visible(first(boxes) * focal, first(share) * seen.inside, first(sides), seen)
+
+
+def _least_inverse_depth(prepared: _Prepared, count: int) -> Float[Array, "object pop"]:
+    """Return a lower bound of the inverse depth of every point of each object."""
+    placed = prepared.placed
+    least = jnp.full((count, placed.scale.shape[1]), jnp.inf)
+    for rows in prepared.families:
+        reach = jnp.sqrt(jnp.sum(jnp.max(rows.extent**2, axis=1), axis=1))
+        at = rows.pos
+        far = jnp.sqrt(jnp.sum(at**2, axis=1)) + reach
+        depth = placed.pos[rows.owner, 2] + far[:, None] * placed.scale[rows.owner]
+        inverse = jnp.where(rows.used[:, None], 1.0 / jnp.maximum(depth, DEEPEST), jnp.inf)
+        least = least.at[rows.owner].min(inverse)
+    return least
+
+
+def raster(
+    scene: SceneArrays, poses: Poses, *, columns: int = 96, rows: int = 72
+) -> tuple[Int[Array, "pop row column"], Float[Array, "pop row column"]]:
+    """Return which object is seen at each cell of the picture, -1 for none, and its depth [m].
+
+    Environment supports are objects, too. Depth is along the view, inf where nothing is.
+
+    Args:
+        scene: the scene's arrays.
+        poses: where the candidates' objects are placed.
+        columns: cells across the picture, a multiple of TILE.
+        rows: cells down the picture, a multiple of TILE.
+    """
+    prepared = _prepared(scene, poses)
+    half = scene.photo.half_size / scene.photo.focal
+    pop = poses.scale.shape[0]
+    row, column = np.mgrid[:rows, :columns]
+    fold = lambda v: v.reshape(rows // TILE, TILE, -1, TILE).swapaxes(1, 2).reshape(-1, TILE**2)
+    at = lambda v, number, k: jnp.repeat(
+        ((fold(v) + 0.5) / number * 2 - 1)[..., None] * half[k], pop, axis=-1
+    )
+    window = jnp.repeat(jnp.concatenate([-half, half])[:, None], pop, axis=1)
+    rays = Rays(at(column, columns, 0), at(row, rows, 1))
+    near = _near(prepared, window, 0.0)
+    layer = jnp.arange(scene.count, dtype=jnp.int32)
+    hits = first_hits(prepared.placed, prepared.families, near, rays, layer, scene.count)
+    nearest = jnp.max(hits, axis=0)
+    owner = jnp.where(nearest > 0, jnp.argmax(hits, axis=0).astype(jnp.int32), -1)
+    unfold = lambda v: (
+        jnp.moveaxis(v, -1, 0)
+        .reshape(pop, rows // TILE, columns // TILE, TILE, TILE)
+        .swapaxes(2, 3)
+        .reshape(pop, rows, columns)
+    )
+    depth = jnp.where(owner >= 0, 1.0 / jnp.maximum(nearest, 1e-9), jnp.inf)
+    return unfold(owner), unfold(depth)

@@ -1,0 +1,146 @@
+"""Write what a person annotated as the first two steps of a run, and go on without a model."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from ..config import Config
+from ..errors import ProgramError, RunError, SpecError
+from ..parse import crops, load_photo, support_colours
+from ..parse.crops import colour_in_box
+from ..parse.draw import draw_parse
+from ..program import build
+from ..program.attempt import ProgramAttempt, Programmed
+from ..program.supports import support_program
+from ..reading import bounded_by, read_model
+from ..render import to_png
+from ..run_folder import RunFolder
+from ..spec import SceneTree, TreeNode
+from .annotation import KEPT, MODEL, Annotation, annotated_tree, opened_annotation, program_of
+from .program_inputs import program_inputs
+from .reconstruction import Result, finish, steps_from
+from .steps import ANSWERED, TREE
+
+ANNOTATION = "annotation.json"
+"""The annotation itself, in the run folder, to be opened again."""
+
+Files = dict[str, str]
+"""Texts of an object's files, by name."""
+_OF_STAGES = ("geometry.py", "articulation.py", "export.py")
+_OF_PROGRAM = ("program.py", "spec.json", "program.json")
+
+
+def read_annotation(folder: Path) -> Annotation:
+    """Return the annotation of a run: its own, or that of the tree that a model parsed.
+
+    Raises:
+        RunError: the folder holds neither.
+        SpecError: the file is damaged.
+    """
+    if (folder / ANNOTATION).is_file():
+        return read_model(folder / ANNOTATION, Annotation, SpecError, "an annotation")
+    if (folder / TREE).is_file():
+        return opened_annotation(read_model(folder / TREE, SceneTree, SpecError, "a scene tree"))
+    raise RunError(f"{folder} holds no {TREE}: leave --from parse out to begin with an empty page")
+
+
+def write_annotated(
+    photo: Path, out: Path, annotation: Annotation, config: Config, *, simulate: bool = True
+) -> Result:
+    """Write the tree and the programs of an annotation into a run folder.
+
+    A folder that holds a run of this photograph keeps its programs of the objects that are to stay
+    as they are; all else of it is done again.
+
+    Args:
+        photo: the picture file.
+        out: the run folder; new, empty, or a run of this photograph.
+        annotation: what a person said.
+        config: all options.
+        simulate: whether to verify, compose, refine and export besides; not done where an object
+            is left to a model, which `neoworld reconstruct --resume` then asks.
+
+    Raises:
+        NeoWorldError: the annotation gives no tree, a program no object, or a step fails.
+    """
+    with bounded_by(config.files):
+        picture = load_photo(photo, config.parse.max_side_px, config.parse.min_side_px)
+        tree = annotated_tree(annotation)
+        by_name = {obj.name: obj for obj in annotation.objects}
+        kept = {
+            obj.name: _files_of(out / "objects" / obj.name)
+            for obj in annotation.objects
+            if obj.kind == KEPT
+        }
+        colours, pictures = support_colours(picture, tree), crops(picture, tree)
+        texts: dict[str, Files] = {}
+        for node in tree.nodes:
+            obj = by_name.get(node.name)
+            if node.slab:
+                rgb = colours[node.name].rgb if node.name in colours else None
+                texts[node.name] = _built(node, support_program(node, rgb), "support", config)
+            elif obj is not None and obj.kind == KEPT:
+                texts[node.name] = kept[node.name]
+            elif obj is not None:
+                rgb = colour_in_box(picture, tree, node)
+                text = program_of(obj, node.box3d.size, rgb)
+                if text is not None:
+                    texts[node.name] = _built(node, text, "annotation", config)
+        again = (out / "run.json").is_file()
+        with RunFolder(out, config, start="parse" if again else None) as run:
+            run.record("photo", name=photo.name, sha256=picture.sha256)
+            with run.step("parse", {"photo": picture.sha256, "options": config.parse}) as step:
+                assert step is not None
+                (step / TREE).write_text(tree.to_json(), encoding="utf-8")
+                (step / ANSWERED).write_text(tree.to_json(), encoding="utf-8")
+                (step / ANNOTATION).write_text(
+                    annotation.model_dump_json(indent=1) + "\n", encoding="utf-8"
+                )
+                (step / "photo.png").write_bytes(to_png(picture.rgb))
+                (step / "pictures").mkdir()
+                drawn = draw_parse(picture, tree, solid=True).data
+                (step / "pictures" / "parse.png").write_bytes(drawn)
+                (step / "parse.json").write_text('{"rounds": []}\n', encoding="utf-8")
+            inputs = program_inputs(tree, pictures, colours, config.program)
+            _write_programs(run, texts, inputs)
+            left = [name for name, obj in by_name.items() if obj.kind == MODEL]
+            if simulate and not left:
+                return steps_from(run, "verify", config, None)
+            return finish(run, "program" if not left else "parse")
+
+
+def _write_programs(
+    run: RunFolder, texts: Mapping[str, Files], inputs: Mapping[str, Mapping[str, object]]
+) -> None:
+    for name, files in texts.items():
+        with run.step(f"program/{name}", inputs[name]) as step:
+            if step is None:
+                continue
+            home = step / "objects" / name
+            home.mkdir(parents=True)
+            for file, content in files.items():
+                (home / file).write_text(content, encoding="utf-8")
+
+
+def _built(node: TreeNode, text: str, stage: str, config: Config) -> Files:
+    """Build a program and return the files of the object."""
+    built = build(text, config.program)
+    if built.spec is None:
+        reasons = "; ".join(signal.phrase() for signal in built.signals[:3])
+        raise ProgramError(f"object {node.name}: {reasons}")
+    attempt = ProgramAttempt(stage, text, built)
+    programmed = Programmed(
+        *(built.spec, {"program": text}, built.signals, attempt.score, (attempt,), ()),
+        allowances=built.allowances,
+    )
+    contents = (text, built.spec.to_json(), programmed.to_json())
+    return dict(zip(_OF_PROGRAM, contents, strict=True))
+
+
+def _files_of(home: Path) -> Files:
+    missing = [name for name in _OF_PROGRAM if not (home / name).is_file()]
+    if missing:
+        raise RunError(
+            f"{home} holds no {missing[0]}: choose a kind for the object, or leave it to a model"
+        )
+    names = [name for name in (*_OF_PROGRAM, *_OF_STAGES) if (home / name).is_file()]
+    return {name: (home / name).read_text(encoding="utf-8") for name in names}

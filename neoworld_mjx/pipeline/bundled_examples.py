@@ -1,0 +1,63 @@
+"""The examples that ship with the package: photographs whose answers are on tapes."""
+
+from importlib import resources
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict
+
+from ..config import read_yaml
+from ..errors import PhotoError, choices
+
+_DATA = Path(str(resources.files("neoworld_mjx") / "data"))
+_PLACES = (_DATA / "photos", Path(str(resources.files("neoworld_mjx"))).parent / "examples")
+"""Folders of the photographs: in an installed package, and in a clone."""
+
+
+class BundledExample(BaseModel):
+    """One example."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    photo: Path
+    """The photograph's file."""
+    shows: str
+    objects: int
+    """Number of objects, without supports of the environment."""
+    joints: int
+    """Number of joints that move."""
+    licence: str
+    credit: str
+
+
+def bundled_examples() -> dict[str, BundledExample]:
+    """Return the examples by name.
+
+    Raises:
+        PhotoError: a photograph is missing, as the installation is incomplete.
+    """
+    table = read_yaml(_DATA / "examples.yaml", "examples")
+    return {
+        name: BundledExample.model_validate({**entry, "photo": _find(entry["photo"])})
+        for name, entry in table.items()
+    }
+
+
+def photo_of(photo: Path) -> Path:
+    """Return the file of a photograph, or that of the example with this name.
+
+    Raises:
+        PhotoError: there is neither such a file nor such an example.
+    """
+    if photo.exists() or photo.suffix or len(photo.parts) != 1:
+        return photo
+    examples = bundled_examples()
+    if photo.name not in examples:
+        raise PhotoError(f"no file {photo}, nor such an example: {choices(photo.name, examples)}")
+    return examples[photo.name].photo
+
+
+def _find(name: str) -> Path:
+    for place in _PLACES:
+        if (place / name).is_file():
+            return place / name
+    raise PhotoError(f"the photograph {name} of an example is missing: install the package again")

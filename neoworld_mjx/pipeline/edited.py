@@ -1,0 +1,83 @@
+"""Go on with a run whose files a person edited: a program, or the layout."""
+
+from pathlib import Path
+
+from ..compose.layout_patch import LayoutPatch, write_layout_patch
+from ..config import Config
+from ..errors import RunError
+from ..files import write_atomic
+from ..program import Built, build
+from ..program.attempt import ProgramAttempt, Programmed
+from ..reading import bounded_by, read_object
+from ..run_folder import RunFolder, read_run
+from .reconstruction import Result, earlier_options, models_of_run, steps_from
+
+
+def search_again(folder: Path, patch: LayoutPatch) -> Result:
+    """Lay a person's placements over the composed scene, and search again from there.
+
+    The patch stays in the run folder, so that it holds whatever is built or composed later. Steps
+    whose inputs have not changed are kept; with an unchanged patch that is all of them.
+
+    Args:
+        folder: the run folder; its verify step must have finished.
+        patch: all placements that a person set.
+
+    Raises:
+        NeoWorldError: the folder is no such run, or a step fails.
+    """
+    config = _options(folder)
+    with bounded_by(config.files):
+        models = models_of_run(folder, config, read_run(folder), critic=False)
+        with RunFolder(folder, config, resume=True, edited="verify") as run:
+            write_layout_patch(folder, patch)
+            return steps_from(run, "compose", config, models)
+
+
+def rebuild(folder: Path, name: str, text: str) -> tuple[Built, Result | None]:
+    """Build another program of an object and, if that gives one, do the steps after it again.
+
+    Args:
+        folder: the run folder; its program step must have finished.
+        name: of the object.
+        text: the program.
+
+    Returns:
+        What the program gave, and the run with it; None where the program failed, or its object
+        fails a check: then nothing has changed on disk.
+
+    Raises:
+        NeoWorldError: the folder is no such run, or a later step fails.
+    """
+    config = _options(folder, verifies=True)
+    step, home = f"program/{name}", folder / "objects" / name
+    with bounded_by(config.files):
+        earlier = read_run(folder)
+        if step not in earlier["steps"]:
+            raise RunError(f"{folder} has no programmed object {name}: do the step program first")
+        # A run from a stranger must not choose that its programs run outside of the sandbox.
+        built = build(text, config.program.model_copy(update={"sandbox": "monty"}))
+        if built.spec is None or not built.ok:
+            return built, None
+        models = models_of_run(folder, config, earlier, critic=True)
+        attempt = ProgramAttempt("edited", text, built)
+        with RunFolder(folder, config, resume=True, edited="program") as run:
+            path = home / "program.json"
+            size = read_object(path, RunError).get("size") if path.is_file() else None
+            programmed = Programmed(
+                *(built.spec, {"program": text}, built.signals, attempt.score, (attempt,), ()),
+                allowances=built.allowances,
+                size=None if size is None else (size[0], size[1], size[2]),
+            )
+            for file, content in (
+                ("program.py", text),
+                ("spec.json", built.spec.to_json()),
+                ("program.json", programmed.to_json()),
+            ):
+                write_atomic(home / file, content)
+            run.accept_edits(step)
+            return built, steps_from(run, "verify", config, models)
+
+
+def _options(folder: Path, *, verifies: bool = False) -> Config:
+    return earlier_options(folder, read_run(folder)["config"], {}, verifies=verifies)

@@ -1,0 +1,137 @@
+"""Attempts at an object's program, with their checks and critiques, and the result of Step 2."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from ..spec import ObjectSpec
+from .allowance import Allowance
+from .critique import Critique, marks
+from .sandbox import Built
+from .signals import Signal
+
+Size = tuple[float, float, float]
+UNJUDGED = 5.0
+"""Critic's score of a program without a critique."""
+
+
+def joined(texts: Mapping[str, str]) -> str:
+    """Return the program that the texts of the stages make together, in their order.
+
+    A later text goes on where the one before it ends, with its names. A single text is returned as
+    it is.
+
+    Args:
+        texts: text by the name of its stage.
+    """
+    if len(texts) == 1:
+        return next(iter(texts.values()))
+    return "\n".join(f"# {name}.py\n{text}" for name, text in texts.items())
+
+
+@dataclass(frozen=True)
+class ProgramAttempt:
+    """One text of a synthesis, with the results of its checks and its critiques."""
+
+    stage: str
+    """Its origin: "program", "debug" or "revise", or "support" for one that no model wrote."""
+    text: str
+    built: Built
+    notes: str = ""
+    critiques: Mapping[str, Critique] = field(default_factory=dict)
+    """By critic: geometry, articulation, export."""
+    size: Size | None = None
+    """Edges of the box [m] that it was to fill, if not the parsed ones."""
+    before: Mapping[str, str] = field(default_factory=dict)
+    """Accepted texts of the stages before, by their names."""
+    file: str = "program"
+    """The name of its own stage: program, or geometry, articulation, export."""
+
+    @property
+    def texts(self) -> dict[str, str]:
+        """The texts up to this one, by the names of their stages."""
+        return {**self.before, self.file: self.text}
+
+    @property
+    def score(self) -> float:
+        """Critics' score, 0 to 10, less one point for each error and the deviation of its size."""
+        if self.built.spec is None:
+            return 0.0
+        score = marks(self.critiques) if self.critiques else UNJUDGED
+        errors = [signal for signal in self.built.signals if signal.severity == "error"]
+        deviation = sum(
+            min(1.0, abs(signal.value or 0.0))
+            for signal in self.built.signals
+            if signal.code == "proportions"
+        )
+        return max(0.0, score - len(errors) - deviation)
+
+    @property
+    def rank(self) -> tuple[bool, bool, bool, float]:
+        """Key by which attempts of a stage are compared, the larger the better."""
+        lost = any(signal.code == "lost" for signal in self.built.signals)
+        return self.built.spec is not None, not lost, self.built.ok, self.score
+
+    def to_json(self) -> dict[str, object]:
+        """Return the attempt as a JSON object."""
+        verdicts = {name: each.model_dump(mode="json") for name, each in self.critiques.items()}
+        return {
+            "file": self.file,
+            "stage": self.stage,
+            "program": self.text,
+            "notes": self.notes,
+            "signals": _dumped(self.built.signals),
+            "verdicts": verdicts,
+            "score": round(self.score, 4),
+        }
+
+
+@dataclass(frozen=True)
+class Programmed:
+    """The result of a synthesis."""
+
+    spec: ObjectSpec | None
+    texts: Mapping[str, str]
+    """Text by the name of its stage: program alone, or geometry, articulation and export."""
+    signals: tuple[Signal, ...]
+    score: float
+    rounds: tuple[ProgramAttempt, ...]
+    fallbacks: tuple[tuple[str, str], ...] = ()
+    """Stages that failed, and errors that remain, with the reasons."""
+    allowances: tuple[Allowance, ...] = ()
+    """Overlaps that the program declares."""
+    size: Size | None = None
+    """Corrected edges of the parsed box [m]; None if the parsed ones hold."""
+
+    @property
+    def text(self) -> str:
+        """The whole program."""
+        return joined(self.texts)
+
+    @property
+    def reason(self) -> str:
+        """Reason why there is no object, in one line; empty if there is one."""
+        if self.spec is not None:
+            return ""
+        first = next((s.phrase() for s in self.signals if s.severity == "error"), "no program")
+        return f"no program of {len(self.rounds)} could be built; the last: {first}"
+
+    def to_json(self) -> str:
+        """Return all rounds as JSON."""
+        kept = self.texts
+        rounds = [
+            {**each.to_json(), "kept": kept.get(each.file) == each.text} for each in self.rounds
+        ]
+        data = {
+            "score": round(self.score, 4),
+            "signals": _dumped(self.signals),
+            "fallbacks": [list(entry) for entry in self.fallbacks],
+            "allowances": [allowance._asdict() for allowance in self.allowances],
+            "size": self.size,
+            "rounds": rounds,
+        }
+        return json.dumps(data, indent=1) + "\n"
+
+
+def _dumped(signals: tuple[Signal, ...]) -> list[dict[str, object]]:
+    return [signal.model_dump(mode="json", exclude_none=True) for signal in signals]

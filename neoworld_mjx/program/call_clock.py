@@ -1,0 +1,115 @@
+"""Ends calls of the SDK that go on too long, while they run, and counts a worker's time."""
+
+import contextlib
+import ctypes
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+_POLL_S = 0.05
+_AGAIN_S = 1.0
+"""Processor time after which a call that goes on is interrupted again: Python ignores what is
+raised in the callbacks of its garbage collector."""
+
+
+class CallInterrupted(BaseException):
+    """A call of the SDK has used up the time of its program; no `except Exception` takes it."""
+
+
+class CallClock:
+    """Watches the processor time of the calls that one thread makes.
+
+    Processor time of the calling thread alone counts: a program must not fail because the machine
+    is busy, and must end although it is.
+    """
+
+    def __init__(self) -> None:
+        self._thread = threading.get_ident()
+        self._lock = threading.Lock()
+        self._end: float | None = None
+        """Processor time [s] of the thread at which the call under way is ended."""
+        self._interrupted = False
+        self._closed = threading.Event()
+        self._worker: tuple[int, float, float] | None = None
+        """Process, its processor time when it was handed over, and the limit; times in s."""
+        self.worker_s: float | None = None
+        """Processor time [s] of the worker, as last read; None where the system does not tell."""
+        self.worker_killed = False
+
+    def watch_worker(self, pid: int | None, limit_s: float = float("inf")) -> None:
+        """Count the processor time of a worker process from here on, and kill it at the limit."""
+        used = None if pid is None else process_time(pid)
+        if pid is not None and used is not None:
+            self._worker, self.worker_s = (pid, used, limit_s), 0.0
+
+    @contextmanager
+    def watching(self) -> Iterator[None]:
+        """Watch calls until the block ends."""
+        watcher = threading.Thread(target=self._watch, name="call clock", daemon=True)
+        watcher.start()
+        try:
+            yield
+        finally:
+            self._closed.set()
+            watcher.join()
+
+    @contextmanager
+    def limited(self, seconds: float) -> Iterator[None]:
+        """Interrupt the block once it has used up this much processor time [s].
+
+        Raises:
+            CallInterrupted: it has.
+        """
+        if threading.get_ident() != self._thread or seconds == float("inf"):
+            yield
+            return
+        with self._lock:
+            self._end = time.thread_time() + max(seconds, 0.0)
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._end = None
+                if self._interrupted:
+                    self._raise(None)  # It came too late: the block has ended by itself.
+
+    def _watch(self) -> None:
+        clock = time.pthread_getcpuclockid(self._thread)
+        while not self._closed.wait(_POLL_S):
+            self._read_worker()
+            with self._lock:
+                if self._end is not None and time.clock_gettime(clock) > self._end:
+                    self._end = time.clock_gettime(clock) + _AGAIN_S
+                    self._raise(CallInterrupted)
+
+    def _read_worker(self) -> None:
+        if self._worker is None:
+            return
+        pid, before, limit = self._worker
+        used = process_time(pid)
+        if used is not None:
+            self.worker_s = used - before
+            if self.worker_s > limit:
+                self._worker, self.worker_killed = None, True
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+
+    def _raise(self, kind: type[BaseException] | None) -> None:
+        """Raise an exception in the watched thread before its next line of Python."""
+        self._interrupted = kind is not None
+        raised = None if kind is None else ctypes.py_object(kind)
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._thread), raised)
+
+
+def process_time(pid: int) -> float | None:
+    """Return the processor time of a process [s]; None where the system does not tell."""
+    try:
+        # The name in parentheses may hold spaces; user and system time are fields 14 and 15.
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError):
+        return None

@@ -1,0 +1,166 @@
+"""Requests to the critics of Step 2, and their verdicts: of geometry, articulation and export.
+
+Each critic is a call of its own with a verdict of its own; an option switches each.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..mllm import Picture, Request, package_text
+from ..spec import JointSpec, ObjectSpec, TreeNode, bounds, inertial
+from .subject import Edges, moving_parts, tilt_in_words
+
+Score = Annotated[float, Field(ge=0, le=10)]
+Decision = Literal["accept", "revise"]
+
+_WEIGHTS = {"geometry": 0.5, "articulation": 0.3, "colour": 0.2, "masses": 0.1, "dynamics": 0.1}
+
+# Titles, docstrings and descriptions of the answers are part of the requests: tapes hold answers to
+# these very ones.
+
+
+class ProgramFault(BaseModel):
+    """One difference between the made object and the photographed one."""
+
+    model_config = ConfigDict(extra="forbid", title="Fault")
+
+    part: str
+    what: str
+    change: str
+
+
+class GeometryCritique(BaseModel):
+    """The critic's answer about geometry."""
+
+    model_config = ConfigDict(extra="forbid", title="GeometryVerdict")
+
+    geometry: Score
+    colour: Score
+    faults: list[ProgramFault] = Field(default=[], max_length=6)
+    verdict: Decision
+    box: Edges | None = Field(
+        default=None,
+        description="null if the measured box can be right; else the size (x, y, z) in metres that "
+        "the thing should have. It counts with the verdict revise.",
+    )
+
+
+class ArticulationCritique(BaseModel):
+    """The critic's answer about articulation."""
+
+    model_config = ConfigDict(extra="forbid", title="ArticulationVerdict")
+
+    articulation: Score
+    faults: list[ProgramFault] = Field(default=[], max_length=6)
+    verdict: Decision
+
+
+class ExportCritique(BaseModel):
+    """The critic's answer about the exported object."""
+
+    model_config = ConfigDict(extra="forbid", title="ExportVerdict")
+
+    masses: Score
+    dynamics: Score
+    faults: list[ProgramFault] = Field(default=[], max_length=6)
+    verdict: Decision
+
+
+Critique = GeometryCritique | ArticulationCritique | ExportCritique
+
+CRITIQUES: dict[str, type[Critique]] = {
+    "geometry": GeometryCritique,
+    "articulation": ArticulationCritique,
+    "export": ExportCritique,
+}
+"""The schema of each critic's answer."""
+
+_JUDGE = """The real thing: {label}. {description}
+Moving parts seen in the photo: {moving}.
+{posed}
+{made}
+Judge it.
+"""
+_GEOMETRY = """The box measured in the photo is {measured} m.
+The made one measures {size} m (front to back, across, up). Its parts: {parts}."""
+_ARTICULATION = """The made one measures {size} m (front to back, across, up). Its parts: {parts}.
+Its joints:
+{joints}"""
+_EXPORT = """The URDF, read back, measures {size} m (front to back, across, up).
+Its links:
+{links}
+Its joints:
+{joints}"""
+_LEANS = 'In the crop {way}, and in "made" as well; "opened" shows it upright.\n'
+
+
+def critic_request(
+    critic: str, node: TreeNode, spec: ObjectSpec, pictures: Sequence[Picture]
+) -> Request[Any]:
+    """Return the request to a critic about pictures of an object beside its crop.
+
+    Args:
+        critic: geometry, articulation or export.
+        node: the parsed object.
+        spec: the programmed object.
+        pictures: the crop, and those that the critic's instructions name.
+    """
+    low, high = bounds(spec)
+    times = lambda edges: " by ".join(f"{v:.3f}" for v in edges)
+    words = {"geometry": _GEOMETRY, "articulation": _ARTICULATION, "export": _EXPORT}[critic]
+    made = words.format(
+        measured=times(node.box3d.size),
+        size=times((high - low).tolist()),
+        parts=", ".join(part.name for part in spec.parts),
+        joints="\n".join(_joint(joint, critic == "export") for joint in spec.joints) or "none",
+        links="\n".join(_links(spec)),
+    )
+    prompt = _JUDGE.format(
+        label=node.label,
+        description=node.description,
+        moving=moving_parts(node),
+        posed=tilt_in_words(node, _LEANS),
+        made=made,
+    )
+    system = package_text(__package__, f"{critic}_critic")
+    name = f"judge-{critic}:{node.name}"
+    return Request("critic", name, system, prompt, CRITIQUES[critic], pictures)
+
+
+def marks(critiques: Mapping[str, Critique]) -> float:
+    """Return the weighted mean of the scores that critics gave, 0 to 10."""
+    scores = {
+        name: getattr(critique, name)
+        for critique in critiques.values()
+        for name in _WEIGHTS
+        if hasattr(critique, name)
+    }
+    total = sum(_WEIGHTS[name] for name in scores)
+    return sum(_WEIGHTS[name] * score for name, score in scores.items()) / total
+
+
+def accepts(critique: Critique) -> bool:
+    """Tell whether a critic wants no other program: its verdict decides, not its scores."""
+    return critique.verdict == "accept" or not (critique.faults or corrected_box(critique))
+
+
+def corrected_box(critique: Critique) -> list[float] | None:
+    """Return the edges [m] that a critic gives the thing in place of the measured ones."""
+    return critique.box if isinstance(critique, GeometryCritique) else None
+
+
+def _joint(joint: JointSpec, dynamics: bool) -> str:
+    unit, effort = ("m", "N") if joint.type == "prismatic" else ("rad", "N m")
+    text = f"- {joint.name}: {joint.type}, {joint.child} on {joint.parent}"
+    if joint.type in ("revolute", "prismatic"):
+        text += f", {joint.lower:.3g} to {joint.upper:.3g} {unit}"
+    if dynamics and joint.type != "fixed":
+        text += f", damping {joint.damping:.3g}, friction {joint.friction:.3g} {effort}"
+        text += "" if joint.effort is None else f", effort {joint.effort:.3g} {effort}"
+    return text
+
+
+def _links(spec: ObjectSpec) -> list[str]:
+    return [f"- {part.name}: {inertial(spec, part).mass:.3g} kg" for part in spec.parts]

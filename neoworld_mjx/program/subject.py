@@ -1,0 +1,103 @@
+"""An object to be programmed, and what requests say of it: its parts, view and tilt, in words."""
+
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from ..mllm import Picture
+from ..spec import Camera, TreeNode
+from ..spec.pose import conjugate, from_yaw, quat_mul, rotate
+
+MIN_TILT_DEG = 1.0
+LIES_DEG, OVER_DEG = 60.0, 120.0
+"""Tilts from which a thing lies, and beyond which it is turned over."""
+STEP_DEG = 5
+"""Directions are told in steps of so many degrees."""
+Edge = Annotated[float, Field(gt=0, le=100)]
+Edges = Annotated[list[Edge], Field(min_length=3, max_length=3)]
+VIEW = (
+    "direction of view: the camera stands {azimuth} from the object's front and {elevation} "
+    "degrees above it{left}\n"
+)
+OPENED = (
+    ", with {parts} as in the photo (draw it closed, so that opened like that it fills this box)"
+)
+
+
+class Subject(NamedTuple):
+    """An object to be programmed."""
+
+    node: TreeNode
+    crop: Picture
+    note: str = ""
+    """Description of the parts that the crop does not show; empty if it shows all."""
+    camera: Camera | None = None
+    """The photo's camera, for the direction of view; None leaves it out."""
+    window: tuple[float, float, float, float] | None = None
+    """Original pixels (x0, y0, x1, y1) that the crop shows; None if unknown."""
+
+
+def moving_parts(node: TreeNode) -> str:
+    """List the moving parts that the photo shows."""
+    if not node.articulation:
+        return "none noted"
+    return ", ".join(f"{state.part} ({state.type})" for state in node.articulation)
+
+
+def opened_parts(node: TreeNode) -> str:
+    """Describe which parts were open when the box was measured; "" if none."""
+    parts = [f"{part.part} {part.opening:.0%} open" for part in node.articulation if part.opening]
+    return OPENED.format(parts=", ".join(parts)) if parts else ""
+
+
+def view_in_words(node: TreeNode, camera: Camera | None) -> str:
+    """Describe from where the photo sees an object, in the object's own frame."""
+    if camera is None:
+        return ""
+    azimuth, elevation = seen_from(node, camera)
+    turn, up = (STEP_DEG * round(angle / STEP_DEG) for angle in (azimuth, elevation))
+    side = "to its own left" if turn > 0 else "to its own right"
+    left = ""
+    if not _tilt_deg(node):
+        # Beyond 45 degrees to a side the picture's left is another of the object's directions.
+        names = {0: "-y, its own right", 1: "+x, its front", 2: "+y, its own left"}
+        left = f"; the picture's left is its {names.get(round(turn / 90) % 4, '-x, its back')}"
+    around = "0 degrees" if turn == 0 else f"{abs(turn)} degrees {side}"
+    return VIEW.format(azimuth=around, elevation=up, left=left)
+
+
+def seen_from(node: TreeNode, camera: Camera) -> tuple[float, float]:
+    """Return the direction from an object to the camera, in the object's frame.
+
+    Returns:
+        Azimuth about its z [deg], 0 at its front and 90 at its own left, and elevation [deg].
+    """
+    turn = conjugate(quat_mul(from_yaw(node.box3d.yaw), np.array(node.base_tilt)))
+    middle = np.array(node.box3d.position) + [0, 0, node.box3d.size[2] / 2]
+    x, y, z = rotate(turn, camera.position() - middle).tolist()
+    return math.degrees(math.atan2(y, x)), math.degrees(math.atan2(z, math.hypot(x, y)))
+
+
+def _tilt_deg(node: TreeNode) -> float:
+    """Return an object's tilt [deg]; 0 if it is too little to mention."""
+    z = float(rotate(node.base_tilt, (0.0, 0.0, 1.0))[2])
+    degrees = math.degrees(math.acos(max(-1.0, min(1.0, z))))
+    return 0.0 if degrees < MIN_TILT_DEG else degrees
+
+
+def tilt_in_words(node: TreeNode, words: str) -> str:
+    """Describe the tilt of an object that leans, lies or is turned over; "" for an upright one."""
+    degrees = _tilt_deg(node)
+    if not degrees:
+        return ""
+    if degrees > 180 - MIN_TILT_DEG:
+        return words.format(way="it stands upside down")
+    x, y, _ = rotate(node.base_tilt, (0.0, 0.0, 1.0)).tolist()
+    side = ("front" if x > 0 else "back") if abs(x) >= abs(y) else ("left" if y > 0 else "right")
+    how = "it leans" if degrees < LIES_DEG else "it lies"
+    how = "it is turned over" if degrees > OVER_DEG else how
+    return words.format(
+        way=f"{how}, tilted by {degrees:.0f} degrees, its top towards its own {side}"
+    )

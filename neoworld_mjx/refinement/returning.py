@@ -1,0 +1,199 @@
+"""Return objects that the search moved without need to where they were composed.
+
+A search moves everything at once, and within the noise of the photograph one place is as good as
+another. So whatever may go back does: the scene must still pass the final check, and no visible box
+may agree less with the photograph's than within its noise. Objects are returned in groups, halved
+where that fails; one that cannot go back alone goes half the way. Headings and sizes are also
+returned by themselves: what had to make room seldom had to turn or shrink for it.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool
+
+from ..config import RefineOptions
+from ..measure import SceneMeasure, layout_box_iou, measured, passes
+from ..physics.exact import snap_exactly
+from ..physics.layout import Layout
+from ..physics.model import SceneModel
+from ..physics.scene_arrays import SceneArrays, pad_objects, pad_scene
+from ..physics.support import Either
+from ..spec import SceneSpec
+from .objective import Objective, photograph_decides
+from .outcome import Chosen, Round, choose
+
+STILL_M, STILL = 1e-5, 1e-5
+"""Changes of place [m], and of yaw [rad] or log scale, up to which an object has not moved."""
+WHOLE = ("xy", "yaw", "log_scale")
+"""All that a layout says of an object."""
+NOISE = 0.03
+"""Loss of an object's visible-box IoU that the noise of a parsed box explains."""
+
+
+class Winner(NamedTuple):
+    """The outcome of a search, checked exactly."""
+
+    chosen: Chosen
+    layout: Layout
+    """Pop axis of length 1; where the search started, if every candidate failed in physics."""
+    before: SceneMeasure
+    """Final check of where the search started."""
+
+
+def choose_and_return(
+    model: SceneModel,
+    rounds: list[Round],
+    o: RefineOptions,
+    objective: Objective,
+    start: Layout | None = None,
+) -> Winner:
+    """Choose the winner of a search, and put back what it moved without need.
+
+    Nothing is put back where a term of the user's own, or a model's scores, decided too.
+
+    Args:
+        model: the compiled scene.
+        rounds: all iterations.
+        o: options of the check.
+        objective: of the search.
+        start: layout at which the search started, pop axis of length 1; None is the composed scene.
+    """
+    origin = Layout.zero(1, len(model.names)) if start is None else start
+    chosen = choose(model, rounds, o, start)
+    exact = snap_exactly(model.apply(origin, 0))
+    before = chosen.measure if exact == chosen.scene else measured(exact, o)
+    t, k = chosen.index
+    layout = rounds[t].layouts[k : k + 1] if t >= 0 else origin
+    if o.semantic.scorer != "geometric" or not photograph_decides(objective):
+        return Winner(chosen, layout, before)
+    return Winner(*return_moved(model, chosen, layout, origin, before, o), before)
+
+
+def return_moved(
+    model: SceneModel,
+    chosen: Chosen,
+    layout: Layout,
+    start: Layout,
+    before: SceneMeasure,
+    o: RefineOptions,
+) -> tuple[Chosen, Layout]:
+    """Return objects of a winner that passes the final check to the layout the search started at.
+
+    Args:
+        model: the compiled scene.
+        chosen: the winner.
+        layout: the winner's, pop axis of length 1.
+        start: the layout to return to, pop axis of length 1.
+        before: final check of `start`, which tells what had to move.
+        o: options; `returns` bounds the checks.
+
+    Returns:
+        The winner with its final check, and its layout; the given ones if nothing may return.
+    """
+    moved = _moved(layout, start) & np.asarray(model.optimised)
+    if not (chosen.passed and o.returns and moved.any()):
+        return chosen, layout
+    faulty = _faulty(model, before, o)
+    groups = [(moved & ~faulty, WHOLE), (moved & faulty, WHOLE), (moved, ("yaw",))]
+    groups += [(moved, ("log_scale",))]
+    padded = pad_scene(model)
+    best, ious, left = chosen, _ious(model, padded, layout), o.returns
+    while groups and left:
+        group, parts = groups.pop(0)
+        group = group & _moved(layout, start, parts)
+        if not group.any():
+            continue
+        left -= 1
+        nearer = _mixed(layout, start, group, 1.0, parts)
+        found = _checked(model, padded, nearer, best, ious, o)
+        if found is None and group.sum() == 1 and left and parts == WHOLE:
+            left -= 1
+            nearer = _mixed(layout, start, group, 0.5, parts)
+            found = _checked(model, padded, nearer, best, ious, o)
+        if found is not None:
+            layout, (best, ious) = nearer, found
+        elif group.sum() > 1:
+            groups += [(half, parts) for half in _halves(group)]
+    return best, layout
+
+
+def _checked(
+    model: SceneModel,
+    padded: SceneArrays,
+    layout: Layout,
+    best: Chosen,
+    ious: dict[str, float],
+    o: RefineOptions,
+) -> tuple[Chosen, dict[str, float]] | None:
+    """Return a layout's scene and visible-box IoUs if it may take the place of the best."""
+    scene: SceneSpec = snap_exactly(model.apply(layout, 0))
+    measure = measured(scene, o)
+    if not passes(measure, o):
+        return None
+    new = _ious(model, padded, layout)
+    if any(new[name] < iou - NOISE for name, iou in ious.items()):
+        return None
+    # What is lost in one step is not lost again in the next.
+    kept = {name: max(iou, ious[name]) for name, iou in new.items()}
+    return replace(best, scene=scene, measure=measure), kept
+
+
+def _ious(model: SceneModel, padded: SceneArrays, layout: Layout) -> dict[str, float]:
+    return layout_box_iou(model.spec, padded, pad_objects(layout, padded.count))
+
+
+def _moved(
+    layout: Layout, start: Layout, parts: tuple[str, ...] = WHOLE
+) -> Bool[np.ndarray, " object"]:
+    """Tell which objects are elsewhere than at the start, by some parts of the layout."""
+    off = jax.tree.map(lambda a, b: np.abs(np.asarray(a)[0] - np.asarray(b)[0]), layout, start)
+    moved = {
+        "xy": off.xy.max(axis=-1) > STILL_M,
+        "yaw": off.yaw > STILL,
+        "log_scale": off.log_scale > STILL,
+    }
+    return np.any([moved[part] for part in parts], axis=0)
+
+
+def _faulty(
+    model: SceneModel, before: SceneMeasure, o: RefineOptions
+) -> Bool[np.ndarray, " object"]:
+    """Return which objects overlap others, or do not hold still, where the search started."""
+    deep = {n for p, d in before.depths_m.items() if d > o.max_depth_m for n in p.split("|")}
+    restless = {
+        name
+        for name, drift in before.drift_m.items()
+        if not (drift < o.max_drift_m and before.tilt_deg[name] < o.max_tilt_deg)
+    }
+    return np.array([name in deep | restless for name in model.names])
+
+
+def _mixed(
+    layout: Layout,
+    start: Layout,
+    group: Bool[np.ndarray, " object"],
+    share: float,
+    parts: tuple[str, ...],
+) -> Layout:
+    """Move parts of a group's layout by a share of the way back to the start."""
+
+    def mix(a: Either, b: Either) -> np.ndarray:
+        a, b = np.asarray(a), np.asarray(b)
+        mask = group.reshape(1, -1, *[1] * (a.ndim - 2))
+        return np.where(mask, (1 - share) * a + share * b, a).astype(a.dtype)
+
+    mixed = {part: mix(getattr(layout, part), getattr(start, part)) for part in parts}
+    return replace(layout, **mixed)
+
+
+def _halves(group: Bool[np.ndarray, " object"]) -> list[Bool[np.ndarray, " object"]]:
+    members = np.flatnonzero(group)
+    halves = []
+    for part in np.array_split(members, 2):
+        half = np.zeros(len(group), bool)
+        half[part] = True
+        halves.append(half)
+    return halves

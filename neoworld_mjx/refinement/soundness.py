@@ -1,0 +1,116 @@
+"""What the search leaves alone: objects that are sound where they stand.
+
+An object is sound if, in the layout that the search starts at, it penetrates nothing deeper than
+the bound, holds still in a rollout, and its box agrees with the photograph's within the noise. The
+search moves first what penetrates or does not hold still. Where that finds nothing valid, what they
+may come to touch makes room, and then everything may move. What merely disagrees with the
+photograph moves once the others are valid, so that a valid scene is known by then.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..config import CEMOptions, RefineOptions
+from ..physics.layout import Layout
+from ..physics.scene_arrays import SceneArrays, on_device
+from .algorithm import SearchState
+from .cem import CEMState
+from .credit import contact_components
+from .objective import Placement, Scores
+
+AGREES = 3.0
+"""Error of a box side, in units of the noise, up to which an object agrees with the photograph."""
+ROOM = 2
+"""Iterations without a valid candidate after which more objects may move."""
+TRIED = 64
+"""Candidates in all of which an object must fall for the search to be without hope."""
+FALLS = 2.0
+"""Drift, in units of the stability bounds, of an object that nothing holds."""
+
+
+class Soundness(NamedTuple):
+    """Which objects are sound where they stand, and which are not for reasons of physics."""
+
+    sound: Bool[np.ndarray, " object"]
+    faulty: Bool[np.ndarray, " object"]
+    """Objects that penetrate others or do not hold still."""
+
+
+def soundness(placement: Placement, scores: Scores, o: RefineOptions) -> Soundness:
+    """Tell which objects are sound in the first candidate."""
+    still = np.asarray(scores.drift[0]) < 1.0
+    apart = np.asarray(scores.depth[0]) < o.max_depth_m
+    agrees = np.asarray(placement.box_error[0]) <= AGREES
+    faulty = ~(still & apart & np.isfinite(scores.absolute[0]))
+    return Soundness(agrees & ~faulty, faulty)
+
+
+def stages(
+    scene: SceneArrays, start: Soundness, options: CEMOptions
+) -> list[Bool[np.ndarray, " object"]]:
+    """Return the objects that may move at first, after ROOM iterations, and so on."""
+    every = np.asarray(scene.optimised)
+    first = every & start.faulty
+    if not first.any():
+        first = every & ~start.sound
+    islands = contact_components(scene, options.model_copy(update={"credit": "island"})) > 0
+    wider = every & (islands[:, first].any(axis=1) | first)
+    steps: list[Bool[np.ndarray, " object"]] = []
+    for mask in (first, wider, every):
+        if not steps or (mask != steps[-1]).any():
+            steps.append(mask)
+    return steps
+
+
+def disagreeing(
+    scene: SceneArrays, start: Soundness, first: Bool[np.ndarray, " object"]
+) -> Bool[np.ndarray, " object"] | None:
+    """Return the objects that only the photograph asks to move, unless they move from the first."""
+    later = np.asarray(scene.optimised) & ~start.sound & ~first
+    return later if later.any() else None
+
+
+def start_line(
+    names: Sequence[str], start: Soundness, optimised: Bool[np.ndarray, " object"]
+) -> str:
+    """Say which objects stay and which move."""
+    count = int(optimised.sum())
+    listed = lambda mask: ", ".join(names[k] for k in np.flatnonzero(optimised & mask).tolist())
+    faulty, off = listed(start.faulty), listed(~start.sound & ~start.faulty)
+    if not (faulty or off):
+        return f"all {count} objects are sound where they stand"
+    stay = int((optimised & start.sound).sum())
+    moving = ", then by the photograph ".join(text for text in (faulty, off) if text)
+    return f"{stay} of {count} objects are sound and stay; moving {moving}"
+
+
+def widened(state: SearchState, sigma: Layout) -> SearchState:
+    """Give objects that may move from now on their initial deviation.
+
+    Args:
+        state: of a search by CEM, or one whose optimizer has no deviations of its own.
+        sigma: initial deviations of all that may move, pop axis of length 1.
+    """
+    if not isinstance(state.optimizer, CEMState):
+        return state
+    keep = lambda old, new: np.where(np.asarray(old) > 0, old, new)
+    std = on_device(jax.tree.map(keep, state.optimizer.std, sigma))
+    return eqx.tree_at(lambda s: s.optimizer.std, state, std)
+
+
+def never_held(
+    drifts: Sequence[Float[np.ndarray, "pop object"]],
+) -> Bool[np.ndarray, " object"] | None:
+    """Tell which objects fell in every candidate so far; None while too few were rolled out.
+
+    Args:
+        drifts: of each iteration's candidates, in units of the stability bounds; NaN where pruned.
+    """
+    rolled = np.concatenate(drifts)
+    rolled = rolled[np.isfinite(rolled).all(axis=1)]
+    return np.all(rolled > FALLS, axis=0) if len(rolled) >= TRIED else None

@@ -1,0 +1,44 @@
+"""Pattern of a surface in pictures: boards, tiles, veins of stone, a weave."""
+
+from typing import Annotated, Literal, get_args
+
+from pydantic import Field
+
+from .base import ScalableSpec
+from .dimensions import LENGTH, UNSCALED
+
+PatternKind = Literal["plain", "grain", "boards", "tiles", "bricks", "veins", "speckles", "weave"]
+PATTERN_KINDS: tuple[PatternKind, ...] = get_args(PatternKind)
+Share = Annotated[float, Field(ge=0, le=1)]
+RGB = tuple[Share, Share, Share]
+
+STEPS_M: dict[PatternKind, float] = {
+    "plain": 1.0,
+    "grain": 0.1,
+    "boards": 0.12,
+    "tiles": 0.30,
+    "bricks": 0.075,
+    "veins": 0.25,
+    "speckles": 0.010,
+    "weave": 0.008,
+}
+"""Usual step of each kind [m]."""
+
+
+class SurfacePattern(ScalableSpec):
+    """Pattern of a material in pictures; physics and exported colours leave it out."""
+
+    kind: PatternKind
+    rgb: Annotated[RGB, UNSCALED] | None = None
+    """Colour of joints, veins, speckles or the weave's gaps; None is darker than the material."""
+    step: Annotated[float, Field(gt=0, le=10), LENGTH] | None = None
+    """Width of a board, edge of a tile, height of a brick, distance of veins, speckles or threads
+    [m]; None is what is usual."""
+    along: Literal["x", "y"] = "x"
+    """Whether boards and courses run along the first axis of a face, or its second: on top x or y,
+    on the front and the back y or z, on the sides x or z."""
+
+    @property
+    def length(self) -> float:
+        """The step, or the usual one [m]."""
+        return self.step or STEPS_M[self.kind]

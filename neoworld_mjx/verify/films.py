@@ -1,0 +1,40 @@
+"""Films of the paper's two standard scenarios, as GIFs for people."""
+
+import io
+
+import numpy as np
+from PIL import Image
+
+from ..render.flat_rendering import render_plain
+from ..spec import SceneSpec
+from .battery import Battery
+from .key_frames import posed_at, standard_runs, view_of_all
+from .simulation import Trajectory
+
+WIDTH, HEIGHT = 240, 200
+FRAMES = 16
+
+
+def films(battery: Battery) -> dict[str, bytes]:
+    """Return a GIF of each standard scenario that an object was simulated in, by its name.
+
+    They run at the speed of the simulation, in flat colours, and without end. An object with a
+    fixed base is filmed while a joint is driven; without joints there is nothing to film.
+    """
+    return {kind: _film(battery, run) for kind, run in standard_runs(battery).items()}
+
+
+def _film(battery: Battery, run: Trajectory) -> bytes:
+    steps = np.linspace(0, len(run.time) - 1, FRAMES).astype(int)
+    poses = [posed_at(battery, run, int(k)) for k in steps]
+    view = view_of_all(poses, WIDTH, HEIGHT)
+    frames = [
+        Image.fromarray(render_plain(SceneSpec(name=each.name, objects=(each,)), view))
+        for each in poses
+    ]
+    pause_ms = max(20, round(1000 * float(run.time[-1] - run.time[0]) / (FRAMES - 1)))
+    buffer = io.BytesIO()
+    frames[0].save(
+        buffer, "GIF", save_all=True, append_images=frames[1:], duration=pause_ms, loop=0
+    )
+    return buffer.getvalue()

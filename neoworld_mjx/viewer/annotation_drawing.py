@@ -1,0 +1,112 @@
+"""What the page of `neoworld annotate` shows: photograph, grid, boxes, and the boxes they give."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..pipeline.annotation import AnnotatedObject, Annotation, annotated_tree
+from ..spec import Camera
+from ..spec.pose import from_matrix
+from .part_meshes import RGB
+from .scene_page import NEAR_M
+
+CHOSEN, OTHER, SOLID, GRID = (255, 210, 60), (90, 170, 255), (120, 230, 140), (255, 255, 255)
+FAR, FARTHEST_M = 40.0, 800.0
+"""Distance of the photograph behind the scene in heights of the camera, and its bound."""
+_EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
+
+
+def draw_photo(server: Any, camera: Camera, picture: NDArray) -> None:
+    """Put the photograph behind all else, as the camera sees it.
+
+    Args:
+        server: of viser.
+        camera: of the photograph.
+        picture: uint8 [h, w, 3].
+    """
+    axes, far = camera.axes(), _far(camera)
+    tall = 2 * far * math.tan(camera.fovy / 2)
+    server.scene.add_image(
+        "/photo",
+        picture,
+        tall * camera.width / camera.height_px,
+        tall,
+        cast_shadow=False,
+        receive_shadow=False,
+        wxyz=from_matrix(axes),
+        position=camera.position() + far * axes[:, 2],
+    )
+
+
+def draw_grid(server: Any, camera: Camera, step: float) -> None:
+    """Draw lines on the ground, `step` m apart."""
+    reach = min(40 * step, _far(camera) / 2)
+    ticks = np.arange(-reach, reach + step / 2, step)
+    lines = [[[0.0, y, 0.0], [2 * reach, y, 0.0]] for y in ticks]
+    lines += [[[x + reach, -reach, 0.0], [x + reach, reach, 0.0]] for x in ticks]
+    _add_lines(server, "/grid", np.array(lines), GRID, 1)
+
+
+def draw_boxes(server: Any, annotation: Annotation, chosen: str) -> str:
+    """Draw the boxes in the picture, and those that they give in the world.
+
+    Args:
+        server: of viser.
+        annotation: what to draw.
+        chosen: name of the object to stress.
+
+    Returns:
+        How large the chosen object is; empty where there is none.
+
+    Raises:
+        SpecError: the boxes give no scene; those in the picture are drawn.
+    """
+    with server.atomic():
+        server.scene.remove_by_name("/boxes")
+        for obj in annotation.objects:
+            _draw_box(server, annotation.camera, obj, CHOSEN if obj.name == chosen else OTHER)
+        if not annotation.objects:
+            return ""
+        tree = annotated_tree(annotation)
+        for obj in annotation.objects:
+            corners = tree.node(obj.name).box3d.corners()
+            lines = np.array([[corners[a], corners[b]] for a, b in _EDGES])
+            _add_lines(server, f"/boxes/{obj.name}/solid", lines, SOLID, 2)
+    if all(obj.name != chosen for obj in annotation.objects):
+        return ""
+    size = " x ".join(f"{100 * v:.1f}" for v in tree.node(chosen).box3d.size)
+    return f"{chosen}: {size} cm (depth, width, height)"
+
+
+def pixel_of(view: Any, camera: Camera, at: tuple[float, float]) -> NDArray:
+    """Return the pixel [2] of the photograph at a place of a window that looks through its camera.
+
+    Args:
+        view: camera of the client.
+        camera: of the photograph.
+        at: across and down the window, 0 to 1.
+    """
+    window = np.array([view.image_width, view.image_height])
+    focal = view.image_height / 2 / math.tan(view.fov / 2)
+    offset = (np.array(at) - 0.5) * window * camera.focal / focal
+    size = np.array([camera.width, camera.height_px])
+    return np.clip(size / 2 + offset, 0.0, size)
+
+
+def _draw_box(server: Any, camera: Camera, obj: AnnotatedObject, rgb: RGB) -> None:
+    x0, y0, x1, y1 = obj.box.as_tuple()
+    rays = camera.rays(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]))
+    depth = rays @ camera.axes()[:, 2]
+    points = camera.position() + rays * (NEAR_M / depth)[:, None]
+    lines = np.stack([points[:-1], points[1:]], axis=1)
+    _add_lines(server, f"/boxes/{obj.name}", lines, rgb, 3)
+
+
+def _add_lines(server: Any, name: str, lines: NDArray, rgb: Any, thickness: float) -> None:
+    server.scene.add_line_segments(name, lines, rgb, thickness=thickness, thickness_units="screen")
+
+
+def _far(camera: Camera) -> float:
+    return min(FAR * max(camera.height, 0.05), FARTHEST_M)

@@ -1,0 +1,67 @@
+"""Edits of an annotation, one at a time: each gives a whole new annotation or says why not."""
+
+from typing import Any
+
+from pydantic import ValidationError
+
+from ..errors import SpecError
+from ..pipeline.annotation import GROUND, AnnotatedObject, Annotation
+from ..spec import Box2D
+
+
+def object_of(annotation: Annotation, name: str) -> AnnotatedObject | None:
+    """Return the object of a name; None where there is none."""
+    return next((obj for obj in annotation.objects if obj.name == name), None)
+
+
+def with_box(annotation: Annotation, box: Box2D) -> tuple[Annotation, str]:
+    """Return an annotation with one more object, of which only the box is known, and its name."""
+    names = {obj.name for obj in annotation.objects}
+    name = next(f"object_{k}" for k in range(1, len(names) + 2) if f"object_{k}" not in names)
+    return _checked(annotation, (*annotation.objects, AnnotatedObject(name=name, box=box))), name
+
+
+def with_change(annotation: Annotation, name: str, change: dict[str, Any]) -> Annotation:
+    """Return an annotation with fields of one object changed; what stands on it follows its name.
+
+    Args:
+        annotation: the one before.
+        name: of the object.
+        change: values by field of `AnnotatedObject`.
+
+    Raises:
+        SpecError: a value cannot be, or objects would carry each other in a circle.
+    """
+    new = change.get("name", name)
+    objects = []
+    for obj in annotation.objects:
+        if obj.name == name:
+            objects.append(obj.model_copy(update=change))
+        elif obj.parent == name:
+            objects.append(obj.model_copy(update={"parent": new}))
+        else:
+            objects.append(obj)
+    return _checked(annotation, tuple(objects))
+
+
+def without(annotation: Annotation, name: str) -> Annotation:
+    """Return an annotation without an object; what stood on it stands on the ground."""
+    kept = (obj for obj in annotation.objects if obj.name != name)
+    return _checked(
+        annotation,
+        tuple(o.model_copy(update={"parent": GROUND}) if o.parent == name else o for o in kept),
+    )
+
+
+def _checked(annotation: Annotation, objects: tuple[AnnotatedObject, ...]) -> Annotation:
+    data = annotation.model_copy(update={"objects": objects}).model_dump()
+    try:
+        return Annotation.model_validate(data)
+    except ValidationError as error:
+        raise SpecError("; ".join(_reason(item) for item in error.errors())) from None
+
+
+def _reason(item: Any) -> str:
+    message = item["msg"].removeprefix("Value error, ")
+    field = item["loc"][-1] if item["loc"] else None
+    return f"{field}: {message}" if isinstance(field, str) else message

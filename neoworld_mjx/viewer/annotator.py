@@ -1,0 +1,335 @@
+"""The page of `neoworld annotate`: boxes, labels and a camera on a photograph, with no model."""
+
+import math
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config import Config
+from ..errors import SpecError
+from ..names import is_name
+from ..parse.photo import load_photo
+from ..pipeline import Result
+from ..pipeline.annotated import write_annotated
+from ..pipeline.annotation import GROUND, KEPT, MODEL, PLAIN, AnnotatedObject, Annotation
+from ..program.materials import MATERIALS
+from ..spec import Box2D, Camera, PartState, read_scene
+from ..templates import templates
+from .annotation_drawing import draw_boxes, draw_grid, draw_photo, pixel_of
+from .annotation_edits import object_of, with_box, with_change, without
+from .object_facts import told
+from .page_log import Tell, work
+from .scene_page import ScenePage, look_through
+from .view_target import shown_picture
+
+FOVY_DEG, PITCH_DEG, HEIGHT_M = 45.0, 35.0, 0.6
+"""The camera that an empty page begins with."""
+LEAST_PX = 2
+MOVES = ("revolute", "prismatic", "continuous")
+GROUNDS = ("table top", "floor", "counter", "ground")
+NEW = "new object"
+CORNERS = ("Box left", "Box top", "Box right", "Box bottom")
+SIZES = ("Known depth, m", "Known width, m", "Known height, m")
+
+
+def empty_annotation(photo: Path, config: Config) -> Annotation:
+    """Return the annotation of a photograph of which nothing is known yet."""
+    width, height = load_photo(photo, config.parse.max_side_px).original_size
+    return Annotation(
+        camera=Camera(
+            width=width,
+            height_px=height,
+            fovy=math.radians(FOVY_DEG),
+            height=HEIGHT_M,
+            pitch=math.radians(PITCH_DEG),
+        )
+    )
+
+
+class Annotator:
+    """An annotation on the page of a server.
+
+    The annotation is the state. A field that a person edits changes its own value of it, one edit
+    at a time, and the fields are written only when another object is chosen: viser calls from
+    many threads, and what is being typed must never be overwritten by what was there before.
+    """
+
+    def __init__(self, server: Any, photo: Path, out: Path, annotation: Annotation, config: Config):
+        """Put a photograph with its annotation on the page.
+
+        Args:
+            server: of viser.
+            photo: the picture file.
+            out: the run folder to write.
+            annotation: what is known already.
+            config: options of the run.
+        """
+        self._server, self._photo, self._out, self._config = server, photo, out, config
+        self.annotation = annotation
+        self._picture = shown_picture(load_photo(photo, config.parse.max_side_px).rgb)
+        self._page = ScenePage(server, lambda _: None)
+        self._chosen = ""
+        self._drawing = False
+        self._editing, self._busy = threading.Lock(), threading.Lock()
+        server.scene.set_up_direction("+z")
+        server.scene.configure_environment_map(None)
+        server.scene.add_light_hemisphere("/light/sky", intensity=1.2)
+        tabs = server.gui.add_tab_group()
+        with tabs.add_tab("Camera"):
+            self._build_camera_tab()
+        with tabs.add_tab("Objects"):
+            self._build_object_tab()
+        with tabs.add_tab("Scene"):
+            self._build_scene_tab()
+        self._choose("")
+        self._draw_camera()
+        server.on_client_connect(lambda client: look_through(client, self.annotation.camera))
+
+    # The tabs.
+
+    def _build_camera_tab(self) -> None:
+        gui, camera = self._server.gui, self.annotation.camera
+        gui.add_html(told("Move these until the grid lies on the ground."))
+        pitch, roll = math.degrees(camera.pitch), math.degrees(camera.roll)
+        lens = {
+            "pitch": gui.add_slider("Looks down, deg", -90, 90, 0.5, pitch),
+            "height": gui.add_number("Height, m", camera.height, min=0.01, max=50.0, step=0.001),
+            "fovy": gui.add_slider("Field of view, deg", 1, 179, 0.5, math.degrees(camera.fovy)),
+            "roll": gui.add_slider("Roll, deg", -180, 180, 0.5, math.remainder(roll, 360)),
+        }
+        for field, control in lens.items():
+            self._on_edit(control, lambda value, field=field: self._set_camera(field, value))
+        ground = gui.add_dropdown("The ground is a", GROUNDS, initial_value=self.annotation.ground)
+        self._on_edit(ground, self._set_ground)
+        self._grid_step = gui.add_number("Grid, m", 0.1, min=0.01, max=5.0, step=0.01)
+        self._on_edit(self._grid_step, lambda _: self._draw_camera())
+
+    def _build_object_tab(self) -> None:
+        gui = self._server.gui
+        self._chooser = gui.add_dropdown("Object", (NEW,))
+        self._on_edit(self._chooser, self._choose)
+        gui.add_button("Draw its box").on_click(lambda event: self._begin_box(event.client))
+        self._said = gui.add_html("")
+        self._about = gui.add_folder("This object")
+        kinds = (*PLAIN, MODEL, KEPT, *templates())
+        with self._about:
+            self._fields = {
+                "name": gui.add_text("Name", ""),
+                "label": gui.add_text("Label", ""),
+                "kind": gui.add_dropdown("Kind", kinds),
+                "material": gui.add_dropdown("Material", tuple(MATERIALS)),
+                "parent": gui.add_dropdown("Stands on", (GROUND,)),
+                "relation": gui.add_dropdown("Relation", ("on", "in", "attached", "leaning")),
+                "support": gui.add_checkbox("Part of the room", False),
+                "fixed_base": gui.add_checkbox("Fastened", False),
+                "yaw_deg": gui.add_slider("Front towards, deg", -180, 180, 1, 180.0),
+            }
+            self._sizes = [gui.add_number(s, 0.0, min=0.0, max=50.0, step=0.001) for s in SIZES]
+            self._corners = [gui.add_number(label, 0.0, step=0.1) for label in CORNERS]
+            with gui.add_folder("A part that moves"):
+                self._part = gui.add_text("Part", "")
+                self._motion = gui.add_dropdown("Joint", MOVES)
+                self._opening = gui.add_slider("Open", 0.0, 1.0, 0.05, 0.0)
+                self._on_edit(gui.add_button("Set the part"), lambda _: self._set_part())
+            self._on_edit(gui.add_button("Delete"), lambda _: self._delete())
+        for field, control in self._fields.items():
+            self._on_edit(control, lambda value, field=field: self._set_field(field, value))
+        for k, control in enumerate(self._sizes):
+            self._on_edit(control, lambda value, k=k: self._set_size(k, value))
+        for k, control in enumerate(self._corners):
+            self._on_edit(control, lambda value, k=k: self._set_corner(k, value))
+
+    def _build_scene_tab(self) -> None:
+        gui = self._server.gui
+        gui.add_button("Save").on_click(lambda _: self._write(simulate=False))
+        gui.add_button("Build the scene").on_click(lambda _: self._write(simulate=True))
+        self._log = gui.add_html(told(f"Files go to {self._out}."))
+
+    def _on_edit(self, control: Any, edit: Callable[[Any], None]) -> None:
+        """Let an edit follow what a person does to a control, not what the page writes into it."""
+
+        def edited(event: Any) -> None:
+            if event.client_id is None:
+                return
+            with self._editing:
+                try:
+                    edit(_within(event.target))
+                except SpecError as error:
+                    self._said.content = told(str(error), bad=True)
+
+        control.on_update(edited) if hasattr(control, "on_update") else control.on_click(edited)
+
+    # Edits, one at a time.
+
+    def _set_camera(self, field: str, value: float) -> None:
+        number = float(value) if field == "height" else math.radians(value)
+        camera = self.annotation.camera.model_copy(update={field: number})
+        self.annotation = self.annotation.model_copy(update={"camera": camera})
+        self._draw_camera()
+        for client in self._server.get_clients().values():
+            look_through(client, camera)
+
+    def _set_ground(self, label: str) -> None:
+        self.annotation = self.annotation.model_copy(update={"ground": label})
+
+    def _begin_box(self, client: Any) -> None:
+        """Let the next rectangle that is dragged on the photograph be the object's box."""
+        with self._editing:
+            look_through(client, self.annotation.camera)
+            self._said.content = told("Drag a rectangle around all that is seen of the object.")
+            if self._drawing:
+                return
+            self._drawing = True
+
+        @self._server.scene.on_rect_select()
+        def drawn(event: Any) -> None:
+            with self._editing:
+                self._server.scene.remove_rect_select_callback(drawn)
+                self._drawing = False
+                view, camera = event.client.camera, self.annotation.camera
+                low = pixel_of(view, camera, event.screen_min)
+                self._set_box(low, pixel_of(view, camera, event.screen_max))
+
+    def _set_box(self, low: NDArray, high: NDArray) -> None:
+        if (np.asarray(high) - low < LEAST_PX).any():
+            self._said.content = told("That box is too small: draw it again.", bad=True)
+            return
+        x0, y0, x1, y1 = (round(float(v), 1) for v in (*low, *high))
+        box = Box2D(x0=x0, y0=y0, x1=x1, y1=y1)
+        if self._chosen:
+            self._change({"box": box})
+            self._choose(self._chosen)
+        else:
+            self.annotation, name = with_box(self.annotation, box)
+            self._choose(name)
+
+    def _set_field(self, field: str, value: Any) -> None:
+        if field == "name" and not is_name(value):
+            raise SpecError("a name has letters, digits and _, a letter first")
+        renamed = field == "name" and value != self._chosen
+        self._change({field: value[:100] if field == "label" else value})
+        if renamed:
+            self._chosen = value
+            self._list_objects()
+        self._draw_boxes()
+
+    def _set_size(self, k: int, value: float) -> None:
+        known = self._object().size or [float(control.value) for control in self._sizes]
+        size = (*known[:k], float(value), *known[k + 1 :])
+        self._change({"size": size if min(size) > 0 else None})
+        self._draw_boxes()
+
+    def _set_corner(self, k: int, value: float) -> None:
+        corners = self._object().box.as_tuple()
+        x0, y0, x1, y1 = (*corners[:k], float(value), *corners[k + 1 :])
+        if not (x0 < x1 and y0 < y1):
+            raise SpecError("left must be less than right, and top less than bottom")
+        self._change({"box": Box2D(x0=x0, y0=y0, x1=x1, y1=y1)})
+        self._draw_boxes()
+
+    def _set_part(self) -> None:
+        if not is_name(self._part.value):
+            raise SpecError("name the part: letters, digits and _, a letter first")
+        part, motion, opening = self._part.value, self._motion.value, self._opening.value
+        state = PartState(part=part, type=motion, opening=opening)
+        parts = (*(p for p in self._object().parts if p.part != part), state)
+        self._change({"parts": parts})
+        listed = ", ".join(f"{p.part} {p.type} {p.opening:.0%}" for p in parts)
+        self._said.content = told(f"Parts: {listed}")
+
+    def _delete(self) -> None:
+        self.annotation = without(self.annotation, self._chosen)
+        self._choose("")
+
+    def _object(self) -> AnnotatedObject:
+        obj = object_of(self.annotation, self._chosen)
+        if obj is None:
+            raise SpecError("choose an object, or draw the box of a new one")
+        return obj
+
+    def _change(self, change: dict[str, Any]) -> None:
+        self.annotation = with_change(self.annotation, self._object().name, change)
+
+    # What the page shows of it.
+
+    def _choose(self, name: str) -> None:
+        """Show the fields of an object, or none for a new one."""
+        obj = object_of(self.annotation, name)
+        self._chosen = "" if obj is None else obj.name
+        self._list_objects()
+        self._about.visible = obj is not None
+        if obj is not None:
+            for field, control in self._fields.items():
+                control.value = getattr(obj, field)
+            for control, value in zip(self._sizes, obj.size or (0, 0, 0), strict=True):
+                control.value = value
+            for control, value in zip(self._corners, obj.box.as_tuple(), strict=True):
+                control.value = value
+        self._draw_boxes()
+
+    def _list_objects(self) -> None:
+        names = [obj.name for obj in self.annotation.objects]
+        parent = self._fields["parent"]
+        _offer(self._chooser, (NEW, *names), self._chosen or NEW)
+        obj = object_of(self.annotation, self._chosen)
+        others = (GROUND, *(name for name in names if name != self._chosen))
+        _offer(parent, others, GROUND if obj is None else obj.parent)
+
+    def _draw_camera(self) -> None:
+        camera = self.annotation.camera
+        with self._server.atomic():
+            draw_photo(self._server, camera, self._picture)
+            draw_grid(self._server, camera, _within(self._grid_step))
+        self._draw_boxes()
+
+    def _draw_boxes(self) -> None:
+        self._page.show_visible(False)  # What was built lies over the photograph.
+        try:
+            said = draw_boxes(self._server, self.annotation, self._chosen)
+        except SpecError as error:
+            self._said.content = told(str(error), bad=True)
+        else:
+            self._said.content = told(said) if said else ""
+
+    # The run.
+
+    def _write(self, *, simulate: bool) -> None:
+        def job(tell: Tell) -> None:
+            tell("at work ...")
+            with self._editing:
+                annotation = self.annotation
+            result = write_annotated(
+                self._photo, self._out, annotation, self._config, simulate=simulate
+            )
+            self._show(result)
+
+        work(self._busy, self._log, job)
+
+    def _show(self, result: Result) -> None:
+        scene = self._out / "scene.json"
+        if result.until is None and scene.is_file():
+            self._page.show(read_scene(scene))
+            self._page.show_visible(True)
+            verdict = "the scene is stable" if result.passed else "the scene fails its checks"
+            self._log.content = told(f"Done: {verdict}. {result!r}", bad=not result.passed)
+        else:
+            self._log.content = told(f"Saved in {self._out}; neoworld reconstruct --resume goes on")
+
+
+def _within(control: Any) -> Any:
+    """Return the value of a control within its bounds: on the way to 0.05 somebody types 0."""
+    low, high = getattr(control, "min", None), getattr(control, "max", None)
+    if low is None or high is None:
+        return control.value
+    return min(max(control.value, low), high)
+
+
+def _offer(chooser: Any, options: tuple[str, ...], value: str) -> None:
+    """Write the options of a list, where they differ, and the one that holds."""
+    if chooser.options != options:
+        chooser.options = options
+    chooser.value = value

@@ -1,0 +1,154 @@
+"""Free fall of the scene shown, in C MuJoCo, at the pace of the clock where that can be kept."""
+
+import threading
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..physics.mjcf import START, body_name, to_mjspec
+from ..spec import JointSpec, SceneSpec
+from ..spec.pose import Pose, rotate
+from .scene_page import PartPoses
+
+TIMESTEP_S = 0.004
+FRAME_S = 1 / 30
+
+
+class Contacts(NamedTuple):
+    """Contacts between different objects."""
+
+    points: NDArray
+    """[n, 3] m."""
+    depths: NDArray
+    """[n] m; negative is a gap."""
+    normals: NDArray
+    """[n, 3]."""
+    pairs: tuple[tuple[str, str], ...]
+    """Objects of each."""
+
+
+class FreeFall:
+    """A simulation of a scene that can be started, stopped and pushed from any thread."""
+
+    def __init__(self, scene: SceneSpec, shown: Callable[["FreeFall"], None]):
+        """Compile a scene at its own poses and joint states.
+
+        Args:
+            scene: the scene.
+            shown: called after each frame while it plays.
+
+        Raises:
+            SpecError: a part is too light to be simulated.
+            ValueError: MuJoCo refuses the scene.
+        """
+        self.scene = scene
+        self._shown = shown
+        self._model = to_mjspec(scene, timestep=TIMESTEP_S).compile()
+        # Without this MuJoCo puts a diverged simulation back to its start, where it looks stable.
+        self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        self._data = mujoco.MjData(self._model)
+        self._lock = threading.RLock()
+        self._playing = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._bodies = [
+            ((obj.name, part.name), self._model.body(body_name(obj, part.name)).id, _origin(joint))
+            for obj in scene.objects
+            for part, joint in obj.spec.ordered
+        ]
+        self._owner = {body: key[0] for key, body, _ in self._bodies}
+        self.reset()
+
+    @property
+    def playing(self) -> bool:
+        """Whether time passes."""
+        return self._playing.is_set()
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time [s]."""
+        return float(self._data.time)
+
+    def reset(self) -> None:
+        """Go back to the scene as given."""
+        with self._lock:
+            if self._model.nkey:
+                key = self._model.key(START).id
+                mujoco.mj_resetDataKeyframe(self._model, self._data, key)
+            else:
+                mujoco.mj_resetData(self._model, self._data)
+            mujoco.mj_forward(self._model, self._data)
+
+    def play(self) -> None:
+        """Let time pass in a thread, until `pause`."""
+        if self.playing:
+            return
+        self._playing.set()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def pause(self) -> None:
+        """Stop time."""
+        self._playing.clear()
+        thread = self._thread
+        if thread is not None and thread is not threading.current_thread():
+            thread.join()
+
+    def step(self, seconds: float) -> None:
+        """Let some time pass at once."""
+        with self._lock:
+            for _ in range(max(1, round(seconds / self._model.opt.timestep))):
+                mujoco.mj_step(self._model, self._data)
+
+    def push(self, name: str, velocity: NDArray) -> bool:
+        """Give a movable object a velocity [3] m/s; return False for a static one."""
+        with self._lock:
+            joint = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_JOINT, name)
+            if joint < 0:
+                return False
+            at = int(self._model.jnt_dofadr[joint])
+            self._data.qvel[at : at + 3] += velocity
+            return True
+
+    def poses(self) -> PartPoses:
+        """Return where the parts are."""
+        with self._lock:
+            quat = self._data.xquat.copy()
+            pos = self._data.xpos.copy()
+        return {
+            key: Pose(pos[body] - rotate(quat[body], origin), quat[body])
+            for key, body, origin in self._bodies
+        }
+
+    def contacts(self) -> Contacts:
+        """Return the contacts between objects, as of the last step."""
+        with self._lock:
+            found = self._data.contact
+            geoms = np.array(found.geom).reshape(-1, 2)
+            objects = [tuple(self._owner[self._model.geom_bodyid[g]] for g in row) for row in geoms]
+            rows = [k for k, (a, b) in enumerate(objects) if a != b]
+            return Contacts(
+                np.array(found.pos).reshape(-1, 3)[rows],
+                -np.array(found.dist)[rows],
+                np.array(found.frame).reshape(-1, 9)[rows, :3],
+                tuple((objects[k][0], objects[k][1]) for k in rows),
+            )
+
+    def _run(self) -> None:
+        due = time.perf_counter()
+        while self.playing:
+            self.step(FRAME_S)
+            if not np.isfinite(self._data.qpos).all():
+                self._playing.clear()
+                return
+            self._shown(self)
+            due = max(due + FRAME_S, time.perf_counter() - FRAME_S)
+            time.sleep(max(0.0, due - time.perf_counter()))
+
+
+def _origin(joint: JointSpec | None) -> NDArray:
+    """Return a body's origin in its object's frame at rest [m]: the anchor of its joint."""
+    return np.zeros(3) if joint is None else np.array(joint.pos)

@@ -1,0 +1,100 @@
+"""What is known of one object, as HTML for the page; every word of a file is escaped."""
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from ..errors import NeoWorldError, SpecError
+from ..parse.crops import crops
+from ..parse.photo import load_photo
+from ..program import Built
+from ..reading import read_model
+from ..spec import SceneObject, SceneTree, bounds, inertial
+from ..view.changes import moves_of
+from ..view.page import Html, table, text
+from ..view.tables import outcome_mark, read_json, with_unit
+from .view_target import ViewTarget
+
+STYLE = (
+    "<style>.nw{font-size:13px;line-height:1.45;overflow-x:auto;padding:4px 10px}"
+    ".nw table{border-collapse:collapse}"
+    ".nw td,.nw th{padding:1px 8px 1px 0;text-align:left;vertical-align:top}"
+    ".nw .fail{color:#c0392b}.nw .pass{color:#2a8a4a}.nw pre{white-space:pre-wrap}</style>"
+)
+
+
+def facts(target: ViewTarget, obj: SceneObject) -> str:
+    """Return what an object is, weighs, was judged, and how each step moved it."""
+    low, high = bounds(obj.spec, obj.joint_state)
+    masses = [(part.name, inertial(obj.spec, part).mass) for part in obj.spec.parts]
+    size = " x ".join(f"{100 * v:.1f}" for v in high - low)
+    stands = f"{obj.relation} {obj.parent}" if obj.parent else "the world"
+    rows: list[Sequence[object]] = [
+        ["label", obj.spec.label or "none"],
+        ["stands", stands + (", fixed" if obj.static else "")],
+        ["size", f"{size} cm"],
+        ["mass", f"{sum(mass for _, mass in masses):.3g} kg"],
+    ]
+    if len(masses) > 1:
+        rows += [[f"mass of {name}", f"{mass:.3g} kg"] for name, mass in masses]
+    if target.run is not None:
+        rows += [[who, how] for who, how in moves_of(target.run, obj.name)]
+    parts = [f"<b>{text(obj.name)}</b>", table(["", ""], rows)]
+    home = target.home_of(obj.name)
+    if home is not None:
+        parts.append(_verdicts(home))
+    return framed(*parts)
+
+
+def framed(*parts: str) -> str:
+    """Return HTML in the style of the page."""
+    return f'{STYLE}<div class="nw">{"".join(parts)}</div>'
+
+
+def told(message: str, *, bad: bool = False) -> str:
+    """Return a line of plain text as HTML."""
+    return framed(f'<p class="{"fail" if bad else ""}">{text(message)}</p>')
+
+
+def signals_of(built: Built) -> str:
+    """Return the signals of a build as HTML."""
+    if not built.signals:
+        return told("Built: no signals.")
+    rows = [[signal.severity, signal.phrase()] for signal in built.signals]
+    return framed(table(["", "signal"], rows))
+
+
+def crop_of(target: ViewTarget, name: str) -> NDArray | None:
+    """Return the part of the photograph that shows an object, uint8 [h, w, 3]."""
+    if target.run is None or not (target.run / "tree.json").is_file():
+        return None
+    try:
+        tree = read_model(target.run / "tree.json", SceneTree, SpecError, "a scene tree")
+        if name not in {node.name for node in tree.nodes}:
+            return None
+        crop = crops(load_photo(target.run / "photo.png"), tree)[name]
+    except NeoWorldError:
+        return None
+    with Image.open(io.BytesIO(crop.picture.data), formats=["PNG"]) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def _verdicts(home: Path) -> Html:
+    verification = read_json(home / "verify.json")
+    if verification is None:
+        return Html("<p>Not verified yet.</p>")
+    rows = [
+        [
+            f"{check.get('scenario', '')} {check.get('name', '')}".replace("_", " "),
+            with_unit(check.get("value"), check.get("unit")),
+            with_unit(check.get("threshold"), check.get("unit")),
+            outcome_mark(check.get("outcome"), doubtful=bool(check.get("doubtful"))),
+        ]
+        for check in verification.get("checks", [])
+        if isinstance(check, dict)
+    ]
+    return table(["check", "#value", "#limit", "verdict"], rows)

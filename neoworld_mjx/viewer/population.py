@@ -1,0 +1,123 @@
+"""The search on the page: the population of an iteration as ghosts, and terms by iteration."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compose.compose import snap
+from ..errors import RunError
+from ..physics.layout import Layout, arrange, compose_poses
+from ..physics.scene_arrays import snapped_heights
+from ..spec import SceneSpec
+from ..view.convergence import best_candidates, over_finite, term_histories
+from .part_meshes import visible_meshes
+
+GHOSTS = 24
+"""Most candidates shown at once: the best of them."""
+GOOD, POOR = np.array([40, 170, 90]), np.array([215, 120, 60])
+
+History = Mapping[str, NDArray]
+
+
+def ranked_candidates(history: History, iteration: int) -> NDArray:
+    """Return the candidates of an iteration that have a reward, the best first."""
+    rewards = np.asarray(history["absolute"][iteration], float)
+    order = np.argsort(-np.where(np.isfinite(rewards), rewards, -np.inf), kind="stable")
+    return order[np.isfinite(rewards[order])]
+
+
+def show_ghosts(server: Any, scene: SceneSpec, history: History, iteration: int) -> int:
+    """Draw the best candidates of an iteration, see-through, from green (best) to orange.
+
+    Objects that every one of them leaves in place are not drawn.
+
+    Args:
+        server: of viser.
+        scene: the scene that the search began at.
+        history: of the search.
+        iteration: from 0.
+
+    Returns:
+        How many candidates are drawn.
+
+    Raises:
+        RunError: the history is of another scene.
+    """
+    names = [obj.name for obj in scene.objects]
+    if [str(name) for name in history.get("object_names", names)] != names:
+        raise RunError("refine/history.npz is of another scene than compose/scene.json")
+    chosen = ranked_candidates(history, iteration)[:GHOSTS]
+    xy, yaw, log_scale = (history[key][iteration][chosen] for key in ("xy", "yaw", "log_scale"))
+    moved = np.abs(np.concatenate([xy, yaw[..., None], log_scale[..., None]], axis=2)) > 1e-5
+    share = np.linspace(0.0, 1.0, len(chosen))[:, None]
+    colours = np.round(GOOD + share * (POOR - GOOD)).astype(np.uint8)
+    arrangement = arrange(snap(scene))
+    layouts = Layout(
+        xy=np.asarray(xy, float), yaw=np.asarray(yaw, float), log_scale=np.asarray(log_scale, float)
+    )
+    heights = np.stack(
+        [
+            snapped_heights(arrangement, jax.tree.map(lambda leaf, k=k: leaf[k : k + 1], layouts))
+            for k in range(len(chosen))
+        ]
+    )
+    poses = compose_poses(arrangement, layouts, heights, np)
+    hide_ghosts(server)
+    with server.atomic():
+        for k, obj in enumerate(scene.objects):
+            if obj.static or not moved[:, k].any():
+                continue
+            meshes = [m for part in obj.spec.parts for m in visible_meshes(obj.spec, part)]
+            for n, mesh in enumerate(meshes):
+                server.scene.add_batched_meshes_simple(
+                    f"/ghosts/{obj.name}/{n}",
+                    mesh.vertices,
+                    mesh.faces,
+                    np.asarray(poses.quat[:, k], np.float32),
+                    np.asarray(poses.pos[:, k], np.float32),
+                    batched_scales=np.exp(np.asarray(log_scale[:, k], np.float32)),
+                    batched_colors=colours,
+                    opacity=0.18,
+                    cast_shadow=False,
+                    receive_shadow=False,
+                )
+    return len(chosen)
+
+
+def hide_ghosts(server: Any) -> None:
+    """Take the ghosts away."""
+    server.scene.remove_by_name("/ghosts")
+
+
+def term_chart(server: Any, history: History) -> Any:
+    """Draw the terms of the best candidate, and the mean reward, by iteration."""
+    from viser import uplot
+
+    best = best_candidates(history)
+    iterations = np.arange(1, len(best) + 1, dtype=float)
+    rows = np.arange(len(best))
+    lines = [
+        ("reward, best", np.asarray(history["absolute"], float)[rows, best]),
+        ("reward, mean", over_finite(history["absolute"], np.mean)),
+    ]
+    weights = history.get("term_weights")
+    for k, term in enumerate(term_histories(history)):
+        raw = np.asarray(history[term.name], float)[rows, best]
+        weight = 1.0 if weights is None or not np.isfinite(weights[k]) else abs(float(weights[k]))
+        lines.append((f"{term.name} x {weight:g}", raw * weight))
+    colours = ("#2a9d5c", "#9bc9ae", "#4287f5", "#d68c45", "#b854a8", "#7a6cdc", "#c4625a")
+    series = [uplot.Series(label="iteration")]
+    series += [
+        uplot.Series(label=label, stroke=colours[k % len(colours)], width=2)
+        for k, (label, _) in enumerate(lines)
+    ]
+    return server.gui.add_uplot(
+        (iterations, *(np.nan_to_num(values, posinf=0.0, neginf=0.0) for _, values in lines)),
+        tuple(series),
+        title="Best candidate, by term",
+        scales={"x": uplot.Scale(time=False)},
+        aspect=1.4,
+    )

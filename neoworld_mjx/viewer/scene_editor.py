@@ -1,0 +1,87 @@
+"""Changes by hand to the scene shown: poses and joint states, kept as a layout patch."""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..compose.layout_patch import LayoutPatch, ObjectPlacement
+from ..spec import JointSpec, SceneObject, SceneSpec, joint_keys, support_frame, world_poses
+from ..spec.pose import Pose, from_yaw, pose, yaw_of
+
+FREE_RANGE = math.pi
+"""Range of a slider of a joint without limits, either way [rad]."""
+
+
+class SceneEditor:
+    """The scene as a person has changed it, and the changes."""
+
+    def __init__(self, scene: SceneSpec, patch: LayoutPatch):
+        """Begin with a scene in which the patch is contained already."""
+        self.scene, self.patch = scene, patch
+
+    def handle_pose(self, name: str) -> Pose:
+        """Return where an object's handle stands: its origin and heading in the world."""
+        at = world_poses(self.scene)[name]
+        return pose(at.pos, from_yaw(self._frame_yaw(name) + self.scene.object(name).yaw))
+
+    def place(self, name: str, pos: ArrayLike, quat: ArrayLike) -> None:
+        """Put an object where its handle was dragged; the height stays that of its support.
+
+        Args:
+            name: of the object.
+            pos: of the handle [3] m.
+            quat: of the handle (w, x, y, z); its heading counts.
+        """
+        obj = self.scene.object(name)
+        frame = self._frame(name)
+        x, y, _ = (float(v) for v in frame.inverse().apply(np.asarray(pos, float)))
+        yaw = math.remainder(yaw_of(np.asarray(quat, float)) - yaw_of(frame.quat), 2 * math.pi)
+        self._replace(obj.model_copy(update={"xy": (x, y), "yaw": yaw}))
+        self.patch = self.patch.merged(name, ObjectPlacement(xy=(x, y), yaw=yaw))
+
+    def set_joint(self, name: str, key: str, value: float) -> None:
+        """Set one value of a joint state [rad or m]."""
+        obj = self.scene.object(name)
+        self._replace(obj.model_copy(update={"joint_state": obj.joint_state | {key: value}}))
+        self.patch = self.patch.merged(name, ObjectPlacement(joint_state={key: value}))
+
+    def snap(self) -> None:
+        """Set every object down on what is under it."""
+        from ..compose.compose import snap
+
+        self.scene = snap(self.scene)
+
+    def _frame(self, name: str) -> Pose:
+        obj = self.scene.object(name)
+        if obj.parent is None:
+            return pose()
+        parent = self.scene.object(obj.parent)
+        return support_frame(parent, world_poses(self.scene)[obj.parent], obj.parent_link)
+
+    def _frame_yaw(self, name: str) -> float:
+        return yaw_of(self._frame(name).quat)
+
+    def _replace(self, obj: SceneObject) -> None:
+        objects = tuple(obj if o.name == obj.name else o for o in self.scene.objects)
+        self.scene = self.scene.model_copy(update={"objects": objects})
+
+
+def joint_range(joint: JointSpec) -> tuple[float, float]:
+    """Return the range of a joint's slider [rad or m]."""
+    if joint.type == "ball":
+        most = joint.upper or FREE_RANGE
+        return -most, most
+    if joint.type == "continuous":
+        return -FREE_RANGE, FREE_RANGE
+    return joint.lower, joint.upper
+
+
+def sliding_keys(obj: SceneObject) -> list[tuple[JointSpec, str]]:
+    """Return the joints of an object that can be set, with the keys of their values."""
+    return [
+        (joint, key)
+        for joint in obj.spec.joints
+        if joint.type != "fixed" and joint.mimic is None
+        for key in joint_keys(joint)
+    ]

@@ -1,0 +1,419 @@
+"""The page of `neoworld view`: the scene with its photograph, free fall, search and objects."""
+
+import logging
+import math
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..compose.layout_patch import LayoutPatch, read_layout_patch
+from ..config import Config
+from ..errors import NeoWorldError
+from ..files import write_atomic
+from ..pipeline import Result, rebuild, search_again
+from ..program import build
+from ..verify.patched import read_program
+from .free_fall import FreeFall
+from .object_facts import crop_of, facts, signals_of, told
+from .page_log import Tell, work
+from .scene_editor import SceneEditor, joint_range, sliding_keys
+from .scene_page import ScenePage, bounds_of, look_at, look_through, part_poses
+from .view_target import ViewTarget, open_target
+
+_log = logging.getLogger(__name__)
+
+SEARCH = "Search again from here"
+
+
+class SceneViewer:
+    """One target on the page of a server."""
+
+    def __init__(self, server: Any, path: Path, target: ViewTarget, config: Config):
+        """Put a target on the page.
+
+        Args:
+            server: of viser.
+            path: of what is shown, to read it again after a change.
+            target: what is there.
+            config: options of programs, and of the search of a scene without a run.
+        """
+        self._server, self._path, self._config = server, path, config
+        self._busy = threading.Lock()
+        self._target = target
+        self._stage = ScenePage(server, self.pick)
+        self._fall: FreeFall | None = None
+        self._handle: Any = None
+        self._joint_sliders: list[Any] = []
+        self._chart: Any = None
+        self._picked = ""
+        server.scene.set_up_direction("+z")
+        server.scene.configure_environment_map(None)
+        server.scene.add_light_hemisphere("/light/sky", intensity=1.2)
+        server.initial_camera.near = 0.01
+        tabs = server.gui.add_tab_group()
+        with tabs.add_tab("Scene"):
+            self._build_scene_tab()
+        with tabs.add_tab("Objects"):
+            self._build_object_tab()
+        with tabs.add_tab("Search"):
+            self._build_search_tab()
+        self._load()
+        server.on_client_connect(self._greet)
+
+    # The tabs.
+
+    def _build_scene_tab(self) -> None:
+        gui = self._server.gui
+        self._home = gui.add_button("Photo's camera")
+        self._home.on_click(lambda event: self._greet(event.client))
+        self._blend = gui.add_slider("Photo", 0.0, 1.0, 0.05, 0.0)
+        self._blend.on_update(lambda _: self._show_photo())
+        self._when = gui.add_button_group("Layout", ("before", "after"))
+        self._when.on_click(lambda _: self._show(self._when.value))
+        self._colliders = gui.add_checkbox("Colliders", False)
+        self._colliders.on_update(lambda _: self._show_colliders())
+        self._contacts = gui.add_checkbox("Contacts", False)
+        self._contacts.on_update(lambda _: self._toggle_contacts())
+        with gui.add_folder("Free fall"):
+            self._play = gui.add_button("Play")
+            self._play.on_click(lambda _: self._toggle())
+            gui.add_button("Restart").on_click(lambda _: self._restart())
+            self._speed = gui.add_slider("Push, m/s", 0.1, 5.0, 0.1, 0.5)
+            self._towards = gui.add_slider("Push towards, deg", -180, 180, 5, 0)
+            gui.add_button("Push the object picked").on_click(lambda _: self._push())
+        self._status = gui.add_html("")
+        self._joints = gui.add_folder("Joints")
+
+    def _build_object_tab(self) -> None:
+        gui = self._server.gui
+        names = [obj.name for obj in self._target.after.objects]
+        self._chooser = gui.add_dropdown("Object", ("none", *names))
+        self._chooser.on_update(lambda _: self.pick(self._chooser.value))
+        self._drag = gui.add_checkbox("Drag it", False)
+        self._drag.on_update(lambda _: self._toggle_drag())
+        self._facts = gui.add_html(told("Click an object, or choose one."))
+        self._crop = gui.add_image(np.zeros((1, 1, 3), np.uint8), label="In the photograph")
+        self._crop.visible = False
+        self._text = gui.add_text("Program", "", multiline=True, visible=False)
+        self._build = gui.add_button("Rebuild", visible=False)
+        self._build.on_click(lambda _: self._rebuild())
+        self._signals = gui.add_html("")
+
+    def _build_search_tab(self) -> None:
+        gui = self._server.gui
+        self._ghosts = gui.add_checkbox("Population as ghosts", False)
+        self._iteration = gui.add_slider("Iteration", 1, 2, 1, 1)
+        for control in (self._ghosts, self._iteration):
+            control.on_update(lambda _: self._show_ghosts())
+        gui.add_button(SEARCH).on_click(lambda _: self._search())
+        gui.add_button("Take back what I moved").on_click(lambda _: self._take_back())
+        self._log = gui.add_html("")
+        self._charts = gui.add_folder("Rewards")
+
+    # What is shown.
+
+    def _load(self) -> None:
+        """Show the target as its files are."""
+        target = self._target
+        self._drop_fall()
+        patch = LayoutPatch() if target.run is None else read_layout_patch(target.run)
+        self._editor = SceneEditor(target.after, patch)
+        self._stage.show(target.after)
+        self._when.visible = target.before is not None
+        self._blend.visible = target.picture is not None and target.after.camera is not None
+        self._home.visible = target.after.camera is not None
+        self._when.value = "after"
+        self._list_joints()
+        self._load_history()
+        self._show_colliders()
+        names = [obj.name for obj in target.after.objects]
+        if self._picked in names:
+            self.pick(self._picked)
+        elif len(names) == 1:
+            self.pick(names[0])
+
+    def _load_history(self) -> None:
+        history = self._target.history()
+        if self._chart is not None:
+            self._chart.remove()
+            self._chart = None
+        for control in (self._ghosts, self._iteration):
+            control.visible = history is not None
+        if history is not None:
+            from .population import term_chart
+
+            rounds = len(history["absolute"])
+            self._iteration.max = max(rounds, 2)
+            self._iteration.value = rounds
+            self._iteration.disabled = rounds < 2
+            with self._charts:
+                self._chart = term_chart(self._server, history)
+        self._charts.visible = history is not None
+
+    def _greet(self, client: Any) -> None:
+        scene = self._stage.scene
+        if scene is None:
+            return
+        if scene.camera is not None:
+            look_through(client, scene.camera)
+        else:
+            look_at(client, *bounds_of(scene, self._stage.poses))
+
+    def _show(self, when: str) -> None:
+        """Show the scene before or after the search."""
+        target = self._target
+        self._drop_fall()
+        before = when == "before" and target.before is not None
+        self._editor.scene = target.before if before and target.before else target.after
+        self._stage.show(self._editor.scene)
+        self._list_joints()
+        self._show_colliders()
+        self._show_contacts()
+
+    def _show_photo(self) -> None:
+        camera, picture = self._target.after.camera, self._target.picture
+        if camera is not None and picture is not None:
+            self._stage.blend(camera, picture, self._blend.value)
+
+    def _show_colliders(self) -> None:
+        self._stage.show_visible(not self._colliders.value)
+        if self._colliders.value:
+            self._stage.show_pieces()
+        else:
+            self._stage.hide_pieces()
+
+    def _toggle_contacts(self) -> None:
+        self._stage.see_through(self._contacts.value)
+        self._show_contacts()
+
+    def _show_contacts(self) -> None:
+        if not self._contacts.value:
+            self._stage.hide_contacts()
+            return
+        fall = self._falling()
+        if fall is None:
+            return
+        contacts = fall.contacts()
+        self._stage.show_contacts(contacts.points, contacts.depths, contacts.normals)
+        if not fall.playing:
+            deepest: dict[tuple[str, str], float] = {}
+            for depth, pair in zip(contacts.depths, contacts.pairs, strict=True):
+                deepest[pair] = max(deepest.get(pair, 0.0), float(depth))
+            worst = sorted(deepest.items(), key=lambda entry: -entry[1])[:4]
+            named = [f"{a} and {b} {1000 * d:.2f} mm" for (a, b), d in worst if d > 0]
+            said = (
+                f"{len(contacts.depths)} contacts. Deepest: {'; '.join(named) or 'none overlaps'}"
+            )
+            self._status.content = told(said)
+
+    def _list_joints(self) -> None:
+        for slider in self._joint_sliders:
+            slider.remove()
+        self._joint_sliders = []
+        with self._joints:
+            for obj in self._editor.scene.objects:
+                for joint, key in sliding_keys(obj):
+                    factor, unit = (
+                        (1000.0, "mm") if joint.type == "prismatic" else (57.29578, "deg")
+                    )
+                    low, high = (factor * v for v in joint_range(joint))
+                    now = min(max(factor * obj.joint_state.get(key, 0.0), low), high)
+                    slider = self._server.gui.add_slider(
+                        f"{obj.name} {key}, {unit}", low, high, (high - low) / 200, now
+                    )
+                    slider.on_update(self._moving(slider, obj.name, key, factor))
+                    self._joint_sliders.append(slider)
+        self._joints.visible = bool(self._joint_sliders)
+
+    def _moving(self, slider: Any, name: str, key: str, factor: float) -> Callable[[Any], None]:
+        def move(_: Any) -> None:
+            self._drop_fall()
+            self._editor.set_joint(name, key, slider.value / factor)
+            self._stage.pose(part_poses(self._editor.scene))
+
+        return move
+
+    # Free fall.
+
+    def _falling(self) -> FreeFall | None:
+        """Return the simulation of the scene shown, compiled when it is first needed."""
+        if self._fall is None:
+            try:
+                self._fall = FreeFall(self._editor.scene, self._show_frame)
+            except (NeoWorldError, ValueError) as error:
+                self._status.content = told(f"MuJoCo cannot simulate it: {error}", bad=True)
+        return self._fall
+
+    def _drop_fall(self) -> None:
+        if self._fall is not None:
+            self._fall.pause()
+            self._fall = None
+            self._play.label = "Play"
+
+    def _toggle(self) -> None:
+        fall = self._falling()
+        if fall is None:
+            return
+        if fall.playing:
+            fall.pause()
+            self._play.label = "Play"
+        else:
+            fall.play()
+            self._play.label = "Pause"
+
+    def _restart(self) -> None:
+        fall = self._falling()
+        if fall is not None:
+            fall.reset()
+            self._show_frame(fall)
+
+    def _show_frame(self, fall: FreeFall) -> None:
+        self._stage.pose(fall.poses())
+        self._status.content = told(f"{fall.seconds:.2f} s simulated")
+        if self._contacts.value:
+            self._show_contacts()
+
+    def _push(self) -> None:
+        fall = self._falling()
+        towards = math.radians(self._towards.value)
+        velocity = self._speed.value * np.array([math.cos(towards), math.sin(towards), 0.0])
+        if not self._picked:
+            self._status.content = told("Pick an object first: click it.")
+        elif fall is not None and not fall.push(self._picked, velocity):
+            self._status.content = told(f"{self._picked} is fixed.")
+
+    # One object.
+
+    def pick(self, name: str) -> None:
+        """Show what is known of an object."""
+        if name not in {obj.name for obj in self._editor.scene.objects}:
+            self._picked = ""
+            return
+        self._picked = name
+        if self._chooser.value != name:
+            self._chooser.value = name
+        self._facts.content = facts(self._target, self._editor.scene.object(name))
+        crop = crop_of(self._target, name)
+        self._crop.visible = crop is not None
+        if crop is not None:
+            self._crop.image = crop
+        program = self._target.program_of(name)
+        self._text.visible = self._build.visible = program is not None
+        self._text.value = "" if program is None else read_program(program)
+        self._signals.content = ""
+        self._show_handle()
+
+    def _toggle_drag(self) -> None:
+        self._stage.pickable(not self._drag.value)
+        self._show_handle()
+
+    def _show_handle(self) -> None:
+        if self._handle is not None:
+            self._handle.remove()
+            self._handle = None
+        if not (self._drag.value and self._picked):
+            return
+        if self._editor.scene.object(self._picked).environment:
+            self._facts.content = told(f"{self._picked} is a support of the environment: it stays.")
+            return
+        at, name = self._editor.handle_pose(self._picked), self._picked
+        low, high = bounds_of(self._editor.scene, self._stage.poses)
+        self._handle = self._server.scene.add_transform_controls(
+            "/handle",
+            scale=0.35 * float(np.linalg.norm(high - low)),
+            active_axes=(True, True, False),
+            disable_sliders=False,
+            depth_test=False,
+            rotation_limits=((0.0, 0.0), (0.0, 0.0), (-1000.0, 1000.0)),
+            position=at.pos,
+            wxyz=at.quat,
+        )
+        self._handle.on_update(lambda event: self._dragged(name, event))
+
+    def _dragged(self, name: str, event: Any) -> None:
+        self._drop_fall()
+        self._editor.place(name, event.target.position, event.target.wxyz)
+        if event.phase == "end":
+            self._editor.snap()
+        self._stage.pose(part_poses(self._editor.scene))
+
+    def _rebuild(self) -> None:
+        work(self._busy, self._signals, self._build_again)
+
+    def _build_again(self, tell: Tell) -> None:
+        name, text = self._picked, self._text.value
+        program = self._target.program_of(name)
+        if program is None:
+            return
+        tell("building ...")
+        if self._target.run is not None:
+            built, result = rebuild(self._target.run, name, text)
+            self._reload(result)
+        else:
+            built = build(text, self._config.program)
+            if built.spec is not None:
+                write_atomic(program, text)
+            if built.spec is not None and self._target.program is not None:
+                self._target = open_target(self._path, self._config)
+                self._load()
+        self._text.value = text
+        self._signals.content = signals_of(built)
+
+    # The search.
+
+    def _show_ghosts(self) -> None:
+        from .population import hide_ghosts, show_ghosts
+
+        hide_ghosts(self._server)
+        history = self._target.history()
+        if not self._ghosts.value or history is None:
+            return
+        scene = self._target.before or self._target.after
+        iteration = min(round(self._iteration.value), len(history["absolute"])) - 1
+
+        def draw(tell: Tell) -> None:
+            shown = show_ghosts(self._server, scene, history, iteration)
+            tell(f"iteration {iteration + 1}: the best {shown} candidates that were rolled out")
+
+        work(self._busy, self._log, draw)
+
+    def _search(self) -> None:
+        self._drop_fall()
+        work(self._busy, self._log, self._search_on)
+
+    def _search_on(self, tell: Tell) -> None:
+        tell("searching ...")
+        if self._target.run is not None:
+            self._reload(search_again(self._target.run, self._editor.patch))
+            return
+        from ..refinement import refine
+
+        self._editor.snap()
+        options, seed = self._config.refine, self._config.seed
+        refined = refine(self._editor.scene, options, seed=seed, progress=_log.info)
+        said = "valid" if refined.passed else "not valid"
+        if self._target.scene_file is not None:
+            write_atomic(self._target.scene_file, refined.scene.to_json())
+            said += f"; {self._target.scene_file.name} is the new scene"
+            self._target = open_target(self._path, self._config)
+            self._load()
+        self._log.content = told(said, bad=not refined.passed)
+
+    def _take_back(self) -> None:
+        work(self._busy, self._log, self._without_patch)
+
+    def _without_patch(self, tell: Tell) -> None:
+        had, self._editor.patch = self._editor.patch, LayoutPatch()
+        if self._target.run is not None and had.objects:
+            self._reload(search_again(self._target.run, LayoutPatch()))
+        else:
+            self._load()
+
+    def _reload(self, result: Result | None) -> None:
+        if result is not None:
+            self._target = open_target(self._path, self._config)
+            self._load()
+            self._log.content = told(repr(result), bad=result.passed is False)

@@ -1,0 +1,144 @@
+"""What `neoworld view` opens: a run folder, a scene, an object or a program."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from ..config import Config
+from ..errors import PhotoError, RunError, SpecError
+from ..parse.photo import load_photo
+from ..reading import read_arrays, read_model
+from ..run_folder import refuse_links
+from ..spec import ObjectSpec, SceneObject, SceneSpec, read_scene
+from ..verify.checking import import_object
+from ..verify.patched import build_patched
+
+OBJECT_FILES = (".urdf", ".xml", ".mjcf")
+"""Suffixes of files that contain an object."""
+SHOWN_PX = 1024
+"""Longest side of the photograph on the page, in pixels."""
+HISTORY_PLACE = "refine/history.npz"
+
+
+@dataclass(frozen=True)
+class ViewTarget:
+    """A scene with what is known about it."""
+
+    title: str
+    after: SceneSpec
+    """The scene: refined, where there was a search."""
+    before: SceneSpec | None = None
+    """The scene before the search; None where only one is known."""
+    run: Path | None = None
+    """Folder of the run that the scene is of."""
+    scene_file: Path | None = None
+    """The scene.json, where it is no part of a run."""
+    program: Path | None = None
+    """The program, where it is no part of a run."""
+    picture: NDArray | None = None
+    """The photograph, uint8 [h, w, 3]."""
+
+    def history(self) -> dict[str, Any] | None:
+        """Read the history of the search; None if there is none.
+
+        Raises:
+            RunError: the file is damaged.
+        """
+        if self.run is None or not (self.run / HISTORY_PLACE).is_file():
+            return None
+        return read_arrays(self.run / HISTORY_PLACE, RunError)
+
+    def program_of(self, name: str) -> Path | None:
+        """Return the file of an object's program; None where it is not known."""
+        if self.program is not None:
+            return self.program
+        home = self.home_of(name)
+        path = None if home is None else home / "program.py"
+        return path if path is not None and path.is_file() else None
+
+    def home_of(self, name: str) -> Path | None:
+        """Return the folder of an object's files; None if there is none."""
+        base = self.run or (None if self.scene_file is None else self.scene_file.parent)
+        home = None if base is None else base / "objects" / name
+        return home if home is not None and home.is_dir() else None
+
+
+def open_target(path: Path, config: Config) -> ViewTarget:
+    """Read a run folder, a scene.json, an object's folder, a URDF or MJCF file, or a program.
+
+    Raises:
+        SpecError: there is nothing of these at the path, or it cannot be read.
+        ProgramError: the program gives no object.
+        RunError: the run folder holds links or damaged files.
+    """
+    if path.is_dir():
+        refuse_links(path)
+        if (path / "run.json").is_file():
+            return _of_run(path)
+        for name in ("scene.json", "program.py", "verified.json", "spec.json"):
+            if (path / name).is_file():
+                return open_target(path / name, config)
+        raise SpecError(
+            f"{path} is no run folder and holds no scene.json, program.py or spec.json: name a "
+            "run folder, a scene.json, a program (.py), or a URDF or MJCF file"
+        )
+    if path.suffix == ".py":
+        built = build_patched(path, config.program).built
+        if built.spec is None:
+            reasons = "; ".join(signal.phrase() for signal in built.signals[:3])
+            raise SpecError(f"{path} gives no object: {reasons}")
+        return ViewTarget(path.name, alone(built.spec), program=path)
+    if path.suffix.lower() in OBJECT_FILES:
+        return ViewTarget(path.name, alone(import_object(path).spec))
+    if path.name in ("spec.json", "verified.json"):
+        spec = read_model(path, ObjectSpec, SpecError, "an object")
+        return ViewTarget(spec.name, alone(spec))
+    scene = read_scene(path)
+    around = (path.parent, path.parent.parent) if path.parent.name == "compose" else (path.parent,)
+    picture = next((p for folder in around if (p := _picture(folder)) is not None), None)
+    return ViewTarget(path.name, scene, scene_file=path, picture=picture)
+
+
+def alone(spec: ObjectSpec) -> SceneSpec:
+    """Return a scene of one object on the floor, which stays where it is."""
+    return SceneSpec(objects=(SceneObject(name=spec.name, spec=spec, fixed_base=True),))
+
+
+def _of_run(folder: Path) -> ViewTarget:
+    composed, refined = folder / "compose" / "scene.json", folder / "scene.json"
+    scenes = [read_scene(path) for path in (composed, refined) if path.is_file()]
+    if not scenes:
+        raise SpecError(
+            f"{folder} has no scene yet: go on with reconstruct --resume, or view one of its "
+            "objects, such as objects/NAME"
+        )
+    return ViewTarget(
+        folder.resolve().name,
+        scenes[-1],
+        before=scenes[0] if len(scenes) > 1 else None,
+        run=folder,
+        picture=_picture(folder),
+    )
+
+
+def _picture(folder: Path) -> NDArray | None:
+    """Return the photograph of a run at the size of the page; None if there is none."""
+    path = folder / "photo.png"
+    if not path.is_file():
+        return None
+    try:
+        rgb = load_photo(path).rgb
+    except PhotoError:
+        return None
+    return shown_picture(rgb)
+
+
+def shown_picture(rgb: NDArray) -> NDArray:
+    """Return a picture no larger than the page needs, uint8 [h, w, 3]."""
+    image = Image.fromarray(rgb)
+    image.thumbnail((SHOWN_PX, SHOWN_PX))
+    return np.asarray(image)

@@ -1,0 +1,106 @@
+"""Errors of answers to scenes with known truth, step by step."""
+
+import json
+
+import numpy as np
+import pytest
+
+from neoworld_mjx import cli
+from neoworld_mjx.bench.photo_semantics import semantic_rows
+from neoworld_mjx.bench.photos import (
+    MEASURES,
+    STEPS,
+    PhotoRow,
+    PoseError,
+    lines,
+    photo_rows,
+    photo_summary,
+    searching_little,
+)
+from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.errors import EngineError
+
+FOUR = (4, 8, 20, 24)
+"""Two scenes of each part, of few objects."""
+
+
+@pytest.fixture(scope="module")
+def rows():
+    options = searching_little(RefineOptions(check_duration_s=0.3))
+    return list(photo_rows(FOUR, refine_options=options))
+
+
+def test_steps_come_closer_to_the_truth(rows):
+    summary = photo_summary(rows)
+    assert set(summary) == {"tuned_on", "held_out"}
+    assert {row.scene for row in rows} == set(FOUR)
+    median = {
+        (step, name): np.median([v for row in rows if (v := getattr(row.errors[step], name))])
+        for step in STEPS
+        for name in MEASURES
+    }
+    # What the answer has wrong is there to be repaired.
+    assert median["answer", "layout_mm"] > 8
+    for step in ("composed", "refined"):
+        assert median[step, "layout_mm"] < 0.75 * median["answer", "layout_mm"]
+        assert median[step, "size_percent"] < median["answer", "size_percent"] + 1.0
+    for part in summary.values():
+        steps = part["steps"]
+        assert steps["composed"]["box_iou"] > steps["as_answered"]["box_iou"] + 0.02
+        assert steps["refined"]["box_iou"] > steps["composed"]["box_iou"] - 0.01
+        assert part["valid_scenes"]["refined"] >= part["valid_scenes"]["composed"]
+        assert all(len(lines) <= 1 for lines in part["made_worse"].values())
+
+
+def test_what_a_step_made_worse_is_listed_unless_it_was_unsound():
+    def error(mm, percent=1.0):
+        return PoseError(position_mm=mm, layout_mm=mm, heading_deg=None, size_percent=percent)
+
+    def row(name, *, unsound):
+        return PhotoRow(
+            scene=3,
+            name=name,
+            occluded=False,
+            unsound={"as_answered": False, "composed": unsound},
+            valid={"composed": True, "refined": True},
+            box_iou={"composed": 0.8, "refined": 0.7},
+            errors={
+                "answer": error(30.0),
+                "fit": error(10.0),
+                "composed": error(10.0),
+                "refined": error(40.0, 9.0),
+            },
+        )
+
+    summary = photo_summary([row("cup", unsound=False), row("can", unsound=True)])
+    worse = summary["tuned_on"]["made_worse"]
+    assert worse["fit"] == worse["composed"] == []
+    assert worse["refined"] == [
+        "3/cup: position_mm 10.0 to 40.0",
+        "3/cup: size_percent 1.0 to 9.0",
+    ]
+    text = "\n".join(lines(summary))
+    assert "3/cup: position_mm" in text and "mm 30.00 (30.0)" in text
+
+
+def test_the_truth_scores_higher_than_displacements():
+    (row,) = semantic_rows((1,), draws=64)
+    assert row.truth > 0.98
+    assert row.lower >= 0.98
+    assert sum(row.higher.values()) == round((1 - row.lower) * 64)
+
+
+def test_an_unknown_scene_is_refused():
+    with pytest.raises(EngineError, match="scenes are 0 to 39"):
+        next(photo_rows((40,)))
+    with pytest.raises(EngineError, match="no scene -1"):
+        next(semantic_rows((-1,)))
+
+
+def test_the_command_prints_one_json_object(capfd):
+    arguments = ["bench", "run", "photos", "--scenes", "8", "--no-search", "--json"]
+    with pytest.raises(SystemExit, match="0"):
+        cli.main(arguments)
+    answer = json.loads(capfd.readouterr().out)
+    assert answer["command"] == "neoworld bench run photos --scenes 8 --no-search --json"
+    assert answer["tuned_on"]["scenes"] == 1 and "refined" not in answer["tuned_on"]["steps"]

@@ -1,0 +1,33 @@
+"""Scenes of photographs as the benchmark refines them."""
+
+import pytest
+
+from neoworld_mjx.bench.real_scenes import FOLDER, REAL, real_refinements
+from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.errors import EngineError
+from neoworld_mjx.physics import model
+from neoworld_mjx.spec import read_scene
+
+QUICK = RefineOptions.model_validate(
+    {"cem": {"population": 24, "iterations": 2}, "check_duration_s": 0.2}
+)
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_every_scene_is_there_with_its_camera(name):
+    scene = read_scene(FOLDER / f"{name}.json")
+    assert scene.camera is not None
+    assert sum(item.box2d is not None for item in scene.objects) >= 3
+
+
+def test_a_scene_that_stands_is_its_own_answer_and_compiles_nothing(monkeypatch):
+    # A full process forgets what it has compiled; here that would be counted.
+    monkeypatch.setattr(model, "make_room", lambda: False)
+    (row,) = real_refinements(("rt1_move_near",), options=QUICK)
+    assert row.valid and row.kept == row.movable == 6
+    assert row.programs == 0 and row.rollouts == 1
+
+
+def test_an_unknown_scene_is_refused_with_the_choices():
+    with pytest.raises(EngineError, match="posecnn_3"):
+        next(real_refinements(("posecnn",)))

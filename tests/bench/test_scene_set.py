@@ -1,0 +1,210 @@
+"""The thirty scenes: what is declared, what they are held to, how methods' rows are summed up."""
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.bench.dataset.at_rest import moved
+from neoworld_mjx.bench.dataset.declaration import ROOMS, declarations, read_declaration
+from neoworld_mjx.bench.dataset.layout_errors import displaced, layout_errors
+from neoworld_mjx.bench.dataset.make_dataset import rounded
+from neoworld_mjx.bench.dataset.scene_methods import METHODS, USUAL
+from neoworld_mjx.bench.dataset.scene_runs import SceneRow, chosen_scenes
+from neoworld_mjx.bench.dataset.scene_summary import BOUNDS, interval, summarise
+from neoworld_mjx.bench.dataset.scene_table import latex, markdown, table_records
+from neoworld_mjx.bench.dataset.settle_scene import failures
+from neoworld_mjx.bench.dataset.starts import noise_number, true_tree
+from neoworld_mjx.bench.dataset.truth_scene import truth_scene
+from neoworld_mjx.bench.photo_scenes import see
+from neoworld_mjx.compose import compose
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.spec import world_poses
+
+CHEAP = ("tents", "dominoes", "desk_drawers", "overhang_stack")
+
+
+def test_thirty_scenes_of_every_room():
+    every = declarations()
+    assert len(every) == 30 and {d.room for d in every.values()} == set(ROOMS)
+    assert sum(d.tabletop for d in every.values()) == 11
+    counts = sorted(len(d.movable()) for d in every.values())
+    assert counts[0] >= 3 and counts[-3] <= 10 and counts[-2:] == [20, 40]
+
+
+@pytest.mark.parametrize("name", CHEAP)
+def test_truth_passes_the_final_check(name: str):
+    assert failures(truth_scene(declarations()[name])) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(set(declarations()) - set(CHEAP)))
+def test_every_truth_passes_the_final_check(name: str):
+    assert failures(truth_scene(declarations()[name])) == []
+
+
+def test_a_tent_without_one_board_falls():
+    scene = truth_scene(declarations()["tents"])
+    without = [item for item in scene.objects if item.name != "leaf_0b"]
+    alone = scene.model_copy(update={"objects": tuple(without)})
+    assert {check.where for check in failures(alone)} == {"leaf_0a"}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("room: tabletop", "room: moon"), "room: Input should be 'tabletop'"),
+        (("parent: table", "parent: tabel"), "'tabel' must come before it"),
+        (("caption:", "captoin:"), "unknown key captoin: got .captoin."),
+        (("camera: {", "camera: ["), "is no YAML of a scene"),
+    ],
+)
+def test_a_broken_declaration_is_named(tmp_path, change: tuple[str, str], message: str):
+    from neoworld_mjx.bench.dataset.declaration import SCENES
+
+    path = tmp_path / "tents.yaml"
+    path.write_text((SCENES / "tents.yaml").read_text().replace(*change, 1))
+    with pytest.raises(SpecError, match=message):
+        read_declaration(path)
+
+
+def test_unknown_scenes_and_programs_are_named(tmp_path):
+    with pytest.raises(SpecError, match="got 'tent', valid are"):
+        chosen_scenes(["tent"])
+    with pytest.raises(SpecError, match="1 to 30"):
+        chosen_scenes(["31"])
+    assert len(chosen_scenes(["3"])) == 3 and len(chosen_scenes([])) == 30
+    tents = declarations()["tents"]
+    wrong = tents.objects[0].model_copy(update={"program": "blok"})
+    broken = tents.model_copy(update={"objects": (wrong,)})
+    with pytest.raises(SpecError, match="object leaf_0a: object leaf_0a, program: got 'blok'"):
+        truth_scene(broken)
+
+
+def test_a_perfect_answer_composes_to_the_truth():
+    # An open drawer with something inside: joints and carriers must be answered, too.
+    scene = see(truth_scene(declarations()["desk_drawers"]))
+    tree = true_tree(scene)
+    shapes = {item.name: item.spec for item in scene.objects}
+    composed = compose(tree, shapes).scene
+    errors = layout_errors(composed, scene)
+    assert max(errors["xy_error_m"], errors["scale_error"]) < 1e-3
+    assert errors["yaw_error_deg"] < 0.1
+    assert composed.object("chest").joint_state["drawer_2_slide"] == pytest.approx(
+        scene.object("chest").joint_state["drawer_2_slide"], abs=1e-6
+    )
+
+
+def test_each_error_moves_its_own_figure():
+    scene = truth_scene(declarations()["dominoes"])
+    zero = layout_errors(scene, scene)
+    assert zero == {"xy_error_m": 0.0, "yaw_error_deg": 0.0, "scale_error": 0.0}
+    objects = [i for i in scene.objects if not i.static]
+    first = objects[0]
+    shifted = first.model_copy(update={"xy": (first.xy[0] + 0.03, first.xy[1])})
+    pushed = layout_errors(_with(scene, shifted), scene)
+    assert pushed["xy_error_m"] == pytest.approx(0.03 / len(objects))
+    assert pushed["yaw_error_deg"] == 0.0
+    turned = layout_errors(_with(scene, first.model_copy(update={"yaw": first.yaw + 0.2})), scene)
+    assert turned["yaw_error_deg"] > 0.5 and turned["xy_error_m"] < 1e-6
+    # What a wrong camera does to all of them alike is no error of the layout.
+    table = scene.objects[0]
+    alike = layout_errors(
+        _with(scene, table.model_copy(update={"xy": (table.xy[0] + 0.05, 0.0)})), scene
+    )
+    assert alike["xy_error_m"] < 1e-9
+
+
+def test_toppled_and_fallen_objects_are_displaced():
+    scene = truth_scene(declarations()["overhang_stack"])
+    assert displaced(scene, scene) == []
+    tin, cup = scene.object("tin"), scene.object("cup")
+    assert displaced(_with(scene, tin.model_copy(update={"z": tin.z - 0.1})), scene) == ["tin"]
+    lying = (0.7071068, 0.7071068, 0.0, 0.0)
+    assert displaced(_with(scene, cup.model_copy(update={"base_tilt": lying})), scene) == ["cup"]
+    # Shifted aside it is in the wrong place, but stands as it should.
+    aside = cup.model_copy(update={"xy": (cup.xy[0] + 0.1, cup.xy[1]), "yaw": 1.0})
+    assert displaced(_with(scene, aside), scene) == []
+
+
+def _with(scene, item):
+    objects = [item if other.name == item.name else other for other in scene.objects]
+    return scene.model_copy(update={"objects": tuple(objects)})
+
+
+def test_moved_objects_are_where_they_were_put():
+    scene = truth_scene(declarations()["pipes_and_plank"])
+    poses = world_poses(scene)
+    ends = {"plank": poses["brick"], "tin": poses["plank"]}
+    placed = world_poses(moved(scene, ends))
+    for name, end in ends.items():
+        np.testing.assert_allclose(placed[name].pos, end.pos, atol=1e-9)
+        assert abs(placed[name].quat @ end.quat) == pytest.approx(1.0)
+    np.testing.assert_allclose(placed["pipe_1"].pos, poses["pipe_1"].pos)
+
+
+def test_starts_have_noise_of_their_own():
+    numbers = {noise_number(n, s, k) for n in declarations() for s in range(3) for k in range(9)}
+    assert len(numbers) == 30 * 27
+
+
+def test_hashes_ignore_last_digits_only():
+    assert rounded({"a": [0.1 + 0.2, 1e-17]}) == {"a": [0.3, 0.0]}
+    assert rounded(1.00001) != rounded(1.00002)
+
+
+def _row(method: str, *, valid: bool, scene: str = "tents", start: int = 0, **more: float):
+    values = {"xy_error_m": 0.01, "yaw_error_deg": 2.0, "o_stab": 1.0, "objects": 4} | more
+    return SceneRow.model_validate(
+        {
+            "scene": scene,
+            "room": "tabletop",
+            "tabletop": scene == "tents",
+            "start": start,
+            "seed": 0,
+            "evaluation": start % 2 == 1,
+            "method": method,
+            "valid": valid,
+            "check_passed": valid,
+            "displaced": 0,
+            "s_pen": 0,
+            "s_stab": valid,
+            "max_depth_m": 0.0,
+            "max_drift_m": 0.0,
+            "max_tilt_deg": 0.0,
+            "scale_error": 0.01,
+            "box_iou": 0.9,
+            "seconds_to_valid": 2.0 if valid else None,
+            "seconds": 3.0,
+            "rollouts": 5,
+            "fingerprint": "x",
+            **values,
+        }
+    )
+
+
+def test_summary_counts_and_judges_difficulty():
+    rows = [_row("ours", valid=True, start=k) for k in range(2)]
+    rows += [_row("open_loop", valid=k == 0, start=k, xy_error_m=0.02) for k in range(2)]
+    rows += [_row("gravity", valid=False, xy_error_m=0.03, o_stab=0.5)]
+    rows += [_row("gravity", valid=False, scene="dominoes", o_stab=1.0, objects=12)]
+    answer = summarise(rows)
+    assert answer["methods"]["ours"]["n"] == 2
+    assert answer["methods"]["ours"]["seconds_to_valid"] == 2.0
+    # Of objects: 2 of 4 and 12 of 12.
+    assert answer["methods"]["gravity"]["o_stab"] == pytest.approx(14 / 16)
+    assert answer["evaluation"]["open_loop"]["valid_rate"] == 0.0
+    assert not answer["difficulty"]["open_loop"]["hard_enough"]
+    assert answer["difficulty"]["gravity"]["hard_enough"]
+    assert answer["difficulty"]["gravity_xy_error_m"]["hard_enough"]
+    assert set(BOUNDS) <= set(USUAL) <= set(METHODS)
+
+
+def test_tables_mark_the_papers_figures():
+    rows = [_row("ours", valid=k > 0, start=k % 2, scene=s) for k, s in enumerate("ab")]
+    records = list(table_records(rows))
+    mean, low, high = interval(rows, "valid_rate")
+    assert (mean, low, high) == (0.5, 0.0, 1.0)
+    paper = [r for r in records if r["source"] == "paper"]
+    assert {r["n"] for r in paper} == {30, 11} and all("valid" not in r for r in paper)
+    text = markdown(records)
+    assert "| NeoWorld-Pro* | 30 |" in text and "50.0 (0.0 to 100.0)" in text
+    assert r"VIGA$^\ast$ & 30" in latex(records)

@@ -1,0 +1,55 @@
+import pytest
+
+from neoworld_mjx.compose.compose import snap
+from neoworld_mjx.compose.layout_patch import (
+    LAYOUT_PATCH,
+    LayoutPatch,
+    ObjectPlacement,
+    apply_layout,
+    read_layout_patch,
+    write_layout_patch,
+)
+from neoworld_mjx.errors import SpecError
+from tests.support import scenes
+
+
+def test_a_patch_moves_what_it_names_and_nothing_else():
+    scene = snap(scenes.blocks())
+    name = next(obj.name for obj in scene.objects if not obj.environment)
+    x, y = scene.object(name).xy
+    patch = LayoutPatch().merged(name, ObjectPlacement(xy=(x + 0.01, y), yaw=0.3))
+    moved, stale = apply_layout(scene, patch)
+    assert stale == ()
+    assert moved.object(name).xy == (x + 0.01, y) and moved.object(name).yaw == 0.3
+    others = [obj.name for obj in scene.objects if obj.name != name and obj.parent != name]
+    assert all(moved.object(n) == scene.object(n) for n in others)
+
+
+def test_later_placements_win_and_the_rest_of_the_earlier_stays():
+    patch = LayoutPatch().merged("door", ObjectPlacement(xy=(1, 2), joint_state={"hinge": 0.5}))
+    patch = patch.merged("door", ObjectPlacement(yaw=0.1, joint_state={"lock": 1.0}))
+    expected = ObjectPlacement(xy=(1, 2), yaw=0.1, joint_state={"hinge": 0.5, "lock": 1.0})
+    assert patch.objects["door"] == expected
+
+
+def test_what_the_scene_lacks_is_named():
+    scene = scenes.blocks()
+    known = scene.objects[0].name
+    patch = LayoutPatch(
+        objects={
+            "ghost": ObjectPlacement(yaw=1.0),
+            known: ObjectPlacement(joint_state={"no_joint": 1.0}),
+        }
+    )
+    assert apply_layout(scene, patch)[1] == ("ghost", f"{known}/no_joint")
+
+
+def test_the_file_reads_as_it_was_written_and_a_broken_one_is_refused(tmp_path):
+    patch = LayoutPatch().merged("cup", ObjectPlacement(xy=(0.1, 0.2)))
+    write_layout_patch(tmp_path, patch)
+    assert read_layout_patch(tmp_path) == patch
+    (tmp_path / LAYOUT_PATCH).write_text('{"objects": {"cup": {"xy": [1]}}}')
+    with pytest.raises(SpecError, match=r"layout\.patch\.json"):
+        read_layout_patch(tmp_path)
+    write_layout_patch(tmp_path, LayoutPatch())
+    assert not (tmp_path / LAYOUT_PATCH).exists()

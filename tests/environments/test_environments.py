@@ -1,0 +1,124 @@
+"""Environments of a scene with a drawer and a block: by Gymnasium, and under vmap."""
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import neoworld_mjx as nw
+from neoworld_mjx.environments.controlled_scene import controlled_scene
+from neoworld_mjx.environments.facing import facing
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.spec import Box, ObjectSpec, SceneObject, SceneSpec
+from neoworld_mjx.spec.pose import rotate
+from tests.support.mechanisms import WOOD, geom, joint, part, single
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A chest with a drawer that has a bar to pull at, and a block on top, half a metre up."""
+    body = part("body", geom("body", Box(size=(0.3, 0.4, 0.1)), (0, 0, 0.05)))
+    drawer = part(
+        "drawer",
+        geom("front", Box(size=(0.02, 0.3, 0.1)), (0.17, 0, 0.2)),
+        geom("handle", Box(size=(0.03, 0.1, 0.01)), (0.2, 0, 0.2)),
+    )
+    slide = joint("slide", "prismatic", "body", "drawer", (0.17, 0, 0.2), (1, 0, 0), upper=0.2,
+                  damping=2.0)  # fmt: skip
+    chest = ObjectSpec(name="chest", materials=(WOOD,), parts=(body, drawer), joints=(slide,))
+    block = single("block", Box(size=(0.05, 0.05, 0.05)), 0.025)
+    return SceneSpec(
+        objects=(
+            SceneObject(name="chest", spec=chest, fixed_base=True, yaw=0.5),
+            SceneObject(name="block", spec=block, parent="chest", z=0.1001, xy=(-0.05, 0)),
+        )
+    )
+
+
+@pytest.mark.filterwarnings("ignore:.*infinity.*:UserWarning")
+def test_gymnasium_accepts_it_and_drives_reach_their_targets(scene):
+    env = nw.gym_env(scene, reward=lambda obs: float(obs["joints"][0]), horizon=60)
+    check_env(env, skip_render_check=True)
+    assert isinstance(env, gymnasium.Env) and env.action_space.shape == (1,)
+    first, _ = env.reset(seed=3)
+    assert first["joints"] == pytest.approx([0.0], abs=1e-6)
+    rewards = []
+    for step in range(60):
+        obs, reward, terminated, truncated, _ = env.step(np.array([0.15], np.float32))
+        rewards.append(reward)
+        assert not terminated and truncated == (step == 59)
+    assert obs["joints"] == pytest.approx([0.15], abs=0.002)
+    assert rewards[-1] == pytest.approx(0.15, abs=0.002)
+    # What is out of bounds is held within them.
+    env.reset(seed=3)
+    for _ in range(80):
+        obs, *_ = env.step(np.array([9.0], np.float32))
+    assert obs["joints"][0] == pytest.approx(0.2, abs=0.005)
+    assert env.posed().object("chest").joint_state["slide"] == pytest.approx(0.2, abs=0.005)
+    env.close()
+
+
+def test_noise_is_drawn_from_the_seed_and_only_moves_what_can(scene):
+    env = nw.gym_env(scene, noise=nw.ResetNoise(xy=0.02, yaw=0.3, joints=0.2))
+    starts = [env.reset(seed=seed)[0] for seed in (1, 1, 2)]
+    for name in ("poses", "joints"):
+        assert np.array_equal(starts[0][name], starts[1][name])
+    assert not np.allclose(starts[0]["poses"][1], starts[2]["poses"][1], atol=1e-4)
+    assert np.allclose(starts[0]["poses"][0], starts[2]["poses"][0])
+    assert all(0.0 <= start["joints"][0] <= 0.2 for start in starts)
+    moved = np.abs(starts[2]["poses"][1, :2] - starts[0]["poses"][1, :2]).max()
+    assert moved < 0.2
+
+
+def test_a_gripper_in_front_of_a_handle_pulls_the_drawer_out(scene):
+    start = facing(scene, "chest-drawer_handle")
+    out = rotate(np.array([np.cos(0.25), 0, 0, np.sin(0.25)]), np.array([1.0, 0, 0]))
+    assert np.allclose(rotate(np.array(start.quat), np.array([0, 0, 1.0])), -out, atol=1e-6)
+    # The bar is thinnest upwards.
+    assert abs(rotate(np.array(start.quat), np.array([0, 1.0, 0]))[2]) > 0.99
+    env = nw.gym_env(scene, gripper="chest-drawer_handle")
+    obs, _ = env.reset(seed=0)
+    assert obs["gripper"][:3] == pytest.approx(start.pos, abs=1e-6)
+    action = env.controlled.hold.copy()
+    plan = [(-0.1, 0.12)] * 40 + [(-0.1, 0.0)] * 20
+    plan += [(x, 0.0) for x in np.linspace(-0.1, 0.05, 60)]
+    for along, opening in plan:
+        action[:3], action[6] = along * out, opening
+        obs, *_ = env.step(action)
+    assert 0.12 < obs["joints"][0] < 0.17
+
+
+@pytest.mark.slow
+def test_many_environments_step_at_once(scene):
+    env = nw.mjx_env(scene, reward=lambda obs: -jnp.abs(obs["joints"][0] - 0.1))
+    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 2))
+    assert state.obs["poses"].shape == (2, 2, 7) and env.action_size == 1
+    step = jax.jit(jax.vmap(env.step))
+    targets = jnp.array([[0.1], [0.05]])
+    for _ in range(30):
+        state = step(state, targets)
+    assert state.obs["joints"][:, 0] == pytest.approx([0.1, 0.05], abs=0.003)
+    assert state.reward == pytest.approx([0.0, -0.05], abs=0.003)
+    assert not state.done.any() and state.info["step"].tolist() == [30, 30]
+
+
+def test_what_cannot_be_is_said(scene):
+    with pytest.raises(SpecError, match="did you mean 'chest-drawer_handle'"):
+        nw.gym_env(scene, gripper="chest-drawer_handel")
+    alone = SceneSpec(objects=(scene.object("block").model_copy(update={"parent": None}),))
+    with pytest.raises(SpecError, match="no joints to drive"):
+        controlled_scene(alone)
+    named = SceneObject(name="end_effector", spec=alone.objects[0].spec)
+    with pytest.raises(SpecError, match="the gripper's name"):
+        controlled_scene(SceneSpec(objects=(named,)), gripper=nw.Gripper((0, 0, 1)))
+
+
+def test_a_picture_shows_the_scene_as_it_is(scene):
+    env = nw.gym_env(scene, picture=(24, 36))
+    first, _ = env.reset(seed=0)
+    assert env.observation_space.contains(first)
+    for _ in range(60):
+        obs, *_ = env.step(np.array([0.2], np.float32))
+    assert np.abs(obs["picture"].astype(int) - first["picture"]).max() > 20

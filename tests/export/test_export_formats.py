@@ -1,0 +1,114 @@
+"""Formats on demand: binary USD, packages, glTF, files for MJX, and what each of them loses."""
+
+import json
+import zipfile
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+from pxr import Usd, UsdGeom, UsdUtils
+
+from neoworld_mjx.cli import main
+from neoworld_mjx.export.formats import collider_error, format_files, lost, write_formats
+from neoworld_mjx.format_names import FORMATS
+from neoworld_mjx.spec import Cylinder
+from tests.support import mechanisms
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, scene):
+    out = tmp_path_factory.mktemp("formats")
+    write_formats(scene, out, FORMATS)
+    return out
+
+
+def world_bounds(stage, path):
+    cache = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "render"])
+    box = cache.ComputeWorldBound(stage.GetPrimAtPath(path)).ComputeAlignedRange()
+    return np.array([list(box.GetMin()), list(box.GetMax())])
+
+
+def test_binary_usd_and_its_package_hold_the_scene(folder):
+    boxes = []
+    for file in ("scene.usdc", "scene.usdz"):
+        stage = Usd.Stage.Open(str(folder / file))
+        boxes.append(world_bounds(stage, "/scene/box"))
+        assert stage.GetPrimAtPath("/scene/bowl/links/body/collisions")
+    assert np.allclose(*boxes) and np.ptp(boxes[0], axis=0).min() > 0.1
+    assert (folder / "scene.usdc").read_bytes()[:8] == b"PXR-USDC"
+    packed = zipfile.ZipFile(folder / "scene.usdz").namelist()
+    assert any(name.endswith("objects/box/object.usdc") for name in packed)
+    assert UsdUtils.ComputeAllDependencies(str(folder / "scene.usdz"))[2] == []
+
+
+def test_gltf_shows_what_is_visible_with_y_up(folder, scene):
+    stage = Usd.Stage.Open(str(folder / "scene.usdc"))
+    want = world_bounds(stage, "/scene/bowl")
+    shown = trimesh.load(folder / "scene.glb")
+    corners = np.concatenate(
+        [
+            trimesh.transform_points(shown.geometry[name].vertices, matrix)
+            for node in shown.graph.nodes_geometry
+            for matrix, name in [shown.graph[node]]
+            if name.startswith("bowl-")
+        ]
+    )
+    x, y, z = corners.T
+    turned = np.column_stack([x, -z, y])
+    # USD's box is around turned boxes, so it is the larger one.
+    assert np.allclose((turned.min(axis=0) + turned.max(axis=0)) / 2, want.mean(axis=0), atol=1e-3)
+    assert np.ptp(turned, axis=0)[2] == pytest.approx(np.ptp(want, axis=0)[2], abs=1e-6)
+    assert "box-drawer" in shown.graph.nodes
+    alone = trimesh.load(folder / "objects" / "bowl" / "object.glb")
+    material = next(iter(alone.geometry.values())).visual.material
+    assert material.roughnessFactor == pytest.approx(0.6) and material.metallicFactor == 0
+
+
+def test_the_same_scene_gives_the_same_bytes_in_every_format(scene):
+    for kind in FORMATS:
+        if kind != "usdz":  # It carries the time of packing.
+            assert format_files(scene, kind) == format_files(scene, kind), kind
+
+
+def test_what_is_lost_is_said(cabinet, scene):
+    assert any("armature" in line and "cabinet.hinge" in line for line in lost(cabinet, "urdf"))
+    assert not any("stiffness" in line for line in lost(cabinet, "mjcf"))
+    assert any("velocity" in line for line in lost(cabinet, "mjcf"))
+    assert any("joints are at 0: box" in line for line in lost(scene, "sdf"))
+
+
+def test_colliders_for_mjx_are_as_near_as_is_said():
+    can = mechanisms.single("can", Cylinder(radius=0.1, height=0.5), 0.25)
+    text = format_files(can, "mjcf", mjx=True)["object.xml"].decode()
+    model = mujoco.MjModel.from_xml_string(text)
+    mesh = model.mesh(0)
+    start = mesh.vertadr[0]
+    corners = model.mesh_vert[start : start + mesh.vertnum[0]]
+    along = int(np.argmax(np.ptp(corners, axis=0)))
+    radius = np.linalg.norm(np.delete(corners, along, axis=1), axis=1).max()
+    assert radius - 0.1 == pytest.approx(collider_error(can), abs=1e-6)
+    assert 0 < collider_error(can) < 0.002
+
+
+def test_the_command_writes_for_a_simulator_and_tells_what_is_lost(tmp_path, cabinet, capfd):
+    write_formats(cabinet, tmp_path / "in", ["mjcf"])
+    source = str(tmp_path / "in" / "object.xml")
+    out = tmp_path / "out"
+
+    def run(*more):
+        with pytest.raises(SystemExit) as left:
+            main(["export", source, "--out", str(out), "--json", *more])
+        return left.value.code
+
+    assert run("--for", "drake") == 0
+    answer = json.loads(capfd.readouterr().out)
+    assert {"object.sdf", "object.urdf", "object.srdf"} <= set(answer["files"])
+    assert set(answer["lost"]) == {"sdf", "urdf"}
+    assert all((out / file).is_file() for file in answer["files"])
+    assert run() == 2
+    assert "not empty" in "".join(capfd.readouterr())
+    assert run("--for", "mjx", "--floor", "--overwrite") == 0
+    assert json.loads(capfd.readouterr().out)["collider_error_mm"] > 0
+    model = mujoco.MjModel.from_xml_path(str(out / "object.xml"))
+    assert model.geom("floor").type[0] == mujoco.mjtGeom.mjGEOM_PLANE

@@ -1,0 +1,150 @@
+"""MJCF files beside other files: readers, robots, sensors and handles."""
+
+import re
+import xml.etree.ElementTree as ET
+
+import mujoco
+import numpy as np
+import pytest
+
+from neoworld_mjx.export import export_object, export_scene, frames, mjcf_text
+from neoworld_mjx.physics.mjcf import START, to_mjspec
+from neoworld_mjx.spec import Box, Cylinder, Ellipsoid, SceneObject, SceneSpec
+from tests.support import mechanisms
+
+ROBOT = """<mujoco model="arm"><compiler angle="radian"/><worldbody><body name="base" pos="3 0 0">
+<geom size=".1"/><body name="tip" pos="0 0 .2"><joint name="tip" axis="0 1 0" range="-1 1"/>
+<geom type="capsule" size=".03 .2"/></body></body></worldbody></mujoco>"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, scene, cabinet):
+    out = tmp_path_factory.mktemp("mjcf")
+    export_scene(scene, out)
+    export_object(cabinet, out / "alone")
+    return out
+
+
+@pytest.mark.parametrize("file", ["scene.xml", "alone/object.xml"])
+def test_meshes_are_files_and_names_have_no_slash(file, folder):
+    root = ET.parse(folder / file).getroot()
+    meshes = list(root.iter("mesh"))
+    assert len(meshes) > 3
+    for mesh in meshes:
+        assert not {"vertex", "face", "normal"} & set(mesh.attrib)
+        assert ((folder / file).parent / mesh.attrib["file"]).is_file()
+    names = [element.get("name", "") for element in root.iter()]
+    assert not [name for name in names if "/" in name]
+
+
+def test_a_scene_is_included_beside_a_robot(folder, scene):
+    (folder / "robot.xml").write_text(ROBOT)
+    (folder / "both.xml").write_text(
+        '<mujoco><include file="scene.xml"/><include file="robot.xml"/></mujoco>'
+    )
+    model = mujoco.MjModel.from_xml_path(str(folder / "both.xml"))
+    own = to_mjspec(scene).compile()
+    assert model.nq == own.nq + 1
+    # The robot states no inertia, and gets that of its geoms.
+    assert model.body("tip").mass[0] > 0.1
+    start = model.key(START).qpos
+    assert np.allclose(start[: own.nq], own.key(START).qpos)
+
+
+def test_two_of_one_object_are_attached_beside_a_robot(folder, cabinet):
+    (folder / "robot.xml").write_text(ROBOT.replace('"arm"', '"arm"', 1))
+    (folder / "attached.xml").write_text(
+        '<mujoco><asset><model name="c" file="alone/object.xml"/>'
+        '<model name="arm" file="robot.xml"/></asset><worldbody>'
+        '<frame pos="0 0 0"><attach model="c" body="cabinet" prefix="one-"/></frame>'
+        '<frame pos="0 2 0"><attach model="c" body="cabinet" prefix="two-"/></frame>'
+        '<attach model="arm" body="base" prefix="arm-"/></worldbody></mujoco>'
+    )
+    model = mujoco.MjModel.from_xml_path(str(folder / "attached.xml"))
+    mass = to_mjspec(cabinet).compile().body_mass.sum()
+    for name in ("one-cabinet", "two-cabinet"):
+        assert model.body_subtreemass[model.body(name).id] == pytest.approx(mass)
+    assert model.joint("two-cabinet-hinge").range.tolist() == pytest.approx([-0.2, 1.6])
+
+
+def test_files_say_how_contacts_hold_still_and_physics_here_does_not(folder, scene):
+    read = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
+    assert read.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC and read.opt.impratio == 10
+    own = to_mjspec(scene).compile()
+    assert own.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL and own.opt.impratio == 1
+
+
+def test_joints_and_handles_are_sensed(folder, cabinet):
+    model = mujoco.MjModel.from_xml_path(str(folder / "alone" / "object.xml"))
+    data = mujoco.MjData(model)
+    moving = [joint for joint in cabinet.joints if joint.type != "fixed"]
+    for k, joint in enumerate(moving):
+        data.qpos[model.joint(f"cabinet-{joint.name}").qposadr[0]] = 0.01 * (k + 1)
+    mujoco.mj_forward(model, data)
+    for k, joint in enumerate(moving):
+        assert data.sensor(f"cabinet-{joint.name}-pos").data[0] == pytest.approx(0.01 * (k + 1))
+        assert data.sensor(f"cabinet-{joint.name}-vel").data[0] == 0
+    touches = [model.sensor(k).name for k in range(model.nsensor)]
+    assert "cabinet-drawer_handle-touch" in touches
+    assert "cabinet-links_handle-touch" in touches
+    assert not [name for name in touches if re.search("(flap|cog)_handle", name)]  # They follow.
+
+
+def test_a_handle_is_what_is_held_or_the_side_that_leads(cabinet):
+    by_joint = {frame.joint: frame for frame in frames(cabinet)}
+    # The knob is fixed to the door.
+    assert by_joint["hinge"].part == "links"
+    assert np.allclose(by_joint["hinge"].pos, (0.2, -0.18, 0.15), atol=0.03)
+    # Nothing of the drawer is called a handle: its front, in the direction of its axis.
+    assert by_joint["slide"].pos[0] == pytest.approx(0.1, abs=0.02)
+    (given,) = [frame for frame in frames(cabinet) if frame.joint is None]
+    assert (given.name, given.pos) == ("pull", (0.21, -0.18, 0.15))
+
+
+def test_files_for_mjx_hold_what_mjx_collides(tmp_path):
+    can = mechanisms.single("can", Cylinder(radius=0.03, height=0.1), 0.05)
+    egg = mechanisms.single("egg", Ellipsoid(radii=(0.02, 0.03, 0.04)), 0.04)
+    table = mechanisms.single("table", Box(size=(1, 1, 0.04)), 0.02)
+    items = SceneSpec(
+        objects=(
+            SceneObject(name="table", spec=table, environment=True),
+            SceneObject(name="can", spec=can, parent="table", z=0.04),
+            SceneObject(name="egg", spec=egg, parent="table", z=0.04, xy=(0.2, 0.0)),
+        )
+    )
+    model = mujoco.MjModel.from_xml_string(mjcf_text(items, target="mjx", floor=-0.01))
+    solid = model.geom_type[model.geom_contype > 0]
+    assert set(solid.tolist()) == {
+        mujoco.mjtGeom.mjGEOM_BOX,
+        mujoco.mjtGeom.mjGEOM_MESH,
+        mujoco.mjtGeom.mjGEOM_PLANE,
+    }
+    assert model.geom("floor").pos[2] == -0.01
+    own = to_mjspec(items).compile()
+    assert np.allclose(model.body_mass, own.body_mass)
+
+
+def test_drives_hold_the_scene_as_it_is_and_let_go(folder, scene):
+    model = mujoco.MjModel.from_xml_path(str(folder / "drives.xml"))
+    data = mujoco.MjData(model)
+    model.opt.gravity[:] = 0
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    # Nor do springs, ties and friction pull elsewhere, or hold.
+    model.jnt_stiffness[:] = model.dof_frictionloss[:] = model.dof_damping[:] = 0
+    model.eq_active0[:] = 0
+
+    def moved(group_off):
+        model.opt.disableactuator = int(group_off)
+        mujoco.mj_resetDataKeyframe(model, data, model.key("held").id)
+        slide, hinge = data.joint("box-slide"), data.joint("box-hinge")
+        start = float(slide.qpos[0]), float(hinge.qpos[0])
+        assert start == pytest.approx((0.1, 0.8))
+        slide.qvel[0], hinge.qvel[0] = -0.05, -0.1
+        while data.time < 1.0:
+            mujoco.mj_step(model, data)
+        return abs(slide.qpos[0] - start[0]), abs(hinge.qpos[0] - start[1])
+
+    assert max(moved(False)) < 1e-3
+    assert min(moved(0b10)) > 5e-3  # Group 1 is switched off.
+    names = {model.actuator(k).name for k in range(model.nu)}
+    assert "fastened-slide" in names and "box-follow" not in names

@@ -1,0 +1,128 @@
+"""URDF as other programs read it: frames, friction, names, and parts that do not jam."""
+
+import xml.etree.ElementTree as ET
+
+import mujoco
+import numpy as np
+import pytest
+
+from neoworld_mjx.export import export_object, import_mjcf, import_urdf, read_usd
+from neoworld_mjx.export.write_urdf import link_name
+from neoworld_mjx.spec import HollowBox, ObjectSpec, part_bounds, recentred
+from tests.support.mechanisms import WOOD, geom, joint, part
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, cabinet):
+    out = tmp_path_factory.mktemp("urdf")
+    export_object(cabinet, out)
+    return out
+
+
+def tight_drawer() -> ObjectSpec:
+    """A drawer that touches its case on three sides and below."""
+    case = HollowBox(size=(0.3, 0.3, 0.2), wall=0.02, open=("+x",))
+    tray = HollowBox(size=(0.28, 0.26, 0.1), wall=0.01)
+    return ObjectSpec(
+        name="chest",
+        materials=(WOOD,),
+        parts=(
+            part("case", geom("case", case, (0, 0, 0.1))),
+            part("drawer", geom("tray", tray, (0.01, 0, 0.07))),
+        ),
+        joints=(joint("slide", "prismatic", "case", "drawer", axis=(1, 0, 0), upper=0.2),),
+    )
+
+
+def test_a_tight_drawer_slides_in_mujocos_urdf_reader(tmp_path):
+    export_object(tight_drawer(), tmp_path)
+    moved = []
+    for file, name in (("object.urdf", "slide"), ("object.xml", "chest-slide")):
+        model = mujoco.MjModel.from_xml_path(str(tmp_path / file))
+        data = mujoco.MjData(model)
+        model.opt.gravity[:] = 0
+        mujoco.mj_forward(model, data)
+        slide = model.joint(name)
+        assert data.ncon == 0
+        while data.time < 0.2:
+            data.qfrc_applied[slide.dofadr[0]] = 2.0
+            mujoco.mj_step(model, data)
+        moved.append(float(data.qpos[slide.qposadr[0]]))
+    # In MJCF the whole chest is free and is pushed back a little.
+    assert moved[0] > 0.01 and moved[1] > 0.01
+
+
+def test_colliders_that_move_are_drawn_in_and_others_are_not(folder):
+    root = ET.parse(folder / "object.urdf").getroot()
+    sizes = {
+        collision.get("name"): np.array(box.get("size").split(), float)
+        for collision in root.iter("collision")
+        if (box := collision.find("geometry/box")) is not None
+    }
+    assert np.allclose(sizes["panel-0"], np.array([0.02, 0.2, 0.3]) - 0.001)
+    assert np.isclose(max(sizes[k].max() for k in sizes if k.startswith("case-")), 0.4)
+    seen = {
+        visual.get("name"): box.get("size")
+        for visual in root.iter("visual")
+        if (box := visual.find("geometry/box")) is not None
+    }
+    assert seen["panel"] == "0.02 0.2 0.3"
+
+
+def test_the_root_link_has_the_objects_name_in_urdf_and_mjcf(folder):
+    root = ET.parse(folder / "object.urdf").getroot()
+    children = {child.get("link") for child in root.iter("child")}
+    (top,) = {link.get("name") for link in root.findall("link")} - children
+    model = mujoco.MjModel.from_xml_path(str(folder / "object.xml"))
+    assert top == model.body(1).name == "cabinet"
+
+
+def test_surface_friction_is_read_back_from_urdf(folder):
+    result = import_urdf(folder / "object.urdf").spec
+    materials = {
+        geom.name: result.material(geom.material).friction
+        for part in result.parts
+        for geom in part.geoms
+        if geom.role == "collision"
+    }
+    assert set(materials.values()) == {0.2, 0.4}
+    root = ET.parse(folder / "object.urdf").getroot()
+    door = next(link for link in root.findall("link") if link.get("name") == "links")
+    assert door.find("contact/lateral_friction").get("value") == "0.4"
+
+
+@pytest.mark.parametrize("file", ["object.urdf", "object.xml", "object.usda"])
+def test_sites_and_handles_are_read_back(file, folder, cabinet):
+    if file.endswith("usda"):
+        sites = {site.name: site for site in read_usd(folder / file).sites}
+        low = np.zeros(3)
+    else:
+        made = (import_urdf if file.endswith("urdf") else import_mjcf)(folder / file).spec
+        sites = {site.name: site for site in made.sites}
+        # Imported objects stand in the middle of their own box.
+        low = np.array(sites["pull"].pos) - (0.21, -0.18, 0.15)
+    assert sites["pull"].part == "knob"
+    handle = sites["drawer_handle"]
+    assert handle.part == "drawer"
+    assert np.allclose(np.array(handle.pos) - low, (0.1, 0.1, 0.1), atol=0.1)
+    # Exported again, they are the same handles and not handles of handles.
+    assert len(sites) == 1 + sum(1 for j in cabinet.joints if j.mimic is None and j.type != "fixed")
+
+
+def test_colliders_are_read_back_as_they_were(folder, cabinet):
+    made, own = import_urdf(folder / "object.urdf").spec, recentred(cabinet)
+    for spec in (made, own):
+        assert spec.parts
+    for p in own.parts:
+        twin = made.part(link_name(cabinet, p.name))
+        one, other = part_bounds(own, p), part_bounds(made, twin)
+        # The ellipsoid is a mesh, and facets of round things lie within.
+        assert np.allclose(one, other, atol=1e-3 if p.name == "knob" else 2e-5), p.name
+
+
+def test_an_srdf_lists_the_pairs_that_never_collide(folder):
+    root = ET.parse(folder / "object.srdf").getroot()
+    pairs = {(e.get("link1"), e.get("link2")) for e in root.iter("disable_collisions")}
+    assert ("cabinet", "drawer") in pairs and ("links", "knob") in pairs
+    links = {e.get("name") for e in ET.parse(folder / "object.urdf").getroot().findall("link")}
+    assert {name for pair in pairs for name in pair} <= links

@@ -1,0 +1,75 @@
+import numpy as np
+import pytest
+
+from neoworld_mjx.bench.photo_scenes import photo_scene
+from neoworld_mjx.measure import box_iou, object_moves, shown_sides, visible_box_iou
+from neoworld_mjx.measure.boxes import iou_2d
+from neoworld_mjx.spec import Box, Box3D, Camera, SceneTree, TreeNode
+from tests.support import scenes
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return photo_scene(1, width=320)
+
+
+def test_the_truth_overlaps_its_photograph_and_a_moved_object_does_not(scene):
+    true = visible_box_iou(scene)
+    assert set(true) == {o.name for o in scene.objects if not o.environment}
+    assert min(true.values()) > 0.9 and np.mean([*true.values()]) > 0.97
+    first = scene.objects[1]
+    moved = first.model_copy(update={"xy": (first.xy[0], first.xy[1] + 1.0)})
+    objects = tuple(moved if o.name == first.name else o for o in scene.objects)
+    shifted = scene.model_copy(update={"objects": objects})
+    camera = scene.camera
+    box = Box3D(position=(1.0, 0.0, 0.0), size=(0.1, 0.1, 0.1))
+    pixels, _ = camera.project(box.corners())
+    ends = [*pixels.min(axis=0), *pixels.max(axis=0)]
+    edges = dict(zip(("x0", "y0", "x1", "y1"), map(float, ends), strict=True))
+    node = TreeNode(name="table", label="", environment=True, box2d=edges, box3d=box)
+    thing = TreeNode(name="cube", label="", parent="table", box2d=edges, box3d=box)
+    measured = box_iou(SceneTree(camera=camera, nodes=(node, thing)), scene, shifted)
+    assert measured["parsed"] == pytest.approx(1.0)
+    assert measured["composed"] == pytest.approx(np.mean([*true.values()]))
+    assert measured["refined"] < measured["composed"]
+    assert measured["worst"] == {"name": first.name, "value": 0.0}
+    assert measured["objects"][first.name]["composed"] == true[first.name]
+
+
+def test_without_a_camera_or_parsed_boxes_there_is_nothing_to_compare(scene):
+    assert visible_box_iou(scene.model_copy(update={"camera": None})) == {}
+    unparsed = tuple(o.model_copy(update={"box2d": None}) for o in scene.objects)
+    assert visible_box_iou(scene.model_copy(update={"objects": unparsed})) == {}
+    assert isinstance(scene.camera, Camera) and iou_2d((0, 0, 1, 1), (2, 2, 3, 3)) == 0.0
+
+
+def test_a_side_is_an_objects_own_where_nothing_is_before_it(scene):
+    """Two blocks one behind the other, and one that the picture's border cuts."""
+    block = scenes.single("block", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
+    at = lambda x, y: (block, (x - 0.5, y), 0.0)
+    near, far, cut = (
+        (spec.model_copy(update={"name": name}), xy, yaw, {})
+        for name, (spec, xy, yaw) in zip(
+            ("near", "far", "cut"), (at(0.4, 0.06), at(0.6, 0.0), at(0.5, 0.28)), strict=True
+        )
+    )
+    shown = shown_sides(scenes.on_table(near, far, cut))
+    assert set(shown) == {"near", "far", "cut"}
+    assert shown["near"].own.all() and shown["near"].inside.all()
+    # Left, top, right, bottom: the near one stands before the lower side of the far one.
+    assert shown["far"].own.tolist() == [True, True, True, False]
+    assert shown["far"].inside.all()
+    assert not shown["cut"].inside[0] and not shown["cut"].own[0]
+    assert shown["cut"].own[2]
+
+
+def test_moves_are_told_in_the_world(scene):
+    before = scenes.blocks()
+    low = before.object("low")
+    pushed = low.model_copy(update={"xy": (low.xy[0] + 0.03, low.xy[1]), "yaw": low.yaw + 0.1})
+    objects = tuple(pushed if item.name == "low" else item for item in before.objects)
+    moves = object_moves(before, before.model_copy(update={"objects": objects}))
+    assert set(moves) == {"low", "high", "ball"}
+    assert moves["low"] == pytest.approx((0.03, 1.0, np.degrees(0.1)))
+    # What stands on it goes along, and nothing else moves.
+    assert moves["high"].distance_m > 0.028 and moves["ball"] == pytest.approx((0.0, 1.0, 0.0))

@@ -1,0 +1,180 @@
+"""Answers of a model that is wrong or was talked into mischief: it is told, and asked again."""
+
+import contextlib
+import json
+from typing import get_args, get_origin
+
+import pytest
+from pydantic import BaseModel
+
+from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
+from neoworld_mjx.mllm.requests import Reply, Usage
+from neoworld_mjx.names import file_name, identifier, is_name, plain_text
+from neoworld_mjx.parse.answer_bounds import BOUNDS
+from neoworld_mjx.parse.schema import SceneSeen, to_tree
+from neoworld_mjx.program.validate import shown
+from neoworld_mjx.spec import SceneTree
+from tests.support import answers
+
+EDGES = [1e17, -1e100, 1e308, 5e-324, 1e-162, -0.0, 0.0]
+
+
+def _paths(schema: type[BaseModel], at: str = ""):
+    """Yield the paths of all numbers of a schema, those of objects begun anew."""
+    for name, field in schema.model_fields.items():
+        path = "" if name == "objects" else f"{at}{name}"
+        kinds = [field.annotation]
+        while kinds:
+            kind = kinds.pop()
+            if kind is float:
+                yield path
+            elif isinstance(kind, type) and issubclass(kind, BaseModel):
+                yield from _paths(kind, f"{path}." if path else "")
+            elif get_origin(kind) is not None:
+                kinds += get_args(kind)
+
+
+def test_every_number_of_an_answer_has_bounds():
+    assert set(_paths(SceneSeen)) == set(BOUNDS)
+
+
+def _with(path: str, value: float) -> dict:
+    data = answers.answer(answers.item("cup"))
+    item = data["objects"][1]
+    item |= {"contact": {"u": 20, "v": 80}, "tilt": {"towards": "left", "degrees": 1}}
+    item |= {"articulation": [{"part": "lid", "motion": "revolute"}], "doubt": {}}
+    if path.startswith("outline"):
+        corners = [{"x": -0.5, "y": -0.5}, {"x": 0.5, "y": -0.5}, {"x": 0.0, "y": 0.5}]
+        data["objects"][0]["outline"] = {"shape": "polygon", "points": corners}
+    if path.startswith("surface"):
+        data["objects"][0]["surface"] = {"material": "wood"}
+    *heads, last = path.split(".")
+    inner = data["objects"][0] if heads[:1] in (["outline"], ["surface"]) else item
+    inner = data["camera"] if heads == ["camera"] else inner
+    for head in heads if heads != ["camera"] else []:
+        inner = inner[head]
+        inner = inner[0] if isinstance(inner, list) else inner
+    inner[last] = [value] * 3 if last.endswith("colour") else value
+    return data
+
+
+@pytest.mark.parametrize("path", BOUNDS)
+def test_numbers_at_the_edge_are_told_by_name_or_make_a_finite_tree(path):
+    low, high = BOUNDS[path]
+    for value in EDGES:
+        text = json.dumps(_with(path, value))
+        if low <= value <= high:
+            with contextlib.suppress(InvalidAnswer):  # Sides of a box may change places.
+                tree = to_tree(read_answer(text, SceneSeen), answers.photo())
+                assert SceneTree.model_validate_json(tree.to_json()) == tree
+        else:
+            with pytest.raises(InvalidAnswer, match=f"{path} must lie in {low:g} .. {high:g}"):
+                read_answer(text, SceneSeen)
+
+
+@pytest.mark.parametrize("text", ["NaN", "Infinity", "1e999", "-1e999"])
+def test_numbers_that_are_none(text):
+    data = json.dumps(answers.answer(answers.item("cup", at=(7.25, 0, 0)))).replace("7.25", text)
+    with pytest.raises(InvalidAnswer, match=r"is not JSON|must lie in|finite"):
+        read_answer(data, SceneSeen)
+
+
+def test_an_answer_of_too_many_objects_is_one_line():
+    data = answers.answer(*(answers.item(f"cup{i}") for i in range(20_000)))
+    for text in (json.dumps(data), json.dumps(data | {"objects": data["objects"][:300]})):
+        with pytest.raises(InvalidAnswer, match=r"at most 1000000 are read|at most 200 are taken"):
+            read_answer(text, SceneSeen)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{}" * 400_000,
+        "```\n{}\n```\n" * 60_000,
+        '{"a":' * 150_000,
+        "{ " * 400_000,
+        "```" * 300_000,
+        '{"' * 400_000,
+    ],
+    ids=["pairs", "fences", "depth", "spaces", "ticks", "quotes"],
+)
+def test_floods_of_braces_end_soon(text):
+    with pytest.raises(InvalidAnswer):
+        read_answer(text, SceneSeen)
+
+
+NAMES = {
+    "newline": "cup\n",
+    "path": "../../etc/passwd",
+    "absolute": "/etc/passwd",
+    "markup": "<script>alert(1)</script>",
+    "attribute": '"/><body name="x',
+    "entity": "&xxe;",
+    "right to left": "cup\u202egnp.exe",
+    "zero width": "c\u200bup",
+    "nul": "cup\0",
+    "long": "x" * 10_000,
+    "digits": "2nd",
+    "script": "чашка",
+    "empty": "",
+    "dot": ".",
+    "half a character": "cup\ud800",
+}
+
+
+@pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
+def test_names_are_told_or_made_plain(name):
+    assert not is_name(name)
+    plain = identifier(name, "part")
+    assert is_name(plain)
+    again = identifier(name, "part", {plain})
+    assert is_name(again)
+    assert again != plain
+    file = file_name(name)
+    assert len(file) <= 60
+    assert not set(file) & set("/\\\n\0<>\"'&")
+    assert not file.startswith((".", "-"))
+    line = plain_text(name, 100)
+    assert len(line) <= 100
+    assert line.isprintable()
+    line.encode()
+    if name.isascii():
+        with pytest.raises(InvalidAnswer, match="a name has letters, digits and underscores"):
+            read_answer(json.dumps(answers.answer(answers.item(name))), SceneSeen)
+
+
+def test_names_that_collide_after_cleaning_stay_apart():
+    taken: set[str] = set()
+    for name in ["a/b", "a.b", "a b", "a_b", "x" * 50, "x" * 60] * 30:
+        label = identifier(name, "part", taken)
+        assert is_name(label)
+        assert label not in taken
+        taken.add(label)
+    assert len(taken) == 180
+
+
+def test_names_that_differ_by_case_alone_are_told():
+    data = json.dumps(answers.answer(answers.item("cup"), answers.item("Cup")))
+    with pytest.raises(InvalidAnswer, match="object Cup: cup differs by case alone"):
+        read_answer(data, SceneSeen)
+
+
+def test_texts_lose_what_cannot_be_seen():
+    label = "cup\n\u202e<b>\0" + "x" * 10_000
+    data = answers.answer(answers.item("cup", label=label, description=label))
+    node = to_tree(read_answer(json.dumps(data), SceneSeen), answers.photo()).node("cup")
+    assert node.label.startswith("cup <b>xxx")
+    assert (len(node.label), len(node.description)) == (100, 4000)
+
+
+def test_half_a_character_in_a_reply_becomes_a_question_mark():
+    assert Reply("a\ud800b", Usage(), "model").text == "a?b"
+    with pytest.raises(InvalidAnswer):
+        read_answer('{"camera": "\\ud800"}', SceneSeen)
+
+
+def test_a_list_of_shared_lists_is_shown_short():
+    value: list = [1.0] * 6
+    for _ in range(15):
+        value = [value] * 6
+    assert len(shown(value)) < 1000

@@ -1,0 +1,221 @@
+"""A run folder from a stranger: nothing outside of it is read, written, renamed or deleted."""
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from neoworld_mjx.config import Config
+from neoworld_mjx.errors import ConfigError, NeoWorldError, RunError
+from neoworld_mjx.files import write_atomic, write_inside
+from neoworld_mjx.pipeline import refine_again
+from neoworld_mjx.run_folder import FORMAT, RunFolder, read_run
+from neoworld_mjx.view.report import write_report
+
+
+@pytest.fixture
+def outside(tmp_path) -> Iterator[Path]:
+    """A folder with files that must stay as they are."""
+    folder = tmp_path / "outside"
+    folder.mkdir()
+    (folder / "precious.txt").write_text("precious")
+    (folder / "photos").mkdir()
+    (folder / "photos" / "parse.png").write_text("precious")
+    yield folder
+    assert _texts(folder) == {"precious.txt": "precious", "photos/parse.png": "precious"}
+
+
+def _texts(folder: Path) -> dict[str, str]:
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return {path.relative_to(folder).as_posix(): path.read_text() for path in files}
+
+
+def _run(out: Path, **changes: object) -> Path:
+    """Write a run folder with one finished step, with other values in run.json."""
+    with RunFolder(out, Config()) as run:
+        with run.step("parse", {}) as stage:
+            assert stage is not None
+            (stage / "tree.json").write_text("{}")
+        run.finish()
+    data = json.loads((out / "run.json").read_text())
+    (out / "run.json").write_text(json.dumps(data | changes))
+    return out
+
+
+@pytest.mark.parametrize(
+    "name", ["../outside/precious.txt", "{outside}/precious.txt", "a/../../outside/precious.txt"]
+)
+@pytest.mark.parametrize("how", ["resume", "start", "overwrite"])
+def test_outputs_outside_of_the_folder_are_refused(tmp_path, outside, name, how):
+    step = {"inputs": {}, "outputs": {name.format(outside=outside): "0" * 64}}
+    out = _run(tmp_path / "out", steps={"parse": step})
+    begun: dict[str, Any] = {"start": "parse"} if how == "start" else {how: True}
+    with pytest.raises(RunError, match=r"run\.json is damaged.*leads out of the folder"):
+        with RunFolder(out, Config(), **begun) as run:
+            with run.step("parse", {"new": "input"}):
+                pass
+
+
+LINKS = [".lock", ".staging", ".run.json.part", ".report.html.part", "pictures", "report.html"]
+
+
+@pytest.mark.parametrize("name", [*LINKS, "refine/history.npz", "objects/cup/spec.json", "tree"])
+def test_links_in_a_folder_are_refused(tmp_path, outside, name):
+    out = _run(tmp_path / "out")
+    link = out / name
+    link.parent.mkdir(parents=True, exist_ok=True)
+    link.unlink(missing_ok=True)
+    link.symlink_to(outside / ("photos" if name in (".staging", "pictures") else "precious.txt"))
+    for act in (
+        lambda: RunFolder(out, Config(), resume=True).__exit__(None, None, None),
+        lambda: RunFolder(out, Config(), overwrite=True).__exit__(None, None, None),
+        lambda: write_report(out),
+    ):
+        with pytest.raises(RunError, match=f"holds {name!r}, which is a link; a run folder"):
+            act()
+
+
+def test_a_new_folder_that_holds_links_is_refused_too(tmp_path, outside):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / ".lock").symlink_to(outside / "precious.txt")
+    with pytest.raises(RunError, match=r"holds '\.lock', which is a link"):
+        RunFolder(out, Config())
+
+
+def test_pipes_in_a_folder_are_refused(tmp_path):
+    out = _run(tmp_path / "out")
+    (out / "tree.json").unlink()
+    os.mkfifo(out / "tree.json")
+    with pytest.raises(RunError, match=r"holds 'tree\.json', which is a pipe or device"):
+        write_report(out)
+
+
+def test_a_folder_that_is_itself_a_link_is_used(tmp_path):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "out").symlink_to(tmp_path / "disk")
+    _run(tmp_path / "out")
+    assert read_run(tmp_path / "disk")["status"] == "finished"
+
+
+def test_a_lock_that_another_folder_shares_is_not_written(tmp_path, outside):
+    out = _run(tmp_path / "out")
+    (out / ".lock").unlink()
+    os.link(outside / "precious.txt", out / ".lock")
+    with pytest.raises(RunError, match="it is no file of its own"):
+        RunFolder(out, Config(), resume=True)
+
+
+def test_writing_follows_no_link(tmp_path, outside):
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    (folder / "a.txt").symlink_to(outside / "precious.txt")
+    (folder / "photos").symlink_to(outside / "photos")
+    write_atomic(folder / "a.txt", "new")
+    assert (folder / "a.txt").read_text() == "new"
+    assert not (folder / "a.txt").is_symlink()
+    for name in ("photos/parse.png", "../outside/precious.txt", "photos/../x", "/etc/x", "a.txt/x"):
+        with pytest.raises(OSError, match=r"leads out of the folder|is a link or a file"):
+            write_inside(folder, name, "bad")
+    write_inside(folder, "deep/below/b.txt", "b")
+    assert (folder / "deep" / "below" / "b.txt").read_text() == "b"
+
+
+def test_two_writers_of_one_file_do_not_mix(tmp_path, monkeypatch):
+    """Both write under names of their own, so the last to finish wins whole."""
+    names = []
+    replace = os.replace
+
+    def noted(source, target, **folders):
+        names.append(source)
+        if len(names) == 1:
+            write_atomic(tmp_path / "a.json", "inner")
+        replace(source, target, **folders)
+
+    monkeypatch.setattr(os, "replace", noted)
+    write_atomic(tmp_path / "a.json", "outer")
+    assert (tmp_path / "a.json").read_text() == "outer"
+    assert len(set(names)) == 2
+
+
+def test_what_a_kill_left_of_a_file_is_deleted(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    left = out / f".run.json.{'0' * 16}.part"
+    left.write_text("{")
+    _run(out)
+    assert not left.exists()
+
+
+DAMAGED = {
+    "status": None,
+    "photo": None,
+    "device": ["cpu"],
+    "steps": {"parse": None},
+    "fallbacks": [{"step": "parse"}],
+    "versions": {"python": 3},
+    "mllm": [],
+    "metrics": "good",
+    "config": [],
+    "seeds": 3,
+}
+
+
+@pytest.mark.parametrize("key", DAMAGED)
+def test_a_damaged_run_is_one_message(tmp_path, key):
+    out = _run(tmp_path / "out", **{key: DAMAGED[key]})
+    for act in (lambda: write_report(out), lambda: RunFolder(out, Config(), resume=True)):
+        with pytest.raises(RunError, match=rf"run\.json is damaged: {key}"):
+            act()
+
+
+def test_a_run_without_status_is_one_message(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "run.json").write_text(json.dumps({"format": FORMAT, "steps": {}, "fallbacks": []}))
+    with pytest.raises(RunError, match="status: Field required"):
+        write_report(out)
+
+
+@pytest.mark.parametrize("text", ["", "[", "[" * 100_000, "{}", "\0", '{"format": NaN}'])
+def test_a_run_json_that_is_none_is_one_message(tmp_path, text):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "run.json").write_text(text)
+    with pytest.raises(RunError, match=r"run\.json"):
+        write_report(out)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"refine": {"reward": {"terms": {"os:getcwd": 1.0}}}}, "names code.*os:getcwd.*--set"),
+        ({"refine": {"optimizer": "os:getcwd"}}, "names code.*os:getcwd.*--set"),
+        (
+            {
+                "refine": {"semantic": {"scorer": "mllm"}},
+                "mllm": {"base_url": "http://evil.example", "headers": {}},
+            },
+            "names a server for models .http://evil.example.*key",
+        ),
+        ({"refine": 3}, r"run\.json: options: refine"),
+    ],
+)
+def test_options_of_a_foreign_run_run_no_code_and_send_no_key(tmp_path, options, said):
+    out = _run(tmp_path / "out", config=options)
+    (out / "compose").mkdir()
+    (out / "compose" / "scene.json").write_text("{}")
+    with pytest.raises(ConfigError, match=said):
+        refine_again(out)
+
+
+def test_a_refinement_of_a_foreign_run_touches_nothing_outside(tmp_path, outside):
+    step = {"inputs": {}, "outputs": {"../outside/precious.txt": "0" * 64}}
+    out = _run(tmp_path / "out", steps={"refine": step})
+    (out / "compose").mkdir()
+    (out / "compose" / "scene.json").write_text("{}")
+    with pytest.raises(NeoWorldError, match="leads out of the folder"):
+        refine_again(out)

@@ -1,0 +1,136 @@
+"""Configurations, plans and results from elsewhere end in one message before anything runs."""
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from neoworld_mjx.config import load_config
+from neoworld_mjx.errors import ConfigError, RunError
+from neoworld_mjx.refinement.objective import named_terms
+from neoworld_mjx.sweeps.folder import SweepFolder
+from neoworld_mjx.sweeps.plan import Plan, points, read
+from neoworld_mjx.sweeps.run_rows import read_parquet, write_parquet
+
+LIBRARY = Path(__file__).parents[2] / "neoworld_mjx"
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("refine.rollout.duration_s", float("inf")),
+        ("refine.rollout.duration_s", 1e12),
+        ("refine.rollout.timestep_s", 1e-30),
+        ("refine.check_duration_s", 1e9),
+        ("refine.check_timestep_s", 1e-9),
+        ("refine.reward.w_sem", float("nan")),
+        ("refine.cem.population", 10**12),
+        ("verify.duration_s", float("inf")),
+        ("verify.timestep_s", 1e-12),
+        ("program.timeout_s", float("inf")),
+        ("render.width", 10**9),
+        ("mllm.timeout_s", float("nan")),
+    ],
+)
+def test_numbers_that_no_machine_can_carry_out(path, value):
+    *heads, last = path.split(".")
+    options: dict = {last: value}
+    for head in reversed(heads):
+        options = {head: options}
+    with pytest.raises(ConfigError, match=path.replace(".", r"\.")):
+        load_config(None, options)
+
+
+def test_a_sweep_of_too_many_points_or_seeds_is_an_error_at_once():
+    axes = {
+        f"refine.reward.{name}": [float(i) for i in range(1000)]
+        for name in ("w_sem", "w_pen", "w_drift", "w_prior")
+    }
+    with pytest.raises(ConfigError, match="axes: 1000000000000 points, at most 10000"):
+        points(read({"axes": axes}, Plan))
+    with pytest.raises(ConfigError, match="10000000 seeds, at most 10000"):
+        read({"seeds": tuple(range(10**7))}, Plan)
+
+
+@pytest.mark.parametrize(
+    "path", [".:x", "os:", ":", "os:sep", "this_module_is_not_there:f", "os.path:..", "a b:c"]
+)
+def test_terms_that_are_none(path):
+    config = load_config(None, {"refine": {"reward": {"terms": {path: 1.0}}}})
+    with pytest.raises(ConfigError, match=r"refine\.reward\.terms"):
+        named_terms(config.refine)
+
+
+def test_a_module_that_ends_the_process_is_an_error(tmp_path, monkeypatch):
+    (tmp_path / "ends_the_process.py").write_text("raise SystemExit(3)")
+    monkeypatch.syspath_prepend(tmp_path)
+    config = load_config(None, {"refine": {"reward": {"terms": {"ends_the_process:f": 1.0}}}})
+    with pytest.raises(ConfigError, match="cannot import 'ends_the_process:f'"):
+        named_terms(config.refine)
+
+
+def _rows(path: Path) -> bytes:
+    row = {"scene": "a", "point": "base", "seed": 0, "fingerprint": "x"}
+    write_parquet(path, [row], [])
+    return path.read_bytes()
+
+
+def test_results_that_are_cut_or_none(tmp_path):
+    path = tmp_path / "results.parquet"
+    whole = _rows(path)
+    assert read_parquet(path)[0]["scene"] == "a"
+    for cut in (20, len(whole) // 3, len(whole) // 2):
+        for data in (whole[:cut] + whole[-8:], whole[:4] + whole[cut:], whole[:cut]):
+            path.write_bytes(data)
+            with pytest.raises(RunError, match=r"results\.parquet (is|has)"):
+                read_parquet(path)
+
+
+def test_a_foreign_sweep_with_links_is_refused(tmp_path):
+    out = tmp_path / "sweep"
+    out.mkdir()
+    (tmp_path / "precious.txt").write_text("precious")
+    (out / "sweep.json").symlink_to(tmp_path / "precious.txt")
+    for options in ({"resume": True}, {"overwrite": True}):
+        with pytest.raises(RunError, match=r"holds 'sweep\.json', which is a link"):
+            SweepFolder(out, "sweep", **{"resume": False, "overwrite": False} | options)
+    assert (tmp_path / "precious.txt").read_text() == "precious"
+
+
+def test_texts_are_written_and_read_as_utf_8_whatever_the_terminal():
+    for path in LIBRARY.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
+                continue
+            if node.func.attr in ("write_text", "read_text"):
+                given: set[object] = {word.arg for word in node.keywords}
+                given |= {each.value for each in node.args if isinstance(each, ast.Constant)}
+                assert {"encoding", "utf-8"} & given, f"{path}:{node.lineno}"
+
+
+def test_a_terminal_in_ascii(tmp_path):
+    code = (
+        "import logging\n"
+        "from neoworld_mjx import cli\n"
+        "from neoworld_mjx.commands.doctor_command import DoctorCommand\n"
+        "def run(self):\n"
+        "    logging.getLogger('neoworld_mjx').info('чашка')\n"
+        "    return {'label': 'чашка \\u202e'}\n"
+        "DoctorCommand.run = run\n"
+        "raise SystemExit(cli.run(DoctorCommand()))\n"
+    )
+    script = tmp_path / "script.py"
+    script.write_text(code, encoding="utf-8")
+    environment = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    done = subprocess.run(
+        [sys.executable, "-X", "utf8=0", str(script)],
+        capture_output=True,
+        env=environment | {"PYTHONIOENCODING": "ascii"},
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.decode() == "label: чашка \\u202e\n"
+    assert b"Traceback" not in done.stderr

@@ -1,0 +1,146 @@
+"""`auto`: which engine rolls out, what it learns, and what it keeps on the machine."""
+
+import json
+
+import pytest
+
+from neoworld_mjx import cache
+from neoworld_mjx.engines import share_gpu_memory
+from neoworld_mjx.errors import EngineError
+from neoworld_mjx.physics import automatic, engine_costs
+from neoworld_mjx.physics.automatic import AutomaticEngine
+from neoworld_mjx.physics.engine import unmoved
+from neoworld_mjx.physics.engine_costs import EngineCost, prior_costs, read_costs, write_costs
+from neoworld_mjx.physics.layout import Layout
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv(cache.VARIABLE, str(tmp_path))
+
+
+class Timed:
+    """An engine whose rollouts take as long as they say, by a clock of its own."""
+
+    def __init__(self, name, clock, fixed, each):
+        self.name, self.clock, self.fixed, self.each = name, clock, fixed, each
+        self.sizes = []
+
+    def rollout(self, scene, poses, *, duration=1.0, record_every=0.1, early_stop=None):
+        pop = poses.scale.shape[0]
+        self.sizes.append(pop)
+        self.clock[0] += self.fixed + self.each * pop
+        return unmoved(scene, poses)
+
+
+class Refusing(Timed):
+    def rollout(self, scene, poses, **options):
+        raise EngineError("no such collision")
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(automatic.time, "perf_counter", lambda: now[0])
+    return now
+
+
+def place(scene, pop):
+    return scene.place(Layout.zero(pop, len(scene.names)))
+
+
+def test_few_go_to_the_cores_and_many_to_the_accelerator(blocks_model, clock):
+    native, warp = Timed("native", clock, 0.0, 0.01), Timed("warp", clock, 1.0, 0.0001)
+    engine = AutomaticEngine({"warp": warp, "native": native})
+    assert engine.name == "auto"
+    engine.rollout(blocks_model, place(blocks_model, 4))
+    assert (native.sizes, warp.sizes) == ([4], [])
+    for _ in range(3):
+        engine.rollout(blocks_model, place(blocks_model, 5000))
+    assert warp.sizes, "what was measured says that warp is faster there"
+    assert engine.name == "native+warp"
+    before = list(native.sizes)
+    engine.rollout(blocks_model, place(blocks_model, 4))
+    assert native.sizes == [*before, 4]
+
+
+def test_what_was_learned_is_kept(blocks_model, clock):
+    slow = Timed("native", clock, 0.0, 5.0)
+    fast = Timed("warp", clock, 0.001, 0.0)
+    engine = AutomaticEngine({"warp": fast, "native": slow})
+    for _ in range(30):
+        engine.rollout(blocks_model, place(blocks_model, 4))
+    assert fast.sizes, "starting warp costs less than going on"
+    another = AutomaticEngine({"warp": fast, "native": slow})
+    number = len(slow.sizes)
+    another.rollout(blocks_model, place(blocks_model, 4))
+    assert len(slow.sizes) == number
+
+
+def test_an_engine_that_refuses_is_named_and_not_asked_again(blocks_model, clock):
+    refusing = Refusing("warp", clock, 0.0, 0.0)
+    native = Timed("native", clock, 100.0, 0.0)
+    engine = AutomaticEngine({"warp": refusing, "native": native})
+    engine._costs["warp"] = EngineCost(0.0, ((1, 1e-6),))
+    for _ in range(2):
+        engine.rollout(blocks_model, place(blocks_model, 2))
+    assert engine.refusals == ["warp cannot simulate this scene: no such collision"]
+    assert native.sizes == [2, 2]
+    with pytest.raises(EngineError, match="no such collision"):
+        AutomaticEngine({"warp": refusing}).rollout(blocks_model, place(blocks_model, 2))
+
+
+def test_costs_lie_between_and_beyond_the_sizes_measured():
+    cost = EngineCost(3.0, ((1, 1.0), (100, 2.0)))
+    assert cost.predict("any", 1, 250, started=True) == 1.0
+    assert cost.predict("any", 200, 250, started=True) == 4.0
+    assert cost.predict("any", 100, 500, started=False) == 7.0
+    cost.add("any", 10, 125, 0.25, started=True)
+    assert cost.predict("any", 10, 250, started=True) == 0.5
+    cost.add("any", 10, 250, 9.5, started=False)
+    assert cost.start_s == pytest.approx(3.0 + 0.3 * (9.0 - 3.0))
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "[1]", '{"m": 3}', '{"m": {"warp": {"start_s": "x", "tables": {}}}}', "[" * 100_000]
+    + ['{"m": {"warp": {"start_s": -1, "tables": {}}}}']
+    + ['{"m": {"warp": {"start_s": 1, "tables": {"a": {"-4": 1}}}}}']
+    + ['{"m": {"warp": {"start_s": 1, "tables": {"a": {"4": NaN}}}}}']
+    + ['{"m": {"who": {"start_s": 1, "tables": {}}}}'],
+)
+def test_a_broken_file_counts_for_nothing(tmp_path, text):
+    (tmp_path / engine_costs.FILE).write_text(text)
+    assert read_costs("m", 2) == prior_costs(2)
+
+
+def test_machines_are_kept_apart(tmp_path):
+    costs = prior_costs(2)
+    costs["warp"].add("a", 8, 250, 0.125, started=True)
+    write_costs("one", costs)
+    write_costs("two", prior_costs(2))
+    assert read_costs("one", 2) == costs
+    assert read_costs("two", 2) == prior_costs(2)
+    assert set(json.loads((tmp_path / engine_costs.FILE).read_text())) == {"one", "two"}
+
+
+def test_a_folder_that_cannot_be_written_costs_nothing(monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv(cache.VARIABLE, str(tmp_path / "file" / "below"))
+    write_costs("one", prior_costs(2))
+    assert read_costs("one", 2) == prior_costs(2)
+
+
+@pytest.mark.parametrize(("installed", "expected"), [(True, "false"), (False, None)])
+def test_jax_leaves_memory_to_warp(monkeypatch, installed, expected):
+    import importlib.util
+    import os
+
+    variable = "XLA_PYTHON_CLIENT_PREALLOCATE"
+    monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: installed or None)
+    share_gpu_memory()
+    assert os.environ.get(variable) == expected
+    monkeypatch.setenv(variable, "true")
+    share_gpu_memory()
+    assert os.environ[variable] == "true"

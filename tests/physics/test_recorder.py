@@ -1,0 +1,92 @@
+"""Which candidates the recorder stops early, told from states that no engine had to simulate."""
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.physics.recorder import Recorder
+from tests.support import scenes
+
+STEPS = 5
+"""Of a segment; 0.02 s."""
+
+
+@pytest.fixture(scope="module")
+def blocks():
+    return compile_scene(scenes.blocks())
+
+
+def steps_until_stopped(scene, *, away=lambda k: 0.0, speed=lambda k: 0.0, turned=lambda k: 0.0):
+    """Return status and steps of one candidate whose first object's state is given by segment.
+
+    Args:
+        scene: of blocks.
+        away: its distance from where it was placed [m].
+        speed: of it [m/s].
+        turned: its angle about z [rad].
+    """
+    start = scene.place_exactly(Layout.zero(1, len(scene.names)))
+    static = scene.static
+    recorder = Recorder(static, start, 10, 25, EarlyStop(), np.zeros(1, bool))
+    for k in range(50):
+        qpos, rates = static.start[None].copy(), np.zeros((1, static.mjm.nv))
+        qpos[0, 0] += away(k)
+        half = turned(k) / 2
+        w, x, y, z = qpos[0, 3:7]
+        c, s = np.cos(half), np.sin(half)
+        qpos[0, 3:7] = [c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w]
+        rates[0, 0] = speed(k)
+        recorder.record(k // 5, qpos, rates, 0.0 * rates, STEPS)
+        if not len(recorder.active):
+            break
+    return RolloutStatus(int(recorder.status[0])), int(recorder.steps[0])
+
+
+def test_what_rests_has_settled_after_a_tenth_of_a_second(blocks):
+    assert steps_until_stopped(blocks) == (RolloutStatus.SETTLED, 25)
+
+
+def test_what_slows_down_has_settled_and_what_speeds_up_has_not(blocks):
+    slower = steps_until_stopped(blocks, speed=lambda k: 0.004 * 0.9**k)
+    assert slower == (RolloutStatus.SETTLED, 25)
+    # Below the bound for 0.4 s, as something that begins to topple.
+    faster = steps_until_stopped(blocks, speed=lambda k: 1e-4 * 1.2**k)
+    assert faster == (RolloutStatus.OK, 250)
+
+
+def test_what_quivers_past_the_bounds_is_stopped_and_within_them_is_not(blocks):
+    quiver = lambda k: 0.02 + 0.01 * (k % 2)
+    past = {"away": lambda k: 0.015, "turned": lambda k: 0.1}
+    for name, value in past.items():
+        status, steps = steps_until_stopped(blocks, speed=quiver, **{name: value})
+        assert (status, steps) == (RolloutStatus.SETTLED, 4 * STEPS), name
+    within = steps_until_stopped(blocks, speed=quiver, away=lambda k: 0.008, turned=lambda k: 0.05)
+    assert within == (RolloutStatus.OK, 250)
+
+
+def test_what_slides_on_past_the_bounds_runs_until_it_has_drifted(blocks):
+    slide = lambda k: 0.011 + 0.0006 * k
+    assert steps_until_stopped(blocks, speed=lambda k: 0.03, away=slide) == (RolloutStatus.OK, 250)
+    assert steps_until_stopped(blocks, speed=lambda k: 0.2, away=lambda k: 0.0041 * k) == (
+        RolloutStatus.DRIFTED,
+        26 * STEPS,
+    )
+
+
+def test_what_was_past_the_bounds_at_a_record_only_counts_as_that(blocks):
+    quiver = lambda k: 0.02 + 0.01 * (k % 2)
+    back = lambda k: 0.02 if k == 4 else 0.0
+    assert steps_until_stopped(blocks, speed=quiver, away=back)[0] == RolloutStatus.SETTLED
+    between = lambda k: 0.02 if k == 3 else 0.0
+    assert steps_until_stopped(blocks, speed=quiver, away=between)[0] == RolloutStatus.OK
+
+
+@pytest.mark.parametrize("interval", [0.004, 0.02, 0.03, 0.1, 1.0])
+def test_segments_make_up_the_steps_between_records(blocks, interval):
+    start = blocks.place_exactly(Layout.zero(1, len(blocks.names)))
+    rule = EarlyStop(interval=interval)
+    segments = Recorder(blocks.static, start, 10, 25, rule, np.zeros(1, bool)).segments()
+    assert sum(segments) == 25
+    assert len(segments) == {0.004: 25, 0.02: 5, 0.03: 3, 0.1: 1, 1.0: 1}[interval]

@@ -1,0 +1,98 @@
+"""A padded scene gives the same results, and another scene of its bucket compiles nothing."""
+
+import jax
+import numpy as np
+import pytest
+from jax import monitoring
+
+from neoworld_mjx.config import RefineOptions, load_config
+from neoworld_mjx.physics import model
+from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.physics.scene_arrays import SMALLEST, Bucket, bucket_of, pad_objects, pad_scene
+from neoworld_mjx.physics.simulate import rollout
+from neoworld_mjx.refinement import refine
+from neoworld_mjx.refinement.batching import pad_rollout
+from neoworld_mjx.refinement.cem import initial_sigma, open_cem
+from neoworld_mjx.refinement.gradient import refine_by_gradient
+from neoworld_mjx.refinement.objective import evaluate, open_objective, place
+from tests.support import scenes
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Furniture with joints: boxes, hulls and slides."""
+    return compile_scene(scenes.furnished())
+
+
+def own(tree, scene):
+    return jax.tree.map(lambda x: np.asarray(x)[:, : scene.count], tree)
+
+
+def test_a_bucket_is_the_smallest_doubled(scene):
+    assert bucket_of(scene) == SMALLEST
+    wide = bucket_of(pad_scene(scene, Bucket(*(2 * n for n in SMALLEST))))
+    assert wide == Bucket(*(2 * n for n in SMALLEST))
+
+
+def test_padded_equals_unpadded(scene):
+    o = RefineOptions()
+    padded = pad_scene(scene)
+    cem, wide = (open_cem(of, o.cem) for of in (scene, padded))
+    key = jax.random.key(1)
+    layouts, drawn = (c.ask(key, c.init(), 24) for c in (cem, wide))
+    jax.tree.map(np.testing.assert_array_equal, own(drawn, scene), own(layouts, scene))
+    objective = open_objective(o)
+    one, two = (place(s, z, objective) for s, z in ((scene, layouts), (padded, drawn)))
+    moved = rollout(scene, layouts, engine="native", duration=0.2)
+    first = evaluate(scene, layouts, one, moved, objective)
+    wide_moved = pad_rollout(jax.device_get(moved), padded)
+    second = evaluate(padded, drawn, two, wide_moved, objective)
+    assert float(np.max(first.terms["d_pen"])) > 1e-3
+    near = lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=2e-6)
+    near(one.poses.pos, np.asarray(two.poses.pos)[:, : scene.count])
+    near(one.bound, two.bound)
+    for name in first.terms:
+        near(first.terms[name], second.terms[name])
+    near(first.reward, second.reward)
+    near(first.credit, np.asarray(second.credit)[:, : scene.count])
+    np.testing.assert_array_equal(first.valid, second.valid)
+
+
+def test_descent_moves_padded_as_unpadded(scene):
+    o = RefineOptions().cem
+    padded = pad_scene(scene)
+    layouts = open_cem(scene, o).ask(jax.random.key(2), open_cem(scene, o).init(), 1)
+    moved = [
+        refine_by_gradient(s, z, initial_sigma(s, o), steps=10, rate=0.2, samples=64, photo=True)
+        for s, z in ((scene, layouts), (padded, pad_objects(layouts, padded.count)))
+    ]
+    for a, b, start in zip(*map(jax.tree.leaves, (moved[0], moved[1], layouts)), strict=True):
+        assert np.abs(np.asarray(a) - np.asarray(start)).max() > 1e-3
+        np.testing.assert_allclose(a, np.asarray(b)[:, : scene.count], atol=1e-4)
+
+
+def test_a_second_scene_compiles_nothing(monkeypatch):
+    # A full process forgets what it has compiled; here that would be counted.
+    monkeypatch.setattr(model, "make_room", lambda: False)
+    options = load_config(
+        None,
+        {
+            "refine": {
+                "cem": {"population": 24, "iterations": 2, "batch": 8},
+                "rollout": {"samples_per_object": 64},
+            }
+        },
+    ).refine
+    programs = []
+    monitoring.register_event_duration_secs_listener(
+        lambda event, _, **about: (
+            programs.append(about.get("fun_name"))
+            if event == "/jax/core/compile/backend_compile_duration"
+            else None
+        )
+    )
+    refine(scenes.furnished(), options, engine="native")
+    assert len(programs) <= 12, programs
+    programs.clear()
+    refine(scenes.blocks(), options, engine="native")
+    assert not programs

@@ -1,0 +1,104 @@
+"""Objects that the search moved without need go back to where they were composed."""
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+from neoworld_mjx.bench.photo_scenes import see
+from neoworld_mjx.bench.scenes import TOP, block, standing, table
+from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.measure import measured, passes
+from neoworld_mjx.physics.exact import snap_exactly
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.refinement.outcome import Chosen
+from neoworld_mjx.refinement.returning import return_moved
+from neoworld_mjx.spec import Camera, SceneSpec
+
+OPTIONS = RefineOptions(check_duration_s=0.3)
+CAMERA = Camera(width=320, height_px=240, fovy=0.6, height=0.7, pitch=0.6)
+
+
+def photographed(second_y):
+    """Three blocks; the second is at `second_y`, where it overlaps the first if that is small."""
+    rows = [("first", 0.0), ("second", second_y), ("third", -0.2)]
+    items = [standing(block(n, 0.06, 0.06, 0.06), "table", (0.0, y), TOP) for n, y in rows]
+    base = table(1.0, 1.0).model_copy(update={"xy": (0.95, 0.0)})
+    return see(SceneSpec(name="three", objects=(base, *items), camera=CAMERA))
+
+
+def winner(model, xy):
+    layout = Layout.zero(1, len(model.names))
+    layout = eqx.tree_at(lambda z: z.xy, layout, np.asarray(xy, np.float32)[None])
+    scene = snap_exactly(model.apply(layout, 0))
+    measure = measured(scene, OPTIONS)
+    return Chosen((0, 0), scene, measure, 1, passes(measure, OPTIONS)), layout
+
+
+@pytest.fixture(scope="module")
+def overlapping():
+    model = compile_scene(photographed(0.05))
+    return model, measured(snap_exactly(model.spec), OPTIONS)
+
+
+def test_only_what_had_to_move_stays_moved(overlapping):
+    model, before = overlapping
+    assert before.depths_m["first|second"] > OPTIONS.max_depth_m
+    chosen, layout = winner(model, [(0, 0), (0, -0.008), (0, 0.012), (0.004, -0.01)])
+    assert chosen.passed
+    best, nearer = return_moved(
+        model, chosen, layout, Layout.zero(1, len(model.names)), before, OPTIONS
+    )
+    xy = np.asarray(nearer.xy)[0]
+    assert best.passed
+    assert best.measure.depths_m.get("first|second", 0.0) <= OPTIONS.max_depth_m
+    np.testing.assert_array_equal(xy[3], (0, 0))
+    # One of the two that overlapped may go back, or both some of the way.
+    assert np.abs(xy[1:3]).sum() < 0.02
+    assert np.abs(xy[1:3]).max() > 0.005
+    assert best.scene.object("third").xy == model.spec.object("third").xy
+
+
+def test_what_had_to_move_need_not_stay_turned_or_shrunk(overlapping):
+    model, before = overlapping
+    chosen, layout = winner(model, [(0, 0), (0, -0.008), (0, 0.012), (0, 0)])
+    layout = eqx.tree_at(
+        lambda z: (z.yaw, z.log_scale),
+        layout,
+        (np.float32([[0, 0.0, 0.04, 0]]), np.float32([[0, -0.01, 0, 0]])),
+    )
+    scene = snap_exactly(model.apply(layout, 0))
+    measure = measured(scene, OPTIONS)
+    assert passes(measure, OPTIONS)
+    chosen = Chosen((0, 0), scene, measure, 1, True)
+    start = Layout.zero(1, len(model.names))
+    best, nearer = return_moved(model, chosen, layout, start, before, OPTIONS)
+    assert best.passed and np.abs(np.asarray(nearer.xy)).max() > 0.003
+    assert not np.asarray(nearer.yaw).any() and not np.asarray(nearer.log_scale).any()
+
+
+def test_a_return_that_the_photograph_contradicts_is_not_made():
+    truth = photographed(0.1)
+    moved = compile_scene(
+        truth.model_copy(
+            update={
+                "objects": tuple(
+                    o.model_copy(update={"xy": (0.0, -0.12)}) if o.name == "third" else o
+                    for o in truth.objects
+                )
+            }
+        )
+    )
+    before = measured(snap_exactly(moved.spec), OPTIONS)
+    chosen, layout = winner(moved, [(0, 0), (0, 0), (0, 0), (0, -0.08)])
+    assert chosen.passed
+    _, same = return_moved(moved, chosen, layout, Layout.zero(1, 4), before, OPTIONS)
+    np.testing.assert_array_equal(np.asarray(same.xy), np.asarray(layout.xy))
+
+
+def test_no_checks_return_nothing(overlapping):
+    model, before = overlapping
+    chosen, layout = winner(model, [(0, 0), (0, -0.008), (0, 0.012), (0.004, -0.01)])
+    start = Layout.zero(1, len(model.names))
+    none = OPTIONS.model_copy(update={"returns": 0})
+    assert return_moved(model, chosen, layout, start, before, none) == (chosen, layout)

@@ -1,0 +1,114 @@
+"""The search moves what must move: sound objects stay, and a hopeless search ends."""
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.physics.exact import snap_exactly
+from neoworld_mjx.refinement import refine
+from neoworld_mjx.spec import Box, Box2D
+from tests.support import scenes
+from tests.support.scenes import on_table, single
+
+
+def block(name, size=(0.06, 0.06, 0.06)):
+    return single(name, (Box(size=size), (0, 0, 0)))
+
+
+def options(**cem):
+    return RefineOptions.model_validate(
+        {
+            "cem": {"population": 64, "first": 32, "iterations": 8, **cem},
+            "rollout": {"samples_per_object": 64},
+            "check_duration_s": 0.5,
+        }
+    )
+
+
+OVERLAPPING = on_table(
+    (block("left"), (0.0, -0.2), 0.0, {}),
+    (block("one"), (0.0, 0.1), 0.0, {}),
+    (block("two"), (0.0, 0.15), 0.0, {}),
+)
+"""Two blocks 1 cm in one another, and one apart from them."""
+
+
+def test_a_sound_scene_is_its_own_answer():
+    scene = snap_exactly(scenes.blocks())
+    lines = []
+    refined = refine(scene, options(), engine="native", progress=lines.append)
+    assert refined.passed and refined.rollouts == 1
+    assert set(refined.kept) == {"low", "high", "ball"}
+    assert all((np.asarray(getattr(refined.layout, k)) == 0).all() for k in ("xy", "yaw"))
+    assert lines == ["all 3 objects are sound where they stand"]
+
+
+def test_only_what_overlaps_is_moved():
+    refined = refine(OVERLAPPING, options(), engine="native")
+    assert refined.passed
+    assert refined.kept == ("left",)
+    moved = np.abs(np.asarray(refined.layout.xy[0])).max(axis=1)
+    names = [item.name for item in OVERLAPPING.objects]
+    assert moved[names.index("left")] == 0.0
+    assert moved[names.index("one")] + moved[names.index("two")] > 0.002
+    drawn = refined.history["xy"][:, :, names.index("left")]
+    assert np.nanmax(np.abs(drawn)) == 0.0
+
+
+def test_all_objects_move_where_the_option_says_so():
+    refined = refine(OVERLAPPING, options(keep_sound=False), engine="native")
+    assert refined.passed and not refined.kept
+    drawn = refined.history["xy"][:, :, 1]
+    assert np.nanmax(np.abs(drawn)) > 0.001
+
+
+def test_what_moves_by_the_photograph_is_not_sound():
+    scene = snap_exactly(
+        on_table((block("a"), (0.0, -0.2), 0.0, {}), (block("b"), (0, 0.1), 0, {}))
+    )
+    truth = refine(scene, options(), engine="native")
+    assert truth.rollouts == 1
+    pixel = scene.camera.project(np.array([[0.5, 0.05, 0.03]]))[0][0]
+    x, y = (float(v) for v in pixel)
+    box = Box2D(x0=x - 40, y0=y - 40, x1=x + 40, y1=y + 40)
+    objects = [o.model_copy(update={"box2d": box}) if o.name == "b" else o for o in scene.objects]
+    moved = refine(scene.model_copy(update={"objects": tuple(objects)}), options(), engine="native")
+    assert "a" in moved.kept and "b" not in moved.kept
+
+
+def test_what_only_the_photograph_moves_waits_until_the_others_are_valid():
+    names = [item.name for item in OVERLAPPING.objects]
+    pixel = OVERLAPPING.camera.project(np.array([[0.5, -0.17, 0.03]]))[0][0]
+    x, y = (float(v) for v in pixel)
+    box = Box2D(x0=x - 40, y0=y - 40, x1=x + 40, y1=y + 40)
+    objects = tuple(
+        item.model_copy(update={"box2d": box}) if item.name == "left" else item
+        for item in OVERLAPPING.objects
+    )
+    lines = []
+    scene = OVERLAPPING.model_copy(update={"objects": objects})
+    refined = refine(scene, options(), engine="native", progress=lines.append)
+    assert refined.passed and "moving one, two, then by the photograph left" in lines[0]
+    drawn = np.abs(refined.history["xy"][:, :, names.index("left")])
+    valid = refined.history["valid"].any(axis=1)
+    first = int(np.flatnonzero(np.nanmax(drawn, axis=(1, 2)) > 0)[0])
+    assert first > int(np.flatnonzero(valid)[0])
+
+
+def test_a_search_without_hope_ends_early_and_names_the_object():
+    picture = block("picture", (0.02, 0.2, 0.2))
+    scene = on_table(
+        (block("box"), (0.0, 0.1), 0.0, {}),
+        (picture, (0.0, -0.2), 0.0, {"relation": "attached", "z": 0.8}),
+    )
+    refined = refine(scene, options(), engine="native")
+    assert not refined.passed
+    assert refined.iterations <= 2
+    (line,) = [f for f in refined.fallbacks if "ended after" in f]
+    assert "picture" in line and "box" not in line
+
+
+@pytest.mark.parametrize("stop_by", ["best", "elites"])
+def test_both_rules_stop(stop_by):
+    refined = refine(OVERLAPPING, options(stop_by=stop_by, stop_gain=10.0), engine="native")
+    assert refined.iterations < 8

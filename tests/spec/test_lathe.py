@@ -1,0 +1,89 @@
+"""Bands of a lathe that are one collider, and how far from the true solid that brings it."""
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.spec import Lathe
+from neoworld_mjx.spec.convex import planes
+from neoworld_mjx.spec.outlines import filled
+
+ANGLE = np.linspace(0, np.pi / 2, 17)
+BOWL = Lathe(
+    profile=((0, 0), *zip(0.03 + 0.05 * np.sin(ANGLE), 0.05 - 0.05 * np.cos(ANGLE), strict=True)),
+    thickness=0.004,
+    sectors=16,
+)
+LEDGE = Lathe(
+    profile=((0, 0), (0.05, 0), (0.05, 0.06), (0.056, 0.06), (0.056, 0.08)),
+    thickness=0.003,
+    sectors=12,
+)
+
+
+def farthest(shape: Lathe) -> float:
+    """How far outside the true solid points of the colliders lie at most."""
+    random = np.random.default_rng(1)
+    points = [np.zeros((0, 3))]
+    for piece in shape.pieces():
+        corners = np.array(piece.vertices)
+        points.append(random.dirichlet(np.full(len(corners), 0.2), 500) @ corners)
+    return float(shape.signed_distance(np.vstack(points)).max())
+
+
+def test_a_solid_that_bulges_outwards_is_one_piece():
+    profile = tuple((0.05 * np.sin(a), -0.05 * np.cos(a)) for a in np.linspace(0, np.pi, 6))
+    ball = Lathe(profile=profile, sectors=12)
+    (piece,) = ball.pieces()
+    low, high = np.array(piece.vertices).min(axis=0), np.array(piece.vertices).max(axis=0)
+    assert high[2] - low[2] == pytest.approx(0.1)
+    assert farthest(ball) < 1e-9
+
+
+def test_no_piece_has_more_facets_than_one_bucket_takes():
+    ball = Lathe(profile=tuple((0.05 * np.sin(a), -0.05 * np.cos(a)) for a in 2 * ANGLE))
+    assert 1 < len(ball.pieces()) < len(ball.profile) - 1
+    assert max(len(planes(piece)) for piece in (*ball.pieces(), *BOWL.pieces())) <= 64
+    assert farthest(ball) < 1e-9
+
+
+def test_a_waist_is_not_filled():
+    glass = Lathe(profile=((0.03, 0), (0.005, 0.04), (0.03, 0.08)))
+    assert len(glass.pieces()) == 2
+    assert farthest(glass) < 1e-9
+
+
+@pytest.mark.parametrize("shape", [BOWL, LEDGE], ids=["bowl", "ledge"])
+def test_joined_bands_stay_as_near_as_the_class_says(shape: Lathe):
+    largest = max(r for r, _ in shape.profile)
+    chord = largest * (1 - np.cos(np.pi / shape.sectors))
+    # The facets of a cavity narrow it by `chord`; what joining adds comes on top.
+    assert farthest(shape) <= chord + min(chord / 2, shape.thickness / 4) + 1e-9
+
+
+def test_a_curved_wall_has_fewer_wedges_than_bands():
+    bands = len(BOWL.profile) - 2
+    wedges = [piece for piece, repeats in BOWL.distinct_pieces() if repeats > 1]
+    assert len(wedges) <= bands / 2
+
+
+def test_a_ledge_stays_a_ledge():
+    wedges = [piece for piece, repeats in LEDGE.distinct_pieces() if repeats > 1]
+    assert len(wedges) == 3
+
+
+def test_a_scaled_lathe_has_the_same_pieces():
+    for factor in (0.37, 1.9):
+        profile = tuple((factor * r, factor * z) for r, z in BOWL.profile)
+        copy = Lathe(profile=profile, thickness=factor * BOWL.thickness, sectors=BOWL.sectors)
+        assert len(copy.pieces()) == len(BOWL.pieces())
+        for a, b in zip(copy.pieces(), BOWL.pieces(), strict=True):
+            corners, expected = np.array(a.vertices), factor * np.array(b.vertices)
+            assert corners.min(axis=0) == pytest.approx(expected.min(axis=0))
+            assert corners.max(axis=0) == pytest.approx(expected.max(axis=0))
+
+
+def test_what_a_hull_fills():
+    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    assert filled([square, square + [1.0, 0]]) == pytest.approx(0.0, abs=1e-12)
+    # An L of three squares: the lid from (2, 1) to (1, 2) lies a diagonal's half off the corner.
+    assert filled([square, square + [1.0, 0], square + [0, 1.0]]) == pytest.approx(0.5)

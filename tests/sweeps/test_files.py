@@ -1,0 +1,130 @@
+"""What a sweep leaves behind: iterations, tables in three forms, and a figure."""
+
+import csv
+import io
+import sys
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.sweeps.figure import MOST_LINES, draw
+from neoworld_mjx.sweeps.folder import SweepFolder
+from neoworld_mjx.sweeps.histories import so_far, summaries
+from neoworld_mjx.sweeps.run_rows import read_parquet, write_parquet
+from neoworld_mjx.sweeps.table import comma_separated, differences, latex, summary
+
+SIGMA, DRIFT = "refine.cem.sigma_xy", "refine.reward.w_drift"
+
+
+def run(point, seed, sigma, drift, reward=0.5, **more):
+    steps = [
+        {"iteration": t + 1, "best": reward - 0.1 / (t + 1), "mean": 0.0, "valid": 0.5,
+         "d_pen_m": 1e-3, "d_drift": 0.2, "s_sem": 0.7, "prior": 0.0}
+        for t in range(2 + seed)
+    ]  # fmt: skip
+    row = {"scene": "two", "point": point, "seed": seed, SIGMA: sigma, DRIFT: drift}
+    row |= {"passed": seed == 0, "valid": True, "reward": reward, "d_drift": 0.1 * drift}
+    return row | {"s_sem": 0.8, "fingerprint": f"{point}{seed}", "history": steps} | more
+
+
+ROWS = [
+    run(f"s {sigma}, d {drift}", seed, sigma, drift)
+    for sigma in (0.03, 0.06)
+    for drift in (0.5, 1.0)
+    for seed in (0, 1)
+]
+
+
+def test_iterations_are_of_the_candidates_that_have_a_reward():
+    history = {
+        "absolute": np.array([[0.2, -np.inf, 0.4], [0.3, 0.1, -np.inf]]),
+        "valid": np.array([[True, False, False], [True, True, False]]),
+        "status": np.array([[0, 5, 0], [0, 0, -1]]),
+        "s_sem": np.array([[0.5, np.nan, 0.9], [0.6, 0.7, np.nan]]),
+    }
+    first, second = so_far(summaries(history | {"term_names": np.array(["s_sem"])}))
+    assert (first["iteration"], second["iteration"]) == (1, 2)
+    assert first["best"] == second["best"] == 0.4
+    assert first["mean"] == pytest.approx(0.3) and second["mean"] == pytest.approx(0.2)
+    assert first["valid"] == pytest.approx(1 / 3) and second["valid"] == 1.0
+    assert (first["s_sem"], second["s_sem"]) == (0.9, 0.6)
+
+
+def test_an_iteration_in_which_all_failed_has_no_reward():
+    history = {"absolute": np.full((1, 2), -np.inf), "valid": np.zeros((1, 2), bool)}
+    history |= {"status": np.array([[2, 2]]), "s_sem": np.full((1, 2), np.nan)}
+    (only,) = so_far(summaries(history | {"term_names": np.array(["s_sem"])}))
+    assert only["best"] is None and only["mean"] is None and only["s_sem"] is None
+
+
+def test_a_folder_keeps_the_iterations(tmp_path):
+    folder = SweepFolder(tmp_path / "out", "sweep", resume=False, overwrite=False)
+    folder.write(ROWS, [SIGMA, DRIFT], {"table.md": "t"})
+    again = SweepFolder(tmp_path / "out", "sweep", resume=True, overwrite=False)
+    assert [row["history"] for row in again.rows] == [row["history"] for row in ROWS]
+    SweepFolder(tmp_path / "out", "sweep", resume=False, overwrite=True)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["sweep.json"]
+
+
+def test_terms_of_the_users_own_are_kept(tmp_path):
+    rows = [
+        row | {"history": [step | {"upright": 0.25} for step in row["history"]]} for row in ROWS
+    ]
+    SweepFolder(tmp_path, "sweep", resume=False, overwrite=False).write(rows, [SIGMA, DRIFT], {})
+    again = SweepFolder(tmp_path, "sweep", resume=True, overwrite=False)
+    assert [row["history"] for row in again.rows] == [row["history"] for row in rows]
+
+
+def test_runs_of_a_sweep_without_iterations_are_kept_too(tmp_path):
+    folder = SweepFolder(tmp_path, "sweep", resume=False, overwrite=False)
+    write_parquet(tmp_path / "results.parquet", ROWS, [SIGMA, DRIFT])
+    again = SweepFolder(folder.path, "sweep", resume=True, overwrite=False)
+    assert len(again.rows) == len(ROWS) and not again.rows[0]["history"]
+    assert read_parquet(tmp_path / "results.parquet")[0][SIGMA] == 0.03
+
+
+def test_tables_say_the_same_in_each_form():
+    summed = summary(ROWS, [ROWS[0]["point"], ROWS[2]["point"]])
+    first, second = csv.DictReader(io.StringIO(comma_separated(summed)))
+    assert first["point"] == "s 0.03, d 0.5" and second["n"] == "2"
+    assert float(first["passed"]) == 0.5 and float(second["d_drift"]) == pytest.approx(0.1)
+    text = latex("Sweep", summed)
+    assert text.count(r"\\") == 3 and r"D\_drift" in text and "0.050 [" in text
+    assert text.count("&") == 3 * text.splitlines()[3].count("&")
+
+
+def test_what_latex_would_run_is_text():
+    summed = summary([run(r"\input{x} 50 % & _", 0, 1, 1)], [r"\input{x} 50 % & _"])
+    line = latex("Ablation", summed).splitlines()[5]
+    assert line.startswith(r"\textbackslash{}input\{x\} 50 \% \& \_ & 1 & 100.0")
+
+
+def test_differences_are_signed():
+    rows = [run("base", 0, 1, 1), run("more", 0, 1, 1, reward=0.9)]
+    assert "+0.400" in latex("x", differences(rows, ["base", "more"]), signed=True)
+
+
+def test_a_figure_shows_points_axes_and_terms():
+    drawn = draw(ROWS, [SIGMA, DRIFT])
+    assert drawn == draw(ROWS, [SIGMA, DRIFT])
+    text = "\n".join(part.text or "" for part in ET.fromstring(drawn).iter())
+    for label in ("s 0.06, d 1.0", "passed, %", "sigma_xy", "w_drift", "S_sem", "not passed"):
+        assert label in text, label
+
+
+def test_a_figure_of_one_axis_none_and_many_points():
+    one = "".join(ET.fromstring(draw(ROWS[:4], [SIGMA, DRIFT])).itertext())
+    assert "w_drift" in one and "sigma_xy" not in one
+    assert "passed, %" not in draw(ROWS[:1], [SIGMA, DRIFT])
+    many = [run(f"point {k}", 0, 0.1, float(k), reward=k / 20) for k in range(MOST_LINES + 3)]
+    text = draw(many, [DRIFT])
+    assert f"best {MOST_LINES} of {len(many)}" in text
+    assert "point 10<" in text and "point 2<" not in text
+
+
+def test_without_matplotlib_there_is_no_figure_and_that_is_said(monkeypatch, caplog):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with caplog.at_level("INFO", logger="neoworld_mjx"):
+        assert draw(ROWS, [SIGMA]) is None
+    assert "neoworld-mjx[plot]" in caplog.text

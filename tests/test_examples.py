@@ -1,0 +1,78 @@
+"""The bundled examples: their tapes answer today's requests, and they are what the table says."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from neoworld_mjx.config import load_config
+from neoworld_mjx.errors import PhotoError
+from neoworld_mjx.mllm.provider import bundled_tapes
+from neoworld_mjx.mllm.replay import Tape
+from neoworld_mjx.pipeline import reconstruct
+from neoworld_mjx.pipeline.bundled_examples import bundled_examples, photo_of
+from neoworld_mjx.program import build
+from neoworld_mjx.program.attempt import joined
+from neoworld_mjx.spec import ObjectSpec, SceneTree
+
+MOST_BYTES = 470_000
+PAPER = Path(__file__).parents[1] / "configs" / "paper.yaml"
+
+
+@pytest.mark.parametrize("name", sorted(bundled_examples()))
+def test_an_example_is_what_the_table_says(name, tmp_path):
+    example = bundled_examples()[name]
+    assert example.photo.stat().st_size < MOST_BYTES
+    config = load_config(None, {"provider": "replay"})
+    reconstruct(example.photo, tmp_path / "run", config, until="program")
+    tree = SceneTree.model_validate_json((tmp_path / "run" / "tree.json").read_text())
+    assert sum(not node.environment for node in tree.nodes) == example.objects
+    specs = [
+        ObjectSpec.model_validate_json(path.read_text())
+        for path in (tmp_path / "run" / "objects").glob("*/spec.json")
+    ]
+    joints = [joint for spec in specs for joint in spec.joints if joint.type != "fixed"]
+    assert len(joints) == example.joints
+    # Nothing that was seen to move is without its joint.
+    assert sum(len(node.articulation) for node in tree.nodes) == example.joints
+
+
+def test_the_papers_three_programs_replay_and_are_one(tmp_path):
+    over = {"provider": "replay", "refine": {"semantic": {"scorer": "geometric"}}}
+    config = load_config(PAPER, over)
+    result = reconstruct(bundled_examples()["microwave"].photo, tmp_path, config, until="verify")
+    home = tmp_path / "objects" / "microwave"
+    texts = {
+        name: (home / f"{name}.py").read_text() for name in ("geometry", "articulation", "export")
+    }
+    assert (home / "program.py").read_text() == joined(texts)
+    spec = build((home / "program.py").read_text()).spec
+    assert spec is not None and spec.to_json() == (home / "spec.json").read_text()
+    rounds = json.loads((home / "program.json").read_text())["rounds"]
+    assert [list(each["verdicts"])[-1] for each in rounds] == ["geometry", "articulation", "export"]
+    assert "latched" in json.loads((home / "verify.json").read_text())["seen"][0]
+    assert result.fallbacks == []
+
+
+def test_every_tape_says_how_it_was_made():
+    tapes = [Tape.load(path) for path in bundled_tapes().glob("*.tape.json")]
+    assert len(tapes) == len(bundled_examples())
+    assert all(tape.made.startswith("Written by hand: answered through") for tape in tapes)
+
+
+def test_an_example_is_named_or_given_by_its_file(tmp_path):
+    example = bundled_examples()["microwave"]
+    assert photo_of(example.photo) == photo_of(type(example.photo)("microwave")) == example.photo
+    with pytest.raises(PhotoError, match="did you mean 'drawers'"):
+        photo_of(type(example.photo)("drawer"))
+
+
+def test_the_command_lists_them(capfd):
+    from neoworld_mjx import cli
+
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["examples", "--json"])
+    assert ended.value.code == 0
+    listed = json.loads(capfd.readouterr().out)["examples"]
+    assert [entry["name"] for entry in listed] == ["coffee", "drawers", "microwave"]
+    assert {"name", "photo", "objects", "joints", "licence"} <= set(listed[0])

@@ -1,0 +1,55 @@
+"""A run's ledger goes on in every command that asks models for it."""
+
+import json
+
+import pytest
+
+from neoworld_mjx.config import Config, load_config
+from neoworld_mjx.errors import ConfigError, RunError
+from neoworld_mjx.mllm import Panel
+from neoworld_mjx.mllm.requests import Usage
+from neoworld_mjx.pipeline import reconstruction
+from neoworld_mjx.run_folder import RunFolder
+from tests.support.scripted_model import ScriptedModel
+
+
+def spend(panel, tokens):
+    panel.ledger.add("critic", "claude-sonnet-5-5", Usage(input=tokens, output=0))
+
+
+def test_a_second_command_goes_on_with_the_ledger(tmp_path):
+    for times in (1, 2):
+        with RunFolder(tmp_path / "run", Config(), resume=True) as run:
+            panel = Panel(ScriptedModel())
+            with reconstruction._booked(run, panel):
+                spend(panel, 1000)
+        booked = json.loads((tmp_path / "run" / "run.json").read_text())["mllm"]
+        assert (booked["calls"], booked["tokens"]["input"]) == (times, 1000 * times)
+
+
+def test_what_was_spent_is_kept_where_a_step_fails(tmp_path):
+    with RunFolder(tmp_path / "run", Config()) as run:
+        panel = Panel(ScriptedModel())
+        with pytest.raises(RunError, match="in between"), reconstruction._booked(run, panel):
+            spend(panel, 10)
+            raise RunError("in between")
+        assert run.data["mllm"]["calls"] == 1
+
+
+def test_a_damaged_ledger_is_named(tmp_path):
+    with RunFolder(tmp_path / "run", Config()) as run:
+        run.record("mllm", by_role_and_model=3)
+        with pytest.raises(RunError, match=r"run\.json: the costs under mllm are damaged"):
+            with reconstruction._booked(run, Panel(ScriptedModel())):
+                pass
+
+
+def test_headers_that_are_not_kept_are_asked_for(tmp_path):
+    options = {"mllm": {"headers": {"x-route": "one"}}, "refine": {"semantic": {"scorer": "mllm"}}}
+    config = load_config(None, options)
+    with RunFolder(tmp_path / "run", config) as run:
+        data = run.data["config"]
+    with pytest.raises(ConfigError, match=r"headers x-route: give mllm\.headers again"):
+        reconstruction.earlier_options(tmp_path, data, {})
+    again = reconstruction.earlier_options(tmp_path, data, {"mllm": {"headers": {"x-route": "b"}}})
+    assert again.mllm.headers == {"x-route": "b"}

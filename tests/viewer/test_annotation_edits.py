@@ -1,0 +1,115 @@
+"""Edits of an annotation, alone and from the controls of a page without a browser."""
+
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.pipeline.annotation import GROUND, KEPT, annotated_tree, opened_annotation
+from neoworld_mjx.spec import Box2D
+from neoworld_mjx.viewer.annotation_drawing import pixel_of
+from neoworld_mjx.viewer.annotation_edits import object_of, with_box, with_change, without
+from tests.support.annotations import coffee
+
+
+def test_what_stands_on_an_object_follows_its_name():
+    renamed = with_change(coffee(), "saucer", {"name": "plate"})
+    cup = object_of(renamed, "cup")
+    assert cup is not None and cup.parent == "plate"
+    assert object_of(renamed, "saucer") is None
+
+
+def test_what_stood_on_a_deleted_object_stands_on_the_ground():
+    left = without(coffee(), "saucer")
+    assert [(obj.name, obj.parent) for obj in left.objects] == [("cup", GROUND)]
+
+
+def test_boxes_get_names_of_their_own():
+    box = Box2D(x0=1, y0=1, x1=9, y1=9)
+    one, first = with_box(coffee(), box)
+    two, second = with_box(one, box)
+    assert (first, second) == ("object_1", "object_2")
+    assert with_box(without(two, first), box)[1] == first
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"parent": "cup"}, "circle"),
+        ({"name": "cup"}, "repeated: cup"),
+        ({"name": "../x"}, "name"),
+        ({"yaw_deg": 1e9}, "yaw_deg"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(change, message):
+    with pytest.raises(SpecError, match=message) as refused:
+        with_change(coffee(), "saucer", change)
+    assert "Annotation(" not in str(refused.value)
+
+
+def test_a_place_of_the_window_is_a_pixel_of_the_photograph():
+    camera = coffee().camera
+    # A window of the photograph's height and twice its width shows it in the middle.
+    view = SimpleNamespace(image_width=1200, image_height=400, fov=camera.fovy)
+    assert np.allclose(pixel_of(view, camera, (0.5, 0.5)), (300, 200))
+    assert np.allclose(pixel_of(view, camera, (0.25, 0.0)), (0, 0), atol=1e-6)
+    assert np.allclose(pixel_of(view, camera, (1.0, 1.0)), (600, 400))
+
+
+@pytest.fixture
+def opened_page(photo, quick_config):
+    """Open annotations on pages, and stop their servers after the test."""
+    pytest.importorskip("viser", reason="the extra viewer is not installed")
+    from neoworld_mjx.viewer.annotator import Annotator, empty_annotation
+    from neoworld_mjx.viewer.local_server import close_server, open_server
+
+    servers = []
+
+    def opened(annotation=None):
+        servers.append(open_server("test", port=0))
+        begin = annotation or empty_annotation(photo, quick_config)
+        return Annotator(servers[-1], photo, photo.parent / "no_run", begin, quick_config)
+
+    yield opened
+    for server in servers:
+        close_server(server)
+
+
+def test_opening_an_annotation_and_choosing_its_objects_changes_nothing(opened_page):
+    annotation = opened_annotation(annotated_tree(coffee()))
+    page = opened_page(annotation)
+    for name in ("cup", "saucer", "", "cup"):
+        page._choose(name)
+        assert page.annotation == annotation
+    shown = {field: control.value for field, control in page._fields.items()}
+    assert (shown["name"], shown["parent"], shown["kind"]) == ("cup", "saucer", KEPT)
+
+
+def test_what_is_typed_at_once_is_all_kept(opened_page):
+    """Viser calls from many threads, in no order, while the values are there already."""
+    from viser import GuiEvent
+
+    page = opened_page()
+    for k in range(5):
+        page._choose("")
+        page._set_box(np.array([77.0, 67.0]), np.array([480.0, 389.0]))
+        fields = page._fields
+        typed = [(fields["name"], f"saucer_{k}"), (fields["kind"], "bowl")]
+        typed += [(fields["material"], "ceramic"), (fields["label"], "a saucer")]
+        typed += list(zip(page._sizes, (0.12, 0.13, 0.016), strict=True))
+        with ThreadPoolExecutor(len(typed)) as threads:
+            done = []
+            for control, value in typed:
+                # As viser's server takes what a client sends.
+                control._impl.value = value
+                event = GuiEvent(None, 1, control)
+                done += [threads.submit(call, event) for call in control._impl.update_cb]
+            for future in done:
+                future.result()
+        obj = object_of(page.annotation, f"saucer_{k}")
+        assert obj is not None
+        assert (obj.kind, obj.material, obj.label) == ("bowl", "ceramic", "a saucer")
+        assert obj.size == (0.12, 0.13, 0.016)
+        assert all(control.value == value for control, value in typed)

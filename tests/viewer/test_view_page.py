@@ -1,0 +1,114 @@
+"""The page of `neoworld view` in a real browser."""
+
+import shutil
+import time
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.config import Config
+from neoworld_mjx.pipeline import rebuild
+from neoworld_mjx.spec import read_scene
+from neoworld_mjx.templates import template
+from tests.support.browser import changed, opened
+
+pytest.importorskip("viser", reason="the extra viewer is not installed")
+pytestmark = pytest.mark.slow
+CANVAS = 560
+"""Columns of the page that the controls never cover."""
+
+
+@pytest.fixture
+def served():
+    """Serve targets, and stop the servers after the test."""
+    from neoworld_mjx.viewer.local_server import address, close_server, open_server
+    from neoworld_mjx.viewer.scene_viewer import SceneViewer
+    from neoworld_mjx.viewer.view_target import open_target
+
+    servers = []
+
+    def serve(path):
+        server = open_server("test", port=0)
+        servers.append(server)
+        viewer = SceneViewer(server, path, open_target(path, Config()), Config())
+        return viewer, server, address(server)
+
+    yield serve
+    for server in servers:
+        close_server(server)
+
+
+def test_a_joint_slider_moves_geometry_and_the_page_needs_no_network(tmp_path, served):
+    program = tmp_path / "chest.py"
+    program.write_text(template("drawer_cabinet").program())
+    _, _, url = served(program)
+    with opened(url) as page:
+        page.waits_for("Joints")
+        closed = page.settled(right=CANVAS)
+        label = page.page.locator("text=/drawer.*, mm/").first.inner_text()
+        page.fill(label, 200)
+        time.sleep(1)
+        opened_up = page.settled(right=CANVAS)
+        page.fill(label, 0)
+        time.sleep(1)
+        again = page.settled(right=CANVAS)
+        assert changed(closed, opened_up) > 0.005
+        assert changed(closed, again) < 0.002
+        assert len(np.unique(closed.reshape(-1, 3), axis=0)) > 50, "nothing is drawn"
+        assert page.errors == [] and page.outside == []
+
+
+def test_dragging_an_object_and_searching_again_changes_the_scene(quick_run, tmp_path, served):
+    run = tmp_path / "run"
+    shutil.copytree(quick_run, run)
+    before = read_scene(run)
+    viewer, server, url = served(run)
+    with opened(url) as page:
+        page.tab("Objects")
+        page.choose("Object", "cup")
+        page.check("Drag it")
+        page.settled()
+        (client,) = server.get_clients().values()
+        start = viewer._editor.handle_pose("cup")
+        # The square between the handle's two arrows moves it over the ground.
+        square = 0.243 * viewer._handle.scale * (start.then(_unit()).pos - start.pos)
+        x, y = _on_screen(client.camera, start.pos + square)
+        page.page.mouse.move(x, y)
+        page.page.mouse.down()
+        page.page.mouse.move(x + 12, y + 6, steps=4)
+        page.page.mouse.up()
+        deadline = time.monotonic() + 60
+        while "cup" not in viewer._editor.patch.objects and time.monotonic() < deadline:
+            time.sleep(0.2)
+        dragged = viewer._editor.patch.objects["cup"].xy
+        assert dragged is not None and dragged != before.object("cup").xy
+        page.tab("Search")
+        page.click("Search again from here")
+        page.waits_for("objects: table", 240)
+        assert page.errors == []
+    after = read_scene(run)
+    assert after.object("cup").xy != before.object("cup").xy
+    composed = read_scene(run / "compose" / "scene.json")
+    assert np.allclose(composed.object("cup").xy, dragged)
+    # The patch holds when a program is built again.
+    text = (run / "objects" / "saucer" / "program.py").read_text()
+    _, result = rebuild(run, "saucer", text + "\n# the same saucer\n")
+    assert result is not None
+    again = read_scene(run / "compose" / "scene.json")
+    assert np.allclose(again.object("cup").xy, dragged)
+
+
+def _unit():
+    from neoworld_mjx.spec.pose import pose
+
+    return pose([1.0, 1.0, 0.0])
+
+
+def _on_screen(camera, point):
+    """Project a world point [3] m to the pixels of a client."""
+    from neoworld_mjx.spec.pose import matrix
+
+    local = matrix(camera.wxyz).T @ (np.asarray(point) - camera.position)
+    focal = camera.image_height / 2 / np.tan(camera.fov / 2)
+    u, v = local[:2] / local[2] * focal
+    return camera.image_width / 2 + u, camera.image_height / 2 + v
