@@ -32,7 +32,7 @@ try:
             continue
         seen.add(one)
         real = os.path.realpath(one.partition("[")[0])
-        if not real.startswith(home):
+        if not real.startswith(home) or not os.path.isfile(real):
             sys.exit()
         layer = Sdf.Layer.FindOrOpen(one)
         if layer is None:
@@ -48,7 +48,8 @@ except Tf.ErrorException as error:
     print(" ".join(str(error).split()))
     sys.exit(3)
 """
-"""What the other process does: it says what is no whole USD, this one what lies elsewhere."""
+"""What the other process does: it says what is no whole USD, this one what lies elsewhere or is
+not there."""
 _BROKEN = 3
 """Exit code of the other process for such a file."""
 
