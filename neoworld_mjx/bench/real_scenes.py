@@ -70,7 +70,8 @@ def real_refinements(
         if name not in REAL:
             raise EngineError(f"scene: {choices(name, list(REAL))}")
     o = options or RefineOptions()
-    runner = open_engine(engine)
+    # `refine` itself knows where `auto` is the CPU's cores.
+    runner = engine if engine == "auto" else open_engine(engine)
     compilations()
     # Another scene first: what every scene of its bucket shares is compiled here.
     refine(crowded(3), o, seed=seed, engine=runner)

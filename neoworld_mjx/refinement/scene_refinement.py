@@ -1,5 +1,6 @@
 """Refining a composed scene: the search of Algorithm 1, and the exact check of its winner."""
 
+import contextlib
 import functools
 import time
 from collections.abc import Callable, Sequence
@@ -16,7 +17,7 @@ from ..physics.automatic import AutomaticEngine
 from ..physics.engine import Engine
 from ..physics.layout import Layout
 from ..physics.model import SceneModel, compile_scene
-from ..physics.simulate import open_engine
+from ..physics.simulate import on_cpu, open_engine
 from ..spec import SceneSpec, read_scene
 from .loop import search
 from .optimizer import Optimizer
@@ -28,6 +29,8 @@ from .search_run import SearchResult, SearchRun
 
 COMPOSED = "compose/scene.json"
 """Where a run folder keeps the scene as composed."""
+MOST_DRAWN, MOST_ROLLED = 1024, 256
+"""Most candidates drawn, and rolled out at once, with which a host's cores outrun its GPU."""
 
 
 def refine(
@@ -77,60 +80,75 @@ def refine(
     o = options or RefineOptions()
     steps = ("compile", "descent", "rollout", "score", "wait", "check")
     clock: dict[str, float] = dict.fromkeys(steps, 0.0)
-    began = time.perf_counter()
-    model = open_scene(scene, o)
     if engine is None or isinstance(engine, str):
-        engine = open_engine(engine or o.rollout.engine)
-    clock["compile"] = time.perf_counter() - began
-    scorer = None
-    if o.semantic.scorer == "mllm" and o.reward.w_sem > 0:
-        scorer = SemanticScorer(
-            model, photo, panel, o.semantic, cem=o.cem, log=scores, recorded=recorded
-        )
-    try:
-        (result,) = search(
-            model,
-            [SearchRun(o, seed, start)],
-            engine,
-            terms=terms,
-            optimizer=optimizer,
-            scorer=scorer,
-            clock=clock,
-            progress=progress,
-        )
-        rounds, marks = result.rounds, result.marks
+        engine = _open_engine(engine or o.rollout.engine, o)
+    with on_cpu() if engine.name == "native" and _suits_cores(o) else contextlib.nullcontext():
         began = time.perf_counter()
-        if scorer is not None:
-            scorer.await_for([index for index, _ in ranked(rounds)][: o.finalists])
-            weight = o.reward.w_sem
-            rounds = [
-                _with_late_scores(scorer, t, round_, marks[t], weight)
-                for t, round_ in enumerate(rounds)
-            ]
-        clock["wait"] += time.perf_counter() - began
-    finally:
-        if scorer is not None:
-            scorer.close()
-    began = time.perf_counter()
-    chosen, layout, before = choose_and_return(model, rounds, o, result.problem.objective, start)
-    clock["check"] = time.perf_counter() - began
-    return outcome(
-        model,
-        rounds,
-        chosen,
-        o,
-        objective=result.problem.objective,
-        layout=layout,
-        before=before,
-        engine=engine.name,
-        clock=clock | {"to_valid": result.first_valid_s},
-        semantic=None if scorer is None else stacked(marks, 0),
-        scoring=None if scorer is None else scorer.summary(),
-        fallbacks=_ended_early(model, result)
-        + (tuple(engine.refusals) if isinstance(engine, AutomaticEngine) else ())
-        + (() if scorer is None else scorer.fallbacks),
-        kept=_kept(model, result),
-    )
+        model = open_scene(scene, o)
+        clock["compile"] = time.perf_counter() - began
+        scorer = None
+        if o.semantic.scorer == "mllm" and o.reward.w_sem > 0:
+            scorer = SemanticScorer(
+                model, photo, panel, o.semantic, cem=o.cem, log=scores, recorded=recorded
+            )
+        try:
+            (result,) = search(
+                model,
+                [SearchRun(o, seed, start)],
+                engine,
+                terms=terms,
+                optimizer=optimizer,
+                scorer=scorer,
+                clock=clock,
+                progress=progress,
+            )
+            rounds, marks = result.rounds, result.marks
+            began = time.perf_counter()
+            if scorer is not None:
+                scorer.await_for([index for index, _ in ranked(rounds)][: o.finalists])
+                weight = o.reward.w_sem
+                rounds = [
+                    _with_late_scores(scorer, t, round_, marks[t], weight)
+                    for t, round_ in enumerate(rounds)
+                ]
+            clock["wait"] += time.perf_counter() - began
+        finally:
+            if scorer is not None:
+                scorer.close()
+        began = time.perf_counter()
+        chosen, layout, before = choose_and_return(
+            model, rounds, o, result.problem.objective, start
+        )
+        clock["check"] = time.perf_counter() - began
+        return outcome(
+            model,
+            rounds,
+            chosen,
+            o,
+            objective=result.problem.objective,
+            layout=layout,
+            before=before,
+            engine=engine.name,
+            clock=clock | {"to_valid": result.first_valid_s},
+            semantic=None if scorer is None else stacked(marks, 0),
+            scoring=None if scorer is None else scorer.summary(),
+            fallbacks=_ended_early(model, result)
+            + (tuple(engine.refusals) if isinstance(engine, AutomaticEngine) else ())
+            + (() if scorer is None else scorer.fallbacks),
+            kept=_kept(model, result),
+        )
+
+
+def _open_engine(name: str, o: RefineOptions) -> Engine:
+    """Open an engine; `auto` is that of the CPU where an accelerator would only start kernels."""
+    return open_engine("native" if name == "auto" and _suits_cores(o) else name)
+
+
+def _suits_cores(o: RefineOptions) -> bool:
+    """Whether populations and rollouts are too small for an accelerator to gain by them."""
+    c = o.cem
+    population = max(c.population, c.first)
+    return population <= MOST_DRAWN and (c.batch if c.prune else population) <= MOST_ROLLED
 
 
 def _kept(model: SceneModel, result: SearchResult) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from neoworld_mjx import cache
+from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.engines import share_gpu_memory
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics import automatic, engine_costs
@@ -12,6 +13,8 @@ from neoworld_mjx.physics.automatic import AutomaticEngine
 from neoworld_mjx.physics.engine import unmoved
 from neoworld_mjx.physics.engine_costs import EngineCost, prior_costs, read_costs, write_costs
 from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.refinement import scene_refinement
+from neoworld_mjx.refinement.scene_refinement import refine
 
 
 @pytest.fixture(autouse=True)
@@ -144,3 +147,26 @@ def test_jax_leaves_memory_to_warp(monkeypatch, installed, expected):
     monkeypatch.setenv(variable, "true")
     share_gpu_memory()
     assert os.environ[variable] == "true"
+
+
+@pytest.mark.parametrize(
+    ("cem", "opened"),
+    [
+        ({}, "native"),
+        ({"population": 4096}, "auto"),
+        ({"prune": False, "population": 1024}, "auto"),
+        ({"prune": False}, "native"),
+    ],
+)
+def test_a_refinement_of_few_candidates_stays_on_the_cores(monkeypatch, cem, opened):
+    names = []
+
+    def refuse(name):
+        names.append(name)
+        raise EngineError("seen")
+
+    monkeypatch.setattr(scene_refinement, "open_engine", refuse)
+    options = RefineOptions.model_validate({"cem": cem})
+    with pytest.raises(EngineError, match="seen"):
+        refine("never read", options, engine="auto")
+    assert names == [opened]
