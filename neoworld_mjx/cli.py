@@ -18,8 +18,10 @@ from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes, 
 from . import __version__
 from .bench.suites import DEVELOPER_SUITES
 from .commands import COMMANDS, Answer, Runnable
+from .commands.status_line import StatusLine
 from .errors import NeoWorldError
 from .names import printable
+from .progress import LOGGER
 
 REPORT = (
     "This is a fault of neoworld, not of your input. A run can go on with --resume. To report it, "
@@ -58,8 +60,7 @@ def main(args: Sequence[str] | None = None) -> None:
 
 def run(command: Runnable) -> int:
     """Run a parsed command, print its answer and return the exit code."""
-    _show_progress(quiet=command.quiet)
-    with _reserved_stdout() as out:
+    with _reserved_stdout() as out, _shown_progress(command):
         try:
             answer = command.run()
             code = FAILED if answer.get("passed") is False else 0
@@ -84,7 +85,7 @@ def run(command: Runnable) -> int:
                 print(json.dumps(strict), file=out)
             elif "error" not in answer:
                 with contextlib.redirect_stdout(out):
-                    _print(answer)
+                    _show(command, answer)
             out.flush()
         except BrokenPipeError:
             # Whoever reads has read enough, as `head` does; closing must not try once more.
@@ -92,25 +93,20 @@ def run(command: Runnable) -> int:
     return code
 
 
-class _PrintableFormatter(logging.Formatter):
-    """Writes what hides or moves text on a terminal as escapes; names may come from strangers."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        return printable(super().format(record))
-
-
 def _show_traceback(command: Runnable) -> None:
     if getattr(command, "debug", False):
         traceback.print_exc()
 
 
-def _show_progress(*, quiet: bool) -> None:
-    """Send the package's log to stderr as plain lines."""
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(_PrintableFormatter("%(message)s"))
+@contextlib.contextmanager
+def _shown_progress(command: Runnable) -> Iterator[None]:
+    """Send the package's log to stderr as plain lines, and the progress to a status line."""
     log = logging.getLogger("neoworld_mjx")
-    log.handlers = [handler]  # Not added: a second command in one process would say all twice.
-    log.setLevel(logging.ERROR if quiet else logging.INFO)
+    with StatusLine(sys.stderr, verbose=command.verbose, quiet=command.quiet) as handler:
+        log.handlers = [handler]  # Not added: a second command in one process would say all twice.
+        log.setLevel(logging.INFO)
+        logging.getLogger(LOGGER).setLevel(logging.DEBUG)
+        yield
 
 
 @contextlib.contextmanager
@@ -128,6 +124,15 @@ def _reserved_stdout() -> Iterator[Any]:
     finally:
         os.dup2(kept, 1)
         os.close(kept)
+
+
+def _show(command: Runnable, answer: Answer) -> None:
+    """Print an answer for people: in few lines, or with all details."""
+    lines = None if command.verbose else command.lines(answer)
+    if lines is None:
+        _print(answer)
+    else:
+        print(printable("\n".join(lines)))
 
 
 def _print(answer: Answer, indent: str = "") -> None:

@@ -15,7 +15,7 @@ SMALL = (
     *("refine.cem.population=16", "refine.cem.iterations=2", "refine.rollout.duration_s=0.3"),
     *("render.width=96", "render.supersample=1", "verify.duration_s=0.5"),
 )
-TIMED = {"run.json", "report.html", ".lock"}
+TIMED = {"run.json", "report.html", "run.log", ".lock"}
 """What may differ between two runs, as it carries times or process numbers."""
 
 
@@ -76,7 +76,7 @@ def _start(out: Path) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "neoworld_mjx.cli", "reconstruct", str(PHOTO)]
     options = [word for setting in SMALL for word in ("--set", setting)]
     return subprocess.Popen(
-        [*command, "--out", str(out), "--resume", "--json", *options],
+        [*command, "--out", str(out), "--resume", "--json", "-v", *options],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

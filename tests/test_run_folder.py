@@ -184,7 +184,7 @@ def test_a_failed_step_leaves_no_file_and_says_failed(tmp_path):
             assert stage is not None
             (stage / "tree.json").write_text("half")
             1 / 0  # noqa: B018
-    assert sorted(p.name for p in out.iterdir()) == [".lock", "run.json"]
+    assert sorted(p.name for p in out.iterdir()) == [".lock", "run.json", "run.log"]
     assert read_run(out)["status"] == "failed"
     assert read_run(out)["steps"] == {}
     assert _two_steps(out, resume=True) == ["parse", "compose"]
@@ -363,7 +363,7 @@ def test_killed_at_random_moments_it_resumes_to_the_same_files(tmp_path):
         assert kills < 40
 
     def contents(path):
-        hidden = (".lock", "run.json")
+        hidden = (".lock", "run.json", "run.log")
         return {p.name: p.read_bytes() for p in path.iterdir() if p.name not in hidden}
 
     assert kills >= 2

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
 
-from tyro.conf import UseAppendAction
+from tyro.conf import UseAppendAction, arg
 
 from ..errors import ConfigError
 
@@ -29,8 +29,17 @@ class Runnable(Protocol):
         """Whether no progress is printed."""
         ...
 
+    @property
+    def verbose(self) -> bool:
+        """Whether every detail is printed."""
+        ...
+
     def run(self) -> Answer:
         """Do the work and return what is to be printed."""
+        ...
+
+    def lines(self, answer: Answer) -> list[str] | None:
+        """Return an answer in few lines, for people; None prints all of it."""
         ...
 
 
@@ -42,6 +51,8 @@ class Command:
     """Print one JSON object on stdout, and everything else on stderr."""
     quiet: bool = False
     """Print no progress."""
+    verbose: Annotated[bool, arg(aliases=("-v",))] = False
+    """Print all details of the answer, and every line of progress."""
     debug: bool = False
     """Show the traceback of an error."""
 
@@ -52,6 +63,10 @@ class Command:
             NeoWorldError: the input is wrong.
         """
         raise NotImplementedError
+
+    def lines(self, answer: Answer) -> list[str] | None:
+        """Return an answer in few lines, for people; None, the default, prints all of it."""
+        return None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -93,7 +93,7 @@ class SuiteCommand:
         fields = dataclasses.fields(self)  # pyright: ignore[reportArgumentType]
         for field in sorted(fields, key=lambda field: field.name == "json"):
             value = getattr(self, field.name)
-            if value == field.default or field.name in ("quiet", "debug"):
+            if value == field.default or field.name in ("quiet", "verbose", "debug"):
                 continue
             yield "--" + field.name.replace("_", "-")
             if value is not True:
@@ -154,6 +154,15 @@ class BenchCommand:
     def quiet(self) -> bool:
         """See Command."""
         return self.inner.quiet
+
+    @property
+    def verbose(self) -> bool:
+        """See Command."""
+        return self.inner.verbose
+
+    def lines(self, answer: Answer) -> None:
+        """Print all of a benchmark's answer."""
+        return
 
     def run(self) -> Answer:
         """Run the suite, or draw the chart."""

@@ -8,6 +8,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import RunError, SpecError
 from ..format_names import BEST, FORMATS, Format, Simulator
+from .answer_lines import export_lines
 from .base_command import Answer, ConfiguredCommand
 
 if TYPE_CHECKING:
@@ -56,6 +57,10 @@ class ExportCommand(ConfiguredCommand):
         if mjx:
             answer["collider_error_mm"] = round(1e3 * collider_error(described), 3)
         return answer
+
+    def lines(self, answer: Answer) -> list[str]:
+        """Return the answer in few lines."""
+        return export_lines(answer)
 
     def _read(self) -> "tuple[SceneSpec | ObjectSpec, list[str]]":
         """Return what is to be written, and what was lost in reading it."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from tyro.conf import Positional
 
 from ..errors import RunError, SpecError
+from .answer_lines import build_lines, object_check_lines, scene_check_lines
 from .base_command import Answer, ConfiguredCommand
 
 if TYPE_CHECKING:
@@ -64,6 +65,12 @@ class CheckCommand(ConfiguredCommand):
             **measure.model_dump(),
         }
 
+    def lines(self, answer: Answer) -> list[str]:
+        """Return the answer in few lines."""
+        if "movable" in answer:
+            return scene_check_lines(answer)
+        return object_check_lines(answer, _listings(self.target, answer))
+
 
 @dataclass(frozen=True, kw_only=True)
 class BuildCommand(ConfiguredCommand):
@@ -80,7 +87,7 @@ class BuildCommand(ConfiguredCommand):
 
     def run(self) -> Answer:
         """Build the program and write its object in every format."""
-        from ..program.watch import watch, write_built
+        from ..program.watch import FAILED, watch, write_built, write_failed
         from ..verify.patch import overlay_path
         from ..verify.patched import build_patched, read_program
 
@@ -96,19 +103,28 @@ class BuildCommand(ConfiguredCommand):
             read_program(self.program)  # Report a missing file at once.
             beside = (overlay_path(self.program),)
             build = lambda program: build_patched(program, options)
-            return {"folder": str(out), "builds": watch(self.program, out, build, beside)}
+            builds = watch(self.program, out, build, beside, options)
+            return {"folder": str(out), "builds": builds}
         patched = build_patched(self.program, options)
         built = patched.built
         answer: Answer = {"passed": built.ok, "signals": _signals(built)}
+        if built.printed:
+            answer["printed"] = built.printed
         if built.spec is None or not built.ok:
-            return answer
+            picture = write_failed(patched, out, options)
+            return answer | ({} if picture is None else {"picture": str(picture)})
         if patched.patch is not None:
             answer["overlay"] = {
                 "changes": list(patched.patch.changes()),
                 "stale": list(patched.stale),
             }
         write_built(patched, out)
+        (out / FAILED).unlink(missing_ok=True)
         return {"object": built.spec.name, "folder": str(out), **answer}
+
+    def lines(self, answer: Answer) -> list[str]:
+        """Return the answer in few lines."""
+        return build_lines(answer, _listings(self.program, answer))
 
     def _convert(self) -> Answer:
         """Write the object of another program's file."""
@@ -129,3 +145,15 @@ class BuildCommand(ConfiguredCommand):
 
 def _signals(built: "Built") -> list[dict[str, Any]]:
     return [{"code": s.code, **s.model_dump(exclude_defaults=True)} for s in built.signals]
+
+
+def _listings(program: Path, answer: Answer) -> list[str]:
+    """Return what a program printed and its signals, as terminals show them."""
+    from ..program.signals import Signal
+    from ..program.watch import listings
+    from ..verify.patched import read_program
+
+    if "signals" not in answer:
+        return []
+    signals = [Signal.model_validate(entry) for entry in answer["signals"]]
+    return listings(answer.get("printed", ""), signals, program, read_program(program))

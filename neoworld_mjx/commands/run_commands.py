@@ -9,6 +9,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from ..engines import EngineChoice
 from ..errors import RunError
 from ..step_names import Step
+from .answer_lines import file_lines, run_lines
 from .base_command import Answer, Command, ConfiguredCommand
 
 
@@ -65,6 +66,10 @@ class ReconstructCommand(ConfiguredCommand):
         )
         return result.summary()
 
+    def lines(self, answer: Answer) -> list[str]:
+        """Return the answer in few lines."""
+        return run_lines(answer)
+
 
 @dataclass(frozen=True, kw_only=True)
 class RefineCommand(ConfiguredCommand):
@@ -96,6 +101,10 @@ class RefineCommand(ConfiguredCommand):
             config = self.load_config({"refine.rollout.engine": self.engine, "seed": self.seed})
         return refine_again(self.folder, config, over).summary()
 
+    def lines(self, answer: Answer) -> list[str]:
+        """Return the answer in few lines."""
+        return run_lines(answer)
+
 
 @dataclass(frozen=True, kw_only=True)
 class RenderCommand(ConfiguredCommand):
@@ -126,6 +135,10 @@ class RenderCommand(ConfiguredCommand):
         except OSError as error:
             raise RunError(f"cannot write {out}: {error.strerror}") from None
         return {"picture": str(out), "size": [picture.color.shape[1], picture.color.shape[0]]}
+
+    def lines(self, answer: Answer) -> list[str]:
+        """Return the answer in few lines."""
+        return file_lines(answer)
 
 
 @dataclass(frozen=True, kw_only=True)

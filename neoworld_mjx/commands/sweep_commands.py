@@ -5,6 +5,7 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
+from .answer_lines import sweep_lines
 from .base_command import Answer, Command
 
 
@@ -20,6 +21,10 @@ class PlanCommand(Command):
     """Go on with the runs in --out: keep those that are there."""
     overwrite: bool = False
     """Replace the runs in --out."""
+
+    def lines(self, answer: Answer) -> list[str]:
+        """Return the answer in few lines."""
+        return sweep_lines(answer)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,6 +13,7 @@ from typing import Any
 
 from ..config import MLLMOptions, RoleOptions
 from ..errors import ModelError
+from ..progress import update
 from .ledger import Ledger, most_tokens
 from .requests import Provider, Rejection, Reply, Request, Transient, Usage
 from .secrets import scrub
@@ -53,6 +54,7 @@ class Calls:
         if not self._unanswered:
             self._since = time.perf_counter()
         self._unanswered += 1
+        self._report()
         try:
             yield
         finally:
@@ -60,6 +62,11 @@ class Calls:
             self._unanswered -= 1
             if not self._unanswered:
                 self._waited_s = waited
+            self._report()
+
+    def _report(self) -> None:
+        ledger = self.ledger
+        update(calls=ledger.calls, cost_usd=ledger.spent_usd, unanswered=self._unanswered)
 
     async def make(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]

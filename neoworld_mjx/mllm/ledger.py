@@ -118,6 +118,11 @@ class Ledger:
         return sum((row.cost_usd or 0.0 for row in self._rows.values()), 0.0)
 
     @property
+    def calls(self) -> int:
+        """Calls so far."""
+        return sum(row.calls for row in self._rows.values())
+
+    @property
     def unpriced(self) -> list[str]:
         """Models that were called and have no price."""
         return sorted({m for (_, m), row in self._rows.items() if row.cost_usd is None})
@@ -193,7 +198,7 @@ class Ledger:
         """Return the ledger for run.json; `cost_usd` is null where any cost is unknown."""
         total = sum((row.usage for row in self._rows.values()), Usage())
         return {
-            "calls": sum(row.calls for row in self._rows.values()),
+            "calls": self.calls,
             "failed_calls": sum(row.failed for row in self._rows.values()),
             "tokens": asdict(total),
             "cost_usd": None if self.unpriced else round(self.spent_usd, 6),

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .. import progress
 from ..config import Config
 from ..errors import ProgramError, RunError, SpecError
 from ..mllm import Panel, Picture
@@ -304,7 +305,7 @@ def refine_layout(context: StepContext) -> None:
     inputs = {"scene": run.path / COMPOSED, "options": config.refine, "seed": config.seed}
 
     def report(line: str) -> None:
-        _log.info("  %s", line)
+        progress.report(f"  {line}")
         context.pictures.store()
 
     with run.step("refine", inputs) as out:

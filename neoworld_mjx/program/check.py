@@ -7,6 +7,7 @@ real objects.
 """
 
 import itertools
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,6 +20,7 @@ from .overlap import overlap_signals
 from .plausible import plausibility
 from .probe import OutOfTime, Probe, line_box_distance
 from .signals import Signal, deduplicated
+from .validate import in_radians
 
 AXIS_SLACK = 0.05
 """Largest distance between an axis and the part it turns, over that part's diagonal."""
@@ -211,6 +213,11 @@ def _range(joint: JointSpec, size: float, whole: float) -> list[Signal]:
         )
     if width > most:
         hint = "shorten the range" if slides else "use continuous for what turns without end"
+        far = max(abs(joint.lower), abs(joint.upper))
+        if not slides and far > 3 * math.pi:
+            hint = in_radians(far)
+        elif slides and far > 10 * most:
+            hint = f"lengths are in metres: {far:g} mm are {far / 1000:g}"
         signals.append(
             _joint_error(joint, "range_large", "the range is too large", hint, width, most)
         )

@@ -6,7 +6,10 @@ from typing import Any
 from .. import spec as S
 from . import validate
 from .part import Part, extent_of
-from .placing import MAX_ANGLE_RAD, anchor_of, direction, hinge_of, is_hinge
+from .placing import anchor_of, direction, hinge_of, is_hinge
+
+MAX_RANGE = 1e4
+"""Largest limit of a joint that is read; the compile checks refuse far smaller ones with a hint."""
 
 
 def joint_fields(
@@ -44,12 +47,15 @@ def joint_fields(
         raise ValueError(f"{context}: needs axis=, unless at= names a hinge such as 'left.hinge'")
     if "range" in arguments:
         lower, upper = validate.sequence(arguments["range"], f"{context}: range", 2, 2)
-        fields["lower"] = validate.number(lower, f"{context}: range", MAX_ANGLE_RAD)
-        fields["upper"] = validate.number(upper, f"{context}: range", MAX_ANGLE_RAD)
+        fields["lower"] = validate.number(lower, f"{context}: range", MAX_RANGE)
+        fields["upper"] = validate.number(upper, f"{context}: range", MAX_RANGE)
     if arguments.get("swing") is not None:
         swing = validate.number(arguments["swing"], f"{context}: swing")
         if not 0 < swing <= math.pi:
-            raise ValueError(f"{context}: swing must lie above 0 and up to pi, got {swing!r}")
+            meant = f"; {validate.in_radians(swing)}" if swing > math.pi else ""
+            raise ValueError(
+                f"{context}: swing must lie above 0 and up to pi, got {swing!r}{meant}"
+            )
         fields["upper"] = swing
     for key in ("damping", "friction", "stiffness", "effort", "velocity"):
         if arguments.get(key) is not None:

@@ -21,12 +21,13 @@ import pydantic_monty as monty
 
 from ..config import ProgramOptions
 from .call_clock import CallClock
-from .exception_signals import ENDLESS_HINT, IMPORT_HINT, MODULE, exception_signal, limit_signal
+from .exception_signals import ENDLESS_HINT, MODULE, exception_signal, limit_signal
 from .part import Geom, Joint, Part
 from .placing import Shape
 from .sdk_object import Object
 from .session import LimitExceeded, Session
 from .signals import Signal
+from .type_signals import type_signals
 
 
 def public_members(kind: type, select: Callable[[object], bool]) -> tuple[str, ...]:
@@ -40,7 +41,6 @@ _STARVED = 0.25
 """Share of the time limit that a worker on a busy machine got, below which it runs once more."""
 _PATIENCE = 30.0
 """Wall time of that run, in units of the limit, which then holds for processor time."""
-_MAX_TYPE_SIGNALS = 20
 _CLASSES = (Object, Part, Geom, Joint, Shape)
 _METHODS = {kind: frozenset(public_members(kind, inspect.isfunction)) for kind in _CLASSES}
 _PROPERTIES = {
@@ -162,7 +162,7 @@ def run_sandboxed(
                 if session.exceeded is not None:
                     raise session.exceeded
     except monty.MontyTypingError as error:
-        problems = _typing_signals(error)
+        problems = type_signals(json.loads(error.display()))
     except LimitExceeded:
         pass  # Reported below, as it is when the program has caught it.
     except monty.MontyError as error:
@@ -201,30 +201,6 @@ def _pool(workers: int, pid: int) -> monty.Monty:
 def stubs() -> str:
     """Return the SDK's type stubs, as programs are checked against."""
     return resources.files("neoworld_mjx.program").joinpath("sdk.pyi").read_text(encoding="utf-8")
-
-
-_TYPE_HINTS = {
-    "unresolved-import": IMPORT_HINT,
-    "unresolved-attribute": "the SDK has only what the guide lists",
-    "unknown-argument": "the SDK has only the arguments that the guide lists",
-}
-
-
-def _typing_signals(error: monty.MontyTypingError) -> list[Signal]:
-    signals = []
-    for finding in json.loads(error.display())[:_MAX_TYPE_SIGNALS]:
-        syntax = finding["code"] == "invalid-syntax"
-        signals.append(
-            Signal(
-                severity="error",
-                code="syntax" if syntax else "type",
-                message=finding["message"][:400],
-                line=finding["location"]["row"],
-                column=finding["location"]["column"],
-                hint="" if syntax else _TYPE_HINTS.get(finding["code"], ""),
-            )
-        )
-    return signals
 
 
 def _monty_signal(error: monty.MontyError, options: ProgramOptions) -> Signal:

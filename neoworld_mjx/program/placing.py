@@ -14,7 +14,6 @@ from .sdk_types import Vec3
 
 Bounds = tuple[NDArray, NDArray]
 """Lowest and highest corner [3] m."""
-MAX_ANGLE_RAD = 200.0
 
 _SIDES = {
     "front": (0, 1),
@@ -78,7 +77,7 @@ def placed(shape: Shape, at: Sequence[float], rpy: Sequence[float], by: str, con
         context: the call, for messages.
     """
     position = np.array(validate.vector(at, f"{context}: at"))
-    rotation = from_rpy(*validate.vector(rpy, f"{context}: rpy", MAX_ANGLE_RAD))
+    rotation = from_rpy(*validate.turn(rpy, f"{context}: rpy"))
     if by:
         bounds = bounds_of(shape, pose((0, 0, 0), rotation))
         position = position - anchor_of(bounds, by, f"{context}: by")

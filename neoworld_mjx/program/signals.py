@@ -43,11 +43,29 @@ class Signal(BaseModel):
     def phrase(self) -> str:
         """Return the finding in one line."""
         place = "" if self.line is None else f"line {self.line}: "
-        measured = ""
-        if self.value is not None and self.threshold is not None:
-            measured = f" [{self.value:.4g} against {self.threshold:.4g}]"
         hint = f" -> {self.hint}" if self.hint else ""
-        return f"{self.severity} {self.code}: {place}{self.message}{measured}{hint}"
+        return f"{self.severity} {self.code}: {place}{self.message}{self._measured()}{hint}"
+
+    def listing(self, file: str, text: str = "") -> str:
+        """Return the finding as terminals show it: file:line:column, the source line, the hint.
+
+        Args:
+            file: name of the program's file.
+            text: the program; empty leaves the source line out.
+        """
+        place = ":".join(str(part) for part in (file, self.line, self.column) if part is not None)
+        rows = [f"{place}: {self.severity} {self.code}: {self.message}{self._measured()}"]
+        source = text.splitlines()
+        if self.line is not None and 0 < self.line <= len(source):
+            rows.append(f"    {source[self.line - 1].strip()[:160]}")
+        if self.hint:
+            rows.append(f"    hint: {self.hint}")
+        return "\n".join(rows)
+
+    def _measured(self) -> str:
+        if self.value is None or self.threshold is None:
+            return ""
+        return f" [{self.value:.4g} against {self.threshold:.4g}]"
 
 
 def deduplicated(signals: Iterable[Signal]) -> tuple[Signal, ...]:

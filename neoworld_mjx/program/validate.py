@@ -88,6 +88,27 @@ def lengths(value: Any, argument: str) -> tuple[float, float, float]:
     return length(x, argument), length(y, argument), length(z, argument)
 
 
+MOST_TURN_RAD = 4 * math.pi
+"""Angle beyond which a turn is taken for one in degrees."""
+
+
+def in_radians(degrees: float) -> str:
+    """Say that angles are in radians, with the value that was probably meant."""
+    return (
+        f"angles are in radians: {degrees:g} degrees are {math.radians(degrees):.4g}, "
+        f"math.radians({degrees:g})"
+    )
+
+
+def turn(value: Any, argument: str) -> tuple[float, float, float]:
+    """Return three angles [rad]; whole numbers that can only be degrees are refused."""
+    angles = vector(value, argument, 200.0)
+    largest = max(angles, key=abs)
+    if abs(largest) > MOST_TURN_RAD and largest == round(largest):
+        raise ValueError(f"{argument}: {in_radians(largest)}")
+    return angles
+
+
 def points(value: Any, argument: str, least: int, most: int) -> tuple[tuple[float, float], ...]:
     """Return `least` to `most` points (a, b) [m]."""
     pairs = []

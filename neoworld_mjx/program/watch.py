@@ -2,19 +2,24 @@
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from ..config import ProgramOptions
 from ..errors import ExportError, SpecError
 from ..export import object_files
 from ..render import render_object, to_png
 from ..spec import ObjectSpec
+from .failed_picture import FAILED, failed_picture
 from .sandbox import Built
+from .signals import Signal
 from .views import opened_state
 
 log = logging.getLogger(__name__)
 
+MAX_PRINTED = 20
+"""Lines of a program's own output that are shown."""
 POLL_S = 0.2
 """Interval at which a watched program's file is checked for changes."""
 
@@ -69,6 +74,44 @@ def write_built(program: BuiltProgram, out: Path) -> frozenset[str]:
     return frozenset(files)
 
 
+def write_failed(program: BuiltProgram, out: Path, options: ProgramOptions) -> Path | None:
+    """Write the picture of an object that fails its checks, and return its path.
+
+    None where the program gave no object to draw. Other files of the folder stay.
+
+    Raises:
+        ExportError: it cannot be written.
+    """
+    spec = program.built.spec
+    if spec is None:
+        return None
+    picture = failed_picture(spec, options, program.built.allowances)
+    write_files({FAILED: picture}, out)
+    return out / FAILED
+
+
+def signal_lines(program: BuiltProgram, file: Path) -> list[str]:
+    """Return what a program printed and its signals, as terminals show them."""
+    return listings(program.built.printed, program.built.signals, file, program.text)
+
+
+def listings(printed: str, signals: Iterable[Signal], file: Path, text: str) -> list[str]:
+    """Return what a program printed and signals of it, as terminals show them.
+
+    Args:
+        printed: the program's own output.
+        signals: what was found.
+        file: the program.
+        text: of the program, for its lines.
+    """
+    lines = printed.splitlines()
+    return [
+        *(f"{file.name} printed: {line}" for line in lines[:MAX_PRINTED]),
+        *([f"... and {len(lines) - MAX_PRINTED} more lines"] * (len(lines) > MAX_PRINTED)),
+        *(signal.listing(str(file), text) for signal in signals),
+    ]
+
+
 def write_files(files: Mapping[str, bytes], out: Path) -> None:
     """Write files into a folder, each whole or not at all.
 
@@ -86,17 +129,25 @@ def write_files(files: Mapping[str, bytes], out: Path) -> None:
             raise ExportError(f"cannot write {out / path}: {error.strerror}") from None
 
 
-def watch(program: Path, out: Path, make: Builder, beside: tuple[Path, ...] = ()) -> int:
+def watch(
+    program: Path,
+    out: Path,
+    make: Builder,
+    beside: tuple[Path, ...] = (),
+    options: ProgramOptions | None = None,
+) -> int:
     """Build a program now and after every change of its files, until interrupted.
 
-    Logs one line for each build and one for each signal. A program with errors replaces no file,
-    and the folder stays unchanged while the program's file is missing.
+    Logs one line for each build, then its signals. A program with errors replaces no file and adds
+    failed.png, if there is anything to draw; the folder stays unchanged while the program's file is
+    missing.
 
     Args:
         program: the file.
         out: folder to write into.
         make: reads and builds the program.
         beside: other files that the result depends on; they need not exist.
+        options: thresholds, for the picture of an object that fails.
 
     Returns:
         The number of builds, after Ctrl-C.
@@ -109,7 +160,7 @@ def watch(program: Path, out: Path, make: Builder, beside: tuple[Path, ...] = ()
             if current != stamps:
                 stamps = current
                 count += current[0] is not None
-                written = _rebuild(program, out, make, count, written)
+                written = _rebuild(program, out, make, count, written, options)
             time.sleep(POLL_S)
     except KeyboardInterrupt:
         return count
@@ -125,7 +176,12 @@ def _stamp(program: Path) -> tuple[int, int] | None:
 
 
 def _rebuild(
-    program: Path, out: Path, make: Builder, count: int, written: frozenset[str]
+    program: Path,
+    out: Path,
+    make: Builder,
+    count: int,
+    written: frozenset[str],
+    options: ProgramOptions | None,
 ) -> frozenset[str]:
     """Build a program, write its files, log the outcome, and return the paths now in the folder."""
     start = time.monotonic()
@@ -137,15 +193,20 @@ def _rebuild(
     built = result.built
     if built.spec is None or not built.ok:
         outcome, fresh = "has errors, the files stay as they were", written
+        try:
+            drawn = write_failed(result, out, options or ProgramOptions())
+            outcome += f"; {FAILED} shows it" if drawn else ""
+        except ExportError as error:
+            outcome = str(error)
     else:
         try:
             fresh = write_built(result, out)
             outcome = f"{len(built.spec.parts)} parts, {len(built.spec.joints)} joints"
-            for path in written - fresh:
+            for path in {*written, FAILED} - fresh:
                 (out / path).unlink(missing_ok=True)
         except ExportError as error:
             outcome, fresh = str(error), written
     log.info(f"build {count} in {time.monotonic() - start:.2f} s: {outcome}")
-    for line in (*(signal.phrase() for signal in built.signals), *result.notes):
-        log.info(f"  {line}")
+    for line in (*signal_lines(result, program), *result.notes):
+        log.info(line)
     return fresh

@@ -21,6 +21,7 @@ from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..physics.scene_arrays import SceneArrays, on_device, pad_objects, pad_scene
 from ..physics.simulate import on_cpu
+from ..progress import update as update_progress
 from .algorithm import (
     SearchState,
     check_credit,
@@ -117,6 +118,7 @@ def search(
             r.summaries.append(_summary(scores[k]))
             if progress is not None:
                 progress(_line(r, scores[k]))
+            _update_progress(results, runs, began)
             r.finished = converged(r.problem, r.state)
             if r.finished and r.later is not None:
                 _follow_photo(arrays, r, terms, clock)
@@ -124,6 +126,20 @@ def search(
                 _make_room(arrays, r, terms)
     clock["search"] = time.perf_counter() - began
     return results
+
+
+def _update_progress(
+    results: Sequence[SearchResult], runs: Sequence[SearchRun], began: float
+) -> None:
+    """Report the iteration, the rate of candidates and the time that is left at most."""
+    seconds = time.perf_counter() - began
+    done = sum(len(r.rounds) for r in results)
+    of = sum(run.options.cem.iterations for run in runs)
+    candidates = sum(len(round_.scores.absolute) for r in results for round_ in r.rounds)
+    left = seconds / max(done, 1) * (of - done)
+    update_progress(
+        done=done, of=of, unit="iteration", rate=candidates / max(seconds, 1e-9), left_s=left
+    )
 
 
 def _opened(

@@ -13,6 +13,7 @@ from ..measure import SceneMeasure, measured, passes, scene_checks
 from ..physics.exact import snap_exactly
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
+from ..progress import update
 from ..spec import SceneSpec
 from .objective import Objective, Scores
 from .pruning import PRUNED
@@ -120,6 +121,7 @@ def choose(
     for tried, ((t, k), absolute) in enumerate(order[: o.finalists], start=1):
         if not np.isfinite(absolute):
             break
+        update(done=tried, of=o.finalists, unit="final check", rate=None, left_s=None)
         layouts, poses, _ = rounds[t]
         scene = snap_exactly(model.apply(layouts, k, poses))
         measure = measured(scene, o)

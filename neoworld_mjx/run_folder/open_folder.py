@@ -3,8 +3,8 @@
 A step writes into a staging folder; when it has finished, its files are flushed, moved into place
 and its record goes into run.json: a hash of what it read and one of each file it wrote. A process
 killed at any moment leaves either the record, and then all files, or no record, and then the step
-is done again. Only run.json and report.html carry times; every other file is a function of the
-photograph, the options and the models' answers.
+is done again. Only run.json, run.log and report.html carry times; every other file is a function of
+the photograph, the options and the models' answers.
 """
 
 import contextlib
@@ -19,8 +19,10 @@ from typing import Any, NamedTuple
 from ..config import Config
 from ..errors import NeoWorldError, RunError, choices
 from ..files import content_hash, write_atomic
+from ..progress import report
 from ..step_names import STEPS
 from .run_json import read_run, running, strict_json
+from .run_log import RUN_LOG, RunLog
 from .staging import (
     STAGING,
     check_claimable,
@@ -101,6 +103,7 @@ class RunFolder:
         try:
             with disk_errors(self.path):
                 self._begin(config, resume or start is not None, start, overwrite)
+                self._run_log = RunLog(self.path)
         except BaseException:
             self._lock.close()
             raise
@@ -115,14 +118,17 @@ class RunFolder:
         try:
             if error is None:
                 self.save()
+                self._run_log.note(logging.INFO, f"run: {self.data['status']}")
                 return
             interrupted = isinstance(error, KeyboardInterrupt)
             self.data["status"] = "interrupted" if interrupted else "failed"
             expected = isinstance(error, NeoWorldError)
             self.data["error"] = str(error) if expected else type(error).__name__
+            self._run_log.note(logging.ERROR, f"run: {self.data['status']}: {self.data['error']}")
             with contextlib.suppress(RunError):  # The first error is the one to report.
                 self.save()
         finally:
+            self._run_log.close()
             self._lock.close()
 
     def finished(self, name: str, inputs: Mapping[str, object]) -> bool:
@@ -162,7 +168,7 @@ class RunFolder:
         with disk_errors(self.path):
             shutil.rmtree(staged, ignore_errors=True)
             staged.mkdir(parents=True)
-            _log.info("%s: begun", name)
+            report(f"{name}: begun", **_shown_step(name, name))
             yield staged
             outputs = move_in(staged, self.path)
             delete_files(self.path, set(old_outputs) - set(outputs))
@@ -177,7 +183,7 @@ class RunFolder:
             "outputs": outputs,
         }
         self.save()
-        _log.info("%s: done in %.1f s", name, seconds)
+        report(f"{name}: done in {seconds:.1f} s", **_shown_step(name, _step_of(name)))
 
     def fallback(self, step: str, what: str, why: str) -> None:
         """Record that a step had to do something lesser than requested."""
@@ -187,7 +193,7 @@ class RunFolder:
     def note(self, step: str, what: str, why: str) -> None:
         """Record what a person should know of a step that did as requested, such as a far move."""
         if self._listed("notes", step, what, why):
-            _log.info("%s: %s: %s", step, what, why)
+            report(f"{step}: {what}: {why}")
 
     def _listed(self, kind: str, step: str, what: str, why: str) -> bool:
         """Add an entry to a list of run.json; return whether it is new."""
@@ -255,7 +261,8 @@ class RunFolder:
             if _step_of(name) not in self._kept if start is not None else overwrite and not resume:
                 delete_files(self.path, self._forget(name))
         if not resume:
-            (self.path / "report.html").unlink(missing_ok=True)
+            for name in ("report.html", RUN_LOG):
+                (self.path / name).unlink(missing_ok=True)
             self.data = {"steps": {}, "fallbacks": []}
         clear_unfinished(self.path)
         self.data = running(config, self.data)
@@ -273,7 +280,7 @@ class RunFolder:
             entry["inputs"] = hashes
         elif entry["inputs"] != hashes or self._edited(entry):
             return False
-        _log.info("%s: kept as it is", name)
+        report(f"{name}: kept as it is", **_shown_step(name, _step_of(name)))
         return True
 
     def accept_edits(self, name: str) -> None:
@@ -324,3 +331,8 @@ class RunFolder:
 
 def _step_of(name: str) -> str:
     return name.split("/", maxsplit=1)[0]
+
+
+def _shown_step(name: str, shown: str) -> dict[str, str]:
+    """Return the fact of the status line; pictures are drawn beside other work, and are not it."""
+    return {} if name.endswith("/picture") else {"step": shown}

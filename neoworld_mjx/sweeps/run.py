@@ -1,7 +1,6 @@
 """Sweeps and ablations: settings of the search, on scenes, with seeds, into one table."""
 
 import json
-import logging
 import os
 import platform
 import time
@@ -19,6 +18,7 @@ from ..files import content_hash
 from ..physics.engine import Engine
 from ..physics.model import SceneModel
 from ..physics.simulate import open_engine
+from ..progress import report
 from ..refinement.loop import search
 from ..refinement.returning import choose_and_return
 from ..refinement.scene_refinement import compile_for_search, refine
@@ -33,8 +33,6 @@ from .model_scores import ModelScores, asks_a_model
 from .plan import Ablation, Plan, Point, points, read, shared_config
 from .run_rows import Key, Row, row_of_refined, row_of_search
 from .table import comma_separated, differences, flat, latex, markdown, summary
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -122,15 +120,16 @@ def _run(
     groups = grouped(options, fold=fold)
     kind = "sweep" if isinstance(plan, Plan) else "ablation"
     total = len(cases) * len(settings) * len(plan.seeds)
-    _log.info(
-        "%s: %d points x %d seeds x %d scenes = %d runs",
-        *(kind, len(settings), len(plan.seeds), len(cases), total),
+    report(
+        f"{kind}: {len(settings)} points x {len(plan.seeds)} seeds x {len(cases)} scenes = "
+        f"{total} runs",
+        step=f"{kind} of {total} runs",
     )
     lines = reasons(options, fold=fold)
     if plan.fold and by_model:
         lines = [*lines, "a model scores candidates: every run is a refinement of its own"]
     for line in lines:
-        _log.info("static: %s", line)
+        report(f"static: {line}")
     fingerprints = _fingerprints(plan, settings, cases, groups, engine, fold)
     folder = None
     completed: dict[Key, Row] = {}
@@ -138,7 +137,7 @@ def _run(
         folder = SweepFolder(Path(out), kind, resume=resume, overwrite=overwrite)
         completed = folder.keep(fingerprints)
         if completed:
-            _log.info("%d of %d runs are there already", len(completed), total)
+            report(f"{len(completed)} of {total} runs are there already")
     scores = None
     if by_model:
         scores = ModelScores(
@@ -223,11 +222,11 @@ def _run(
             )
             computed += len(runs)
             left = (total - len(completed)) * (time.perf_counter() - began) / computed
-            _log.info(
-                "%s, group %d of %d: %d runs in %.1f s, %.1f s of it compiling %d programs; "
-                "%d of %d runs done, about %.0f s left",
-                *(scene.name, number, len(groups), len(runs), elapsed, compile_s, programs),
-                *(len(completed), total, left),
+            report(
+                f"{scene.name}, group {number} of {len(groups)}: {len(runs)} runs in "
+                f"{elapsed:.1f} s, {compile_s:.1f} s of it compiling {programs:.0f} programs; "
+                f"{len(completed)} of {total} runs done, about {left:.0f} s left",
+                step=f"{kind} of {total} runs, {len(completed)} done, {left:.0f} s left",
             )
             save(False)
     result = save(True)

@@ -68,6 +68,8 @@ def check_object(
         built = patched.built
         signals = [{"code": s.code, **s.model_dump(exclude_defaults=True)} for s in built.signals]
         answer["signals"] = signals
+        if built.printed:
+            answer["printed"] = built.printed
         if built.spec is None:
             return {**answer, "passed": False, "checks": []}
         spec = built.spec
@@ -102,7 +104,7 @@ def report(result: VerificationResult) -> dict[str, Any]:
     answer: dict[str, Any] = {
         "object": verdict.object,
         "passed": verdict.passed,
-        "cause": verdict.cause,
+        **({} if verdict.cause is None else {"cause": verdict.cause}),
         "faults": list(verdict.faults),
         "score": round(verdict.score, 3),
         "mass_kg": verdict.mass_kg,

@@ -38,7 +38,7 @@ SMALL = {
     "render": {"width": 96, "supersample": 1},
     "verify": {"duration_s": 0.5},
 }
-TIMED = {"run.json", "report.html", ".lock"}
+TIMED = {"run.json", "report.html", "run.log", ".lock"}
 """What may differ between two runs, as it carries times or process numbers."""
 CRITICS = ("judge", "critic")
 NOTES = {"parse.json", "program.json", "verify.json", "answers.tape.json"}

@@ -1,0 +1,220 @@
+"""Answers of commands in about five lines: valid or not and why, where, time, cost."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from ..names import printable
+from .base_command import Answer
+
+DETAILS = "details: -v, or --json"
+MOST_REASONS = 3
+_UNITS = {"m": (1000.0, "mm"), "deg": (1.0, "degrees"), "rad": (180 / 3.141592653589793, "degrees")}
+
+
+def run_lines(answer: Answer) -> list[str]:
+    """Return the lines of a reconstruction or a refinement."""
+    passed, folder = answer.get("passed"), answer["folder"]
+    if passed is None:
+        head = f"not refined yet: {_listed(answer['objects'])} in {folder}"
+    elif passed:
+        head = (
+            f"valid: {count(answer['movable'], 'movable object')} within "
+            f"{1000 * answer['max_drift_m']:.1f} mm and {answer['max_tilt_deg']:.1f} degrees in "
+            f"{answer['duration_s']:g} s of free fall, deepest overlap "
+            f"{1000 * answer['max_depth_m']:.2g} mm"
+        )
+    else:
+        why = [entry["why"] for entry in answer["fallbacks"] if entry["step"] == "refine"]
+        head = f"not valid: {_reasons(why) or _worst(answer)}"
+    rows = [head]
+    if answer.get("scene"):
+        rows.append(f"scene:  {answer['scene']}  ({count(answer['objects'], 'object')})")
+    rows.append(f"report: {answer['report']}")
+    agreement = answer.get("box_iou") or {}
+    if agreement.get("refined") is not None:
+        worst = agreement.get("worst") or {}
+        low = f", worst {worst['name']} {worst['value']:.2f}" if worst.get("name") else ""
+        rows.append(f"photo:  boxes agree by {agreement['refined']:.2f} (mean IoU{low})")
+    if answer["fallbacks"]:
+        said = [f"{e['step']}: {e['what']}: {e['why']}" for e in answer["fallbacks"]]
+        rows.append(f"fallbacks: {_reasons(said)}")
+    rows.append(f"{_time(answer)}; {_cost(answer['mllm'])}; {DETAILS}")
+    return rows
+
+
+def scene_check_lines(answer: Answer) -> list[str]:
+    """Return the lines of the check of a scene."""
+    passed, checks = answer["passed"], answer["checks"]
+    failed = [check for check in checks if not check["passed"]]
+    why = [
+        f"{measure(check['value'], check['name'])} {_of(check)}"
+        f"over {measure(check['threshold'], check['name'])} ({check['name']})"
+        for check in failed
+    ]
+    movable = count(answer["movable"], "movable object")
+    head = f"valid: {movable}, all {len(checks)} bounds hold"
+    worst = max((c for c in checks if c["passed"]), key=_share, default=None)
+    rows = [head if passed else f"not valid: {_reasons(why)}", f"scene: {answer['target']}"]
+    if worst is not None and worst["value"]:
+        rows.append(
+            f"closest to its bound: {worst['name']} {measure(worst['value'], worst['name'])} "
+            f"{_of(worst)}of {measure(worst['threshold'], worst['name'])}"
+        )
+    rows += [f"note: {note}" for note in answer.get("notes", ())[:MOST_REASONS]]
+    return [*rows, DETAILS]
+
+
+def object_check_lines(answer: Answer, listings: Sequence[str] = ()) -> list[str]:
+    """Return the lines of the check of an object.
+
+    Args:
+        answer: of `check`.
+        listings: signals of its program, as terminals show them.
+    """
+    rows = list(listings)
+    if "object" not in answer:
+        return [*rows, f"not valid: {answer['target']} does not build"]
+    counts = answer["counts"]
+    ran = counts["PASS"] + counts["FAIL"] + counts["TOOL_FAILURE"]
+    bad = [check for check in answer["checks"] if check["outcome"] in ("FAIL", "TOOL_FAILURE")]
+    if answer["passed"]:
+        doubt = f", {counts['doubtful']} of them only just" if counts["doubtful"] else ""
+        rows.append(f"valid: {answer['object']} passes all {ran} checks{doubt}")
+    else:
+        why = "its program has errors" if not bad else f"{len(bad)} of {ran} checks fail"
+        likely = f", the likely cause is {answer['cause']}" if answer.get("cause") else ""
+        rows.append(f"not valid: {answer['object']}: {why}{likely}")
+    for check in bad[:MOST_REASONS]:
+        place = " ".join(str(check[k]) for k in ("part", "joint") if check.get(k))
+        hint = f"; hint: {check['hint']}" if check.get("hint") else ""
+        rows.append(f"  {check['scenario']} {check['name']} {place}: {_against(check)}{hint}")
+    if len(bad) > MOST_REASONS:
+        rows.append(f"  and {len(bad) - MOST_REASONS} more")
+    repair = answer.get("repair")
+    if repair is not None:
+        rows.append(f"repair: {_reasons(repair['changes']) or 'nothing helped'}")
+    rows += [f"{key}: {answer[key]}" for key in ("patch", "folder") if key in answer]
+    rows.append(f"{answer['mass_kg']:.3g} kg; {answer['seconds']:.2f} s; {DETAILS}")
+    return rows
+
+
+def build_lines(answer: Answer, listings: Sequence[str] = ()) -> list[str]:
+    """Return the lines of a build."""
+    rows = list(listings)
+    if "builds" in answer:
+        return [f"builds: {answer['builds']}", f"folder: {answer['folder']}"]
+    if answer["passed"]:
+        rows.append(f"built: {answer['object']} in {answer['folder']}")
+        rows += [f"note: {note}" for note in answer.get("notes", ())[:MOST_REASONS]]
+    else:
+        rows.append("not built: see the errors above")
+    if "picture" in answer:
+        rows.append(f"picture: {answer['picture']}")
+    return rows
+
+
+def export_lines(answer: Answer) -> list[str]:
+    """Return the lines of an export."""
+    rows = [f"written: {count(answer['files'], 'file')} in {answer['folder']}"]
+    for kind, lost in answer["lost"].items():
+        if lost:
+            rows.append(f"lost in {kind}: {_reasons(lost)}")
+    rows += [f"note: {note}" for note in answer.get("notes", ())[:MOST_REASONS]]
+    if "collider_error_mm" in answer:
+        rows.append(f"colliders differ by up to {answer['collider_error_mm']} mm")
+    return [*rows, DETAILS]
+
+
+def sweep_lines(answer: Answer) -> list[str]:
+    """Return the lines of a sweep or an ablation."""
+    points = answer["points"]
+    valid = sum(point.get("passed", 0) * point.get("n", 0) for point in points)
+    best = max(points, key=lambda point: point.get("reward") or float("-inf"), default=None)
+    rows = [f"{count(answer['runs'], 'run')}, {valid:.0f} of them valid, in {answer['folder']}"]
+    if best is not None and best.get("reward") is not None:
+        rows.append(f"best reward: {best['reward']:.4g} at {best['point']}")
+    rows.append(f"table: {answer['table']}")
+    if answer.get("figure"):
+        rows.append(f"figure: {answer['figure']}")
+    cost = f"; {_cost(answer['mllm'])}" if "mllm" in answer else ""
+    rows.append(
+        f"{answer['seconds']:.1f} s, {answer['compile_s']:.1f} s of it compiling{cost}; {DETAILS}"
+    )
+    return rows
+
+
+def measure(value: float | None, name: str) -> str:
+    """Return a value with the unit that its name ends in, such as max_drift_m."""
+    if value is None:
+        return "not finite"
+    factor, unit = _UNITS.get(name.rpartition("_")[2], (1.0, ""))
+    return f"{factor * value:.3g} {unit}".strip()
+
+
+def count(items: int | Sequence[object], what: str) -> str:
+    """Return a number with its noun."""
+    number = items if isinstance(items, int) else len(items)
+    return f"{number} {what}" + ("" if number == 1 else "s")
+
+
+def file_lines(answer: Answer) -> list[str]:
+    """Return the lines of a command that writes one file."""
+    return [f"{key}: {_flat(value)}" for key, value in answer.items()]
+
+
+def _flat(value: Any) -> str:
+    return " x ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def _against(check: Mapping[str, Any]) -> str:
+    if check.get("value") is None:
+        return str(check.get("evidence") or check["outcome"])
+    unit = check.get("unit", "")
+    factor, shown = _UNITS.get(unit, (1.0, unit))
+    threshold = check.get("threshold")
+    against = "" if threshold is None else f" against {factor * threshold:.3g}"
+    return f"{factor * check['value']:.3g}{against} {shown}".strip()
+
+
+def _share(check: Mapping[str, Any]) -> float:
+    return check["value"] / check["threshold"] if check["threshold"] else 0.0
+
+
+def _of(check: Mapping[str, Any]) -> str:
+    return f"of {check['where']} " if check.get("where") else ""
+
+
+def _worst(answer: Answer) -> str:
+    """Say what is largest of a scene that fails for an unnamed reason."""
+    drift = max(answer.get("drift_m", {"?": 0.0}).items(), key=lambda item: item[1])
+    depth = 1000 * answer.get("max_depth_m", 0.0)
+    return f"{drift[0]} drifts by {1000 * drift[1]:.1f} mm, deepest overlap {depth:.2g} mm"
+
+
+def _time(answer: Answer) -> str:
+    seconds = answer["seconds"]
+    longest = sorted(seconds.items(), key=lambda item: -item[1])[:2]
+    waited = sum(answer["waiting"].values())
+    parts = ", ".join(f"{name} {value:.1f}" for name, value in longest)
+    waiting = f"; waited {waited:.1f} s for models" if waited >= 0.5 else ""
+    return f"{sum(seconds.values()):.1f} s ({parts}){waiting}"
+
+
+def _cost(ledger: Mapping[str, Any]) -> str:
+    if not ledger:
+        return "no model was asked"
+    calls = count(ledger["calls"], "call")
+    if ledger["cost_usd"] is None:
+        unknown = ", ".join(ledger["models_without_price"])
+        return f"{calls}, {ledger['known_cost_usd']:.4g} USD and what {unknown} cost"
+    return f"{calls} by {ledger['provider']}, {ledger['cost_usd']:.4g} USD"
+
+
+def _reasons(reasons: Iterable[str]) -> str:
+    said = [printable(reason) for reason in reasons]
+    more = f"; and {len(said) - MOST_REASONS} more" if len(said) > MOST_REASONS else ""
+    return "; ".join(said[:MOST_REASONS]) + more
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")

@@ -1,0 +1,115 @@
+"""Signals of the type check: which of its findings count, and a hint for each."""
+
+import difflib
+import inspect
+import re
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib import import_module
+from typing import Any
+
+from .exception_signals import IMPORT_HINT, MODULE
+from .part import Geom, Joint, Part
+from .placing import Shape
+from .sdk_object import Object
+from .signals import Signal
+
+MAX_TYPE_SIGNALS = 20
+_CLASSES = (Object, Part, Geom, Joint, Shape)
+_TUPLE = re.compile(r"Expected `tuple\[((?:float, )*float)\]")
+_OWN_MODULES = ("neoworld_mjx", "sdk")
+_WORDS = {2: "two", 3: "three"}
+
+
+def type_signals(findings: Sequence[Mapping[str, Any]]) -> list[Signal]:
+    """Turn the findings of the type check into signals.
+
+    Where the text does not parse, nothing else is known: the check then also says that the SDK
+    cannot be imported, which is not so. Of a call with numbers in place of a tuple it says two
+    things; the one that names the tuple stays.
+
+    Args:
+        findings: each with "code", "message" and "location", as the sandbox gives them.
+    """
+    broken = [each for each in findings if each["code"] == "invalid-syntax"]
+    tuples = {_line(each) for each in findings if _TUPLE.search(each["message"])}
+    shown = [
+        each
+        for each in broken or findings
+        if not (each["code"] == "too-many-positional-arguments" and _line(each) in tuples)
+    ]
+    return [
+        Signal(
+            severity="error",
+            code="syntax" if broken else "type",
+            message=each["message"][:400],
+            line=_line(each),
+            column=each["location"]["column"],
+            hint="" if broken else _hint(each["code"], each["message"]),
+        )
+        for each in shown[:MAX_TYPE_SIGNALS]
+    ]
+
+
+def _line(finding: Mapping[str, Any]) -> int:
+    return finding["location"]["row"]
+
+
+def _hint(code: str, message: str) -> str:
+    named = re.findall(r"`([^`]*)`", message)
+    if code == "unresolved-import" and named:
+        return _import_hint(named)
+    if code == "unresolved-attribute" and len(named) > 1:
+        return _nearest(named[-1], _members(named[0])) or "the SDK has only what the guide lists"
+    if code == "unknown-argument" and len(named) > 1:
+        arguments = _arguments(named[-1])
+        valid = f"; it takes {', '.join(arguments)}" if arguments else ""
+        return (
+            _nearest(named[0], arguments) or "the SDK has only the arguments that the guide lists"
+        ) + valid
+    numbers = _TUPLE.search(message)
+    if numbers is not None:
+        count = numbers.group(1).count("float")
+        example = "(x, y, z)" if count == 3 else "(low, high)"
+        return f"give {_WORDS.get(count, count)} numbers in one tuple: {example}"
+    return ""
+
+
+def _import_hint(named: Sequence[str]) -> str:
+    """Say where a name is, of an import that fails."""
+    names = import_module(MODULE).__all__
+    module, name = named[0], named[-1] if len(named) > 1 else ""
+    if module == MODULE:
+        return _nearest(name, names) or "the SDK has only what the guide lists"
+    if module.split(".")[0] in _OWN_MODULES:
+        return f"write: from {MODULE} import {name if name in names else 'Object, box'}"
+    return IMPORT_HINT
+
+
+def _nearest(name: str, valid: Sequence[str]) -> str:
+    near = difflib.get_close_matches(name, valid, n=1, cutoff=0.5)
+    return f"did you mean {near[0]}?" if near else ""
+
+
+@cache
+def _members(kind: str) -> tuple[str, ...]:
+    """Return the public members of a class of the SDK."""
+    return tuple(
+        name
+        for each in _CLASSES
+        if each.__name__ == kind
+        for name in (*vars(each), *inspect.get_annotations(each))
+        if not name.startswith("_")
+    )
+
+
+@cache
+def _arguments(function: str) -> tuple[str, ...]:
+    """Return the arguments of a function of the SDK, or of a method, "Class.method"."""
+    owner, _, name = function.rpartition(".")
+    sdk = import_module(MODULE)
+    kinds = {each.__name__: each for each in _CLASSES}
+    found = getattr(kinds.get(owner), name, None) if owner else getattr(sdk, name, None)
+    if not callable(found):
+        return ()
+    return tuple(key for key in inspect.signature(found).parameters if key != "self")

@@ -1,0 +1,175 @@
+"""What commands say in a terminal: few lines, one format for signals, a status line, a log."""
+
+import io
+import logging
+import re
+import time
+
+import pytest
+
+from neoworld_mjx import cli, progress
+from neoworld_mjx.commands.status_line import StatusLine
+from neoworld_mjx.config import Config, ProgramOptions
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.program import build
+from neoworld_mjx.program.failed_picture import deepest_overlap, overlap_meshes
+from neoworld_mjx.run_folder import RunFolder
+from neoworld_mjx.spec.triangles import enclosed_volume
+
+GOOD = """from neoworld_mjx.program.sdk import Object, box
+o = Object("thing", "a thing")
+p = o.part("body", material=o.material("oak", like="oak"))
+p.add(box((0.1, 0.1, 0.1)), at=(0, 0, 0.05))
+"""
+DOOR = (
+    GOOD
+    + """q = o.part("door", material="oak")
+q.add(box((0.1, 0.02, 0.1)), at=(0, {y}, 0.05))
+o.revolute("hinge", p, q, at=(-0.05, -0.051, 0), axis=(0, 0, -1), range=(0, {most}))
+"""
+)
+
+
+@pytest.fixture
+def neoworld(capfd):
+    def run(*words):
+        with pytest.raises(SystemExit) as ended:
+            cli.main([str(word) for word in words])
+        return (ended.value.code, *capfd.readouterr())
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("program", "code", "hint"),
+    [
+        (GOOD.replace("box((0.1, 0.1, 0.1))", "box(0.1, 0.1, 0.1)"), "type", "three numbers in"),
+        (GOOD.replace("Object, box", "Object, boks"), "type", "did you mean box?"),
+        (GOOD.replace("p.add", "p.ad"), "type", "did you mean add?"),
+        (GOOD.replace("neoworld_mjx.program.sdk", "sdk"), "type", "import Object, box"),
+        (GOOD + "p.add(box((1, 1, 1)), rpy=(0, 0, 90))", "value", ""),
+        (DOOR.format(y=-0.062, most=90), "range_large", "math.radians(90)"),
+        (GOOD + "p.add(box((1,", "syntax", ""),
+    ],
+)
+def test_common_mistakes_get_the_hint_that_they_need(program, code, hint):
+    signals = build(program).signals
+    assert signals[0].code == code
+    assert hint in signals[0].hint
+    if "rpy" in program:
+        assert "90 degrees are 1.571" in signals[0].message
+    if code == "syntax":
+        assert len(signals) == 1, "a text that does not parse says nothing about its imports"
+    if "box(0.1" in program:
+        assert len(signals) == 1
+
+
+def test_build_and_check_show_signals_in_one_format_and_what_was_printed(neoworld, tmp_path):
+    program = tmp_path / "thing.py"
+    program.write_text('print("size", 3)\n' + GOOD.replace("p.add", "p.ad"))
+    code, out, _ = neoworld("build", program, "--out", tmp_path / "out")
+    expected = f"{program}:5:1: error type: "
+    assert code == 1 and out.splitlines()[0].startswith(expected)
+    assert "\n    p.ad(box((0.1, 0.1, 0.1)), at=(0, 0, 0.05))\n    hint: did you mean" in out
+    code, checked, _ = neoworld("check", program)
+    assert code == 1 and checked.splitlines()[0] == out.splitlines()[0]
+    program.write_text('print("size", 3)\n' + GOOD)
+    code, out, _ = neoworld("build", program, "--out", tmp_path / "out")
+    assert code == 0
+    assert out.splitlines() == ["thing.py printed: size 3", f"built: thing in {tmp_path / 'out'}"]
+    code, out, _ = neoworld("check", program)
+    assert code == 0 and "unknown" not in out
+    assert "valid: thing passes all" in out and len(out.splitlines()) <= 5
+
+
+def test_a_failed_build_draws_what_it_can_and_a_good_one_takes_that_away(neoworld, tmp_path):
+    program, out = tmp_path / "thing.py", tmp_path / "out"
+    program.write_text(DOOR.format(y=-0.05, most=1))
+    code, said, _ = neoworld("build", program, "--out", out)
+    assert code == 1 and f"picture: {out / 'failed.png'}" in said
+    assert [path.name for path in out.iterdir()] == ["failed.png"]
+    program.write_text(DOOR.format(y=-0.0615, most=1))
+    assert neoworld("build", program, "--out", out, "--overwrite")[0] == 0
+    assert "failed.png" not in {path.name for path in out.iterdir()}
+
+
+def test_the_red_volume_is_what_two_parts_share():
+    spec = build(DOOR.format(y=-0.05, most=1)).spec
+    pairs, state = deepest_overlap(spec, ProgramOptions())
+    assert (pairs, state) == ([(0, 1)], {})
+    (mesh,) = overlap_meshes(spec, pairs, state)
+    # The door's 2 cm lie half inside.
+    assert enclosed_volume(*mesh.surface()) == pytest.approx(0.1 * 0.01 * 0.1, rel=1e-3)
+
+
+def test_the_status_line_says_step_rate_cost_and_time_left():
+    with StatusLine(io.StringIO(), live=False) as line:
+        log = logging.getLogger("neoworld_mjx.progress")
+        log.addHandler(line)
+        log.setLevel(logging.DEBUG)
+        try:
+            assert line.text() == ""
+            progress.report("refine: begun", step="refine")
+            progress.update(done=3, of=8, unit="iteration", rate=120.4, left_s=9.6)
+            progress.update(calls=4, cost_usd=0.256, unanswered=2)
+            assert re.fullmatch(
+                r"refine 0 s · iteration 3 of 8 · 120 candidates/s · about 10 s left · "
+                r"4 calls, 0.26 USD · waits for 2 answers",
+                line.text(),
+            )
+            progress.report("export: begun", step="export")
+            progress.update(unanswered=0)
+            assert line.text() == "export 0 s · 4 calls, 0.26 USD · computes"
+        finally:
+            log.removeHandler(line)
+            log.setLevel(logging.NOTSET)
+
+
+@pytest.mark.parametrize(
+    ("options", "lines"),
+    [({}, ["careful"]), ({"verbose": True}, ["begun", "careful"]), ({"quiet": True}, [])],
+)
+def test_lines_of_progress_are_for_those_who_ask(options, lines):
+    stream = io.StringIO()
+    line = StatusLine(stream, **options)
+    for name, level, text in (
+        ("neoworld_mjx.progress", logging.INFO, "begun"),
+        ("neoworld_mjx.progress", logging.DEBUG, ""),
+        ("neoworld_mjx.x", logging.WARNING, "careful"),
+    ):
+        line.handle(logging.LogRecord(name, level, "", 0, text, None, None))
+    assert stream.getvalue().splitlines() == lines
+
+
+def test_the_live_line_is_drawn_below_the_log_and_goes_away(monkeypatch):
+    monkeypatch.setattr("neoworld_mjx.commands.status_line.REFRESH_S", 0.01)
+    stream = io.StringIO()
+    with StatusLine(stream, live=True) as line:
+        record = logging.LogRecord("neoworld_mjx.progress", 10, "", 0, "", None, None)
+        record.facts = {"step": "refine"}
+        line.handle(record)
+        stop = time.monotonic() + 10
+        while "refine 0 s · computes" not in stream.getvalue():
+            assert time.monotonic() < stop
+            time.sleep(0.01)
+        line.handle(logging.LogRecord("neoworld_mjx.x", 30, "", 0, "careful", None, None))
+    assert "\r\x1b[2Kcareful\n" in stream.getvalue()
+    assert stream.getvalue().endswith("\r\x1b[2K")
+
+
+def test_a_run_keeps_its_log_and_how_it_ended(tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(SpecError), RunFolder(out, Config()) as run:
+        run.fallback("parse", "a line\nof two", "\x1b[31m")
+        raise SpecError("no such thing")
+    log = (out / "run.log").read_text()
+    assert "WARNING parse: fell back to a line | of two: \\x1b[31m" in log
+    assert log.splitlines()[-1].endswith("ERROR run: failed: no such thing")
+    assert not logging.getLogger("neoworld_mjx").handlers or all(
+        type(each).__name__ != "RunLog" for each in logging.getLogger("neoworld_mjx").handlers
+    )
+    with RunFolder(out, Config(), resume=True):
+        pass
+    assert "run: failed: no such thing" in (out / "run.log").read_text()
+    with RunFolder(out, Config(), overwrite=True):
+        pass
