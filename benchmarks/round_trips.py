@@ -16,7 +16,16 @@ from neoworld_mjx.export.formats import write_formats
 from neoworld_mjx.export.importing import Imported
 from neoworld_mjx.format_names import Format
 from neoworld_mjx.program import build
-from neoworld_mjx.spec import JointSpec, ObjectSpec, inertial, link_poses, part_bounds, recentred
+from neoworld_mjx.spec import (
+    JointSpec,
+    Material,
+    ObjectSpec,
+    inertial,
+    link_poses,
+    part_bounds,
+    recentred,
+)
+from neoworld_mjx.spec.finish import finish
 from neoworld_mjx.spec.pose import matrix
 from neoworld_mjx.templates import templates
 
@@ -28,15 +37,15 @@ READERS: dict[Format, tuple[str, Callable[[Path], Imported]]] = {
 }
 BOUNDS: dict[str, float] = {
     "pose_m": 1e-5, "axis": 1e-5, "limits": 1e-5, "mass": 1e-5, "inertia": 1e-4, "dynamics": 1e-5,
-    "mimic": 1e-5, "sites_m": 1e-5, "friction": 1e-4, "colour": 0.005,
+    "mimic": 1e-5, "sites_m": 1e-5, "friction": 1e-4, "colour": 0.005, "shine": 1e-5,
 }  # fmt: skip
 """Largest differences: of masses, inertias and dynamics over the greater of both."""
 LOST: dict[Format, frozenset[str]] = {
     "mjcf": frozenset({"velocity"}),
-    "urdf": frozenset({"stiffness", "armature"}),
+    "urdf": frozenset({"stiffness", "armature", "shine"}),
     "usd": frozenset(),
 }
-"""Numbers of joints that a format has no place for, as `neoworld export` says."""
+"""Numbers of joints and materials that a format has no place for, as `neoworld export` says."""
 DYNAMICS = ("damping", "friction", "stiffness", "armature", "effort", "velocity")
 
 
@@ -112,8 +121,10 @@ def compare(own: ObjectSpec, back: ObjectSpec, lost: frozenset[str]) -> dict[str
         note("inertia", np.abs(tensors[0] - tensors[1]).max() / np.abs(tensors[0]).max())
         boxes = [np.array(part_bounds(s, p)) for s, p in ((own, part), (back, twin))]
         note("extent_m", np.abs(boxes[0] + shift - boxes[1]).max())
-        for name, pick in (("friction", "collision"), ("colour", "visual")):
-            looks = [_materials(s, p, pick) for s, p in ((own, part), (back, twin))]
+        for name, pick in (("friction", "collision"), ("colour", "visual"), ("shine", "visual")):
+            if name in lost:
+                continue
+            looks = [_materials(s, p, pick, name) for s, p in ((own, part), (back, twin))]
             note(name, _apart(*looks))
     for joint in own.joints:
         if joint.type != "fixed":
@@ -174,10 +185,15 @@ def _values(joint: JointSpec, rng: np.random.Generator) -> dict[str, float]:
     return {joint.name: rng.uniform(low, high)}
 
 
-def _materials(spec: ObjectSpec, part: Any, role: str) -> list[list[float]]:
-    """Return the frictions of a part's colliders, or the colours of what is seen, each once."""
+def _materials(spec: ObjectSpec, part: Any, role: str, what: str) -> list[list[float]]:
+    """Return a part's frictions, colours, or metallic and roughness, each once."""
     chosen = [spec.material(geom.material) for geom in part.geoms if geom.role in (role, "both")]
-    values = [[m.friction] if role == "collision" else list(m.rgba) for m in chosen]
+    kinds: dict[str, Callable[[Material], list[float]]] = {
+        "friction": lambda m: [m.friction],
+        "colour": lambda m: list(m.rgba),
+        "shine": lambda m: list(finish(m)[:2]),
+    }
+    values = [kinds[what](m) for m in chosen]
     return sorted({tuple(v): v for v in values}.values())
 
 

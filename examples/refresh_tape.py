@@ -6,6 +6,8 @@ name, for a person to look over with `git diff`:
 
     uv run python examples/refresh_tape.py examples/coffee.png \
         neoworld_mjx/data/tapes/coffee.tape.json
+
+Configurations named after them are asked, too; the microwave has answers for configs/paper.yaml.
 """
 
 import json
@@ -31,10 +33,29 @@ def answer(mailbox: Path, texts: dict[str, str], done: threading.Event) -> None:
                 part.replace(response)
 
 
-def main(photo: Path, path: Path) -> None:
-    """Refresh one tape in place, its header kept."""
+def main(photo: Path, path: Path, configs: list[Path]) -> None:
+    """Refresh one tape in place, its header kept, for the defaults and further configurations."""
     old = Tape.load(path)
-    texts = {entry.name: entry.text for entry in old.answers.values()}
+    fresh = Tape(photo=old.photo, made=old.made)
+    for number, config in enumerate([None, *configs]):
+        # A name may have an answer for each configuration, as its pictures differ.
+        given: dict[str, list[str]] = {}
+        for entry in old.answers.values():
+            given.setdefault(entry.name, []).append(entry.text)
+        texts = {name: some[min(number, len(some) - 1)] for name, some in given.items()}
+        fresh.answers |= asked_again(photo, texts, config).answers
+    models = {entry.name: entry.model for entry in old.answers.values()}
+    for entry in fresh.answers.values():
+        entry.model = models[entry.name]
+    left = {entry.name for entry in old.answers.values()}
+    left -= {entry.name for entry in fresh.answers.values()}
+    if left:
+        sys.exit(f"not asked for, so the tape is left as it was: {', '.join(sorted(left))}")
+    fresh.save(path)
+
+
+def asked_again(photo: Path, texts: dict[str, str], config: Path | None) -> Tape:
+    """Return the tape of one run whose requests are answered by their names."""
     with tempfile.TemporaryDirectory() as folder:
         done, new = threading.Event(), Path(folder) / "new.tape.json"
         mailbox = Path(folder) / "mailbox"
@@ -43,19 +64,14 @@ def main(photo: Path, path: Path) -> None:
         reconstruct(
             photo,
             Path(folder) / "run",
-            load_config(None, {"provider": "mailbox"}),
-            until="program",
+            load_config(config, {"provider": "mailbox"}),
+            until="program" if config is None else "verify",
             record=new,
             mailbox=mailbox,
         )
         done.set()
-        fresh = Tape.load(new)
-    models = {entry.name: entry.model for entry in old.answers.values()}
-    for entry in fresh.answers.values():
-        entry.model = models[entry.name]
-    fresh.made = old.made
-    fresh.save(path)
+        return Tape.load(new)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    main(Path(sys.argv[1]), Path(sys.argv[2]), [Path(name) for name in sys.argv[3:]])

@@ -12,6 +12,7 @@ from ..physics.lowering import polyhedron_error
 from ..spec import ObjectSpec, SceneSpec, bounds, link_poses, pieces, world_poses
 from ..spec.convex import box_around
 from .meshes import mesh_files
+from .textures import is_textured, texture_files
 from .write_directives import directives_text, package_text
 from .write_drives import drives_text
 from .write_glb import glb_bytes
@@ -70,9 +71,20 @@ def lost(described: Described, kind: Format) -> list[str]:
 
     if kind == "glb":
         return ["colliders, joints, masses and friction"]
+    if kind in ("urdf", "sdf"):
+        tell(
+            "textures, of which the colours are left",
+            sorted(
+                f"{owner}.{geom.material}"
+                for owner, spec in _objects(described)
+                for geom in {g.material: g for p in spec.parts for g in p.geoms}.values()
+                if is_textured(spec, geom)
+            ),
+        )
     if kind == "urdf":
         tell("stiffness and armature of joints", with_("stiffness", "armature"))
         tell("balls are three hinges", balls())
+        result.append("metallic and roughness of materials")
         result.append("colliders of what moves are drawn in by 0.5 mm, ellipsoids are meshes")
     if kind == "sdf":
         tell("armature of joints", with_("armature"))
@@ -148,13 +160,21 @@ def _meshes(described: Described) -> dict[str, bytes]:
     }
 
 
+def _textures(described: Described) -> dict[str, bytes]:
+    return {
+        f"{_folder(described, name)}{path}": content
+        for name, spec in _objects(described)
+        for path, content in texture_files(spec).items()
+    }
+
+
 def _mjcf(described: Described, mjx: bool, floor: bool) -> dict[str, bytes]:
     file = f"{_stem(described)}.xml"
     text = mjcf_text(
         described, target="mjx" if mjx else "mujoco", floor=_lowest(described) if floor else None
     )
     drives = drives_text(described, file)
-    files = {file: text.encode(), **_meshes(described)}
+    files = {file: text.encode(), **_meshes(described), **_textures(described)}
     return files if drives is None else {**files, "drives.xml": drives.encode()}
 
 
@@ -201,6 +221,7 @@ def _usd(described: Described, mjx: bool, floor: bool) -> dict[str, bytes]:
         f"{_folder(described, name)}object.usdc": _binary(usd_layer(spec))
         for name, spec in _objects(described)
     }
+    files |= _textures(described)
     if isinstance(described, SceneSpec):
         files["scene.usdc"] = _binary(scene_usd_layer(described, "usdc"))
     return files

@@ -278,7 +278,12 @@ def _mesh(triangles: Triangles, hull: bool, link: str, notes: list[str]) -> Mesh
 
 
 def _material(item: LinkShape, materials: dict[tuple, Material], helper: bool) -> str:
-    key = (item.rgba, item.friction, helper, item.name, item.density)
+    shine = {
+        key: round(min(max(value, 0.0), 1.0), 6)
+        for key in ("metallic", "roughness")
+        if (value := getattr(item, key)) is not None
+    }
+    key = (item.rgba, item.friction, helper, item.name, item.density, *shine.items())
     if key not in materials:
         # A name of the file stays only with a density: what is "unknown" has an assumed one.
         known = item.name and item.density is not None and 0 < item.density <= MAX_DENSITY
@@ -288,6 +293,7 @@ def _material(item: LinkShape, materials: dict[tuple, Material], helper: bool) -
             density=item.density if known and item.density is not None else DENSITY,
             friction=min(max(item.friction, 0.0), 10.0),
             rgba=tuple(min(max(v, 0.0), 1.0) for v in item.rgba),  # pyright: ignore[reportArgumentType]
+            **shine,
         )
     return materials[key].name
 

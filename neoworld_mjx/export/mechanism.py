@@ -39,6 +39,9 @@ class LinkShape:
     """Name of the material, where the file gives one."""
     density: float | None = None
     """Density of the material [kg/m^3], where the file states it."""
+    metallic: float | None = None
+    """Of the material, from 0 to 1, where the file states it; so is roughness."""
+    roughness: float | None = None
 
 
 @dataclass

@@ -9,6 +9,7 @@ from ..spec import GeomSpec, ObjectSpec
 from ..spec.base_shape import BaseShape
 from ..spec.convex import Piece, hull
 from ..spec.triangles import corner_normals
+from .textures import is_textured, texture_coordinates
 
 FOLDER = "meshes"
 
@@ -61,12 +62,18 @@ def piece_mesh(geom: GeomSpec, piece: Piece) -> tuple[NDArray, NDArray] | None:
 
 
 def mesh_files(spec: ObjectSpec) -> dict[str, str]:
-    """Return every mesh file of an object: path relative to the object, and OBJ text."""
+    """Return every mesh file of an object: path relative to the object, and OBJ text.
+
+    What has a texture has a mesh with coordinates on it, primitive or not.
+    """
     files: dict[str, str] = {}
     for part in spec.parts:
         for geom in part.geoms:
-            if geom.role != "collision" and (path := visual_file(geom)) is not None:
-                files[path] = obj(*geom.shape.surface(), smooth=True)
+            shown = is_textured(spec, geom) or visual_file(geom) is not None
+            if geom.role != "collision" and shown:
+                surface = geom.shape.surface()
+                uv = texture_coordinates(spec, part.name, geom, *surface)
+                files[f"{FOLDER}/{geom.name}.obj"] = obj(*surface, smooth=True, uv=uv)
             if geom.role == "visual":
                 continue
             for k, piece in enumerate(geom.shape.pieces()):
@@ -76,8 +83,17 @@ def mesh_files(spec: ObjectSpec) -> dict[str, str]:
     return files
 
 
-def obj(vertices: NDArray, faces: NDArray, *, smooth: bool = False) -> str:
-    """Write a triangle mesh as Wavefront OBJ, with normals per corner where `smooth`."""
+def obj(
+    vertices: NDArray, faces: NDArray, *, smooth: bool = False, uv: NDArray | None = None
+) -> str:
+    """Write a triangle mesh as Wavefront OBJ.
+
+    Args:
+        vertices: corners [vertex, 3] m.
+        faces: corners of each face [face, 3].
+        smooth: whether to write normals per corner.
+        uv: with them, places on a texture per corner [face, 3, 2], v upwards.
+    """
     lines = [f"v {numbers(v)}" for v in np.round(vertices, 9).tolist()]
     corners = (faces + 1).tolist()
     if not smooth:
@@ -86,8 +102,15 @@ def obj(vertices: NDArray, faces: NDArray, *, smooth: bool = False) -> str:
     normals = np.round(corner_normals(vertices, faces).reshape(-1, 3), 6) + 0.0
     unique, index = np.unique(normals, axis=0, return_inverse=True)
     lines += [f"vn {numbers(n)}" for n in unique.tolist()]
+    places = [("", "", "")] * len(corners)
+    if uv is not None:
+        points, place = np.unique(uv.reshape(-1, 2) + 0.0, axis=0, return_inverse=True)
+        lines += [f"vt {numbers(t)}" for t in points.tolist()]
+        places = (place.reshape(-1, 3) + 1).tolist()
     lines += [
-        f"f {a}//{i} {b}//{j} {c}//{k}"
-        for (a, b, c), (i, j, k) in zip(corners, (index.reshape(-1, 3) + 1).tolist(), strict=True)
+        f"f {a}/{p}/{i} {b}/{q}/{j} {c}/{r}/{k}"
+        for (a, b, c), (p, q, r), (i, j, k) in zip(
+            corners, places, (index.reshape(-1, 3) + 1).tolist(), strict=True
+        )
     ]
     return "\n".join(lines) + "\n"

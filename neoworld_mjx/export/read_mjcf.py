@@ -31,6 +31,7 @@ from .mechanism import (
     unchecked_mimic,
     unchecked_site,
 )
+from .mjcf_looks import colour_of_geom
 from .trial import try_mjcf
 
 _G, _J = mujoco.mjtGeom, mujoco.mjtJoint
@@ -235,8 +236,9 @@ def _shape(
         return None
     collides = bool(model.geom_contype[g]) or bool(model.geom_conaffinity[g])
     material = int(model.geom_matid[g])
-    rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[g]
-    red, green, blue, alpha = (float(v) for v in rgba)
+    red, green, blue, alpha = colour_of_geom(model, g)
+    shine = [model.mat_metallic[material], model.mat_roughness[material]] if material >= 0 else []
+    metallic, roughness = (float(v) if v >= 0 else None for v in shine or (-1, -1))
     return LinkShape(
         shape,
         at,
@@ -244,6 +246,8 @@ def _shape(
         (red, green, blue, alpha),
         float(model.geom_friction[g, 0]) if collides else 0.5,
         hull=collides,  # MuJoCo collides meshes as their hulls.
+        metallic=metallic,
+        roughness=roughness,
     )
 
 

@@ -1,5 +1,6 @@
 """Shapes and materials of USD prims."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -32,6 +33,8 @@ class Look:
     friction: float = 0.5
     name: str = ""
     density: float | None = None
+    metallic: float | None = None
+    roughness: float | None = None
 
 
 def shapes_of(prim: Usd.Prim, at: NDArray, notes: list[str]) -> Iterator[LinkShape]:
@@ -63,7 +66,7 @@ def shapes_of(prim: Usd.Prim, at: NDArray, notes: list[str]) -> Iterator[LinkSha
     look = _look(prim, collides)
     yield LinkShape(
         shape, place, role, look.rgba, look.friction, hull=hull, name=look.name,
-        density=look.density,
+        density=look.density, metallic=look.metallic, roughness=look.roughness,
     )  # fmt: skip
 
 
@@ -237,7 +240,16 @@ def _look(prim: Usd.Prim, collides: bool) -> Look:
         friction = float(f"{stated.Get():.7g}") if stated.HasAuthoredValue() else 0.5
         density = float(physics.GetDensityAttr().Get() or 0.0) or None
     name = holder.GetPrim().GetName() if holder else ""
-    return Look(rgba, friction, name, density)
+    metallic, roughness = (_stated(drawn or physical, key) for key in ("metallic", "roughness"))
+    return Look(rgba, friction, name, density, metallic, roughness)
+
+
+def _stated(material: UsdShade.Material | None, name: str) -> float | None:
+    """Return a plain number of a material's surface, if it states one."""
+    surface = material.ComputeSurfaceSource()[0] if material else None
+    stated = surface.GetInput(name) if surface else None
+    value = stated.Get() if stated and not stated.HasConnectedSource() else None
+    return float(value) if isinstance(value, float | int) and math.isfinite(value) else None
 
 
 def _own_colour(prim: Usd.Prim) -> tuple[float, float, float, float]:

@@ -5,6 +5,7 @@ from pathlib import Path
 from ..errors import ExportError
 from ..spec import ObjectSpec, SceneSpec
 from .meshes import mesh_files
+from .textures import texture_files
 from .write_directives import directives_text, package_text
 from .write_drives import drives_text
 from .write_mjcf import mjcf_text
@@ -14,8 +15,8 @@ from .write_urdf import srdf_text, urdf_text
 from .write_usd import usd_text
 
 
-def object_files(spec: ObjectSpec) -> dict[str, str]:
-    """Return the files of one object: path relative to its folder, and text."""
+def object_files(spec: ObjectSpec) -> dict[str, bytes]:
+    """Return the files of one object: path relative to its folder, and content."""
     files = {
         "object.urdf": urdf_text(spec),
         "object.srdf": srdf_text(spec),
@@ -25,11 +26,13 @@ def object_files(spec: ObjectSpec) -> dict[str, str]:
         **mesh_files(spec),
     }
     drives = drives_text(spec, "object.xml")
-    return files if drives is None else {**files, "drives.xml": drives}
+    if drives is not None:
+        files["drives.xml"] = drives
+    return _encoded(files) | texture_files(spec)
 
 
-def scene_files(scene: SceneSpec) -> dict[str, str]:
-    """Return the files of a scene and its objects: path relative to its folder, and text."""
+def scene_files(scene: SceneSpec) -> dict[str, bytes]:
+    """Return the files of a scene and its objects: path relative to its folder, and content."""
     files = {
         "scene.json": scene.to_json(),
         "scene.xml": mjcf_text(scene),
@@ -41,14 +44,15 @@ def scene_files(scene: SceneSpec) -> dict[str, str]:
     drives = drives_text(scene, "scene.xml")
     if drives is not None:
         files["drives.xml"] = drives
+    result = _encoded(files)
     for obj in scene.objects:
-        for path, text in object_files(obj.spec).items():
-            files[f"objects/{obj.name}/{path}"] = text
-    return files
+        for path, content in object_files(obj.spec).items():
+            result[f"objects/{obj.name}/{path}"] = content
+    return result
 
 
 def export_object(spec: ObjectSpec, out: Path) -> None:
-    """Write object.urdf, .srdf, .sdf, .usda and .xml, drives.xml and meshes/ into a folder.
+    """Write object.urdf, .srdf, .sdf, .usda and .xml, drives.xml, meshes/, textures/ into a folder.
 
     Files that are there are replaced; the same object gives the same bytes.
 
@@ -61,9 +65,9 @@ def export_object(spec: ObjectSpec, out: Path) -> None:
 def export_scene(scene: SceneSpec, out: Path) -> None:
     """Write scene.json, .xml, .usda, .sdf, .dmd.yaml and objects/<name>/ into a folder.
 
-    scene.xml refers to the objects' meshes, scene.usda to the objects' USD files; drives.xml, where
-    there are joints, adds actuators to scene.xml. Objects are written as they are in the scene, in
-    their final size.
+    scene.xml refers to the objects' meshes and textures, scene.usda to the objects' USD files;
+    drives.xml, where there are joints, adds actuators to scene.xml. Objects are written as they
+    are in the scene, in their final size.
 
     Raises:
         ExportError: a file cannot be written.
@@ -71,11 +75,15 @@ def export_scene(scene: SceneSpec, out: Path) -> None:
     _write(scene_files(scene), out)
 
 
-def _write(files: dict[str, str], out: Path) -> None:
-    for path, text in files.items():
+def _encoded(files: dict[str, str]) -> dict[str, bytes]:
+    return {path: text.encode() for path, text in files.items()}
+
+
+def _write(files: dict[str, bytes], out: Path) -> None:
+    for path, content in files.items():
         target = out / path
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(text.encode())
+            target.write_bytes(content)
         except OSError as error:
             raise ExportError(f"cannot write {target}: {error.strerror}") from None

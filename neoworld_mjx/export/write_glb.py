@@ -1,21 +1,25 @@
 """glTF of objects and scenes, for viewers: what is visible, posed, one node for every link."""
 
+from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL import Image
 
 from ..errors import ExportError
+from ..render.tiles import tile_png
 from ..spec import ObjectSpec, SceneObject, SceneSpec, link_poses, world_poses
+from ..spec.finish import finish
 from ..spec.pose import Pose, matrix
 from ..spec.triangles import corner_normals
-from .looks import look
+from .textures import texture_coordinates
 
 if TYPE_CHECKING:
     import trimesh
 
 
 def glb_bytes(scene: SceneSpec | ObjectSpec) -> bytes:
-    """Return a binary glTF file, Y up and in metres, with the materials' colours and shine."""
+    """Return a binary glTF file, Y up and in metres, with colours, shine and textures."""
     import trimesh
 
     if isinstance(scene, ObjectSpec):
@@ -44,12 +48,16 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, at: Pose) -> None:
     moved = link_poses(item.spec, item.joint_state)
     materials = {}
     for material in item.spec.materials:
-        metallic, roughness = look(material)
+        made = finish(material)
+        tile = tile_png(material)
+        # A texture is multiplied by the colour, so that is white.
+        colour = material.rgba if tile is None else (1.0, 1.0, 1.0, material.rgba[3])
         materials[material.name] = PBRMaterial(
             name=f"{item.name}-{material.name}",
-            baseColorFactor=[round(255 * v) for v in material.rgba],
-            metallicFactor=metallic,
-            roughnessFactor=roughness,
+            baseColorFactor=[round(255 * v) for v in colour],
+            baseColorTexture=None if tile is None else Image.open(BytesIO(tile)),
+            metallicFactor=made.metallic,
+            roughnessFactor=made.roughness,
             alphaMode="BLEND" if material.rgba[3] < 1 else "OPAQUE",
         )
     for part in item.spec.parts:
@@ -68,7 +76,10 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, at: Pose) -> None:
                 vertex_normals=corner_normals(vertices, faces).reshape(-1, 3),
                 process=False,
             )
-            mesh.visual = TextureVisuals(material=materials[geom.material])
+            uv = texture_coordinates(item.spec, part.name, geom, vertices, faces)
+            mesh.visual = TextureVisuals(
+                uv=None if uv is None else uv.reshape(-1, 2), material=materials[geom.material]
+            )
             name = f"{item.name}-{part.name}-{geom.name}"
             result.add_geometry(
                 mesh,

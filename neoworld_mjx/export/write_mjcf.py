@@ -20,6 +20,7 @@ from ..physics.mjcf import COLLISION_GROUP, to_mjspec
 from ..spec import ObjectSpec, SceneSpec
 from .handles import frames
 from .meshes import FOLDER, numbers
+from .mjcf_looks import add_surfaces, dress_mjcf
 
 HIDDEN_GROUP = 3
 """Group of colliders in exported files: viewers show groups 0 to 2 at first."""
@@ -45,16 +46,14 @@ def mjcf_text(
         scene: what to write.
         timestep: of the simulation [s].
         target: "mjx" writes only colliders that MJX has: polyhedra in place of cylinders and
-            ellipsoids, within the file, and pyramidal contacts.
+            ellipsoids, within the file, pyramidal contacts, and no textures.
         floor: height of a floor without end [m]; None writes none.
     """
     model = to_mjspec(scene, visual=True, timestep=timestep)
     if isinstance(scene, SceneSpec):
-        objects = [
-            (item.name, item.spec, f"objects/{item.name}/{FOLDER}") for item in scene.objects
-        ]
+        objects = [(item.name, item.spec, f"objects/{item.name}/") for item in scene.objects]
     else:
-        objects = [(scene.name, scene, FOLDER)]
+        objects = [(scene.name, scene, "")]
     lowered = lower_geoms(model) if target == "mjx" else frozenset()
     if target != "mjx":
         model.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -80,6 +79,8 @@ def mjcf_text(
         )
     for name, spec, _ in objects:
         _add_frames(model, name, spec)
+        if target != "mjx":
+            add_surfaces(model, name, spec)
     model.compile()
     root = ET.fromstring(model.to_xml())
     _restore(root, model)
@@ -88,6 +89,8 @@ def mjcf_text(
     for mesh in root.iter("mesh"):
         if (name := str(mesh.get("name"))) not in lowered:
             _name_file(mesh, name, folders)
+    for name, spec, folder in objects:
+        dress_mjcf(root, name, spec, folder, textured=target != "mjx")
     ET.indent(root, " ")
     return ET.tostring(root, encoding="unicode") + "\n"
 
@@ -145,7 +148,7 @@ def _name_file(mesh: ET.Element, name: str, folders: dict[str, str]) -> None:
     for numbers_of in ("vertex", "normal", "face", "texcoord"):
         mesh.attrib.pop(numbers_of, None)
     file = f"{geom}.obj" if piece == "visual" else f"{geom}-{piece}.obj"
-    mesh.set("file", f"{folders[owner]}/{file}")
+    mesh.set("file", f"{folders[owner]}{FOLDER}/{file}")
 
 
 def _restore(root: ET.Element, model: mujoco.MjSpec) -> None:

@@ -21,9 +21,9 @@ from ..spec import (
     world_poses,
 )
 from ..spec.convex import Piece
+from ..spec.finish import finish
 from ..spec.pose import Pose, matrix, pose, to_rpy
 from .handles import frames
-from .looks import look
 from .meshes import collision_file, number, numbers, visual_file
 from .write_urdf import DRAKE, link_name
 
@@ -166,7 +166,7 @@ def _shine(visual: ET.Element, material: Material) -> None:
     element = ET.SubElement(visual, "material")
     for tag in ("ambient", "diffuse"):
         _put(element, tag, material.rgba)
-    metallic, roughness = look(material)
+    metallic, roughness, _ = finish(material)
     metal = ET.SubElement(ET.SubElement(element, "pbr"), "metal")
     _put(metal, "metalness", metallic)
     _put(metal, "roughness", roughness)

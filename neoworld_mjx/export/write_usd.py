@@ -17,12 +17,11 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdSemantics, UsdShade, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdSemantics, Vt
 
 from ..spec import (
     GeomSpec,
     JointSpec,
-    Material,
     ObjectSpec,
     PartSpec,
     inertial,
@@ -32,8 +31,9 @@ from ..spec.kinematics import welded
 from ..spec.pose import IDENTITY, Pose, pose
 from ..spec.triangles import corner_normals
 from .handles import frames
-from .looks import look as look_of
 from .meshes import piece_mesh
+from .textures import is_textured, texture_coordinates
+from .usd_looks import add_material, dress
 
 _AXES = {(1.0, 0.0, 0.0): "X", (0.0, 1.0, 0.0): "Y", (0.0, 0.0, 1.0): "Z"}
 
@@ -61,7 +61,7 @@ def usd_layer(spec: ObjectSpec) -> Sdf.Layer:
     base = root.GetPath()
     UsdGeom.Scope.Define(stage, base.AppendChild("looks"))
     for material in spec.materials:
-        _add_material(stage, base, material)
+        add_material(stage, base, material)
     UsdGeom.Xform.Define(stage, base.AppendChild("links"))
     origins = link_origins(spec)
     for part, _ in spec.ordered:
@@ -116,24 +116,6 @@ def quatf(quat: NDArray | tuple[float, ...]) -> Gf.Quatf:
     return Gf.Quatf(quatd(quat))
 
 
-def _add_material(stage: Usd.Stage, base: Sdf.Path, material: Material) -> None:
-    path = base.AppendChild("looks").AppendChild(material.name)
-    look = UsdShade.Material.Define(stage, path)
-    shader = UsdShade.Shader.Define(stage, path.AppendChild("surface"))
-    shader.CreateIdAttr("UsdPreviewSurface")
-    shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(_colour(material))
-    shader.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(material.rgba[3])
-    metallic, roughness = look_of(material)
-    shader.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(metallic)
-    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(roughness)
-    look.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
-    physics = UsdPhysics.MaterialAPI.Apply(look.GetPrim())
-    physics.CreateStaticFrictionAttr(material.friction)
-    physics.CreateDynamicFrictionAttr(material.friction)
-    physics.CreateRestitutionAttr(0.0)
-    physics.CreateDensityAttr(material.density)
-
-
 def _add_link(
     stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec, part: PartSpec, origin: NDArray
 ) -> None:
@@ -153,14 +135,14 @@ def _add_link(
         local = Pose(np.array(geom.pos) - origin, np.array(geom.quat))
         if geom.role != "collision":
             folder = UsdGeom.Scope.Define(stage, path.AppendChild("visuals")).GetPath()
-            _add_visual(stage, folder.AppendChild(geom.name), geom, local)
-            _dress(stage, folder.AppendChild(geom.name), base, material, physical=False)
+            _add_visual(stage, folder.AppendChild(geom.name), spec, part, geom, local)
+            dress(stage, folder.AppendChild(geom.name), base, material, physical=False)
         if geom.role != "visual":
             folder = UsdGeom.Scope.Define(stage, path.AppendChild("collisions")).GetPath()
             for k, piece in enumerate(geom.shape.pieces()):
                 at = folder.AppendChild(f"{geom.name}_{k}")
                 _add_collider(stage, at, geom, piece, local.then(pose(piece.pos, piece.quat)))
-                _dress(stage, at, base, material, physical=True)
+                dress(stage, at, base, material, physical=True)
     for frame in frames(spec):
         if frame.part == part.name:
             folder = UsdGeom.Scope.Define(stage, path.AppendChild("sites")).GetPath()
@@ -168,14 +150,27 @@ def _add_link(
             set_pose(point, pose(np.array(frame.pos) - origin))
 
 
-def _add_visual(stage: Usd.Stage, path: Sdf.Path, geom: GeomSpec, at: Pose) -> None:
+def _add_visual(
+    stage: Usd.Stage,
+    path: Sdf.Path,
+    spec: ObjectSpec,
+    part: PartSpec,
+    geom: GeomSpec,
+    at: Pose,
+) -> None:
     primitive = geom.shape.primitive()
-    if primitive is not None:
+    if primitive is not None and not is_textured(spec, geom):
         _gprim(stage, path, primitive, at)
         return
     vertices, faces = geom.shape.surface()
     mesh = _mesh(stage, path, vertices, faces, at)
     _shade(mesh, corner_normals(vertices, faces))
+    uv = texture_coordinates(spec, part.name, geom, vertices, faces)
+    if uv is not None:
+        primvars = UsdGeom.PrimvarsAPI(mesh)
+        kind = Sdf.ValueTypeNames.TexCoord2fArray
+        st = primvars.CreatePrimvar("st", kind, UsdGeom.Tokens.faceVarying)
+        st.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(uv.reshape(-1, 2), np.float32)))
 
 
 def _shade(mesh: UsdGeom.Mesh, normals: NDArray) -> None:
@@ -240,29 +235,6 @@ def _mesh(
 
 def _points(values: NDArray) -> Vt.Vec3fArray:
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32))
-
-
-def _dress(
-    stage: Usd.Stage, path: Sdf.Path, base: Sdf.Path, material: Material, *, physical: bool
-) -> None:
-    """Bind a material; to colliders for physics only."""
-    prim = stage.GetPrimAtPath(path)
-    look = UsdShade.Material.Get(stage, base.AppendChild("looks").AppendChild(material.name))
-    UsdGeom.Gprim(prim).CreateDisplayColorAttr(Vt.Vec3fArray([_colour(material)]))
-    if material.rgba[3] < 1:
-        UsdGeom.Gprim(prim).CreateDisplayOpacityAttr(Vt.FloatArray([material.rgba[3]]))
-    binding = UsdShade.MaterialBindingAPI.Apply(prim)
-    if physical:
-        binding.Bind(look, UsdShade.Tokens.weakerThanDescendants, "physics")
-    else:
-        binding.Bind(look)
-
-
-def _colour(material: Material) -> Gf.Vec3f:
-    """Return the colour as USD wants it: linear, where ours is for display."""
-    c = np.array(material.rgba[:3])
-    light = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
-    return Gf.Vec3f(*np.round(light, 6).tolist())
 
 
 def _add_joint(

@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..spec import SupportOutline, SupportSurface, SurfacePattern
-from ..spec.surface_pattern import RGB, PatternKind
+from ..spec.surface_pattern import RGB, RoomPatternKind
 
 
 class AnswerPart(BaseModel):
@@ -56,7 +56,7 @@ class SurfaceSeen(AnswerPart):
         description="Of the face itself: fabric is carpet or cloth, ceramic tiles, plastic also "
         "laminate, vinyl or thick paint, concrete also plaster."
     )
-    pattern: PatternKind = Field(
+    pattern: RoomPatternKind = Field(
         default="plain",
         description="grain: of one piece of wood; boards: side by side; veins: of stone; "
         "speckles: of terrazzo or granite; weave: of carpet or cloth.",

@@ -104,6 +104,11 @@ def body_name(item: SceneObject | ObjectSpec, part: str) -> str:
     return item.name if part == spec.root else f"{item.name}-{part}"
 
 
+def visual_name(owner: str, geom: GeomSpec) -> str:
+    """Return the name of the geom that shows a geom of an object."""
+    return f"{owner}-{geom.name}-visual"
+
+
 def _add_camera(model: mujoco.MjSpec, camera: Camera) -> None:
     at = camera.pose()
     model.worldbody.add_camera(
@@ -223,7 +228,7 @@ def _add_geoms(
                     _add_piece_mesh(model, added.name, piece)
                     added.meshname = added.name
         if visual and geom.role != "collision":
-            _add_visual(model, body, f"{owner}-{geom.name}-visual", geom, origin, look)
+            _add_visual(model, body, visual_name(owner, geom), geom, origin, look)
 
 
 def _add_piece_mesh(model: mujoco.MjSpec, name: str, piece: Piece) -> None:
@@ -318,4 +323,4 @@ def _depth_first(spec: ObjectSpec) -> Iterator[tuple[PartSpec, JointSpec | None]
     return visit(spec.root)
 
 
-__all__ = ["START", "body_name", "excluded_pairs", "joint_order", "to_mjspec"]
+__all__ = ["START", "body_name", "excluded_pairs", "joint_order", "to_mjspec", "visual_name"]

@@ -5,9 +5,9 @@ from typing import Any, Literal, no_type_check
 
 from .. import spec as S
 from ..errors import choices
-from ..spec.surface_pattern import PATTERN_KINDS
 from . import validate
 from .allowance import Allowance
+from .finishing import inherited_finish, stated_finish
 from .furniture import add_door, add_drawer, add_shelf
 from .joining import joint_fields
 from .materials import MATERIALS
@@ -56,6 +56,8 @@ class Object:
         rgb2: Vec3 | None = None,
         step: float | None = None,
         along: Literal["x", "y"] = "x",
+        metallic: float | None = None,
+        roughness: float | None = None,
     ) -> str:
         """Define a material and return its name; what is not given is taken from `like`.
 
@@ -66,10 +68,13 @@ class Object:
             friction: sliding friction coefficient.
             rgb: colour, each from 0 to 1.
             alpha: how much it hides of what is behind, from 0 to 1.
-            pattern: "plain", "grain", "boards", "tiles", "bricks", "veins", "speckles" or "weave".
+            pattern: "plain", "grain", "boards", "tiles", "bricks", "veins", "speckles", "weave" or
+                "brushed".
             rgb2: colour of the pattern's joints, veins, speckles or gaps.
             step: width of a board, edge of a tile, height of a brick, distance of veins, ... [m].
             along: whether boards run along the first or the second axis of a face.
+            metallic: from 0 to 1; by default what the name says ("steel").
+            roughness: from 0 (a mirror) to 1; by default what the name says.
         """
         context = f"material {validate.name(name, 'material name')!r}"
         if name in self._materials:
@@ -79,6 +84,7 @@ class Object:
             raise ValueError(f"{context} needs density= or like= (a named material)")
         fields: dict[str, Any] = {"density": 1000.0, "friction": 0.45}
         fields |= {} if base is None else base.model_dump()
+        fields |= {} if base is None else inherited_finish(base, name)
         fields["name"] = name
         if density is not None:
             fields["density"] = validate.number(density, f"{context}: density")
@@ -90,10 +96,7 @@ class Object:
             a = 1.0 if base is None or base == MATERIALS.get(base.name) else a
         a = a if alpha is None else validate.number(alpha, f"{context}: alpha")
         fields["rgba"] = (r, g, b, a)
-        if pattern is not None:
-            fields["pattern"] = self._pattern(pattern, rgb2, step, along, context)
-        elif rgb2 is not None or step is not None:
-            raise ValueError(f"{context}: rgb2 and step belong to a pattern=")
+        fields |= stated_finish(pattern, rgb2, step, along, metallic, roughness, context)
         self._materials[name] = validate.described(S.Material, context, **fields)
         return name
 
@@ -380,21 +383,6 @@ class Object:
             known = sorted({*self._materials, *MATERIALS})
             raise ValueError(f"{context}: material: {choices(label, known)}")
         return material
-
-    def _pattern(
-        self, kind: Any, rgb2: Any, step: Any, along: Any, context: str
-    ) -> S.SurfacePattern:
-        if kind not in PATTERN_KINDS:
-            known = list(PATTERN_KINDS)
-            raise ValueError(f"{context}: pattern: {choices(str(kind), known)}")
-        return validate.described(
-            S.SurfacePattern,
-            f"{context}: pattern",
-            kind=kind,
-            rgb=None if rgb2 is None else validate.colour(rgb2, f"{context}: rgb2"),
-            step=None if step is None else validate.length(step, f"{context}: step"),
-            along=along,
-        )
 
     def _shade(self, name: str | None, rgb: Sequence[float] | None, context: str) -> str:
         if name is None:

@@ -54,7 +54,7 @@ def spec_files(spec: ObjectSpec) -> dict[str, bytes]:
 
     render.png shows it at rest; opened.png, written if any joint moves, with all joints open.
     """
-    files = {path: content.encode() for path, content in object_files(spec).items()}
+    files = object_files(spec)
     files["spec.json"] = spec.to_json().encode()
     files["render.png"] = to_png(render_object(spec))
     state = opened_state(spec)

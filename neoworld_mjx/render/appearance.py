@@ -6,17 +6,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..physics.mjcf import body_name
+from ..physics.mjcf import body_name, visual_name
 from ..spec import SceneSpec, SurfacePattern
+from ..spec.finish import Finish, finish
 from .surface_patterns import patterned
-
-_METAL = ("steel", "metal", "silver", "chrome", "iron", "alumin", "brass", "copper", "gold", "tin")
-_WOOD = ("wood", "oak", "walnut", "pine", "birch", "teak", "bamboo", "beech", "maple", "cherry")
-_GLOSSY = ("ceramic", "porcelain", "china", "glaze", "enamel", "glass", "lacquer", "plastic")
-_MATTE = ("cloth", "fabric", "paper", "cardboard", "rubber", "felt", "leather", "concrete")
-
-GRAIN = SurfacePattern(kind="grain")
-"""Pattern of materials that are named after a wood and have none of their own."""
 
 
 @dataclass(frozen=True)
@@ -61,23 +54,15 @@ def appearance_of(
             for part in obj.spec.parts:
                 body = model.body(body_name(obj, part.name)).id
                 for geom in part.geoms:
-                    name = f"{obj.name}-{geom.name}-visual"
+                    name = visual_name(obj.name, geom)
                     g = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
                     if g < 0:
                         continue
-                    words = geom.material.lower()
-                    metal[g] = any(word in words for word in _METAL)
-                    pattern = obj.spec.material(geom.material).pattern
-                    if pattern is None and any(word in words for word in _WOOD):
-                        pattern = GRAIN
-                    if pattern is not None and pattern.kind != "plain":
-                        patterns[g] = pattern
-                    if metal[g]:
-                        gloss[g] = 0.55
-                    elif any(word in words for word in _GLOSSY):
-                        gloss[g] = 0.06
-                    elif any(word in words for word in _MATTE):
-                        gloss[g] = 0.0
+                    made = finish(obj.spec.material(geom.material))
+                    metal[g] = made.metallic >= 0.5
+                    if made.pattern is not None:
+                        patterns[g] = made.pattern
+                    gloss[g] = _gloss(made)
                     owner[g] = body
     # Patterns live in the frame of the geom's own body: a drawer keeps its pattern as it slides.
     turn = data.xmat[owner].reshape(n, 3, 3)
@@ -86,6 +71,13 @@ def appearance_of(
     has_pattern = np.isin(np.arange(n), list(patterns))
     colour = linear(rgba[:, :3])
     return Appearance(colour, gloss, metal, has_pattern, patterns, to_object, offset)
+
+
+def _gloss(made: Finish) -> float:
+    """Return the share that a surface mirrors; rough ones scatter it instead."""
+    if made.metallic >= 0.5:
+        return float(np.interp(made.roughness, (0.0, 0.35, 1.0), (0.85, 0.55, 0.1)))
+    return float(np.interp(made.roughness, (0.15, 0.5, 0.9), (0.06, 0.04, 0.0)))
 
 
 def albedo(
@@ -123,11 +115,14 @@ def linear(colour: NDArray) -> NDArray:
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
 
 
+def displayed(light: NDArray) -> NDArray:
+    """Turn linear light into display (sRGB) colour in [0, 1]; what is brighter is cut off."""
+    x = np.clip(light, 0.0, 1.0)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
 _STEPS = 8192
-_light = np.linspace(0.0, 1.0, _STEPS)
-_DISPLAY = np.round(
-    255 * np.where(_light <= 0.0031308, 12.92 * _light, 1.055 * _light ** (1 / 2.4) - 0.055)
-).astype(np.uint8)
+_DISPLAY = np.round(255 * displayed(np.linspace(0.0, 1.0, _STEPS))).astype(np.uint8)
 
 
 def display(light: NDArray) -> NDArray:

@@ -1,4 +1,4 @@
-"""Procedural patterns of surfaces: grain, boards, tiles, bricks, veins, speckles, a weave.
+"""Procedural patterns of surfaces: grain, boards, tiles, bricks, veins, speckles, weave, brushed.
 
 Each is a function of points in the object's frame, so it stays on an object that moves. Joints and
 threads narrower than a pixel fade into their mean.
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..spec import SurfacePattern
 
-DARKER = {"veins": 0.72, "weave": 0.75, "speckles": 0.7}
+DARKER = {"brushed": 0.8, "veins": 0.72, "weave": 0.75, "speckles": 0.7}
 """Second colour over the first, in linear light, where a pattern names none."""
 JOINT_DARKER = 0.4
 GAPS = 0.42
@@ -56,6 +56,8 @@ def patterned(
         mix = _faded(_ramp(rough, 0.35, 0.7), pixel, step, 0.2)
     elif pattern.kind == "weave":
         mix, light = _weave(u, v, step, pixel)
+    elif pattern.kind == "brushed":
+        mix = _brushed(u, v, step, pixel)
     return (colour + mix[:, None] * (second - colour)) * light[:, None]
 
 
@@ -125,6 +127,14 @@ def _weave(u: NDArray, v: NDArray, step: float, pixel: NDArray) -> tuple[NDArray
     mix = _faded(gaps, pixel, step / 2, GAPS)
     light = 1.0 + _faded(0.14 * _hashed(row, column), pixel, step / 2, 0.0)
     return mix, light
+
+
+def _brushed(u: NDArray, v: NDArray, step: float, pixel: NDArray) -> NDArray:
+    """Scratch a surface along u, some 40 times as long as they are apart."""
+    fine = noise(np.column_stack([u / (40 * step), 2 * v / step, 0 * u]))
+    broad = noise(np.column_stack([u / (90 * step), 0.4 * v / step, 0 * u + 3.0]))
+    scratched = _faded(0.45 + 0.6 * fine, pixel, step, 0.45) + 0.15 * broad
+    return np.clip(scratched, 0.0, 1.0)
 
 
 def _line(at: NDArray, period: float, width: float, pixel: NDArray) -> NDArray:

@@ -33,7 +33,7 @@ Role = Literal["both", "visual", "collision"]
 
 
 class Material(ScalableSpec):
-    """Material of a geom: density, friction and colour."""
+    """Material of a geom: density, friction and looks."""
 
     name: Name
     density: Annotated[float, Field(gt=0, le=30000), UNSCALED]
@@ -42,7 +42,15 @@ class Material(ScalableSpec):
     """Sliding friction coefficient."""
     rgba: Annotated[tuple[Share, Share, Share, Share], UNSCALED] = (0.7, 0.7, 0.7, 1.0)
     pattern: SurfacePattern | None = Field(default=None, exclude_if=lambda value: value is None)
-    """None is grain where the name is that of a wood, and plain elsewhere."""
+    """None is what is usual by the name (`finish`): grain of wood, plain of most others."""
+    metallic: Annotated[Share, UNSCALED] | None = Field(
+        default=None, exclude_if=lambda value: value is None
+    )
+    """From 0 to 1; None is what is usual by the name."""
+    roughness: Annotated[Share, UNSCALED] | None = Field(
+        default=None, exclude_if=lambda value: value is None
+    )
+    """From 0 to 1; None is what is usual by the name."""
 
     @property
     def see_through(self) -> bool:

@@ -1,4 +1,4 @@
-"""Pattern of a surface in pictures: boards, tiles, veins of stone, a weave."""
+"""Pattern of a surface: boards, tiles, veins of stone, a weave, brushed metal."""
 
 from typing import Annotated, Literal, get_args
 
@@ -7,7 +7,11 @@ from pydantic import Field
 from .base import ScalableSpec
 from .dimensions import LENGTH, UNSCALED
 
-PatternKind = Literal["plain", "grain", "boards", "tiles", "bricks", "veins", "speckles", "weave"]
+RoomPatternKind = Literal[
+    "plain", "grain", "boards", "tiles", "bricks", "veins", "speckles", "weave"
+]
+"""Patterns of floors and walls."""
+PatternKind = Literal[RoomPatternKind, "brushed"]
 PATTERN_KINDS: tuple[PatternKind, ...] = get_args(PatternKind)
 Share = Annotated[float, Field(ge=0, le=1)]
 RGB = tuple[Share, Share, Share]
@@ -21,19 +25,21 @@ STEPS_M: dict[PatternKind, float] = {
     "veins": 0.25,
     "speckles": 0.010,
     "weave": 0.008,
+    "brushed": 0.002,
 }
 """Usual step of each kind [m]."""
 
 
 class SurfacePattern(ScalableSpec):
-    """Pattern of a material in pictures; physics and exported colours leave it out."""
+    """Pattern of a material; physics leaves it out."""
 
     kind: PatternKind
     rgb: Annotated[RGB, UNSCALED] | None = None
-    """Colour of joints, veins, speckles or the weave's gaps; None is darker than the material."""
+    """Colour of joints, veins, speckles, scratches or the weave's gaps; None is darker than the
+    material."""
     step: Annotated[float, Field(gt=0, le=10), LENGTH] | None = None
-    """Width of a board, edge of a tile, height of a brick, distance of veins, speckles or threads
-    [m]; None is what is usual."""
+    """Width of a board, edge of a tile, height of a brick, distance of veins, speckles, scratches
+    or threads [m]; None is what is usual."""
     along: Literal["x", "y"] = "x"
     """Whether boards and courses run along the first axis of a face, or its second: on top x or y,
     on the front and the back y or z, on the sides x or z."""

@@ -118,7 +118,8 @@ def test_clear_materials_are_clear_unless_the_program_paints_them(tmp_path):
 
     model = ET.fromstring(mjcf_text(spec))
     visual = {str(g.get("name")): g for g in model.iter("geom")}["thing-jar-visual"]
-    assert str(visual.get("rgba")).split()[3] == "0.4"
+    of = {m.get("name"): m for m in model.iter("material")}[visual.get("material")]
+    assert str(of.get("rgba")).split()[3] == "0.4"
     export_object(spec, tmp_path)
     robot = ET.parse(tmp_path / "object.urdf").getroot()
     looks = {m.get("name"): m.find("color") for m in robot.findall("material")}

@@ -1,0 +1,114 @@
+"""Materials and textures of MJCF: visual geoms get a material each, named <object>-<material>.
+
+MuJoCo multiplies a texture by its material's colour, so that of a textured material is white; its
+own colour is beside it, as <numeric name="<object>-<material>-rgb">, for readers without textures.
+"""
+
+import xml.etree.ElementTree as ET
+
+import mujoco
+import numpy as np
+
+from ..physics.mjcf import visual_name
+from ..spec import Material, ObjectSpec
+from ..spec.finish import finish
+from .meshes import numbers
+from .textures import is_textured, texture_file
+
+COLOUR_SUFFIX = "-rgb"
+
+
+def add_surfaces(model: mujoco.MjSpec, owner: str, spec: ObjectSpec) -> None:
+    """Make meshes of primitives that have a texture: MuJoCo lays none on their sides."""
+    for part in spec.parts:
+        for geom in part.geoms:
+            if not is_textured(spec, geom) or geom.shape.primitive() is None:
+                continue
+            shown = model.geom(visual_name(owner, geom))
+            vertices, faces = geom.shape.surface()
+            mesh = model.add_mesh(
+                name=shown.name, uservert=vertices.ravel(), userface=faces.ravel()
+            )
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+            shown.type, shown.meshname = mujoco.mjtGeom.mjGEOM_MESH, shown.name
+            shown.size = np.zeros(3)
+
+
+def dress_mjcf(
+    root: ET.Element, owner: str, spec: ObjectSpec, folder: str, *, textured: bool
+) -> None:
+    """Give visual geoms of an object materials in place of colours.
+
+    Args:
+        root: the MJCF file.
+        owner: name of the object in it.
+        spec: the object.
+        folder: of the object's files, relative to the MJCF file: "" or "objects/cup/".
+        textured: whether `add_surfaces` made meshes for textures.
+    """
+    shown = {g.get("name"): g for g in root.iter("geom") if g.get("name") is not None}
+    assets = _section(root, "asset")
+    done: set[str] = set()
+    for part in spec.parts:
+        for geom in part.geoms:
+            element = shown.get(visual_name(owner, geom))
+            if element is None:
+                continue
+            material = spec.material(geom.material)
+            name = f"{owner}-{material.name}"
+            element.attrib.pop("rgba", None)
+            element.set("material", name)
+            if name not in done:
+                done.add(name)
+                file = folder + texture_file(material) if textured else None
+                _add_material(root, assets, name, material, file)
+
+
+def _add_material(
+    root: ET.Element, assets: ET.Element, name: str, material: Material, file: str | None
+) -> None:
+    made = finish(material)
+    look = {
+        "name": name,
+        "rgba": numbers(material.rgba),
+        "specular": numbers([round(0.1 + 0.6 * (1 - made.roughness), 6)]),
+        "shininess": numbers([round(1 - made.roughness, 6)]),
+        "metallic": numbers([made.metallic]),
+        "roughness": numbers([made.roughness]),
+    }
+    if made.pattern is not None and file is not None:
+        ET.SubElement(assets, "texture", name=name, type="2d", file=file)
+        look |= {"texture": name, "rgba": numbers([1, 1, 1, material.rgba[3]])}
+        custom = _section(root, "custom")
+        own = {"name": name + COLOUR_SUFFIX, "data": numbers(material.rgba[:3])}
+        ET.SubElement(custom, "numeric", own)
+    ET.SubElement(assets, "material", look)
+
+
+def colour_of_geom(model: mujoco.MjModel, g: int) -> tuple[float, float, float, float]:
+    """Return the colour of a geom of any file; of a texture its mean, if nothing states another."""
+    material = int(model.geom_matid[g])
+    if material < 0:
+        r, g_, b, a = (float(v) for v in model.geom_rgba[g])
+        return r, g_, b, a
+    rgba = model.mat_rgba[material].astype(float)
+    texture = int(model.mat_texid[material][mujoco.mjtTextureRole.mjTEXROLE_RGB])
+    if texture >= 0:
+        name = model.material(material).name + COLOUR_SUFFIX
+        stated = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
+        channels = int(model.tex_nchannel[texture])
+        if stated >= 0 and model.numeric_size[stated] == 3:
+            first = int(model.numeric_adr[stated])
+            rgba[:3] = model.numeric_data[first : first + 3]
+        elif channels >= 3:
+            first = int(model.tex_adr[texture])
+            count = int(model.tex_height[texture]) * int(model.tex_width[texture]) * channels
+            pixels = model.tex_data[first : first + count].reshape(-1, channels)
+            rgba[:3] *= pixels[:, :3].mean(axis=0) / 255
+    red, green, blue, alpha = (float(v) for v in rgba)
+    return red, green, blue, alpha
+
+
+def _section(root: ET.Element, tag: str) -> ET.Element:
+    found = root.find(tag)
+    return ET.SubElement(root, tag) if found is None else found

@@ -1,0 +1,75 @@
+"""Materials of USD: UsdPreviewSurface with UsdUVTexture where there is a pattern, and friction.
+
+A textured material states its plain colour besides, below the connection that is stronger.
+"""
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
+
+from ..spec import Material
+from ..spec.finish import finish
+from .textures import texture_file
+
+
+def add_material(stage: Usd.Stage, base: Sdf.Path, material: Material) -> None:
+    """Define a material below an object's looks, for pictures and for physics."""
+    path = base.AppendChild("looks").AppendChild(material.name)
+    look = UsdShade.Material.Define(stage, path)
+    shader = UsdShade.Shader.Define(stage, path.AppendChild("surface"))
+    shader.CreateIdAttr("UsdPreviewSurface")
+    diffuse = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    diffuse.Set(_colour(material))
+    made = finish(material)
+    if made.pattern is not None:
+        _add_texture(stage, path, diffuse, material)
+    shader.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(material.rgba[3])
+    shader.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(made.metallic)
+    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(made.roughness)
+    look.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+    physics = UsdPhysics.MaterialAPI.Apply(look.GetPrim())
+    physics.CreateStaticFrictionAttr(material.friction)
+    physics.CreateDynamicFrictionAttr(material.friction)
+    physics.CreateRestitutionAttr(0.0)
+    physics.CreateDensityAttr(material.density)
+
+
+def _add_texture(
+    stage: Usd.Stage, path: Sdf.Path, colour: UsdShade.Input, material: Material
+) -> None:
+    """Let a colour come from a picture that repeats."""
+    reader = UsdShade.Shader.Define(stage, path.AppendChild("coordinates"))
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+    result = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+    texture = UsdShade.Shader.Define(stage, path.AppendChild("texture"))
+    texture.CreateIdAttr("UsdUVTexture")
+    file = Sdf.AssetPath(f"./{texture_file(material)}")
+    texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(file)
+    texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
+    for edge in ("wrapS", "wrapT"):
+        texture.CreateInput(edge, Sdf.ValueTypeNames.Token).Set("repeat")
+    texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(result)
+    colour.ConnectToSource(texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))
+
+
+def dress(
+    stage: Usd.Stage, path: Sdf.Path, base: Sdf.Path, material: Material, *, physical: bool
+) -> None:
+    """Bind a material to a prim; to colliders for physics only."""
+    prim = stage.GetPrimAtPath(path)
+    look = UsdShade.Material.Get(stage, base.AppendChild("looks").AppendChild(material.name))
+    UsdGeom.Gprim(prim).CreateDisplayColorAttr(Vt.Vec3fArray([_colour(material)]))
+    if material.rgba[3] < 1:
+        UsdGeom.Gprim(prim).CreateDisplayOpacityAttr(Vt.FloatArray([material.rgba[3]]))
+    binding = UsdShade.MaterialBindingAPI.Apply(prim)
+    if physical:
+        binding.Bind(look, UsdShade.Tokens.weakerThanDescendants, "physics")
+    else:
+        binding.Bind(look)
+
+
+def _colour(material: Material) -> Gf.Vec3f:
+    """Return the colour as USD wants it: linear, where ours is for display."""
+    c = np.array(material.rgba[:3])
+    light = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+    return Gf.Vec3f(*np.round(light, 6).tolist())

@@ -1,0 +1,89 @@
+"""Finish of materials: metallic, roughness and pattern, as stated or by a material's name."""
+
+from typing import NamedTuple
+
+from .object import Material
+from .surface_pattern import PatternKind, SurfacePattern
+
+_METALS = {
+    "steel": 0.35, "stainless_steel": 0.25, "cast_iron": 0.65, "iron": 0.5, "aluminium": 0.35,
+    "aluminum": 0.35, "brass": 0.3, "bronze": 0.35, "copper": 0.3, "silver": 0.2, "gold": 0.2,
+    "chrome": 0.1, "tin": 0.35, "metal": 0.35,
+}  # fmt: skip
+_OTHERS = {
+    "glass": 0.05, "acrylic": 0.1, "pet": 0.15, "water": 0.02, "coffee": 0.05, "porcelain": 0.15,
+    "china": 0.15, "glaze": 0.15, "enamel": 0.15, "lacquer": 0.15,
+    "ceramic": 0.25, "marble": 0.25, "plastic": 0.4, "abs": 0.4, "polypropylene": 0.4,
+    "polyethylene": 0.45, "pvc": 0.4, "nylon": 0.45, "wax": 0.4, "electronics": 0.4,
+    "wood": 0.6, "pine": 0.65, "oak": 0.6, "walnut": 0.55, "bamboo": 0.55, "birch": 0.6,
+    "beech": 0.6, "maple": 0.6, "teak": 0.6, "cherry": 0.55, "plywood": 0.65,
+    "mdf": 0.7, "chipboard": 0.6, "stone": 0.8, "concrete": 0.9, "brick": 0.9, "terracotta": 0.85,
+    "cork": 0.9, "paper": 0.9, "cardboard": 0.9, "foam": 0.95, "upholstery": 0.95,
+    "fabric": 0.95, "cloth": 0.95, "felt": 0.95, "leather": 0.6, "rubber": 0.85, "silicone": 0.5,
+    "soil": 0.95, "plant": 0.7, "bread": 0.85, "food": 0.6, "fruit": 0.4, "meat": 0.5,
+    "cheese": 0.5, "chocolate": 0.4, "soap": 0.4, "insulated": 0.4,
+}  # fmt: skip
+_PATTERNS: dict[str, PatternKind] = {
+    **dict.fromkeys(
+        ("wood", "pine", "oak", "walnut", "bamboo", "birch", "beech", "maple", "teak", "cherry",
+         "plywood"), "grain",
+    ),
+    "stone": "speckles", "marble": "veins", "brick": "bricks",
+    "fabric": "weave", "cloth": "weave", "upholstery": "weave", "stainless_steel": "brushed",
+}  # fmt: skip
+UNKNOWN = 0.5
+"""Roughness of a material whose name says nothing."""
+_WHOLE = 4
+"""Letters from which on a name may be a part of a word at its beginning or end: hardwood."""
+
+
+class Finish(NamedTuple):
+    """How a surface looks, beside its colour and opacity."""
+
+    metallic: float
+    """From 0 to 1."""
+    roughness: float
+    """From 0 to 1."""
+    pattern: SurfacePattern | None
+    """None is plain."""
+
+
+def finish(material: Material) -> Finish:
+    """Return how a material looks: what it states itself, and the rest by its name.
+
+    A name tells by its words, apart by "_", what it is made of: "steel_b0b0b0", "dark_oak". The
+    longest name that fits decides.
+    """
+    made_of = _made_of(material.name.lower())
+    metallic, roughness = 0.0, UNKNOWN
+    if made_of in _METALS:
+        metallic, roughness = 1.0, _METALS[made_of]
+    elif made_of is not None:
+        roughness = _OTHERS[made_of]
+    pattern = material.pattern
+    if pattern is None and made_of in _PATTERNS:
+        pattern = SurfacePattern(kind=_PATTERNS[made_of])
+    return Finish(
+        metallic if material.metallic is None else material.metallic,
+        roughness if material.roughness is None else material.roughness,
+        None if pattern is None or pattern.kind == "plain" else pattern,
+    )
+
+
+def named_finish(name: str) -> bool:
+    """Return whether a material's name says what it is made of."""
+    return _made_of(name.lower()) is not None
+
+
+def _made_of(words: str) -> str | None:
+    split, framed = words.split("_"), f"_{words}_"
+    fits = [
+        name
+        for name in (*_METALS, *_OTHERS)
+        if f"_{name}_" in framed
+        or (
+            len(name) >= _WHOLE
+            and any(word.startswith(name) or word.endswith(name) for word in split)
+        )
+    ]
+    return max(fits, key=len, default=None)

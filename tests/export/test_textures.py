@@ -1,0 +1,229 @@
+"""Textures and finish of materials: the same look in every format, where it lies on surfaces."""
+
+import io
+import xml.etree.ElementTree as ET
+import zipfile
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from pxr import Usd, UsdGeom, UsdShade, UsdValidation
+
+from neoworld_mjx.export import import_mjcf, import_usd
+from neoworld_mjx.export.formats import lost, write_formats
+from neoworld_mjx.export.textures import texture_coordinates
+from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.render.appearance import linear
+from neoworld_mjx.render.surface_patterns import patterned
+from neoworld_mjx.render.tiles import tile_png, tile_size
+from neoworld_mjx.spec import Box, Cylinder, Material, ObjectSpec, SurfacePattern
+from neoworld_mjx.spec.finish import finish
+from neoworld_mjx.spec.surface_pattern import PATTERN_KINDS
+from tests.support.mechanisms import geom, joint, part
+
+TILED = SurfacePattern(kind="tiles", step=0.05, rgb=(0.1, 0.1, 0.1))
+
+
+@pytest.fixture(scope="module")
+def spec() -> ObjectSpec:
+    """A tiled box on a slide beside a cylinder of oak, a plain knob, and a clear lid."""
+    looks = (
+        Material(name="oak", density=700, rgba=(0.6, 0.4, 0.2, 1)),
+        Material(name="wall", density=2000, rgba=(0.8, 0.5, 0.3, 1), pattern=TILED),
+        Material(name="knob", density=900, rgba=(0.2, 0.3, 0.4, 1), metallic=0.3, roughness=0.12),
+        Material(name="lid", density=900, rgba=(0.5, 0.5, 0.5, 0.4)),
+    )
+    return ObjectSpec(
+        name="thing",
+        materials=looks,
+        parts=(
+            part("base", geom("post", Cylinder(radius=0.05, height=0.3), (0, 0, 0.15), "oak")),
+            part("brick", geom("brick", Box(size=(0.2, 0.2, 0.1)), (0.15, 0, 0.1), "wall")),
+            part(
+                "cap",
+                geom("knob", Box(size=(0.02, 0.02, 0.02)), (0, 0, 0.31), "knob"),
+                geom("lid", Box(size=(0.03, 0.03, 0.002)), (0, 0, 0.321), "lid"),
+            ),
+        ),
+        joints=(
+            joint("slide", "prismatic", "base", "brick", (0.05, 0, 0.1), (1, 0, 0), upper=0.1),
+            joint("cap", "fixed", "base", "cap", (0, 0, 0.3)),
+        ),
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, spec):
+    out = tmp_path_factory.mktemp("looks")
+    write_formats(spec, out, ["mjcf", "usd", "usdz", "glb"])
+    return out
+
+
+@pytest.mark.parametrize("kind", [kind for kind in PATTERN_KINDS if kind != "plain"])
+def test_a_tile_repeats_without_a_seam(kind):
+    material = Material(
+        name="a", density=1, rgba=(0.6, 0.5, 0.4, 1), pattern=SurfacePattern(kind=kind)
+    )
+    content = tile_png(material)
+    assert content is not None and content == tile_png(material) and len(content) < 20_000
+    picture = np.asarray(Image.open(io.BytesIO(content)).convert("RGB")).astype(float)
+    for axis in (0, 1):
+        steps = np.abs(np.diff(picture, axis=axis)).mean(axis=(1 - axis, 2))
+        seam = np.abs(picture.take(0, axis) - picture.take(-1, axis)).mean()
+        # Nothing at the seam is sharper than what the pattern has anyway, such as a joint.
+        assert seam <= steps.max() + 1e-9, axis
+    assert np.ptp(picture) > 5
+
+
+def test_a_tile_is_what_our_pictures_draw_there(spec):
+    """Points of a board's face have the colour of the tile at their coordinates."""
+    block = spec.part("brick").geoms[0]
+    vertices, faces = block.shape.surface()
+    uv = texture_coordinates(spec, "brick", block, vertices, faces)
+    assert uv is not None
+    wide, tall = tile_size(TILED)
+    # The frame of a part is at its joint, as in the pictures.
+    corners = (vertices + np.array(block.pos) - np.array([0.05, 0, 0.1]))[faces]
+    content = tile_png(spec.material("wall"))
+    assert content is not None
+    picture = np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
+    rng, seen = np.random.default_rng(0), 0
+    for corner, place in zip(corners, uv, strict=True):
+        weights = rng.dirichlet(np.ones(3), 40)
+        point, at = weights @ corner, weights @ place
+        normal = np.cross(corner[1] - corner[0], corner[2] - corner[0])
+        normals = np.tile(normal / np.linalg.norm(normal), (40, 1))
+        base = linear(np.array(spec.material("wall").rgba[:3]))
+        drawn = patterned(
+            TILED, base, linear(np.array(TILED.rgb)), point, normals, np.full(40, tall / 256)
+        )
+        rows = ((1 - at[:, 1] % 1) * 256).astype(int) % 256
+        columns = (at[:, 0] % 1 * 256).astype(int) % 256
+        away = np.abs(linear(picture[rows, columns] / 255) - drawn).max(axis=1)
+        # Beside a joint a pixel is of both; brightness of each tile repeats with the picture.
+        seen += int((away < 0.08).sum())
+    assert seen > 0.9 * 40 * len(corners)
+    assert wide == tall == pytest.approx(0.2)
+
+
+def test_mjcf_has_materials_and_textures(folder, spec):
+    model = mujoco.MjModel.from_xml_path(str(folder / "object.xml"))
+    wall = model.material("thing-wall")
+    texture = model.texture(int(wall.texid[mujoco.mjtTextureRole.mjTEXROLE_RGB]))
+    assert (texture.height[0], texture.width[0]) == (256, 256)
+    shown = model.geom("thing-brick-visual")
+    assert shown.matid[0] == wall.id and model.mesh_texcoordnum[shown.dataid[0]] > 3
+    knob = model.material("thing-knob")
+    assert model.mat_metallic[knob.id] == pytest.approx(0.3)
+    assert model.mat_roughness[knob.id] == pytest.approx(0.12)
+    assert model.material("thing-lid").rgba[3] == pytest.approx(0.4)
+    for element in ET.parse(folder / "object.xml").getroot().iter("texture"):
+        assert (folder / element.attrib["file"]).is_file()
+
+
+@pytest.mark.parametrize("file", ["object.usdc", "object.usdz"])
+def test_usd_has_textures_that_are_there(folder, file):
+    stage = Usd.Stage.Open(str(folder / file))
+    surface = UsdShade.Shader(stage.GetPrimAtPath("/thing/looks/wall/surface"))
+    source = surface.GetInput("diffuseColor").GetConnectedSources()[0][0].source
+    asset = source.GetInput("file").Get()
+    assert source.GetPrim().GetName() == "texture" and asset.resolvedPath
+    mesh = stage.GetPrimAtPath("/thing/links/brick/visuals/brick")
+    st = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
+    assert len(st.Get()) == 36 and st.GetInterpolation() == UsdGeom.Tokens.faceVarying
+    knob = UsdShade.Shader(stage.GetPrimAtPath("/thing/looks/knob/surface"))
+    assert knob.GetInput("metallic").Get() == pytest.approx(0.3)
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    found = UsdValidation.ValidationContext(validators).Validate(stage)
+    assert [error.GetErrorAsString() for error in found] == []
+    if file.endswith("usdz"):
+        assert "textures/wall.png" in zipfile.ZipFile(folder / file).namelist()
+
+
+def test_gltf_has_textures(folder, spec):
+    shown = trimesh.load(folder / "object.glb")
+    wall = shown.geometry["thing-brick-brick"].visual
+    content = tile_png(spec.material("wall"))
+    assert content is not None
+    want = np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
+    got = np.asarray(wall.material.baseColorTexture.convert("RGB"))
+    assert np.array_equal(got, want) and wall.uv.shape == (36, 2)
+    assert shown.geometry["thing-cap-knob"].visual.material.baseColorTexture is None
+
+
+@pytest.mark.parametrize(
+    ("file", "read"), [("object.xml", import_mjcf), ("object.usdc", import_usd)]
+)
+def test_colours_and_shine_come_back_from_below_textures(folder, spec, file, read):
+    back = read(folder / file).spec
+    for name in ("oak", "wall", "knob", "lid"):
+        own = spec.material(name)
+        near = [
+            material
+            for material in back.materials
+            if np.allclose(material.rgba, own.rgba, atol=2e-5)
+            and np.allclose(finish(material)[:2], finish(own)[:2], atol=1e-5)
+        ]
+        assert near, name
+
+
+def test_formats_without_textures_say_so(spec):
+    for kind in ("urdf", "sdf"):
+        assert any("textures" in line and "thing.wall" in line for line in lost(spec, kind))
+    assert not any("textures" in line for line in lost(spec, "usd"))
+
+
+def test_foreign_textures_are_read_as_their_mean_colour(tmp_path):
+    pixels = np.zeros((2, 2, 3), np.uint8)
+    pixels[0] = (200, 100, 0)
+    Image.fromarray(pixels).save(tmp_path / "own.png")
+    (tmp_path / "a.xml").write_text(
+        '<mujoco><asset><texture name="t" type="2d" file="own.png"/>'
+        '<material name="m" texture="t"/></asset><worldbody>'
+        '<body name="b"><freejoint/><geom size=".1" material="m"/></body>'
+        "</worldbody></mujoco>"
+    )
+    (material,) = import_mjcf(tmp_path / "a.xml").spec.materials
+    assert material.rgba == pytest.approx((100 / 255, 50 / 255, 0, 1), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "metallic", "pattern"),
+    [
+        ("dark_oak", 0, "grain"),
+        ("hardwood", 0, "grain"),
+        ("curtain", 0, None),
+        ("stainless_steel_b0b0b0", 1, "brushed"),
+        ("polished_steel", 1, None),
+        ("satin", 0, None),
+    ],
+)
+def test_a_name_says_what_a_surface_is_of(name, metallic, pattern):
+    made = finish(Material(name=name, density=1))
+    assert made.metallic == metallic
+    assert (None if made.pattern is None else made.pattern.kind) == pattern
+    assert (
+        finish(Material(name=name, density=1, pattern=SurfacePattern(kind="plain"))).pattern is None
+    )
+
+
+def test_programs_state_a_finish_or_inherit_it():
+    built = run(
+        "from neoworld_mjx.program.sdk import Object, box\n"
+        "o = Object('o')\n"
+        "o.material('seat', like='oak', rgb=(0.5, 0.1, 0.1))\n"
+        "o.material('shell', like='plastic', roughness=0.05, metallic=0.5)\n"
+        "b = o.part('b', material='seat')\n"
+        "b.add(box((0.1, 0.1, 0.1)))\n"
+        "b.add(box((0.1, 0.1, 0.1)), at=(0, 0, 0.1), material='shell')\n"
+    )
+    assert built.spec is not None, built.signals
+    seat, shell = (finish(built.spec.material(name)) for name in ("seat", "shell"))
+    assert seat.pattern is not None and seat.pattern.kind == "grain" and seat.roughness == 0.6
+    assert (shell.metallic, shell.roughness) == (0.5, 0.05)
+    wrong = run(
+        "from neoworld_mjx.program.sdk import Object\nObject('o').material('a', 'oak', roughness=2)"
+    )
+    assert not wrong.ok and "roughness" in wrong.signals[0].message
