@@ -49,16 +49,21 @@ def changes(folder: Path) -> Html:
 
 def moves_of(folder: Path, name: str) -> list[tuple[str, str]]:
     """Return what each step did to one object of a run, in words: (who, how)."""
-    said = _kept_fit(read_json(folder / "parse.json") or {}).get(name)
-    refit = (read_json(folder / "compose" / "fit.json") or {}).get("objects", {}).get(name)
-    searched = _searched(folder / "compose" / "scene.json", folder / "scene.json").get(name)
-    moves = []
-    if said is not None:
-        moves.append(("fit to the boxes", _fitted(said)))
-    if refit is not None:
-        moves.append(("fit of the built shape", _fitted(refit)))
-    if searched is not None:
-        moves.append(("search", searched))
+    return all_moves(folder).get(name, [])
+
+
+def all_moves(folder: Path) -> dict[str, list[tuple[str, str]]]:
+    """Return what each step did to the objects of a run, in words: (who, how) by object."""
+    said = _kept_fit(read_json(folder / "parse.json") or {})
+    refit = (read_json(folder / "compose" / "fit.json") or {}).get("objects", {})
+    searched = _searched(folder / "compose" / "scene.json", folder / "scene.json")
+    moves: dict[str, list[tuple[str, str]]] = {}
+    for name, change in said.items():
+        moves.setdefault(name, []).append(("fit to the boxes", _fitted(change)))
+    for name, change in refit.items():
+        moves.setdefault(name, []).append(("fit of the built shape", _fitted(change)))
+    for name, how in searched.items():
+        moves.setdefault(name, []).append(("search", how))
     return moves
 
 

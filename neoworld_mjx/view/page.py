@@ -60,6 +60,26 @@ tr:last-child td { border-bottom:0; }
 .grid { stroke:var(--line); stroke-width:1; }
 .tick { fill:var(--dim); font-size:12px; } .axis { fill:var(--dim); font-size:12.5px; }
 details summary { cursor:pointer; color:var(--dim); }
+.object { border-top:1px solid var(--line); padding:10px 0; }
+.object > summary { display:grid; grid-template-columns:minmax(190px,300px) 1fr auto; gap:4px 18px;
+  align-items:start; color:var(--ink); list-style:none; }
+.object > summary::-webkit-details-marker { display:none; }
+.object .shots { display:flex; gap:8px; min-height:20px; }
+.object .shots figure { flex:1; min-width:0; }
+.object .shots img { max-height:150px; object-fit:contain; background:var(--ground); }
+.object b { font-size:15px; } .object .verdict { text-align:right; }
+.object dl { margin:4px 0 0; display:grid; grid-template-columns:auto 1fr; gap:0 10px;
+  font-size:13.5px; } .object dt { color:var(--dim); } .object dd { margin:0; }
+#scene-3d { width:100%; height:min(60vh,520px); display:block; border-radius:4px; cursor:grab;
+  touch-action:none; background:#dbe0e5; }
+#scene-3d-controls { display:grid; grid-template-columns:repeat(auto-fit,minmax(230px,1fr));
+  gap:6px 18px; margin-top:8px; font-size:13px; }
+#scene-3d-controls label { display:flex; gap:8px; justify-content:space-between; }
+#scene-3d-controls label[hidden] { display:none; }
+@media (max-width:640px) { .cards { grid-template-columns:1fr 1fr; } main { padding:14px 8px 40px; } section { padding:14px 12px; }
+  .object > summary { grid-template-columns:1fr auto; } .object .shots { grid-column:1 / -1; } }
+@media print { body { background:#fff; } #scene-3d-controls { display:none; }
+  section { break-inside:avoid-page; border:0; } }
 code, pre { font-family:ui-monospace, Menlo, Consolas, monospace; font-size:13px; }
 pre { white-space:pre-wrap; overflow-wrap:anywhere; margin:8px 0 0; }
 """
@@ -76,12 +96,19 @@ def text(value: object) -> Html:
     return value if isinstance(value, Html) else Html(escape(str(value)))
 
 
-def document(title: str, body: Iterable[str]) -> str:
+def document(title: str, body: Iterable[str], scripts: Iterable[str] = ()) -> str:
     """Put sections into a whole page that needs nothing from outside.
 
-    The content policy forbids scripts and network access, whatever slipped in.
+    The content policy forbids network access and all scripts but our own, whatever slipped in.
+
+    Args:
+        title: of the page.
+        body: its sections.
+        scripts: hashes of the scripts that may run, as a content policy names them.
     """
     policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+    allowed = " ".join(scripts)
+    policy += f"; script-src {allowed}" if allowed else ""
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
@@ -147,6 +174,38 @@ def picture(path: Path, caption: str) -> Html:
     except (OSError, RunError):
         note = missing(f"{path.name} cannot be read")
         return Html(f"<figure>{note}<figcaption>{text(caption)}</figcaption></figure>")
+    return Html(
+        f'<figure><img src="{source}" alt="{text(caption)}">'
+        f"<figcaption>{text(caption)}</figcaption></figure>"
+    )
+
+
+def cut_out(
+    path: Path, window: tuple[float, float, float, float], caption: str, height: int = 150
+) -> Html:
+    """Embed a part of a picture.
+
+    Args:
+        path: the picture file.
+        window: left, top, right, bottom, as shares of the picture.
+        caption: of the part.
+        height: in pixels, at most; a smaller part stays as it is.
+    """
+    try:
+        raw = read_bytes(path, bounds_of_files().max_picture_mib * MIB)
+        with open_picture(raw, path.name, RunError) as image:
+            image.load()
+            x0, y0, x1, y1 = (
+                round(min(max(share, 0.0), 1.0) * size)
+                for share, size in zip(window, (*image.size, *image.size), strict=True)
+            )
+            part = image.convert("RGB").crop((x0, y0, max(x1, x0 + 1), max(y1, y0 + 1)))
+    except (OSError, RunError):
+        return Html("")
+    part.thumbnail((2 * height, height), Image.Resampling.LANCZOS)
+    buffer = io.BytesIO()
+    part.save(buffer, "JPEG", quality=85)
+    source = f"data:image/jpeg;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
     return Html(
         f'<figure><img src="{source}" alt="{text(caption)}">'
         f"<figcaption>{text(caption)}</figcaption></figure>"

@@ -14,11 +14,16 @@ from ..config import Config
 from ..errors import NeoWorldError, RunError
 from ..files import write_atomic
 from ..run_folder import STEPS, read_run, refuse_links
+from ..spec import read_scene
 from . import charts
 from .changes import TITLE, changes
 from .convergence import convergence
+from .object_rows import TITLE as OBJECTS
+from .object_rows import object_rows, unstable
 from .page import Html, card, document, missing, picture, section, table, text
-from .tables import agreement, joints, parsed, penetrations, placed, read_json, verdicts, where
+from .scene_3d import TITLE as IN_3D
+from .scene_3d import scene_3d, script_hash
+from .tables import agreement, joints, parsed, penetrations, placed, read_json, where
 
 CHECK = "compose/check.json"
 PHOTO, BEFORE, AFTER = "photo.png", "pictures/before.png", "pictures/after.png"
@@ -41,9 +46,10 @@ def write_report(folder: Path) -> Path:
         "Notes": lambda: _notes(run),
         "Numbers": lambda: _numbers(run),
         "Before and after": lambda: _pictures(folder),
+        OBJECTS: lambda: object_rows(folder, run, tree),
+        IN_3D: lambda: _turning(folder),
         "Parse": lambda: parsed(folder, tree),
         TITLE: lambda: changes(folder),
-        "Objects and their verdicts": lambda: verdicts(folder),
         "Scene": lambda: placed(scene),
         "Agreement with the photograph": lambda: agreement(run),
         "Convergence of the search": lambda: convergence(folder / "refine" / "history.npz"),
@@ -58,13 +64,21 @@ def write_report(folder: Path) -> Path:
         *(_safely(name, draw) for name, draw in sections.items()),
     ]
     path = folder / "report.html"
-    text = document(f"{title}: scene report", parts)
+    text = document(f"{title}: scene report", parts, [script_hash()])
     try:
         # Half a character, which only escapes in JSON can hold, becomes a question mark.
         write_atomic(path, text.encode("utf-8", "replace"))
     except OSError as error:
         raise RunError(f"cannot write {path}: {error.strerror}") from None
     return path
+
+
+def _turning(folder: Path) -> Html:
+    """Return the scene in three dimensions, refined or else as composed."""
+    for name in ("scene.json", "compose/scene.json"):
+        if (folder / name).is_file():
+            return scene_3d(read_scene(folder / name))
+    return section(IN_3D, missing("No scene.json yet."))
 
 
 def _moving(folder: Path) -> list[str]:
@@ -93,7 +107,14 @@ def _head(run: dict[str, Any], title: str, moving: Sequence[str] = ()) -> Html:
     status = str(run["status"])
     colour = {"finished": "good", "failed": "bad", "interrupted": "bad"}.get(status, "dim")
     error = f'<p class="bad">{text(run["error"])}</p>' if run.get("error") else ""
-    if moving:
+    causes, failed = unstable(run), run["metrics"].get("passed") is False
+    if causes or failed:
+        status, colour = f"{status}, but the scene is not valid", "bad"
+        said = "; ".join(f"{name} {', '.join(why)}" for name, why in causes.items())
+        error += f'<p class="bad">Not valid: {text(said or "see the numbers below")}</p>'
+    elif run["metrics"].get("passed"):
+        status = f"{status}, valid"
+    if moving and not (run["metrics"].get("passed") and not causes):
         count = "1 object does" if len(moving) == 1 else f"{len(moving)} objects do"
         error += f'<p class="bad">Before the search {count} not stay: {text("; ".join(moving))}</p>'
     facts = [

@@ -7,7 +7,7 @@ from typing import Any
 from ..errors import RunError
 from ..reading import read_object
 from ..run_folder import STEPS
-from .page import Html, missing, picture, section, table, text, verdict
+from .page import Html, missing, picture, section, table, verdict
 
 PARSED = "pictures/parse.png"
 
@@ -53,40 +53,27 @@ def parsed(folder: Path, tree: dict[str, Any]) -> Html:
     )
 
 
-def verdicts(folder: Path) -> Html:
-    """Show each object's verify.json: every check with its number, threshold and verdict."""
-    homes = sorted(path for path in (folder / "objects").glob("*") if path.is_dir())
-    if not homes:
-        return section("Objects and their verdicts", missing("No objects yet."))
-    parts = []
-    for home in homes:
-        verification = read_json(home / "verify.json")
-        passed = verification.get("passed") if verification else None
-        parts.append(f"<h3>{text(home.name)} {verdict(passed) if verification else ''}</h3>")
-        shots = [(home / "crop.png", "photograph"), (home / "render.png", "program")]
-        if any(path.is_file() for path, _ in shots):
-            thumbs = "".join(picture(path, caption) for path, caption in shots)
-            parts.append(f'<div class="thumbs">{thumbs}</div>')
-        parts.append(_signals(read_json(home / "program.json") or {}))
-        if verification is None:
-            parts.append(missing("No verify.json yet."))
-            continue
-        rows = [
-            [
-                f"{check.get('scenario', '')} {check.get('name', '')}".replace("_", " ").strip(),
-                with_unit(check.get("value"), check.get("unit")),
-                with_unit(check.get("threshold"), check.get("unit")),
-                outcome_mark(check.get("outcome"), doubtful=bool(check.get("doubtful"))),
-                check.get("hint") or check.get("evidence") or "",
-            ]
-            for check in verification.get("checks", [])
+def verdicts(home: Path, verification: dict[str, Any] | None) -> Html:
+    """Show an object's signals and verify.json: every check with number, threshold and verdict."""
+    parts = [_signals(read_json(home / "program.json") or {})]
+    if verification is None:
+        return Html("".join([*parts, missing("No verify.json yet.")]))
+    rows = [
+        [
+            f"{check.get('scenario', '')} {check.get('name', '')}".replace("_", " ").strip(),
+            with_unit(check.get("value"), check.get("unit")),
+            with_unit(check.get("threshold"), check.get("unit")),
+            outcome_mark(check.get("outcome"), doubtful=bool(check.get("doubtful"))),
+            check.get("hint") or check.get("evidence") or "",
         ]
-        parts.append(table(["check", "#value", "#threshold", "verdict", "note"], rows))
-        if findings := verification.get("seen"):
-            parts.append(
-                table(["findings of the critic in key frames"], [[finding] for finding in findings])
-            )
-    return section("Objects and their verdicts", *parts)
+        for check in verification.get("checks", [])
+    ]
+    parts.append(table(["check", "#value", "#threshold", "verdict", "note"], rows))
+    if findings := verification.get("seen"):
+        parts.append(
+            table(["findings of the critic in key frames"], [[finding] for finding in findings])
+        )
+    return Html("".join(parts))
 
 
 def _signals(program: dict[str, Any]) -> Html:

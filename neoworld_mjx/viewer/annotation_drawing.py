@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..pipeline.annotation import AnnotatedObject, Annotation, annotated_tree
+from ..render.part_meshes import RGB
 from ..spec import Camera
 from ..spec.pose import from_matrix
-from .part_meshes import RGB
 from .scene_page import NEAR_M
 
 CHOSEN, OTHER, SOLID, GRID = (255, 210, 60), (90, 170, 255), (120, 230, 140), (255, 255, 255)

@@ -11,9 +11,9 @@ from ..compose.compose import snap
 from ..errors import RunError
 from ..physics.layout import Layout, arrange, compose_poses
 from ..physics.scene_arrays import snapped_heights
+from ..render.part_meshes import visible_meshes
 from ..spec import SceneSpec
 from ..view.convergence import best_candidates, over_finite, term_histories
-from .part_meshes import visible_meshes
 
 GHOSTS = 24
 """Most candidates shown at once: the best of them."""

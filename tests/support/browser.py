@@ -28,7 +28,9 @@ class Page:
         page.on("request", lambda r: self._note(r.url))
 
     def _note(self, url: str) -> None:
-        if not url.startswith(("http://localhost:", "http://127.0.0.1:", "data:", "blob:")):
+        if not url.startswith(
+            ("http://localhost:", "http://127.0.0.1:", "data:", "blob:", "file:")
+        ):
             self.outside.append(url)
 
     def picture(self, left: int = 0, right: int = SIZE[0]) -> np.ndarray:
@@ -78,8 +80,13 @@ class Page:
 
 
 @contextmanager
-def opened(url: str) -> Iterator[Page]:
-    """Open a page; the test is skipped where there is no browser."""
+def opened(url: str, *, offline: bool = False) -> Iterator[Page]:
+    """Open a page; the test is skipped where there is no browser.
+
+    Args:
+        url: of the page.
+        offline: no network, for a page that is a file.
+    """
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     chromium = shutil.which("chromium")
     if chromium is None:
@@ -87,9 +94,13 @@ def opened(url: str) -> Iterator[Page]:
     with sync_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=[*_SOFTWARE])
         try:
-            page = Page(browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]}))
+            size = {"width": SIZE[0], "height": SIZE[1]}
+            page = Page(browser.new_context(offline=offline, viewport=size).new_page())
             page.page.goto(url)
             page.page.wait_for_selector("canvas")
+            if offline:
+                yield page
+                return
             # The note that there is no GPU lies over the picture, and takes the mouse.
             with suppress(sync_api.TimeoutError):
                 note = page.page.get_by_role("alert").filter(has_text="Software WebGL")

@@ -157,6 +157,37 @@ def test_failed_numbers_are_shown_as_failed(finished):
     assert 'class="value bad">unknown' in html
 
 
+def test_objects_that_fail_are_named_at_the_head_and_their_rows_are_open(finished):
+    with RunFolder(finished, Config(), resume=True) as run:
+        run.record("metrics", passed=False, drift_m={"cup": 0.0004, "jar": 0.05})
+        run.record("metrics", depths_m={"jar|cup": 0.004})
+        run.data["status"] = "finished"
+    html = write_report(finished).read_text()
+    head, _, rest = html.partition("</header>")
+    assert 'class="good"' not in head
+    said = "jar lies 4.00 mm deep in cup (limit 1.00 mm), moves by 50.00 mm (limit 10.00 mm)"
+    assert f"Not valid: {said}" in _words(head) and "but the scene is not valid" in _words(head)
+    assert '<details class="object" open>' in rest
+    assert "1 of 1 fail" in _words(rest)
+
+
+def test_a_row_shows_photograph_and_render_in_one_frame(finished):
+    tree = _tree()
+    jar = tree["nodes"][0] | {"name": "jar", "box2d": {"x0": 20, "y0": 10, "x1": 40, "y1": 30}}
+    (finished / "tree.json").write_text(json.dumps(tree | {"nodes": [jar]}))
+    (finished / "pictures").mkdir(exist_ok=True)
+    Image.new("RGB", (120, 80), "red").save(finished / "pictures" / "after.png")
+    with RunFolder(finished, Config(), resume=True) as run:
+        ious = {"parsed": 0.9, "composed": 0.8, "refined": 0.85}
+        run.record("metrics", passed=True, box_iou=ious | {"objects": {"jar": ious}})
+        run.data["status"] = "finished"
+    html = write_report(finished).read_text()
+    row = html.partition('<details class="object">')[2].partition("</summary>")[0]
+    assert row.count("data:image/jpeg") == 2
+    assert "parsed 0.90, composed 0.80, refined 0.85" in _words(row)
+    assert "finished, valid" in _words(html)
+
+
 def test_allowed_overlaps_are_listed_with_their_reason(finished):
     home = next((finished / "objects").iterdir())
     signal = {

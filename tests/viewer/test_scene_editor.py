@@ -8,11 +8,11 @@ from neoworld_mjx.compose.layout_patch import LayoutPatch
 from neoworld_mjx.config import Config
 from neoworld_mjx.errors import RunError, SpecError
 from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.render.part_meshes import creased, piece_meshes, visible_meshes
 from neoworld_mjx.spec import world_poses
 from neoworld_mjx.spec.pose import from_yaw, yaw_of
 from neoworld_mjx.templates import template
 from neoworld_mjx.viewer.free_fall import FreeFall
-from neoworld_mjx.viewer.part_meshes import creased, piece_meshes, visible_meshes
 from neoworld_mjx.viewer.scene_editor import SceneEditor, sliding_keys
 from neoworld_mjx.viewer.scene_page import part_poses
 from neoworld_mjx.viewer.view_target import alone, open_target
