@@ -76,7 +76,8 @@ details summary { cursor:pointer; color:var(--dim); }
   gap:6px 18px; margin-top:8px; font-size:13px; }
 #scene-3d-controls label { display:flex; gap:8px; justify-content:space-between; }
 #scene-3d-controls label[hidden] { display:none; }
-@media (max-width:640px) { .cards { grid-template-columns:1fr 1fr; } main { padding:14px 8px 40px; } section { padding:14px 12px; }
+@media (max-width:640px) { .cards { grid-template-columns:1fr 1fr; }
+  main { padding:14px 8px 40px; } section { padding:14px 12px; }
   .object > summary { grid-template-columns:1fr auto; } .object .shots { grid-column:1 / -1; } }
 @media print { body { background:#fff; } #scene-3d-controls { display:none; }
   section { break-inside:avoid-page; border:0; } }
