@@ -1,6 +1,7 @@
 """What the page of `neoworld annotate` shows: photograph, grid, boxes, and the boxes they give."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -78,6 +79,26 @@ def draw_boxes(server: Any, annotation: Annotation, chosen: str) -> str:
         return ""
     size = " x ".join(f"{100 * v:.1f}" for v in tree.node(chosen).box3d.size)
     return f"{chosen}: {size} cm (depth, width, height)"
+
+
+def draw_marks(server: Any, camera: Camera, ends: Sequence[NDArray]) -> None:
+    """Draw crosses at pixels of the photograph, and a line between every two.
+
+    Args:
+        server: of viser.
+        camera: of the photograph.
+        ends: pixels [2], ends of lines in turn.
+    """
+    cross, lines = camera.height_px / 80, []
+    for pixel in ends:
+        lines += [
+            [pixel - [cross, 0], pixel + [cross, 0]],
+            [pixel - [0, cross], pixel + [0, cross]],
+        ]
+    lines += [[ends[k], ends[k + 1]] for k in range(0, len(ends) - 1, 2)]
+    rays = camera.rays(np.array(lines).reshape(-1, 2))
+    points = camera.position() + rays * (NEAR_M / (rays @ camera.axes()[:, 2]))[:, None]
+    _add_lines(server, "/marks", points.reshape(-1, 2, 3), CHOSEN, 3)
 
 
 def pixel_of(view: Any, camera: Camera, at: tuple[float, float]) -> NDArray:

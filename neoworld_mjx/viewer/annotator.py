@@ -13,6 +13,7 @@ from ..config import Config
 from ..errors import SpecError
 from ..names import is_name
 from ..parse.photo import load_photo
+from ..parse.vanishing import camera_of_lines
 from ..pipeline import Result
 from ..pipeline.annotated import write_annotated
 from ..pipeline.annotation import GROUND, KEPT, MODEL, PLAIN, AnnotatedObject, Annotation
@@ -21,6 +22,7 @@ from ..spec import Box2D, Camera, PartState, read_scene
 from ..templates import templates
 from .annotation_drawing import draw_boxes, draw_grid, draw_photo, pixel_of
 from .annotation_edits import object_of, with_box, with_change, without
+from .line_picker import LinePicker
 from .object_facts import told
 from .page_log import Tell, work
 from .scene_page import ScenePage, look_through
@@ -93,7 +95,11 @@ class Annotator:
 
     def _build_camera_tab(self) -> None:
         gui, camera = self._server.gui, self.annotation.camera
-        gui.add_html(told("Move these until the grid lies on the ground."))
+        gui.add_html(told("Move these until the grid lies on the ground, or show lines on it."))
+        self._lines_said = gui.add_html("")
+        self._picker = LinePicker(self._server, self._say_of_lines, self._take_lines)
+        lines = gui.add_button("Show lines on the ground")
+        lines.on_click(lambda event: self._begin_lines(event.client))
         pitch, roll = math.degrees(camera.pitch), math.degrees(camera.roll)
         lens = {
             "pitch": gui.add_slider("Looks down, deg", -90, 90, 0.5, pitch),
@@ -101,6 +107,7 @@ class Annotator:
             "fovy": gui.add_slider("Field of view, deg", 1, 179, 0.5, math.degrees(camera.fovy)),
             "roll": gui.add_slider("Roll, deg", -180, 180, 0.5, math.remainder(roll, 360)),
         }
+        self._lens = lens
         for field, control in lens.items():
             self._on_edit(control, lambda value, field=field: self._set_camera(field, value))
         ground = gui.add_dropdown("The ground is a", GROUNDS, initial_value=self.annotation.ground)
@@ -170,6 +177,33 @@ class Annotator:
         camera = self.annotation.camera.model_copy(update={field: number})
         self.annotation = self.annotation.model_copy(update={"camera": camera})
         self._draw_camera()
+        for client in self._server.get_clients().values():
+            look_through(client, camera)
+
+    def _say_of_lines(self, line: str, *, bad: bool = False) -> None:
+        self._lines_said.content = told(line, bad=bad)
+
+    def _begin_lines(self, client: Any) -> None:
+        """Let the next clicks on the photograph be the ends of lines on the ground."""
+        with self._editing:
+            look_through(client, self.annotation.camera)
+            self._picker.begin(self.annotation.camera)
+
+    def _take_lines(self, along: NDArray, across: NDArray) -> None:
+        """Take the camera by which lines of the photograph lie on the ground."""
+        with self._editing:
+            try:
+                camera, finds_lens = camera_of_lines(self.annotation.camera, along, across)
+            except SpecError as error:
+                self._say_of_lines(str(error), bad=True)
+                return
+            for field in ("pitch", "roll", "fovy"):
+                degrees = math.degrees(getattr(camera, field))
+                self._lens[field].value = round(degrees, 1)
+            self.annotation = self.annotation.model_copy(update={"camera": camera})
+            self._draw_camera()
+        lens = "with its field of view" if finds_lens else "the field of view stays yours to set"
+        self._say_of_lines(f"The camera is that of the lines, {lens}; the height is yours to set.")
         for client in self._server.get_clients().values():
             look_through(client, camera)
 

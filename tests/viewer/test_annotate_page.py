@@ -62,6 +62,39 @@ def test_a_photograph_becomes_a_stable_scene_by_clicks_alone(photo, quick_config
     assert passes(measured(scene, quick_config.refine), quick_config.refine)
 
 
+def test_lines_that_are_clicked_give_the_camera(photo, quick_config, tmp_path):
+    from neoworld_mjx.viewer.annotator import Annotator, empty_annotation
+    from neoworld_mjx.viewer.local_server import address, close_server, open_server
+
+    start = empty_annotation(photo, quick_config)
+    change = {"pitch": 0.7, "roll": 0.05, "fovy": 0.9, "height": 0.6}
+    true = start.camera.model_copy(update=change)
+    c, s = np.cos(0.7), np.sin(0.7)
+    corners = 0.12 * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]]) @ np.array([[c, s], [-s, c]])
+    ground = np.column_stack([corners + [0.7, 0.0], np.zeros(4)])
+    order = [0, 1, 2, 3, 0, 2, 1, 3]
+    pixels = true.project(ground[order])[0]
+    assert (pixels > 20).all() and (pixels < PHOTO_SIZE - 20).all()
+    server = open_server("test", port=0)
+    try:
+        annotator = Annotator(server, photo, tmp_path / "out", start, quick_config)
+        with opened(address(server)) as page:
+            page.click("Show lines on the ground")
+            page.waits_for("0 of 8 points")
+            time.sleep(1)
+            for k, at in enumerate(_on_page(server, annotator, pixels), start=1):
+                page.page.mouse.click(*at)
+                page.waits_for(f"{k} of 8 points" if k < 8 else "with its field of view")
+            page.settled(right=500)
+            assert page.errors == [] and page.outside == []
+    finally:
+        close_server(server)
+    found = annotator.annotation.camera
+    for field in ("pitch", "roll", "fovy"):
+        assert abs(np.degrees(getattr(found, field) - getattr(true, field))) < 1.5, field
+    assert found.height == start.camera.height
+
+
 def _describe(page: Page, obj, **fields: str) -> None:
     """Type and choose what an object is, each when the one before has arrived."""
     _type(page, "Name", fields["name"], lambda: obj().name)
@@ -85,11 +118,7 @@ def _draw_box(page: Page, server, annotator, box):
     page.click("Draw its box")
     page.waits_for("Drag a rectangle")
     time.sleep(1)
-    (client,) = server.get_clients().values()
-    view = client.camera
-    focal = view.image_height / 2 / np.tan(view.fov / 2) / annotator.annotation.camera.focal
-    window = np.array([view.image_width, view.image_height])
-    corners = (np.array(box).reshape(2, 2) - PHOTO_SIZE / 2) * focal + window / 2
+    corners = _on_page(server, annotator, np.array(box).reshape(2, 2))
     page.page.mouse.move(*corners[0])
     page.page.mouse.down()
     page.page.mouse.move(*corners[1], steps=6)
@@ -97,6 +126,15 @@ def _draw_box(page: Page, server, annotator, box):
     _until(lambda: len(annotator.annotation.objects) == count + 1)
     page.page.get_by_text("Name", exact=True).wait_for()
     return lambda: annotator.annotation.objects[count]
+
+
+def _on_page(server, annotator, pixels):
+    """Return where pixels [n, 2] of the photograph are on the page."""
+    (client,) = server.get_clients().values()
+    view = client.camera
+    focal = view.image_height / 2 / np.tan(view.fov / 2) / annotator.annotation.camera.focal
+    window = np.array([view.image_width, view.image_height])
+    return (pixels - PHOTO_SIZE / 2) * focal + window / 2
 
 
 def _until(holds, timeout_s: float = 60.0) -> None:
