@@ -49,7 +49,7 @@ def camera_of_lines(camera: Camera, along: ArrayLike, across: ArrayLike) -> Came
     focal = camera.focal if focal is None else focal
     ways = [np.array([x, y, w * focal]) for x, y, w in points]
     ways = [way / np.linalg.norm(way) for way in ways]
-    up = np.cross(*ways)
+    up = np.cross(ways[0], ways[1])
     if np.linalg.norm(up) < math.sin(LEAST_ANGLE):
         raise SpecError("both pairs of lines have one direction: give the second across the first")
     up /= np.linalg.norm(up)
@@ -69,7 +69,7 @@ def _vanishing_point(camera: Camera, lines: ArrayLike) -> NDArray:
         raise SpecError("a line is too short: choose its ends farther apart")
     size = camera.height_px
     homogeneous = np.concatenate([ends / size, np.ones((2, 2, 1))], axis=2)
-    first, second = (np.cross(*line) for line in homogeneous)
+    first, second = (np.cross(line[0], line[1]) for line in homogeneous)
     meet = np.cross(first / np.linalg.norm(first), second / np.linalg.norm(second))
     if np.linalg.norm(meet) < 1e-6:
         raise SpecError("two lines lie on each other: choose lines that are apart")
