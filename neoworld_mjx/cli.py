@@ -43,19 +43,23 @@ def main(args: Sequence[str] | None = None) -> None:
             file=sys.stderr,
         )
         sys.exit(BAD_INPUT)
+    sys.exit(run(parse(args)))
+
+
+def parse(args: Sequence[str]) -> Any:
+    """Return the command that arguments name; what is wrong with them ends the process."""
     choices = [
         OmitSubcommandPrefixes[Annotated[command, subcommand(name)]]
         for name, command in COMMANDS.items()
     ]
     every: Any = Union[tuple(choices)]  # noqa: UP007
-    command: Any = tyro.cli(
+    return tyro.cli(
         every,
         prog="neoworld",
         description="One photograph in, a scene out that a robot can touch.",
         args=args,
         config=(FlagCreatePairsOff, DisallowNone),
     )
-    sys.exit(run(command))
 
 
 def run(command: Runnable) -> int:
