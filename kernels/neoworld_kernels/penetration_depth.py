@@ -58,6 +58,8 @@ def pair_depth_reference(
         if group.owner.shape[0] == 0:
             continue
 
+        # Its gradient computes distances anew: kept for all pieces, they can exceed any memory.
+        @jax.checkpoint
         def deepest(piece: PieceGroup, kind: str = kind) -> Float[Array, "object pop"]:
             o = piece.owner
             # World to piece: undo the owner's pose and scale, then the piece's own pose.

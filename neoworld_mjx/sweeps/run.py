@@ -5,6 +5,7 @@ import os
 import platform
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from ..progress import report
 from ..refinement.loop import search
 from ..refinement.returning import choose_and_return
 from ..refinement.scene_refinement import compile_for_search, refine
-from ..refinement.search_run import SearchRun
+from ..refinement.search_run import SearchResult, SearchRun
 from ..run_folder import versions
 from ..spec import SceneSpec
 from .cases import Case, Source, case
@@ -242,13 +243,16 @@ def _folded(scene: Case, model: SceneModel, runs: Sequence[SearchRun], engine: E
     results = search(model, [unpruned(run) for run in runs], engine, keep=False, clock=clock)
     seconds = max(clock["search"] - (compiled().seconds - before), 0.0) / len(runs)
     timing = {"seconds": seconds, "to_valid_s": None, "engine": engine.name}
-    rows = []
-    for run, result in zip(runs, results, strict=True):
-        objective = result.problem.objective
+
+    def finish(result: SearchResult) -> Row:
+        run, objective = result.run, result.problem.objective
         winner = choose_and_return(model, result.rounds, run.options, objective, run.start)
         row = row_of_search(scene, model, result, winner)
-        rows.append(row | timing | {"history": so_far(result.summaries)})
-    return rows
+        return row | timing | {"history": so_far(result.summaries)}
+
+    # Final checks simulate one layout at a time, in MuJoCo, which lets other threads run.
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        return list(pool.map(finish, results))
 
 
 def unpruned(run: SearchRun) -> SearchRun:
