@@ -26,7 +26,8 @@ class ExportCommand(ConfiguredCommand):
     format: UseAppendAction[tuple[Format, ...]] = ()
     """Format to write; may be repeated. All of them by default."""
     simulator: Annotated[Simulator | None, arg(name="for")] = None
-    """Simulator to write for: its formats, and for mjx only colliders that it has."""
+    """Simulator to write for: its formats; for mjx only colliders that it has, for newton a layer
+    newton.usda with what its contacts need."""
     floor: bool = False
     """Put a floor without end below everything (MJCF)."""
     overwrite: bool = False
@@ -45,7 +46,8 @@ class ExportCommand(ConfiguredCommand):
         if mjx and "mjcf" not in kinds:
             raise SpecError("--for mjx is about MJCF: leave --format away, or name mjcf")
         described, notes = self._read()
-        files = write_formats(described, self.out, kinds, mjx=mjx, floor=self.floor)
+        newton = self.simulator == "newton"
+        files = write_formats(described, self.out, kinds, mjx=mjx, floor=self.floor, newton=newton)
         answer: Answer = {
             "target": str(self.target),
             "folder": str(self.out),

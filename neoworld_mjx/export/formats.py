@@ -12,6 +12,7 @@ from ..physics.lowering import polyhedron_error
 from ..spec import ObjectSpec, SceneSpec, bounds, link_poses, pieces, world_poses
 from ..spec.convex import box_around
 from .meshes import mesh_files
+from .newton_layer import newton_text
 from .textures import is_textured, texture_files
 from .write_directives import directives_text, package_text
 from .write_drives import drives_text
@@ -119,8 +120,17 @@ def write_formats(
     *,
     mjx: bool = False,
     floor: bool = False,
+    newton: bool = False,
 ) -> list[str]:
     """Write formats into a folder and return the paths, relative to it.
+
+    Args:
+        described: the scene or object.
+        out: the folder.
+        kinds: the formats.
+        mjx: whether MJCF has only colliders that MJX knows.
+        floor: whether MJCF has a floor without end below everything.
+        newton: whether a layer for Newton lies over USD: newton.usda.
 
     Raises:
         ExportError: a file cannot be written.
@@ -128,6 +138,8 @@ def write_formats(
     files: dict[str, bytes] = {}
     for kind in kinds:
         files |= format_files(described, kind, mjx=mjx, floor=floor)
+    if newton and "usd" in kinds:
+        files["newton.usda"] = newton_text(described, f"{_stem(described)}.usdc").encode()
     for path, content in files.items():
         target = out / path
         try:

@@ -32,22 +32,15 @@ def scene_usd_layer(scene: SceneSpec, suffix: str = "usda") -> Sdf.Layer:
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root.GetPrim()).SetKind("assembly")
     base = root.GetPath()
-    taken = {item.name for item in scene.objects}
-
-    def free(name: str) -> Sdf.Path:
-        while name in taken:
-            name += "_"
-        return base.AppendChild(name)
-
-    _add_physics(stage, free("physics"), scene)
-    _add_lights(stage, free("lights"))
+    _add_physics(stage, physics_path(scene), scene)
+    _add_lights(stage, _free(scene, "lights"))
     if scene.camera is not None:
-        _add_camera(stage, free("photo"), scene.camera)
+        _add_camera(stage, _free(scene, "photo"), scene.camera)
     poses = world_poses(scene)
     for item in scene.objects:
         _add_object(stage, base.AppendChild(item.name), item, poses[item.name])
         if item.static and _articulated(item):
-            fixtures = UsdGeom.Scope.Define(stage, free("fixtures")).GetPath()
+            fixtures = UsdGeom.Scope.Define(stage, _free(scene, "fixtures")).GetPath()
             _fasten(stage, fixtures.AppendChild(item.name), base, item, poses[item.name])
     # References come last and on a layer that no stage composes: they would not resolve here.
     layer = Sdf.Layer.CreateAnonymous(".usda")
@@ -56,6 +49,18 @@ def scene_usd_layer(scene: SceneSpec, suffix: str = "usda") -> Sdf.Layer:
         prim = layer.GetPrimAtPath(base.AppendChild(item.name))
         prim.referenceList.Prepend(Sdf.Reference(f"./objects/{item.name}/object.{suffix}"))
     return layer
+
+
+def physics_path(scene: SceneSpec) -> Sdf.Path:
+    """Return the path of the prim that holds gravity."""
+    return _free(scene, "physics")
+
+
+def _free(scene: SceneSpec, name: str) -> Sdf.Path:
+    taken = {item.name for item in scene.objects}
+    while name in taken:
+        name += "_"
+    return Sdf.Path(f"/{scene.name}").AppendChild(name)
 
 
 def _articulated(item: SceneObject) -> bool:

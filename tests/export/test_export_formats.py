@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from pxr import Usd, UsdGeom, UsdUtils
+from pxr import Usd, UsdGeom, UsdPhysics, UsdUtils
 
 from neoworld_mjx.cli import main
 from neoworld_mjx.export.formats import collider_error, format_files, lost, write_formats
@@ -112,3 +112,28 @@ def test_the_command_writes_for_a_simulator_and_tells_what_is_lost(tmp_path, cab
     assert json.loads(capfd.readouterr().out)["collider_error_mm"] > 0
     model = mujoco.MjModel.from_xml_path(str(out / "object.xml"))
     assert model.geom("floor").type[0] == mujoco.mjtGeom.mjGEOM_PLANE
+
+
+def test_a_layer_for_newton_says_where_joints_are_and_how_contacts_hold(tmp_path, scene):
+    write_formats(scene, tmp_path, ["usd"], newton=True)
+    below, over = (Usd.Stage.Open(str(tmp_path / f)) for f in ("scene.usdc", "newton.usda"))
+    # An object is called "physics" here, so gravity's prim has another name.
+    assert over.GetPrimAtPath("/scene/physics_").GetAttribute("mjc:option:cone").Get() == "elliptic"
+    states = {
+        "/scene/box/joints/hinge": ("angular", np.degrees(0.8)),
+        "/scene/box/joints/slide": ("linear", 0.1),
+        "/scene/fastened/joints/slide": ("linear", 0.05),
+    }
+    for path, (kind, value) in states.items():
+        read = over.GetPrimAtPath(path).GetAttribute(f"newton:{kind}:position").Get()
+        assert read == pytest.approx(value), path
+    # Every collider is there below, and keeps what it has.
+    colliders = 0
+    for prim in over.Traverse():
+        assert below.GetPrimAtPath(prim.GetPath()).GetTypeName() == prim.GetTypeName() != ""
+        if prim.HasAPI(UsdPhysics.CollisionAPI):
+            colliders += 1
+            assert prim.GetAttribute("newton:contactGap").Get() == pytest.approx(0.002)
+    assert colliders > 20
+    assert over.GetDefaultPrim().GetName() == "scene" and UsdGeom.GetStageUpAxis(over) == "Z"
+    assert UsdPhysics.GetStageKilogramsPerUnit(over) == 1
