@@ -1,0 +1,46 @@
+"""The page of an arm beside a scene: its files are written and its code is run."""
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.cli import main
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "how-to" / "arm-beside-a-scene.md").read_text(encoding="utf-8")
+BLOCKS = dict(re.findall(r'```\w+ title="([\w.]+)"\n(.*?)```', PAGE, re.S))
+
+
+@pytest.fixture
+def pushed(tmp_path, monkeypatch):
+    """The names of the page's first program after it has run."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        main(["export", str(ROOT / "examples/arm/chest.py"), "--for", "mjx", "--out", "files"])
+    assert end.value.code == 0
+    shutil.copy(ROOT / "examples/arm/arm.xml", tmp_path)
+    (tmp_path / "world.xml").write_text(BLOCKS["world.xml"])
+    names: dict = {}
+    exec(compile(BLOCKS["push.py"], "push.py", "exec"), names)
+    return names
+
+
+def test_the_arm_pushes_the_drawer_closed(pushed, capfd):
+    model, data, slide = (pushed[name] for name in ("model", "data", "slide"))
+    assert pushed["start"].qpos[slide] == 0.12
+    assert data.qpos[slide] < 0.02
+    tip = data.site("arm-tip").xpos
+    assert np.linalg.norm(tip - pushed["before"]) > 0.1
+    # The chest is free, and stays where it is.
+    assert np.linalg.norm(data.body("scene-chest").xpos) < 0.01
+    assert {"arm-lift", "arm-left"} <= {model.actuator(k).name for k in range(model.nu)}
+    assert "scene-chest-slide-pos" in {model.sensor(k).name for k in range(model.nsensor)}
+
+
+@pytest.mark.slow
+def test_mjx_does_the_same(pushed, capfd):
+    exec(compile(BLOCKS["push_mjx.py"], "push_mjx.py", "exec"), pushed)
+    assert pushed["apart"] < 1e-3
