@@ -10,7 +10,8 @@ token loses it. UsdPhysics counts angles in degrees: limits, and per degree stif
 of drives. Armature, dry friction, velocity limits and mimics are written twice: by Newton's schemas
 (newton-usd-schemas) and by PhysX's, for Isaac; both count angles in degrees, and no number of one
 contradicts the other. A ball is a spherical joint with a cone; its damping and stiffness are our
-own attributes, in radians. Semantic labels name the object's class and its parts.
+own attributes, in radians. Semantic labels name the object's class and category, its parts, and the
+purpose of its joints.
 """
 
 import math
@@ -29,6 +30,7 @@ from ..spec import (
 from ..spec.convex import Piece
 from ..spec.kinematics import welded
 from ..spec.pose import IDENTITY, Pose, pose
+from ..spec.semantics import category, purpose
 from ..spec.triangles import corner_normals
 from .handles import frames
 from .meshes import piece_mesh
@@ -56,6 +58,7 @@ def usd_layer(spec: ObjectSpec) -> Sdf.Layer:
     if spec.label:
         root.GetPrim().SetDisplayName(spec.label)
     _label(root.GetPrim(), "class", spec.label or spec.name)
+    _label(root.GetPrim(), "category", category(spec))
     if spec.joints:
         UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
     base = root.GetPath()
@@ -248,6 +251,7 @@ def _add_joint(
         "ball": UsdPhysics.SphericalJoint,
     }
     usd_joint = kind.get(joint.type, UsdPhysics.RevoluteJoint).Define(stage, path)
+    _label(usd_joint.GetPrim(), "purpose", purpose(spec, joint))
     links = base.AppendChild("links")
     usd_joint.CreateBody0Rel().SetTargets([links.AppendChild(joint.parent)])
     usd_joint.CreateBody1Rel().SetTargets([links.AppendChild(joint.child)])

@@ -20,10 +20,13 @@ from .kinematics import joint_keys, link_poses
 from .object import ObjectSpec
 from .pose import IDENTITY, Pose, from_yaw, pose, quat_mul, rotate, yaw_of
 from .scale import scale, scaled_state
+from .semantics import described
 from .tree import Box2D, Relation
 
 WORLD_POSES = "world_poses"
 """Entry of a written scene: origin [m] and rotation (w, x, y, z) of every object in the world."""
+SEMANTICS = "semantics"
+"""Entry of a written scene: label, category, parts and purposes of joints of every object."""
 
 
 class SceneObject(Spec):
@@ -75,7 +78,7 @@ class SceneSpec(Spec):
     @classmethod
     def _without_derived(cls, value: object) -> object:
         if isinstance(value, dict):
-            return {k: v for k, v in value.items() if k != WORLD_POSES}
+            return {k: v for k, v in value.items() if k not in (WORLD_POSES, SEMANTICS)}
         return value
 
     @model_validator(mode="after")
@@ -119,14 +122,16 @@ class SceneSpec(Spec):
     def to_json(self) -> str:
         """Serialise, the same bytes for the same scene.
 
-        Poses in the world are written besides, for other programs; they are not read again.
+        Poses in the world and what things are are written besides, for other programs; they are
+        not read again.
         """
         poses = {
             name: {"pos": at.pos.tolist(), "quat": at.quat.tolist()}
             for name, at in world_poses(self).items()
         }
         content = self.model_dump_json(indent=1).removesuffix("\n}")
-        derived = json.dumps({WORLD_POSES: poses}, indent=1).removeprefix("{\n")
+        meant = {item.name: described(item.spec) for item in self.objects}
+        derived = json.dumps({WORLD_POSES: poses, SEMANTICS: meant}, indent=1).removeprefix("{\n")
         return f"{content},\n{derived}\n"
 
 

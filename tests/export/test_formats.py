@@ -443,6 +443,13 @@ def test_usd_meshes_have_normals_and_labels_name_things(folder):
     root, drawer = (stage.GetPrimAtPath(p) for p in ("/cabinet", "/cabinet/links/drawer"))
     assert list(UsdSemantics.LabelsAPI(root, "class").GetLabelsAttr().Get()) == ['a "cabinet"']
     assert list(UsdSemantics.LabelsAPI(drawer, "part").GetLabelsAttr().Get()) == ["drawer"]
+    for path, kind, label in (
+        ("/cabinet", "category", "cabinet"),
+        ("/cabinet/joints/slide", "purpose", "drawer"),
+        ("/cabinet/joints/spin", "purpose", "wheel"),
+    ):
+        labels = UsdSemantics.LabelsAPI(stage.GetPrimAtPath(path), kind).GetLabelsAttr().Get()
+        assert list(labels) == [label], path
     assert stage.GetPrimAtPath("/cabinet/links/drawer/sites/drawer_handle")
     steel = UsdShade.Shader(stage.GetPrimAtPath("/cabinet/looks/steel/surface"))
     assert steel.GetInput("metallic").Get() == 1.0
