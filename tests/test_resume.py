@@ -40,6 +40,8 @@ def seconds(whole) -> float:
     return seconds
 
 
+# The suite itself kills runs at a random moment, in tests/faults.
+@pytest.mark.slow
 def test_a_run_killed_in_verification_and_in_the_search_ends_like_one_left_alone(whole, tmp_path):
     out = tmp_path / "out"
     for begun in ("verify/", "refine"):

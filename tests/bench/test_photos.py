@@ -20,7 +20,7 @@ from neoworld_mjx.bench.photos import (
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import EngineError
 
-FOUR = (4, 8, 20, 24)
+FOUR = (8, 10, 22, 29)
 """Two scenes of each part, of few objects."""
 
 
