@@ -60,7 +60,11 @@ class ProgramOptions(JointSweepOptions):
         "one",
         "one: a whole program at once. three: a program for geometry, one for articulation on the "
         "accepted geometry, one for export, each with debug and critic rounds of its own.",
-        departure=Departure("three", "One request for an object's program in place of three."),
+        departure=Departure(
+            "three",
+            "One request in place of three: 27 of 29 joints hit by either on twelve objects, for "
+            "42 calls and 79.",
+        ),
     )
     debug_rounds: int = option(
         1, "Times that a program that fails is sent back with its errors.", ge=0

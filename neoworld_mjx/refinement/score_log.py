@@ -22,6 +22,8 @@ from ..spec import SceneSpec
 
 Identity = tuple[int, int]
 """(iteration, candidate)."""
+SAME_LAYOUT = 1e-3
+"""Largest difference of a number of two layouts [m, rad, 1] that show the same candidate."""
 Stage = int | Literal["final"]
 """The iteration whose elites were taken with a score; "final": the choice of the winner."""
 
@@ -37,6 +39,9 @@ class Score(BaseModel):
     """Rank among the candidates submitted with it, 0 first."""
     layout: str
     """Digest of the candidate's layout."""
+    numbers: tuple[float, ...] | None = None
+    """The layout, by which another machine knows the candidate: x, y [m], yaw [rad] and log scale
+    of each object; None in older records."""
     value: float | None = None
     """S_sem in [0, 1]; None when scoring failed."""
     levels: dict[str, int] | None = None
@@ -85,6 +90,7 @@ class Job:
                 "candidate": candidate,
                 "rank": self.rank,
                 "layout": self.layout,
+                "numbers": layout_numbers(self.layouts),
                 **given,
             }
         )
@@ -95,6 +101,12 @@ def layout_digest(layout: Layout) -> str:
     parts = (layout.xy, layout.yaw, layout.log_scale)
     data = b"".join(np.ascontiguousarray(part, np.float32).tobytes() for part in parts)
     return hashlib.sha256(data).hexdigest()[:16]
+
+
+def layout_numbers(layout: Layout) -> tuple[float, ...]:
+    """Return x, y [m], yaw [rad], log scale of each object of a single candidate, to 1e-6."""
+    columns = np.stack([*np.asarray(layout.xy)[0].T, layout.yaw[0], layout.log_scale[0]], axis=1)
+    return tuple(np.round(columns.astype(float), 6).ravel().tolist())
 
 
 class ScoreLog:
@@ -147,6 +159,9 @@ def read_scores(path: Path) -> list[Score]:
 class Recorded:
     """Replays the scores of an earlier run, each in the stage of its first use.
 
+    Processors round differently, so a candidate is the recorded one if no number of its layout
+    differs by more than `SAME_LAYOUT`.
+
     Args:
         path: scores.jsonl of that run.
 
@@ -170,7 +185,7 @@ class Recorded:
         for job in jobs:
             score = self._scores.get(job.identity)
             iteration, candidate = job.identity
-            if score is None or score.layout != job.layout:
+            if score is None or not _same_layout(score, job):
                 content = "no score" if score is None else "the score of another layout"
                 raise ModelError(
                     f"{self._path} has {content} for candidate {candidate} of iteration "
@@ -189,3 +204,12 @@ class Recorded:
     def close(self) -> list[Score]:
         """Return the scores that were never used."""
         return sorted((s for s in self._put if s.used is None), key=lambda s: s.identity)
+
+
+def _same_layout(score: Score, job: Job) -> bool:
+    if score.layout == job.layout:
+        return True
+    own = layout_numbers(job.layouts)
+    if score.numbers is None or len(score.numbers) != len(own):
+        return False
+    return bool(np.max(np.abs(np.subtract(score.numbers, own)), initial=0.0) <= SAME_LAYOUT)

@@ -38,6 +38,7 @@ COLUMNS: dict[str, type] = {
     "xy_error_m": float,
     "yaw_error_deg": float,
     "scale_error": float,
+    "box_iou": float,
     "seconds": float,
     "to_valid_s": float,
     "engine": str,
@@ -46,7 +47,7 @@ COLUMNS: dict[str, type] = {
 """Columns of a run; None where one does not apply. `valid` is of the search, `passed` of the exact
 check; `reward` is the absolute one, of the winner, as are the terms. `seconds` is the time of the
 search without compiling: of runs in one computation an equal share. Depth, drift and tilt are of
-the check."""
+the check, `box_iou` of the objects' visible boxes with those parsed from the photograph."""
 
 
 TERM = "term_"
@@ -113,6 +114,7 @@ def _of_layout(case: Case, model: SceneModel, layout: Layout, measure: SceneMeas
         "xy_error_m": errors.get("xy_m"),
         "yaw_error_deg": errors.get("yaw_deg"),
         "scale_error": errors.get("scale"),
+        "box_iou": errors.get("box_iou"),
     }
 
 

@@ -35,6 +35,7 @@ SHOWN = (
     Shown("xy_error_m", "xy error, mm", 1e3, 1),
     Shown("yaw_error_deg", "yaw error, deg", 1.0, 2),
     Shown("scale_error", "log scale error"),
+    Shown("box_iou", "box IoU"),
     Shown("iterations", "iterations", 1.0, 2),
     Shown("rollouts", "rollouts", 1.0, 1),
     Shown("to_valid_s", "time to valid, s"),

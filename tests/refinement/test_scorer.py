@@ -224,7 +224,7 @@ def test_a_run_that_did_not_wait_is_repeated_from_its_record(model, rounds, tmp_
     assert repeated.summary()["scorer"] == "recorded"
 
     with SemanticScorer(model, None, None, o, recorded=log) as stranger:
-        moved = type(rounds[0][0])(*(np.asarray(x) + 1e-6 for x in vars(rounds[0][0]).values()))
+        moved = type(rounds[0][0])(*(np.asarray(x) + 0.01 for x in vars(rounds[0][0]).values()))
         with pytest.raises(ModelError, match="another layout for candidate 23 of iteration 0"):
             stranger.submit(0, stranger.best(GEOMETRIC), moved, rounds[0][1])
         with pytest.raises(ModelError, match="has no score for candidate 3 of iteration 0"):

@@ -1,15 +1,20 @@
 """Sweeps and ablations whose S_sem is a model's: one ledger and one cap, recorded and followed."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from neoworld_mjx.errors import BudgetError, ConfigError, ModelError
-from neoworld_mjx.refinement.score_log import read_scores
+from neoworld_mjx.commands.sweep_commands import photographed
+from neoworld_mjx.errors import BudgetError, ConfigError, ModelError, SpecError
+from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.refinement.scene_refinement import refine
+from neoworld_mjx.refinement.score_log import SAME_LAYOUT, ScoreLog, read_scores
 from neoworld_mjx.sweeps import Case, ablate, sweep
 from neoworld_mjx.sweeps.model_scores import file_name
+from neoworld_mjx.sweeps.plan import Ablation, points, read
 from tests.support import scenes
 from tests.support.messages import MessagesServer
 
@@ -112,3 +117,48 @@ def test_a_scene_without_a_photograph_is_refused_before_anything_runs(tmp_path):
         ablate(plan("http://127.0.0.1:9", variants=WITHOUT), cases=[scenes.blocks()])
     with pytest.raises(ConfigError, match="no folder of recorded scores"):
         ablate(plan(variants=WITHOUT, scores=str(tmp_path / "none")), cases=[scenes.blocks()])
+
+
+def test_a_record_of_another_processor_is_followed(recorded, case, tmp_path):
+    """Numbers decide that differ by roundings; the digest of their bits may differ."""
+    swept, out, _ = recorded
+
+    def follow(shift, name):
+        for path in (out / "scores").iterdir():
+            moved = [
+                score.model_copy(
+                    update={"layout": "0" * 16, "numbers": tuple(x + shift for x in score.numbers)}
+                )
+                for score in read_scores(path)
+            ]
+            ScoreLog(tmp_path / name / path.name).add(moved)
+        return ablate(plan(variants=WITHOUT, scores=str(tmp_path / name), seeds=[0]), cases=[case])
+
+    assert follow(0.5 * SAME_LAYOUT, "near").rows[0]["reward"] == swept.rows[0]["reward"]
+    with pytest.raises(ModelError, match="the score of another layout"):
+        follow(2 * SAME_LAYOUT, "far")
+
+
+def test_the_bundled_scores_of_the_photograph_are_followed():
+    root = Path(__file__).parents[2]
+    plan = read(root / "configs/ablations/without_s_sem.yaml", Ablation)
+    base, without = points(plan)
+    assert without.options.reward.w_sem == 0
+    bundled = {
+        seed: root / plan.scores / file_name(*plan.scenes, base.label, seed) for seed in plan.seeds
+    }
+    assert all(len(read_scores(path)) == 12 for path in bundled.values())
+    case = photographed("coffee")
+    refined = refine(case.scene, base.options, seed=4, recorded=bundled[4], engine="native")
+    assert refined.passed
+    assert refined.scoring["scorer"] == "recorded"
+    t, k = refined.winner
+    values = {s.identity: s.value for s in read_scores(bundled[4])}
+    assert refined.history["s_sem"][t, k] == values[int(t), int(k)]
+    assert case.errors(compile_scene(case.scene), refined.layout)["box_iou"] > 0.5
+
+
+def test_only_examples_with_a_composed_scene_are_photographed():
+    assert photographed("coffee").photo.name == "coffee.png"
+    with pytest.raises(SpecError, match=r"scene photo:cofee: .*coffee"):
+        photographed("cofee")

@@ -4,6 +4,7 @@ import pytest
 import yaml
 
 from neoworld_mjx.bench.named import named
+from neoworld_mjx.commands.sweep_commands import photographed
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import ConfigError, SpecError
 from neoworld_mjx.sweeps.cases import Case, case
@@ -130,4 +131,6 @@ def test_plans_in_the_repository_are_good_and_need_no_files(path):
         if (CONFIGS.parent / name).is_file():
             continue  # A scene.json of the repository, as it is.
         kind, _, inner = name.partition(":")
-        assert named()[kind](inner)["name"] == name
+        assert (
+            photographed(inner).name if kind == "photo" else named()[kind](inner)["name"]
+        ) == name
