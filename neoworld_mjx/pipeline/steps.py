@@ -22,6 +22,7 @@ from ..program.allowance import Allowance
 from ..reading import read_model, read_object
 from ..run_folder import RunFolder
 from ..spec import Box3D, ObjectSpec, SceneTree, TreeNode, read_scene
+from .coroutines import run_coroutine
 from .pictures import Pictures
 from .program_inputs import program_inputs
 
@@ -66,7 +67,7 @@ def parse_photo(context: StepContext) -> None:
     with run.step("parse", {"photo": photo.sha256, "options": options}) as out:
         if out is None:
             return
-        parsed = asyncio.run(parse(photo, models, options))
+        parsed = run_coroutine(parse(photo, models, options))
         (out / TREE).write_text(parsed.tree.to_json(), encoding="utf-8")
         (out / ANSWERED).write_text(parsed.answered.to_json(), encoding="utf-8")
         (out / "photo.png").write_bytes(to_png(photo.rgb))
@@ -141,7 +142,7 @@ def program_objects(context: StepContext) -> None:
             if isinstance(error, BaseException):
                 raise error
 
-    asyncio.run(program_all())
+    run_coroutine(program_all())
 
 
 def verify_objects(context: StepContext) -> None:
@@ -281,9 +282,8 @@ def _check_composed(context: StepContext) -> None:
         )
         entries = [json.loads(e.model_dump_json()) | {"phrase": e.phrase()} for e in moving]
         (out / CHECK).parent.mkdir()
-        (out / CHECK).write_text(
-            json.dumps({"unstable": entries}, indent=1) + "\n", encoding="utf-8"
-        )
+        text = json.dumps({"unstable": entries}, indent=1) + "\n"
+        (out / CHECK).write_text(text, encoding="utf-8")
         if moving:
             _log.warning("compose: before the search %s", phrases(moving))
         for entry in moving:

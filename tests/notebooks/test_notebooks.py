@@ -6,15 +6,23 @@ import jupytext
 import pytest
 from nbclient import NotebookClient
 
+SLOW = {"quickstart", "sweep_with_plots"}
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, marks=[pytest.mark.slow] if path.stem in SLOW else [])
+        for path in NOTEBOOKS
+    ],
+    ids=lambda path: path.stem,
+)
 def test_a_notebook_runs_and_is_its_script(path):
     notebook, script = jupytext.read(path), jupytext.read(path.with_suffix(".py"))
     cells = [[(cell.cell_type, cell.source) for cell in nb.cells] for nb in (notebook, script)]
     assert cells[0] == cells[1], "bring them together with jupytext --sync"
-    NotebookClient(notebook, timeout=120, resources={"metadata": {"path": path.parent}}).execute()
+    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": path.parent}}).execute()
 
 
 def test_there_are_notebooks():

@@ -1,0 +1,34 @@
+import asyncio
+from contextvars import ContextVar
+
+import pytest
+
+from neoworld_mjx.pipeline.coroutines import run_coroutine
+
+WHO: ContextVar[str] = ContextVar("who", default="nobody")
+
+
+async def _answer():
+    await asyncio.sleep(0)
+    return WHO.get()
+
+
+def test_a_coroutine_runs_with_and_without_a_loop_in_the_callers_context():
+    WHO.set("caller")
+    assert run_coroutine(_answer()) == "caller"
+
+    async def in_a_loop():
+        return run_coroutine(_answer())
+
+    assert asyncio.run(in_a_loop()) == "caller"
+
+
+def test_its_error_is_the_callers():
+    async def fails():
+        raise KeyError("x")
+
+    async def in_a_loop():
+        return run_coroutine(fails())
+
+    with pytest.raises(KeyError, match="x"):
+        asyncio.run(in_a_loop())
