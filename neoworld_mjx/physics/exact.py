@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from ..spec import SceneSpec
 from .mjcf import to_mjspec
 
-CONCENTRIC = 1e-5
-NUDGE = np.array([0.36, 0.48, 0.80]) * CONCENTRIC
+NUDGE = np.array([0.36, 0.48, 0.80]) * 1e-6
+"""Moves a geom aside where MuJoCo finds no distance [m]."""
 
 
 def start_state(scene: SceneSpec, timestep: float = 0.002) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -49,16 +49,20 @@ def geom_distance(
 ) -> float:
     """Return the signed distance [m] of two geoms, at most `reach`.
 
-    MuJoCo 3.17 calls geoms 0 m apart whose centres coincide, however deep they are in each other;
-    then one is moved aside by 10 micrometres for the measurement.
+    MuJoCo 3.17 gives the distance of the centres where one centre lies on the other geom's surface
+    or on its centre, however deep they are in each other. No two solids are that far apart, so one
+    is then moved aside by a micrometre for the measurement.
     """
-    if np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]) > CONCENTRIC:
+    between = float(np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]))
+    if between > max(model.geom_rbound[a], model.geom_rbound[b]):
         return mujoco.mj_geomDistance(model, data, a, b, reach, None)
-    kept = data.geom_xpos[a].copy()
-    data.geom_xpos[a] = kept + NUDGE
-    distance = mujoco.mj_geomDistance(model, data, a, b, reach, None)
-    data.geom_xpos[a] = kept
-    return distance
+    distance = mujoco.mj_geomDistance(model, data, a, b, between + reach, None)
+    if distance >= between * (1 - 1e-9):
+        kept = data.geom_xpos[a].copy()
+        data.geom_xpos[a] = kept + NUDGE
+        distance = mujoco.mj_geomDistance(model, data, a, b, reach, None)
+        data.geom_xpos[a] = kept
+    return min(distance, reach)
 
 
 def object_depths(

@@ -13,13 +13,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..physics.exact import geom_distance
 from ..physics.mjcf import GEOM_TYPES
 from ..spec import ObjectSpec, link_poses, pieces
 from ..spec.pose import rotate
-
-CONCENTRIC_M = 1e-5
-_NUDGE = np.array([0.36, 0.48, 0.80]) * 1e-5
-"""MuJoCo 3.17 calls two geoms 0 m apart when their centres coincide; this far off it does not."""
 
 
 class OutOfTime(Exception):
@@ -126,14 +123,7 @@ class Probe:
 
     def distance(self, a: int, b: int, reach: float) -> float:
         """Return the signed distance [m] of two pieces, at most `reach`."""
-        xpos = self._data.geom_xpos
-        if np.abs(xpos[a] - xpos[b]).max() > CONCENTRIC_M:
-            return mujoco.mj_geomDistance(self._model, self._data, a, b, reach, None)
-        original = xpos[b].copy()
-        xpos[b] = xpos[a] + _NUDGE
-        signed_distance = mujoco.mj_geomDistance(self._model, self._data, a, b, reach, None)
-        xpos[b] = original
-        return signed_distance
+        return geom_distance(self._model, self._data, a, b, reach)
 
     def separation(self, first: int, second: int, reach: float = 10.0) -> tuple[float, NDArray]:
         """Return the signed distance of two parts [m] and the unit vector [3] from first to second.

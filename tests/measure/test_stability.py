@@ -31,6 +31,20 @@ def test_one_thing_inside_another_is_deep_even_if_concentric():
     assert result.depths_m["big|small"] == pytest.approx(0.07, abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    "at", [(0.05, 0, 0), (0, 0.05, 0.05), (0.05, 0.05, 0.05)], ids=["face", "edge", "corner"]
+)
+def test_an_overlap_is_deep_where_a_centre_lies_on_a_surface(at):
+    # MuJoCo 3.17 calls these apart by the distance of their centres.
+    small = box("small", (0.04, 0.04, 0.06))
+    big = {"z": 0.3}
+    scene = scenes.on_table(
+        (box("big"), (0, 0), 0.0, big), (small, at[:2], 0.0, {"z": 0.3 + at[2]})
+    )
+    depth = scene_measure(scene, duration=0.002).depths_m["big|small"]
+    assert depth == pytest.approx(0.02, abs=1e-4)
+
+
 def test_a_stack_stands_and_a_ball_on_a_slope_does_not():
     still = scene_measure(snap_exactly(scenes.blocks()))
     assert still.s_stab is True
