@@ -55,7 +55,7 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, at: Pose) -> None:
         materials[material.name] = PBRMaterial(
             name=f"{item.name}-{material.name}",
             baseColorFactor=[round(255 * v) for v in colour],
-            baseColorTexture=None if tile is None else Image.open(BytesIO(tile)),
+            baseColorTexture=None if tile is None else Image.open(BytesIO(tile), formats=["PNG"]),
             metallicFactor=made.metallic,
             roughnessFactor=made.roughness,
             alphaMode="BLEND" if material.rgba[3] < 1 else "OPAQUE",
