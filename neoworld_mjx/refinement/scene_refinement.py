@@ -29,8 +29,8 @@ from .search_run import SearchResult, SearchRun
 
 COMPOSED = "compose/scene.json"
 """Where a run folder keeps the scene as composed."""
-MOST_DRAWN, MOST_ROLLED = 1024, 256
-"""Most candidates drawn, and rolled out at once, with which a host's cores outrun its GPU."""
+FEW = 256
+"""Candidates of an iteration, up to which the 16 cores of a host were as fast as its GPU."""
 
 
 def refine(
@@ -145,10 +145,8 @@ def _open_engine(name: str, o: RefineOptions) -> Engine:
 
 
 def _suits_cores(o: RefineOptions) -> bool:
-    """Whether populations and rollouts are too small for an accelerator to gain by them."""
-    c = o.cem
-    population = max(c.population, c.first)
-    return population <= MOST_DRAWN and (c.batch if c.prune else population) <= MOST_ROLLED
+    """Whether populations are too small for an accelerator to gain by them."""
+    return max(o.cem.population, o.cem.first) <= FEW
 
 
 def _kept(model: SceneModel, result: SearchResult) -> tuple[str, ...]:
