@@ -10,7 +10,8 @@ from .doctor_command import DoctorCommand
 from .examples_command import ExamplesCommand
 from .export_command import ExportCommand
 from .object_commands import BuildCommand, CheckCommand
-from .run_commands import ReconstructCommand, RefineCommand, RenderCommand, ReportCommand
+from .render_command import RenderCommand
+from .run_commands import ReconstructCommand, RefineCommand, ReportCommand
 from .sweep_commands import AblateCommand, SweepCommand
 from .template_command import TemplateCommand
 from .view_command import AnnotateCommand, ViewCommand

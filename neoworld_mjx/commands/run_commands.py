@@ -1,4 +1,4 @@
-"""Commands of a run: reconstruct, refine, render, report."""
+"""Commands of a run: reconstruct, refine, report."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +7,6 @@ from typing import Annotated, Any
 from tyro.conf import Positional, UseAppendAction, arg
 
 from ..engines import EngineChoice
-from ..errors import RunError
 from ..step_names import Step
 from .answer_lines import file_lines, run_lines
 from .base_command import Answer, Command, ConfiguredCommand
@@ -107,41 +106,6 @@ class RefineCommand(ConfiguredCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RenderCommand(ConfiguredCommand):
-    """Take a picture of a scene."""
-
-    target: Positional[Path]
-    """A run folder or a scene.json."""
-    out: Path | None = None
-    """PNG file to write; by default render.png beside the scene."""
-    width: int | None = None
-    """Width of the picture, in pixels."""
-
-    def run(self) -> Answer:
-        """Ray-cast the scene with its own camera."""
-        from ..files import write_atomic
-        from ..render import render_scene, to_png
-        from ..spec import read_scene
-
-        options = self.load_config().render
-        scene = read_scene(self.target)
-        folder = self.target if self.target.is_dir() else self.target.parent
-        out = self.out or folder / "render.png"
-        picture = render_scene(
-            scene, width=self.width or options.width, supersample=options.supersample
-        )
-        try:
-            write_atomic(out, to_png(picture))
-        except OSError as error:
-            raise RunError(f"cannot write {out}: {error.strerror}") from None
-        return {"picture": str(out), "size": [picture.color.shape[1], picture.color.shape[0]]}
-
-    def lines(self, answer: Answer) -> list[str]:
-        """Return the answer in few lines."""
-        return file_lines(answer)
-
-
-@dataclass(frozen=True, kw_only=True)
 class ReportCommand(Command):
     """Write report.html of a run, finished or not."""
 
@@ -153,3 +117,7 @@ class ReportCommand(Command):
         from ..view.report import write_report
 
         return {"report": str(write_report(self.folder))}
+
+    def lines(self, answer: Answer) -> list[str]:
+        """Return the answer in few lines."""
+        return file_lines(answer)

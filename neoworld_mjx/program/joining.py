@@ -49,6 +49,9 @@ def joint_fields(
         lower, upper = validate.sequence(arguments["range"], f"{context}: range", 2, 2)
         fields["lower"] = validate.number(lower, f"{context}: range", MAX_RANGE)
         fields["upper"] = validate.number(upper, f"{context}: range", MAX_RANGE)
+        if kind in ("revolute", "ball"):
+            for limit in (fields["lower"], fields["upper"]):
+                validate.doubt_radians(limit, f"{context}: range")
     if arguments.get("swing") is not None:
         swing = validate.number(arguments["swing"], f"{context}: swing")
         if not 0 < swing <= math.pi:

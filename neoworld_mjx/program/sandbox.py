@@ -80,7 +80,7 @@ def run(text: str, options: ProgramOptions | None = None, *, loose: bool = False
         lines |= {f"joint:{joint.name}": joint._line for joint in obj._joints if joint._line}
     return Built(
         None if has_errors(problems) else spec,
-        deduplicated(problems),
+        deduplicated((*problems, *session.warnings)),
         printed,
         lines,
         tuple(session.objects[0]._allowances) if session.objects else (),

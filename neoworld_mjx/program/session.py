@@ -14,6 +14,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from .call_clock import CallClock, CallInterrupted
+from .signals import Signal
+
+MAX_WARNINGS = 20
 
 
 class LimitExceeded(Exception):
@@ -45,6 +48,8 @@ class Session:
     """Current line of the program in the sandbox, counted from 1."""
     objects: list[Any] = field(default_factory=list)
     seconds: float = 0.0
+    warnings: list[Signal] = field(default_factory=list)
+    """What calls found doubtful; at most `MAX_WARNINGS`."""
     exceeded: LimitExceeded | None = None
     counts: dict[str, int] = field(default_factory=dict)
     clock: CallClock | None = None
@@ -116,6 +121,14 @@ def entered(session: Session) -> Iterator[None]:
         yield
     finally:
         _current.reset(token)
+
+
+def warn(code: str, message: str, hint: str) -> None:
+    """Keep a warning of the running call; without a session there is nobody to read it."""
+    session = _current.get()
+    if session is not None and len(session.warnings) < MAX_WARNINGS:
+        warning = Signal(severity="warning", code=code, message=message, line=here(), hint=hint)
+        session.warnings.append(warning)
 
 
 def here() -> int | None:

@@ -18,6 +18,14 @@ MAX_TYPE_SIGNALS = 20
 _CLASSES = (Object, Part, Geom, Joint, Shape)
 _TUPLE = re.compile(r"Expected `tuple\[((?:float, )*float)\]")
 _OWN_MODULES = ("neoworld_mjx", "sdk")
+_ELSEWHERE = {
+    **dict.fromkeys(("hinge", "rotate_joint"), "Object.revolute"),
+    **dict.fromkeys(("slide", "slider"), "Object.prismatic"),
+    **dict.fromkeys(("link", "body"), "Object.part"),
+    **dict.fromkeys(("weld", "attach"), "Object.fixed"),
+    **dict.fromkeys(("translate", "rotate", "transform"), "Shape.moved"),
+}
+"""Names that other tools have, and the SDK's own."""
 _WORDS = {2: "two", 3: "three"}
 
 
@@ -45,10 +53,14 @@ def type_signals(findings: Sequence[Mapping[str, Any]]) -> list[Signal]:
             message=each["message"][:400],
             line=_line(each),
             column=each["location"]["column"],
-            hint="" if broken else _hint(each["code"], each["message"]),
+            hint=_syntax_hint(each["message"]) if broken else _hint(each["code"], each["message"]),
         )
         for each in shown[:MAX_TYPE_SIGNALS]
     ]
+
+
+def _syntax_hint(message: str) -> str:
+    return "a bracket or a quote above is not closed" if "unexpected EOF" in message else ""
 
 
 def _line(finding: Mapping[str, Any]) -> int:
@@ -60,13 +72,16 @@ def _hint(code: str, message: str) -> str:
     if code == "unresolved-import" and named:
         return _import_hint(named)
     if code == "unresolved-attribute" and len(named) > 1:
-        return _nearest(named[-1], _members(named[0])) or "the SDK has only what the guide lists"
+        return _nearest_member(named[-1], named[0])
     if code == "unknown-argument" and len(named) > 1:
         arguments = _arguments(named[-1])
         valid = f"; it takes {', '.join(arguments)}" if arguments else ""
         return (
             _nearest(named[0], arguments) or "the SDK has only the arguments that the guide lists"
         ) + valid
+    if code == "too-many-positional-arguments" and named:
+        arguments = _arguments(named[0])
+        return f"it takes {', '.join(arguments)}" if arguments else ""
     numbers = _TUPLE.search(message)
     if numbers is not None:
         count = numbers.group(1).count("float")
@@ -84,6 +99,21 @@ def _import_hint(named: Sequence[str]) -> str:
     if module.split(".")[0] in _OWN_MODULES:
         return f"write: from {MODULE} import {name if name in names else 'Object, box'}"
     return IMPORT_HINT
+
+
+def _nearest_member(name: str, kind: str) -> str:
+    if name in _ELSEWHERE:
+        return f"a {name} is {_ELSEWHERE[name]}"
+    return _nearest(name, _members(kind)) or _owner(name)
+
+
+def _owner(name: str) -> str:
+    """Say which class of the SDK has a member of this name, or one like it."""
+    for kind in (each.__name__ for each in _CLASSES):
+        near = difflib.get_close_matches(name, _members(kind), n=1, cutoff=0.8)
+        if near:
+            return f"{near[0]} belongs to {kind}"
+    return "the SDK has only what the guide lists"
 
 
 def _nearest(name: str, valid: Sequence[str]) -> str:

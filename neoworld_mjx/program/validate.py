@@ -14,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from ..config import describe
 from ..names import is_name
+from .session import warn
 
 MAX_COORDINATE_M = 100.0
 MIN_LENGTH_M = 1e-5
@@ -101,12 +102,24 @@ def in_radians(degrees: float) -> str:
 
 
 def turn(value: Any, argument: str) -> tuple[float, float, float]:
-    """Return three angles [rad]; whole numbers that can only be degrees are refused."""
+    """Return three angles [rad]; whole numbers that can only be degrees are refused.
+
+    A whole number beyond half a turn is rarely meant in radians, so it gives a warning.
+    """
     angles = vector(value, argument, 200.0)
     largest = max(angles, key=abs)
     if abs(largest) > MOST_TURN_RAD and largest == round(largest):
         raise ValueError(f"{argument}: {in_radians(largest)}")
+    doubt_radians(largest, argument)
     return angles
+
+
+def doubt_radians(angle: float, argument: str) -> None:
+    """Warn of a whole number of radians beyond half a turn, which looks like degrees."""
+    if abs(angle) > math.pi and angle == round(angle):
+        turned = f"{argument}: {angle:g} radians are {math.degrees(angle):.0f} degrees"
+        hint = f"if {angle:g} degrees are meant, write math.radians({angle:g})"
+        warn("degrees", turned, hint)
 
 
 def points(value: Any, argument: str, least: int, most: int) -> tuple[tuple[float, float], ...]:

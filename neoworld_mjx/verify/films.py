@@ -1,10 +1,8 @@
 """Films of the paper's two standard scenarios, as GIFs for people."""
 
-import io
-
 import numpy as np
-from PIL import Image
 
+from ..render.animation import encode_animation
 from ..render.flat_rendering import render_plain
 from ..spec import SceneSpec
 from .battery import Battery
@@ -28,13 +26,6 @@ def _film(battery: Battery, run: Trajectory) -> bytes:
     steps = np.linspace(0, len(run.time) - 1, FRAMES).astype(int)
     poses = [posed_at(battery, run, int(k)) for k in steps]
     view = view_of_all(poses, WIDTH, HEIGHT)
-    frames = [
-        Image.fromarray(render_plain(SceneSpec(name=each.name, objects=(each,)), view))
-        for each in poses
-    ]
+    frames = [render_plain(SceneSpec(name=each.name, objects=(each,)), view) for each in poses]
     pause_ms = max(20, round(1000 * float(run.time[-1] - run.time[0]) / (FRAMES - 1)))
-    buffer = io.BytesIO()
-    frames[0].save(
-        buffer, "GIF", save_all=True, append_images=frames[1:], duration=pause_ms, loop=0
-    )
-    return buffer.getvalue()
+    return encode_animation(frames, pause_ms)

@@ -284,7 +284,7 @@ class Simulation:
         chunk = max(1, CONTROL_BYTES // bytes_per_run)
         trajectories: list[Trajectory] = []
         data = [mujoco.MjData(self.model) for _ in range(threads)]
-        with _without_warnings(), rollout.Rollout(nthread=threads) as pool:
+        with without_warnings(), rollout.Rollout(nthread=threads) as pool:
             for first in range(0, len(scenarios), chunk):
                 batch = scenarios[first : first + chunk]
                 starts = np.array([self.start(scenario) for scenario in batch])
@@ -325,7 +325,7 @@ class Simulation:
 
 
 @contextlib.contextmanager
-def _without_warnings() -> Iterator[None]:
+def without_warnings() -> Iterator[None]:
     """Silence MuJoCo's warnings: a check reports divergence."""
     previous = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)

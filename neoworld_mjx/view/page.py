@@ -6,6 +6,8 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from ..errors import RunError
@@ -204,8 +206,28 @@ def cut_out(
     except (OSError, RunError):
         return Html("")
     part.thumbnail((2 * height, height), Image.Resampling.LANCZOS)
+    return embedded(np.asarray(part), caption)
+
+
+def film_strip(path: Path, name: str, frames: int = 5) -> Html:
+    """Embed some frames of an animation side by side; nothing where there is no such file."""
+    try:
+        raw = read_bytes(path, bounds_of_files().max_picture_mib * MIB)
+        with open_picture(raw, path.name, RunError) as image:
+            count = getattr(image, "n_frames", 1)
+            shown = []
+            for k in np.linspace(0, count - 1, min(frames, count)).astype(int):
+                image.seek(int(k))
+                shown.append(np.asarray(image.convert("RGB")))
+    except (EOFError, OSError, RunError):
+        return Html("")
+    return embedded(np.concatenate(shown, axis=1), f"{name}, {len(shown)} frames of {path.name}")
+
+
+def embedded(pixels: NDArray, caption: str) -> Html:
+    """Embed a picture, uint8 [h, w, 3]."""
     buffer = io.BytesIO()
-    part.save(buffer, "JPEG", quality=85)
+    Image.fromarray(pixels).save(buffer, "JPEG", quality=85)
     source = f"data:image/jpeg;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
     return Html(
         f'<figure><img src="{source}" alt="{text(caption)}">'

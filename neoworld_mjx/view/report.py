@@ -18,6 +18,8 @@ from ..spec import read_scene
 from . import charts
 from .changes import TITLE, changes
 from .convergence import convergence
+from .film_strips import TITLE as FALL
+from .film_strips import film_strips
 from .object_rows import TITLE as OBJECTS
 from .object_rows import object_rows, unstable
 from .page import Html, card, document, missing, picture, section, table, text
@@ -48,6 +50,7 @@ def write_report(folder: Path) -> Path:
         "Before and after": lambda: _pictures(folder),
         OBJECTS: lambda: object_rows(folder, run, tree),
         IN_3D: lambda: _turning(folder),
+        FALL: lambda: film_strips(folder, float(run["config"]["refine"]["check_duration_s"])),
         "Parse": lambda: parsed(folder, tree),
         TITLE: lambda: changes(folder),
         "Scene": lambda: placed(scene),

@@ -7,9 +7,13 @@ from typing import Any
 from ..errors import RunError
 from ..reading import read_object
 from ..run_folder import STEPS
-from .page import Html, missing, picture, section, table, verdict
+from .page import Html, film_strip, missing, picture, section, table, verdict
 
 PARSED = "pictures/parse.png"
+
+
+FILMS = {"free_fall": "free fall", "force_perturbation": "pushes"}
+"""Films of an object's simulation that its folder may have, and their names."""
 
 
 def parsed(folder: Path, tree: dict[str, Any]) -> Html:
@@ -73,7 +77,8 @@ def verdicts(home: Path, verification: dict[str, Any] | None) -> Html:
         parts.append(
             table(["findings of the critic in key frames"], [[finding] for finding in findings])
         )
-    return Html("".join(parts))
+    films = [film_strip(home / f"{kind}.gif", name) for kind, name in FILMS.items()]
+    return Html("".join([*parts, *films]))
 
 
 def _signals(program: dict[str, Any]) -> Html:

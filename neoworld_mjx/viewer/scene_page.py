@@ -234,13 +234,15 @@ def look_at(client: Any, low: NDArray, high: NDArray) -> None:
 
 
 def _add_mesh(api: Any, path: str, mesh: PartMesh) -> Any:
+    """Add a mesh; surfaces are closed, so that their insides need not be drawn."""
     return api.add_mesh_simple(
         path,
         mesh.vertices,
         mesh.faces,
         color=mesh.rgb,
         opacity=mesh.alpha if mesh.alpha < 0.99 else None,
-        side="double",
+        cast_shadow=False,
+        receive_shadow=False,
     )
 
 

@@ -51,6 +51,7 @@ class SceneViewer:
         self._picked = ""
         server.scene.set_up_direction("+z")
         server.scene.configure_environment_map(None)
+        server.scene.configure_default_lights(cast_shadow=False)  # Shadows draw all of it again.
         server.scene.add_light_hemisphere("/light/sky", intensity=1.2)
         server.initial_camera.near = 0.01
         tabs = server.gui.add_tab_group()

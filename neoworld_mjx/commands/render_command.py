@@ -1,0 +1,160 @@
+"""The command `render`: a picture of a scene or an object from any camera, or a turntable."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional, UseAppendAction
+
+from ..errors import RunError, SpecError
+from .answer_lines import file_lines
+from .base_command import Answer, ConfiguredCommand
+
+if TYPE_CHECKING:
+    from ..render import View
+    from ..spec import Camera, SceneSpec
+
+Point = tuple[float, float, float]
+AZIMUTH_DEG, ELEVATION_DEG = 215.0, 28.0
+"""Direction of a camera that the flags do not say: that of a photograph's side, a little aside."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderCommand(ConfiguredCommand):
+    """Take a picture of a scene or an object, from its own camera or any other; or a turntable."""
+
+    target: Positional[Path]
+    """A run folder, a scene.json, an object's folder, a program (.py), a URDF or an MJCF file."""
+    out: Path | None = None
+    """File to write, by default render.png beside the target; with --turntable a .gif or .webp."""
+    width: int | None = None
+    """Width of the picture, in pixels."""
+    azimuth: float | None = None
+    """Direction of the camera about the vertical [deg]; 180 is the side of the photograph's."""
+    elevation: float | None = None
+    """Angle of the camera above the horizontal [deg]."""
+    object: UseAppendAction[tuple[str, ...]] = ()
+    """Object that shall fill the picture; may be repeated. By default all but the environment."""
+    eye: Point | None = None
+    """Place of the camera [m], in place of --azimuth and --elevation."""
+    look_at: Point | None = None
+    """Point that the camera at --eye looks at [m]; by default the middle of the objects."""
+    fovy: float | None = None
+    """Vertical field of view [deg]."""
+    open: float | None = None
+    """Share of its range, from 0 to 1, at which every joint with limits stands."""
+    turntable: bool = False
+    """Film a turn around the objects: an animation of --frames frames."""
+    frames: int = 36
+    """Frames of the turntable."""
+
+    def run(self) -> Answer:
+        """Ray-cast the scene."""
+        from ..files import write_atomic
+        from ..render import render_scene, to_png
+        from ..render.viewpoints import opened
+        from ..viewer.view_target import open_target
+
+        config = self.load_config()
+        options = config.render
+        scene = open_target(self.target, config).after
+        if self.open is not None:
+            if not 0 <= self.open <= 1:
+                raise SpecError(f"--open: got {self.open:g}, valid is from 0 to 1")
+            scene = opened(scene, self.open)
+        width = self.width or options.width
+        if self.turntable:
+            data, size, out = self._film(scene, width, options.supersample)
+        else:
+            view = self._camera(scene, width)
+            picture = render_scene(scene, view, width=width, supersample=options.supersample)
+            data, out = to_png(picture), self.out or self._beside("render.png")
+            size = [picture.color.shape[1], picture.color.shape[0]]
+        try:
+            write_atomic(out, data)
+        except OSError as error:
+            raise RunError(f"cannot write {out}: {error.strerror}") from None
+        frames = {"frames": self.frames} if self.turntable else {}
+        return {"picture": str(out), "size": size, **frames}
+
+    def lines(self, answer: Answer) -> list[str]:
+        """Return the answer in few lines."""
+        return file_lines(answer)
+
+    def _film(
+        self, scene: "SceneSpec", width: int, supersample: int
+    ) -> tuple[bytes, list[int], Path]:
+        """Return the turntable, its size in pixels, and the file to write it into."""
+        import numpy as np
+
+        from ..progress import update
+        from ..render.animation import FORMATS, encode_animation
+        from ..render.viewpoints import around, subject_points, turntable
+
+        out = self.out or self._beside("turntable.gif")
+        if out.suffix.lower() not in FORMATS:
+            raise SpecError(f"--out {out}: a turntable is written as {' or '.join(FORMATS)}")
+        if not 2 <= self.frames <= 360:
+            raise SpecError(f"--frames: got {self.frames}, valid is from 2 to 360")
+        if self.eye is not None or self.look_at is not None:
+            raise SpecError("--turntable goes around the objects: leave out --eye and --look-at")
+        first, elevation, fovy = self._angles()
+        size = [width, round(width * 2 / 3)]
+        views = around(
+            subject_points(scene, self.object),
+            first + np.linspace(0, 2 * np.pi, self.frames, endpoint=False),
+            elevation,
+            width=size[0],
+            height=size[1],
+            fovy=fovy,
+        )
+        frames = []
+        for frame in turntable(scene, views, supersample=supersample):
+            frames.append(frame)
+            update(step="render", done=len(frames), of=self.frames, unit="frames")
+        pause_ms = max(20, round(4000 / self.frames))
+        return encode_animation(frames, pause_ms, out.suffix.lower()), size, out
+
+    def _camera(self, scene: "SceneSpec", width: int) -> "Camera | View | None":
+        """Return the camera that the flags name; None, where none does, is the scene's own."""
+        from ..render import View
+        from ..render.viewpoints import subject_points
+
+        azimuth, elevation, fovy = self._angles()
+        directed = self.azimuth is not None or self.elevation is not None
+        if self.eye is None and self.look_at is not None:
+            raise SpecError("--look-at says what the camera at --eye looks at: give --eye too")
+        if self.eye is not None and directed:
+            raise SpecError("--eye says where the camera is: leave out --azimuth and --elevation")
+        if not (self.object or directed or self.eye):
+            if self.fovy is None or scene.camera is None:
+                return None
+            return scene.camera.model_copy(update={"fovy": fovy})
+        points = subject_points(scene, self.object)
+        height = round(width * 2 / 3)
+        if self.eye is None:
+            return View.framing(
+                points, width=width, height=height, azimuth=azimuth, elevation=elevation, fovy=fovy
+            )
+        middle = (points.min(axis=0) + points.max(axis=0)) / 2
+        target = middle if self.look_at is None else self.look_at
+        if math.dist(self.eye, target) < 1e-6:
+            raise SpecError("--eye and what it looks at are the same place")
+        return View.look_at(self.eye, target, width=width, height=height, fovy=fovy)
+
+    def _angles(self) -> tuple[float, float, float]:
+        """Return azimuth, elevation and field of view [rad]."""
+        from ..render.view import FOVY
+
+        fovy = FOVY if self.fovy is None else math.radians(self.fovy)
+        if not 0.02 < fovy < math.pi - 0.02:
+            raise SpecError(f"--fovy: got {self.fovy:g}, valid is from 2 to 178 degrees")
+        elevation = ELEVATION_DEG if self.elevation is None else self.elevation
+        if not -90 <= elevation <= 90:
+            raise SpecError(f"--elevation: got {elevation:g}, valid is from -90 to 90 degrees")
+        azimuth = AZIMUTH_DEG if self.azimuth is None else self.azimuth
+        return math.radians(azimuth), math.radians(elevation), fovy
+
+    def _beside(self, name: str) -> Path:
+        return (self.target if self.target.is_dir() else self.target.parent) / name

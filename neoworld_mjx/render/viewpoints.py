@@ -1,0 +1,84 @@
+"""Viewpoints around the objects of a scene, and turntables."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SpecError, choices
+from ..spec import SceneSpec, world_poses
+from .rendering import compile_posed, render
+from .scene_images import visible_vertices
+from .view import FOVY, View
+
+
+def subject_points(scene: SceneSpec, names: Sequence[str] = ()) -> NDArray:
+    """Return the visible vertices [n, 3] m of objects in the world.
+
+    Args:
+        scene: the scene.
+        names: of the objects; empty takes all but the environment, or all where all are of it.
+
+    Raises:
+        SpecError: no object has such a name.
+    """
+    known = [obj.name for obj in scene.objects]
+    for name in names:
+        if name not in known:
+            raise SpecError(f"object {name}: {choices(name, known)}")
+    chosen = [obj for obj in scene.objects if obj.name in names]
+    chosen = chosen or [obj for obj in scene.objects if not obj.environment] or list(scene.objects)
+    poses = world_poses(scene)
+    return np.vstack(
+        [poses[obj.name].apply(visible_vertices(obj.spec, obj.joint_state)) for obj in chosen]
+    )
+
+
+def around(
+    points: NDArray,
+    azimuths: NDArray,
+    elevation: float,
+    *,
+    width: int,
+    height: int,
+    fovy: float = FOVY,
+) -> list[View]:
+    """Return views from all around, at one distance from which every one shows all points.
+
+    Args:
+        points: what must be seen [n, 3] m.
+        azimuths: of the cameras about +z [rad]; 0 looks at the front (+x).
+        elevation: above the horizontal [rad].
+        width: of the pictures in pixels.
+        height: of the pictures in pixels.
+        fovy: vertical field of view [rad].
+    """
+    views = [
+        View.framing(
+            points, width=width, height=height, azimuth=float(a), elevation=elevation, fovy=fovy
+        )
+        for a in azimuths
+    ]
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    distance = max(float(np.linalg.norm(view.eye - centre)) for view in views)
+    return [view._replace(eye=centre - distance * view.axes[:, 2]) for view in views]
+
+
+def turntable(scene: SceneSpec, views: list[View], *, supersample: int = 2) -> Iterator[NDArray]:
+    """Render a scene from view after view, uint8 [h, w, 3] each; the scene is compiled once."""
+    posed = compile_posed(scene)
+    for view in views:
+        yield render(posed, view, supersample=supersample).color
+
+
+def opened(scene: SceneSpec, share: float) -> SceneSpec:
+    """Return the scene with every limited joint at a share of its range, from closed to open."""
+    objects = []
+    for obj in scene.objects:
+        state = dict(obj.joint_state)
+        for joint in obj.spec.joints:
+            if joint.type in ("revolute", "prismatic") and joint.mimic is None:
+                far = max(joint.lower, joint.upper, key=abs)
+                state[joint.name] = share * far
+        objects.append(obj.model_copy(update={"joint_state": state}))
+    return scene.model_copy(update={"objects": tuple(objects)})

@@ -1,0 +1,107 @@
+"""Pictures from any camera, turntables, and film strips of free fall."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from neoworld_mjx import cli
+from neoworld_mjx.render.viewpoints import around, opened, subject_points
+from neoworld_mjx.templates import template
+from neoworld_mjx.view.film_strips import SHARES, fall, film_strips
+from tests.support import scenes
+
+
+@pytest.fixture
+def neoworld(capfd):
+    def run(*words):
+        with pytest.raises(SystemExit) as ended:
+            cli.main([str(word) for word in words])
+        return (ended.value.code, *capfd.readouterr())
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def scene_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "scene.json"
+    path.write_text(scenes.blocks().to_json())
+    return path
+
+
+def test_every_view_of_a_turntable_shows_all_from_one_distance():
+    points = subject_points(scenes.blocks())
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    turns = np.linspace(0, 2 * np.pi, 7)
+    views = around(points, turns, 0.5, width=90, height=60)
+    assert np.ptp([np.linalg.norm(view.eye - centre) for view in views]) < 1e-9
+    for view, turn in zip(views, turns, strict=True):
+        away = view.eye - centre
+        heading = away[:2] / np.linalg.norm(away[:2])
+        assert np.allclose(heading, [np.cos(turn), np.sin(turn)])
+        local = (points - view.eye) @ view.axes
+        pixels = local[:, :2] / local[:, 2:] * view.focal + [45, 30]
+        assert (pixels >= 0).all() and (pixels <= [90, 60]).all()
+
+
+def test_joints_stand_open_by_a_share_of_their_range(tmp_path):
+    from neoworld_mjx.config import Config
+    from neoworld_mjx.viewer.view_target import open_target
+
+    (tmp_path / "chest.py").write_text(template("drawer_cabinet").program())
+    (cabinet,) = opened(open_target(tmp_path / "chest.py", Config()).after, 0.5).objects
+    ranges = {joint.name: joint.upper for joint in cabinet.spec.joints}
+    assert cabinet.joint_state == {name: 0.5 * upper for name, upper in ranges.items()}
+
+
+def test_render_takes_any_camera_and_turns_around(neoworld, scene_file, tmp_path):
+    shots = {}
+    for name, flags in {
+        "left": ("--azimuth", 90),
+        "right": ("--azimuth", -90),
+        "eye": ("--eye", 1, 1, 1, "--look-at", 0, 0, 0),
+    }.items():
+        out = tmp_path / f"{name}.png"
+        assert neoworld("render", scene_file, "--width", 60, "--out", out, *flags)[0] == 0
+        shots[name] = np.asarray(Image.open(out)).astype(int)
+        assert shots[name].shape == (40, 60, 3)
+    assert np.abs(shots["left"] - shots["right"]).max() > 30
+    film = tmp_path / "turn.gif"
+    flags = ("--turntable", "--frames", 3, "--width", 48, "--out", film)
+    code, said, _ = neoworld("render", scene_file, *flags)
+    assert code == 0 and "frames: 3" in said
+    with Image.open(film) as image:
+        assert (image.n_frames, image.size) == (3, (48, 32))
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (("--look-at", 0, 0, 0), "give --eye too"),
+        (("--eye", 1, 0, 1, "--azimuth", 3), "leave out --azimuth"),
+        (("--eye", 1, 0, 1, "--look-at", 1, 0, 1), "the same place"),
+        (("--fovy", 190), "from 2 to 178"),
+        (("--elevation", 91), "from -90 to 90"),
+        (("--object", "nothing"), "valid are: "),
+        (("--open", 2), "from 0 to 1"),
+        (("--turntable", "--frames", 1), "from 2 to 360"),
+        (("--turntable", "--out", "film.mp4"), ".gif or .webp"),
+        (("--turntable", "--eye", 1, 0, 1), "leave out --eye"),
+    ],
+)
+def test_flags_that_make_no_sense_are_one_message(neoworld, scene_file, flags, said):
+    code, _, error = neoworld("render", scene_file, "--width", 48, *flags)
+    assert code == 2 and said in error and len(error.strip().splitlines()) == 1
+
+
+def test_a_film_strip_shows_what_falls(tmp_path):
+    scene = scenes.blocks()
+    lifted = scene.objects[1].model_copy(update={"z": scene.objects[1].z + 0.15})
+    fallen = scene.model_copy(update={"objects": (scene.objects[0], lifted, *scene.objects[2:])})
+    frames = fall(fallen, 0.5)
+    assert [seconds for seconds, _ in frames] == [share * 0.5 for share in SHARES]
+    first, last = frames[0][1].astype(int), frames[-1][1].astype(int)
+    assert (np.abs(first - last).max(axis=2) > 30).mean() > 0.005
+    (tmp_path / "scene.json").write_text(fallen.to_json())
+    page = film_strips(tmp_path, 0.5)
+    assert page.count("data:image/jpeg") == 1 and "at 0, 0.05, 0.15, 0.5 s" in page
+    assert "No scene yet" in film_strips(tmp_path / "none", 0.5)
