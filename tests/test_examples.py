@@ -38,7 +38,11 @@ def test_an_example_is_what_the_table_says(name, tmp_path):
 
 
 def test_the_papers_three_programs_replay_and_are_one(tmp_path):
-    over = {"provider": "replay", "refine": {"semantic": {"scorer": "geometric"}}}
+    over = {
+        "provider": "replay",
+        "program": {"language": "sdk"},
+        "refine": {"semantic": {"scorer": "geometric"}},
+    }
     config = load_config(PAPER, over)
     result = reconstruct(bundled_examples()["microwave"].photo, tmp_path, config, until="verify")
     home = tmp_path / "objects" / "microwave"

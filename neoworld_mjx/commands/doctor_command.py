@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from ..errors import NeoWorldError
 from .base_command import Answer, Command
@@ -46,6 +46,12 @@ def _cached() -> bool:
     return cache_folder().is_dir()
 
 
+def _blender() -> bool:
+    from ..program.blender.blender_environment import blender_python
+
+    return blender_python().exists()
+
+
 NEEDS = (
     Need(
         *("a model's key", _key),
@@ -78,6 +84,11 @@ NEEDS = (
         "pip install 'neoworld-mjx[plot]'",
     ),
     Need(
+        *("Blender (bpy)", _blender),
+        "no program.language blender, the paper's own; it fetches 360 MB and takes 970 on disk",
+        "neoworld doctor --install blender",
+    ),
+    Need(
         *("compilations of an earlier run", _cached),
         "the first run compiles for half a minute or more; later ones do not",
         "uv run neoworld reconstruct examples/coffee.png --out out",
@@ -89,8 +100,15 @@ NEEDS = (
 class DoctorCommand(Command):
     """Say what is installed here, what can run, and what each missing thing costs."""
 
+    install: Literal["blender"] | None = None
+    """Install this first: blender, in an environment of its own in the cache's folder."""
+
     def run(self) -> Answer:
         """Look at this machine."""
+        if self.install == "blender":
+            from ..program.blender.blender_environment import install_blender
+
+            return {"installed": "blender", "folder": str(install_blender())}
         import platform
 
         import jax

@@ -9,6 +9,7 @@ from .model_options import MLLMOptions, Role, RoleOptions
 from .object_options import (
     ComposeOptions,
     JointSweepOptions,
+    Language,
     ParseOptions,
     ProgramOptions,
     RenderOptions,
@@ -34,6 +35,7 @@ __all__ = [
     "DescentOptions",
     "FileOptions",
     "JointSweepOptions",
+    "Language",
     "MLLMOptions",
     "Option",
     "Options",

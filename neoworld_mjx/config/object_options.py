@@ -4,6 +4,9 @@ from typing import Literal
 
 from .options import Departure, Options, option
 
+Language = Literal["sdk", "blender"]
+"""Languages of object programs."""
+
 
 class ParseOptions(Options):
     """Step 1, scene parsing."""
@@ -66,6 +69,16 @@ class ProgramOptions(JointSweepOptions):
             "42 calls and 79.",
         ),
     )
+    language: Language = option(
+        "sdk",
+        "sdk: programs call the SDK. blender: they are written in Blender's Python, which needs "
+        "`neoworld doctor --install blender` and runs confined in a process of its own.",
+        departure=Departure(
+            "blender",
+            "The SDK needs nothing installed, its shapes know their own convex pieces, and its "
+            "programs take a hundredth of the time.",
+        ),
+    )
     debug_rounds: int = option(
         1, "Times that a program that fails is sent back with its errors.", ge=0
     )
@@ -97,6 +110,21 @@ class ProgramOptions(JointSweepOptions):
     max_parts: int = option(300, "Parts of an object.", ge=1)
     max_geoms: int = option(3000, "Geoms of an object.", ge=1)
     max_pieces: int = option(4000, "Convex collision geoms of an object.", ge=1)
+    blender_timeout_s: float = option(
+        20.0,
+        "Processor time of a program in Blender, and as much again for splitting its shapes into "
+        "convex pieces.",
+        unit="s",
+        ge=1,
+        le=3600,
+    )
+    blender_memory_mib: int = option(
+        3072,
+        "Address space of the process; Blender itself takes some 1300.",
+        unit="MiB",
+        ge=1536,
+        le=65_536,
+    )
     workers: int = option(2, "Sandbox processes kept for programs that run at once.", ge=1)
     check_timeout_s: float = option(1.0, "Time for each check of the object.", unit="s", gt=0)
 

@@ -134,6 +134,10 @@ def _reconstructed(
         mailbox=mailbox or out / "mailbox",
         made=f"recorded from provider {config.provider}",
     )
+    if config.program.language == "blender" and until != "parse":
+        from ..program.blender.blender_environment import require_blender
+
+        require_blender()
     open_models()  # Report a wrong provider or key before the folder is touched.
     other_photo = _other_photo(out, picture)
     if other_photo and (resume or start is not None):

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from ..config import Language
 from ..mllm import Picture, Request, package_text
 from .critique import Critique, corrected_box
 from .signals import Signal
@@ -84,7 +85,10 @@ This is the {file} program, which was run, checked and accepted:
 
 
 def program_request(
-    subject: Subject, file: str = "program", before: Mapping[str, str] | None = None
+    subject: Subject,
+    file: str = "program",
+    before: Mapping[str, str] | None = None,
+    language: Language = "sdk",
 ) -> Request[ProgramAnswer]:
     """Return the request for an object's first program.
 
@@ -92,8 +96,10 @@ def program_request(
         subject: the object.
         file: name of the stage: program, or geometry, articulation, export.
         before: accepted texts of the stages before it.
+        language: that the program is to be written in.
     """
-    return _request(_named(file, "program", subject), subject, file, _ask(subject, file, before))
+    name, ask = _named(file, "program", subject), _ask(subject, file, before)
+    return _request(name, subject, file, ask, language)
 
 
 def repair_request(
@@ -103,6 +109,7 @@ def repair_request(
     earlier: Sequence[Signal] | None = None,
     file: str = "program",
     before: Mapping[str, str] | None = None,
+    language: Language = "sdk",
 ) -> Request[ProgramAnswer]:
     """Return the request for a program without the signals of the last one.
 
@@ -114,6 +121,7 @@ def repair_request(
             repaired.
         file: name of the stage.
         before: accepted texts of the stages before it.
+        language: that the program is to be written in.
     """
     known = {signal.identity for signal in earlier or ()}
     lines = []
@@ -126,9 +134,8 @@ def repair_request(
         lines.append(f"- (mended since the program before: {', '.join(codes)})")
     heading = "It was run and checked. Mend this:"
     ask = _ask(subject, file, before)
-    return _request(
-        _named(file, "debug", subject), subject, file, _mend(ask, program, heading, lines)
-    )
+    name, prompt = _named(file, "debug", subject), _mend(ask, program, heading, lines)
+    return _request(name, subject, file, prompt, language)
 
 
 def revise_request(
@@ -137,6 +144,7 @@ def revise_request(
     critiques: Sequence[Critique],
     file: str = "program",
     before: Mapping[str, str] | None = None,
+    language: Language = "sdk",
 ) -> Request[ProgramAnswer]:
     """Return the request for a program without the critics' faults; see `repair_request`."""
     lines = [
@@ -148,20 +156,23 @@ def revise_request(
         lines.append("- object: the measured box was wrong; it is corrected above -> fill that one")
     heading = "It runs. Drawn and held beside the photo, it differs:"
     ask = _ask(subject, file, before)
-    return _request(
-        _named(file, "revise", subject), subject, file, _mend(ask, program, heading, lines)
-    )
+    name, prompt = _named(file, "revise", subject), _mend(ask, program, heading, lines)
+    return _request(name, subject, file, prompt, language)
 
 
-def instructions(file: str) -> str:
-    """Return the system text of a stage: the guide to the SDK, and what the stage is to write."""
-    guide = package_text(__package__, "guide")
-    return guide if file == "program" else f"{guide}\n{package_text(__package__, file)}"
+def instructions(file: str, language: Language = "sdk") -> str:
+    """Return the system text of a stage: the guide to the language, and what it is to write."""
+    prefix = "blender_" if language == "blender" else ""
+    guide = package_text(__package__, f"{prefix}guide")
+    return guide if file == "program" else f"{guide}\n{package_text(__package__, prefix + file)}"
 
 
-def _request(name: str, subject: Subject, file: str, prompt: str) -> Request[ProgramAnswer]:
+def _request(
+    name: str, subject: Subject, file: str, prompt: str, language: Language
+) -> Request[ProgramAnswer]:
     pictures: list[Picture] = [subject.crop]
-    return Request("programmer", name, instructions(file), prompt, ProgramAnswer, pictures)
+    system = instructions(file, language)
+    return Request("programmer", name, system, prompt, ProgramAnswer, pictures)
 
 
 def _named(file: str, stage: str, subject: Subject) -> str:

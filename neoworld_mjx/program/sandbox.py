@@ -1,9 +1,11 @@
 """Run a program's text and return an object or signals; nothing that a program does raises.
 
-`monty`, the default, runs the program in a sandbox; `cpython` runs it in this process, without any
-isolation, for your own programs only. The same text gives the same object, to the byte.
+Programs call the SDK. `monty`, the default, runs them in a sandbox; `cpython` runs them in this
+process, without any isolation, for your own programs only. The same text gives the same object, to
+the byte. With `program.language: blender` a program that imports bpy runs in Blender (`blender/`).
 """
 
+import re
 import time
 from dataclasses import dataclass, field
 from functools import cache
@@ -13,10 +15,14 @@ from ..config import ProgramOptions
 from ..spec import ObjectSpec
 from .allowance import Allowance
 from .assemble import assemble
+from .blender.blender_environment import require_blender
+from .blender.blender_objects import run_blender
 from .in_process import run_in_process
 from .monty_sandbox import Starved, run_sandboxed
 from .session import Session
 from .signals import Signal, deduplicated, has_errors
+
+_BPY = re.compile(r"^[ \t]*(import|from)[ \t]+bpy\b", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -46,16 +52,24 @@ def run(text: str, options: ProgramOptions | None = None, *, loose: bool = False
         text: the program.
         options: the sandbox and its limits.
         loose: whether parts have no joints yet; they are then fastened to the first.
+
+    Raises:
+        ProgramError: the program is for Blender, which is not installed or cannot be confined here.
     """
     options = options or ProgramOptions()
     _load_shapes()
+    in_blender = options.language == "blender" and _BPY.search(text) is not None
+    if in_blender:
+        require_blender()
     start = time.monotonic()
     session = _session(options)
     printed, problems = "", _check_text(text, options)
     spec: ObjectSpec | None = None
     if not problems:
         try:
-            if options.sandbox == "cpython":
+            if in_blender:
+                printed, problems = run_blender(text, session, options)
+            elif options.sandbox == "cpython":
                 printed, problems = run_in_process(text, session, options)
             else:
                 try:
@@ -63,8 +77,9 @@ def run(text: str, options: ProgramOptions | None = None, *, loose: bool = False
                 except Starved:
                     session = _session(options)
                     printed, problems = run_sandboxed(text, session, options, patient=True)
-            if not problems:
-                spec, problems = assemble(session.objects, loose=loose)
+            if not has_errors(problems):
+                spec, structure = assemble(session.objects, loose=loose)
+                problems = [*problems, *structure]
         except Exception as error:  # Any failure becomes a signal here.
             problems = [
                 Signal(
@@ -123,4 +138,8 @@ def _check_text(text: str, options: ProgramOptions) -> list[Signal]:
         text.encode()
     except UnicodeEncodeError:
         return [Signal(severity="error", code="syntax", message="the text is not valid Unicode")]
+    if options.language == "sdk" and _BPY.search(text):
+        message = "the program imports bpy: it is one for Blender, and program.language is sdk"
+        hint = "call the SDK, or set program.language=blender"
+        return [Signal(severity="error", code="import", message=message, hint=hint)]
     return []

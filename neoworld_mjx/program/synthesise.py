@@ -116,7 +116,7 @@ def guide() -> str:
 
 def all_instructions(options: ProgramOptions) -> str:
     """Return the system texts of all requests to programmers."""
-    return "\n".join(instructions(stage.file) for stage in STAGES[options.stages])
+    return "\n".join(instructions(s.file, options.language) for s in STAGES[options.stages])
 
 
 def median_colour(picture: Picture) -> tuple[float, float, float]:
@@ -158,7 +158,7 @@ class _Synthesis:
             if not needs_asking(stage, accepted.built.spec, self.subject.node):
                 before = accepted.texts
                 return replace(accepted, text=NOTHING_MOVES, before=before, file=stage.file)
-        request = program_request(self.subject, stage.file, self._before)
+        request = program_request(self.subject, stage.file, self._before, self.options.language)
         answer = (await self.models.ask(request)).value
         await revise(
             await self.debugged("program", answer, None),
@@ -180,7 +180,7 @@ class _Synthesis:
             earlier = attempts[-2].built.signals if len(attempts) > 1 else None
             request = repair_request(
                 *(self.subject, attempts[-1].text, signals, earlier),
-                *(self.stage.file, self._before),
+                *(self.stage.file, self._before, self.options.language),
             )
             repair = await self._ask("debug", request)
             best = max(attempts, key=lambda attempt: attempt.rank)
@@ -202,7 +202,7 @@ class _Synthesis:
             self._resize(box, "the critic")
         request = revise_request(
             *(self.subject, last.text, [each for each in critiques if not accepts(each)]),
-            *(self.stage.file, self._before),
+            *(self.stage.file, self._before, self.options.language),
         )
         answer = await self._ask("revise", request)
         return None if answer is None else await self.debugged("revise", answer, last)

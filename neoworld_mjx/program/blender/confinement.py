@@ -1,0 +1,236 @@
+"""Confine this process by means of Linux: the files it opens, its system calls, memory and time.
+
+Blender's Python runs this before anything else, with the standard library alone. Afterwards the
+process reads its own software and nothing more (Landlock), opens nothing for writing, and makes
+only the system calls of `_CALLS`: no sockets, no other processes, no signals to any (seccomp). It
+stays so until it ends.
+"""
+
+import ctypes
+import os
+import platform
+import resource
+import struct
+import sys
+from collections.abc import Iterator, Sequence
+
+MIB = 1 << 20
+OPEN_FILES = 256
+_MACHINES = {"x86_64": (0xC000003E, 0), "aarch64": (0xC00000B7, 1)}
+"""Machine -> its number in filters, and its column in `_CALLS`."""
+_CALLS: dict[str, tuple[int | None, int | None]] = {
+    # name: number on x86_64, on aarch64
+    "read": (0, 63), "write": (1, 64), "close": (3, 57), "stat": (4, None), "fstat": (5, 80),
+    "lstat": (6, None), "poll": (7, None), "lseek": (8, 62), "mmap": (9, 222),
+    "mprotect": (10, 226), "munmap": (11, 215), "brk": (12, 214), "rt_sigaction": (13, 134),
+    "rt_sigprocmask": (14, 135), "rt_sigreturn": (15, 139), "ioctl": (16, 29), "pread64": (17, 67),
+    "readv": (19, 65), "writev": (20, 66), "access": (21, None), "pipe": (22, None),
+    "select": (23, None), "sched_yield": (24, 124), "mremap": (25, 216), "madvise": (28, 233),
+    "dup": (32, 23), "dup2": (33, None), "nanosleep": (35, 101), "getpid": (39, 172),
+    "exit": (60, 93), "uname": (63, 160), "fcntl": (72, 25), "getcwd": (79, 17),
+    "readlink": (89, None), "gettimeofday": (96, 169), "getrlimit": (97, 163),
+    "getrusage": (98, 165), "sysinfo": (99, 179), "times": (100, 153), "getuid": (102, 174),
+    "getgid": (104, 176), "geteuid": (107, 175), "getegid": (108, 177), "getppid": (110, 173),
+    "sigaltstack": (131, 132), "statfs": (137, 43), "fstatfs": (138, 44),
+    "sched_getparam": (143, 121), "sched_getscheduler": (145, 120),
+    "sched_get_priority_max": (146, 125), "sched_get_priority_min": (147, 126),
+    "arch_prctl": (158, None), "gettid": (186, 178), "futex": (202, 98),
+    "sched_getaffinity": (204, 123), "getdents64": (217, 61), "set_tid_address": (218, 96),
+    "restart_syscall": (219, 128), "fadvise64": (221, 223), "clock_gettime": (228, 113),
+    "clock_getres": (229, 114), "clock_nanosleep": (230, 115), "exit_group": (231, 94),
+    "epoll_wait": (232, None), "epoll_ctl": (233, 21), "mbind": (237, 235),
+    "set_mempolicy": (238, 237), "get_mempolicy": (239, 236), "newfstatat": (262, 79),
+    "readlinkat": (267, 78), "faccessat": (269, 48), "pselect6": (270, 72), "ppoll": (271, 73),
+    "set_robust_list": (273, 99), "epoll_pwait": (281, 22), "eventfd2": (290, 19),
+    "epoll_create1": (291, 20), "dup3": (292, 24), "pipe2": (293, 59), "getcpu": (309, 168),
+    "getrandom": (318, 278), "membarrier": (324, 283), "statx": (332, 291), "rseq": (334, 293),
+    "faccessat2": (439, 439), "futex_waitv": (449, 449),
+}  # fmt: skip
+"""System calls that any arguments are allowed for."""
+_OPEN, _OPENAT, _CLONE, _CLONE3 = (2, None), (257, 56), (56, 220), (435, 435)
+_KILL, _TGKILL, _PRCTL, _PRLIMIT64, _SECCOMP = (
+    (62, 129),
+    (234, 131),
+    (157, 167),
+    (302, 261),
+    (317, 277),
+)
+_CREATE_RULESET, _ADD_RULE, _RESTRICT = 444, 445, 446
+"""Numbers of Landlock's calls, the same everywhere."""
+_WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
+_CLONE_THREAD = 0x10000
+_PR_SET_PDEATHSIG, _PR_SET_NAME, _PR_GET_NAME, _PR_SET_VMA = 1, 15, 16, 0x53564D41
+_PR_SET_NO_NEW_PRIVS, _SET_FILTER, _TSYNC, _SIGKILL = 38, 1, 1, 9
+_READ = 1 << 0 | 1 << 2 | 1 << 3
+"""Landlock's rights to execute, read a file and read a folder."""
+_RIGHTS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}
+"""Number of rights over files that a version of Landlock handles, up to the last that has more."""
+
+
+class Unavailable(Exception):
+    """This machine cannot confine a process; the message names what is missing."""
+
+
+def confine(memory_mib: int, cpu_s: float, answer_mib: int, readable: Sequence[str]) -> None:
+    """Confine this process and all of its threads to come.
+
+    Args:
+        memory_mib: address space [MiB].
+        cpu_s: processor time [s].
+        answer_mib: largest file that it writes into a descriptor that it has [MiB].
+        readable: files and folders that it may open for reading; missing ones are skipped.
+
+    Raises:
+        Unavailable: the system lacks a means; nothing may run then.
+    """
+    column = _column()
+    _call("prctl", _libc().prctl(_PR_SET_PDEATHSIG, _SIGKILL, 0, 0, 0))
+    cores = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {cores[os.getpid() % len(cores)]})
+    for what, most in (
+        (resource.RLIMIT_AS, memory_mib * MIB),
+        (resource.RLIMIT_CPU, max(1, round(cpu_s))),
+        (resource.RLIMIT_FSIZE, answer_mib * MIB),
+        (resource.RLIMIT_NOFILE, OPEN_FILES),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        resource.setrlimit(what, (most, most))
+    _call("prctl", _libc().prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0))
+    _restrict_files(readable)
+    _install(list(_first_filter(column)))
+
+
+def end_threads() -> None:
+    """Allow no further thread either, nor another filter."""
+    column = _column()
+    steps: list[_Step] = [(_LOAD, 0, 0, 0)]
+    for numbers in (_CLONE, _SECCOMP):
+        steps += [(_EQUAL, 0, 1, numbers[column]), (_RETURN, 0, 0, _EPERM)]
+    _install([*steps, (_RETURN, 0, 0, _ALLOW)])
+
+
+def _column() -> int:
+    machine = platform.machine()
+    if sys.platform != "linux":
+        raise Unavailable("Linux, as only its Landlock and seccomp are known here")
+    if machine not in _MACHINES:
+        raise Unavailable(f"a processor of {' or '.join(_MACHINES)}, this is {machine}")
+    return _MACHINES[machine][1]
+
+
+def _libc() -> ctypes.CDLL:
+    return ctypes.CDLL(None, use_errno=True)
+
+
+def _call(what: str, result: int) -> int:
+    if result < 0:
+        number = ctypes.get_errno()
+        raise Unavailable(f"{what} ({os.strerror(number)})")
+    return result
+
+
+def _restrict_files(readable: Sequence[str]) -> None:
+    """Let this process open nothing but `readable`, and that for reading."""
+    call = _libc().syscall
+    call.restype = ctypes.c_long
+    version = call(_CREATE_RULESET, None, ctypes.c_size_t(0), 1)
+    if version < 1:
+        raise Unavailable(
+            "Landlock (Linux 5.13 or later, with 'landlock' among the kernel's lsm= modules, and a "
+            "container that allows it)"
+        )
+    handled = (1 << _RIGHTS[min(version, max(_RIGHTS))]) - 1
+    rules = struct.pack("=Q", handled)
+    ruleset = _call("landlock_create_ruleset", call(_CREATE_RULESET, rules, ctypes.c_size_t(8), 0))
+    for path in readable:
+        try:
+            handle = os.open(path, os.O_PATH | os.O_CLOEXEC)
+        except OSError:
+            continue
+        rights = _READ if os.path.isdir(path) else _READ & ~(1 << 3)
+        rule = struct.pack("=Qi", rights, handle)
+        _call(f"landlock_add_rule of {path}", call(_ADD_RULE, ruleset, 1, rule, 0))
+        os.close(handle)
+    _call("landlock_restrict_self", call(_RESTRICT, ruleset, 0))
+    os.close(ruleset)
+
+
+_Step = tuple[int, int, int, int]
+"""Code, jump if true, jump if false, number: an instruction of the filter."""
+_LOAD, _EQUAL, _ANY, _RETURN = 0x20, 0x15, 0x45, 0x06
+_ALLOW, _KILL_ALL, _EPERM, _ENOSYS = 0x7FFF0000, 0x80000000, 0x50001, 0x50026
+
+
+def _argument(k: int, high: bool = False) -> _Step:
+    return (_LOAD, 0, 0, 16 + 8 * k + 4 * high)
+
+
+def _first_filter(column: int) -> Iterator[_Step]:
+    """Yield the filter that allows the calls of `_CALLS`, and some others for some arguments."""
+    arch = next(number for number, other in _MACHINES.values() if other == column)
+    own = os.getpid()
+    yield from ((_LOAD, 0, 0, 4), (_EQUAL, 1, 0, arch), (_RETURN, 0, 0, _KILL_ALL))
+    yield (_LOAD, 0, 0, 0)
+    allowed: list[tuple[tuple[int | None, int | None], list[_Step]]] = [
+        (_OPEN, _unless_any(1, _WRITES)),
+        (_OPENAT, _unless_any(2, _WRITES)),
+        (_CLONE, _if_any(0, _CLONE_THREAD)),
+        (_KILL, _if_equal(0, own)),
+        (_TGKILL, _if_equal(0, own)),
+        (_PRCTL, _if_equal(0, _PR_SET_NAME, _PR_GET_NAME, _PR_SET_VMA)),
+        (_PRLIMIT64, [*_null(2)]),
+        (_CLONE3, [(_RETURN, 0, 0, _ENOSYS)]),
+        (_SECCOMP, [(_RETURN, 0, 0, _ALLOW)]),
+    ]
+    for numbers, steps in allowed:
+        number = numbers[column]
+        if number is not None:
+            yield (_EQUAL, 0, len(steps), number)
+            yield from steps
+    for numbers in _CALLS.values():
+        number = numbers[column]
+        if number is not None:
+            yield from ((_EQUAL, 0, 1, number), (_RETURN, 0, 0, _ALLOW))
+    yield (_RETURN, 0, 0, _EPERM)
+
+
+def _unless_any(k: int, bits: int) -> list[_Step]:
+    return [_argument(k), (_ANY, 0, 1, bits), (_RETURN, 0, 0, _EPERM), (_RETURN, 0, 0, _ALLOW)]
+
+
+def _if_any(k: int, bits: int) -> list[_Step]:
+    return [_argument(k), (_ANY, 0, 1, bits), (_RETURN, 0, 0, _ALLOW), (_RETURN, 0, 0, _EPERM)]
+
+
+def _if_equal(k: int, *values: int) -> list[_Step]:
+    tests = [(_EQUAL, len(values) - n, 0, value) for n, value in enumerate(values)]
+    return [_argument(k), *tests, (_RETURN, 0, 0, _EPERM), (_RETURN, 0, 0, _ALLOW)]
+
+
+def _null(k: int) -> list[_Step]:
+    """Allow a call whose pointer is null."""
+    refuse, allow = (_RETURN, 0, 0, _EPERM), (_RETURN, 0, 0, _ALLOW)
+    return [
+        _argument(k),
+        (_EQUAL, 1, 0, 0),
+        refuse,
+        _argument(k, True),
+        (_EQUAL, 1, 0, 0),
+        refuse,
+        allow,
+    ]
+
+
+def _install(steps: Sequence[_Step]) -> None:
+    """Install a filter of system calls for all threads."""
+    code = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *step) for step in steps))
+    program = struct.pack("@HP", len(steps), ctypes.addressof(code))
+    call = _libc().syscall
+    call.restype = ctypes.c_long
+    number = _SECCOMP[_column()]
+    assert number is not None
+    result = call(number, _SET_FILTER, ctypes.c_ulong(_TSYNC), program)
+    _call(
+        "seccomp filters (CONFIG_SECCOMP_FILTER, and a container that allows them)",
+        -1 if result else 0,
+    )

@@ -1,0 +1,167 @@
+"""Split the triangles of a Blender object into solids, and these into shapes with convex pieces."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...export.decompose import convex_pieces, flat, hull_points, is_convex
+from ...spec import Box, Mesh
+from ...spec.pose import Pose, from_matrix, pose
+
+MAX_FACES = 200_000
+"""Most triangles of an object."""
+MAX_CONCAVE_FACES = 20_000
+"""Most triangles of a solid that has to be split into convex pieces."""
+_SQUARE = 1e-6
+"""Largest deviation of a box from right angles, over its size."""
+
+
+class Island(NamedTuple):
+    """A connected solid of an object."""
+
+    vertices: NDArray
+    """[v, 3] m"""
+    faces: NDArray
+    """[f, 3]"""
+    slot: int
+    """Material slot of most of its faces."""
+
+
+def islands(vertices: NDArray, faces: NDArray, slots: NDArray) -> list[Island]:
+    """Split a mesh into the solids that hang together, without points that no face names.
+
+    Where a solid is open, points of the whole mesh at one place are joined first. A solid turned
+    inside out is a cavity of the largest one, or where all are, they are turned back.
+
+    Args:
+        vertices: [v, 3] m.
+        faces: triangles [f, 3].
+        slots: material slot of each face [f].
+    """
+    label = _components(len(vertices), faces)
+    if not all(_closed(faces[label == k]) for k in np.unique(label)):
+        vertices, index = np.unique(np.round(vertices, 6), axis=0, return_inverse=True)
+        faces = index.reshape(-1)[faces]
+        a, b, c = faces.T
+        kept = (a != b) & (b != c) & (c != a)
+        faces, slots = faces[kept], slots[kept]
+        label = _components(len(vertices), faces)
+    groups = [np.flatnonzero(label == k) for k in np.unique(label)]
+    volumes = np.array([_volume(vertices, faces[rows]) for rows in groups])
+    if groups and volumes.max() < 0:
+        faces, volumes = faces[:, ::-1], -volumes
+    outer = int(volumes.argmax()) if groups else 0
+    hollow = [k for k, v in enumerate(volumes) if v < -1e-12 and _closed(faces[groups[k]])]
+    for k in hollow:
+        groups[outer] = np.concatenate([groups[outer], groups[k]])
+    return [
+        _island(vertices, faces[rows], slots[rows])
+        for k, rows in enumerate(groups)
+        if k not in hollow
+    ]
+
+
+def shape_of(island: Island, convex: bool) -> tuple[Box | Mesh, Pose] | None:
+    """Return the shape of a solid and where it is; None for one without extent.
+
+    Args:
+        island: the solid.
+        convex: whether its hull collides, whatever its form.
+
+    Raises:
+        ValueError: it is concave and has too many triangles to be split.
+    """
+    vertices, faces = island.vertices, island.faces
+    if len(vertices) < 3 or np.ptp(vertices, axis=0).max() < 1e-5:
+        return None
+    box = _as_box(vertices, faces)
+    if box is not None:
+        return box
+    if len(vertices) == 3:
+        vertices = np.vstack([vertices, vertices.mean(axis=0)])
+    if convex or flat(vertices) or is_convex(vertices, faces):
+        hulls = [hull_points(vertices)]
+    elif len(faces) > MAX_CONCAVE_FACES:
+        raise ValueError(
+            f"a concave solid of {len(faces)} triangles is too fine to be split into convex "
+            f"pieces, at most {MAX_CONCAVE_FACES}: use fewer segments, build it of convex objects, "
+            'or set obj["convex"] = True if its hull will do'
+        )
+    else:
+        hulls = convex_pieces(vertices, faces)
+    # Names of points in their own frame keep their digits when the object is moved to its origin.
+    rows = lambda values: tuple(map(tuple, np.round(values, 9).tolist()))
+    shape = Mesh(
+        vertices=rows(vertices),
+        faces=tuple(map(tuple, faces.tolist())),
+        hulls=tuple(map(rows, hulls)),
+    )
+    return shape, pose()
+
+
+def _components(count: int, faces: NDArray) -> NDArray:
+    """Return the connected component of each face [f]."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    pairs = np.concatenate([faces[:, :2], faces[:, 1:]])
+    graph = coo_matrix((np.ones(len(pairs), np.int8), pairs.T), (count, count))
+    label = connected_components(graph, directed=False)[1]
+    return label[faces[:, 0]]
+
+
+def _closed(faces: NDArray) -> bool:
+    """Tell whether every edge lies between two faces that run along it in opposite directions."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    there = {(int(a), int(b)) for a, b in edges}
+    return len(there) == len(edges) and all((b, a) in there for a, b in there)
+
+
+def _volume(vertices: NDArray, faces: NDArray) -> float:
+    corners = vertices - vertices.mean(axis=0)
+    a, b, c = (corners[faces[:, k]] for k in range(3))
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+
+
+def _island(vertices: NDArray, faces: NDArray, slots: NDArray) -> Island:
+    used, index = np.unique(faces, return_inverse=True)
+    slot = int(np.bincount(np.clip(slots, 0, 63)).argmax())
+    return Island(vertices[used], index.reshape(faces.shape), slot)
+
+
+def _edges_from(corner: int, faces: NDArray) -> Iterator[int]:
+    yield from sorted({int(v) for face in faces if corner in face for v in face} - {corner})
+
+
+def _as_box(vertices: NDArray, faces: NDArray) -> tuple[Box, Pose] | None:
+    """Return the box that eight corners and twelve triangles are, None if they are none."""
+    if len(vertices) != 8 or len(faces) != 12:
+        return None
+    centre = vertices.mean(axis=0)
+    spread = [vertices[k] - vertices[0] for k in _edges_from(0, faces)]
+    spread.sort(key=lambda edge: float(edge @ edge))
+    axes = []
+    for edge in spread:
+        length = float(np.linalg.norm(edge))
+        if length > 1e-5 and all(abs(edge @ other) < _SQUARE**0.5 * length**2 for other in axes):
+            axes.append(edge)
+    if len(axes) != 3:
+        return None
+    # The order nearest to the world's axes keeps a box that is not turned as it is.
+    lengths = np.array([np.linalg.norm(edge) for edge in axes])
+    turn = np.array([edge / length for edge, length in zip(axes, lengths, strict=True)])
+    order = np.abs(turn).argmax(axis=1)
+    if len(set(order.tolist())) == 3:
+        turn, lengths = turn[np.argsort(order)], lengths[np.argsort(order)]
+        turn = turn * np.where(np.diag(turn) < 0, -1.0, 1.0)[:, None]
+    if np.linalg.det(turn) < 0:
+        turn[2] = -turn[2]
+    local = np.abs((vertices - centre) @ turn.T)
+    if np.abs(local - lengths / 2).max() > _SQUARE * max(1.0, float(lengths.max())):
+        return None
+    if np.abs(turn - np.eye(3)).max() < _SQUARE * 10:
+        turn = np.eye(3)
+    x, y, z = np.round(lengths, 7).tolist()
+    return Box(size=(x, y, z)), pose(np.round(centre, 7), from_matrix(turn.T))

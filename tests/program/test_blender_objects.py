@@ -1,0 +1,226 @@
+"""What Blender's process writes, read back as an object, without Blender and without trust."""
+
+import base64
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.config import ProgramOptions
+from neoworld_mjx.errors import ProgramError
+from neoworld_mjx.export.decompose import installed
+from neoworld_mjx.program.assemble import assemble
+from neoworld_mjx.program.blender import blender_environment
+from neoworld_mjx.program.blender.blender_answer import BlenderScene
+from neoworld_mjx.program.blender.blender_objects import read_back
+from neoworld_mjx.program.blender.mesh_islands import islands, shape_of
+from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.program.session import Session
+from neoworld_mjx.spec import Box, Mesh, inertial
+from neoworld_mjx.spec.pose import from_yaw, rotate
+
+CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
+FACES = np.array(
+    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
+    + [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+)
+OAK = {"name": "dark_oak", "rgb": [0.3, 0.2, 0.1]}
+
+
+def packed(values, kind):
+    return base64.b64encode(np.asarray(values).astype(kind).tobytes()).decode()
+
+
+def shape(name, size, at=(0, 0, 0), part=None, faces=FACES, vertices=None, **more):
+    corners = CUBE * size + at if vertices is None else vertices
+    return {
+        "name": name,
+        "part": part or name,
+        "role": "both",
+        "convex": False,
+        "materials": ["dark_oak"],
+        "vertices": packed(corners, "<f8"),
+        "faces": packed(faces, "<i4"),
+        "slots": packed(np.zeros(len(faces)), "<i4"),
+        **more,
+    }
+
+
+def chest(**joint):
+    shapes = [shape("body", (0.2, 0.3, 0.1)), shape("lid", (0.2, 0.3, 0.02), (0, 0, 0.06))]
+    hinge = {"name": "hinge", "type": "revolute", "parent": "body", "child": "lid",
+             "at": [-0.1, 0, 0.05000001], "axis": [0, -1, 0], "range": [0, 1.5]}  # fmt: skip
+    hinge |= joint
+    return {"name": "chest", "materials": [OAK], "shapes": shapes, "joints": [hinge]}
+
+
+def read(scene, **options):
+    session = Session(max_geoms=20)
+    signals = read_back(BlenderScene.model_validate(scene), session, ProgramOptions(**options))
+    if any(signal.severity == "error" for signal in signals):
+        return None, signals
+    spec, structure = assemble(session.objects)
+    return spec, [*signals, *structure]
+
+
+def test_parts_materials_and_joints_come_back():
+    spec, signals = read(chest(opens=[0, 0, 1]))
+    assert signals == []
+    assert [part.name for part in spec.parts] == ["body", "lid"]
+    assert all(isinstance(part.geoms[0].shape, Box) for part in spec.parts)
+    (material,) = spec.materials
+    assert (material.density, material.rgba) == (720, (0.3, 0.2, 0.1, 1.0))
+    (hinge,) = spec.joints
+    assert (hinge.parent, hinge.child, hinge.upper) == ("body", "lid", 1.5)
+    # The origin is the middle of the bottom, and single precision's last digits are gone.
+    np.testing.assert_allclose(hinge.pos, (-0.1, 0, 0.1), atol=1e-12)
+    assert hinge.damping > 0
+    assert inertial(spec, spec.part("lid")).mass == pytest.approx(720 * 0.2 * 0.3 * 0.02)
+
+
+def test_masses_of_objects_of_a_part_add_up_and_are_its_mass():
+    scene = chest()
+    for given in scene["shapes"]:
+        given |= {"part": "body", "mass": 0.4}
+    spec, _ = read(scene | {"joints": []})
+    assert spec.part("body").mass == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"type": "hinge"}, r'empty\["joint"\]: got \'hinge\', valid are: fixed, revolute'),
+        ({"child": "lit"}, "did you mean 'lid'"),
+        ({"range": None}, "needs empty"),
+        ({"range": [1.5, 0]}, "must be below upper"),
+        ({"mimic": "other"}, "got 'other'"),
+        ({"after": "hinge"}, "none may wait for itself"),
+        ({"axis": "sideways"}, "must be .x, y, z. or one of"),
+    ],
+)
+def test_a_wrong_joint_is_one_error_with_the_valid_choices(change, why):
+    spec, (signal,) = read(chest(**change))
+    assert spec is None
+    assert (signal.severity, signal.code) == ("error", "value")
+    with pytest.raises(ValueError, match=why):
+        raise ValueError(signal.message)
+
+
+def test_a_follower_may_be_listed_before_its_leader():
+    scene = chest(mimic="turn", multiplier=0.5)
+    scene["shapes"].append(shape("knob", (0.02, 0.02, 0.02), (0.11, 0, 0)))
+    turn = {"name": "turn", "type": "continuous", "parent": "body", "child": "knob",
+            "at": [0.1, 0, 0], "axis": [1, 0, 0]}  # fmt: skip
+    scene["joints"].append(turn)
+    spec, _ = read(scene)
+    assert spec.joint("hinge").mimic.joint == "turn"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"vertices": "not base64!"},
+        {"vertices": packed([0.0, 1.0], "<f8")},
+        {"vertices": packed(CUBE * np.nan, "<f8")},
+        {"vertices": packed(CUBE * 1e9, "<f8")},
+        {"faces": packed([[0, 1, 99]], "<i4"), "slots": packed([0], "<i4")},
+        {"faces": packed([[0, 1, -1]], "<i4"), "slots": packed([0], "<i4")},
+        {"slots": packed([0], "<i4")},
+        {"role": "ghost"},
+        {"mass": -1.0},
+        {"materials": ["unknown stuff"]},
+    ],
+)
+def test_what_does_not_fit_is_an_error_of_the_program(change):
+    scene = chest()
+    scene["shapes"][0] |= change
+    scene["materials"].append({"name": "unknown stuff"})
+    spec, (signal,) = read(scene)
+    assert spec is None
+    assert (signal.severity, signal.code) == ("error", "value")
+
+
+@pytest.mark.parametrize("extra", [{"surprise": 1}, {"joints": [{}]}, {"name": "x" * 201}])
+def test_an_answer_of_another_form_is_refused(extra):
+    with pytest.raises(ValueError, match="BlenderScene"):
+        BlenderScene.model_validate(chest() | extra)
+
+
+def test_limits_of_the_sdk_hold_for_blender():
+    shapes = [shape(f"s{k}", (0.1, 0.1, 0.1), part="body") for k in range(21)]
+    _, (signal,) = read(chest() | {"shapes": shapes, "joints": []})
+    assert (signal.code, signal.severity) == ("too_big", "error")
+
+
+def test_names_become_names_and_materials_are_assumed_aloud():
+    scene = {"shapes": [shape("../<x>", (0.1, 0.1, 0.1), materials=[])]}
+    spec, (signal,) = read(scene)
+    assert signal.code == "no_material"
+    assert spec.parts[0].name.isidentifier()
+    assert spec.materials[0].name == "plastic"
+
+
+def test_the_programs_own_error_has_its_line():
+    failed = {"error": {"type": "ZeroDivisionError", "message": "division by zero", "line": 7}}
+    _, (signal,) = read(failed)
+    assert (signal.code, signal.line) == ("runtime", 7)
+    denied = {"error": {"type": "PermissionError", "message": "no", "line": 2}}
+    assert read(denied)[1][0].code == "forbidden"
+
+
+def two(second):
+    return np.vstack([CUBE, second]), np.vstack([FACES, FACES + 8]), np.zeros(24, int)
+
+
+def test_loose_solids_are_shapes_of_their_own():
+    parts = islands(*two(CUBE + 3))
+    shapes = [shape_of(each, False) for each in parts]
+    assert [type(made[0]) for made in shapes] == [Box, Box]
+    np.testing.assert_allclose(shapes[1][1].pos, (3, 3, 3))
+
+
+def test_a_turned_box_is_one_and_a_skewed_one_is_not():
+    turn = from_yaw(0.4)
+    (island,) = islands(rotate(turn, CUBE * (1, 2, 3)), FACES, np.zeros(12, int))
+    made, at = shape_of(island, False)
+    assert isinstance(made, Box)
+    np.testing.assert_allclose(sorted(made.size), (1, 2, 3), atol=1e-6)
+    corners = rotate(at.quat, CUBE * made.size)
+    assert {tuple(p) for p in np.round(corners, 5)} == {
+        tuple(p) for p in np.round(rotate(turn, CUBE * (1, 2, 3)), 5)
+    }
+    skewed = CUBE + np.outer(CUBE[:, 2], (0.3, 0, 0))
+    assert isinstance(shape_of(islands(skewed, FACES, np.zeros(12, int))[0], False)[0], Mesh)
+
+
+@pytest.mark.skipif(not installed(), reason="needs CoACD")
+def test_a_cavity_stays_open():
+    vertices, faces, slots = two(CUBE * 0.8)
+    faces[12:] = faces[12:, ::-1]
+    (island,) = islands(vertices, faces, slots)
+    made, _ = shape_of(island, False)
+    assert made.volume() == pytest.approx(1 - 0.8**3, rel=0.1)
+    assert made.signed_distance(np.zeros((1, 3)))[0] > 0.3
+
+
+def test_meshes_turned_inside_out_are_turned_back():
+    (island,) = islands(CUBE, FACES[:, ::-1], np.zeros(12, int))
+    assert isinstance(shape_of(island, False)[0], Box)
+
+
+def test_faces_that_share_no_points_are_joined():
+    apart = CUBE[FACES].reshape(-1, 3)
+    (island,) = islands(apart, np.arange(36).reshape(-1, 3), np.zeros(12, int))
+    assert len(island.vertices) == 8
+
+
+def test_without_blender_the_refusal_says_how_to_get_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path))
+    with pytest.raises(ProgramError, match="neoworld doctor --install blender"):
+        run("import bpy\n", ProgramOptions(language="blender"))
+    assert blender_environment.unavailable() is not None
+
+
+def test_the_sdk_says_whose_program_it_is():
+    (signal,) = run("import bpy\nprint(bpy)\n").signals
+    assert signal.code == "import"
+    assert "program.language" in signal.message
