@@ -106,7 +106,7 @@ class DoctorCommand(Command):
     def run(self) -> Answer:
         """Look at this machine."""
         if self.install == "blender":
-            from ..program.blender.blender_environment import install_blender
+            from ..program.blender.blender_availability import install_blender
 
             return {"installed": "blender", "folder": str(install_blender())}
         import platform

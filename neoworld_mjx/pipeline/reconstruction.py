@@ -135,7 +135,7 @@ def _reconstructed(
         made=f"recorded from provider {config.provider}",
     )
     if config.program.language == "blender" and until != "parse":
-        from ..program.blender.blender_environment import require_blender
+        from ..program.blender.blender_availability import require_blender
 
         require_blender()
     open_models()  # Report a wrong provider or key before the folder is touched.

@@ -15,7 +15,7 @@ from ..config import ProgramOptions
 from ..spec import ObjectSpec
 from .allowance import Allowance
 from .assemble import assemble
-from .blender.blender_environment import require_blender
+from .blender.blender_availability import require_blender
 from .blender.blender_objects import run_blender
 from .in_process import run_in_process
 from .monty_sandbox import Starved, run_sandboxed

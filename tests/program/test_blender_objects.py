@@ -9,7 +9,7 @@ from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import ProgramError
 from neoworld_mjx.export.decompose import installed
 from neoworld_mjx.program.assemble import assemble
-from neoworld_mjx.program.blender import blender_environment
+from neoworld_mjx.program.blender import blender_availability
 from neoworld_mjx.program.blender.blender_answer import BlenderScene
 from neoworld_mjx.program.blender.blender_objects import read_back
 from neoworld_mjx.program.blender.mesh_islands import islands, shape_of
@@ -217,7 +217,7 @@ def test_without_blender_the_refusal_says_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path))
     with pytest.raises(ProgramError, match="neoworld doctor --install blender"):
         run("import bpy\n", ProgramOptions(language="blender"))
-    assert blender_environment.unavailable() is not None
+    assert blender_availability.unavailable() is not None
 
 
 def test_the_sdk_says_whose_program_it_is():

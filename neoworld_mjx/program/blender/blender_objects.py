@@ -20,7 +20,7 @@ from ..sdk_object import Object
 from ..session import LimitExceeded, Session, entered
 from ..signals import Signal
 from .blender_answer import BlenderJoint, BlenderMaterial, BlenderScene, BlenderShape
-from .blender_environment import require_blender
+from .blender_availability import require_blender
 from .blender_process import blender_answer, failure
 from .mesh_islands import MAX_FACES, islands, shape_of
 
