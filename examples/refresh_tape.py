@@ -7,7 +7,10 @@ name, for a person to look over with `git diff`:
     uv run python examples/refresh_tape.py examples/coffee.png \
         neoworld_mjx/data/tapes/coffee.tape.json
 
-Configurations named after them are asked, too; the microwave has answers for configs/paper.yaml.
+Configurations named after them are asked, too, another language of programs after a colon: coffee
+has answers for `configs/paper.yaml`, the microwave for `configs/paper.yaml:sdk` before it. Answers
+of models called "by hand, Blender" are given where programs are asked for in Blender, which must be
+installed then.
 """
 
 import json
@@ -16,8 +19,8 @@ import tempfile
 import threading
 from pathlib import Path
 
-from neoworld_mjx.config import load_config
-from neoworld_mjx.mllm.replay import Tape
+from neoworld_mjx.config import Config, load_config
+from neoworld_mjx.mllm.replay import Entry, Tape
 from neoworld_mjx.pipeline import reconstruct
 
 
@@ -33,20 +36,27 @@ def answer(mailbox: Path, texts: dict[str, str], done: threading.Event) -> None:
                 part.replace(response)
 
 
-def main(photo: Path, path: Path, configs: list[Path]) -> None:
+def main(photo: Path, path: Path, configs: list[str]) -> None:
     """Refresh one tape in place, its header kept, for the defaults and further configurations."""
     old = Tape.load(path)
     fresh = Tape(photo=old.photo, made=old.made)
-    for number, config in enumerate([None, *configs]):
+    for number, given_config in enumerate([None, *configs]):
+        config = _config(given_config)
+        blender = config.program.language == "blender"
         # A name may have an answer for each configuration, as its pictures differ.
-        given: dict[str, list[str]] = {}
+        given: dict[str, list[Entry]] = {}
         for entry in old.answers.values():
-            given.setdefault(entry.name, []).append(entry.text)
-        texts = {name: some[min(number, len(some) - 1)] for name, some in given.items()}
-        fresh.answers |= asked_again(photo, texts, config).answers
-    models = {entry.name: entry.model for entry in old.answers.values()}
-    for entry in fresh.answers.values():
-        entry.model = models[entry.name]
+            given.setdefault(entry.name, []).append(entry)
+        chosen: dict[str, Entry] = {}
+        for name, some in given.items():
+            same = [entry for entry in some if ("Blender" in entry.model) == blender] or some
+            chosen[name] = same[min(number, len(same) - 1)]
+        texts = {name: entry.text for name, entry in chosen.items()}
+        until = "program" if given_config is None else "verify"
+        answers = asked_again(photo, texts, config, until).answers
+        for entry in answers.values():
+            entry.model = chosen[entry.name].model
+        fresh.answers |= answers
     left = {entry.name for entry in old.answers.values()}
     left -= {entry.name for entry in fresh.answers.values()}
     if left:
@@ -54,7 +64,16 @@ def main(photo: Path, path: Path, configs: list[Path]) -> None:
     fresh.save(path)
 
 
-def asked_again(photo: Path, texts: dict[str, str], config: Path | None) -> Tape:
+def _config(given: str | None) -> Config:
+    """Return a configuration given as FILE or FILE:LANGUAGE; None is that of the defaults."""
+    if given is None:
+        return load_config(None, {"provider": "mailbox"})
+    path, _, language = given.partition(":")
+    program = {"program": {"language": language}} if language else {}
+    return load_config(Path(path), {"provider": "mailbox", **program})
+
+
+def asked_again(photo: Path, texts: dict[str, str], config: Config, until: str) -> Tape:
     """Return the tape of one run whose requests are answered by their names."""
     with tempfile.TemporaryDirectory() as folder:
         done, new = threading.Event(), Path(folder) / "new.tape.json"
@@ -64,8 +83,8 @@ def asked_again(photo: Path, texts: dict[str, str], config: Path | None) -> Tape
         reconstruct(
             photo,
             Path(folder) / "run",
-            load_config(config, {"provider": "mailbox"}),
-            until="program" if config is None else "verify",
+            config,
+            until=until,
             record=new,
             mailbox=mailbox,
         )
@@ -74,4 +93,4 @@ def asked_again(photo: Path, texts: dict[str, str], config: Path | None) -> Tape
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]), [Path(name) for name in sys.argv[3:]])
+    main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:])

@@ -42,12 +42,12 @@ HOSTILE_BLENDER: dict[str, tuple[str, set[str]]] = {
     "socket": ("import socket\nsocket.create_connection(('127.0.0.1', PORT))", DENIED),
     "urllib": ("import urllib.request\nurllib.request.urlopen('http://127.0.0.1:PORT')", DENIED),
     "unix_socket": ("import socket\nsocket.socketpair()", DENIED),
-    "subprocess": ("import subprocess\nsubprocess.run(['id'])", DENIED),
+    "subprocess": ("import subprocess\nsubprocess.run(['/bin/sh', '-c', 'id'])", DENIED),
     "fork": ("import os\nwhile True:\n    os.fork()", DENIED),
     "execute": ("import os\nos.execv('/bin/sh', ['sh', '-c', 'id'])", DENIED),
     "kill_parent": ("import os\nos.kill(PARENT, 9)", DENIED),
     "kill_all": ("import os\nos.kill(-1, 9)", DENIED),
-    "new_session": ("import os\nos.setsid()", DENIED),
+    "named_pipe": ("import os\nos.mkfifo('FOLDER/made')", DENIED),
     # Below Python.
     "raw_call": (
         "import ctypes\nn = ctypes.CDLL(None, use_errno=True).syscall(41, 2, 1, 0)\n"

@@ -48,15 +48,16 @@ def main() -> int:
         return UNAVAILABLE
     text = sys.stdin.read()
     # Blender writes warnings of its own to standard output.
-    sys.stdout = os.fdopen(os.dup(1), "w", errors="replace")
+    printed = os.fdopen(os.dup(1), "w", errors="replace")
     os.dup2(2, 1)
     bpy: Any = importlib.import_module("bpy")
     bpy.ops.wm.read_factory_settings(use_empty=True)
     confinement.end_threads()
+    sys.stdout = printed
     answer = _run(text, bpy)
     with os.fdopen(descriptor, "w") as stream:
         json.dump(answer, stream)
-    sys.stdout.flush()
+    printed.flush()
     return 0
 
 
