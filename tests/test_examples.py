@@ -13,6 +13,7 @@ from neoworld_mjx.pipeline import reconstruct
 from neoworld_mjx.pipeline.bundled_examples import bundled_examples, photo_of
 from neoworld_mjx.program import build
 from neoworld_mjx.program.attempt import joined
+from neoworld_mjx.program.blender.blender_availability import unavailable
 from neoworld_mjx.spec import ObjectSpec, SceneTree
 
 MOST_BYTES = 470_000
@@ -56,6 +57,27 @@ def test_the_papers_three_programs_replay_and_are_one(tmp_path):
     assert [list(each["verdicts"])[-1] for each in rounds] == ["geometry", "articulation", "export"]
     assert "latched" in json.loads((home / "verify.json").read_text())["seen"][0]
     assert result.fallbacks == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "joints", "calls"), [("coffee", 0, 17), ("microwave", 5, 9)])
+def test_the_paper_replays_in_its_own_language(name, joints, calls, tmp_path):
+    why = unavailable()
+    if why is not None:
+        pytest.skip(why)
+    over = {"provider": "replay", "refine": {"semantic": {"scorer": "geometric"}}}
+    config = load_config(PAPER, over)
+    assert config.program.language == "blender"
+    result = reconstruct(bundled_examples()[name].photo, tmp_path, config, until="verify")
+    specs = [
+        ObjectSpec.model_validate_json(path.read_text())
+        for path in (tmp_path / "objects").glob("*/spec.json")
+    ]
+    assert sum(joint.type != "fixed" for spec in specs for joint in spec.joints) == joints
+    verdicts = [json.loads(p.read_text()) for p in (tmp_path / "objects").glob("*/verify.json")]
+    assert all(verdict["passed"] for verdict in verdicts)
+    assert result.fallbacks == []
+    assert result.cost["calls"] == calls
 
 
 def test_every_tape_says_how_it_was_made():

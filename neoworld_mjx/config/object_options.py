@@ -75,8 +75,8 @@ class ProgramOptions(JointSweepOptions):
         "`neoworld doctor --install blender` and runs confined in a process of its own.",
         departure=Departure(
             "blender",
-            "The SDK needs nothing installed, its shapes know their own convex pieces, and its "
-            "programs take a hundredth of the time.",
+            "The SDK needs nothing installed and its shapes know their own convex pieces; three "
+            "objects in both languages have the same joints, in a twentieth of the time.",
         ),
     )
     debug_rounds: int = option(
