@@ -79,6 +79,7 @@ def algorithm1(options: RefineOptions) -> RefineOptions:
             "descent": o.descent.model_copy(update={"warm_steps": 0, "project": "never"}),
             "reward": o.reward.model_copy(update={"normalisation": "iteration"}),
             "rollout": o.rollout.model_copy(update={"early_stop": False}),
+            "settle": "never",
         }
     )
 

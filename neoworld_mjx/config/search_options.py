@@ -326,6 +326,20 @@ class RefineOptions(Options):
     max_depth_m: float = traced(
         0.001, "Largest penetration of a valid candidate and in the final check.", unit="m", gt=0
     )
+    settle: Literal["never", "needed", "always"] = option(
+        "needed",
+        "Let candidates come to rest before they are judged: never, always, or from the second "
+        "iteration on while nothing is valid (needed). They sink with drag for the time of a "
+        "rollout, and what they show, how deep they are in one another and how far they drift "
+        "counts from there. Settling counts as drift, and a candidate is not valid in which an "
+        "object comes to rest tilted by more than 15 degrees, a quarter of its size beside, or a "
+        "tenth of it and 1 cm above or below its place.",
+        departure=Departure(
+            "never",
+            "What leans, lies in a cup or rolls rests at a tilt that no layout has; only gravity "
+            "finds it.",
+        ),
+    )
     finalists: int = option(
         16,
         "Number of the best candidates that may be tried in the final check.",

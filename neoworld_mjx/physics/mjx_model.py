@@ -245,7 +245,19 @@ def _dynamics(model: MjxModel, d: mjx.Data, nearest: Int[Array, " near"]) -> mjx
     for stage in (mjx.make_constraint, mjx.fwd_velocity, mjx.fwd_actuation, mjx.fwd_acceleration):
         d = stage(m, d)
     d = mjx.solve(m, d) if cast(Any, d)._impl.efc_J.size else d.replace(qacc=d.qacc_smooth)
-    return mjx.implicit(m, d)
+    return mjx.implicit(m, _after_solver(d))
+
+
+def _after_solver(d: mjx.Data) -> mjx.Data:
+    """Make the mass matrix that the integrator factors depend on the solver's result.
+
+    On CPUs JAX factors a batch of matrices on its pool of threads, which waits for other threads of
+    that pool. Where the integrator's matrix and that of `factor_m` are factored at the same time,
+    as they may be by their data, both wait for ever on a pool of two (jaxlib 0.10 to 0.11).
+    """
+    zero = jnp.minimum(jnp.abs(jnp.sum(d.qacc)), 0.0)
+    impl = cast(Any, d)._impl
+    return d.replace(_impl=impl.replace(M=impl.M + zero))
 
 
 def nearest_pairs(model: MjxModel, d: mjx.Data) -> Int[Array, " near"]:

@@ -4,6 +4,9 @@ This is the dear part of what can be said of candidates before physics. It is on
 scene's bucket, whatever the population and the reward are.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -27,6 +30,16 @@ class Placed(eqx.Module):
     depth: Float[Either, "pop object object"]
     """Of `pair_depths` [m]."""
     visible: Visible
+    settled: Float[Either, "pop object"]
+    """How far each object has come to rest from where its layout put it, in units of the bounds of
+    `settled_by`; 0 where nothing settled."""
+
+
+BALL = 0.03
+"""Difference of a ball's extents, over the largest."""
+UP, SIDEWAYS, DOWN = float(np.radians(15.0)), 0.25, (0.1, 0.01)
+"""Bounds of settling: of the tilt [rad]; of the horizontal shift, over the object's size; of the
+change of height, over its size, and beyond that [m]."""
 
 
 def pair_depths(scene: SceneArrays, poses: Poses) -> Float[Array, "pop object object"]:
@@ -43,7 +56,55 @@ def pair_depths(scene: SceneArrays, poses: Poses) -> Float[Array, "pop object ob
 def placed(scene: SceneArrays, layouts: Layout) -> Placed:
     """Place candidates, and measure what does not depend on physics; may be vmapped."""
     poses = scene.place(layouts)
-    return Placed(poses, pair_depths(scene, poses), visibility(scene, poses))
+    still = jnp.zeros(layouts.yaw.shape)
+    return Placed(poses, pair_depths(scene, poses), visibility(scene, poses), still)
+
+
+@eqx.filter_jit
+def come_to_rest(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
+    """Measure candidates where they have come to rest; may be vmapped.
+
+    Args:
+        scene: the scene's arrays.
+        start: where their layouts put them.
+        end: where they rest; see `settling.settle`.
+    """
+    settled = settled_by(scene, start, end)
+    return Placed(end, pair_depths(scene, end), visibility(scene, end), settled)
+
+
+def settled_by(
+    scene: SceneArrays, start: Poses, end: Poses, xp: Any = jnp
+) -> Float[Either, "pop object"]:
+    """Return how far objects have settled, in units of UP, SIDEWAYS and DOWN; 1 is at a bound.
+
+    Beyond it an object lies where the photograph does not show it: it has toppled or fallen off. A
+    ball has no tilt.
+
+    Args:
+        scene: the scene's arrays.
+        start: where the candidates' objects were placed.
+        end: where they rest.
+        xp: `numpy` on the host.
+    """
+    corners = xp.asarray(scene.corners)
+    box = xp.max(corners, axis=1) - xp.min(corners, axis=1)
+    size = xp.linalg.norm(box, axis=-1) * start.scale
+    ball = xp.asarray(scene.round) & (xp.ptp(box, axis=-1) < BALL * xp.max(box, axis=-1))
+    up, now = (_own_up(quat, xp) for quat in (start.quat, end.quat))
+    leans = xp.arctan2(xp.linalg.norm(xp.cross(up, now), axis=-1), xp.sum(up * now, axis=-1))
+    tilt = xp.where(ball, 0.0, leans)
+    way = end.pos - start.pos
+    sideways = xp.linalg.norm(way[..., :2], axis=-1) / (SIDEWAYS * size)
+    upright = xp.abs(way[..., 2]) / (DOWN[0] * size + DOWN[1])
+    most = xp.maximum(tilt / UP, xp.maximum(sideways, upright))
+    return xp.where(xp.asarray(scene.movable), most, 0.0)
+
+
+def _own_up(quat: Any, xp: Any) -> Any:
+    """Return where each object's z axis points."""
+    w, x, y, z = xp.moveaxis(quat, -1, 0)
+    return xp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
 
 
 def placed_in_chunks(scene: SceneArrays, layouts: Layout, number: int | None = None) -> Placed:
@@ -57,13 +118,26 @@ def placed_in_chunks(scene: SceneArrays, layouts: Layout, number: int | None = N
     Returns:
         Arrays on the host.
     """
-    pop = layouts.yaw.shape[0]
+    return _in_chunks(placed, scene, (layouts,), number)
+
+
+def at_rest_in_chunks(
+    scene: SceneArrays, start: Poses, end: Poses, number: int | None = None
+) -> Placed:
+    """Do what `come_to_rest` does in chunks; see `placed_in_chunks`."""
+    return _in_chunks(come_to_rest, scene, (start, end), number)
+
+
+def _in_chunks(
+    look: Callable[..., Placed], scene: SceneArrays, of: tuple[Any, ...], number: int | None
+) -> Placed:
+    pop = jax.tree.leaves(of)[0].shape[0]
     used = pop if number is None else number
     parts: list[Placed] = []
     for first in range(0, used, CHUNK):
         # The last chunk is filled up with its first candidate.
         rows = np.arange(first, first + CHUNK)
         rows = np.where(rows < used, rows, first)
-        parts.append(placed(scene, jax.tree.map(lambda x, rows=rows: np.asarray(x)[rows], layouts)))
+        parts.append(look(scene, *jax.tree.map(lambda x, rows=rows: np.asarray(x)[rows], of)))
     rows = np.where(np.arange(pop) < used, np.arange(pop), 0)
     return jax.tree.map(lambda *x: np.concatenate(x)[rows], *jax.device_get(parts))

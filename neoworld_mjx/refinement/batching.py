@@ -14,6 +14,7 @@ from ..physics.engine import EarlyStop, Engine, Rollout, unmoved
 from ..physics.layout import Poses
 from ..physics.model import SceneModel
 from ..physics.scene_arrays import SceneArrays, pad_axis, pad_objects
+from ..physics.settling import settle
 
 TILE = 8192
 """Candidates that are drawn and scored at once, on accelerators."""
@@ -113,6 +114,38 @@ def roll_out(
         own = jax.tree.map(lambda x, k=k: x[k * pop : (k + 1) * pop], host)
         by_run.append(eqx.tree_at(lambda r: r.time, own, host.time))
     return by_run
+
+
+def settled(
+    scene: SceneModel,
+    poses: Sequence[Poses],
+    engine: Engine,
+    o: RefineOptions,
+    number: int,
+) -> list[Poses]:
+    """Let the first `number` placed candidates of several runs come to rest, all at once.
+
+    Args:
+        scene: the compiled scene.
+        poses: of each run's candidates, on the host, of padded objects too.
+        engine: what simulates them.
+        o: options of the rollouts.
+        number: candidates that come to rest; the others stay where they are.
+    """
+    real = len(scene.names)
+    together = jax.tree.map(lambda *x: np.concatenate([a[:number, :real] for a in x]), *poses)
+    ends = settle(scene, together, engine, o.rollout.duration_s)
+    by_run = []
+    for k, own in enumerate(poses):
+        rows = jax.tree.map(lambda x, k=k: x[k * number : (k + 1) * number], ends)
+        put = lambda whole, part: _put(np.array(whole), part.astype(whole.dtype))
+        by_run.append(jax.tree.map(put, own, rows))
+    return by_run
+
+
+def _put(whole: np.ndarray, part: np.ndarray) -> np.ndarray:
+    whole[: part.shape[0], : part.shape[1]] = part
+    return whole
 
 
 def pad_rollout(rollout: Rollout, scene: SceneArrays) -> Rollout:

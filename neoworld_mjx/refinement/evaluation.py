@@ -13,10 +13,16 @@ from ..config import RefineOptions
 from ..physics.engine import Engine, Rollout
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
-from ..physics.placed import placed, placed_in_chunks
+from ..physics.placed import (
+    Placed,
+    at_rest_in_chunks,
+    come_to_rest,
+    placed,
+    placed_in_chunks,
+)
 from ..physics.scene_arrays import SceneArrays
 from .algorithm import Problem, initial_state, open_problem
-from .batching import map_runs, pad_rollout, roll_out, take
+from .batching import map_runs, pad_rollout, roll_out, settled, take
 from .objective import Placement, Scores, evaluate, place
 from .outcome import Round
 from .pruning import RolloutPlan
@@ -39,14 +45,33 @@ class Evaluation(NamedTuple):
     began: float
 
     def place(
-        self, problems: Sequence[Problem], layouts: Sequence[Layout], number: int
+        self,
+        problems: Sequence[Problem],
+        layouts: Sequence[Layout],
+        number: int,
+        settles: Sequence[bool] = (),
     ) -> list[Placement]:
-        """Place the populations of several runs, of which only the first `number` will be used."""
+        """Place the populations of several runs, of which only the first `number` will be used.
+
+        Args:
+            problems: of the runs.
+            layouts: their populations.
+            number: candidates that will be used.
+            settles: whether each run's candidates come to rest; none do by default.
+        """
         began = time.perf_counter()
         if jax.default_backend() == "cpu":
             known = [placed_in_chunks(self.arrays, z, number) for z in layouts]
         else:
             known = map_runs(placed, self.arrays, [(z,) for z in layouts], self.tile)
+        self.clock["score"] += time.perf_counter() - began
+        settling = [k for k, flag in enumerate(settles) if flag]
+        if settling:
+            known = list(known)
+            some = [known[k] for k in settling]
+            for k, at in zip(settling, self._at_rest(some, number), strict=True):
+                known[k] = at
+        began = time.perf_counter()
         rows = [
             (z, problem.objective.bounded, at)
             for z, problem, at in zip(layouts, problems, known, strict=True)
@@ -54,6 +79,21 @@ class Evaluation(NamedTuple):
         placements = map_runs(place, self.arrays, rows, self.tile)
         self.clock["score"] += time.perf_counter() - began
         return placements
+
+    def _at_rest(self, known: Sequence[Placed], number: int) -> list[Placed]:
+        """Let the first `number` candidates of several runs come to rest, and look again."""
+        began = time.perf_counter()
+        poses = [at.poses for at in known]
+        ends = settled(self.scene, poses, self.engine, self.options, number)
+        self.clock["rollout"] += time.perf_counter() - began
+        began = time.perf_counter()
+        pairs = list(zip(poses, ends, strict=True))
+        if jax.default_backend() == "cpu":
+            rest = [at_rest_in_chunks(self.arrays, start, end, number) for start, end in pairs]
+        else:
+            rest = map_runs(come_to_rest, self.arrays, pairs, self.tile)
+        self.clock["score"] += time.perf_counter() - began
+        return rest
 
     def in_batches(
         self,
@@ -110,7 +150,7 @@ class Evaluation(NamedTuple):
         r = SearchResult(SearchRun(o, 0), start, problem, initial_state(problem, start))
         (scores,) = self.score([r], [(repeated(start, n), repeated(first, n))], [many])
         scores = take(scores, slice(1))
-        round_ = Round(take(repeated(start, 1), slice(1)), first.poses, scores)
+        round_ = Round(take(repeated(start, 1), slice(1)), first.poses, scores, np.zeros(1, bool))
         return round_.of_objects(len(self.scene.names)), soundness(first, scores, o)
 
     def roll_out(self, placements: Sequence[Placement], runs: int | None = None) -> list[Rollout]:

@@ -43,7 +43,16 @@ from .pruning import RolloutPlan
 from .rewards import Term
 from .scorer import SemanticScorer
 from .search_run import SearchResult, SearchRun, population_at, prunes
-from .soundness import ROOM, disagreeing, never_held, stages, start_line, widened
+from .soundness import (
+    ROOM,
+    disagreeing,
+    never_held,
+    reaching_out,
+    settles_now,
+    stages,
+    start_line,
+    widened,
+)
 
 PADDED = ("cem", "random")
 """Optimizers that take a padded scene."""
@@ -90,6 +99,8 @@ def search(
     evaluation = Evaluation(scene, arrays, engine, o, len(runs), tile, clock, began)
     keeps = not own_optimizer and scorer is None and photograph_decides(objective)
     results = _opened(evaluation, runs, terms, optimizer, keeps, progress)
+    for r in results:
+        r.settles = settles_now(r.run.options, 0, scorer)
     live = results
     for t in range(max(run.options.cem.iterations for run in runs)):
         live = [r for r in live if t < r.run.options.cem.iterations and not r.finished]
@@ -97,7 +108,9 @@ def search(
             break
         layouts = _propose(arrays, live, t, tile, clock)
         pop = population_at(o, t)
-        placements = evaluation.place([r.problem for r in live], layouts, pop)
+        placements = evaluation.place(
+            [r.problem for r in live], layouts, pop, [r.settles for r in live]
+        )
         layouts, placements = take((layouts, placements), slice(pop))
         plans = [_plan(r, placement, scorer) for r, placement in zip(live, placements, strict=True)]
         if scorer is None:
@@ -113,7 +126,9 @@ def search(
         ):
             r.state = state
             r.rollouts += plans[k].rolled_out
-            round_ = Round(layouts[k], placements[k].poses, scores[k]).of_objects(len(scene.names))
+            rests = np.full(pop, r.settles)
+            round_ = Round(layouts[k], placements[k].poses, scores[k], rests)
+            round_ = round_.of_objects(len(scene.names))
             r.rounds.append(round_ if keep else _finalists(round_, r.run.options))
             r.summaries.append(_summary(scores[k]))
             if progress is not None:
@@ -122,8 +137,12 @@ def search(
             r.finished = converged(r.problem, r.state)
             if r.finished and r.later is not None:
                 _follow_photo(arrays, r, terms, clock)
-            if not bool(r.state.seen_valid) and not own_optimizer:
-                _make_room(arrays, r, terms)
+            if not bool(r.state.seen_valid):
+                if not r.settles and settles_now(r.run.options, len(r.rounds), scorer):
+                    r.settles = True
+                    r.stage_began = r.judged_from = len(r.rounds)
+                elif not own_optimizer:
+                    _make_room(arrays, r, terms)
     clock["search"] = time.perf_counter() - began
     return results
 
@@ -185,9 +204,16 @@ def _opened(
 
 def _make_room(scene: SceneArrays, r: SearchResult, terms: Sequence[Term]) -> None:
     """Let more objects move where nothing was valid, or end a search that has no hope."""
-    r.falling = never_held([np.asarray(round_.scores.drift) for round_ in r.rounds])
-    if r.falling is not None and r.falling.any():
-        r.finished = True
+    since = r.rounds[r.judged_from :]
+    falling = never_held([np.asarray(round_.scores.drift) for round_ in since])
+    if falling is not None and falling.any():
+        on_support = np.asarray(scene.arrangement.snapped)[: len(falling)]
+        if r.reached_out or not (falling & on_support).any():
+            r.falling, r.finished = falling, True
+        else:
+            # Their support may be farther than they were looked for.
+            r.reached_out, r.judged_from = True, len(r.rounds)
+            r.state = reaching_out(r.state, r.problem.sigma, falling)
         return
     if len(r.rounds) - r.stage_began < ROOM or len(r.stages) < 2:
         return

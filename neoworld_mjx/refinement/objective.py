@@ -240,7 +240,8 @@ def still_rollout(scene: SceneArrays, layouts: Layout, records: int) -> Rollout:
         ),
     )
     none = jnp.zeros((*layouts.yaw.shape, layouts.yaw.shape[1]))
-    return measured_rollout(still, none, as_parsed(scene.photo, len(none)))
+    seen = as_parsed(scene.photo, len(none))
+    return measured_rollout(still, none, seen, jnp.zeros(layouts.yaw.shape))
 
 
 class Placement(eqx.Module):
@@ -257,6 +258,8 @@ class Placement(eqx.Module):
     """Upper bound of the reward under `fixed` normalisation; -inf where it is not finite."""
     box_error: Float[Either, "pop object"]
     """How far each object's box is off the photograph's, in units of the noise; see `semantic`."""
+    settled: Float[Either, "pop object"]
+    """Of `Placed`."""
 
 
 class Scores(eqx.Module):
@@ -296,7 +299,7 @@ def place(
         known: the candidates as `placed` has placed them, where it has.
     """
     at = placed(scene, layouts) if known is None else known
-    still = measured_rollout(unmoved(scene, at.poses), at.depth, at.visible)
+    still = measured_rollout(unmoved(scene, at.poses), at.depth, at.visible, at.settled)
     values, bounds = {}, {}
     for term in objective.terms:
         if term.bound == "exact":
@@ -311,7 +314,7 @@ def place(
     )
     upper = jnp.where(jnp.isfinite(upper), upper, -jnp.inf)
     error = box_error(scene, at.visible.outlines)
-    return Placement(at.poses, at.depth, at.visible, values, upper, error)
+    return Placement(at.poses, at.depth, at.visible, values, upper, error, at.settled)
 
 
 @eqx.filter_jit
@@ -331,7 +334,7 @@ def evaluate(
         rollout: their free fall.
         objective: terms and bounds.
     """
-    measured = measured_rollout(rollout, placement.depth, placement.visible)
+    measured = measured_rollout(rollout, placement.depth, placement.visible, placement.settled)
     values = {
         term.name: placement.values[term.name]
         if term.bound == "exact"
@@ -343,6 +346,7 @@ def evaluate(
     finite = jnp.isfinite(sum(value.value + value.charged for value in values.values()))
     alive &= finite
     drift = drift_by_object(scene, rollout, objective.distance, objective.angle)
+    drift = jnp.maximum(drift, placement.settled)
     deepest = jnp.max(deeper(placement.depth), axis=2)
     total = lambda part: sum(part(term, values[term.name].charged) for term in objective.terms)
     fidelity = sum(

@@ -7,16 +7,24 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import Bool
 
 from ..config import RefineOptions
 from ..measure import SceneMeasure, measured, passes, scene_checks
 from ..physics.exact import snap_exactly
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
+from ..physics.placed import settled_by
+from ..physics.settling import at_rest, moved
 from ..progress import update
-from ..spec import SceneSpec
+from ..spec import SceneSpec, world_poses
+from ..spec.pose import pose
 from .objective import Objective, Scores
 from .pruning import PRUNED
+
+RESTING = ((True, 0.5), (False, 1.0), (True, 0.5))
+"""What an object that has come to rest in a coarse rollout does until the exact check; see
+`at_rest`."""
 
 
 class Round(NamedTuple):
@@ -26,6 +34,8 @@ class Round(NamedTuple):
     poses: Poses
     """Where the candidates were placed."""
     scores: Scores
+    rests: Bool[np.ndarray, " pop"]
+    """Whether the poses are those at which the candidates came to rest."""
 
     def of_objects(self, count: int) -> "Round":
         """Leave padded objects out of the layouts and poses."""
@@ -34,7 +44,7 @@ class Round(NamedTuple):
         scores = eqx.tree_at(
             lambda s: (s.drift, s.depth), s, (s.drift[:, :count], s.depth[:, :count])
         )
-        return Round(own(self.layouts), own(self.poses), scores)
+        return Round(own(self.layouts), own(self.poses), scores, self.rests)
 
 
 @dataclass(frozen=True, repr=False)
@@ -107,6 +117,8 @@ class Chosen:
     measure: SceneMeasure
     tried: int
     passed: bool
+    moved_away: tuple[str, ...] = ()
+    """Objects that came to rest where the photograph does not show them; see `settled_by`."""
 
 
 def choose(
@@ -122,13 +134,13 @@ def choose(
         if not np.isfinite(absolute):
             break
         update(done=tried, of=o.finalists, unit="final check", rate=None, left_s=None)
-        layouts, poses, _ = rounds[t]
-        scene = snap_exactly(model.apply(layouts, k, poses))
+        scene, moved_away = finished(model, rounds[t], k)
         measure = measured(scene, o)
-        chosen = Chosen((t, k), scene, measure, tried, passes(measure, o))
+        passed = passes(measure, o) and not moved_away
+        chosen = Chosen((t, k), scene, measure, tried, passed, moved_away)
         if chosen.passed:
             return chosen
-        if fallback is None or _badness(measure, o) < _badness(fallback.measure, o):
+        if fallback is None or _badness(chosen, o) < _badness(fallback, o):
             fallback = chosen
     if fallback is None:
         # Every candidate failed in physics: the start is all there is.
@@ -138,6 +150,32 @@ def choose(
     return Chosen(
         fallback.index, fallback.scene, fallback.measure, min(o.finalists, len(order)), False
     )
+
+
+def finished(model: SceneModel, round_: Round, k: int) -> tuple[SceneSpec, tuple[str, ...]]:
+    """Describe a candidate as the final check takes it: set down exactly, or come to rest.
+
+    Returns:
+        The scene, and the objects that came to rest beyond the bounds of `settled_by`.
+    """
+    scene = model.apply(round_.layouts, k, round_.poses)
+    if not round_.rests[k]:
+        return snap_exactly(scene), ()
+    pos, quat = (np.asarray(x)[k].astype(float) for x in (round_.poses.pos, round_.poses.quat))
+    movable = np.flatnonzero(np.asarray(model.movable))
+    ends = {model.names[n]: pose(pos[n], quat[n] / np.linalg.norm(quat[n])) for n in movable}
+    rest = at_rest(moved(scene, ends), RESTING)
+    scale = np.exp(np.asarray(round_.layouts.log_scale)[k : k + 1])
+    start, end = (_world(at, scale) for at in (scene, rest))
+    far = settled_by(model, start, end, np)[0] > 1.0
+    return rest, tuple(model.names[n] for n in np.flatnonzero(far))
+
+
+def _world(scene: SceneSpec, scale: np.ndarray) -> Poses:
+    """Return where a scene's objects are, as poses of a single candidate."""
+    at = list(world_poses(scene).values())
+    pos, quat = (np.array([getattr(p, part) for p in at])[None] for part in ("pos", "quat"))
+    return Poses(pos, quat, scale, pos[..., 2])
 
 
 def ranked(rounds: list[Round]) -> list[tuple[tuple[int, int], float]]:
@@ -181,8 +219,9 @@ def iteration_summary(values: Mapping[str, np.ndarray], terms: Sequence[str]) ->
     return {"best": float(absolute[k]), "mean": float(absolute[finite].mean()), **share, **of_best}
 
 
-def _badness(measure: SceneMeasure, o: RefineOptions) -> float:
-    return sum(check.value / check.threshold for check in scene_checks(measure, o))
+def _badness(chosen: Chosen, o: RefineOptions) -> float:
+    checks = scene_checks(chosen.measure, o)
+    return sum(check.value / check.threshold for check in checks) + len(chosen.moved_away)
 
 
 def outcome(
@@ -223,12 +262,11 @@ def outcome(
     shift = np.linalg.norm(np.asarray(layout.xy[0])[moves], axis=-1)
     turn = np.degrees(np.abs(np.asarray(layout.yaw[0])[moves]))
     if not chosen.passed:
-        failed = "; ".join(
-            check.phrase() for check in scene_checks(chosen.measure, o) if not check.passed
-        )
+        failed = [c.phrase() for c in scene_checks(chosen.measure, o) if not c.passed]
+        failed += [f"{name} came to rest elsewhere" for name in chosen.moved_away]
         fallbacks += (
             f"no candidate passed the final check in {chosen.tried} tries; the least bad is kept: "
-            f"{failed}",
+            f"{'; '.join(failed)}",
         )
     if o.cem.prune and objective.unbounded:
         names = ", ".join(objective.unbounded)

@@ -67,7 +67,8 @@ def choose_and_return(
     before = chosen.measure if exact == chosen.scene else measured(exact, o)
     t, k = chosen.index
     layout = rounds[t].layouts[k : k + 1] if t >= 0 else origin
-    if o.semantic.scorer != "geometric" or not photograph_decides(objective):
+    rests = t >= 0 and bool(rounds[t].rests[k])
+    if rests or o.semantic.scorer != "geometric" or not photograph_decides(objective):
         return Winner(chosen, layout, before)
     return Winner(*return_moved(model, chosen, layout, origin, before, o), before)
 

@@ -95,14 +95,19 @@ class MeasuredRollout(Rollout):
     """Of `pair_depths`, at the placed poses [m]."""
     visible: Visible
     """What the camera sees of the placed candidates."""
+    settled: Float[Either, "pop object"]
+    """Of `Placed`."""
 
 
 def measured_rollout(
-    rollout: Rollout, depth: Float[Either, "pop object object"], visible: Visible
+    rollout: Rollout,
+    depth: Float[Either, "pop object object"],
+    visible: Visible,
+    settled: Float[Either, "pop object"],
 ) -> MeasuredRollout:
-    """Put the pair depths and visible boxes of the placed candidates beside their rollout."""
+    """Put what is known of the placed candidates beside their rollout; see `Placed`."""
     fields = {name: getattr(rollout, name) for name in Rollout.__dataclass_fields__}
-    return MeasuredRollout(**fields, depth=depth, visible=visible)
+    return MeasuredRollout(**fields, depth=depth, visible=visible, settled=settled)
 
 
 def deeper(depth: Float[Array, "pop object object"]) -> Float[Array, "pop object object"]:
@@ -147,6 +152,7 @@ class Drift(eqx.Module):
     def __call__(self, scene: SceneArrays, layouts: Layout, rollout: Rollout) -> TermValue:
         """Compute D_drift; see `d_drift`."""
         each = drift_by_object(scene, rollout, self.distance, self.angle)
+        each = jnp.maximum(each, _settled(rollout))
         charged = jnp.maximum(each - self.free, 0.0)
         return TermValue(jnp.sum(each, axis=1), jnp.sum(charged, axis=1), charged)
 
@@ -155,6 +161,10 @@ def no_drift(scene: SceneArrays, layouts: Layout, rollout: Rollout) -> TermValue
     """Bound D_drift from below before physics: nothing drifts."""
     zero = jnp.zeros(layouts.yaw.shape[:2])
     return TermValue(zero[:, 0], zero[:, 0], zero)
+
+
+def _settled(rollout: Rollout) -> Any:
+    return rollout.settled if isinstance(rollout, MeasuredRollout) else 0.0
 
 
 class Prior(eqx.Module):

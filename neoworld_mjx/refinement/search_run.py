@@ -43,8 +43,14 @@ class SearchResult:
     """Mask [object] of what may also move once the search has a valid candidate and converges."""
     stage_began: int = 0
     """Iteration in which the first of `stages` began."""
+    judged_from: int = 0
+    """Iteration from which on what falls in every candidate counts."""
+    reached_out: bool = False
+    """Whether what fell in every candidate was looked for farther away."""
     falling: np.ndarray | None = None
     """Mask [object] of what fell in every candidate, where that ended the search."""
+    settles: bool = False
+    """Whether candidates come to rest before they are judged."""
     finished: bool = False
 
 

@@ -25,10 +25,14 @@ from .objective import Placement, Scores
 
 AGREES = 3.0
 """Error of a box side, in units of the noise, up to which an object agrees with the photograph."""
+UNSETTLED = 1
+"""Iterations without a valid candidate after which candidates come to rest."""
 ROOM = 2
 """Iterations without a valid candidate after which more objects may move."""
 TRIED = 64
 """Candidates in all of which an object must fall for the search to be without hope."""
+FARTHER = 4.0
+"""Of the initial deviation of x and y, for objects that fell in every candidate."""
 FALLS = 2.0
 """Drift, in units of the stability bounds, of an object that nothing holds."""
 
@@ -101,6 +105,34 @@ def widened(state: SearchState, sigma: Layout) -> SearchState:
     keep = lambda old, new: np.where(np.asarray(old) > 0, old, new)
     std = on_device(jax.tree.map(keep, state.optimizer.std, sigma))
     return eqx.tree_at(lambda s: s.optimizer.std, state, std)
+
+
+def reaching_out(
+    state: SearchState, sigma: Layout, falling: Bool[np.ndarray, " object"]
+) -> SearchState:
+    """Look for objects that fell in every candidate FARTHER times as far away as at first.
+
+    Args:
+        state: of a search by CEM, or one whose optimizer has no deviations of its own.
+        sigma: initial deviations, pop axis of length 1.
+        falling: which they are.
+    """
+    if not isinstance(state.optimizer, CEMState):
+        return state
+    std = state.optimizer.std
+    padded = np.pad(falling, (0, sigma.yaw.shape[1] - len(falling)))
+    far = np.where(padded[None, :, None], FARTHER * np.asarray(sigma.xy), np.asarray(std.xy))
+    return eqx.tree_at(lambda s: s.optimizer.std.xy, state, on_device(far.astype(np.float32)))
+
+
+def settles_now(o: RefineOptions, iterations: int, scorer: object) -> bool:
+    """Tell whether candidates come to rest from now on, as nothing was valid so far.
+
+    Not where there is no simulation, nor where a model scores pictures of layouts.
+    """
+    if o.settle == "never" or scorer is not None or not o.rollout.duration_s:
+        return False
+    return o.settle == "always" or iterations >= UNSETTLED
 
 
 def never_held(

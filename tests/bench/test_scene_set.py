@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.bench.dataset.at_rest import moved
 from neoworld_mjx.bench.dataset.declaration import ROOMS, declarations, read_declaration
 from neoworld_mjx.bench.dataset.layout_errors import displaced, layout_errors
 from neoworld_mjx.bench.dataset.make_dataset import rounded
@@ -17,6 +16,7 @@ from neoworld_mjx.bench.dataset.truth_scene import truth_scene
 from neoworld_mjx.bench.photo_scenes import see
 from neoworld_mjx.compose import compose
 from neoworld_mjx.errors import SpecError
+from neoworld_mjx.physics.settling import moved
 from neoworld_mjx.spec import world_poses
 
 CHEAP = ("tents", "dominoes", "desk_drawers", "overhang_stack")

@@ -5,7 +5,12 @@ import pytest
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.exact import snap_exactly
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.scene_arrays import on_device
 from neoworld_mjx.refinement import refine
+from neoworld_mjx.refinement.algorithm import SearchState
+from neoworld_mjx.refinement.cem import CEMState
+from neoworld_mjx.refinement.soundness import FARTHER, reaching_out
 from neoworld_mjx.spec import Box, Box2D
 from tests.support import scenes
 from tests.support.scenes import on_table, single
@@ -112,3 +117,16 @@ def test_a_search_without_hope_ends_early_and_names_the_object():
 def test_both_rules_stop(stop_by):
     refined = refine(OVERLAPPING, options(stop_by=stop_by, stop_gain=10.0), engine="native")
     assert refined.iterations < 8
+
+
+def test_what_fell_in_every_candidate_is_looked_for_farther_away():
+    sigma = Layout.zero(1, 4)
+    sigma = Layout(sigma.xy + 0.01, sigma.yaw + 0.1, sigma.log_scale + 0.1)
+    nothing = on_device((np.int32(0), -np.inf, -np.inf, np.inf, False, np.int32(0)))
+    state = SearchState(CEMState(Layout.zero(1, 4), sigma), *nothing)
+    # The scene has three objects, padded to four.
+    far = reaching_out(state, sigma, np.array([False, True, False]))
+    np.testing.assert_allclose(
+        np.asarray(far.optimizer.std.xy)[0, :, 0], [0.01, 0.01 * FARTHER, 0.01, 0.01]
+    )
+    np.testing.assert_allclose(np.asarray(far.optimizer.std.yaw), 0.1)

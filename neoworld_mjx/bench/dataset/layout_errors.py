@@ -9,6 +9,8 @@ from ...spec import SceneObject, SceneSpec, bounds, world_poses
 from ...spec.pose import Pose, conjugate, quat_mul, yaw_of
 from ..refine_scenes import symmetry
 
+BALL = 0.03
+"""Difference of a ball's extents, over the largest."""
 MOST_TILT_DEG = 15.0
 MOST_HEIGHT, MOST_HEIGHT_M = 0.1, 0.01
 """Bounds of `displaced`; answers' sizes alone move a middle by a few percent of its height."""
@@ -49,7 +51,8 @@ def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
 
     Whatever has come to rest is stable, a toppled book as well; this tells the two apart. An object
     is displaced whose vertical axis is tilted by MOST_TILT_DEG from the truth's, or whose middle is
-    higher or lower than the truth's by MOST_HEIGHT of its diagonal and MOST_HEIGHT_M.
+    higher or lower than the truth's by MOST_HEIGHT of its diagonal and MOST_HEIGHT_M. A ball has no
+    axis.
     """
     ends, starts = world_poses(scene), world_poses(truth)
     names = []
@@ -59,6 +62,7 @@ def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
         end, start = ends[item.name], starts[item.name]
         up = [at.apply([0.0, 0.0, 1.0]) - at.pos for at in (end, start)]
         tilt = math.degrees(math.acos(float(np.clip(up[0] @ up[1], -1.0, 1.0))))
+        tilt = 0.0 if _is_ball(item) else tilt
         rise = abs(float((_middle(scene.object(item.name), end) - _middle(item, start))[2]))
         if tilt > MOST_TILT_DEG or rise > MOST_HEIGHT * _size(item) + MOST_HEIGHT_M:
             names.append(item.name)
@@ -68,6 +72,11 @@ def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
 def _middle(item: SceneObject, at: Pose) -> Float[np.ndarray, " 3"]:
     low, high = bounds(item.spec, item.joint_state)
     return at.apply((low + high) / 2)
+
+
+def _is_ball(item: SceneObject) -> bool:
+    sides = np.subtract(*bounds(item.spec)[::-1])
+    return symmetry(item) == 0 and float(np.ptp(sides)) < BALL * float(sides.max())
 
 
 def _size(item: SceneObject) -> float:

@@ -10,10 +10,10 @@ from ...config import RefineOptions
 from ...measure import SceneMeasure, measured, passes
 from ...physics.engine import Engine
 from ...physics.exact import snap_exactly
+from ...physics.settling import at_rest
 from ...refinement.scene_refinement import compile_for_search, refine
 from ...spec import SceneSpec
 from ..baselines import algorithm1, with_budget
-from .at_rest import at_rest
 
 DROP = ((False, 3.0),)
 """What `gravity` simulates: free motion, as in the final check, but longer."""
@@ -40,7 +40,7 @@ def ours(o: RefineOptions) -> RefineOptions:
 def gradient(o: RefineOptions) -> RefineOptions:
     """Return the options of gradient refinement alone: one iteration of two candidates."""
     cem = {"population": 2, "first": 0, "iterations": 1, "prune": False}
-    return o.model_copy(update={"cem": o.cem.model_copy(update=cem)})
+    return o.model_copy(update={"cem": o.cem.model_copy(update=cem), "settle": "never"})
 
 
 def no_simulation(o: RefineOptions) -> RefineOptions:

@@ -14,8 +14,8 @@ import numpy as np
 from ...config import RefineOptions
 from ...errors import NeoWorldError
 from ...measure import SceneCheck, measured, scene_checks
+from ...physics.settling import at_rest
 from ...spec import SceneObject, SceneSpec
-from .at_rest import at_rest
 from .declaration import ObjectDeclaration, SceneDeclaration, read_declaration
 from .truth_scene import truth_scene
 

@@ -1,0 +1,157 @@
+"""Letting things come to rest: they sink with drag, so that they neither bounce nor roll away.
+
+`settle` does so with whole populations on any engine, `at_rest` with one scene in C MuJoCo.
+"""
+
+import copy
+import dataclasses
+import math
+import weakref
+from collections.abc import Mapping, Sequence
+
+import jax
+import mujoco
+import numpy as np
+
+from ..spec import SceneObject, SceneSpec, support_frame, world_poses
+from ..spec.pose import Pose, angle_between, conjugate, from_yaw, pose, quat_mul, yaw_of
+from .engine import EarlyStop, Engine, RolloutStatus
+from .exact import start_state
+from .layout import Poses
+from .model import FREE, SceneModel, StaticScene
+
+FALL_M_S = 0.15
+"""Terminal speed where there is drag: things sink instead of falling."""
+REACH_M = 0.05
+"""Length by which drag on turning follows from that on sinking, in `at_rest`."""
+JOINT_DRAG = 1e6
+"""Drag of joints over that of the fall, in populations: they keep their positions."""
+LEVEL_DEG = 0.3
+"""Tilt below which an object counts as upright."""
+SINKING = EarlyStop(distance=1e3, angle=1e3, drift=1e3, tilt=1e3)
+"""Candidates end at rest, however far they have moved."""
+
+
+def settle(scene: SceneModel, poses: Poses, engine: Engine, duration: float) -> Poses:
+    """Let placed candidates come to rest against drag.
+
+    Joints keep their positions. A candidate that fails stays where it was placed.
+
+    Args:
+        scene: the compiled scene.
+        poses: where the candidates' objects are placed.
+        engine: what simulates them.
+        duration: simulated time [s].
+
+    Returns:
+        Where they are at the end, on the host; `height` is that of the start.
+    """
+    rollout = jax.device_get(
+        engine.rollout(
+            with_drag(scene), poses, duration=duration, record_every=duration, early_stop=SINKING
+        )
+    )
+    lost = np.isin(rollout.status, (int(RolloutStatus.FAILED), int(RolloutStatus.TRUNCATED)))
+    start: Poses = jax.tree.map(np.asarray, poses)
+    kept = lost[:, None, None]
+    return Poses(
+        np.where(kept, start.pos, rollout.pos[:, -1]),
+        np.where(kept, start.quat, rollout.quat[:, -1]),
+        start.scale,
+        start.height,
+    )
+
+
+def with_drag(scene: SceneModel) -> SceneModel:
+    """Return a scene in which drag lets free objects fall at FALL_M_S at most, and holds joints.
+
+    The drag grows with an object's weight, whatever its scale.
+    """
+    known = _dragged.get(scene.static)
+    if known is None:
+        known = _dragged[scene.static] = _static_with_drag(scene.static)
+    return dataclasses.replace(scene, static=known)
+
+
+_dragged: "weakref.WeakKeyDictionary[StaticScene, StaticScene]" = weakref.WeakKeyDictionary()
+
+
+def _static_with_drag(static: StaticScene) -> StaticScene:
+    model = copy.copy(static.mjm)
+    drag = _drag(model, static.characteristic_length)
+    of_free = model.jnt_type[model.dof_jntid] == FREE
+    model.dof_damping[:] = np.where(of_free, drag, JOINT_DRAG * drag)
+    turning = of_free & (np.arange(model.nv) - model.jnt_dofadr[model.dof_jntid] >= 3)
+    mass = static.powers.body_mass[model.body_rootid[model.dof_bodyid]]
+    power = mass + np.where(turning, 2.0, 0.0)
+    powers = static.powers._replace(dof_damping=power)
+    return dataclasses.replace(static, mjm=model, powers=powers)
+
+
+def _drag(model: mujoco.MjModel, length: np.ndarray) -> np.ndarray:
+    """Return the damping of each dof at which its object sinks at FALL_M_S."""
+    weight = model.body_subtreemass[model.body_rootid[model.dof_bodyid]]
+    gravity = float(np.linalg.norm(model.opt.gravity))
+    return weight * gravity / FALL_M_S * length**2
+
+
+def at_rest(scene: SceneSpec, phases: Sequence[tuple[bool, float]]) -> SceneSpec:
+    """Return a scene with every movable object where it comes to rest.
+
+    Args:
+        scene: the scene; joints move, but their values stay as they are written.
+        phases: one after the other: whether air drags, and how long it lasts [s].
+    """
+    model, data = start_state(scene)
+    plain, drag = model.dof_damping.copy(), model.dof_damping.copy()
+    for item in scene.objects:
+        if not item.static:
+            body = model.body(item.name)
+            weight = float(body.subtreemass[0]) * float(np.linalg.norm(scene.gravity)) / FALL_M_S
+            dofs = model.jnt_dofadr[int(body.jntadr[0])] + np.arange(6)
+            drag[dofs] = np.repeat([weight, weight * REACH_M**2], 3)
+    for dragging, seconds in phases:
+        model.dof_damping[:] = drag if dragging else plain
+        mujoco.mj_step(model, data, round(seconds / model.opt.timestep))
+    mujoco.mj_forward(model, data)
+    ends = {
+        item.name: pose(data.body(item.name).xpos.copy(), data.body(item.name).xquat.copy())
+        for item in scene.objects
+        if not item.static
+    }
+    return moved(scene, ends)
+
+
+def moved(scene: SceneSpec, ends: Mapping[str, Pose]) -> SceneSpec:
+    """Return a scene with objects at other poses in the world; the others go with their parents."""
+    starts = world_poses(scene)
+    placed = dict(starts)
+    objects: list[SceneObject] = []
+    for item in scene.objects:
+        frame, before = pose(), pose()
+        if item.parent is not None:
+            parent = scene.object(item.parent)
+            frame = support_frame(parent, placed[item.parent], item.parent_link)
+            before = support_frame(parent, starts[item.parent], item.parent_link)
+        end = ends.get(item.name, frame.then(before.inverse().then(starts[item.name])))
+        placed[item.name] = end
+        objects.append(_placed(item, frame.inverse().then(end)) if item.name in ends else item)
+    return scene.model_copy(update={"objects": tuple(objects)})
+
+
+def _placed(item: SceneObject, at: Pose) -> SceneObject:
+    """Return an object at a pose in its parent's frame: yaw, and the tilt before it."""
+    turn = yaw_of(quat_mul(at.quat, conjugate(quat_mul(from_yaw(item.yaw), item.base_tilt))))
+    yaw = math.remainder(item.yaw + turn, 2 * math.pi)
+    tilt = quat_mul(conjugate(from_yaw(yaw)), at.quat)
+    tilt = tilt / np.linalg.norm(tilt) * (1.0 if tilt[0] >= 0 else -1.0)
+    if math.degrees(angle_between(np.array([1.0, 0.0, 0.0, 0.0]), tilt)) < LEVEL_DEG:
+        tilt = np.array([1.0, 0.0, 0.0, 0.0])
+    return item.model_copy(
+        update={
+            "xy": tuple(at.pos[:2].tolist()),
+            "z": float(at.pos[2]),
+            "yaw": yaw,
+            "base_tilt": tuple(tilt.tolist()),
+        }
+    )
