@@ -87,7 +87,7 @@ def row_of_search(case: Case, model: SceneModel, result: SearchResult, winner: W
     t, k = chosen.index
     values = None
     if t >= 0:
-        _, _, scores = result.rounds[t]
+        scores = result.rounds[t].scores
         values = {name: x[k] for name, x in scores.terms.items()}
         values |= {"valid": scores.valid[k], "absolute": scores.absolute[k]}
     terms = _winner(values, [term.name for term in result.problem.objective.terms])
