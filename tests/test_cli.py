@@ -12,11 +12,14 @@ from PIL import Image
 
 from neoworld_mjx import cli
 from neoworld_mjx.commands.doctor_command import NEEDS, DoctorCommand
+from neoworld_mjx.commands.listing_lines import bench_lines, doctor_lines
 from neoworld_mjx.commands.object_commands import CheckCommand
 from neoworld_mjx.config import Config, list_options
 from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.mllm import PROVIDERS
+from neoworld_mjx.pipeline.bundled_examples import bundled_examples
 from neoworld_mjx.run_folder import RunFolder
+from neoworld_mjx.templates import templates
 
 
 class Ended(NamedTuple):
@@ -262,7 +265,7 @@ def test_names_move_no_text_on_the_terminal(monkeypatch, capsys):
 
 def test_a_scene_that_fails_exits_1(monkeypatch):
     monkeypatch.setattr(DoctorCommand, "run", lambda _: {"passed": False})
-    assert cli.run(DoctorCommand(quiet=True)) == 1
+    assert cli.run(DoctorCommand(quiet=True, json=True)) == 1
 
 
 def test_doctor_lists_what_is_installed_and_shows_no_key(neoworld, tmp_path, monkeypatch):
@@ -287,8 +290,40 @@ def test_doctor_lists_what_is_installed_and_shows_no_key(neoworld, tmp_path, mon
 def test_doctor_names_extras_that_exist(need):
     extras = tomllib.loads(Path("pyproject.toml").read_text())["project"]["optional-dependencies"]
     assert isinstance(need.present(), bool)
-    for name in re.findall(r"neoworld-mjx\[(\w+)\]", need.mend):
-        assert name in extras
+    assert "pip install" not in need.mend, "the package is on no index"
+    named = re.findall(r"--extra (\w+)", need.mend)
+    assert named == [need.what.split()[-1]] or not need.what.startswith("extra ")
+    assert set(named) <= extras.keys()
+
+
+def test_commands_that_list_things_say_them_in_few_lines(neoworld, tmp_path):
+    said = neoworld("doctor").stdout.splitlines()
+    assert "Python 3" in said[0] and said[1].startswith("engines: ") and "native" in said[1]
+    assert len(said) <= 3 + 2 * len(NEEDS) and all(len(line) < 160 for line in said)
+    said = neoworld("template").stdout.splitlines()
+    assert said[0] == f"{len(templates())} templates:" and len(said) < 20
+    listed = " ".join(said[1:-1]).replace(" ", "").split(",")
+    assert listed == list(templates())
+    program = tmp_path / "chest.py"
+    said = neoworld("template", "drawer_cabinet", "--out", program).stdout
+    assert "drawers 3 (2 to 5)" in said and f"next: neoworld view {program}" in said
+    assert len(said.splitlines()) <= 6
+    said = neoworld("examples").stdout.splitlines()
+    assert [line.split(":")[0] for line in said] == [*bundled_examples(), "next"]
+
+
+def test_what_doctor_installed_is_one_line():
+    installed = {"installed": "blender", "folder": "cache/blender"}
+    assert doctor_lines(installed) == ["installed: blender in cache/blender"]
+
+
+def test_a_benchmark_says_its_numbers_without_its_rows():
+    rows = [{"objects": 3, "ms": 0.1}] * 4
+    answer = {"suite": "kernels", "command": "x", "machine": {"cores": 2}, "rows": rows}
+    said = bench_lines(answer | {"mean": 1.23456, "valid": True, "worst": {"name": "cup"}})
+    assert said[0] == "kernels: 4 rows"
+    assert said[1] == "  mean 1.235, valid yes, worst name cup"
+    assert len(said) == 3
 
 
 def test_the_version_is_that_of_the_package(neoworld):

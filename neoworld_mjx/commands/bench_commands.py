@@ -11,6 +11,7 @@ from tyro.conf import Positional, subcommand
 
 from ..bench.suites import SUITES, Suite
 from .base_command import Answer, Command, ConfiguredCommand
+from .listing_lines import bench_lines
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,9 +161,9 @@ class BenchCommand:
         """See Command."""
         return self.inner.verbose
 
-    def lines(self, answer: Answer) -> None:
-        """Print all of a benchmark's answer."""
-        return
+    def lines(self, answer: Answer) -> list[str]:
+        """Return the answer in few lines."""
+        return bench_lines(answer)
 
     def run(self) -> Answer:
         """Run the suite, or draw the chart."""

@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 
 from ..errors import NeoWorldError
 from .base_command import Answer, Command
+from .listing_lines import doctor_lines
 
 _KEYS = ("ANTHROPIC_API_KEY", "OPENAI_API_KEY")
 
@@ -61,27 +62,27 @@ NEEDS = (
     Need(
         *("JAX on the GPU", _gpu_seen),
         "the engine mjx runs on the CPU, hundreds of times slower",
-        "pip install 'neoworld-mjx[cuda]'",
+        "uv sync --inexact --extra cuda",
     ),
     Need(
         *("extra warp", lambda: _installed("warp")() and _installed("mujoco_warp")()),
         "no engine warp, the fastest on NVIDIA GPUs for large populations",
-        "pip install 'neoworld-mjx[warp]'",
+        "uv sync --inexact --extra warp",
     ),
     Need(
         *("extra openai", _installed("openai")),
         "no provider openai, nor servers that speak its protocol",
-        "pip install 'neoworld-mjx[openai]'",
+        "uv sync --inexact --extra openai",
     ),
     Need(
         *("extra baselines", _installed("evosax")),
         "no refine.optimizer cma_es",
-        "pip install 'neoworld-mjx[baselines]'",
+        "uv sync --inexact --extra baselines",
     ),
     Need(
         *("extra plot", _installed("matplotlib")),
         "sweeps end without a figure",
-        "pip install 'neoworld-mjx[plot]'",
+        "uv sync --inexact --extra plot",
     ),
     Need(
         *("Blender (bpy)", _blender),
@@ -135,6 +136,10 @@ class DoctorCommand(Command):
             ],
             "versions": versions(),
         }
+
+    def lines(self, answer: Answer) -> list[str]:
+        """Return the answer in few lines."""
+        return doctor_lines(answer)
 
 
 def _engine(name: str) -> str:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from .base_command import Answer, Command
+from .listing_lines import example_lines
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,3 +19,7 @@ class ExamplesCommand(Command):
             for name, example in bundled_examples().items()
         ]
         return {"examples": examples}
+
+    def lines(self, answer: Answer) -> list[str]:
+        """Return the answer in few lines."""
+        return example_lines(answer)

@@ -7,6 +7,7 @@ from tyro.conf import Positional, UseAppendAction
 
 from ..errors import RunError, SpecError
 from .base_command import Answer, Command
+from .listing_lines import template_lines
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +61,10 @@ class TemplateCommand(Command):
             **written,
             "parameters": parameters,
         }
+
+    def lines(self, answer: Answer) -> list[str]:
+        """Return the answer in few lines."""
+        return template_lines(answer)
 
 
 def _number(text: str) -> float | str:

@@ -1,4 +1,4 @@
-"""Poses and joint states that a person gave, laid over a composed scene.
+"""Poses, boxes and joint states that a person gave, laid over a composed scene.
 
 The patch lies in the run folder beside the files of the steps. Composition applies it last, so it
 holds whatever is programmed, fitted or composed again.
@@ -11,7 +11,7 @@ from pydantic import Field
 from ..errors import SpecError
 from ..files import write_atomic
 from ..reading import read_model
-from ..spec import JointKey, Name, Number, SceneSpec, Spec, joint_keys
+from ..spec import Box2D, JointKey, Name, Number, SceneSpec, Spec, joint_keys
 from .compose import snap
 
 LAYOUT_PATCH = "layout.patch.json"
@@ -25,6 +25,8 @@ class ObjectPlacement(Spec):
     """Position in the parent's frame [m]."""
     yaw: Number | None = None
     """Heading in the parent's frame [rad]."""
+    box2d: Box2D | None = None
+    """Its box in the photograph [px]."""
     joint_state: dict[JointKey, Number] = Field(default_factory=dict)
     """Joint values [rad or m]; joints not named stay."""
 
@@ -76,6 +78,7 @@ def apply_layout(
             obj.model_copy(
                 update={
                     "xy": placement.xy or obj.xy,
+                    "box2d": placement.box2d or obj.box2d,
                     "yaw": obj.yaw if placement.yaw is None else placement.yaw,
                     "joint_state": obj.joint_state | state,
                 }

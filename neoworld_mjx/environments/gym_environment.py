@@ -21,7 +21,7 @@ try:
     from gymnasium import spaces
 except ImportError:
     raise EngineError(
-        "gym_env needs the extra gym (gymnasium is missing): pip install 'neoworld-mjx[gym]'"
+        "gym_env needs the extra gym (gymnasium is missing): uv sync --inexact --extra gym"
     ) from None
 
 Observation = dict[str, NDArray]

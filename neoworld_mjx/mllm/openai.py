@@ -39,7 +39,7 @@ class OpenAI(ServerProvider):
             self._sdk: Any = importlib.import_module("openai")
         except ModuleNotFoundError:
             raise ModelError(
-                "provider openai needs its extra: pip install 'neoworld-mjx[openai]'"
+                "provider openai needs its extra: uv sync --inexact --extra openai"
             ) from None
         super().__init__(options)
 

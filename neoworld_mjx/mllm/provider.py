@@ -134,7 +134,7 @@ def _ways_on(openai_key: bool, options: MLLMOptions) -> str:
     lines = [
         "no key in the environment and no tape for this photo. Ways to go on:",
         "  - set ANTHROPIC_API_KEY",
-        "  - set OPENAI_API_KEY, install the extra (pip install 'neoworld-mjx[openai]') and name "
+        "  - set OPENAI_API_KEY, install the extra (uv sync --inexact --extra openai) and name "
         "its models in the config (mllm.reasoner.model, ...)",
         "  - run a local model: --provider anthropic or openai with mllm.base_url in the config",
         "  - answer yourself: --provider mailbox",

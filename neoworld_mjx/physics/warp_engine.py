@@ -248,8 +248,8 @@ def warp_device(device: str | None = None) -> Any:
     missing = [name for name in ("warp", "mujoco_warp") if importlib.util.find_spec(name) is None]
     if missing:
         raise EngineError(
-            f"engine warp needs its extra ({missing[0]} is missing): pip install "
-            "'neoworld-mjx[warp]', or take --engine native"
+            f"engine warp needs its extra ({missing[0]} is missing): "
+            "uv sync --inexact --extra warp, or take --engine native"
         )
     if device is None and not _driver():
         raise EngineError(

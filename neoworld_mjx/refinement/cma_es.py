@@ -96,7 +96,7 @@ def open_cma_es(scene: SceneArrays, options: CEMOptions) -> CMAES:
         import evosax  # noqa: F401
     except ImportError:
         raise EngineError(
-            "refine.optimizer: cma_es needs evosax: install neoworld-mjx[baselines]"
+            "refine.optimizer: cma_es needs evosax: uv sync --inexact --extra baselines"
         ) from None
     sigma = initial_sigma(scene, options)
     free = np.flatnonzero(np.asarray(_flat(sigma))[0] > 0)

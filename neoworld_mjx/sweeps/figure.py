@@ -50,7 +50,7 @@ def draw(rows: Sequence[Row], axes: Sequence[str]) -> str | None:
     try:
         import matplotlib
     except ImportError:
-        _log.info("no figure: pip install 'neoworld-mjx[plot]' draws one")
+        _log.info("no figure: uv sync --inexact --extra plot draws one")
         return None
     from matplotlib.figure import Figure
 

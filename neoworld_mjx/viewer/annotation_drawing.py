@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..pipeline.annotation import AnnotatedObject, Annotation, annotated_tree
+from ..pipeline.annotation import Annotation, annotated_tree
 from ..render.part_meshes import RGB
-from ..spec import Camera
+from ..spec import Box2D, Camera
 from ..spec.pose import from_matrix
 from .scene_page import NEAR_M
 
@@ -65,9 +65,10 @@ def draw_boxes(server: Any, annotation: Annotation, chosen: str) -> str:
         SpecError: the boxes give no scene; those in the picture are drawn.
     """
     with server.atomic():
-        server.scene.remove_by_name("/boxes")
+        hide_boxes(server)
         for obj in annotation.objects:
-            _draw_box(server, annotation.camera, obj, CHOSEN if obj.name == chosen else OTHER)
+            colour = CHOSEN if obj.name == chosen else OTHER
+            draw_box(server, annotation.camera, obj.name, obj.box, colour)
         if not annotation.objects:
             return ""
         tree = annotated_tree(annotation)
@@ -116,13 +117,19 @@ def pixel_of(view: Any, camera: Camera, at: tuple[float, float]) -> NDArray:
     return np.clip(size / 2 + offset, 0.0, size)
 
 
-def _draw_box(server: Any, camera: Camera, obj: AnnotatedObject, rgb: RGB) -> None:
-    x0, y0, x1, y1 = obj.box.as_tuple()
+def draw_box(server: Any, camera: Camera, name: str, box: Box2D, rgb: RGB) -> None:
+    """Draw an object's box in the photograph, just in front of its camera."""
+    x0, y0, x1, y1 = box.as_tuple()
     rays = camera.rays(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]))
     depth = rays @ camera.axes()[:, 2]
     points = camera.position() + rays * (NEAR_M / depth)[:, None]
     lines = np.stack([points[:-1], points[1:]], axis=1)
-    _add_lines(server, f"/boxes/{obj.name}", lines, rgb, 3)
+    _add_lines(server, f"/boxes/{name}", lines, rgb, 3)
+
+
+def hide_boxes(server: Any) -> None:
+    """Take all boxes away."""
+    server.scene.remove_by_name("/boxes")
 
 
 def _add_lines(server: Any, name: str, lines: NDArray, rgb: Any, thickness: float) -> None:

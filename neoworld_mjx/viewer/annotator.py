@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from ..config import Config
@@ -20,17 +19,17 @@ from ..pipeline.annotation import GROUND, KEPT, MODEL, PLAIN, AnnotatedObject, A
 from ..program.materials import MATERIALS
 from ..spec import Box2D, Camera, PartState, read_scene
 from ..templates import templates
-from .annotation_drawing import draw_boxes, draw_grid, draw_photo, pixel_of
+from .annotation_drawing import draw_boxes, draw_grid, draw_photo
 from .annotation_edits import object_of, with_box, with_change, without
 from .line_picker import LinePicker
 from .object_facts import told
 from .page_log import Tell, work
+from .rectangle_picker import RectanglePicker
 from .scene_page import ScenePage, look_through
 from .view_target import shown_picture
 
 FOVY_DEG, PITCH_DEG, HEIGHT_M = 45.0, 35.0, 0.6
 """The camera that an empty page begins with."""
-LEAST_PX = 2
 MOVES = ("revolute", "prismatic", "continuous")
 GROUNDS = ("table top", "floor", "counter", "ground")
 NEW = "new object"
@@ -75,7 +74,7 @@ class Annotator:
         self._picture = shown_picture(load_photo(photo, config.parse.max_side_px).rgb)
         self._page = ScenePage(server, lambda _: None)
         self._chosen = ""
-        self._drawing = False
+        self._rectangle = RectanglePicker(server, lambda: self.annotation.camera, self._set_box)
         self._editing, self._busy = threading.Lock(), threading.Lock()
         server.scene.set_up_direction("+z")
         server.scene.configure_environment_map(None)
@@ -213,27 +212,17 @@ class Annotator:
     def _begin_box(self, client: Any) -> None:
         """Let the next rectangle that is dragged on the photograph be the object's box."""
         with self._editing:
-            look_through(client, self.annotation.camera)
             self._said.content = told("Drag a rectangle around all that is seen of the object.")
-            if self._drawing:
-                return
-            self._drawing = True
+            self._rectangle.begin(client)
 
-        @self._server.scene.on_rect_select()
-        def drawn(event: Any) -> None:
-            with self._editing:
-                self._server.scene.remove_rect_select_callback(drawn)
-                self._drawing = False
-                view, camera = event.client.camera, self.annotation.camera
-                low = pixel_of(view, camera, event.screen_min)
-                self._set_box(low, pixel_of(view, camera, event.screen_max))
+    def _set_box(self, box: Box2D | None) -> None:
+        with self._editing:
+            self._take_box(box)
 
-    def _set_box(self, low: NDArray, high: NDArray) -> None:
-        if (np.asarray(high) - low < LEAST_PX).any():
+    def _take_box(self, box: Box2D | None) -> None:
+        if box is None:
             self._said.content = told("That box is too small: draw it again.", bad=True)
             return
-        x0, y0, x1, y1 = (round(float(v), 1) for v in (*low, *high))
-        box = Box2D(x0=x0, y0=y0, x1=x1, y1=y1)
         if self._chosen:
             self._change({"box": box})
             self._choose(self._chosen)

@@ -35,7 +35,7 @@ def open_server(label: str, *, host: str = LOCAL, port: int | None = None) -> An
     except ImportError:
         raise RunError(
             "viser is not installed: install the extra `viewer`, such as by "
-            "`uv sync --extra viewer`, or `pip install viser`"
+            "`uv sync --inexact --extra viewer`, or `pip install viser`"
         ) from None
 
     class LocalServer(viser.ViserServer):

@@ -1,6 +1,7 @@
 """The search on the page: the population of an iteration as ghosts, and terms by iteration."""
 
-from collections.abc import Mapping
+import threading
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -8,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compose.compose import snap
-from ..errors import RunError
+from ..errors import NeoWorldError, RunError
 from ..physics.layout import Layout, arrange, compose_poses
 from ..physics.scene_arrays import snapped_heights
 from ..render.part_meshes import visible_meshes
@@ -90,6 +91,46 @@ def show_ghosts(server: Any, scene: SceneSpec, history: History, iteration: int)
 def hide_ghosts(server: Any) -> None:
     """Take the ghosts away."""
     server.scene.remove_by_name("/ghosts")
+
+
+class Ghosts:
+    """The ghosts on a page: what was asked last is shown, however fast controls are moved."""
+
+    def __init__(self, server: Any, tell: Callable[[str], None]):
+        """Begin without ghosts.
+
+        Args:
+            server: of viser.
+            tell: shows a line.
+        """
+        self._server, self._tell = server, tell
+        self._lock = threading.Lock()
+        self._wanted = self._shown = 0
+
+    def show(self, scene: SceneSpec, history: History | None, iteration: int) -> None:
+        """Show the population of an iteration, from 1; 0 shows none."""
+        self._wanted = iteration
+        with self._lock:
+            wanted = self._wanted
+            if wanted == self._shown:
+                return
+            self._shown = wanted
+            hide_ghosts(self._server)
+            if not wanted or history is None:
+                return
+            wanted = min(wanted, len(history["absolute"]))
+            try:
+                count = show_ghosts(self._server, scene, history, wanted - 1)
+            except NeoWorldError as error:
+                self._tell(str(error))
+                return
+            self._tell(f"iteration {wanted}: the best {count} candidates that were rolled out")
+
+    def forget(self) -> None:
+        """Take ghosts away: they are of a search that is no longer the last."""
+        with self._lock:
+            self._wanted = self._shown = 0
+            hide_ghosts(self._server)
 
 
 def term_chart(server: Any, history: History) -> Any:

@@ -6,7 +6,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..compose.layout_patch import LayoutPatch, ObjectPlacement
-from ..spec import JointSpec, SceneObject, SceneSpec, joint_keys, support_frame, world_poses
+from ..spec import (
+    Box2D,
+    JointSpec,
+    SceneObject,
+    SceneSpec,
+    joint_keys,
+    support_frame,
+    world_poses,
+)
 from ..spec.pose import Pose, from_yaw, pose, yaw_of
 
 FREE_RANGE = math.pi
@@ -45,6 +53,11 @@ class SceneEditor:
         obj = self.scene.object(name)
         self._replace(obj.model_copy(update={"joint_state": obj.joint_state | {key: value}}))
         self.patch = self.patch.merged(name, ObjectPlacement(joint_state={key: value}))
+
+    def set_box(self, name: str, box: Box2D) -> None:
+        """Set an object's box in the photograph, which the search compares it with."""
+        self._replace(self.scene.object(name).model_copy(update={"box2d": box}))
+        self.patch = self.patch.merged(name, ObjectPlacement(box2d=box))
 
     def snap(self) -> None:
         """Set every object down on what is under it."""

@@ -3,7 +3,6 @@
 import logging
 import math
 import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +14,16 @@ from ..errors import NeoWorldError
 from ..files import write_atomic
 from ..pipeline import Result, rebuild, search_again
 from ..program import build
+from ..spec import Box2D
 from ..verify.patched import read_program
+from .annotation_drawing import CHOSEN, draw_box, hide_boxes
 from .free_fall import FreeFall
+from .joint_sliders import JointSliders
 from .object_facts import crop_of, facts, signals_of, told
 from .page_log import Tell, work
-from .scene_editor import SceneEditor, joint_range, sliding_keys
+from .population import Ghosts, term_chart
+from .rectangle_picker import RectanglePicker
+from .scene_editor import SceneEditor
 from .scene_page import ScenePage, bounds_of, look_at, look_through, part_poses
 from .view_target import ViewTarget, open_target
 
@@ -41,14 +45,16 @@ class SceneViewer:
             config: options of programs, and of the search of a scene without a run.
         """
         self._server, self._path, self._config = server, path, config
-        self._busy = threading.Lock()
+        self._busy, self._drawing = threading.Lock(), threading.Lock()
         self._target = target
         self._stage = ScenePage(server, self.pick)
         self._fall: FreeFall | None = None
         self._handle: Any = None
-        self._joint_sliders: list[Any] = []
         self._chart: Any = None
         self._picked = ""
+        self._rectangle = RectanglePicker(
+            server, lambda: self._target.after.camera, self._set_photo_box
+        )
         server.scene.set_up_direction("+z")
         server.scene.configure_environment_map(None)
         server.scene.configure_default_lights(cast_shadow=False)  # Shadows draw all of it again.
@@ -86,7 +92,7 @@ class SceneViewer:
             self._towards = gui.add_slider("Push towards, deg", -180, 180, 5, 0)
             gui.add_button("Push the object picked").on_click(lambda _: self._push())
         self._status = gui.add_html("")
-        self._joints = gui.add_folder("Joints")
+        self._joints = JointSliders(self._server, gui.add_folder("Joints"), self._move_joint)
 
     def _build_object_tab(self) -> None:
         gui = self._server.gui
@@ -95,6 +101,8 @@ class SceneViewer:
         self._chooser.on_update(lambda _: self.pick(self._chooser.value))
         self._drag = gui.add_checkbox("Drag it", False)
         self._drag.on_update(lambda _: self._toggle_drag())
+        self._box = gui.add_button("Draw its box in the photograph")
+        self._box.on_click(lambda event: self._begin_box(event.client))
         self._facts = gui.add_html(told("Click an object, or choose one."))
         self._crop = gui.add_image(np.zeros((1, 1, 3), np.uint8), label="In the photograph")
         self._crop.visible = False
@@ -105,13 +113,14 @@ class SceneViewer:
 
     def _build_search_tab(self) -> None:
         gui = self._server.gui
-        self._ghosts = gui.add_checkbox("Population as ghosts", False)
+        self._ghosts_on = gui.add_checkbox("Population as ghosts", False)
         self._iteration = gui.add_slider("Iteration", 1, 2, 1, 1)
-        for control in (self._ghosts, self._iteration):
+        for control in (self._ghosts_on, self._iteration):
             control.on_update(lambda _: self._show_ghosts())
         gui.add_button(SEARCH).on_click(lambda _: self._search())
         gui.add_button("Take back what I moved").on_click(lambda _: self._take_back())
         self._log = gui.add_html("")
+        self._ghosts = Ghosts(self._server, lambda line: setattr(self._log, "content", told(line)))
         self._charts = gui.add_folder("Rewards")
 
     # What is shown.
@@ -126,8 +135,10 @@ class SceneViewer:
         self._when.visible = target.before is not None
         self._blend.visible = target.picture is not None and target.after.camera is not None
         self._home.visible = target.after.camera is not None
+        self._box.visible = self._blend.visible
+        self._ghosts.forget()
         self._when.value = "after"
-        self._list_joints()
+        self._joints.show(self._editor.scene)
         self._load_history()
         self._show_colliders()
         names = [obj.name for obj in target.after.objects]
@@ -141,11 +152,9 @@ class SceneViewer:
         if self._chart is not None:
             self._chart.remove()
             self._chart = None
-        for control in (self._ghosts, self._iteration):
+        for control in (self._ghosts_on, self._iteration):
             control.visible = history is not None
         if history is not None:
-            from .population import term_chart
-
             rounds = len(history["absolute"])
             self._iteration.max = max(rounds, 2)
             self._iteration.value = rounds
@@ -170,7 +179,7 @@ class SceneViewer:
         before = when == "before" and target.before is not None
         self._editor.scene = target.before if before and target.before else target.after
         self._stage.show(self._editor.scene)
-        self._list_joints()
+        self._joints.show(self._editor.scene)
         self._show_colliders()
         self._show_contacts()
 
@@ -178,13 +187,15 @@ class SceneViewer:
         camera, picture = self._target.after.camera, self._target.picture
         if camera is not None and picture is not None:
             self._stage.blend(camera, picture, self._blend.value)
+            self._show_photo_box()
 
     def _show_colliders(self) -> None:
-        self._stage.show_visible(not self._colliders.value)
-        if self._colliders.value:
-            self._stage.show_pieces()
-        else:
-            self._stage.hide_pieces()
+        with self._drawing:  # The last one of several clicks wins.
+            self._stage.show_visible(not self._colliders.value)
+            if self._colliders.value:
+                self._stage.show_pieces()
+            else:
+                self._stage.hide_pieces()
 
     def _toggle_contacts(self) -> None:
         self._stage.see_through(self._contacts.value)
@@ -210,32 +221,10 @@ class SceneViewer:
             )
             self._status.content = told(said)
 
-    def _list_joints(self) -> None:
-        for slider in self._joint_sliders:
-            slider.remove()
-        self._joint_sliders = []
-        with self._joints:
-            for obj in self._editor.scene.objects:
-                for joint, key in sliding_keys(obj):
-                    factor, unit = (
-                        (1000.0, "mm") if joint.type == "prismatic" else (57.29578, "deg")
-                    )
-                    low, high = (factor * v for v in joint_range(joint))
-                    now = min(max(factor * obj.joint_state.get(key, 0.0), low), high)
-                    slider = self._server.gui.add_slider(
-                        f"{obj.name} {key}, {unit}", low, high, (high - low) / 200, now
-                    )
-                    slider.on_update(self._moving(slider, obj.name, key, factor))
-                    self._joint_sliders.append(slider)
-        self._joints.visible = bool(self._joint_sliders)
-
-    def _moving(self, slider: Any, name: str, key: str, factor: float) -> Callable[[Any], None]:
-        def move(_: Any) -> None:
-            self._drop_fall()
-            self._editor.set_joint(name, key, slider.value / factor)
-            self._stage.pose(part_poses(self._editor.scene))
-
-        return move
+    def _move_joint(self, name: str, key: str, value: float) -> None:
+        self._drop_fall()
+        self._editor.set_joint(name, key, value)
+        self._stage.pose(part_poses(self._editor.scene))
 
     # Free fall.
 
@@ -305,6 +294,7 @@ class SceneViewer:
         self._text.visible = self._build.visible = program is not None
         self._text.value = "" if program is None else read_program(program)
         self._signals.content = ""
+        self._show_photo_box()
         self._show_handle()
 
     def _toggle_drag(self) -> None:
@@ -341,6 +331,32 @@ class SceneViewer:
             self._editor.snap()
         self._stage.pose(part_poses(self._editor.scene))
 
+    def _begin_box(self, client: Any) -> None:
+        if not self._picked:
+            self._facts.content = told("Pick an object first: click it, or choose it.")
+            return
+        self._blend.value = max(self._blend.value, 0.6)
+        self._show_photo()
+        self._signals.content = told(f"Drag a rectangle around all that is seen of {self._picked}.")
+        self._rectangle.begin(client)
+
+    def _set_photo_box(self, box: Box2D | None) -> None:
+        if box is None or not self._picked:
+            self._signals.content = told("That box is too small: draw it again.", bad=True)
+            return
+        self._editor.set_box(self._picked, box)
+        self._show_photo_box()
+        self._signals.content = told(f"The search follows this box: {SEARCH}, on its tab.")
+
+    def _show_photo_box(self) -> None:
+        """Show the box of the object picked while the photograph is shown."""
+        camera = self._editor.scene.camera
+        obj = next((o for o in self._editor.scene.objects if o.name == self._picked), None)
+        shown = obj is not None and self._blend.visible and self._blend.value > 0
+        hide_boxes(self._server)
+        if shown and camera is not None and obj is not None and obj.box2d is not None:
+            draw_box(self._server, camera, obj.name, obj.box2d, CHOSEN)
+
     def _rebuild(self) -> None:
         work(self._busy, self._signals, self._build_again)
 
@@ -366,20 +382,9 @@ class SceneViewer:
     # The search.
 
     def _show_ghosts(self) -> None:
-        from .population import hide_ghosts, show_ghosts
-
-        hide_ghosts(self._server)
-        history = self._target.history()
-        if not self._ghosts.value or history is None:
-            return
+        iteration = round(self._iteration.value) if self._ghosts_on.value else 0
         scene = self._target.before or self._target.after
-        iteration = min(round(self._iteration.value), len(history["absolute"])) - 1
-
-        def draw(tell: Tell) -> None:
-            shown = show_ghosts(self._server, scene, history, iteration)
-            tell(f"iteration {iteration + 1}: the best {shown} candidates that were rolled out")
-
-        work(self._busy, self._log, draw)
+        self._ghosts.show(scene, self._target.history(), iteration)
 
     def _search(self) -> None:
         self._drop_fall()

@@ -10,6 +10,7 @@ from neoworld_mjx.compose.layout_patch import (
     write_layout_patch,
 )
 from neoworld_mjx.errors import SpecError
+from neoworld_mjx.spec import Box2D
 from tests.support import scenes
 
 
@@ -17,10 +18,13 @@ def test_a_patch_moves_what_it_names_and_nothing_else():
     scene = snap(scenes.blocks())
     name = next(obj.name for obj in scene.objects if not obj.environment)
     x, y = scene.object(name).xy
+    box = Box2D(x0=1, y0=2, x1=30, y1=40)
     patch = LayoutPatch().merged(name, ObjectPlacement(xy=(x + 0.01, y), yaw=0.3))
+    patch = patch.merged(name, ObjectPlacement(box2d=box))
     moved, stale = apply_layout(scene, patch)
     assert stale == ()
     assert moved.object(name).xy == (x + 0.01, y) and moved.object(name).yaw == 0.3
+    assert moved.object(name).box2d == box and scene.object(name).box2d is None
     others = [obj.name for obj in scene.objects if obj.name != name and obj.parent != name]
     assert all(moved.object(n) == scene.object(n) for n in others)
 

@@ -326,7 +326,7 @@ def test_a_server_that_knows_no_token_limit_is_not_asked_for_ever(connect, make)
 def test_openai_without_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "openai", None)
     monkeypatch.setenv("OPENAI_API_KEY", KEY)
-    with pytest.raises(ModelError, match=r"pip install 'neoworld-mjx\[openai\]'"):
+    with pytest.raises(ModelError, match=r"uv sync --inexact --extra openai"):
         open_panel(MLLMOptions(), "openai")
 
 

@@ -6,7 +6,7 @@ import jupytext
 import pytest
 from nbclient import NotebookClient
 
-SLOW = {"quickstart"}
+SLOW = {"quickstart", "sweep_with_plots", "policy_rollouts_in_mjx"}
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 
 

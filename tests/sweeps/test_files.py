@@ -127,4 +127,4 @@ def test_without_matplotlib_there_is_no_figure_and_that_is_said(monkeypatch, cap
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with caplog.at_level("INFO", logger="neoworld_mjx"):
         assert draw(ROWS, [SIGMA]) is None
-    assert "neoworld-mjx[plot]" in caplog.text
+    assert "--extra plot" in caplog.text

@@ -94,7 +94,7 @@ def test_what_is_typed_at_once_is_all_kept(opened_page):
     page = opened_page()
     for k in range(5):
         page._choose("")
-        page._set_box(np.array([77.0, 67.0]), np.array([480.0, 389.0]))
+        page._set_box(Box2D(x0=77.0, y0=67.0, x1=480.0, y1=389.0))
         fields = page._fields
         typed = [(fields["name"], f"saucer_{k}"), (fields["kind"], "bowl")]
         typed += [(fields["material"], "ceramic"), (fields["label"], "a saucer")]

@@ -98,6 +98,47 @@ def test_dragging_an_object_and_searching_again_changes_the_scene(quick_run, tmp
     assert np.allclose(again.object("cup").xy, dragged)
 
 
+def test_fast_clicks_end_as_the_controls_say_and_a_box_drawn_is_searched_for(
+    quick_run, tmp_path, served
+):
+    run = tmp_path / "run"
+    shutil.copytree(quick_run, run)
+    viewer, server, url = served(run)
+    with opened(url) as page:
+        plain = page.settled(right=CANVAS)
+        for _ in range(2):
+            page.check("Colliders")
+        assert changed(plain, page.settled(right=CANVAS)) < 0.002
+        page.tab("Search")
+        page.check("Population as ghosts")
+        page.check("Population as ghosts")
+        time.sleep(2)
+        assert changed(plain, page.settled(right=CANVAS)) < 0.002
+        page.tab("Objects")
+        page.choose("Object", "cup")
+        page.click("Draw its box in the photograph")
+        page.waits_for("Drag a rectangle")
+        page.settled()
+        (client,) = server.get_clients().values()
+        camera, old = viewer._target.after.camera, viewer._target.after.object("cup").box2d
+        drawn = np.array(old.as_tuple()) + [12, 6, 12, 6]
+        focal = client.camera.image_height / 2 / np.tan(client.camera.fov / 2) / camera.focal
+        window = np.array([client.camera.image_width, client.camera.image_height])
+        middle = np.array([camera.width, camera.height_px]) / 2
+        low, high = (drawn.reshape(2, 2) - middle) * focal + window / 2
+        page.page.mouse.move(*low)
+        page.page.mouse.down()
+        page.page.mouse.move(*high, steps=6)
+        page.page.mouse.up()
+        page.waits_for("The search follows this box")
+        page.tab("Search")
+        page.click("Search again from here")
+        page.waits_for("objects: table", 240)
+        assert page.errors == [] and page.outside == []
+    for place in ("compose/scene.json", "scene.json"):
+        assert np.allclose(read_scene(run / place).object("cup").box2d.as_tuple(), drawn, atol=3)
+
+
 def _unit():
     from neoworld_mjx.spec.pose import pose
 

@@ -1,0 +1,46 @@
+"""A slider for every joint of a scene, in degrees or millimetres."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from ..spec import SceneSpec
+from .scene_editor import joint_range, sliding_keys
+
+Moved = Callable[[str, str, float], None]
+"""Called with the object, the key of the joint's value, and the value [rad or m]."""
+
+
+class JointSliders:
+    """The sliders of the scene shown, in a folder of the page."""
+
+    def __init__(self, server: Any, folder: Any, moved: Moved):
+        """Begin without sliders."""
+        self._server, self._folder, self._moved = server, folder, moved
+        self._sliders: list[Any] = []
+
+    def show(self, scene: SceneSpec) -> None:
+        """Put the sliders of a scene in the place of those before."""
+        for slider in self._sliders:
+            slider.remove()
+        self._sliders = []
+        with self._folder:
+            for obj in scene.objects:
+                for joint, key in sliding_keys(obj):
+                    slides = joint.type == "prismatic"
+                    factor, unit = (1000.0, "mm") if slides else (math.degrees(1.0), "deg")
+                    # A tenth, rounded inwards: the page writes the ends out with all their digits.
+                    low, high = (factor * v for v in joint_range(joint))
+                    low, high = math.ceil(10 * low - 1e-4) / 10, math.floor(10 * high + 1e-4) / 10
+                    if not low < high:
+                        continue
+                    now = min(max(factor * obj.joint_state.get(key, 0.0), low), high)
+                    slider = self._server.gui.add_slider(
+                        f"{obj.name} {key}, {unit}", low, high, 0.1, round(now, 1)
+                    )
+                    slider.on_update(self._moving(slider, obj.name, key, factor))
+                    self._sliders.append(slider)
+        self._folder.visible = bool(self._sliders)
+
+    def _moving(self, slider: Any, name: str, key: str, factor: float) -> Callable[[Any], None]:
+        return lambda _: self._moved(name, key, slider.value / factor)

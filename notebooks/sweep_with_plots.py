@@ -1,0 +1,148 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # A sweep, and its plots
+#
+# How much does a setting of the search matter? `nw.sweep` refines a scene with every combination of
+# some options' values and several seeds; `neoworld sweep FILE.yaml --out DIR` does the same and
+# writes a figure, tables and Parquet files. Here the rows are taken as they are and drawn by hand.
+
+# %%
+import matplotlib.pyplot as plt
+import numpy as np
+from IPython.display import Markdown
+
+import neoworld_mjx as nw
+from neoworld_mjx.spec import Box, GeomSpec, Material, ObjectSpec, PartSpec, SceneObject, SceneSpec
+
+# %% [markdown]
+# ## A scene with mistakes
+#
+# Three boxes on a table, as a parse may set them: two are 3 cm inside of each other, and the third
+# stands half over the table's edge.
+
+
+# %%
+def box(name, x, y, z):
+    """A wooden box whose origin is the centre of its bottom face."""
+    wood = Material(name="wood", density=600, friction=0.5)
+    geom = GeomSpec(name="box", shape=Box(size=(x, y, z)), pos=(0, 0, z / 2), material="wood")
+    return ObjectSpec(name=name, materials=(wood,), parts=(PartSpec(name="body", geoms=(geom,)),))
+
+
+def on_table(name, size, xy, yaw):
+    return SceneObject(name=name, spec=box(name, *size), parent="table", z=0.04, xy=xy, yaw=yaw)
+
+
+table = SceneObject(name="table", spec=box("table", 0.6, 0.6, 0.04), environment=True, z=-0.04)
+scene = SceneSpec(
+    objects=(
+        table,
+        on_table("case", (0.15, 0.10, 0.08), (0.0, 0.0), 0.35),
+        on_table("book", (0.20, 0.14, 0.03), (0.0, 0.09), -0.30),
+        on_table("tin", (0.08, 0.08, 0.10), (-0.2, -0.275), 0.0),
+    )
+)
+
+# %% [markdown]
+# ## The sweep
+#
+# Two axes: how far the search looks, and how much drift costs. Three seeds each. Both options are
+# numbers of the same compiled program, so all eighteen runs are one computation.
+
+# %%
+wide, weight = "refine.cem.sigma_xy", "refine.reward.w_drift"
+plan = {
+    "seeds": [0, 1, 2],
+    "base": {
+        "refine": {
+            "cem": {"population": 24, "iterations": 4, "keep_sound": False, "stop_by": "elites"},
+            "rollout": {"engine": "native"},
+        }
+    },
+    "axes": {wide: [0.01, 0.03, 0.08], weight: [0.5, 2.0]},
+}
+found = nw.sweep(plan, cases=[scene])
+print(len(found.rows), "runs;", ", ".join(sorted(found.about)))
+
+# %% [markdown]
+# The reward is by each point's own weights: where weights differ, compare what it is made of. `n`
+# is scenes times seeds, and the brackets are 95 % intervals.
+
+# %%
+Markdown(found.table)
+
+# %% [markdown]
+# ## Convergence
+#
+# The best reward so far by iteration: the median of the seeds, and the band of all of them.
+
+# %%
+widths = sorted({row[wide] for row in found.rows})
+weights = sorted({row[weight] for row in found.rows})
+figure, places = plt.subplots(1, len(weights), figsize=(7, 2.6), layout="constrained")
+for place, w in zip(places, weights, strict=True):
+    for sigma in widths:
+        runs = [row for row in found.rows if (row[wide], row[weight]) == (sigma, w)]
+        longest = max(len(row["history"]) for row in runs)
+        best = np.array(
+            [
+                np.pad([step["best"] for step in row["history"]], (0, longest - n), mode="edge")
+                for row in runs
+                for n in [len(row["history"])]
+            ],
+            float,
+        )
+        t = np.arange(1, longest + 1)
+        (line,) = place.plot(t, np.median(best, axis=0), ".-", label=f"sigma {sigma:g} m")
+        low, high = best.min(axis=0), best.max(axis=0)
+        place.fill_between(t, low, high, alpha=0.2, color=line.get_color(), linewidth=0)
+    place.set(title=f"w_drift {w:g}", xlabel="iteration", xticks=t)
+places[0].set_ylabel("best reward so far")
+places[0].legend(fontsize=7)
+plt.show()
+
+# %% [markdown]
+# ## Both axes, and the terms against each other
+#
+# Left: the share of scenes that passed the final check. Right: how far objects drift beside how
+# well they lie where the parse saw them.
+
+# %%
+figure, (left, right) = plt.subplots(1, 2, figsize=(7, 2.6), layout="constrained")
+passed = np.array(
+    [
+        [
+            np.mean([row["passed"] for row in found.rows if (row[wide], row[weight]) == (s, w)])
+            for s in widths
+        ]
+        for w in weights
+    ]
+)
+image = left.imshow(100 * passed, vmin=0, vmax=100, origin="lower", aspect="auto")
+left.set(title="passed, %", xlabel=wide, ylabel=weight)
+left.set_xticks(range(len(widths)), widths)
+left.set_yticks(range(len(weights)), weights)
+figure.colorbar(image)
+for sigma in widths:
+    runs = [row for row in found.rows if row[wide] == sigma]
+    drift, agreement = ([row[name] for row in runs] for name in ("d_drift", "s_sem"))
+    right.plot(drift, agreement, "o", label=f"sigma {sigma:g}")
+right.set(title="terms of the winners", xlabel="D_drift", ylabel="S_sem")
+right.legend(fontsize=7)
+plt.show()
+
+# %%
+assert len(found.rows) == 18
+assert passed.max() == 1.0
