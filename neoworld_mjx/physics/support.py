@@ -20,6 +20,8 @@ GRID = 160
 """Cells along each side of a support's height grid."""
 FOOT = 192
 """Points that stand for a child's underside."""
+WALL = 0.02
+"""How far [m] a wall reaches above an object that stands beside it, such as a book in a shelf."""
 NOTHING = -1e3
 """Height [m] where a support has no surface."""
 
@@ -194,9 +196,10 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
 
     It is the highest surface under the object's footprint; or, for an object inside its parent,
     such as a can on a lower shelf, the highest surface below pieces that leave it room. Of the two
-    the one nearer to the composed height is taken. An object with relation "in" is never lifted
-    onto the rim: what reaches above the middle of the composed object is a wall, and it enters
-    walls instead, where D_pen has a gradient that leads out.
+    the one nearer to the composed height is taken. An object inside its parent is never lifted onto
+    a wall, and enters walls instead, where D_pen has a gradient that leads out. A wall is what
+    reaches above the middle of the composed object with relation "in", and by WALL above the top of
+    another.
 
     Args:
         scene: the composed scene.
@@ -221,7 +224,8 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     outside = np.max(high, axis=0, initial=NOTHING)
     under = low < middle
     # A wall does not hide the floor on which it stands.
-    floor = under & (high <= middle) if item.relation == "in" else under
+    wall = middle if item.relation == "in" else item.z + top + WALL
+    floor = under & (high <= wall)
     inside = np.max(np.where(floor, high, NOTHING), axis=0, initial=NOTHING)
     ceiling = np.min(np.where(under, np.inf, low), axis=0, initial=np.inf)
 

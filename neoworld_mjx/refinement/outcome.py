@@ -1,7 +1,7 @@
 """The outcome of a refinement: the winner, checked exactly, and every candidate."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -147,9 +147,7 @@ def choose(
         scene = snap_exactly(model.spec if start is None else model.apply(start, 0))
         measure = measured(scene, o)
         return Chosen((-1, -1), scene, measure, o.finalists, passes(measure, o))
-    return Chosen(
-        fallback.index, fallback.scene, fallback.measure, min(o.finalists, len(order)), False
-    )
+    return replace(fallback, tried=min(o.finalists, len(order)))
 
 
 def finished(model: SceneModel, round_: Round, k: int) -> tuple[SceneSpec, tuple[str, ...]]:

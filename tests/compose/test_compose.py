@@ -10,6 +10,8 @@ from neoworld_mjx.compose.resting_pose import on_level, resting_tilt
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.measure import scene_measure, unstable_objects
 from neoworld_mjx.physics.exact import object_depths, start_state
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.spec import (
     Box,
     Box2D,
@@ -115,6 +117,31 @@ def test_a_spoon_comes_to_lie_on_the_saucer_whatever_height_was_parsed(off):
     lowered = made.scene.model_copy(update={"objects": objects})
     model, data = start_state(lowered)
     assert ("saucer", "spoon") in object_depths(lowered, model, data)
+
+
+def test_a_book_that_is_pushed_into_the_side_of_its_shelf_stays_on_its_board():
+    """The parse says "on"; the composed place and a layout overlap the side."""
+    boards = [(Box(size=(0.3, 0.8, 0.02)), (0, 0, z)) for z in (0.0, 0.4, 0.8)]
+    sides = [(Box(size=(0.3, 0.02, 0.82)), (0, y, 0.0)) for y in (-0.41, 0.41)]
+    shelf, book = (
+        scenes.single("shelf", *boards, *sides),
+        scenes.single("book", (Box(size=(0.15, 0.03, 0.22)), (0, 0, 0))),
+    )
+    made = composed(
+        [
+            node("shelf", shelf, (1.0, 0, 0)),
+            node("book", book, (1.0, 0.395, 0.42), parent="shelf"),
+        ],
+        {"shelf": shelf, "book": book},
+    )
+    on_board = world_poses(made.scene)["book"].pos[2]
+    assert on_board == pytest.approx(world_poses(made.scene)["shelf"].pos[2] + 0.42, abs=2e-3)
+    model = compile_scene(made.scene, samples=64)
+    layouts = Layout.zero(1, len(model.names))
+    book_moved = np.asarray(layouts.xy) + [[0, 0.01 * (name == "book")] for name in model.names]
+    placed = model.place(Layout(book_moved.astype(np.float32), layouts.yaw, layouts.log_scale))
+    height = placed.pos[0, model.names.index("book"), 2]
+    assert float(height) == pytest.approx(on_board, abs=2e-3)
 
 
 def test_a_wall_of_a_shelf_does_not_hide_its_floor():
