@@ -1,82 +1,128 @@
-"""Let one foreign program simulate an object from a file, and print how it moved, as JSON.
+"""Simulations of one file by foreign programs, each with its own functions and defaults.
 
-Run in the environment that has the program; it needs nothing of this package:
+A simulation takes the file and options, and returns `roots`: of every body that stands on its own
+where it was, `start`, and how far it went, `pos` [m] and `quat` (w, x, y, z); or `q` of a joint.
 
-    python benchmarks/motion_probe.py drake object.sdf '{"low": 0.0, "seconds": 2.0}'
-
-`low` is the height [m] of the object's lowest point. With `joint` and `force` the base is fixed,
-and the force [N or N m] acts on the joint for `seconds`; `dry` false takes its dry friction away
-(MuJoCo). Without them the object rests on a plane for so long.
+    {"low": 0.0, "seconds": 2}            an object rests on a plane at that height [m]
+    {"scene": true, "seconds": 2}         a scene as it is
+    {"joint": "slide", "link": "drawer", "offset": [0.2, 0, 0], "force": [3, 0, 0], "seconds": 0.5}
+                                          its base is fixed, and the force [N] acts at a point of
+                                          the link [m] from its frame; `dry` false takes dry
+                                          friction of joints away (MuJoCo, SAPIEN)
 """
 
-import json
 import math
-import sys
+from collections.abc import Callable
 from typing import Any
 
+Options = dict[str, Any]
 Motion = dict[str, Any]
-"""pos [m] and quat (w, x, y, z) of the root at the end, beside its start; or q of the joint."""
+STEP_S = 0.001
+LONG_STEP_S = 0.002
+"""Of programs that are slow here."""
 
 
-def _turned(quat: list[float]) -> float:
-    return 2 * math.degrees(math.acos(min(1.0, abs(quat[0]))))
+def _between(start: Any, end: Any, turned: Any) -> Motion:
+    """Return how far a body went: places [m], and its rotation (w, x, y, z) since."""
+    return {
+        "start": [float(a) for a in start],
+        "pos": [float(b) - float(a) for a, b in zip(start, end, strict=True)],
+        "quat": [float(v) for v in turned],
+    }
 
 
-def _moved(pos: list[float], quat: list[float]) -> Motion:
-    return {"mm": 1e3 * math.dist(pos, (0, 0, 0)), "degrees": _turned(quat)}
+def _since(first: Any, last: Any) -> list[float]:
+    """Return the rotation from one quaternion (w, x, y, z) to another."""
+    a, b, c, d = (float(v) for v in first)
+    w, x, y, z = (float(v) for v in last)
+    return [
+        w * a + x * b + y * c + z * d,
+        -w * b + x * a - y * d + z * c,
+        -w * c + x * d + y * a - z * b,
+        -w * d - x * c + y * b + z * a,
+    ]
 
 
-def mujoco(path: str, o: dict[str, Any]) -> Motion:
+def _same(name: str, own: str) -> bool:
+    """Whether a program's name is ours, which it may have put others before."""
+    return name == own or name.endswith(tuple(f"{mark}{own}" for mark in "-_/:"))
+
+
+def mujoco(path: str, o: Options) -> Motion:
     import mujoco
+    import numpy as np
 
     spec = mujoco.MjSpec.from_file(path)
-    spec.option.timestep = 0.001
-    for key in list(spec.keys):
-        spec.delete(key)
-    root = next(b for b in spec.worldbody.bodies)
-    if "joint" in o:
-        for joint in [j for j in root.joints if j.type == mujoco.mjtJoint.mjJNT_FREE]:
-            spec.delete(joint)
-    else:
-        if not root.joints:
-            root.add_freejoint()
-        plane = mujoco.mjtGeom.mjGEOM_PLANE
-        spec.worldbody.add_geom(type=plane, size=[5, 5, 0.1], pos=[0, 0, o["low"]])
+    spec.option.timestep = STEP_S
+    if "scene" not in o:
+        for key in list(spec.keys):
+            spec.delete(key)
+        root = next(b for b in spec.worldbody.bodies)
+        if "joint" in o:
+            for joint in [j for j in root.joints if j.type == mujoco.mjtJoint.mjJNT_FREE]:
+                spec.delete(joint)
+        else:
+            if not root.joints:
+                root.add_freejoint()
+            plane = mujoco.mjtGeom.mjGEOM_PLANE
+            spec.worldbody.add_geom(type=plane, size=[5, 5, 0.1], pos=[0, 0, o["low"]])
     model = spec.compile()
     data = mujoco.MjData(model)
-    body = model.body(root.name)
-    steps = round(o["seconds"] / 0.001)
+    if model.nkey and "scene" in o:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    steps = round(o["seconds"] / STEP_S)
     if "joint" in o:
-        names = [model.joint(k).name for k in range(model.njnt)]
-        joint = model.joint(next(n for n in names if n.rpartition("-")[2] == o["joint"]))
-        data.qfrc_applied[joint.dofadr[0]] = o["force"]
+        joint = next(j for k in range(model.njnt) if _same((j := model.joint(k)).name, o["joint"]))
+        body = next(b for k in range(model.nbody) if _same((b := model.body(k)).name, o["link"]))
         if not o.get("dry", True):
             model.dof_frictionloss[:] = 0
-        mujoco.mj_step(model, data, steps)
+        force, offset = np.array(o["force"]), np.array(o["offset"])
+        for _ in range(steps):
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            point = data.xpos[body.id] + data.xmat[body.id].reshape(3, 3) @ offset
+            data.qfrc_applied[:] = 0
+            mujoco.mj_applyFT(
+                model, data, force, np.zeros(3), point, body.id, data.qfrc_applied
+            )  # fmt: skip
+            mujoco.mj_step(model, data)
         return {"q": float(data.qpos[joint.qposadr[0]])}
     mujoco.mj_kinematics(model, data)
-    start = data.xpos[body.id].copy()
+    start, turned = data.xpos.copy(), data.xquat.copy()
     mujoco.mj_step(model, data, steps)
     mujoco.mj_kinematics(model, data)
-    return _moved((data.xpos[body.id] - start).tolist(), data.xquat[body.id].tolist())
+    return {"roots": {
+        model.body(b).name: _between(start[b], data.xpos[b], _since(turned[b], data.xquat[b]))
+        for b in range(1, model.nbody)
+        if model.body_parentid[b] == 0
+    }}  # fmt: skip
 
 
-def drake(path: str, o: dict[str, Any]) -> Motion:
+def drake(path: str, o: Options) -> Motion:
     import numpy as np
     from pydrake.geometry import HalfSpace
     from pydrake.math import RigidTransform
+    from pydrake.multibody.math import SpatialForce
     from pydrake.multibody.parsing import Parser
-    from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
+    from pydrake.multibody.plant import (
+        AddMultibodyPlantSceneGraph,
+        CoulombFriction,
+        ExternallyAppliedSpatialForce,
+    )
     from pydrake.systems.analysis import Simulator
     from pydrake.systems.framework import DiagramBuilder
 
     builder = DiagramBuilder()
-    plant, _ = AddMultibodyPlantSceneGraph(builder, 0.001)
-    (instance,) = Parser(plant).AddModels(path)
-    root = plant.get_body(plant.GetBodyIndices(instance)[0])
+    plant, _ = AddMultibodyPlantSceneGraph(builder, STEP_S)
+    parser = Parser(plant)
+    if path.endswith("dmd.yaml"):
+        folder = path.rpartition("/")[0]
+        parser.package_map().AddPackageXml(f"{folder}/package.xml")
+    instances = parser.AddModels(path)
     if "joint" in o:
+        root = plant.get_body(plant.GetBodyIndices(instances[0])[0])
         plant.WeldFrames(plant.world_frame(), root.body_frame())
-    else:
+    elif "low" in o:
         at = RigidTransform(p=[0, 0, o["low"]])
         plant.RegisterCollisionGeometry(
             plant.world_body(), at, HalfSpace(), "ground", CoulombFriction(1.0, 1.0)
@@ -85,64 +131,211 @@ def drake(path: str, o: dict[str, Any]) -> Motion:
     diagram = builder.Build()
     context = diagram.CreateDefaultContext()
     inner = plant.GetMyMutableContextFromRoot(context)
-    joint = plant.GetJointByName(o["joint"]) if "joint" in o else None
-    if joint is not None:
-        tau = np.zeros(plant.num_velocities())
-        tau[joint.velocity_start()] = o["force"]
-        plant.get_applied_generalized_force_input_port().FixValue(inner, tau)
-    Simulator(diagram, context).AdvanceTo(o["seconds"])
-    if joint is not None:
+    if "joint" in o:
+        joint = next(j for k in plant.GetJointIndices()
+                     if _same((j := plant.get_joint(k)).name(), o["joint"]))  # fmt: skip
+        applied = ExternallyAppliedSpatialForce()
+        applied.body_index = joint.child_body().index()
+        applied.p_BoBq_B = np.array(o["offset"])
+        applied.F_Bq_W = SpatialForce(tau=np.zeros(3), f=np.array(o["force"]))
+        plant.get_applied_spatial_force_input_port().FixValue(inner, [applied])
+        Simulator(diagram, context).AdvanceTo(o["seconds"])
         return {"q": float(plant.GetPositions(inner)[joint.position_start()])}
-    pose = plant.EvalBodyPoseInWorld(inner, root)
-    return _moved(pose.translation().tolist(), pose.rotation().ToQuaternion().wxyz().tolist())
+    bodies = [plant.get_body(k) for k in plant.GetFloatingBaseBodies()]
+    own = [plant.GetModelInstanceName(b.model_instance()).rpartition("::")[2] for b in bodies]
+    if len(set(own)) < len(own):  # In MJCF all objects are one model.
+        own = [body.name() for body in bodies]
+    floating = dict(zip(own, bodies, strict=True))
+    places = [plant.EvalBodyPoseInWorld(inner, body) for body in floating.values()]
+    before = [(p.translation().copy(), p.rotation().ToQuaternion().wxyz()) for p in places]
+    Simulator(diagram, context).AdvanceTo(o["seconds"])
+    result = {}
+    for (name, body), (start, turned) in zip(floating.items(), before, strict=True):
+        now = plant.EvalBodyPoseInWorld(inner, body)
+        quat = _since(turned, now.rotation().ToQuaternion().wxyz())
+        result[name] = _between(start, now.translation(), quat)
+    return {"roots": result}
 
 
-def pybullet(path: str, o: dict[str, Any]) -> Motion:
+def pybullet(path: str, o: Options) -> Motion:
     import pybullet as bullet
 
     bullet.connect(bullet.DIRECT)
+    try:
+        return _bullet_motion(bullet, path, o)
+    finally:
+        bullet.disconnect()
+
+
+def _bullet_motion(bullet: Any, path: str, o: Options) -> Motion:
     bullet.setGravity(0, 0, -9.81)
-    bullet.setTimeStep(0.001)
+    bullet.setTimeStep(STEP_S)
     flags = bullet.URDF_USE_INERTIA_FROM_FILE
     body = bullet.loadURDF(path, useFixedBase="joint" in o, flags=flags)
-    joints = {bullet.getJointInfo(body, k)[1].decode(): k
-              for k in range(bullet.getNumJoints(body))}  # fmt: skip
-    for k in joints.values():
+    info = [bullet.getJointInfo(body, k) for k in range(bullet.getNumJoints(body))]
+    for joint in info:
         # Its joints hold themselves unless told not to; dry friction is such a motor's force.
-        dry = bullet.getJointInfo(body, k)[7]
-        bullet.setJointMotorControl2(body, k, bullet.VELOCITY_CONTROL, force=dry)
-    if "joint" not in o:
-        plane = bullet.createCollisionShape(bullet.GEOM_PLANE)
-        ground = bullet.createMultiBody(0, plane, basePosition=[0, 0, o["low"]])
-        bullet.changeDynamics(ground, -1, lateralFriction=1.0)
-    start, turned = bullet.getBasePositionAndOrientation(body)
-    for _ in range(round(o["seconds"] / 0.001)):
-        if "joint" in o:
-            k = joints[o["joint"]]
-            # Forces of torque control are for one step.
-            bullet.setJointMotorControl2(body, k, bullet.TORQUE_CONTROL, force=o["force"])
-        bullet.stepSimulation()
+        bullet.setJointMotorControl2(body, joint[0], bullet.VELOCITY_CONTROL, force=joint[7])
+    steps = round(o["seconds"] / STEP_S)
     if "joint" in o:
-        return {"q": float(bullet.getJointState(body, joints[o["joint"]])[0])}
-    end, quat = bullet.getBasePositionAndOrientation(body)
-    # Its frame is that of the base's principal axes.
-    x, y, z, w = bullet.getDifferenceQuaternion(turned, quat)
-    return _moved([b - a for a, b in zip(start, end, strict=True)], [w, x, y, z])
+        k = next(joint[0] for joint in info if joint[1].decode() == o["joint"])
+        for _ in range(steps):
+            state = bullet.getLinkState(body, k, computeForwardKinematics=True)
+            point, _ = bullet.multiplyTransforms(state[4], state[5], o["offset"], [0, 0, 0, 1])
+            # Forces are for one step.
+            bullet.applyExternalForce(body, k, o["force"], point, bullet.WORLD_FRAME)
+            bullet.stepSimulation()
+        return {"q": float(bullet.getJointState(body, k)[0])}
+    plane = bullet.createCollisionShape(bullet.GEOM_PLANE)
+    ground = bullet.createMultiBody(0, plane, basePosition=[0, 0, o["low"]])
+    bullet.changeDynamics(ground, -1, lateralFriction=1.0)
+
+    # A base is where its centre of mass is, along its principal axes.
+    inertia = bullet.getDynamicsInfo(body, -1)
+    inner = bullet.invertTransform(inertia[3], inertia[4])
+
+    def place() -> tuple[Any, list[float]]:
+        pos, quat = bullet.getBasePositionAndOrientation(body)
+        at, (x, y, z, w) = bullet.multiplyTransforms(pos, quat, *inner)
+        return at, [w, x, y, z]
+
+    start, turned = place()
+    for _ in range(steps):
+        bullet.stepSimulation()
+    end, quat = place()
+    return {"roots": {"object": _between(start, end, _since(turned, quat))}}
 
 
-MOVERS = {
-    "mujoco": (mujoco, "mujoco", ("xml", "urdf")),
-    "drake": (drake, "pydrake", ("sdf", "urdf")),
-    "pybullet": (pybullet, "pybullet", ("urdf",)),
-}
-"""Programs that simulate: how, the module that it needs, and suffixes of what it takes."""
+def sapien(path: str, o: Options) -> Motion:
+    import numpy as np
+    import sapien
+    from reader_probe import sapien_object
+
+    scene = sapien.Scene([sapien.physx.PhysxCpuSystem()])
+    scene.set_timestep(STEP_S)
+    body = sapien_object(scene, path, fixed="joint" in o)
+    steps = round(o["seconds"] / STEP_S)
+    if "joint" in o:
+        body.qpos = body.qpos * 0
+        if not o.get("dry", True):
+            for joint in body.active_joints:
+                joint.set_friction(0.0)
+        link = next(k for k in body.links if k.name == o["link"])
+        at = [j.name for j in body.active_joints].index(o["joint"])
+        offset = sapien.Pose(o["offset"])
+        for _ in range(steps):
+            point = (link.entity_pose * offset).p
+            link.add_force_at_point(np.array(o["force"], np.float32), point)
+            scene.step()
+        return {"q": float(body.qpos[at])}
+    scene.add_ground(o["low"], render=False)
+    before = body.pose
+    start, turned = np.array(before.p), np.array(before.q)
+    for _ in range(steps):
+        scene.step()
+    return {"roots": {"object": _between(start, body.pose.p, _since(turned, body.pose.q))}}
 
 
-if __name__ == "__main__":
-    # A script's folder comes first on the path, where modules of ours would hide packages.
-    sys.path.pop(0)
-    try:
-        result = MOVERS[sys.argv[1]][0](sys.argv[2], json.loads(sys.argv[3]))
-    except Exception as error:  # a foreign program's border
-        result = {"error": f"{type(error).__name__}: {' '.join(str(error).split())}"[:300]}
-    print(f"\n{json.dumps(result)}")
+def newton(path: str, o: Options) -> Motion:
+    import newton
+    import numpy as np
+    import warp as wp
+
+    builder = newton.ModelBuilder()
+    newton.solvers.SolverMuJoCo.register_custom_attributes(builder)
+    suffix = path.rpartition(".")[2]
+    add: Callable[..., Any] = {"xml": builder.add_mjcf, "urdf": builder.add_urdf}.get(
+        suffix, builder.add_usd
+    )
+    if "joint" in o:
+        add(path, floating=False)
+    elif "low" in o:
+        add(path, floating=True)
+        builder.add_ground_plane(height=o["low"])
+    else:
+        add(path)
+    model = builder.finalize()
+    solver = newton.solvers.SolverMuJoCo(model, use_mujoco_cpu=True)
+    states, control = [model.state(), model.state()], model.control()
+    newton.eval_fk(model, model.joint_q, model.joint_qd, states[0])
+    before = states[0].body_q.numpy().copy()
+    names = [str(name).rpartition("/")[2] for name in model.body_label]
+    pulled = next((k for k, n in enumerate(names) if _same(n, o.get("link", ""))), -1)
+    for _ in range(round(o["seconds"] / LONG_STEP_S)):
+        states[0].clear_forces()
+        if pulled >= 0:
+            at = wp.transform(*states[0].body_q.numpy()[pulled].tolist())
+            point = wp.transform_point(at, wp.vec3(*o["offset"]))
+            mass = wp.transform_point(at, wp.vec3(*model.body_com.numpy()[pulled].tolist()))
+            force = np.array(o["force"])
+            forces = np.zeros((model.body_count, 6), np.float32)
+            forces[pulled] = [*force, *np.cross(np.array(point) - np.array(mass), force)]
+            states[0].body_f.assign(forces)
+        solver.step(states[0], states[1], control, None, LONG_STEP_S)
+        states.reverse()
+    if "joint" in o:
+        labels = [str(name) for name in model.joint_label]
+        k = next(k for k, n in enumerate(labels) if _same(n, o["joint"]))
+        newton.eval_ik(model, states[0], model.joint_q, model.joint_qd)
+        return {"q": float(model.joint_q.numpy()[model.joint_q_start.numpy()[k]])}
+    after = states[0].body_q.numpy()
+    parents, children = model.joint_parent.numpy(), model.joint_child.numpy()
+    types = model.joint_type.numpy()
+    roots = {}
+    for parent, child, kind in zip(parents, children, types, strict=True):
+        if parent < 0 and kind == int(newton.JointType.FREE):
+            (*start, x, y, z, w), (*end, a, b, c, d) = before[child], after[child]
+            label = str(model.body_label[child]).split("/")
+            own = label[2] if label[0] == "" and len(label) > 3 else label[-1]
+            roots[own] = _between(start, end, _since([w, x, y, z], [d, a, b, c]))
+    return {"roots": roots}
+
+
+def genesis(path: str, o: Options) -> Motion:
+    import genesis as gs
+    from reader_probe import genesis_morph
+
+    if not gs._initialized:
+        gs.init(backend=gs.cpu, logging_level="error")
+    scene = gs.Scene(show_viewer=False, sim_options=gs.options.SimOptions(dt=LONG_STEP_S))
+    if "low" in o:
+        scene.add_entity(gs.morphs.Plane(pos=(0, 0, o["low"])))
+    body = scene.add_entity(genesis_morph(gs, path, fixed="joint" in o))
+    scene.build()
+    steps = round(o["seconds"] / LONG_STEP_S)
+    if "joint" in o:
+        link = next(k for k in body.links if _same(k.name, o["link"]))
+        joint = next(j for j in body.joints if _same(j.name, o["joint"]))
+        for _ in range(steps):
+            link.apply_external_force(_turned(link, o["force"]), pos=o["offset"], local=True)
+            scene.step()
+        return {"q": float(body.get_dofs_position()[joint.dof_idx_local])}
+    roots = [k for k in body.links if any(j.type.name == "FREE" for j in k.joints)]
+    before = [(k.get_pos().tolist(), k.get_quat().tolist()) for k in roots]
+    for _ in range(steps):
+        scene.step()
+    return {"roots": {
+        k.name: _between(pos, k.get_pos().tolist(), _since(quat, k.get_quat().tolist()))
+        for k, (pos, quat) in zip(roots, before, strict=True)
+    }}  # fmt: skip
+
+
+def _turned(link: Any, force: list[float]) -> list[float]:
+    """Return a force of the world along a link's axes."""
+    import numpy as np
+
+    w, *axis = (float(v) for v in link.get_quat().tolist())
+    u, f = -np.array(axis), np.array(force)
+    return (f + 2 * np.cross(u, np.cross(u, f) + w * f)).tolist()
+
+
+def degrees(quat: list[float]) -> float:
+    """Return the angle of a rotation (w, x, y, z)."""
+    return 2 * math.degrees(math.atan2(math.hypot(*quat[1:]), abs(quat[0])))
+
+
+MOVERS: dict[str, Callable[[str, Options], Motion]] = {
+    "mujoco": mujoco, "drake": drake, "pybullet": pybullet, "sapien": sapien,
+    "newton": newton, "genesis": genesis,
+}  # fmt: skip
+"""How each program simulates."""

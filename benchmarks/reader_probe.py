@@ -1,12 +1,6 @@
-"""Read one file by one foreign program and print what it made of it, as JSON.
+"""What foreign programs make of a file, each by its own functions."""
 
-Run in the environment that has the program; it needs nothing of this package:
-
-    python benchmarks/reader_probe.py drake object.urdf
-"""
-
-import json
-import sys
+import re
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -78,7 +72,10 @@ def drake(path: str) -> Read:
 
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, 0.001)
-    Parser(plant).AddModels(path)
+    parser = Parser(plant)
+    if path.endswith("dmd.yaml"):
+        parser.package_map().AddPackageXml(str(Path(path).with_name("package.xml")))
+    parser.AddModels(path)
     plant.Finalize()
     diagram = builder.Build()
     context = plant.GetMyContextFromRoot(diagram.CreateDefaultContext())
@@ -103,6 +100,7 @@ def pybullet(path: str) -> Read:
     mass = sum(bullet.getDynamicsInfo(body, k)[0] for k in range(-1, count))
     moving = sum(i[2] != bullet.JOINT_FIXED for i in info)
     shapes = sum(len(bullet.getCollisionShapeData(body, k)) for k in range(-1, count))
+    bullet.disconnect()
     # The base's own place is that of its centre of mass; links are told relative to its frame.
     return {"links": links, "mass": mass, "joints": moving, "shapes": shapes, "base": "com"}
 
@@ -114,10 +112,13 @@ def newton(path: str) -> Read:
     suffix = Path(path).suffix
     add = {".xml": builder.add_mjcf, ".urdf": builder.add_urdf}.get(suffix, builder.add_usd)
     add(path)
+    model = builder.finalize()
+    newton.eval_fk(model, model.joint_q, model.joint_qd, model)
     moving = sum(int(k) not in (3, 4) for k in builder.joint_type)  # Neither fixed nor free.
     mass = float(sum(builder.body_mass))
     names = [str(name).rpartition("/")[2] for name in builder.body_label]
-    links = {name: list(map(float, q[:3])) for name, q in zip(names, builder.body_q, strict=True)}
+    places = model.body_q.numpy()
+    links = {name: list(map(float, q[:3])) for name, q in zip(names, places, strict=True)}
     return {"links": links, "mass": mass, "joints": moving, "shapes": int(builder.shape_count)}
 
 
@@ -125,14 +126,65 @@ def sapien(path: str) -> Read:
     import sapien
 
     scene = sapien.Scene([sapien.physx.PhysxCpuSystem()])
+    body = sapien_object(scene, path, fixed=True)
+    if not hasattr(body, "links"):  # One part is no articulation.
+        (rigid,) = (k for k in body.components if hasattr(k, "collision_shapes"))
+        shapes = len(rigid.collision_shapes)
+        return {"links": {}, "mass": float(rigid.mass), "joints": 0, "shapes": shapes}
+    active, parts = body.active_joints, body.links
+    # Its links are put in their places by their joints only when those are set.
+    body.qpos = body.qpos * 0
+    links = {link.name: link.entity_pose.p.tolist() for link in parts}
+    mass = float(sum(link.mass for link in parts))
+    shapes = sum(len(link.collision_shapes) for link in parts)
+    return {"links": links, "mass": mass, "joints": len(active), "shapes": shapes}
+
+
+def sapien_object(scene: Any, path: str, *, fixed: bool) -> Any:
+    """Load a URDF and its SRDF without what is visible, which asks for a graphics device."""
+    file = Path(path)
+    text = re.sub("<visual.*?</visual>", "", file.read_text(), flags=re.DOTALL)
+    # Beside the file, as its meshes are named from there.
+    plain = file.with_name(f"{file.stem}-plain.urdf")
+    plain.write_text(text)
     loader = scene.create_urdf_loader()
-    loader.fix_root_link = True
-    robot = loader.load(path)
-    links = {link.name: link.entity_pose.p.tolist() for link in robot.links}
-    mass = float(sum(link.mass for link in robot.links))
-    shapes = sum(len(link.collision_shapes) for link in robot.links)
-    moving = len(robot.active_joints)
+    loader.fix_root_link = fixed
+    # An object of one link is an actor, which `load` refuses.
+    (body,) = (b for kind in loader.load_multiple(str(plain), str(file.with_suffix(".srdf")))[:2]
+               for b in kind)  # fmt: skip
+    return body
+
+
+def genesis(path: str) -> Read:
+    import genesis as gs
+
+    if not gs._initialized:
+        gs.init(backend=gs.cpu, logging_level="error")
+    scene = gs.Scene(show_viewer=False)
+    body = scene.add_entity(genesis_morph(gs, path, fixed=True, merged=False))
+    scene.build()
+    links = {link.name: link.get_pos().tolist() for link in body.links}
+    mass = sum(float(link.get_mass()) for link in body.links)
+    moving = sum(joint.type.name not in ("FIXED", "FREE") for joint in body.joints)
+    shapes = sum(len(link.geoms) for link in body.links)
     return {"links": links, "mass": mass, "joints": moving, "shapes": shapes}
+
+
+def genesis_morph(gs: Any, path: str, *, fixed: bool, merged: bool = True) -> Any:
+    """Describe a file to Genesis, without the armature that it adds to joints; an MJCF is fixed by
+    taking its free joint out.
+    """
+    if path.endswith("urdf"):
+        return gs.morphs.URDF(
+            file=path, fixed=fixed, merge_fixed_links=merged, default_armature=0.0
+        )
+    if fixed and "object" in Path(path).name:
+        file = Path(path)
+        held = file.with_name("object-held.xml")
+        text = re.sub("<freejoint[^>]*/>|<joint [^>]*type=.free.[^>]*/>", "", file.read_text())
+        held.write_text(re.sub("<keyframe>.*?</keyframe>", "", text, flags=re.DOTALL))
+        path = str(held)
+    return gs.morphs.MJCF(file=path, default_armature=0.0)
 
 
 def usd(path: str) -> Read:
@@ -148,6 +200,16 @@ def usd(path: str) -> Read:
     moving = sum(p.IsA(UsdPhysics.Joint) and not p.IsA(UsdPhysics.FixedJoint) for p in prims)
     shapes = sum(p.HasAPI(UsdPhysics.CollisionAPI) for p in prims)
     return {"links": {}, "mass": mass, "joints": moving, "shapes": shapes}
+
+
+def nvidia(path: str) -> Read:
+    from physx_usd_schemas import PhysxSchema  # noqa: F401  # its attributes are known then
+    from usd_validation_nvidia import ValidationEngine
+
+    found = [str(issue) for issue in ValidationEngine().validate(path).issues()]
+    if found:
+        raise ValueError(f"{len(found)} issues: {found[0]}")
+    return usd(path)
 
 
 def _converted(convert: Callable[[str, str], Any], path: str) -> Read:
@@ -174,27 +236,10 @@ def urdf_usd_converter(path: str) -> Read:
     return _converted(urdf_usd_converter.Converter().convert, path)
 
 
-READERS: dict[str, tuple[Callable[[str], Read], str, tuple[str, ...]]] = {
-    "mujoco": (mujoco, "mujoco", ("xml", "urdf")),
-    "dm_control": (dm_control, "dm_control", ("xml",)),
-    "yourdfpy": (yourdfpy, "yourdfpy", ("urdf",)),
-    "pinocchio": (pinocchio, "pinocchio", ("urdf",)),
-    "drake": (drake, "pydrake", ("urdf", "sdf", "xml")),
-    "pybullet": (pybullet, "pybullet", ("urdf",)),
-    "sapien": (sapien, "sapien", ("urdf",)),
-    "newton": (newton, "newton", ("xml", "urdf", "usda")),
-    "usd": (usd, "pxr", ("usda",)),
-    "mujoco_usd_converter": (mujoco_usd_converter, "mujoco_usd_converter", ("xml",)),
-    "urdf_usd_converter": (urdf_usd_converter, "urdf_usd_converter", ("urdf",)),
-}
-"""Readers: how one reads, the module that it needs, and suffixes of what it takes."""
-
-
-if __name__ == "__main__":
-    # A script's folder comes first on the path, where modules of ours would hide packages.
-    sys.path.pop(0)
-    try:
-        result = READERS[sys.argv[1]][0](sys.argv[2])
-    except Exception as error:  # a foreign program's border
-        result = {"error": f"{type(error).__name__}: {' '.join(str(error).split())}"[:300]}
-    print(f"\n{json.dumps(result)}")
+READERS: dict[str, Callable[[str], Read]] = {
+    "mujoco": mujoco, "dm_control": dm_control, "yourdfpy": yourdfpy, "pinocchio": pinocchio,
+    "drake": drake, "pybullet": pybullet, "newton": newton, "sapien": sapien, "genesis": genesis,
+    "usd": usd, "nvidia": nvidia, "mujoco_usd_converter": mujoco_usd_converter,
+    "urdf_usd_converter": urdf_usd_converter,
+}  # fmt: skip
+"""How each program reads."""

@@ -1,106 +1,309 @@
-"""Which foreign programs read our files, and what they make of them, beside what we mean."""
+"""Foreign programs beside what we mean: what they read of our files, and how that moves in them."""
 
-import json
-import subprocess
-import sys
+import contextlib
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
-from benchmarks.reader_probe import READERS
+import neoworld_mjx as nw
+from benchmarks.foreign import PROGRAMS, Program, probe
+from benchmarks.motion_probe import degrees
+from benchmarks.pulls import Pull, pull_of
 from benchmarks.suites import Readers
-from neoworld_mjx.config import ProgramOptions
-from neoworld_mjx.export import export_object
+from neoworld_mjx.config import ProgramOptions, load_config
+from neoworld_mjx.errors import NeoWorldError
+from neoworld_mjx.export import export_object, export_scene, import_mjcf
+from neoworld_mjx.export.formats import write_formats
 from neoworld_mjx.physics.mjcf import body_name
 from neoworld_mjx.program import build
-from neoworld_mjx.spec import ObjectSpec, inertial
+from neoworld_mjx.spec import ObjectSpec, SceneSpec, bounds, inertial, read_scene, world_poses
 
-OBJECTS = Path(__file__).parents[1] / "examples" / "objects"
-PROBE = Path(__file__).with_name("reader_probe.py")
-TOLERANCE_M, TOLERANCE_MASS = 1e-6, 1e-5
+ROOT = Path(__file__).parents[1]
+OBJECTS = ROOT / "examples" / "objects"
+TOLERANCE_M, TOLERANCE_MASS, LEAST_KG = 1e-6, 1e-5, 1e-5
+"""Masses are alike within a share, or this: SAPIEN and others give frames a milligram each."""
+REST_MM, REST_DEGREES, PULLED = 5.0, 2.0, 0.1
+"""How far what rests may end beside where it ends in MuJoCo, and a pulled joint, over its value."""
+REST_S, PULL_S = 2.0, 0.5
+KNOWN = {
+    "dry": "knows no dry friction of joints: pulls are held against MuJoCo's without it",
+    "coefficient": "takes URDF's dry friction for a coefficient: it is set to 0, and in MuJoCo",
+}
+"""Differences of programs that a comparison allows for."""
+CHECKS = ("loads", "joints", "masses", "colliders", "places", "rest", "pulled")
+Row = dict[str, Any]
 
 
 def answer(o: Readers) -> dict[str, Any]:
-    """Export objects, let every reader that is installed read them, and compare."""
-    pythons = [*o.python, Path(sys.executable)]
-    names = o.object or tuple(sorted(path.stem for path in OBJECTS.glob("*.py")))
-    wanted = o.reader or tuple(READERS)
-    rows: dict[str, dict[str, Any]] = {}
+    """Export objects and the example's scene, let programs read and simulate them, and compare."""
+    names = o.reader or tuple(PROGRAMS)
+    for name in names:
+        if name not in PROGRAMS:
+            raise ValueError(f"no reader {name}; there are {', '.join(PROGRAMS)}")
+    rows: list[Row] = []
+    faults: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
-        specs = {}
+        home = Path(folder)
+        scene = None if o.no_scene else example_scene(o.scene, home)
+        specs = {spec.name: spec for spec in objects(o, scene)}
+        for name, spec in specs.items():
+            export_object(spec, home / name)
+            write_formats(spec, home / name, ["usd"])
+        pulls = {name: pull_of(spec) for name, spec in specs.items()}
+        expected = expectations(home, specs, pulls, scene)
         for name in names:
-            built = build((OBJECTS / f"{name}.py").read_text(), ProgramOptions())
+            new = rows_of(name, home, specs, pulls, scene, expected)
+            faults += [f"{row['reader']} {row['file']}: {f}" for row in new for f in row["faults"]]
+            rows += new
+    if o.figure is not None:
+        write_figure(o.figure, rows)
+    return {"passed": not faults, "objects": len(specs), "rows": rows, "faults": faults}
+
+
+def example_scene(run: Path | None, home: Path) -> SceneSpec:
+    """Return the scene of a run folder, or of the bundled example, written in every form."""
+    if run is None:
+        run = home / "example"
+        nw.reconstruct(ROOT / "examples" / "coffee.png", run, load_config())
+    scene = read_scene(run)
+    export_scene(scene, home / "scene")
+    for simulator in ("newton", "isaac"):
+        write_formats(scene, home / "scene", ["usd"], simulator=simulator)
+    return scene
+
+
+def objects(o: Readers, scene: SceneSpec | None) -> Iterator[ObjectSpec]:
+    """Yield the programs of examples/objects, the scene's objects and the assets."""
+    for path in sorted(OBJECTS.glob("*.py")):
+        if not o.object or path.stem in o.object:
+            built = build(path.read_text(), ProgramOptions())
             if built.spec is None:
-                raise ValueError(f"{name} does not build")
-            specs[name] = built.spec
-            export_object(built.spec, Path(folder) / name)
-        for reader in wanted:
-            _, module, suffixes = READERS[reader]
-            python = interpreter(pythons, module)
-            for suffix in suffixes:
-                row = f"{reader} {suffix}"
-                if python is None:
-                    rows[row] = {"installed": False}
-                    continue
-                faults: list[str] = []
-                for name, spec in specs.items():
-                    file = Path(folder) / name / f"object.{suffix}"
-                    faults += [f"{name}: {f}" for f in compare(spec, _probe(python, reader, file))]
-                rows[row] = {"installed": True, "objects": len(specs), "faults": faults}
-    return {"passed": not any(row.get("faults") for row in rows.values()), "readers": rows}
+                raise ValueError(f"{path.stem} does not build")
+            yield built.spec.model_copy(update={"name": path.stem})
+    for item in scene.objects if scene is not None else ():
+        yield item.spec.model_copy(update={"name": f"example_{item.name}"})
+    for path in sorted(o.assets.glob("*/model.xml")) if o.assets is not None else ():
+        with contextlib.suppress(NeoWorldError):
+            name = f"asset_{path.parent.name}"
+            yield import_mjcf(path).spec.model_copy(update={"name": name})
 
 
-def compare(spec: ObjectSpec, read: dict[str, Any]) -> list[str]:
-    """List in words where a reader's object is not what the spec means."""
-    if "error" in read:
-        return [read["error"]]
-    faults = []
+def expectations(
+    home: Path, specs: dict[str, ObjectSpec], pulls: dict[str, Pull | None], scene: SceneSpec | None
+) -> dict[str, Any]:
+    """Return how things move in this environment's MuJoCo: by job, as `jobs_of` names them."""
+    result: dict[str, Any] = {}
+    for suffix in ("xml", "urdf"):
+        for dry in (True, False):
+            jobs = jobs_of(home, specs, pulls, suffix, dry)
+            _, done = probe("mujoco", list(jobs.values()))
+            result |= {(key, suffix, dry): one for key, one in zip(jobs, done, strict=True)}
+    if scene is not None:
+        job = {"move": str(home / "scene" / "scene.xml"), "scene": True, "seconds": REST_S}
+        result["scene"] = probe("mujoco", [job])[1][0]
+    return result
+
+
+def jobs_of(
+    home: Path, specs: dict[str, ObjectSpec], pulls: dict[str, Pull | None], suffix: str, dry: bool
+) -> dict[tuple[str, str], dict[str, Any]]:
+    """Return simulations of objects by (object, what): at rest, and pulled by a handle."""
+    jobs: dict[tuple[str, str], dict[str, Any]] = {}
+    for name, spec in specs.items():
+        file = str(home / name / f"object.{suffix}")
+        low = float(bounds(spec)[0][2])
+        jobs[name, "rest"] = {"move": file, "low": low, "seconds": REST_S}
+        pull = pulls[name]
+        if pull is not None:
+            jobs[name, "pulled"] = {"move": file, "seconds": PULL_S, "dry": dry, **pull._asdict()}
+    return jobs
+
+
+def rows_of(
+    name: str,
+    home: Path,
+    specs: dict[str, ObjectSpec],
+    pulls: dict[str, Pull | None],
+    scene: SceneSpec | None,
+    expected: dict[str, Any],
+) -> list[Row]:
+    """Let a program read and simulate, and return a row for each format and file of a scene."""
+    program = PROGRAMS[name]
+    jobs: list[dict[str, Any]] = []
+    places: list[tuple[int, str, str]] = []
+    rows: list[Row] = []
+
+    def add(row: int, key: str, what: str, job: dict[str, Any]) -> None:
+        places.append((row, key, what))
+        jobs.append(job)
+
+    for suffix in program.objects:
+        row = len(rows)
+        rows.append({"file": f"object.{suffix}", "suffix": suffix})
+        for key in specs:
+            add(row, key, "read", {"read": str(home / key / f"object.{suffix}")})
+        if program.moves:
+            moved = jobs_of(home, specs, pulls, suffix, not program.known)
+            for (key, what), job in moved.items():
+                add(row, key, what, job)
+    for file in program.scenes if scene is not None else ():
+        row, path = len(rows), str(home / "scene" / file)
+        rows.append({"file": file, "suffix": None})
+        add(row, "scene", "read", {"read": path})
+        if program.moves:
+            add(row, "scene", "rest", {"move": path, "scene": True, "seconds": REST_S})
+    version, results = probe(name, jobs)
+    for k, row in enumerate(rows):
+        own = {
+            (key, what): r for (at, key, what), r in zip(places, results, strict=True) if at == k
+        }
+        compared = _compare_scene if row["suffix"] is None else _compare_objects
+        row |= {"reader": name, "version": version}
+        row |= compared(program, row["suffix"], own, specs, scene, expected)
+    return rows
+
+
+def _compare_objects(
+    program: Program, suffix: str, own: Row, specs: dict[str, ObjectSpec],
+    scene: SceneSpec | None, expected: Row,
+) -> Row:  # fmt: skip
+    tally = dict.fromkeys(CHECKS, (0, 0))
+    faults: list[str] = []
+
+    def note(check: str, name: str, fault: str | None) -> None:
+        good, of = tally[check]
+        tally[check] = (good + (fault is None), of + 1)
+        if fault is not None:
+            faults.append(f"{name}: {check}: {fault}")
+
+    dry, like = not program.known, "urdf" if suffix == "urdf" else "xml"
+    for name, spec in specs.items():
+        read = own[name, "read"]
+        note("loads", name, read.get("error"))
+        if "error" not in read:
+            for check, fault in compare(spec, read).items():
+                note(check, name, fault)
+        for what in ("rest", "pulled"):
+            if (name, what) in own:
+                reference = expected[(name, what), like, dry]
+                note(what, name, apart(own[name, what], reference))
+    return {**{check: _share(tally[check]) for check in CHECKS}, "faults": faults}
+
+
+def compare(spec: ObjectSpec, read: dict[str, Any]) -> dict[str, str | None]:
+    """Return in words where a reader's object is not what the spec means; None where it is."""
     mass = sum(inertial(spec, part).mass for part in spec.parts)
-    if abs(read["mass"] - mass) > TOLERANCE_MASS * mass:
-        faults.append(f"mass {read['mass']:g} kg, not {mass:g}")
+    light = abs(read["mass"] - mass) > max(TOLERANCE_MASS * mass, LEAST_KG)
     moving = sum(joint.type != "fixed" for joint in spec.joints)
-    if read["joints"] != moving:
-        faults.append(f"{read['joints']} joints that move, not {moving}")
+    # In URDF a ball is three hinges.
+    turns = moving + 2 * sum(joint.type == "ball" for joint in spec.joints)
     pieces = sum(
         len(geom.shape.pieces()) for p in spec.parts for geom in p.geoms if geom.role != "visual"
     )
-    if read["shapes"] < pieces:
-        faults.append(f"{read['shapes']} colliders, not {pieces}")
+    result: dict[str, str | None] = {
+        "masses": f"{read['mass']:g} kg, not {mass:g}" if light else None,
+        "joints": None if read["joints"] in (moving, turns)
+        else f"{read['joints']} that move, not {moving}",
+        "colliders": f"{read['shapes']}, not {pieces}" if read["shapes"] < pieces else None,
+    }  # fmt: skip
+    gaps: dict[str, float] = {}
     for joint in spec.joints:
-        at = next(
-            (
-                read["links"][name]
-                for name in (joint.child, body_name(spec, joint.child))
-                if name in read["links"]
-            ),
-            None,
-        )
+        names = (joint.child, body_name(spec, joint.child))
+        at = next((p for n, p in read["links"].items() if n.replace("_", "-") in
+                   {own.replace("_", "-") for own in names}), None)  # fmt: skip
         if at is not None and read.get("base") != "com":
-            gap = float(np.linalg.norm(np.array(at) - np.array(joint.pos)))
-            if gap > TOLERANCE_M:
-                faults.append(f"link {joint.child} {1e3 * gap:.3g} mm beside its place")
-    return faults
+            gaps[joint.child] = float(np.linalg.norm(np.array(at) - np.array(joint.pos)))
+    if gaps:
+        worst = max(gaps, key=lambda name: gaps[name])
+        far = gaps[worst] > TOLERANCE_M
+        result["places"] = f"{worst} {1e3 * gaps[worst]:.3g} mm beside its place" if far else None
+    return result
 
 
-def interpreter(pythons: list[Path], module: str) -> Path | None:
-    """Return the first interpreter that has a module."""
-    return next((python for python in pythons if _has(python, module)), None)
+def apart(moved: dict[str, Any], reference: dict[str, Any]) -> str | None:
+    """Return in words where something did not move as in MuJoCo; None where it did."""
+    if "error" in moved:
+        return moved["error"]
+    if "q" in reference:
+        q, meant = moved["q"], reference["q"]
+        return None if abs(q - meant) <= PULLED * abs(meant) else f"{q:.4g}, not {meant:.4g}"
+    ends, meant = (list(m["roots"].values()) for m in (moved, reference))
+    return _parted(ends[0], meant[0]) if ends and meant else "it has no root"
 
 
-def _has(python: Path, module: str) -> bool:
-    # The module's own folder is no place of ours: modules here have names of packages.
-    text = f"import importlib.util, sys; sys.exit(importlib.util.find_spec({module!r}) is None)"
-    return subprocess.run([python, "-I", "-c", text], check=False).returncode == 0
+def _parted(one: dict[str, Any], other: dict[str, Any]) -> str | None:
+    gap = 1e3 * float(np.linalg.norm(np.array(one["pos"]) - other["pos"]))
+    turn = degrees(_quotient(one["quat"], other["quat"]))
+    near = gap <= REST_MM and turn <= REST_DEGREES
+    return None if near else f"{gap:.1f} mm and {turn:.1f} degrees beside MuJoCo's"
 
 
-def _probe(python: Path, reader: str, file: Path) -> dict[str, Any]:
-    done = subprocess.run(
-        [python, PROBE, reader, file], capture_output=True, text=True, check=False, timeout=600
-    )
-    lines = done.stdout.strip().splitlines()
-    try:
-        return json.loads(lines[-1])
-    except (IndexError, json.JSONDecodeError):
-        return {"error": f"ended with {done.returncode}: {done.stderr.strip()[-200:]}"}
+def _quotient(one: list[float], other: list[float]) -> list[float]:
+    a, u = one[0], np.array(one[1:])
+    b, v = other[0], -np.array(other[1:])
+    return [a * b - float(u @ v), *(a * v + b * u + np.cross(u, v)).tolist()]
+
+
+def _compare_scene(
+    program: Program, suffix: None, own: Row, specs: dict[str, ObjectSpec],
+    scene: SceneSpec | None, expected: Row,
+) -> Row:  # fmt: skip
+    assert scene is not None
+    read, faults = own["scene", "read"], []
+    result: Row = dict.fromkeys(CHECKS, "")
+
+    def note(check: str, fault: str | None) -> None:
+        result[check] = "no" if fault else "yes"
+        if fault:
+            faults.append(f"{check}: {fault}")
+
+    note("loads", read.get("error"))
+    items = [(i, sum(inertial(i.spec, p).mass for p in i.spec.parts)) for i in scene.objects]
+    # What cannot move has no mass in USD.
+    masses = [sum(m for i, m in items if not (still and i.static)) for still in (True, False)]
+    moving = sum(j.type != "fixed" for i, _ in items for j in i.spec.joints)
+    if "error" not in read:
+        near = any(abs(read["mass"] - m) <= max(TOLERANCE_MASS * m, LEAST_KG) for m in masses)
+        note("masses", None if near else f"{read['mass']:g} kg, not {masses[0]:g}")
+        good = read["joints"] == moving
+        note("joints", None if good else f"{read['joints']} that move, not {moving}")
+    moved = own.get(("scene", "rest"))
+    if moved is None:
+        return {**result, "faults": faults}
+    if "error" in moved:
+        note("rest", moved["error"])
+        return {**result, "faults": faults}
+    at, words, far = world_poses(scene), [], []
+    for item, _ in items:
+        if item.static:
+            continue
+        one, other = moved["roots"].get(item.name), expected["scene"]["roots"][item.name]
+        fault = "is missing" if one is None else _parted(one, other)
+        words += [f"{item.name} {fault}"] if fault else []
+        if one is not None:
+            gap = float(np.linalg.norm(np.array(one["start"]) - at[item.name].pos))
+            far += [f"{item.name} {1e3 * gap:.3g} mm beside its place"] * (gap > TOLERANCE_M)
+    note("rest", "; ".join(words) or None)
+    note("places", "; ".join(far) or None)
+    return {**result, "faults": faults}
+
+
+def _share(tally: tuple[int, int]) -> str:
+    good, of = tally
+    return f"{good}/{of}" if of else ""
+
+
+def write_figure(path: Path, rows: list[Row]) -> None:
+    """Write rows as the table of a figure of `benchmarks/figures`, where that file has the rest."""
+    kept = yaml.safe_load(path.read_text(encoding="utf-8")) if path.exists() else {}
+    kept["columns"] = ["", "file", *CHECKS]
+    kept["rows"] = [
+        [f"{row['reader']} {row['version']}".replace("_4 ", " "), f"`{row['file']}`",
+         *(str(row[check]) or "-" for check in CHECKS)]
+        for row in rows
+    ]  # fmt: skip
+    path.write_text(yaml.safe_dump(kept, sort_keys=False, allow_unicode=True), encoding="utf-8")

@@ -91,28 +91,25 @@ class Templates:
 
 @dataclass(frozen=True, kw_only=True)
 class Readers:
-    """Let foreign programs read exported objects, and compare masses, joints, colliders and poses.
+    """Let foreign programs read and simulate exported objects and the example's scene, beside what
+    is meant and how it moves in MuJoCo.
 
-    Their environments contradict each other, so several may be named; a reader is taken from the
-    first that has it. The extra `readers` installs those that live beside this package.
+    `uv` makes their environments, which contradict each other; some are gigabytes. Without
+    `--reader` all of them run, some 40 minutes on a core.
     """
 
-    python: UseAppendAction[tuple[Path, ...]] = ()
-    """Another interpreter that has readers; may be repeated."""
+    reader: UseAppendAction[tuple[str, ...]] = ()
+    """Program; may be repeated, none takes all."""
     object: UseAppendAction[tuple[str, ...]] = ()
     """Program of examples/objects; may be repeated, none takes all."""
-    reader: UseAppendAction[tuple[str, ...]] = ()
-    """Reader; may be repeated, none takes all."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Motion:
-    """Let foreign programs simulate exported objects: 2 s of rest, and a joint pulled for 0.5 s."""
-
-    python: UseAppendAction[tuple[Path, ...]] = ()
-    """Another interpreter that has simulators; may be repeated."""
-    object: tuple[str, ...] = ("drawer_cabinet", "nightstand", "microwave", "door")
-    """Templates to simulate."""
+    scene: Path | None = None
+    """Run folder of the scene; by default the bundled example is reconstructed."""
+    no_scene: bool = False
+    """Leave the scene and its objects out."""
+    assets: Path | None = None
+    """Folder with further objects, <name>/model.xml."""
+    figure: Path | None = None
+    """Figure of benchmarks/figures whose table to write."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,7 +165,6 @@ SUITES = {
     "faults": Suite(Faults, "benchmarks.faults:answer"),
     "inputs": Suite(Inputs, "benchmarks.inputs:answer"),
     "readers": Suite(Readers, "benchmarks.readers:answer"),
-    "motion": Suite(Motion, "benchmarks.motion:answer"),
     "round-trips": Suite(RoundTrips, "benchmarks.round_trips:answer"),
     "programs": Suite(Programs, "benchmarks.programs:answer"),
     "verify": Suite(Verify, "benchmarks.verify:answer"),

@@ -26,8 +26,8 @@ class ExportCommand(ConfiguredCommand):
     format: UseAppendAction[tuple[Format, ...]] = ()
     """Format to write; may be repeated. All of them by default."""
     simulator: Annotated[Simulator | None, arg(name="for")] = None
-    """Simulator to write for: its formats; for mjx only colliders that it has, for newton a layer
-    newton.usda with what its contacts need."""
+    """Simulator to write for: its formats; for mjx only colliders that it has, for newton and isaac
+    a layer newton.usda or isaac.usda over USD with what their contacts and joints need."""
     floor: bool = False
     """Put a floor without end below everything (MJCF)."""
     overwrite: bool = False
@@ -46,8 +46,9 @@ class ExportCommand(ConfiguredCommand):
         if mjx and "mjcf" not in kinds:
             raise SpecError("--for mjx is about MJCF: leave --format away, or name mjcf")
         described, notes = self._read()
-        newton = self.simulator == "newton"
-        files = write_formats(described, self.out, kinds, mjx=mjx, floor=self.floor, newton=newton)
+        files = write_formats(
+            described, self.out, kinds, simulator=self.simulator, floor=self.floor
+        )
         answer: Answer = {
             "target": str(self.target),
             "folder": str(self.out),

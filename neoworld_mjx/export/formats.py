@@ -7,10 +7,11 @@ from pathlib import Path
 from pxr import Sdf, UsdUtils
 
 from ..errors import ExportError
-from ..format_names import Format
+from ..format_names import Format, Simulator
 from ..physics.lowering import polyhedron_error
 from ..spec import ObjectSpec, SceneSpec, bounds, link_poses, pieces, world_poses
 from ..spec.convex import box_around
+from .isaac_layer import isaac_text
 from .meshes import mesh_files
 from .newton_layer import newton_text
 from .textures import is_textured, texture_files
@@ -24,6 +25,10 @@ from .write_urdf import srdf_text, urdf_text
 from .write_usd import usd_layer
 
 Described = SceneSpec | ObjectSpec
+LAYERS: dict[Simulator, Callable[[Described, str], str]] = {
+    "newton": newton_text, "isaac": isaac_text,
+}  # fmt: skip
+"""Layers that say in a simulator's words what MJCF says to MuJoCo."""
 
 
 def format_files(
@@ -118,9 +123,8 @@ def write_formats(
     out: Path,
     kinds: Sequence[Format],
     *,
-    mjx: bool = False,
+    simulator: Simulator | None = None,
     floor: bool = False,
-    newton: bool = False,
 ) -> list[str]:
     """Write formats into a folder and return the paths, relative to it.
 
@@ -128,18 +132,19 @@ def write_formats(
         described: the scene or object.
         out: the folder.
         kinds: the formats.
-        mjx: whether MJCF has only colliders that MJX knows.
+        simulator: whom the files are for: for mjx, MJCF has only colliders that it knows; for
+            newton and isaac a layer of that name lies over USD: newton.usda, isaac.usda.
         floor: whether MJCF has a floor without end below everything.
-        newton: whether a layer for Newton lies over USD: newton.usda.
 
     Raises:
         ExportError: a file cannot be written.
     """
     files: dict[str, bytes] = {}
     for kind in kinds:
-        files |= format_files(described, kind, mjx=mjx, floor=floor)
-    if newton and "usd" in kinds:
-        files["newton.usda"] = newton_text(described, f"{_stem(described)}.usdc").encode()
+        files |= format_files(described, kind, mjx=simulator == "mjx", floor=floor)
+    if simulator in LAYERS and "usd" in kinds:
+        text = LAYERS[simulator](described, f"{_stem(described)}.usdc")
+        files[f"{simulator}.usda"] = text.encode()
     for path, content in files.items():
         target = out / path
         try:

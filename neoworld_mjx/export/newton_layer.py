@@ -8,10 +8,12 @@ its own words.
 """
 
 import math
+from collections.abc import Iterator
 
 from pxr import Sdf, Usd
 
 from ..spec import ObjectSpec, SceneSpec, joint_value
+from ..spec.convex import Piece
 from .write_mjcf import IMPRATIO
 from .write_scene_usd import physics_path
 from .write_usd import new_stage
@@ -31,7 +33,7 @@ def newton_text(described: SceneSpec | ObjectSpec, file: str) -> str:
     base = Sdf.Path(f"/{described.name}")
     stage.SetDefaultPrim(stage.OverridePrim(base))
     if isinstance(described, ObjectSpec):
-        _add_gaps(stage, base, described)
+        add_gaps(stage, base, described)
     else:
         settings = stage.OverridePrim(physics_path(described))
         for name, kind, value in (
@@ -42,25 +44,36 @@ def newton_text(described: SceneSpec | ObjectSpec, file: str) -> str:
             settings.CreateAttribute(name, kind, custom=False).Set(value)
         for item in described.objects:
             path = base.AppendChild(item.name)
-            _add_gaps(stage, path, item.spec)
+            add_gaps(stage, path, item.spec)
             if not (item.static and all(joint.type == "fixed" for joint in item.spec.joints)):
                 _add_states(stage, path, item.spec, item.joint_state)
+    return laid_over(stage, file)
+
+
+def laid_over(stage: Usd.Stage, file: str) -> str:
+    """Return a stage of overrides as the text of a layer over a file beside it."""
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.TransferContent(stage.GetRootLayer())
     layer.subLayerPaths.append(f"./{file}")
     return layer.ExportToString()
 
 
-def _add_gaps(stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec) -> None:
+def collider_paths(base: Sdf.Path, spec: ObjectSpec) -> Iterator[tuple[Sdf.Path, Piece]]:
+    """Yield the path of every collider of an object at `base`, and its convex piece."""
     for part in spec.parts:
         folder = base.AppendPath(f"links/{part.name}/collisions")
         for geom in part.geoms:
-            if geom.role == "visual":
-                continue
-            for k in range(len(geom.shape.pieces())):
-                prim = stage.OverridePrim(folder.AppendChild(f"{geom.name}_{k}"))
-                prim.AddAppliedSchema("NewtonCollisionAPI")
-                _set(prim, "newton:contactGap", GAP_M)
+            if geom.role != "visual":
+                for k, piece in enumerate(geom.shape.pieces()):
+                    yield folder.AppendChild(f"{geom.name}_{k}"), piece
+
+
+def add_gaps(stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec) -> None:
+    """Let contacts of an object at `base` be looked for from `GAP_M` on."""
+    for path, _ in collider_paths(base, spec):
+        prim = stage.OverridePrim(path)
+        prim.AddAppliedSchema("NewtonCollisionAPI")
+        set_number(prim, "newton:contactGap", GAP_M)
 
 
 def _add_states(
@@ -74,8 +87,9 @@ def _add_states(
             sliding = joint.type == "prismatic"
             prim = stage.OverridePrim(base.AppendPath(f"joints/{joint.name}"))
             name = "newton:linear:position" if sliding else "newton:angular:position"
-            _set(prim, name, value if sliding else math.degrees(value))
+            set_number(prim, name, value if sliding else math.degrees(value))
 
 
-def _set(prim: Usd.Prim, name: str, value: float) -> None:
+def set_number(prim: Usd.Prim, name: str, value: float) -> None:
+    """Set a number of a schema, in single precision."""
     prim.CreateAttribute(name, Sdf.ValueTypeNames.Float, custom=False).Set(value)

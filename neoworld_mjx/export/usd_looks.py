@@ -4,7 +4,7 @@ A textured material states its plain colour besides, below the connection that i
 """
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdSemantics, UsdShade, Vt
 
 from ..spec import Material
 from ..spec.finish import finish
@@ -31,6 +31,12 @@ def add_material(stage: Usd.Stage, base: Sdf.Path, material: Material) -> None:
     physics.CreateDynamicFrictionAttr(material.friction)
     physics.CreateRestitutionAttr(0.0)
     physics.CreateDensityAttr(material.density)
+    add_label(look.GetPrim(), "material", material.name)
+
+
+def add_label(prim: Usd.Prim, kind: str, *labels: str) -> None:
+    """Say what a prim is, for those who learn from pictures."""
+    UsdSemantics.LabelsAPI.Apply(prim, kind).CreateLabelsAttr().Set(Vt.TokenArray(list(labels)))
 
 
 def _add_texture(

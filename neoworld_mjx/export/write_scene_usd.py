@@ -39,9 +39,10 @@ def scene_usd_layer(scene: SceneSpec, suffix: str = "usda") -> Sdf.Layer:
     poses = world_poses(scene)
     for item in scene.objects:
         _add_object(stage, base.AppendChild(item.name), item, poses[item.name])
-        if item.static and _articulated(item):
-            fixtures = UsdGeom.Scope.Define(stage, _free(scene, "fixtures")).GetPath()
-            _fasten(stage, fixtures.AppendChild(item.name), base, item, poses[item.name])
+        fixture = fixture_path(scene, item)
+        if fixture is not None:
+            UsdGeom.Scope.Define(stage, fixture.GetParentPath())
+            _fasten(stage, fixture, base, item, poses[item.name])
     # References come last and on a layer that no stage composes: they would not resolve here.
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.TransferContent(stage.GetRootLayer())
@@ -54,6 +55,13 @@ def scene_usd_layer(scene: SceneSpec, suffix: str = "usda") -> Sdf.Layer:
 def physics_path(scene: SceneSpec) -> Sdf.Path:
     """Return the path of the prim that holds gravity."""
     return _free(scene, "physics")
+
+
+def fixture_path(scene: SceneSpec, item: SceneObject) -> Sdf.Path | None:
+    """Return the path of the joint that holds an articulated object in the world; else None."""
+    if not (item.static and _articulated(item)):
+        return None
+    return _free(scene, "fixtures").AppendChild(item.name)
 
 
 def _free(scene: SceneSpec, name: str) -> Sdf.Path:

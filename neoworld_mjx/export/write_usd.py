@@ -10,15 +10,15 @@ token loses it. UsdPhysics counts angles in degrees: limits, and per degree stif
 of drives. Armature, dry friction, velocity limits and mimics are written twice: by Newton's schemas
 (newton-usd-schemas) and by PhysX's, for Isaac; both count angles in degrees, and no number of one
 contradicts the other. A ball is a spherical joint with a cone; its damping and stiffness are our
-own attributes, in radians. Semantic labels name the object's class and category, its parts, and the
-purpose of its joints.
+own attributes, in radians. Semantic labels name the object's class and category, its parts, their
+materials, and the purpose of its joints.
 """
 
 import math
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdSemantics, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, Vt
 
 from ..spec import (
     GeomSpec,
@@ -35,7 +35,7 @@ from ..spec.triangles import corner_normals
 from .handles import frames
 from .meshes import piece_mesh
 from .textures import is_textured, texture_coordinates
-from .usd_looks import add_material, dress
+from .usd_looks import add_label, add_material, dress
 
 _AXES = {(1.0, 0.0, 0.0): "X", (0.0, 1.0, 0.0): "Y", (0.0, 0.0, 1.0): "Z"}
 
@@ -57,8 +57,8 @@ def usd_layer(spec: ObjectSpec) -> Sdf.Layer:
     Usd.ModelAPI(root.GetPrim()).SetKind("component")
     if spec.label:
         root.GetPrim().SetDisplayName(spec.label)
-    _label(root.GetPrim(), "class", spec.label or spec.name)
-    _label(root.GetPrim(), "category", category(spec))
+    add_label(root.GetPrim(), "class", spec.label or spec.name)
+    add_label(root.GetPrim(), "category", category(spec))
     if spec.joints:
         UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
     base = root.GetPath()
@@ -78,11 +78,6 @@ def usd_layer(spec: ObjectSpec) -> Sdf.Layer:
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.TransferContent(stage.GetRootLayer())
     return layer
-
-
-def _label(prim: Usd.Prim, kind: str, *labels: str) -> None:
-    """Say what a prim is, for those who learn from pictures."""
-    UsdSemantics.LabelsAPI.Apply(prim, kind).CreateLabelsAttr().Set(Vt.TokenArray(list(labels)))
 
 
 def new_stage() -> Usd.Stage:
@@ -126,7 +121,7 @@ def _add_link(
     link = UsdGeom.Xform.Define(stage, path)
     set_pose(link, pose(origin))
     UsdPhysics.RigidBodyAPI.Apply(link.GetPrim())
-    _label(link.GetPrim(), "part", part.name)
+    add_label(link.GetPrim(), "part", part.name)
     mass = inertial(spec, part)
     physics = UsdPhysics.MassAPI.Apply(link.GetPrim())
     physics.CreateMassAttr(mass.mass)
@@ -173,7 +168,11 @@ def _add_visual(
         primvars = UsdGeom.PrimvarsAPI(mesh)
         kind = Sdf.ValueTypeNames.TexCoord2fArray
         st = primvars.CreatePrimvar("st", kind, UsdGeom.Tokens.faceVarying)
-        st.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(uv.reshape(-1, 2), np.float32)))
+        points, corners = np.unique(
+            uv.reshape(-1, 2).astype(np.float32), axis=0, return_inverse=True
+        )
+        st.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(points)))
+        st.SetIndices(Vt.IntArray.FromNumpy(corners.ravel().astype(np.int32)))
 
 
 def _shade(mesh: UsdGeom.Mesh, normals: NDArray) -> None:
@@ -251,7 +250,7 @@ def _add_joint(
         "ball": UsdPhysics.SphericalJoint,
     }
     usd_joint = kind.get(joint.type, UsdPhysics.RevoluteJoint).Define(stage, path)
-    _label(usd_joint.GetPrim(), "purpose", purpose(spec, joint))
+    add_label(usd_joint.GetPrim(), "purpose", purpose(spec, joint))
     links = base.AppendChild("links")
     usd_joint.CreateBody0Rel().SetTargets([links.AppendChild(joint.parent)])
     usd_joint.CreateBody1Rel().SetTargets([links.AppendChild(joint.child)])

@@ -1,11 +1,13 @@
-"""The readers of benchmarks/readers.py that are here, on an object with every joint and shape."""
+"""The programs of benchmarks/readers.py that are here, on an object with every joint and shape."""
 
+import numpy as np
 import pytest
 
-from benchmarks.motion import within
-from benchmarks.motion_probe import MOVERS
+from benchmarks.foreign import PROGRAMS, probe
+from benchmarks.motion_probe import MOVERS, degrees
+from benchmarks.pulls import pull_of
 from benchmarks.reader_probe import READERS
-from benchmarks.readers import compare
+from benchmarks.readers import apart, compare
 from neoworld_mjx.export import export_object
 
 
@@ -21,33 +23,69 @@ def folder(tmp_path_factory, cabinet):
     [("mujoco", "xml"), ("mujoco", "urdf"), ("yourdfpy", "urdf"), ("usd", "usda")],
 )
 def test_readers_find_masses_joints_colliders_and_places(reader, suffix, folder, cabinet):
-    read = READERS[reader][0](str(folder / f"object.{suffix}"))
-    assert compare(cabinet, read) == []
+    result = compare(cabinet, READERS[reader](str(folder / f"object.{suffix}")))
+    assert set(result) >= {"masses", "joints", "colliders"}
+    assert not any(result.values()), result
+    assert ("places" in result) == (reader != "usd")
 
 
 def test_a_difference_is_told(folder, cabinet):
-    read = READERS["mujoco"][0](str(folder / "object.xml"))
+    read = READERS["mujoco"](str(folder / "object.xml"))
     read["links"]["cabinet-drawer"][2] += 0.002
     read |= {"mass": read["mass"] * 1.01, "joints": 4, "shapes": 3}
-    told = " ".join(compare(cabinet, read))
-    assert all(word in told for word in ("mass", "4 joints", "3 colliders", "drawer 2 mm"))
-    assert compare(cabinet, {"error": "no"}) == ["no"]
+    told = compare(cabinet, read)
+    assert "kg" in told["masses"] and "4 that move" in told["joints"]
+    assert told["colliders"].startswith("3,") and "drawer 2 mm" in told["places"]
 
 
-def test_an_object_moves_in_mujoco_from_urdf_as_from_mjcf(folder, cabinet):
-    options = {"low": 0.0, "seconds": 0.2, "joint": "slide", "force": 3.0}
-    mover = MOVERS["mujoco"][0]
-    pulled = [mover(str(folder / file), options)["q"] for file in ("object.xml", "object.urdf")]
-    # URDF has no stiffness, which holds the drawer back by 2 N/m.
-    assert pulled[0] > 0.01 and pulled[1] == pytest.approx(pulled[0], rel=0.1)
+def test_programs_of_this_environment_do_jobs_in_a_process_of_their_own(folder):
+    jobs = [{"read": str(folder / "object.urdf")}, {"read": str(folder / "no.urdf")}]
+    version, (read, failed) = probe("yourdfpy", jobs)
+    assert version and read["joints"] > 2 and "error" in failed
+    here = [name for name, program in PROGRAMS.items() if not program.requirements]
+    assert here == ["mujoco", "yourdfpy", "usd"]
+
+
+def test_a_program_that_dies_is_told_and_the_other_jobs_are_done(folder, monkeypatch):
+    import benchmarks.foreign as foreign
+
+    file, runs = str(folder / "object.urdf"), []
+    own = foreign._run
+
+    def dies_once(program, jobs):
+        runs.append(len(jobs))
+        lines, _ = own(program, jobs)
+        return (lines[:2], "ended with -11: ") if len(runs) == 1 else (lines, "")
+
+    monkeypatch.setattr(foreign, "_run", dies_once)
+    _, results = probe("yourdfpy", [{"read": file}] * 3)
+    assert runs == [3, 1]
+    assert ["error" in one for one in results] == [False, True, False]
+
+
+def test_a_handle_is_pulled_from_urdf_as_from_mjcf(folder, cabinet):
+    pull = pull_of(cabinet)
+    joint = cabinet.joint(pull.joint)
+    assert joint.type == "prismatic" and pull.link == joint.child
+    # Along the axis, towards where it opens.
+    assert np.allclose(np.cross(pull.force, joint.axis), 0) and np.dot(pull.force, joint.axis) > 0
+    options = {"seconds": 0.2, **pull._asdict()}
+    one, other = (
+        MOVERS["mujoco"](str(folder / f), options)["q"] for f in ("object.xml", "object.urdf")
+    )
+    # URDF has no stiffness, which holds the drawer back.
+    assert one > 0.003 and other == pytest.approx(one, rel=0.1)
 
 
 def test_a_motion_that_is_not_the_same_is_told():
-    mujoco = {"rest_mm": 0.1, "rest_degrees": 0.0, "pulled": 0.1, "expected": 0.1, "note": ""}
-    assert within(mujoco, mujoco)
-    for change in (
-        {"rest_mm": 6.0}, {"rest_degrees": 3.0}, {"pulled": 0.12}, {"note": "it breaks down"},
-    ):  # fmt: skip
-        assert not within({**mujoco, **change}, mujoco), change
-    # What has no dry friction is held against MuJoCo without it.
-    assert within({**mujoco, "pulled": 0.2, "expected": 0.2}, mujoco)
+    still = {"start": [0, 0, 0], "pos": [0, 0, 0], "quat": [1, 0, 0, 0]}
+    tilted = [np.cos(np.radians(1.5)), np.sin(np.radians(1.5)), 0, 0]
+    assert degrees(tilted) == pytest.approx(3.0)
+    rest = {"roots": {"a": still}}
+    assert apart(rest, rest) is None
+    assert apart({"roots": {"b": {**still, "pos": [0.004, 0, 0]}}}, rest) is None
+    for change in ({"pos": [0.006, 0, 0]}, {"quat": tilted}):
+        assert "beside MuJoCo's" in apart({"roots": {"b": {**still, **change}}}, rest), change
+    assert apart({"q": 0.108}, {"q": 0.1}) is None
+    assert apart({"q": 0.112}, {"q": 0.1}) == "0.112, not 0.1"
+    assert apart({"error": "it breaks down"}, rest) == "it breaks down"
