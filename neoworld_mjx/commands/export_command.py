@@ -30,12 +30,17 @@ class ExportCommand(ConfiguredCommand):
     a layer newton.usda or isaac.usda over USD with what their contacts and joints need."""
     floor: bool = False
     """Put a floor without end below everything (MJCF)."""
+    photo: bool = False
+    """Print the photograph on what faced its camera (a run folder): in MJCF, USD, glTF and
+    scene.json, whose printed materials are named ..._photo."""
     overwrite: bool = False
     """Write into a folder that is not empty."""
 
     def run(self) -> Answer:
         """Write the files."""
         from ..export.formats import collider_error, lost, write_formats
+        from ..files import write_inside
+        from ..spec import SceneSpec
 
         if self.out.exists() and not self.out.is_dir():
             raise RunError(f"{self.out} is a file; name a folder")
@@ -46,9 +51,14 @@ class ExportCommand(ConfiguredCommand):
         if mjx and "mjcf" not in kinds:
             raise SpecError("--for mjx is about MJCF: leave --format away, or name mjcf")
         described, notes = self._read()
+        if self.photo:
+            described = self._printed(described)
         files = write_formats(
             described, self.out, kinds, simulator=self.simulator, floor=self.floor
         )
+        if self.photo and isinstance(described, SceneSpec):
+            write_inside(self.out, "scene.json", described.to_json())
+            files = sorted([*files, "scene.json"])
         answer: Answer = {
             "target": str(self.target),
             "folder": str(self.out),
@@ -60,6 +70,16 @@ class ExportCommand(ConfiguredCommand):
         if mjx:
             answer["collider_error_mm"] = round(1e3 * collider_error(described), 3)
         return answer
+
+    def _printed(self, described: "SceneSpec | ObjectSpec") -> "SceneSpec":
+        from ..export.photo_prints import printed
+        from ..parse.photo import load_photo
+        from ..spec import SceneSpec
+
+        photo = self.target / "photo.png"
+        if not isinstance(described, SceneSpec) or not photo.is_file():
+            raise SpecError(f"--photo takes a run folder with its photo.png; {self.target} is none")
+        return printed(described, load_photo(photo).rgb)
 
     def lines(self, answer: Answer) -> list[str]:
         """Return the answer in few lines."""

@@ -9,7 +9,7 @@ from ..spec import GeomSpec, ObjectSpec
 from ..spec.base_shape import BaseShape
 from ..spec.convex import Piece, hull
 from ..spec.triangles import corner_normals
-from .textures import is_textured, texture_coordinates
+from .textures import is_textured, visible_surface
 
 FOLDER = "meshes"
 
@@ -71,9 +71,8 @@ def mesh_files(spec: ObjectSpec) -> dict[str, str]:
         for geom in part.geoms:
             shown = is_textured(spec, geom) or visual_file(geom) is not None
             if geom.role != "collision" and shown:
-                surface = geom.shape.surface()
-                uv = texture_coordinates(spec, part.name, geom, *surface)
-                files[f"{FOLDER}/{geom.name}.obj"] = obj(*surface, smooth=True, uv=uv)
+                vertices, faces, uv = visible_surface(spec, part.name, geom)
+                files[f"{FOLDER}/{geom.name}.obj"] = obj(vertices, faces, smooth=True, uv=uv)
             if geom.role == "visual":
                 continue
             for k, piece in enumerate(geom.shape.pieces()):

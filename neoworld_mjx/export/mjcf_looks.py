@@ -13,7 +13,7 @@ from ..physics.mjcf import visual_name
 from ..spec import Material, ObjectSpec
 from ..spec.finish import finish
 from .meshes import numbers
-from .textures import is_textured, texture_file
+from .textures import has_texture, is_textured, texture_file, visible_surface
 
 COLOUR_SUFFIX = "-rgb"
 
@@ -25,7 +25,7 @@ def add_surfaces(model: mujoco.MjSpec, owner: str, spec: ObjectSpec) -> None:
             if not is_textured(spec, geom) or geom.shape.primitive() is None:
                 continue
             shown = model.geom(visual_name(owner, geom))
-            vertices, faces = geom.shape.surface()
+            vertices, faces, _ = visible_surface(spec, part.name, geom)
             mesh = model.add_mesh(
                 name=shown.name, uservert=vertices.ravel(), userface=faces.ravel()
             )
@@ -76,7 +76,7 @@ def _add_material(
         "metallic": numbers([made.metallic]),
         "roughness": numbers([made.roughness]),
     }
-    if made.pattern is not None and file is not None:
+    if has_texture(material) and file is not None:
         ET.SubElement(assets, "texture", name=name, type="2d", file=file)
         look |= {"texture": name, "rgba": numbers([1, 1, 1, material.rgba[3]])}
         custom = _section(root, "custom")

@@ -1,12 +1,13 @@
 """Textures of an object: tiles of its patterned materials, and where on its surfaces they lie.
 
 A tile is laid on the face of the axis that a triangle's normal is nearest to, in metres of the
-part's own frame, as in our pictures.
+part's own frame, as in our pictures; a print of the photograph where the camera saw the surface.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..render.prints import read_print
 from ..render.tiles import tile_png, tile_size
 from ..spec import GeomSpec, Material, ObjectSpec
 from ..spec.finish import finish
@@ -14,11 +15,18 @@ from ..spec.pose import matrix
 
 TEXTURES = "textures"
 """Folder beside an object's files."""
+PRINT_CUTS = 24
+"""Edges of triangles with a print are at most the whole's diagonal over this."""
 
 
 def is_textured(spec: ObjectSpec, geom: GeomSpec) -> bool:
     """Return whether a geom is seen with a texture."""
-    return geom.role != "collision" and finish(spec.material(geom.material)).pattern is not None
+    return geom.role != "collision" and has_texture(spec.material(geom.material))
+
+
+def has_texture(material: Material) -> bool:
+    """Return whether a material has a texture: a pattern, or a print of the photograph."""
+    return material.photo is not None or finish(material).pattern is not None
 
 
 def texture_file(material: Material) -> str:
@@ -39,20 +47,52 @@ def texture_files(spec: ObjectSpec) -> dict[str, bytes]:
     return result
 
 
-def texture_coordinates(
-    spec: ObjectSpec, part: str, geom: GeomSpec, vertices: NDArray, faces: NDArray
-) -> NDArray | None:
-    """Return (u, v) of every corner of every face, [face, 3, 2], v upwards; None without a texture.
+def visible_surface(
+    spec: ObjectSpec, part: str, geom: GeomSpec
+) -> tuple[NDArray, NDArray, NDArray | None]:
+    """Return what is drawn of a geom, in its own frame.
 
     Args:
         spec: the object.
         part: the part that the geom belongs to.
         geom: the geom.
-        vertices: of its surface, in its own frame [vertex, 3] m.
-        faces: of its surface [face, 3].
+
+    Returns:
+        Vertices [vertex, 3] m, faces [face, 3], and (u, v) of every corner of every face,
+        [face, 3, 2], v upwards; None without a texture. Of what bears a print the faces are cut up,
+        as a photograph's perspective bends over large ones.
     """
+    vertices, faces = geom.shape.surface()
     if not is_textured(spec, geom):
-        return None
+        return vertices, faces, None
+    material = spec.material(geom.material)
+    if material.photo is None:
+        return vertices, faces, _tiled(spec, part, geom, vertices, faces)
+    vertices, faces = _cut_up(vertices, faces)
+    shown = read_print(material.photo)
+    corners = geom.pose().apply(vertices)[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    _, seen = shown.seen(corners.mean(axis=1), normals)
+    at, _ = shown.seen(corners.reshape(-1, 3), np.repeat(normals, 3, axis=0))
+    places = shown.texture_places(at, np.repeat(seen, 3))
+    return vertices, faces, places.reshape(-1, 3, 2)
+
+
+def _cut_up(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
+    """Cut triangles until none is longer than a share of the whole."""
+    from trimesh.remesh import subdivide_to_size
+
+    longest = float(np.linalg.norm(np.ptp(vertices, axis=0))) / PRINT_CUTS
+    cut, corners = subdivide_to_size(vertices, faces, longest, max_iter=20)
+    merged, index = np.unique(np.round(cut, 9), axis=0, return_inverse=True)
+    corners = index.ravel()[corners]
+    whole = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
+    return merged, corners[whole & (corners[:, 2] != corners[:, 0])]
+
+
+def _tiled(
+    spec: ObjectSpec, part: str, geom: GeomSpec, vertices: NDArray, faces: NDArray
+) -> NDArray:
     pattern = finish(spec.material(geom.material)).pattern
     assert pattern is not None
     origin = next((np.array(j.pos) for j in spec.joints if j.child == part), np.zeros(3))

@@ -10,9 +10,18 @@ from ..spec import Material
 from ..spec.finish import finish
 from .textures import texture_file
 
+PRINT_NOTE = "window of the photograph, with its light, projected on what faced the camera"
 
-def add_material(stage: Usd.Stage, base: Sdf.Path, material: Material) -> None:
-    """Define a material below an object's looks, for pictures and for physics."""
+
+def add_material(stage: Usd.Stage, base: Sdf.Path, material: Material, *, textured: bool) -> None:
+    """Define a material below an object's looks, for pictures and for physics.
+
+    Args:
+        stage: the stage.
+        base: path of the object.
+        material: the material.
+        textured: whether a texture of it lies beside the object's files.
+    """
     path = base.AppendChild("looks").AppendChild(material.name)
     look = UsdShade.Material.Define(stage, path)
     shader = UsdShade.Shader.Define(stage, path.AppendChild("surface"))
@@ -20,7 +29,9 @@ def add_material(stage: Usd.Stage, base: Sdf.Path, material: Material) -> None:
     diffuse = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
     diffuse.Set(_colour(material))
     made = finish(material)
-    if made.pattern is not None:
+    if material.photo is not None:
+        look.GetPrim().SetCustomDataByKey("neoworld:print", PRINT_NOTE)
+    if textured:
         _add_texture(stage, path, diffuse, material)
     shader.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(material.rgba[3])
     shader.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(made.metallic)
@@ -42,7 +53,7 @@ def add_label(prim: Usd.Prim, kind: str, *labels: str) -> None:
 def _add_texture(
     stage: Usd.Stage, path: Sdf.Path, colour: UsdShade.Input, material: Material
 ) -> None:
-    """Let a colour come from a picture that repeats."""
+    """Let a colour come from a picture, which repeats if it is a pattern's."""
     reader = UsdShade.Shader.Define(stage, path.AppendChild("coordinates"))
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
@@ -53,7 +64,9 @@ def _add_texture(
     texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(file)
     texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
     for edge in ("wrapS", "wrapT"):
-        texture.CreateInput(edge, Sdf.ValueTypeNames.Token).Set("repeat")
+        texture.CreateInput(edge, Sdf.ValueTypeNames.Token).Set(
+            "repeat" if material.photo is None else "clamp"
+        )
     texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(result)
     colour.ConnectToSource(texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))
 

@@ -12,7 +12,7 @@ from ..spec import ObjectSpec, SceneObject, SceneSpec, link_poses, world_poses
 from ..spec.finish import finish
 from ..spec.pose import Pose, matrix
 from ..spec.triangles import corner_normals
-from .textures import texture_coordinates
+from .textures import visible_surface
 
 if TYPE_CHECKING:
     import trimesh
@@ -68,7 +68,7 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, at: Pose) -> None:
         for geom in part.geoms:
             if geom.role == "collision":
                 continue
-            vertices, faces = geom.shape.surface()
+            vertices, faces, uv = visible_surface(item.spec, part.name, geom)
             # Corners of their own keep edges sharp.
             mesh = trimesh.Trimesh(
                 vertices[faces].reshape(-1, 3),
@@ -76,7 +76,6 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, at: Pose) -> None:
                 vertex_normals=corner_normals(vertices, faces).reshape(-1, 3),
                 process=False,
             )
-            uv = texture_coordinates(item.spec, part.name, geom, vertices, faces)
             mesh.visual = TextureVisuals(
                 uv=None if uv is None else uv.reshape(-1, 2), material=materials[geom.material]
             )

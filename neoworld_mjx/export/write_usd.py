@@ -34,7 +34,7 @@ from ..spec.semantics import category, purpose
 from ..spec.triangles import corner_normals
 from .handles import frames
 from .meshes import piece_mesh
-from .textures import is_textured, texture_coordinates
+from .textures import is_textured, visible_surface
 from .usd_looks import add_label, add_material, dress
 
 _AXES = {(1.0, 0.0, 0.0): "X", (0.0, 1.0, 0.0): "Y", (0.0, 0.0, 1.0): "Z"}
@@ -63,8 +63,9 @@ def usd_layer(spec: ObjectSpec) -> Sdf.Layer:
         UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
     base = root.GetPath()
     UsdGeom.Scope.Define(stage, base.AppendChild("looks"))
+    shown = {g.material for part in spec.parts for g in part.geoms if is_textured(spec, g)}
     for material in spec.materials:
-        add_material(stage, base, material)
+        add_material(stage, base, material, textured=material.name in shown)
     UsdGeom.Xform.Define(stage, base.AppendChild("links"))
     origins = link_origins(spec)
     for part, _ in spec.ordered:
@@ -160,10 +161,9 @@ def _add_visual(
     if primitive is not None and not is_textured(spec, geom):
         _gprim(stage, path, primitive, at)
         return
-    vertices, faces = geom.shape.surface()
+    vertices, faces, uv = visible_surface(spec, part.name, geom)
     mesh = _mesh(stage, path, vertices, faces, at)
     _shade(mesh, corner_normals(vertices, faces))
-    uv = texture_coordinates(spec, part.name, geom, vertices, faces)
     if uv is not None:
         primvars = UsdGeom.PrimvarsAPI(mesh)
         kind = Sdf.ValueTypeNames.TexCoord2fArray

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ..physics.mjcf import body_name, visual_name
 from ..spec import SceneSpec, SurfacePattern
 from ..spec.finish import Finish, finish
+from .prints import ReadPrint, read_print
 from .surface_patterns import patterned
 
 
@@ -23,9 +24,11 @@ class Appearance:
     metal: NDArray
     """Whether it mirrors in its own colour and scatters little, bool [geom]."""
     patterned: NDArray
-    """Whether it has a pattern, bool [geom]."""
+    """Whether it has a pattern or a print, bool [geom]."""
     patterns: dict[int, SurfacePattern]
     """Patterns by geom id."""
+    prints: dict[int, ReadPrint]
+    """Prints of the photograph by geom id, from the origin of the geom's body."""
     to_object: NDArray
     """Rotation of geom to object coordinates at rest, [geom, 3, 3]."""
     offset: NDArray
@@ -48,6 +51,7 @@ def appearance_of(
     rgba[with_material] = model.mat_rgba[model.geom_matid[with_material]]
     gloss, metal = np.full(n, 0.04), np.zeros(n, bool)
     patterns: dict[int, SurfacePattern] = {}
+    prints: dict[int, ReadPrint] = {}
     owner = model.geom_bodyid.copy()
     if scene is not None:
         for obj in scene.objects:
@@ -58,7 +62,12 @@ def appearance_of(
                     g = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
                     if g < 0:
                         continue
-                    made = finish(obj.spec.material(geom.material))
+                    material = obj.spec.material(geom.material)
+                    made = finish(material)
+                    if material.photo is not None:
+                        joints = obj.spec.joints
+                        at = next((j.pos for j in joints if j.child == part.name), np.zeros(3))
+                        prints[g] = read_print(material.photo).shifted(np.array(at))
                     metal[g] = made.metallic >= 0.5
                     if made.pattern is not None:
                         patterns[g] = made.pattern
@@ -68,9 +77,9 @@ def appearance_of(
     turn = data.xmat[owner].reshape(n, 3, 3)
     to_object = np.swapaxes(turn, 1, 2)
     offset = -np.einsum("nij,nj->ni", to_object, data.xpos[owner])
-    has_pattern = np.isin(np.arange(n), list(patterns))
+    has_pattern = np.isin(np.arange(n), [*patterns, *prints])
     colour = linear(rgba[:, :3])
-    return Appearance(colour, gloss, metal, has_pattern, patterns, to_object, offset)
+    return Appearance(colour, gloss, metal, has_pattern, patterns, prints, to_object, offset)
 
 
 def _gloss(made: Finish) -> float:
@@ -94,9 +103,15 @@ def albedo(
     """
     colour = appearance.colour[geom]
     for g in np.unique(geom[appearance.patterned[geom]]):
-        pattern = appearance.patterns[g]
         rows = np.flatnonzero(geom == g)
         turn = appearance.to_object[g]
+        if g in appearance.prints:
+            shown = appearance.prints[g]
+            local = point[rows] @ turn.T + appearance.offset[g]
+            at, seen = shown.seen(local, normal[rows] @ turn.T)
+            colour[rows[seen]] = linear(shown.colour(at[seen]))
+            continue
+        pattern = appearance.patterns[g]
         second = None if pattern.rgb is None else linear(np.array(pattern.rgb))
         colour[rows] = patterned(
             pattern,

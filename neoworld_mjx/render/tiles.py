@@ -15,6 +15,7 @@ from PIL import Image
 from ..spec import Material, SurfacePattern
 from ..spec.finish import finish
 from .appearance import displayed, linear
+from .prints import print_png
 from .surface_patterns import patterned
 
 PIXELS = 256
@@ -50,8 +51,11 @@ def tile_size(pattern: SurfacePattern) -> tuple[float, float]:
 def tile_png(material: Material) -> bytes | None:
     """Return the tile of a patterned material as PNG, the same bytes every time; None if plain.
 
-    Its first row is at the greatest v, as in all pictures.
+    Its first row is at the greatest v, as in all pictures. Of a material that bears a print of the
+    photograph it is that, which does not repeat.
     """
+    if material.photo is not None:
+        return print_png(material)
     pattern = finish(material).pattern
     return None if pattern is None else _tile_png(pattern.model_dump_json(), material.rgba[:3])
 

@@ -66,7 +66,7 @@ def finish(material: Material) -> Finish:
     return Finish(
         metallic if material.metallic is None else material.metallic,
         roughness if material.roughness is None else material.roughness,
-        None if pattern is None or pattern.kind == "plain" else pattern,
+        None if pattern is None or pattern.kind == "plain" or material.photo else pattern,
     )
 
 

@@ -22,6 +22,7 @@ from .dimensions import (
 )
 from .forest import name_on_cycle, parents_first
 from .joint import JointSpec, check_prerequisites, require_known
+from .photo_print import PhotoPrint
 from .pose import IDENTITY, Pose, pose
 from .shapes import Shape
 from .surface_pattern import Share, SurfacePattern
@@ -51,6 +52,8 @@ class Material(ScalableSpec):
         default=None, exclude_if=lambda value: value is None
     )
     """From 0 to 1; None is what is usual by the name."""
+    photo: PhotoPrint | None = Field(default=None, exclude_if=lambda value: value is None)
+    """What the photograph shows of it, in place of a pattern."""
 
     @property
     def see_through(self) -> bool:

@@ -13,7 +13,7 @@ from pxr import Usd, UsdGeom, UsdShade, UsdValidation
 
 from neoworld_mjx.export import import_mjcf, import_usd
 from neoworld_mjx.export.formats import lost, write_formats
-from neoworld_mjx.export.textures import texture_coordinates
+from neoworld_mjx.export.textures import visible_surface
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.render.appearance import linear
 from neoworld_mjx.render.surface_patterns import patterned
@@ -80,8 +80,7 @@ def test_a_tile_repeats_without_a_seam(kind):
 def test_a_tile_is_what_our_pictures_draw_there(spec):
     """Points of a board's face have the colour of the tile at their coordinates."""
     block = spec.part("brick").geoms[0]
-    vertices, faces = block.shape.surface()
-    uv = texture_coordinates(spec, "brick", block, vertices, faces)
+    vertices, faces, uv = visible_surface(spec, "brick", block)
     assert uv is not None
     wide, tall = tile_size(TILED)
     # The frame of a part is at its joint, as in the pictures.
@@ -132,7 +131,7 @@ def test_usd_has_textures_that_are_there(folder, file):
     assert source.GetPrim().GetName() == "texture" and asset.resolvedPath
     mesh = stage.GetPrimAtPath("/thing/links/brick/visuals/brick")
     st = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
-    assert len(st.Get()) == 36 and st.GetInterpolation() == UsdGeom.Tokens.faceVarying
+    assert len(st.ComputeFlattened()) == 36 and st.GetInterpolation() == UsdGeom.Tokens.faceVarying
     knob = UsdShade.Shader(stage.GetPrimAtPath("/thing/looks/knob/surface"))
     assert knob.GetInput("metallic").Get() == pytest.approx(0.3)
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()

@@ -1,0 +1,171 @@
+"""Prints of the photograph: on what faced the camera and was not covered, and nowhere else."""
+
+import io
+import json
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from pxr import Usd, UsdShade
+
+from neoworld_mjx import cli
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.export.formats import lost, write_formats
+from neoworld_mjx.export.photo_prints import printed
+from neoworld_mjx.export.textures import visible_surface
+from neoworld_mjx.render import render
+from neoworld_mjx.render.prints import print_png, read_print
+from neoworld_mjx.spec import Box, Camera, ObjectSpec, SceneObject, SceneSpec, read_scene
+from neoworld_mjx.spec.photo_print import PhotoPrint
+from tests.support.mechanisms import WOOD, geom, joint, part
+
+CAMERA = Camera(width=120, height_px=80, fovy=0.5, height=0.6, pitch=0.35, roll=0.0)
+LEFT, RIGHT = (200, 30, 30), (30, 60, 200)
+
+
+def cupboard(name: str) -> ObjectSpec:
+    return ObjectSpec(
+        name=name,
+        materials=(WOOD.model_copy(update={"rgba": (0.2, 0.8, 0.2, 1.0)}),),
+        parts=(
+            part("case", geom("case", Box(size=(0.2, 0.3, 0.2)), (0, 0, 0.1))),
+            part("drawer", geom("front", Box(size=(0.02, 0.2, 0.1)), (0.11, 0, 0.1))),
+        ),
+        joints=(joint("slide", "prismatic", "case", "drawer", axis=(1, 0, 0), upper=0.1),),
+    )
+
+
+@pytest.fixture(scope="module")
+def scene() -> SceneSpec:
+    centre = CAMERA.position() + CAMERA.axes()[:, 2] * (0.5 / np.sin(CAMERA.pitch))
+    toward = np.arctan2(*(CAMERA.position() - centre)[1::-1])
+    item = SceneObject(name="cupboard", spec=cupboard("cupboard"), fixed_base=True,
+                       xy=tuple(centre[:2].tolist()), yaw=float(toward),
+                       joint_state={"slide": 0.05})  # fmt: skip
+    return SceneSpec(name="scene", objects=(item,), camera=CAMERA)
+
+
+@pytest.fixture(scope="module")
+def photo() -> np.ndarray:
+    picture = np.zeros((160, 240, 3), np.uint8)
+    picture[:, :120], picture[:, 120:] = LEFT, RIGHT
+    return picture
+
+
+@pytest.fixture(scope="module")
+def result(scene, photo):
+    return printed(scene, photo)
+
+
+def test_seen_faces_bear_the_photograph_and_others_their_own_colour(result):
+    spec = result.objects[0].spec
+    for name in ("case", "drawer"):
+        (own,) = spec.part(name).geoms
+        material = spec.material(own.material)
+        assert material.name == f"wood_{name}_photo" and material.density == WOOD.density
+        vertices, faces, uv = visible_surface(spec, name, own)
+        picture = np.asarray(Image.open(io.BytesIO(print_png(material))))
+        centres, places = vertices[faces].mean(axis=1), uv.mean(axis=1)
+        h, w = picture.shape[:2]
+        rows = np.clip(((1 - places[:, 1]) * h).astype(int), 0, h - 1)
+        colours = picture[rows, np.clip((places[:, 0] * w).astype(int), 0, w - 1)].astype(int)
+        front = centres[:, 0] > vertices[:, 0].max() - 1e-6
+        back = centres[:, 0] < vertices[:, 0].min() + 1e-6
+        plain = np.abs(colours - [51, 204, 51]).max(axis=1) < 2
+        assert plain[back].all() and back.any()
+        # The camera looks from the front, so +y is to the right; the case's front is covered in its
+        # middle by the drawer, which stands open.
+        y = centres[:, 1]
+        for side, colour in ((y < -0.02, LEFT), (y > 0.02, RIGHT)):
+            chosen = front & side & ~plain
+            assert chosen.any()
+            assert np.abs(colours[chosen] - colour).max() < 3, name
+        covered = front & (np.abs(y) < 0.06) & (np.abs(centres[:, 2]) < 0.02)
+        assert plain[covered].all() == (name == "case"), name
+
+
+def test_our_pictures_show_the_print_and_the_drawer_takes_its_own_along(result):
+    picture = render(result, CAMERA, supersample=1).color.astype(int)
+    front = picture[40, 45], picture[40, 75]
+    assert front[0][0] > 2 * front[0][2] and front[1][2] > 2 * front[1][0]
+    item = result.objects[0].model_copy(update={"joint_state": {"slide": 0.0}})
+    closed = render(result.model_copy(update={"objects": (item,)}), CAMERA, supersample=1)
+    assert closed.color[40, 50][0] > 2 * closed.color[40, 50][2]
+
+
+def test_prints_grow_with_their_object(result):
+    spec = result.objects[0].spec
+    (own,) = spec.part("case").geoms
+    (large,) = spec.scaled(2.0).part("case").geoms
+    one, other = (
+        visible_surface(s, "case", g) for s, g in ((spec, own), (spec.scaled(2.0), large))
+    )
+    assert np.allclose(other[0], 2 * one[0]) and np.allclose(other[2], one[2], atol=1e-5)
+
+
+def test_formats_hold_the_print_and_say_that_it_is_one(result, tmp_path):
+    write_formats(result, tmp_path, ["mjcf", "usd", "usdz", "glb"])
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml"))
+    names = {model.texture(k).name for k in range(model.ntex)}
+    assert {"cupboard-wood_case_photo", "cupboard-wood_drawer_photo"} <= names
+    stage = Usd.Stage.Open(str(tmp_path / "scene.usdc"))
+    look = stage.GetPrimAtPath("/scene/cupboard/looks/wood_case_photo")
+    assert "photograph" in look.GetCustomDataByKey("neoworld:print")
+    texture = UsdShade.Shader(stage.GetPrimAtPath(look.GetPath().AppendChild("texture")))
+    assert texture.GetInput("wrapS").Get() == "clamp"
+    file = texture.GetInput("file").Get().resolvedPath
+    with Image.open(file) as picture:
+        assert picture.size[0] > 20
+    glb = trimesh.load(tmp_path / "scene.glb")
+    assert any(g.visual.material.name.endswith("_photo") for g in glb.geometry.values())
+    assert "cupboard.wood_case_photo" in " ".join(lost(result, "urdf"))
+    # The scene as this package reads it says so as well, and gives the same surfaces.
+    (tmp_path / "scene.json").write_text(result.to_json())
+    assert read_scene(tmp_path).objects[0].spec == result.objects[0].spec
+
+
+def test_an_object_that_is_drawn_elsewhere_takes_its_own_pixels(scene, photo, result):
+    from neoworld_mjx.spec.tree import Box2D
+
+    mask = render(scene, CAMERA, supersample=1, floor=False).segmentation == 0
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    # The photograph has it farther left, where all is red.
+    box = Box2D(x0=4.0, y0=float(rows[0]), x1=4.0 + columns[-1] - columns[0] + 1,
+                y1=float(rows[-1] + 1))  # fmt: skip
+    away = columns[0] - 4
+    item = scene.objects[0].model_copy(update={"box2d": box})
+    moved = printed(scene.model_copy(update={"objects": (item,)}), photo)
+    # Its middle column shows what is that much farther left in the photograph, where all is red.
+    colours = [
+        read_print(one.objects[0].spec.material("wood_case_photo").photo).colours[0]
+        for one in (moved, result)
+    ]
+    blue = [int((np.abs(row.astype(int) - RIGHT).max(axis=1) < 3).sum()) for row in colours]
+    assert blue[1] - blue[0] == pytest.approx(min(2 * away, blue[1]), abs=3) and blue[1] > 10
+
+
+def test_pictures_that_are_none_are_refused():
+    good = {"near": 1.0, "far": 2.0, "turn": ((1, 0, 0), (0, 1, 0), (0, 0, 1)), "shift": (0, 0, 1)}
+    with pytest.raises(ValueError, match="pattern"):
+        PhotoPrint(image="../etc", depth="", **good)
+    with pytest.raises(SpecError, match="no picture"):
+        read_print(PhotoPrint(image="AAAA", depth="AAAA", **good))
+
+
+def test_the_command_asks_for_a_run_folder(scene, tmp_path, capfd):
+    (tmp_path / "scene.json").write_text(scene.to_json())
+
+    def run() -> int:
+        with pytest.raises(SystemExit) as end:
+            cli.main(["export", str(tmp_path), "--out", str(tmp_path / "out"), "--photo",
+                      "--format", "glb", "--json"])  # fmt: skip
+        return int(end.value.code or 0)
+
+    assert run() == 2
+    assert "photo.png" in capfd.readouterr().err
+    Image.fromarray(np.full((80, 120, 3), 90, np.uint8)).save(tmp_path / "photo.png")
+    assert run() == 0
+    files = json.loads(capfd.readouterr().out)["files"]
+    assert "scene.json" in files and "scene.glb" in files
