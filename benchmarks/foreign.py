@@ -40,7 +40,9 @@ PROGRAMS: dict[str, Program] = {
     "mujoco_4": Program(
         "mujoco", "mujoco", ("mujoco>=4,<5",), ("xml", "urdf"), ("scene.xml",), True
     ),
-    "dm_control": Program("dm_control", "dm_control", ("dm_control",), ("xml",), ("scene.xml",)),
+    "dm_control": Program(
+        "dm_control", "dm_control", ("dm_control", "mujoco<4"), ("xml",), ("scene.xml",)
+    ),
     "yourdfpy": Program("yourdfpy", "yourdfpy", (), ("urdf",)),
     "pinocchio": Program("pinocchio", "pin", ("pin>=4.1,<5",), ("urdf",)),
     "drake": Program(
@@ -79,14 +81,14 @@ PROGRAMS: dict[str, Program] = {
 def probe(name: str, jobs: list[dict[str, Any]]) -> tuple[str, list[dict[str, Any]]]:
     """Let a program do jobs, and return its version and a result for each job.
 
-    A job on which the program dies has an `error`; the others are done by a new process. A program
-    that cannot be installed gives that error for every job.
+    A job on which the program dies has an `error`; the others are done by a new process. What
+    cannot be started gives that error for every job that is left.
     """
     program, results, version = PROGRAMS[name], [], ""
     while len(results) < len(jobs):
         lines, error = _run(program, jobs[len(results) :])
         if not lines:
-            return "", [{"error": error, "absent": True}] * len(jobs)
+            return version, results + [{"error": error}] * (len(jobs) - len(results))
         version = str(lines[0]["version"])
         results += lines[1:]
         if len(results) < len(jobs):

@@ -43,9 +43,15 @@ def _since(first: Any, last: Any) -> list[float]:
     ]
 
 
-def _same(name: str, own: str) -> bool:
-    """Whether a program's name is ours, which it may have put others before."""
-    return name == own or name.endswith(tuple(f"{mark}{own}" for mark in "-_/:"))
+def _find(names: list[str], own: str) -> int:
+    """Return the index of our name among a program's, which may put others before it.
+
+    Of several the shortest is ours: `cabinet_door` is, beside `cabinet_left_door`.
+    """
+    last = [name.rpartition("/")[2].rstrip("_") for name in names]
+    fits = [k for k, name in enumerate(last)
+            if name == own or name.endswith(tuple(f"{mark}{own}" for mark in "-_:"))]  # fmt: skip
+    return min(fits, key=lambda k: len(last[k]))
 
 
 def mujoco(path: str, o: Options) -> Motion:
@@ -72,8 +78,8 @@ def mujoco(path: str, o: Options) -> Motion:
         mujoco.mj_resetDataKeyframe(model, data, 0)
     steps = round(o["seconds"] / STEP_S)
     if "joint" in o:
-        joint = next(j for k in range(model.njnt) if _same((j := model.joint(k)).name, o["joint"]))
-        body = next(b for k in range(model.nbody) if _same((b := model.body(k)).name, o["link"]))
+        joint = model.joint(_find([model.joint(k).name for k in range(model.njnt)], o["joint"]))
+        body = model.body(_find([model.body(k).name for k in range(model.nbody)], o["link"]))
         if not o.get("dry", True):
             model.dof_frictionloss[:] = 0
         force, offset = np.array(o["force"]), np.array(o["offset"])
@@ -132,8 +138,8 @@ def drake(path: str, o: Options) -> Motion:
     context = diagram.CreateDefaultContext()
     inner = plant.GetMyMutableContextFromRoot(context)
     if "joint" in o:
-        joint = next(j for k in plant.GetJointIndices()
-                     if _same((j := plant.get_joint(k)).name(), o["joint"]))  # fmt: skip
+        joints = [plant.get_joint(k) for k in plant.GetJointIndices()]
+        joint = joints[_find([one.name() for one in joints], o["joint"])]
         applied = ExternallyAppliedSpatialForce()
         applied.body_index = joint.child_body().index()
         applied.p_BoBq_B = np.array(o["offset"])
@@ -260,7 +266,7 @@ def newton(path: str, o: Options) -> Motion:
     newton.eval_fk(model, model.joint_q, model.joint_qd, states[0])
     before = states[0].body_q.numpy().copy()
     names = [str(name).rpartition("/")[2] for name in model.body_label]
-    pulled = next((k for k, n in enumerate(names) if _same(n, o.get("link", ""))), -1)
+    pulled = _find(names, o["link"]) if "link" in o else -1
     for _ in range(round(o["seconds"] / LONG_STEP_S)):
         states[0].clear_forces()
         if pulled >= 0:
@@ -274,8 +280,7 @@ def newton(path: str, o: Options) -> Motion:
         solver.step(states[0], states[1], control, None, LONG_STEP_S)
         states.reverse()
     if "joint" in o:
-        labels = [str(name) for name in model.joint_label]
-        k = next(k for k, n in enumerate(labels) if _same(n, o["joint"]))
+        k = _find([str(name) for name in model.joint_label], o["joint"])
         newton.eval_ik(model, states[0], model.joint_q, model.joint_qd)
         return {"q": float(model.joint_q.numpy()[model.joint_q_start.numpy()[k]])}
     after = states[0].body_q.numpy()
@@ -304,8 +309,8 @@ def genesis(path: str, o: Options) -> Motion:
     scene.build()
     steps = round(o["seconds"] / LONG_STEP_S)
     if "joint" in o:
-        link = next(k for k in body.links if _same(k.name, o["link"]))
-        joint = next(j for j in body.joints if _same(j.name, o["joint"]))
+        link = body.links[_find([one.name for one in body.links], o["link"])]
+        joint = body.joints[_find([one.name for one in body.joints], o["joint"])]
         for _ in range(steps):
             link.apply_external_force(_turned(link, o["force"]), pos=o["offset"], local=True)
             scene.step()

@@ -39,7 +39,7 @@ In a clone, for developers of the package:
     uv run python -m benchmarks verify --json        # injected faults: detected, named, repaired
     uv run python -m benchmarks battery --json       # simulations of many objects at once
     uv run python -m benchmarks scoring --json       # scores by a slow server
-    uv run python -m benchmarks motion --json        # objects in foreign simulators
+    uv run python -m benchmarks readers --json       # objects and a scene in foreign programs
     uv run python -m benchmarks round-trips --json   # objects in MJCF, URDF and USD, and back
 
 `--seed` draws other scenes and layouts. Each figure below gives its command, device and

@@ -10,7 +10,7 @@ from neoworld_mjx.spec.kinematics import carried
 
 ACCELERATION = 0.8
 """Of what a pull moves [m/s^2]: its force is this times the mass, and what dry friction takes."""
-TURNING_ARM_M = 0.1
+TURNING_ARM_M = 0.3
 """Arm at which such a force turns a door or lid."""
 LEAST_ARM_M = 0.02
 """Handles nearer than this to their axis are not pulled but turned."""

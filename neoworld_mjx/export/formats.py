@@ -2,6 +2,8 @@
 
 import tempfile
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from pxr import Sdf, UsdUtils
@@ -44,16 +46,7 @@ def format_files(
         mjx: whether MJCF has only colliders that MJX knows.
         floor: whether MJCF has a floor without end below everything.
     """
-    if kind == "usdz":
-        return _usdz(described)
-    makers: dict[str, Callable[[Described, bool, bool], dict[str, bytes]]] = {
-        "mjcf": _mjcf,
-        "urdf": _urdf,
-        "usd": _usd,
-        "sdf": _sdf,
-        "glb": _glb,
-    }
-    return makers[kind](described, mjx, floor)
+    return _Writer(described, mjx, floor).files(kind)
 
 
 def lost(described: Described, kind: Format) -> list[str]:
@@ -140,11 +133,17 @@ def write_formats(
         ExportError: a file cannot be written.
     """
     files: dict[str, bytes] = {}
+    writer = _Writer(described, simulator == "mjx", floor)
     for kind in kinds:
-        files |= format_files(described, kind, mjx=simulator == "mjx", floor=floor)
+        files |= writer.files(kind)
     if simulator in LAYERS and "usd" in kinds:
         text = LAYERS[simulator](described, f"{_stem(described)}.usdc")
         files[f"{simulator}.usda"] = text.encode()
+    _write(files, out)
+    return sorted(files)
+
+
+def _write(files: dict[str, bytes], out: Path) -> None:
     for path, content in files.items():
         target = out / path
         try:
@@ -152,7 +151,6 @@ def write_formats(
             target.write_bytes(content)
         except OSError as error:
             raise ExportError(f"cannot write {target}: {error.strerror}") from None
-    return sorted(files)
 
 
 def _objects(described: Described) -> list[tuple[str, ObjectSpec]]:
@@ -169,30 +167,88 @@ def _folder(described: Described, name: str) -> str:
     return "" if isinstance(described, ObjectSpec) else f"objects/{name}/"
 
 
-def _meshes(described: Described) -> dict[str, bytes]:
-    return {
-        f"{_folder(described, name)}{path}": text.encode()
-        for name, spec in _objects(described)
-        for path, text in mesh_files(spec).items()
-    }
+@dataclass(frozen=True)
+class _Writer:
+    """Writes formats of one scene or object; what several of them share is made once."""
 
+    described: Described
+    mjx: bool
+    floor: bool
 
-def _textures(described: Described) -> dict[str, bytes]:
-    return {
-        f"{_folder(described, name)}{path}": content
-        for name, spec in _objects(described)
-        for path, content in texture_files(spec).items()
-    }
+    def files(self, kind: Format) -> dict[str, bytes]:
+        makers: dict[Format, Callable[[], dict[str, bytes]]] = {
+            "mjcf": self._mjcf, "urdf": self._urdf, "usd": lambda: self._usd,
+            "usdz": self._usdz, "sdf": self._sdf, "glb": self._glb,
+        }  # fmt: skip
+        return makers[kind]()
 
+    @cached_property
+    def _meshes(self) -> dict[str, bytes]:
+        return {
+            f"{_folder(self.described, name)}{path}": text.encode()
+            for name, spec in _objects(self.described)
+            for path, text in mesh_files(spec).items()
+        }
 
-def _mjcf(described: Described, mjx: bool, floor: bool) -> dict[str, bytes]:
-    file = f"{_stem(described)}.xml"
-    text = mjcf_text(
-        described, target="mjx" if mjx else "mujoco", floor=_lowest(described) if floor else None
-    )
-    drives = drives_text(described, file)
-    files = {file: text.encode(), **_meshes(described), **_textures(described)}
-    return files if drives is None else {**files, "drives.xml": drives.encode()}
+    @cached_property
+    def _textures(self) -> dict[str, bytes]:
+        return {
+            f"{_folder(self.described, name)}{path}": content
+            for name, spec in _objects(self.described)
+            for path, content in texture_files(spec).items()
+        }
+
+    @cached_property
+    def _usd(self) -> dict[str, bytes]:
+        described = self.described
+        files = {
+            f"{_folder(described, name)}object.usdc": _binary(usd_layer(spec))
+            for name, spec in _objects(described)
+        }
+        files |= self._textures
+        if isinstance(described, SceneSpec):
+            files["scene.usdc"] = _binary(scene_usd_layer(described, "usdc"))
+        return files
+
+    def _mjcf(self) -> dict[str, bytes]:
+        described, file = self.described, f"{_stem(self.described)}.xml"
+        target = "mjx" if self.mjx else "mujoco"
+        floor = _lowest(described) if self.floor else None
+        text = mjcf_text(described, target=target, floor=floor)
+        drives = drives_text(described, file)
+        files = {file: text.encode(), **self._meshes, **self._textures}
+        return files if drives is None else {**files, "drives.xml": drives.encode()}
+
+    def _urdf(self) -> dict[str, bytes]:
+        files = dict(self._meshes)
+        for name, spec in _objects(self.described):
+            home = _folder(self.described, name)
+            files[f"{home}object.urdf"] = urdf_text(spec).encode()
+            files[f"{home}object.srdf"] = srdf_text(spec).encode()
+        if isinstance(self.described, SceneSpec):
+            files["scene.dmd.yaml"] = directives_text(self.described).encode()
+            files["package.xml"] = package_text(self.described).encode()
+        return files
+
+    def _sdf(self) -> dict[str, bytes]:
+        return {f"{_stem(self.described)}.sdf": sdf_text(self.described).encode(), **self._meshes}
+
+    def _glb(self) -> dict[str, bytes]:
+        described = self.described
+        files = {f"{_stem(described)}.glb": glb_bytes(described)}
+        if isinstance(described, SceneSpec):
+            files |= {f"objects/{n}/object.glb": glb_bytes(s) for n, s in _objects(described)}
+        return files
+
+    def _usdz(self) -> dict[str, bytes]:
+        stem = _stem(self.described)
+        with tempfile.TemporaryDirectory() as folder:
+            home = Path(folder)
+            _write(self._usd, home)
+            package = home / f"{stem}.usdz"
+            if not UsdUtils.CreateNewUsdzPackage(str(home / f"{stem}.usdc"), str(package)):
+                raise ExportError(f"USD cannot pack {package.name}")
+            return {package.name: package.read_bytes()}
 
 
 def _lowest(described: Described) -> float:
@@ -210,54 +266,9 @@ def _lowest(described: Described) -> float:
     return min(lows)
 
 
-def _urdf(described: Described, mjx: bool, floor: bool) -> dict[str, bytes]:
-    files = _meshes(described)
-    for name, spec in _objects(described):
-        home = _folder(described, name)
-        files[f"{home}object.urdf"] = urdf_text(spec).encode()
-        files[f"{home}object.srdf"] = srdf_text(spec).encode()
-    if isinstance(described, SceneSpec):
-        files["scene.dmd.yaml"] = directives_text(described).encode()
-        files["package.xml"] = package_text(described).encode()
-    return files
-
-
-def _sdf(described: Described, mjx: bool, floor: bool) -> dict[str, bytes]:
-    return {f"{_stem(described)}.sdf": sdf_text(described).encode(), **_meshes(described)}
-
-
-def _glb(described: Described, mjx: bool, floor: bool) -> dict[str, bytes]:
-    files = {f"{_stem(described)}.glb": glb_bytes(described)}
-    if isinstance(described, SceneSpec):
-        files |= {f"objects/{n}/object.glb": glb_bytes(s) for n, s in _objects(described)}
-    return files
-
-
-def _usd(described: Described, mjx: bool, floor: bool) -> dict[str, bytes]:
-    files = {
-        f"{_folder(described, name)}object.usdc": _binary(usd_layer(spec))
-        for name, spec in _objects(described)
-    }
-    files |= _textures(described)
-    if isinstance(described, SceneSpec):
-        files["scene.usdc"] = _binary(scene_usd_layer(described, "usdc"))
-    return files
-
-
 def _binary(layer: Sdf.Layer) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "layer.usdc"
         if not layer.Export(str(path)):
             raise ExportError(f"USD cannot write {path}")
         return path.read_bytes()
-
-
-def _usdz(described: Described) -> dict[str, bytes]:
-    stem = _stem(described)
-    with tempfile.TemporaryDirectory() as folder:
-        home = Path(folder)
-        write_formats(described, home, ["usd"])
-        package = home / f"{stem}.usdz"
-        if not UsdUtils.CreateNewUsdzPackage(str(home / f"{stem}.usdc"), str(package)):
-            raise ExportError(f"USD cannot pack {package.name}")
-        return {package.name: package.read_bytes()}

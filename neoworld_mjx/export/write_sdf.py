@@ -1,7 +1,8 @@
 """SDF of an object or a scene, for Gazebo and Drake.
 
 A link's frame has its origin at its joint's anchor and the object's orientation, as in URDF. All
-joints are at 0: SDF has no place for another state, nor for armature.
+joints are at 0: SDF has no place for another state, nor for armature. A joint that has the name of
+a link gets an underscore, as all in a model share their names.
 """
 
 import xml.etree.ElementTree as ET
@@ -81,7 +82,7 @@ def _add_model(parent: ET.Element, name: str, spec: ObjectSpec, folder: str) -> 
     for joint in spec.joints:
         _add_joint(model, spec, joint)
     taken = {link_name(spec, part.name) for part in spec.parts}
-    taken |= {joint.name for joint in spec.joints}
+    taken |= {_joint_name(spec, joint.name) for joint in spec.joints}
     for frame in frames(spec):
         label = frame.name
         while label in taken:
@@ -172,8 +173,17 @@ def _shine(visual: ET.Element, material: Material) -> None:
     _put(metal, "roughness", roughness)
 
 
+def _joint_name(spec: ObjectSpec, name: str) -> str:
+    """Return a joint's name in a model, where links, joints and frames share their names."""
+    taken = {link_name(spec, part.name) for part in spec.parts}
+    taken |= {joint.name for joint in spec.joints if joint.name != name}
+    while name in taken:
+        name += "_"
+    return name
+
+
 def _add_joint(model: ET.Element, spec: ObjectSpec, joint: JointSpec) -> None:
-    element = ET.SubElement(model, "joint", name=joint.name, type=joint.type)
+    element = ET.SubElement(model, "joint", name=_joint_name(spec, joint.name), type=joint.type)
     ET.SubElement(element, "parent").text = link_name(spec, joint.parent)
     ET.SubElement(element, "child").text = link_name(spec, joint.child)
     if joint.type == "fixed":
@@ -182,7 +192,9 @@ def _add_joint(model: ET.Element, spec: ObjectSpec, joint: JointSpec) -> None:
     if joint.type != "ball":
         _put(axis, "xyz", joint.axis)
         if joint.mimic is not None:
-            tie = ET.SubElement(axis, "mimic", joint=joint.mimic.joint, axis="axis")
+            tie = ET.SubElement(
+                axis, "mimic", joint=_joint_name(spec, joint.mimic.joint), axis="axis"
+            )
             _put(tie, "multiplier", joint.mimic.multiplier)
             _put(tie, "offset", joint.mimic.offset)
             _put(tie, "reference", 0.0)

@@ -32,7 +32,7 @@ from ..spec.kinematics import welded
 from ..spec.pose import IDENTITY, Pose, pose
 from ..spec.semantics import category, purpose
 from ..spec.triangles import corner_normals
-from .handles import frames
+from .handles import Frame, frames
 from .meshes import piece_mesh
 from .textures import is_textured, visible_surface
 from .usd_looks import add_label, add_material, dress
@@ -68,8 +68,9 @@ def usd_layer(spec: ObjectSpec) -> Sdf.Layer:
         add_material(stage, base, material, textured=material.name in shown)
     UsdGeom.Xform.Define(stage, base.AppendChild("links"))
     origins = link_origins(spec)
+    points = frames(spec)
     for part, _ in spec.ordered:
-        _add_link(stage, base, spec, part, origins[part.name])
+        _add_link(stage, base, spec, part, origins[part.name], points)
     if spec.joints:
         UsdGeom.Scope.Define(stage, base.AppendChild("joints"))
     for joint in spec.joints:
@@ -116,7 +117,12 @@ def quatf(quat: NDArray | tuple[float, ...]) -> Gf.Quatf:
 
 
 def _add_link(
-    stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec, part: PartSpec, origin: NDArray
+    stage: Usd.Stage,
+    base: Sdf.Path,
+    spec: ObjectSpec,
+    part: PartSpec,
+    origin: NDArray,
+    points: tuple[Frame, ...],
 ) -> None:
     path = base.AppendChild("links").AppendChild(part.name)
     link = UsdGeom.Xform.Define(stage, path)
@@ -142,7 +148,7 @@ def _add_link(
                 at = folder.AppendChild(f"{geom.name}_{k}")
                 _add_collider(stage, at, geom, piece, local.then(pose(piece.pos, piece.quat)))
                 dress(stage, at, base, material, physical=True)
-    for frame in frames(spec):
+    for frame in points:
         if frame.part == part.name:
             folder = UsdGeom.Scope.Define(stage, path.AppendChild("sites")).GetPath()
             point = UsdGeom.Xform.Define(stage, folder.AppendChild(frame.name))

@@ -1,5 +1,6 @@
 """Finish of materials: metallic, roughness and pattern, as stated or by a material's name."""
 
+from functools import lru_cache
 from typing import NamedTuple
 
 from .object import Material
@@ -75,6 +76,7 @@ def named_finish(name: str) -> bool:
     return _made_of(name.lower()) is not None
 
 
+@lru_cache(maxsize=1024)
 def _made_of(words: str) -> str | None:
     split, framed = words.split("_"), f"_{words}_"
     fits = [

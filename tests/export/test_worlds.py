@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.export import export_scene
+from neoworld_mjx.export.write_sdf import sdf_text
 from neoworld_mjx.spec import SceneSpec, world_poses
 from neoworld_mjx.spec.pose import from_matrix
 from neoworld_mjx.spec.pose import matrix as rotation
@@ -81,3 +82,21 @@ def test_scene_json_tells_world_poses_and_reads_back(folder, scene):
     for name, at in world_poses(scene).items():
         assert np.allclose(poses[name]["pos"], at.pos) and np.allclose(poses[name]["quat"], at.quat)
     assert SceneSpec.model_validate_json(text) == scene
+
+
+def test_links_joints_and_frames_of_an_sdf_model_have_names_of_their_own(cabinet):
+    joints = [
+        joint.model_copy(update={"name": joint.child}) if joint.name == "slide" else joint
+        for joint in cabinet.joints
+    ]
+    joints = [
+        joint.model_copy(update={"mimic": joint.mimic.model_copy(update={"joint": "drawer"})})
+        if joint.mimic is not None and joint.mimic.joint == "slide" else joint
+        for joint in joints
+    ]  # fmt: skip
+    spec = cabinet.model_copy(update={"joints": tuple(joints)})
+    model = ET.fromstring(sdf_text(spec)).find("model")
+    names = [child.get("name") for child in model if child.get("name")]
+    assert len(names) == len(set(names)) and {"drawer", "drawer_"} <= set(names)
+    tied = [mimic.get("joint") for mimic in model.iter("mimic")]
+    assert set(tied) <= set(names) and "drawer" not in tied
