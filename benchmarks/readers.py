@@ -38,6 +38,8 @@ KNOWN = {
 """Differences of programs that a comparison allows for."""
 CHECKS = ("loads", "joints", "masses", "colliders", "places", "rest", "pulled")
 Row = dict[str, Any]
+Results = dict[Any, dict[str, Any]]
+"""Of jobs by (object or "scene", what), and with them whether joints had their dry friction."""
 
 
 def answer(o: Readers) -> dict[str, Any]:
@@ -96,9 +98,9 @@ def objects(o: Readers, scene: SceneSpec | None) -> Iterator[ObjectSpec]:
 
 def expectations(
     home: Path, specs: dict[str, ObjectSpec], pulls: dict[str, Pull | None], scene: SceneSpec | None
-) -> dict[str, Any]:
+) -> Results:
     """Return how things move in this environment's MuJoCo: by job, as `jobs_of` names them."""
-    result: dict[str, Any] = {}
+    result: Results = {}
     for dry in (True, False):
         jobs = jobs_of(home, specs, pulls, "xml", dry)
         _, done = probe("mujoco", list(jobs.values()))
@@ -130,7 +132,7 @@ def rows_of(
     specs: dict[str, ObjectSpec],
     pulls: dict[str, Pull | None],
     scene: SceneSpec | None,
-    expected: dict[str, Any],
+    expected: Results,
 ) -> list[Row]:
     """Let a program read and simulate, and return a row for each format and file of a scene."""
     program = PROGRAMS[name]
@@ -169,8 +171,8 @@ def rows_of(
 
 
 def _compare_objects(
-    program: Program, suffix: str, own: Row, specs: dict[str, ObjectSpec],
-    scene: SceneSpec | None, expected: Row,
+    program: Program, suffix: str, own: Results, specs: dict[str, ObjectSpec],
+    scene: SceneSpec | None, expected: Results,
 ) -> Row:  # fmt: skip
     tally = {(check, kind): (0, 0) for check in CHECKS for kind in (False, True)}
     faults: list[str] = []
@@ -254,8 +256,8 @@ def _quotient(one: list[float], other: list[float]) -> list[float]:
 
 
 def _compare_scene(
-    program: Program, suffix: None, own: Row, specs: dict[str, ObjectSpec],
-    scene: SceneSpec | None, expected: Row,
+    program: Program, suffix: None, own: Results, specs: dict[str, ObjectSpec],
+    scene: SceneSpec | None, expected: Results,
 ) -> Row:  # fmt: skip
     assert scene is not None
     read, faults = own["scene", "read"], []

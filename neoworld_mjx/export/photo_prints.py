@@ -1,5 +1,7 @@
 """Prints of the photograph on the objects of a scene: a material for each part and material."""
 
+from typing import cast
+
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -164,10 +166,11 @@ def _filled(photo: NDArray, own: NDArray) -> NDArray:
     # At its edge the photograph shows a little of what is behind.
     inner = ndimage.binary_erosion(mask, iterations=max(1, width // 400))
     mask = inner if inner.any() else mask
-    rows, columns = ndimage.distance_transform_edt(
-        ~mask, return_distances=False, return_indices=True
+    _, nearest = cast(
+        tuple[NDArray, NDArray],
+        ndimage.distance_transform_edt(np.logical_not(mask), return_indices=True),
     )
-    return photo[rows, columns]
+    return photo[nearest[0], nearest[1]]
 
 
 def _window(

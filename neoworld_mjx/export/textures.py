@@ -83,7 +83,7 @@ def _cut_up(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
     from trimesh.remesh import subdivide_to_size
 
     longest = float(np.linalg.norm(np.ptp(vertices, axis=0))) / PRINT_CUTS
-    cut, corners = subdivide_to_size(vertices, faces, longest, max_iter=20)
+    cut, corners, *_ = subdivide_to_size(vertices, faces, longest, max_iter=20)
     merged, index = np.unique(np.round(cut, 9), axis=0, return_inverse=True)
     corners = index.ravel()[corners]
     whole = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])

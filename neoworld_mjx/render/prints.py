@@ -82,13 +82,17 @@ class ReadPrint:
         return np.round(np.stack([u, v], axis=1), 6)
 
 
-@lru_cache(maxsize=64)
 def read_print(photo: PhotoPrint) -> ReadPrint:
-    """Decode a print.
+    """Decode a print; the last ones are kept.
 
     Raises:
         SpecError: its pictures cannot be read.
     """
+    return _read_print(photo)  # pyright: ignore[reportArgumentType] frozen models are hashable
+
+
+@lru_cache(maxsize=64)
+def _read_print(photo: PhotoPrint) -> ReadPrint:
     colours = _decoded(photo.image, "RGB")
     levels = _decoded(photo.depth, "I;16").astype(float)
     depths = photo.near + (levels - 1) / 65534 * (photo.far - photo.near)
