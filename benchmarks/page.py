@@ -36,6 +36,7 @@ In a clone, for developers of the package:
     uv run python -m benchmarks programs --json      # hostile programs, mutants, build time
     uv run python -m benchmarks inputs --json        # generated hostile inputs, each watched
     uv run python -m benchmarks faults --json        # kills, full disks, lost providers
+    uv run python -m benchmarks composing --json     # composed scenes without refit or settling
     uv run python -m benchmarks verify --json        # injected faults: detected, named, repaired
     uv run python -m benchmarks battery --json       # simulations of many objects at once
     uv run python -m benchmarks scoring --json       # scores by a slow server

@@ -160,7 +160,16 @@ class Decisions:
     """Seed of the first; the others follow."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Composing:
+    """Compose the bundled photographs, and again without refit and without settling."""
+
+    example: tuple[str, ...] = ()
+    """Bundled photographs; none takes all."""
+
+
 SUITES = {
+    "composing": Suite(Composing, "benchmarks.composing:answer"),
     "decisions": Suite(Decisions, "benchmarks.decisions:answer"),
     "faults": Suite(Faults, "benchmarks.faults:answer"),
     "inputs": Suite(Inputs, "benchmarks.inputs:answer"),

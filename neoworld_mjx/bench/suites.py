@@ -219,7 +219,7 @@ SUITES = {
 """Suites that `neoworld bench run NAME` runs."""
 
 DEVELOPER_SUITES = (
-    *("battery", "decisions", "faults", "inputs", "programs"),
+    *("battery", "composing", "decisions", "faults", "inputs", "programs"),
     *("readers", "round-trips", "scoring", "templates", "verify"),
 )
 """Suites that `python -m benchmarks NAME` runs from a clone."""

@@ -65,8 +65,8 @@ class ProgramOptions(JointSweepOptions):
         "accepted geometry, one for export, each with debug and critic rounds of its own.",
         departure=Departure(
             "three",
-            "One request in place of three: 27 of 29 joints hit by either on twelve objects, for "
-            "42 calls and 79.",
+            "One request in place of three finds as much.",
+            "27 and 27 of 29 joints hit, 42 and 79 calls (n = 12 objects)",
         ),
     )
     language: Language = option(
@@ -75,8 +75,9 @@ class ProgramOptions(JointSweepOptions):
         "`neoworld doctor --install blender` and runs confined in a process of its own.",
         departure=Departure(
             "blender",
-            "The SDK needs nothing installed and its shapes know their own convex pieces; three "
-            "objects in both languages have the same joints, in a twentieth of the time.",
+            "The SDK needs nothing installed, and its shapes know their own convex pieces.",
+            "the same 7 joints; 0.32 to 0.74 and 8.9 to 11.4 s a build on a loaded machine "
+            "(n = 3 objects)",
         ),
     )
     debug_rounds: int = option(
@@ -202,7 +203,11 @@ class VerifyOptions(JointSweepOptions):
     direct_repairs: bool = option(
         True,
         "Repair by what a failed check measures, before a model is asked.",
-        departure=Departure(False, "A number that says what is wrong costs no call of a model."),
+        departure=Departure(
+            False,
+            "A number that says what is wrong costs no call of a model.",
+            "868 planted faults repaired without a call (n = 879)",
+        ),
     )
     critic: Literal["auto", "always", "never"] = option(
         "auto",
@@ -228,6 +233,7 @@ class ComposeOptions(Options):
         departure=Departure(
             False,
             "Built shapes fill their boxes otherwise than the cuboids of the first fit.",
+            "box IoU as composed 0.895 and 0.878 (n = 3 photographs)",
         ),
     )
     settle: bool = option(
@@ -236,6 +242,8 @@ class ComposeOptions(Options):
         departure=Departure(
             False,
             "The search moves no tilts, and at its parsed tilt hardly anything rests.",
+            "box IoU as composed 0.895 and 0.927, of coffee's spoon 0.62 and 0.91; two photographs "
+            "have nothing to settle (n = 3 photographs)",
         ),
     )
     gap_m: float = option(

@@ -27,6 +27,8 @@ class Departure(NamedTuple):
     """What the paper does; `configs/paper.yaml` sets it."""
     reason: str
     """Why the default is another, as one English sentence."""
+    effect: str = ""
+    """What was measured, with n, here and as in the paper; ablations of the search say it else."""
 
 
 class Options(BaseModel):

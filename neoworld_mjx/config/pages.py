@@ -3,6 +3,7 @@
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -46,41 +47,59 @@ Three departures have no switch: MuJoCo in place of Isaac Sim; valid candidates 
 higher reward, those nearer to the photograph first; and the returned layout is snapped exactly onto
 its supports before it is checked.
 
-Effects are those of [the ablation](benchmarks.md#what-each-part-of-refinement-does), with all
-defaults and with this one option as in the paper. Means over {n}. What has no
-figures there was not ablated.
+The last column says what was measured, here and as in the paper. Rollouts and seconds are means of
+[ablations of the search](benchmarks.md#what-each-part-of-refinement-does), with all defaults and
+with this one option as in the paper. Composed scenes are those of `python -m benchmarks composing`.
+What has no effect there was not measured.
 
-| option | here | paper | why | valid | xy error, mm | rollouts | search, s |
-|---|---|---|---|---|---|---|---|
+| option | here | paper | why | effect |
+|---|---|---|---|---|
 """
-_ABLATION = "configs/ablations/refine.yaml"
-_ABLATED = "benchmarks/figures/refine_ablation.yaml"
-_EFFECTS = (1, 5, 8, 9)
-"""Columns of the ablation's figures that the page of departures shows."""
+_ABLATIONS = {
+    "configs/ablations/refine.yaml": "benchmarks/figures/refine_ablation.yaml",
+}
+"""Files of variants, and their figures."""
+_EFFECTS = ((1, "valid {}"), (5, "xy error {} mm"), (8, "{} rollouts"), (9, "search {} s"))
+"""Columns of the ablations' figures that the page of departures shows."""
 
 
 def departures_page(root: Path) -> str:
     """Return docs/departures.md: every option whose default departs from the paper.
 
     Args:
-        root: a checkout of the repository, for the ablation's variants and figures.
+        root: a checkout of the repository, for the ablations' variants and figures.
     """
-    figures = yaml.safe_load((root / _ABLATED).read_text(encoding="utf-8"))
-    rows = {row[0]: [row[k] for k in _EFFECTS] for row in figures["rows"]}
-    variants = yaml.safe_load((root / _ABLATION).read_text(encoding="utf-8"))["variants"]
-    named = {(*change.items(),)[0]: name for name, change in variants.items() if len(change) == 1}
-    text = [_DEPARTURES_HEAD.replace("{n}", figures["n"])]
+    effects: dict[tuple[str, Any], str] = {}
+    for variants, figures in _ABLATIONS.items():
+        effects |= _ablated(_read(root / variants)["variants"], _read(root / figures))
+    text = [_DEPARTURES_HEAD]
     for option in list_options(Config):
         if option.departure is None:
             continue
-        value = option.departure.value
-        effect = rows.get(named.get((option.path, value), ""))
+        value, reason, effect = option.departure
+        effect = effect or effects.get((option.path, value), "")
         cells = [f"`{option.path}`", f"`{_shown(option.default)}`", f"`{_shown(value)}`"]
-        cells.append(option.departure.reason)
-        for before, after in zip(rows["as it is"], effect or [""] * len(_EFFECTS), strict=True):
-            cells.append(f"{before} and {after}" if effect else "")
-        text.append(f"| {' | '.join(cells)} |\n")
+        text.append(f"| {' | '.join([*cells, reason, effect])} |\n")
     return "".join(text)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    return yaml.safe_load(path.read_text(encoding="utf-8"))
+
+
+def _ablated(
+    variants: dict[str, dict[str, Any]], figures: dict[str, Any]
+) -> dict[tuple[str, Any], str]:
+    """Return the effect of each variant of a single option, by the option and its value."""
+    rows = {row[0]: row for row in figures["rows"]}
+    base, effects = rows["as it is"], {}
+    for name, change in variants.items():
+        if len(change) > 1 or name not in rows:
+            continue
+        ((path, value),) = change.items()
+        shown = [words.format(f"{base[k]} and {rows[name][k]}") for k, words in _EFFECTS]
+        effects[path, value] = f"{'; '.join(shown)} (n = {figures['n'].split(':')[0]})"
+    return effects
 
 
 def _shown(value: object) -> str:

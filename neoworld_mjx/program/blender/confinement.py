@@ -16,47 +16,32 @@ from collections.abc import Iterator, Sequence
 
 MIB = 1 << 20
 OPEN_FILES = 256
-_MACHINES = {"x86_64": (0xC000003E, 0), "aarch64": (0xC00000B7, 1)}
-"""Machine -> its number in filters, and its column in `_CALLS`."""
-_CALLS: dict[str, tuple[int | None, int | None]] = {
-    # name: number on x86_64, on aarch64
-    "read": (0, 63), "write": (1, 64), "close": (3, 57), "stat": (4, None), "fstat": (5, 80),
-    "lstat": (6, None), "poll": (7, None), "lseek": (8, 62), "mmap": (9, 222),
-    "mprotect": (10, 226), "munmap": (11, 215), "brk": (12, 214), "rt_sigaction": (13, 134),
-    "rt_sigprocmask": (14, 135), "rt_sigreturn": (15, 139), "ioctl": (16, 29), "pread64": (17, 67),
-    "readv": (19, 65), "writev": (20, 66), "access": (21, None), "pipe": (22, None),
-    "select": (23, None), "sched_yield": (24, 124), "mremap": (25, 216), "madvise": (28, 233),
-    "dup": (32, 23), "dup2": (33, None), "nanosleep": (35, 101), "getpid": (39, 172),
-    "exit": (60, 93), "uname": (63, 160), "fcntl": (72, 25), "getcwd": (79, 17),
-    "readlink": (89, None), "gettimeofday": (96, 169), "getrlimit": (97, 163),
-    "getrusage": (98, 165), "sysinfo": (99, 179), "times": (100, 153), "getuid": (102, 174),
-    "getgid": (104, 176), "geteuid": (107, 175), "getegid": (108, 177), "getppid": (110, 173),
-    "sigaltstack": (131, 132), "statfs": (137, 43), "fstatfs": (138, 44),
-    "sched_getparam": (143, 121), "sched_getscheduler": (145, 120),
-    "sched_get_priority_max": (146, 125), "sched_get_priority_min": (147, 126),
-    "arch_prctl": (158, None), "gettid": (186, 178), "futex": (202, 98),
-    "sched_getaffinity": (204, 123), "getdents64": (217, 61), "set_tid_address": (218, 96),
-    "restart_syscall": (219, 128), "fadvise64": (221, 223), "clock_gettime": (228, 113),
-    "clock_getres": (229, 114), "clock_nanosleep": (230, 115), "exit_group": (231, 94),
-    "epoll_wait": (232, None), "epoll_ctl": (233, 21), "mbind": (237, 235),
-    "set_mempolicy": (238, 237), "get_mempolicy": (239, 236), "newfstatat": (262, 79),
-    "readlinkat": (267, 78), "faccessat": (269, 48), "pselect6": (270, 72), "ppoll": (271, 73),
-    "set_robust_list": (273, 99), "epoll_pwait": (281, 22), "eventfd2": (290, 19),
-    "epoll_create1": (291, 20), "dup3": (292, 24), "pipe2": (293, 59), "getcpu": (309, 168),
-    "getrandom": (318, 278), "membarrier": (324, 283), "statx": (332, 291), "rseq": (334, 293),
-    "faccessat2": (439, 439), "futex_waitv": (449, 449),
+_ARCHITECTURE = 0xC000003E
+"""The number of x86_64 in filters."""
+_CALLS = {
+    "read": 0, "write": 1, "close": 3, "stat": 4, "fstat": 5, "lstat": 6, "poll": 7, "lseek": 8,
+    "mmap": 9, "mprotect": 10, "munmap": 11, "brk": 12, "rt_sigaction": 13, "rt_sigprocmask": 14,
+    "rt_sigreturn": 15, "ioctl": 16, "pread64": 17, "readv": 19, "writev": 20, "access": 21,
+    "pipe": 22, "select": 23, "sched_yield": 24, "mremap": 25, "madvise": 28, "dup": 32,
+    "dup2": 33, "nanosleep": 35, "getpid": 39, "exit": 60, "uname": 63, "fcntl": 72,
+    "getcwd": 79, "readlink": 89, "gettimeofday": 96, "getrlimit": 97, "getrusage": 98,
+    "sysinfo": 99, "times": 100, "getuid": 102, "getgid": 104, "geteuid": 107, "getegid": 108,
+    "getppid": 110, "sigaltstack": 131, "statfs": 137, "fstatfs": 138, "sched_getparam": 143,
+    "sched_getscheduler": 145, "sched_get_priority_max": 146, "sched_get_priority_min": 147,
+    "arch_prctl": 158, "gettid": 186, "futex": 202, "sched_getaffinity": 204, "getdents64": 217,
+    "set_tid_address": 218, "restart_syscall": 219, "fadvise64": 221, "clock_gettime": 228,
+    "clock_getres": 229, "clock_nanosleep": 230, "exit_group": 231, "epoll_wait": 232,
+    "epoll_ctl": 233, "mbind": 237, "set_mempolicy": 238, "get_mempolicy": 239,
+    "newfstatat": 262, "readlinkat": 267, "faccessat": 269, "pselect6": 270, "ppoll": 271,
+    "set_robust_list": 273, "epoll_pwait": 281, "eventfd2": 290, "epoll_create1": 291,
+    "dup3": 292, "pipe2": 293, "getcpu": 309, "getrandom": 318, "membarrier": 324, "statx": 332,
+    "rseq": 334, "faccessat2": 439, "futex_waitv": 449,
 }  # fmt: skip
-"""System calls that any arguments are allowed for."""
-_OPEN, _OPENAT, _CLONE, _CLONE3 = (2, None), (257, 56), (56, 220), (435, 435)
-_KILL, _TGKILL, _PRCTL, _PRLIMIT64, _SECCOMP = (
-    (62, 129),
-    (234, 131),
-    (157, 167),
-    (302, 261),
-    (317, 277),
-)
+"""System calls of x86_64 that any arguments are allowed for, with their numbers."""
+_OPEN, _OPENAT, _CLONE, _CLONE3 = 2, 257, 56, 435
+_KILL, _TGKILL, _PRCTL, _PRLIMIT64, _SECCOMP = 62, 234, 157, 302, 317
 _CREATE_RULESET, _ADD_RULE, _RESTRICT = 444, 445, 446
-"""Numbers of Landlock's calls, the same everywhere."""
+"""Numbers of Landlock's calls."""
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 _CLONE_THREAD = 0x10000
 _PR_SET_PDEATHSIG, _PR_SET_NAME, _PR_GET_NAME, _PR_SET_VMA = 1, 15, 16, 0x53564D41
@@ -83,7 +68,7 @@ def confine(memory_mib: int, cpu_s: float, answer_mib: int, readable: Sequence[s
     Raises:
         Unavailable: the system lacks a means; nothing may run then.
     """
-    column = _column()
+    _check_machine()
     _call("prctl", _libc().prctl(_PR_SET_PDEATHSIG, _SIGKILL, 0, 0, 0))
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {cores[os.getpid() % len(cores)]})
@@ -97,25 +82,23 @@ def confine(memory_mib: int, cpu_s: float, answer_mib: int, readable: Sequence[s
         resource.setrlimit(what, (most, most))
     _call("prctl", _libc().prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0))
     _restrict_files(readable)
-    _install(list(_first_filter(column)))
+    _install(list(_first_filter()))
 
 
 def end_threads() -> None:
     """Allow no further thread either, nor another filter."""
-    column = _column()
     steps: list[_Step] = [(_LOAD, 0, 0, 0)]
-    for numbers in (_CLONE, _SECCOMP):
-        steps += [(_EQUAL, 0, 1, numbers[column]), (_RETURN, 0, 0, _EPERM)]
+    for number in (_CLONE, _SECCOMP):
+        steps += [(_EQUAL, 0, 1, number), (_RETURN, 0, 0, _EPERM)]
     _install([*steps, (_RETURN, 0, 0, _ALLOW)])
 
 
-def _column() -> int:
+def _check_machine() -> None:
     machine = platform.machine()
     if sys.platform != "linux":
         raise Unavailable("Linux, as only its Landlock and seccomp are known here")
-    if machine not in _MACHINES:
-        raise Unavailable(f"a processor of {' or '.join(_MACHINES)}, this is {machine}")
-    return _MACHINES[machine][1]
+    if machine != "x86_64":
+        raise Unavailable(f"a processor of the kind x86_64, this is {machine}")
 
 
 def _libc() -> ctypes.CDLL:
@@ -165,13 +148,12 @@ def _argument(k: int, high: bool = False) -> _Step:
     return (_LOAD, 0, 0, 16 + 8 * k + 4 * high)
 
 
-def _first_filter(column: int) -> Iterator[_Step]:
+def _first_filter() -> Iterator[_Step]:
     """Yield the filter that allows the calls of `_CALLS`, and some others for some arguments."""
-    arch = next(number for number, other in _MACHINES.values() if other == column)
     own = os.getpid()
-    yield from ((_LOAD, 0, 0, 4), (_EQUAL, 1, 0, arch), (_RETURN, 0, 0, _KILL_ALL))
+    yield from ((_LOAD, 0, 0, 4), (_EQUAL, 1, 0, _ARCHITECTURE), (_RETURN, 0, 0, _KILL_ALL))
     yield (_LOAD, 0, 0, 0)
-    allowed: list[tuple[tuple[int | None, int | None], list[_Step]]] = [
+    allowed: list[tuple[int, list[_Step]]] = [
         (_OPEN, _unless_any(1, _WRITES)),
         (_OPENAT, _unless_any(2, _WRITES)),
         (_CLONE, _if_any(0, _CLONE_THREAD)),
@@ -182,15 +164,11 @@ def _first_filter(column: int) -> Iterator[_Step]:
         (_CLONE3, [(_RETURN, 0, 0, _ENOSYS)]),
         (_SECCOMP, [(_RETURN, 0, 0, _ALLOW)]),
     ]
-    for numbers, steps in allowed:
-        number = numbers[column]
-        if number is not None:
-            yield (_EQUAL, 0, len(steps), number)
-            yield from steps
-    for numbers in _CALLS.values():
-        number = numbers[column]
-        if number is not None:
-            yield from ((_EQUAL, 0, 1, number), (_RETURN, 0, 0, _ALLOW))
+    for number, steps in allowed:
+        yield (_EQUAL, 0, len(steps), number)
+        yield from steps
+    for number in _CALLS.values():
+        yield from ((_EQUAL, 0, 1, number), (_RETURN, 0, 0, _ALLOW))
     yield (_RETURN, 0, 0, _EPERM)
 
 
@@ -227,9 +205,7 @@ def _install(steps: Sequence[_Step]) -> None:
     program = struct.pack("@HP", len(steps), ctypes.addressof(code))
     call = _libc().syscall
     call.restype = ctypes.c_long
-    number = _SECCOMP[_column()]
-    assert number is not None
-    result = call(number, _SET_FILTER, ctypes.c_ulong(_TSYNC), program)
+    result = call(_SECCOMP, _SET_FILTER, ctypes.c_ulong(_TSYNC), program)
     _call(
         "seccomp filters (CONFIG_SECCOMP_FILTER, and a container that allows them)",
         -1 if result else 0,
