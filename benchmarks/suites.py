@@ -168,8 +168,35 @@ class Composing:
     """Bundled photographs; none takes all."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Costs:
+    """Estimate tokens and dollars of the bundled examples from their requests and answers."""
+
+    model: tuple[str, ...] = (
+        "claude-haiku-5-5",
+        "claude-sonnet-5-5",
+        "claude-opus-5-5",
+        "gpt-6-sol",
+    )
+    """Models of the table of prices."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frames:
+    """Open a scene's page in a headless browser, and count frames while the view is turned."""
+
+    scene: Path = Path("neoworld_mjx/bench/real/coffee.json")
+    """A run folder, a scene.json or a program."""
+    seconds: float = 6.0
+    """How long the view is turned [s]."""
+    visits: int = 3
+    """Visits of a new browser."""
+
+
 SUITES = {
     "composing": Suite(Composing, "benchmarks.composing:answer"),
+    "frames": Suite(Frames, "benchmarks.frames:answer"),
+    "costs": Suite(Costs, "benchmarks.costs:answer"),
     "decisions": Suite(Decisions, "benchmarks.decisions:answer"),
     "faults": Suite(Faults, "benchmarks.faults:answer"),
     "inputs": Suite(Inputs, "benchmarks.inputs:answer"),

@@ -219,7 +219,7 @@ SUITES = {
 """Suites that `neoworld bench run NAME` runs."""
 
 DEVELOPER_SUITES = (
-    *("battery", "composing", "decisions", "faults", "inputs", "programs"),
+    *("battery", "composing", "costs", "decisions", "faults", "frames", "inputs", "programs"),
     *("readers", "round-trips", "scoring", "templates", "verify"),
 )
 """Suites that `python -m benchmarks NAME` runs from a clone."""

@@ -16,10 +16,10 @@ from .page import Html, missing, section, table
 TERMS = ("d_pen", "d_drift", "s_sem", "prior")
 """Reward terms of runs whose history does not name them."""
 LABELS = {
-    "d_pen": ("D_pen (sum over pairs), mm", 1000.0),
-    "d_drift": ("D_drift (sum), stability bounds", 1.0),
+    "d_pen": ("D_pen, mm", 1000.0),
+    "d_drift": ("D_drift, bounds", 1.0),
     "s_sem": ("S_sem", 1.0),
-    "prior": ("prior, squared sigmas", 1.0),
+    "prior": ("prior, sigma²", 1.0),
 }
 """Label and unit of the built-in terms, and the factor to that unit."""
 

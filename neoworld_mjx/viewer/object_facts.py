@@ -89,12 +89,12 @@ def _verdicts(home: Path) -> Html:
         return Html("<p>Not verified yet.</p>")
     rows = [
         [
+            outcome_mark(check.get("outcome"), doubtful=bool(check.get("doubtful"))),
             f"{check.get('scenario', '')} {check.get('name', '')}".replace("_", " "),
             with_unit(check.get("value"), check.get("unit")),
             with_unit(check.get("threshold"), check.get("unit")),
-            outcome_mark(check.get("outcome"), doubtful=bool(check.get("doubtful"))),
         ]
         for check in verification.get("checks", [])
         if isinstance(check, dict)
     ]
-    return table(["check", "#value", "#limit", "verdict"], rows)
+    return table(["verdict", "check", "#value", "#limit"], rows)

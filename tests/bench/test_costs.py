@@ -1,0 +1,36 @@
+"""Estimates of what requests cost."""
+
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from benchmarks.costs import _input_tokens, _picture_tokens, _text_tokens
+from neoworld_mjx.mllm import Picture, Request
+
+
+class Reply(BaseModel):
+    """An answer."""
+
+    name: str
+
+
+def test_pictures_are_priced_as_servers_shrink_them():
+    assert _picture_tokens(750, 100) == 100
+    assert _picture_tokens(3136, 1568) == _picture_tokens(1568, 784) == 1640
+
+
+def test_a_request_is_its_texts_schema_and_pictures():
+    plain: Any = Request(role="critic", name="a", system="s" * 400, prompt="p" * 400, schema=Reply)
+    schema = _input_tokens(plain) - 200
+    assert 0 < schema < 60 and _text_tokens("x" * 9) == 3
+    picture = Picture.of("", np.zeros((100, 750, 3), np.uint8))
+    seen: Any = Request(
+        role="critic",
+        name="a",
+        system="s" * 400,
+        prompt="p" * 400,
+        schema=Reply,
+        pictures=[picture],
+    )
+    assert _input_tokens(seen) == _input_tokens(plain) + 100
