@@ -18,6 +18,8 @@ LEAST_COSINE = 0.2
 """Of the angle between a surface's normal and the way to the camera; flatter ones smear."""
 DEPTH_SHARE = 0.015
 """Difference of depths, over the depth, up to which a point is what was seen."""
+MOST_CONDITION = 1e9
+"""Of the matrix of a print: a camera's is far below."""
 STRIP = 8
 """Rows of the material's own colour below the picture of a print."""
 
@@ -93,6 +95,9 @@ def read_print(photo: PhotoPrint) -> ReadPrint:
 
 @lru_cache(maxsize=64)
 def _read_print(photo: PhotoPrint) -> ReadPrint:
+    # Of a camera its rows are independent; the eye is where they meet.
+    if np.linalg.cond(np.array(photo.turn)) > MOST_CONDITION:
+        raise SpecError("a print's turn is no projection: its rows are not independent")
     colours = _decoded(photo.image, "RGB")
     levels = _decoded(photo.depth, "I;16").astype(float)
     depths = photo.near + (levels - 1) / 65534 * (photo.far - photo.near)

@@ -24,9 +24,9 @@ class PhotoPrint(ScalableSpec):
     """Window of the photograph: PNG in base64; where others covered the object it is filled in."""
     depth: Encoded
     """Depths: PNG of 16 bits in base64; 0 where the object was not seen, else near to far."""
-    near: Annotated[float, Field(gt=0), UNSCALED]
+    near: Annotated[float, Field(gt=0, allow_inf_nan=False), UNSCALED]
     """Depth of a 1 [m of the photographed scene]."""
-    far: Annotated[float, Field(gt=0), UNSCALED]
+    far: Annotated[float, Field(gt=0, allow_inf_nan=False), UNSCALED]
     """Depth of a 65535."""
     turn: tuple[Row, Row, Row]
     """[1/m]"""

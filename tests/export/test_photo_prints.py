@@ -150,6 +150,11 @@ def test_pictures_that_are_none_are_refused():
     good = {"near": 1.0, "far": 2.0, "turn": ((1, 0, 0), (0, 1, 0), (0, 0, 1)), "shift": (0, 0, 1)}
     with pytest.raises(ValueError, match="pattern"):
         PhotoPrint(image="../etc", depth="", **good)
+    flat = {**good, "turn": ((1, 0, 0), (1, 0, 0), (0, 0, 1))}
+    with pytest.raises(SpecError, match="not independent"):
+        read_print(PhotoPrint(image="AAAA", depth="AAAA", **flat))
+    with pytest.raises(ValueError, match="finite"):
+        PhotoPrint(image="AAAA", depth="AAAA", **{**good, "far": float("inf")})
     with pytest.raises(SpecError, match="no picture"):
         read_print(PhotoPrint(image="AAAA", depth="AAAA", **good))
 

@@ -115,11 +115,13 @@ def test_a_terminal_in_ascii(tmp_path):
     code = (
         "import logging\n"
         "from neoworld_mjx import cli\n"
+        "from neoworld_mjx.commands.base_command import Command\n"
         "from neoworld_mjx.commands.doctor_command import DoctorCommand\n"
         "def run(self):\n"
         "    logging.getLogger('neoworld_mjx').info('чашка')\n"
         "    return {'label': 'чашка \\u202e'}\n"
         "DoctorCommand.run = run\n"
+        "DoctorCommand.lines = Command.lines\n"
         "raise SystemExit(cli.run(DoctorCommand()))\n"
     )
     script = tmp_path / "script.py"
