@@ -57,6 +57,7 @@ What has no effect there was not measured.
 """
 _ABLATIONS = {
     "configs/ablations/refine.yaml": "benchmarks/figures/refine_ablation.yaml",
+    "configs/ablations/departures.yaml": "benchmarks/figures/departures_ablation.yaml",
 }
 """Files of variants, and their figures."""
 _EFFECTS = ((1, "valid {}"), (5, "xy error {} mm"), (8, "{} rollouts"), (9, "search {} s"))
@@ -97,7 +98,8 @@ def _ablated(
         if len(change) > 1 or name not in rows:
             continue
         ((path, value),) = change.items()
-        shown = [words.format(f"{base[k]} and {rows[name][k]}") for k, words in _EFFECTS]
+        own = rows[name]
+        shown = [words.format(f"{base[k]} and {own[k]}") for k, words in _EFFECTS if own[k]]
         effects[path, value] = f"{'; '.join(shown)} (n = {figures['n'].split(':')[0]})"
     return effects
 
