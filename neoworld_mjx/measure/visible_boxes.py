@@ -9,7 +9,7 @@ from ..spec import SceneSpec, SceneTree
 from .boxes import iou_2d
 
 if TYPE_CHECKING:
-    from ..physics.layout import Layout
+    from ..physics.layout import Layout, Poses
     from ..physics.scene_arrays import SceneArrays
 
 
@@ -62,20 +62,24 @@ def visible_box_iou(scene: SceneSpec) -> dict[str, float]:
     return layout_box_iou(scene, padded, Layout.zero(1, padded.count))
 
 
-def layout_box_iou(scene: SceneSpec, padded: "SceneArrays", layout: "Layout") -> dict[str, float]:
+def layout_box_iou(
+    scene: SceneSpec, padded: "SceneArrays", layout: "Layout", *, end: "Poses | None" = None
+) -> dict[str, float]:
     """Return `visible_box_iou` of a layout of a compiled scene, without compiling another one.
 
     Args:
         scene: the description that was compiled.
         padded: its arrays, padded to their bucket.
         layout: padded, pop axis of length 1.
+        end: where it has come to rest, padded; as placed by default.
     """
     if scene.camera is None:
         return {}
-    from ..physics.placed import placed_in_chunks
+    from ..physics.placed import at_rest_in_chunks, placed_in_chunks
 
-    # The program of a refinement, which is then compiled already.
-    boxes = np.asarray(placed_in_chunks(padded, layout).visible.boxes)[0]
+    # Programs of a refinement, which are then compiled already.
+    at = placed_in_chunks(padded, layout) if end is None else at_rest_in_chunks(padded, end, end)
+    boxes = np.asarray(at.visible.boxes)[0]
     parsed = np.asarray(padded.photo.boxes)
     return {
         item.name: iou_2d(boxes[k], parsed[k])

@@ -134,10 +134,9 @@ def choose(
         if not np.isfinite(absolute):
             break
         update(done=tried, of=o.finalists, unit="final check", rate=None, left_s=None)
-        scene, moved_away = finished(model, rounds[t], k)
+        scene, away = finished(model, rounds[t], k)
         measure = measured(scene, o)
-        passed = passes(measure, o) and not moved_away
-        chosen = Chosen((t, k), scene, measure, tried, passed, moved_away)
+        chosen = Chosen((t, k), scene, measure, tried, passes(measure, o) and not away, away)
         if chosen.passed:
             return chosen
         if fallback is None or _badness(chosen, o) < _badness(fallback, o):
@@ -163,13 +162,26 @@ def finished(model: SceneModel, round_: Round, k: int) -> tuple[SceneSpec, tuple
     movable = np.flatnonzero(np.asarray(model.movable))
     ends = {model.names[n]: pose(pos[n], quat[n] / np.linalg.norm(quat[n])) for n in movable}
     rest = at_rest(moved(scene, ends), RESTING)
-    scale = np.exp(np.asarray(round_.layouts.log_scale)[k : k + 1])
-    start, end = (_world(at, scale) for at in (scene, rest))
-    far = settled_by(model, start, end, np)[0] > 1.0
-    return rest, tuple(model.names[n] for n in np.flatnonzero(far))
+    return rest, moved_away(model, scene, rest, np.asarray(round_.layouts.log_scale)[k])
 
 
-def _world(scene: SceneSpec, scale: np.ndarray) -> Poses:
+def moved_away(
+    model: SceneModel, start: SceneSpec, end: SceneSpec, log_scale: np.ndarray
+) -> tuple[str, ...]:
+    """Return the objects that came to rest beyond the bounds of `settled_by`.
+
+    Args:
+        model: the compiled scene.
+        start: a layout of it, as placed.
+        end: the same at rest.
+        log_scale: of the layout, [object].
+    """
+    poses = (world_pose(at, np.exp(log_scale)[None]) for at in (start, end))
+    far = settled_by(model, *poses, np)[0] > 1.0
+    return tuple(model.names[n] for n in np.flatnonzero(far))
+
+
+def world_pose(scene: SceneSpec, scale: np.ndarray) -> Poses:
     """Return where a scene's objects are, as poses of a single candidate."""
     at = list(world_poses(scene).values())
     pos, quat = (np.array([getattr(p, part) for p in at])[None] for part in ("pos", "quat"))

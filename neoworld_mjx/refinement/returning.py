@@ -20,15 +20,18 @@ from ..physics.exact import snap_exactly
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..physics.scene_arrays import SceneArrays, pad_objects, pad_scene
+from ..physics.settling import at_rest
 from ..physics.support import Either
 from ..spec import SceneSpec
 from .objective import Objective, photograph_decides
-from .outcome import Chosen, Round, choose
+from .outcome import Chosen, Round, choose, moved_away, world_pose
 
 STILL_M, STILL = 1e-5, 1e-5
 """Changes of place [m], and of yaw [rad] or log scale, up to which an object has not moved."""
 WHOLE = ("xy", "yaw", "log_scale")
 """All that a layout says of an object."""
+SINKING = ((True, 1.0), (False, 1.0), (True, 0.5))
+"""How a returned layout comes to rest; see `at_rest`."""
 NOISE = 0.03
 """Loss of an object's visible-box IoU that the noise of a parsed box explains."""
 
@@ -68,9 +71,9 @@ def choose_and_return(
     t, k = chosen.index
     layout = rounds[t].layouts[k : k + 1] if t >= 0 else origin
     rests = t >= 0 and bool(rounds[t].rests[k])
-    if rests or o.semantic.scorer != "geometric" or not photograph_decides(objective):
+    if o.semantic.scorer != "geometric" or not photograph_decides(objective):
         return Winner(chosen, layout, before)
-    return Winner(*return_moved(model, chosen, layout, origin, before, o), before)
+    return Winner(*return_moved(model, chosen, layout, origin, before, o, rests=rests), before)
 
 
 def return_moved(
@@ -80,6 +83,8 @@ def return_moved(
     start: Layout,
     before: SceneMeasure,
     o: RefineOptions,
+    *,
+    rests: bool = False,
 ) -> tuple[Chosen, Layout]:
     """Return objects of a winner that passes the final check to the layout the search started at.
 
@@ -90,6 +95,7 @@ def return_moved(
         start: the layout to return to, pop axis of length 1.
         before: final check of `start`, which tells what had to move.
         o: options; `returns` bounds the checks.
+        rests: whether the winner came to rest; then so does whatever is tried.
 
     Returns:
         The winner with its final check, and its layout; the given ones if nothing may return.
@@ -101,7 +107,8 @@ def return_moved(
     groups = [(moved & ~faulty, WHOLE), (moved & faulty, WHOLE), (moved, ("yaw",))]
     groups += [(moved, ("log_scale",))]
     padded = pad_scene(model)
-    best, ious, left = chosen, _ious(model, padded, layout), o.returns
+    at = chosen.scene if rests else None
+    best, ious, left = chosen, _ious(model, padded, layout, at), o.returns
     while groups and left:
         group, parts = groups.pop(0)
         group = group & _moved(layout, start, parts)
@@ -109,11 +116,11 @@ def return_moved(
             continue
         left -= 1
         nearer = _mixed(layout, start, group, 1.0, parts)
-        found = _checked(model, padded, nearer, best, ious, o)
+        found = _checked(model, padded, nearer, best, ious, o, rests)
         if found is None and group.sum() == 1 and left and parts == WHOLE:
             left -= 1
             nearer = _mixed(layout, start, group, 0.5, parts)
-            found = _checked(model, padded, nearer, best, ious, o)
+            found = _checked(model, padded, nearer, best, ious, o, rests)
         if found is not None:
             layout, (best, ious) = nearer, found
         elif group.sum() > 1:
@@ -128,13 +135,17 @@ def _checked(
     best: Chosen,
     ious: dict[str, float],
     o: RefineOptions,
+    rests: bool,
 ) -> tuple[Chosen, dict[str, float]] | None:
     """Return a layout's scene and visible-box IoUs if it may take the place of the best."""
-    scene: SceneSpec = snap_exactly(model.apply(layout, 0))
+    placed = model.apply(layout, 0)
+    scene: SceneSpec = at_rest(placed, SINKING) if rests else snap_exactly(placed)
     measure = measured(scene, o)
     if not passes(measure, o):
         return None
-    new = _ious(model, padded, layout)
+    if rests and moved_away(model, placed, scene, np.asarray(layout.log_scale)[0]):
+        return None
+    new = _ious(model, padded, layout, scene if rests else None)
     if any(new[name] < iou - NOISE for name, iou in ious.items()):
         return None
     # What is lost in one step is not lost again in the next.
@@ -142,8 +153,16 @@ def _checked(
     return replace(best, scene=scene, measure=measure), kept
 
 
-def _ious(model: SceneModel, padded: SceneArrays, layout: Layout) -> dict[str, float]:
-    return layout_box_iou(model.spec, padded, pad_objects(layout, padded.count))
+def _ious(
+    model: SceneModel, padded: SceneArrays, layout: Layout, rest: SceneSpec | None
+) -> dict[str, float]:
+    """Return the visible-box IoUs of a layout, or of where it came to rest."""
+    layout = pad_objects(layout, padded.count)
+    if rest is None:
+        return layout_box_iou(model.spec, padded, layout)
+    end = world_pose(rest, np.exp(np.asarray(layout.log_scale)[:, : len(model.names)]))
+    end = jax.tree.map(np.float32, pad_objects(end, padded.count))
+    return layout_box_iou(model.spec, padded, layout, end=end)
 
 
 def _moved(
