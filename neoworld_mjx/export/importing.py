@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from ..config import describe
 from ..errors import SpecError
 from ..names import identifier
+from ..physics.decompose import convex_pieces, hull_points, installed
 from ..spec import (
     AuthoredInertia,
     GeomSpec,
@@ -30,7 +31,6 @@ from ..spec.forest import name_on_cycle
 from ..spec.mesh import HELPER, UNKNOWN
 from ..spec.pose import from_matrix
 from .checked_usd import open_usd
-from .decompose import convex_pieces, hull_points, installed
 from .mechanism import Link, LinkShape, Mechanism, Triangles, triple
 from .read_mjcf import read_mjcf
 from .read_urdf import read_urdf

@@ -7,7 +7,7 @@ import pytest
 
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import ProgramError
-from neoworld_mjx.export.decompose import installed
+from neoworld_mjx.physics.decompose import installed
 from neoworld_mjx.program.assemble import assemble
 from neoworld_mjx.program.blender import blender_availability
 from neoworld_mjx.program.blender.blender_answer import BlenderScene

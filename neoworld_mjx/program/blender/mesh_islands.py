@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...export.decompose import convex_pieces, flat, hull_points, is_convex
+from ...physics.decompose import convex_pieces, flat, hull_points, is_convex
 from ...spec import Box, Mesh
 from ...spec.pose import Pose, from_matrix, pose
 
