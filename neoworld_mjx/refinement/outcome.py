@@ -176,8 +176,8 @@ def moved_away(
         end: the same at rest.
         log_scale: of the layout, [object].
     """
-    poses = (world_pose(at, np.exp(log_scale)[None]) for at in (start, end))
-    far = settled_by(model, *poses, np)[0] > 1.0
+    size = np.exp(log_scale)[None]
+    far = settled_by(model, world_pose(start, size), world_pose(end, size), np)[0] > 1.0
     return tuple(model.names[n] for n in np.flatnonzero(far))
 
 
