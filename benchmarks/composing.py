@@ -14,10 +14,11 @@ from neoworld_mjx.pipeline import reconstruct
 from neoworld_mjx.pipeline.bundled_examples import bundled_examples
 from neoworld_mjx.refinement.scene_refinement import read_composed
 
-VARIANTS: dict[str, dict[str, bool]] = {
+VARIANTS: dict[str, dict[str, dict[str, bool]]] = {
     "as it is": {},
-    "without refit": {"refit": False},
-    "without settle": {"settle": False},
+    "without fit": {"parse": {"fit": False}},
+    "without refit": {"compose": {"refit": False}},
+    "without settle": {"compose": {"settle": False}},
 }
 
 
@@ -28,7 +29,7 @@ def answer(options: Composing) -> dict[str, Any]:
         for name in options.example or tuple(bundled_examples()):
             run = Path(place) / name
             for variant, changed in VARIANTS.items():
-                config = load_config(None, {"provider": "replay", "compose": changed})
+                config = load_config(None, {"provider": "replay", **changed})
                 photo = bundled_examples()[name].photo
                 reconstruct(photo, run, config, until="compose", resume=run.exists())
                 scene = read_composed(run)

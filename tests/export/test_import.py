@@ -5,13 +5,13 @@ import pytest
 
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export import (
-    decompose,
     export_object,
     import_mjcf,
     import_urdf,
     import_usd,
     mechanism,
 )
+from neoworld_mjx.physics import decompose
 from neoworld_mjx.spec import Mesh, bounds
 from tests.support import scenes
 

@@ -82,6 +82,7 @@ OTHERS = {
     "cem.first": 7,
     "cem.zero_candidate": False,
     "cem.credit": "object",
+    "settle": "always",
     "reward.normalisation": "iteration",
     "descent.project": "always",
     "rollout.engine": "native",
