@@ -16,7 +16,6 @@ from neoworld_mjx.refinement.scene_refinement import read_composed
 
 VARIANTS: dict[str, dict[str, dict[str, bool]]] = {
     "as it is": {},
-    "without fit": {"parse": {"fit": False}},
     "without refit": {"compose": {"refit": False}},
     "without settle": {"compose": {"settle": False}},
 }

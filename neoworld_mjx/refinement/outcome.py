@@ -271,6 +271,12 @@ def outcome(
     logs = np.asarray(layout.log_scale[0])[moves]
     shift = np.linalg.norm(np.asarray(layout.xy[0])[moves], axis=-1)
     turn = np.degrees(np.abs(np.asarray(layout.yaw[0])[moves]))
+    t, k = chosen.index
+    if o.settle == "needed" and t >= 0 and rounds[t].rests[k]:
+        fallbacks += (
+            "nothing was valid where layouts put it, so candidates came to rest before they were "
+            "judged",
+        )
     if not chosen.passed:
         failed = [c.phrase() for c in scene_checks(chosen.measure, o) if not c.passed]
         failed += [f"{name} came to rest elsewhere" for name in chosen.moved_away]

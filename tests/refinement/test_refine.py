@@ -143,6 +143,8 @@ def test_what_hangs_in_the_air_comes_to_rest_where_the_options_let_it():
     assert let.passed
     assert let.scene.object("slab").base_tilt == (1.0, 0.0, 0.0, 0.0)
     assert "block" in let.kept
+    assert any("came to rest" in line for line in let.fallbacks)
+    assert not any("came to rest" in line for line in held.fallbacks)
     # Settling counts as drift: 8 of 15 degrees.
     drift = let.history["d_drift"][let.winner]
     assert drift == pytest.approx(8 / 15, rel=0.1)
