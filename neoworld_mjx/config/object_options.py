@@ -29,6 +29,7 @@ class ParseOptions(Options):
         departure=Departure(
             False,
             "A model judges sizes and distances less exactly than it draws boxes around things.",
+            "layout error 12.3 and 20.3 mm, size 2.18 and 2.34 % (n = 20 rendered scenes held out)",
         ),
     )
 
