@@ -12,9 +12,8 @@ import math
 from pxr import Sdf, Usd
 
 from ..spec import JointSpec, ObjectSpec, SceneObject, SceneSpec, joint_value
-from .newton_layer import GAP_M, add_gaps, collider_paths, laid_over, set_number
+from .newton_layer import GAP_M, add_gaps, collider_paths, laid_over, opened_layer, set_number
 from .write_scene_usd import fixture_path, physics_path
-from .write_usd import new_stage
 
 POSITION_ITERATIONS, VELOCITY_ITERATIONS = 64, 4
 """Of PhysX's solver."""
@@ -31,9 +30,7 @@ def isaac_text(described: SceneSpec | ObjectSpec, file: str) -> str:
         described: the scene or object.
         file: the USD file beside it that the layer lies over, such as "scene.usdc".
     """
-    stage = new_stage()
-    base = Sdf.Path(f"/{described.name}")
-    stage.SetDefaultPrim(stage.OverridePrim(base))
+    stage, base = opened_layer(described)
     if isinstance(described, ObjectSpec):
         _add_object(stage, base, SceneObject(name=described.name, spec=described), None)
         return laid_over(stage, file)

@@ -22,6 +22,14 @@ GAP_M = 0.002
 """Distance [m] from which on contacts are looked for."""
 
 
+def opened_layer(described: SceneSpec | ObjectSpec) -> tuple[Usd.Stage, Sdf.Path]:
+    """Return an empty layer over a scene or object, and the path of its default prim."""
+    stage = new_stage()
+    base = Sdf.Path(f"/{described.name}")
+    stage.SetDefaultPrim(stage.OverridePrim(base))
+    return stage, base
+
+
 def newton_text(described: SceneSpec | ObjectSpec, file: str) -> str:
     """Return the layer as text.
 
@@ -29,9 +37,7 @@ def newton_text(described: SceneSpec | ObjectSpec, file: str) -> str:
         described: the scene or object.
         file: the USD file beside it that the layer lies over, such as "scene.usdc".
     """
-    stage = new_stage()
-    base = Sdf.Path(f"/{described.name}")
-    stage.SetDefaultPrim(stage.OverridePrim(base))
+    stage, base = opened_layer(described)
     if isinstance(described, ObjectSpec):
         add_gaps(stage, base, described)
     else:

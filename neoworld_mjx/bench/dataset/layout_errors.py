@@ -5,12 +5,11 @@ import math
 import numpy as np
 from jaxtyping import Float
 
+from ...physics.placed import BALL
 from ...spec import SceneObject, SceneSpec, bounds, world_poses
 from ...spec.pose import Pose, conjugate, quat_mul, yaw_of
 from ..refine_scenes import symmetry
 
-BALL = 0.03
-"""Difference of a ball's extents, over the largest."""
 MOST_TILT_DEG = 15.0
 MOST_HEIGHT, MOST_HEIGHT_M = 0.1, 0.01
 """Bounds of `displaced`; answers' sizes alone move a middle by a few percent of its height."""
