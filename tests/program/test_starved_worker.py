@@ -1,7 +1,8 @@
-"""A program that the machine hardly let run is run once more, by its processor time."""
+"""A program that the machine hardly let run, or charged too much, is run once more."""
 
 import os
 import signal
+import time
 
 import pytest
 
@@ -9,7 +10,8 @@ from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program.call_clock import CallClock, process_time
 from neoworld_mjx.program.monty_sandbox import Starved, run_sandboxed
 from neoworld_mjx.program.sandbox import run
-from neoworld_mjx.program.session import Session
+from neoworld_mjx.program.sdk_object import Object
+from neoworld_mjx.program.session import Session, current
 
 GOOD = """
 from neoworld_mjx.program.sdk import Object, box
@@ -63,3 +65,31 @@ def test_a_program_that_ran_is_not_starved(stopped):
 def test_a_stopped_worker_is_told_from_a_slow_program(stopped):
     with pytest.raises(Starved):
         run_sandboxed(ENDLESS, Session(), ProgramOptions(timeout_s=0.3))
+
+
+@pytest.fixture
+def charged(monkeypatch):
+    """Return the sessions so far; the first so many calls in `slow` cost 0.5 s of the thread."""
+    sessions, slow = [], []
+    original = Object.part
+
+    def part(self, *args, **kwargs):
+        session = current()
+        if session not in sessions:
+            sessions.append(session)
+        end = time.thread_time() + (0.5 if len(sessions) <= sum(slow) else 0.0)
+        while time.thread_time() < end:
+            pass
+        return original(self, *args, **kwargs)
+
+    monkeypatch.setattr(Object, "part", part)
+    return sessions, slow
+
+
+@pytest.mark.parametrize(("slow_runs", "codes"), [(1, []), (9, ["timeout"])])
+def test_shapes_that_took_too_long_once_are_built_again(charged, slow_runs, codes):
+    sessions, slow = charged
+    slow.append(slow_runs)
+    built = run(GOOD, ProgramOptions(timeout_s=0.3))
+    assert [signal.code for signal in built.signals] == codes
+    assert len(sessions) == 2 and built.ok == (not codes)
