@@ -4,24 +4,26 @@
 """
 
 import contextlib
+import difflib
 import json
 import logging
 import os
+import shutil
 import sys
+import textwrap
 import traceback
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Any, Union
-
-import tyro
-from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes, subcommand
+from typing import TYPE_CHECKING, Any
 
 from . import __version__
-from .bench.suites import DEVELOPER_SUITES
-from .commands import COMMANDS, Answer, Runnable
+from .commands import COMMANDS
 from .commands.status_line import StatusLine
 from .errors import NeoWorldError
 from .names import printable
 from .progress import LOGGER
+
+if TYPE_CHECKING:
+    from .commands.base_command import Answer, Runnable
 
 REPORT = (
     "This is a fault of neoworld, not of your input. A run can go on with --resume. To report it, "
@@ -36,33 +38,71 @@ def main(args: Sequence[str] | None = None) -> None:
     if list(args) == ["--version"]:
         print(f"neoworld {__version__}")
         sys.exit(0)
-    if tuple(args[:2]) == ("bench", "run") and args[2:3] and args[2] in DEVELOPER_SUITES:
-        print(
-            f"error: the suite {args[2]} needs a clone of the repository; there, run: "
-            f"uv run python -m benchmarks {' '.join(args[2:])}",
-            file=sys.stderr,
-        )
+    if list(args) in (["--help"], ["-h"]):
+        print(help_text())
+        sys.exit(0)
+    if not args or args[0] not in COMMANDS:
+        print(f"error: {_no_command(args)}", file=sys.stderr)
         sys.exit(BAD_INPUT)
-    sys.exit(run(parse(args)))
+    if tuple(args[:2]) == ("bench", "run"):
+        from .bench.suites import DEVELOPER_SUITES
+
+        if args[2:3] and args[2] in DEVELOPER_SUITES:
+            print(
+                f"error: the suite {args[2]} needs a clone of the repository; there, run: "
+                f"uv run python -m benchmarks {' '.join(args[2:])}",
+                file=sys.stderr,
+            )
+            sys.exit(BAD_INPUT)
+    sys.exit(run(parse(args[0], args[1:])))
 
 
-def parse(args: Sequence[str]) -> Any:
-    """Return the command that arguments name; what is wrong with them ends the process."""
-    choices = [
-        OmitSubcommandPrefixes[Annotated[command, subcommand(name)]]
-        for name, command in COMMANDS.items()
+def help_text() -> str:
+    """Return the list of commands, as wide as the terminal, without importing any of them."""
+    width = min(shutil.get_terminal_size().columns, 100)
+    column = max(map(len, COMMANDS)) + 4
+    lines = [
+        "usage: neoworld COMMAND [OPTIONS]",
+        "",
+        "One photograph in, a scene out that a robot can touch.",
+        "",
+        "commands:",
     ]
-    every: Any = Union[tuple(choices)]  # noqa: UP007
+    for name, entry in COMMANDS.items():
+        first = f"  {name}".ljust(column)
+        lines += textwrap.wrap(
+            entry.summary, width, initial_indent=first, subsequent_indent=" " * column
+        )
+    lines += ["", "neoworld COMMAND --help lists a command's options; neoworld --version"]
+    return "\n".join(lines)
+
+
+def _no_command(args: Sequence[str]) -> str:
+    """Say what is wrong with arguments that name no command."""
+    if not args:
+        return f"name a command: {', '.join(COMMANDS)}; neoworld --help says what each does"
+    wrong, choices = printable(args[0]), f"choices: {', '.join(COMMANDS)}"
+    if wrong.startswith("-"):
+        return f"the command comes before its options, got {wrong!r} first; {choices}"
+    near = difflib.get_close_matches(wrong, COMMANDS, n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else ";"
+    return f"there is no command {wrong!r}{hint} {choices}"
+
+
+def parse(name: str, args: Sequence[str]) -> Any:
+    """Return the command of a name and its arguments; what is wrong with them ends the process."""
+    import tyro
+    from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes
+
     return tyro.cli(
-        every,
-        prog="neoworld",
-        description="One photograph in, a scene out that a robot can touch.",
+        OmitSubcommandPrefixes[COMMANDS[name].load()],
+        prog=f"neoworld {name}",
         args=args,
         config=(FlagCreatePairsOff, DisallowNone),
     )
 
 
-def run(command: Runnable) -> int:
+def run(command: "Runnable") -> int:
     """Run a parsed command, print its answer and return the exit code."""
     with _reserved_stdout() as out, _shown_progress(command):
         try:
@@ -97,13 +137,13 @@ def run(command: Runnable) -> int:
     return code
 
 
-def _show_traceback(command: Runnable) -> None:
+def _show_traceback(command: "Runnable") -> None:
     if getattr(command, "debug", False):
         traceback.print_exc()
 
 
 @contextlib.contextmanager
-def _shown_progress(command: Runnable) -> Iterator[None]:
+def _shown_progress(command: "Runnable") -> Iterator[None]:
     """Send the package's log to stderr as plain lines, and the progress to a status line."""
     log = logging.getLogger("neoworld_mjx")
     with StatusLine(sys.stderr, verbose=command.verbose, quiet=command.quiet) as handler:
@@ -130,7 +170,7 @@ def _reserved_stdout() -> Iterator[Any]:
         os.close(kept)
 
 
-def _show(command: Runnable, answer: Answer) -> None:
+def _show(command: "Runnable", answer: "Answer") -> None:
     """Print an answer for people: in few lines, or with all details."""
     lines = None if command.verbose else command.lines(answer)
     if lines is None:
@@ -139,7 +179,7 @@ def _show(command: Runnable, answer: Answer) -> None:
         print(printable("\n".join(lines)))
 
 
-def _print(answer: Answer, indent: str = "") -> None:
+def _print(answer: "Answer", indent: str = "") -> None:
     """Print an answer for people."""
     for key, value in answer.items():
         if isinstance(value, dict):
@@ -177,7 +217,7 @@ _TABLES = {
 """Lists that are shown as a table, and their columns; those that no row has are left out."""
 
 
-def _table(rows: list[Answer], columns: Sequence[str], indent: str) -> None:
+def _table(rows: "list[Answer]", columns: Sequence[str], indent: str) -> None:
     """Print rows in columns."""
     used = [name for name in columns if any(name in row for row in rows)]
     if not used:

@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx import cli
+from neoworld_mjx.commands import COMMANDS
 from neoworld_mjx.commands.doctor_command import NEEDS, DoctorCommand
 from neoworld_mjx.commands.listing_lines import bench_lines, doctor_lines
 from neoworld_mjx.commands.object_commands import CheckCommand
@@ -50,8 +51,11 @@ def assert_refused(ended, *expected):
 def test_help_names_the_commands(neoworld):
     completed = neoworld("--help")
     assert completed.returncode == 0
-    for command in ("reconstruct", "check", "build", "render", "report", "doctor"):
-        assert command in completed.stdout
+    said = " ".join(completed.stdout.split())
+    for name, entry in COMMANDS.items():
+        documented = " ".join(entry.load().__doc__.partition("\n\n")[0].split())
+        assert entry.summary == documented
+        assert f"{name} {entry.summary}" in said
 
 
 def test_a_reader_that_stops_early_is_no_error(tmp_path):
@@ -65,12 +69,14 @@ def test_a_reader_that_stops_early_is_no_error(tmp_path):
     assert "BrokenPipe" not in log and "Traceback" not in log
 
 
-def test_help_imports_nothing_heavy():
+@pytest.mark.parametrize(("words", "heavy"), [((), ("tyro",)), (("reconstruct",), ())])
+def test_help_imports_nothing_heavy(words, heavy):
+    names = {"jax", "mujoco", "pydantic", "numpy", "pxr", "PIL", *heavy}
     code = (
         "import sys; from neoworld_mjx import cli\n"
-        "try: cli.main(['reconstruct', '--help'])\n"
+        f"try: cli.main({[*words, '--help']})\n"
         "except SystemExit: pass\n"
-        "print(sorted({'jax', 'mujoco', 'pydantic', 'numpy', 'pxr', 'PIL'} & set(sys.modules)))"
+        f"print(sorted({names} & set(sys.modules)))"
     )
     completed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert completed.stdout.splitlines()[-1] == "[]", completed.stderr
@@ -89,7 +95,9 @@ def test_a_misspelt_flag_names_its_neighbour(neoworld):
 
 
 def test_a_misspelt_command_names_the_commands(neoworld):
-    assert_refused(neoworld("reconstrut", "a.png"), "reconstruct", "doctor")
+    assert_refused(neoworld("reconstrut", "a.png"), "did you mean 'reconstruct'?", "doctor")
+    assert_refused(neoworld(), "name a command: reconstruct")
+    assert_refused(neoworld("--json", "doctor"), "the command comes before its options")
 
 
 def test_a_misspelt_step_names_the_steps(neoworld):

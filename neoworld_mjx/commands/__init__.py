@@ -1,38 +1,87 @@
 """The commands of `neoworld`: a dataclass each, whose fields are its flags and whose `run` does it.
 
 To add a command, write its class and add a row to `COMMANDS`. Heavy packages are imported inside of
-`run`, so that `--help` is quick.
+`run`, and a command's module only when the command is named, so that `--help` is quick.
 """
 
-from .base_command import Answer, Command, Runnable
-from .bench_commands import BenchCommand
-from .doctor_command import DoctorCommand
-from .examples_command import ExamplesCommand
-from .export_command import ExportCommand
-from .object_commands import BuildCommand, CheckCommand
-from .render_command import RenderCommand
-from .run_commands import ReconstructCommand, RefineCommand, ReportCommand
-from .sweep_commands import AblateCommand, SweepCommand
-from .template_command import TemplateCommand
-from .view_command import AnnotateCommand, ViewCommand
+from importlib import import_module
+from typing import NamedTuple
 
-COMMANDS: dict[str, type] = {
-    "reconstruct": ReconstructCommand,
-    "examples": ExamplesCommand,
-    "refine": RefineCommand,
-    "check": CheckCommand,
-    "build": BuildCommand,
-    "template": TemplateCommand,
-    "export": ExportCommand,
-    "render": RenderCommand,
-    "report": ReportCommand,
-    "view": ViewCommand,
-    "annotate": AnnotateCommand,
-    "sweep": SweepCommand,
-    "ablate": AblateCommand,
-    "doctor": DoctorCommand,
-    "bench": BenchCommand,
+
+class CommandEntry(NamedTuple):
+    """A row of the table."""
+
+    location: str
+    """Location of the class: "module:Class", the module relative to this package."""
+    summary: str
+    """What the command does: the first sentence of the class's docstring."""
+
+    def load(self) -> type:
+        """Import the class."""
+        module, name = self.location.split(":")
+        return getattr(import_module(module, __name__), name)
+
+
+COMMANDS: dict[str, CommandEntry] = {
+    "reconstruct": CommandEntry(
+        ".run_commands:ReconstructCommand", "Turn a photograph into a scene that simulates."
+    ),
+    "examples": CommandEntry(
+        ".examples_command:ExamplesCommand",
+        "List the bundled photographs, which `neoworld reconstruct NAME --out DIR` takes.",
+    ),
+    "refine": CommandEntry(
+        ".run_commands:RefineCommand",
+        "Refine the composed scene of a run again, and export it; the steps before are kept.",
+    ),
+    "check": CommandEntry(
+        ".object_commands:CheckCommand",
+        "Check a scene or an object: every verdict with its number and threshold.",
+    ),
+    "build": CommandEntry(
+        ".object_commands:BuildCommand",
+        "Turn an object's program, or its URDF, MJCF or USD, into every format and pictures.",
+    ),
+    "template": CommandEntry(
+        ".template_command:TemplateCommand",
+        "List the templates of objects, or write the program of one.",
+    ),
+    "export": CommandEntry(
+        ".export_command:ExportCommand",
+        "Write a scene or an object in a format, or for a simulator, and say what is lost.",
+    ),
+    "render": CommandEntry(
+        ".render_command:RenderCommand",
+        "Take a picture of a scene or an object, from its own camera or any other; or a turntable.",
+    ),
+    "report": CommandEntry(
+        ".run_commands:ReportCommand", "Write report.html of a run, finished or not."
+    ),
+    "view": CommandEntry(
+        ".view_command:ViewCommand",
+        "Show a scene or an object in the browser, and change it there.",
+    ),
+    "annotate": CommandEntry(
+        ".view_command:AnnotateCommand",
+        "Make a scene of a photograph by hand, with no model: boxes, labels, camera, templates.",
+    ),
+    "sweep": CommandEntry(
+        ".sweep_commands:SweepCommand",
+        "Refine scenes with every combination of some options' values, with several seeds.",
+    ),
+    "ablate": CommandEntry(
+        ".sweep_commands:AblateCommand",
+        "Refine scenes with a base and named changes of it, and list their differences.",
+    ),
+    "doctor": CommandEntry(
+        ".doctor_command:DoctorCommand",
+        "Say what is installed here, what can run, and what each missing thing costs.",
+    ),
+    "bench": CommandEntry(
+        ".bench_commands:BenchCommand",
+        "Make the benchmark, and measure methods, engines and refinement on it.",
+    ),
 }
 """Commands by name, in the order of the help."""
 
-__all__ = ["COMMANDS", "Answer", "Command", "Runnable"]
+__all__ = ["COMMANDS", "CommandEntry"]
