@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..compose import compose
+from ..compose.compose import compose
 from ..config import ComposeOptions, RefineOptions
 from ..errors import EngineError
 from ..measure import SceneMeasure, measured, passes, shown_sides, visible_box_iou

@@ -12,7 +12,6 @@ from ..errors import SpecError
 from ..files import write_atomic
 from ..reading import read_model
 from ..spec import Box2D, JointKey, Name, Number, SceneSpec, Spec, joint_keys
-from .compose import snap
 
 LAYOUT_PATCH = "layout.patch.json"
 """Name of the file in a run folder."""
@@ -84,6 +83,8 @@ def apply_layout(
                 }
             )
         )
+    from .compose import snap
+
     return snap(scene.model_copy(update={"objects": tuple(objects)}), gap), tuple(stale)
 
 

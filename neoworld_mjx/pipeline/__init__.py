@@ -1,6 +1,28 @@
-"""The five steps of the method, from a photograph to an exported scene."""
+"""The five steps of the method, from a photograph to an exported scene.
 
-from .edited import rebuild, search_again
-from .reconstruction import Result, reconstruct, refine_again
+Names are resolved on first use: what only reads or draws a run loads no simulator.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .edited import rebuild, search_again
+    from .reconstruction import Result, reconstruct, refine_again
+
+_HOMES = {
+    "Result": "reconstruction",
+    "rebuild": "edited",
+    "reconstruct": "reconstruction",
+    "refine_again": "reconstruction",
+    "search_again": "edited",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+
 
 __all__ = ["Result", "rebuild", "reconstruct", "refine_again", "search_again"]

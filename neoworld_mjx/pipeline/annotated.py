@@ -5,9 +5,10 @@ from pathlib import Path
 
 from ..config import Config
 from ..errors import ProgramError, RunError, SpecError
-from ..parse import crops, load_photo, support_colours
-from ..parse.crops import colour_in_box
+from ..parse.crops import colour_in_box, crops
 from ..parse.draw import draw_parse
+from ..parse.photo import load_photo
+from ..parse.support_colours import support_colours
 from ..program import build
 from ..program.attempt import ProgramAttempt, Programmed
 from ..program.supports import support_program

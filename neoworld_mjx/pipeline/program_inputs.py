@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 
 from ..config import ProgramOptions
-from ..parse import Crop, SupportColour
+from ..parse.crops import Crop
+from ..parse.support_colours import SupportColour
 from ..spec import SceneTree
 
 

@@ -59,7 +59,7 @@ class StepContext:
 
 def parse_photo(context: StepContext) -> None:
     """Step 1: write answered.json, tree.json, parse.json and the pictures of the parse."""
-    from ..parse import parse
+    from ..parse.parse import parse
     from ..render import to_png
 
     run, options = context.run, context.config.parse
@@ -85,7 +85,8 @@ def program_objects(context: StepContext) -> None:
 
     With three stages geometry.py, articulation.py and export.py are the parts of program.py.
     """
-    from ..parse import crops, support_colours
+    from ..parse.crops import crops
+    from ..parse.support_colours import support_colours
     from ..program.synthesise import synthesise
 
     run, options = context.run, context.config.program
@@ -210,7 +211,7 @@ def compose_scene(context: StepContext) -> None:
 
     It writes compose/tree.json and compose/fit.json, compose/scene.json and the objects' scales.
     """
-    from ..compose import compose
+    from ..compose.compose import compose
     from ..compose.layout_patch import LAYOUT_PATCH, apply_layout, read_layout_patch
     from ..measure import shown_sides
     from ..parse.refit import refit_tree

@@ -1,12 +1,14 @@
 """Triangles of the parts of an object: what is seen, by colour, and the convex pieces."""
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..spec import GeomSpec, ObjectSpec, PartSpec
+from ..spec import GeomSpec, ObjectSpec, PartSpec, Shape
 from ..spec.convex import Piece
+from ..spec.object import OPAQUE_ALPHA
 from ..spec.pose import pose
 from ..spec.triangles import corner_normals
 
@@ -23,6 +25,8 @@ PIECE_COLOURS: tuple[RGB, ...] = (
     (196, 98, 82),
 )
 """Colours of convex pieces, in turn."""
+THIN = 0.04
+"""Largest deviation of simplified surfaces as a share of the thinnest side."""
 
 
 class PartMesh(NamedTuple):
@@ -36,19 +40,34 @@ class PartMesh(NamedTuple):
     alpha: float
 
 
-def visible_meshes(spec: ObjectSpec, part: PartSpec) -> list[PartMesh]:
-    """Return what is seen of a part, one mesh for each colour."""
+def visible_meshes(
+    spec: ObjectSpec, part: PartSpec, *, opaque: bool | None = None, tolerance: float = 0.0
+) -> list[PartMesh]:
+    """Return what is seen of a part, one mesh for each colour.
+
+    Args:
+        spec: the object.
+        part: of it.
+        opaque: take only what is opaque, or only what is not; None takes both.
+        tolerance: deviation of simplified surfaces [m]; 0 keeps every triangle.
+    """
     by_colour: dict[tuple[float, float, float, float], list[tuple[NDArray, NDArray]]] = {}
     for geom in part.geoms:
-        if geom.role != "collision":
-            vertices, faces = geom.shape.surface()
-            placed = geom.pose().apply(creased(vertices, faces)[0])
-            entry = (placed, creased(vertices, faces)[1])
-            by_colour.setdefault(spec.material(geom.material).rgba, []).append(entry)
+        rgba = spec.material(geom.material).rgba
+        if geom.role == "collision" or opaque not in (None, rgba[3] >= OPAQUE_ALPHA):
+            continue
+        # Frozen models have a hash.
+        vertices, faces = _shown_surface(geom.shape, tolerance)  # pyright: ignore[reportArgumentType]
+        by_colour.setdefault(rgba, []).append((geom.pose().apply(vertices), faces))
     return [
         PartMesh(*_joined(meshes), (_byte(r), _byte(g), _byte(b)), a)
         for (r, g, b, a), meshes in by_colour.items()
     ]
+
+
+def visible_triangles(part: PartSpec) -> int:
+    """Return how many triangles are seen of a part."""
+    return sum(len(geom.shape.surface()[1]) for geom in part.geoms if geom.role != "collision")
 
 
 def piece_meshes(part: PartSpec) -> list[PartMesh]:
@@ -71,6 +90,32 @@ def creased(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
     corners = np.column_stack([faces.ravel(), normals])
     rows, index = np.unique(corners, axis=0, return_inverse=True)
     return vertices[rows[:, 0].astype(int)], index.reshape(-1, 3).astype(np.int32)
+
+
+@lru_cache(maxsize=1024)
+def _shown_surface(shape: Shape, tolerance: float) -> tuple[NDArray, NDArray]:
+    """Return a surface with its edges sharp, in the shape's frame."""
+    return creased(*simplified(*shape.surface(), tolerance))
+
+
+def simplified(vertices: NDArray, faces: NDArray, tolerance: float) -> tuple[NDArray, NDArray]:
+    """Return a closed mesh with fewer triangles, or the same one where that cannot be had.
+
+    Args:
+        vertices: [v, 3] m.
+        faces: [f, 3].
+        tolerance: largest deviation [m]; of thin things it is less, so that they keep their shape.
+    """
+    tolerance = min(tolerance, THIN * float(np.ptp(vertices, axis=0).min()))
+    if tolerance <= 0:
+        return vertices, faces
+    import manifold3d
+
+    mesh = manifold3d.Mesh64(np.array(vertices, float), np.array(faces, np.uint64))
+    result = manifold3d.Manifold(mesh).simplify(tolerance).to_mesh64()
+    if not len(result.tri_verts):
+        return vertices, faces
+    return np.array(result.vert_properties)[:, :3], np.array(result.tri_verts).astype(int)
 
 
 def _placed(geom: GeomSpec, piece: Piece) -> tuple[NDArray, NDArray]:

@@ -8,15 +8,18 @@ import copy
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from ..physics.mjcf import VISUAL_GROUP
 from ..spec.object import OPAQUE_ALPHA
 from ..spec.triangles import corner_normals
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 FAR = 1e10
 SEE_THROUGH_GROUP, LAYER_GROUP = 5, 4
@@ -204,7 +207,7 @@ def _without_culling(model: mujoco.MjModel) -> mujoco.MjModel:
 class _Smooth:
     """Finds the facet of a mesh that a ray has hit, which MuJoCo does not tell, by its plane."""
 
-    tree: KDTree
+    tree: "KDTree"
     reach: float
     corners: NDArray
     """[f, 3, 3] m"""
@@ -213,6 +216,8 @@ class _Smooth:
 
     @classmethod
     def of(cls, model: mujoco.MjModel, mesh: int) -> "_Smooth":
+        from scipy.spatial import KDTree
+
         v0, f0 = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
         vertices = model.mesh_vert[v0 : v0 + model.mesh_vertnum[mesh]].astype(float)
         faces = model.mesh_face[f0 : f0 + model.mesh_facenum[mesh]].astype(int)

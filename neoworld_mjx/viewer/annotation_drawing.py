@@ -2,16 +2,18 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..pipeline.annotation import Annotation, annotated_tree
 from ..render.part_meshes import RGB
 from ..spec import Box2D, Camera
 from ..spec.pose import from_matrix
 from .scene_page import NEAR_M
+
+if TYPE_CHECKING:
+    from ..pipeline.annotation import Annotation
 
 CHOSEN, OTHER, SOLID, GRID = (255, 210, 60), (90, 170, 255), (120, 230, 140), (255, 255, 255)
 FAR, FARTHEST_M = 40.0, 800.0
@@ -50,7 +52,7 @@ def draw_grid(server: Any, camera: Camera, step: float) -> None:
     _add_lines(server, "/grid", np.array(lines), GRID, 1)
 
 
-def draw_boxes(server: Any, annotation: Annotation, chosen: str) -> str:
+def draw_boxes(server: Any, annotation: "Annotation", chosen: str) -> str:
     """Draw the boxes in the picture, and those that they give in the world.
 
     Args:
@@ -64,6 +66,8 @@ def draw_boxes(server: Any, annotation: Annotation, chosen: str) -> str:
     Raises:
         SpecError: the boxes give no scene; those in the picture are drawn.
     """
+    from ..pipeline.annotation import annotated_tree
+
     with server.atomic():
         hide_boxes(server)
         for obj in annotation.objects:

@@ -22,8 +22,8 @@ from ..templates import templates
 from .annotation_drawing import draw_boxes, draw_grid, draw_photo
 from .annotation_edits import object_of, with_box, with_change, without
 from .line_picker import LinePicker
-from .object_facts import told
 from .page_log import Tell, work
+from .page_text import told
 from .rectangle_picker import RectanglePicker
 from .scene_page import ScenePage, look_through
 from .view_target import shown_picture

@@ -30,6 +30,15 @@ class Contacts(NamedTuple):
     pairs: tuple[tuple[str, str], ...]
     """Objects of each."""
 
+    def summary(self) -> str:
+        """Return how many there are and the four pairs of objects that overlap most."""
+        deepest: dict[tuple[str, str], float] = {}
+        for depth, pair in zip(self.depths, self.pairs, strict=True):
+            deepest[pair] = max(deepest.get(pair, 0.0), float(depth))
+        worst = sorted(deepest.items(), key=lambda entry: -entry[1])[:4]
+        named = [f"{a} and {b} {1000 * d:.2f} mm" for (a, b), d in worst if d > 0]
+        return f"{len(self.depths)} contacts. Deepest: {'; '.join(named) or 'none overlaps'}"
+
 
 class FreeFall:
     """A simulation of a scene that can be started, stopped and pushed from any thread."""

@@ -17,14 +17,8 @@ from ..spec import SceneObject, SceneTree, bounds, inertial
 from ..view.changes import moves_of
 from ..view.page import Html, table, text
 from ..view.tables import outcome_mark, read_json, with_unit
+from .page_text import framed, told
 from .view_target import ViewTarget
-
-STYLE = (
-    "<style>.nw{font-size:13px;line-height:1.45;overflow-x:auto;padding:4px 10px}"
-    ".nw table{border-collapse:collapse}"
-    ".nw td,.nw th{padding:1px 8px 1px 0;text-align:left;vertical-align:top}"
-    ".nw .fail{color:#c0392b}.nw .pass{color:#2a8a4a}.nw pre{white-space:pre-wrap}</style>"
-)
 
 
 def facts(target: ViewTarget, obj: SceneObject) -> str:
@@ -48,16 +42,6 @@ def facts(target: ViewTarget, obj: SceneObject) -> str:
     if home is not None:
         parts.append(_verdicts(home))
     return framed(*parts)
-
-
-def framed(*parts: str) -> str:
-    """Return HTML in the style of the page."""
-    return f'{STYLE}<div class="nw">{"".join(parts)}</div>'
-
-
-def told(message: str, *, bad: bool = False) -> str:
-    """Return a line of plain text as HTML."""
-    return framed(f'<p class="{"fail" if bad else ""}">{text(message)}</p>')
 
 
 def signals_of(built: Built) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ..errors import NeoWorldError
-from .object_facts import told
+from .page_text import told
 
 Tell = Callable[[str], None]
 """Shows one line of text on the page."""

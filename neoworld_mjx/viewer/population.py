@@ -4,14 +4,10 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compose.compose import snap
 from ..errors import NeoWorldError, RunError
-from ..physics.layout import Layout, arrange, compose_poses
-from ..physics.scene_arrays import snapped_heights
 from ..render.part_meshes import visible_meshes
 from ..spec import SceneSpec
 from ..view.convergence import best_candidates, over_finite, term_histories
@@ -47,6 +43,12 @@ def show_ghosts(server: Any, scene: SceneSpec, history: History, iteration: int)
     Raises:
         RunError: the history is of another scene.
     """
+    import jax
+
+    from ..compose.compose import snap
+    from ..physics.layout import Layout, arrange, compose_poses
+    from ..physics.scene_arrays import snapped_heights
+
     names = [obj.name for obj in scene.objects]
     if [str(name) for name in history.get("object_names", names)] != names:
         raise RunError("refine/history.npz is of another scene than compose/scene.json")

@@ -9,12 +9,15 @@ from numpy.typing import NDArray
 from ..render.part_meshes import PartMesh, piece_meshes, visible_meshes
 from ..spec import Camera, SceneSpec, link_poses, world_poses
 from ..spec.pose import Pose, from_matrix
+from .part_glb import detail_of, part_glb
 
 NEAR_M = 0.06
 """Distance of the photograph's plane in front of the camera [m]."""
 TOUCHING, DEEP = (70, 200, 90), (235, 60, 50)
 PENETRATION_M = 1e-3
 """Depth from which on a contact is a penetration [m]."""
+CLEAR = 0.3
+"""Opacity of objects while contacts are shown."""
 
 PartPoses = dict[tuple[str, str], Pose]
 """World pose of each part's rest frame, by object and part."""
@@ -44,8 +47,9 @@ class ScenePage:
         self._frames: dict[tuple[str, str], Any] = {}
         self._shown: PartPoses = {}
         self._visible: list[Any] = []
-        self._clickable = True
-        self._opacity: dict[str, float | None] = {}
+        self._clear: list[Any] = []
+        self._clickable = self._surfaces = True
+        self._see_through = False
         self._pieces: list[Any] = []
         self._contacts: list[Any] = []
         self._photo: Any = None
@@ -63,19 +67,28 @@ class ScenePage:
                 self._shown.pop(key, None)
             self._visible = [h for h in self._visible if self._is_there(h)]
             self.hide_pieces()
-            self.scene = scene
+            for node in self._clear:
+                if self._is_there(node):
+                    node.remove()
+            self._clear = []
+            self.scene, kept, poses = scene, len(self._visible), part_poses(scene)
+            detail = detail_of(scene, _distance(scene, poses))
             for obj in scene.objects:
                 for part in obj.spec.parts:
                     if (obj.name, part.name) in self._frames:
                         continue
                     path = f"/scene/{obj.name}/{part.name}"
-                    self._frames[obj.name, part.name] = api.add_frame(path, show_axes=False)
-                    for k, mesh in enumerate(visible_meshes(obj.spec, part)):
-                        node = _add_mesh(api, f"{path}/{k}", mesh)
-                        self._pickable(node, obj.name)
-                        self._visible.append(node)
-                        self._opacity[node.name] = node.opacity
-            self.pose(part_poses(scene))
+                    key = obj.name, part.name
+                    self._frames[key] = api.add_frame(path, show_axes=False)
+                    glb = part_glb(obj.spec, part, poses[key].quat, detail)
+                    if glb is not None:
+                        self._visible.append(_add_glb(api, f"{path}/opaque", glb))
+                    for k, mesh in enumerate(visible_meshes(obj.spec, part, opaque=False)):
+                        self._visible.append(_add_mesh(api, f"{path}/{k}", mesh))
+            for node in self._visible[kept:]:
+                self._pickable(node, node.name.split("/")[2])
+            self.pose(poses)
+            self._update_surfaces()
 
     def pose(self, poses: PartPoses) -> None:
         """Move parts; those that stay cost nothing."""
@@ -95,15 +108,31 @@ class ScenePage:
 
     def show_visible(self, visible: bool) -> None:
         """Show or hide what is seen of the objects."""
-        for node in self._visible:
-            node.visible = visible
+        self._surfaces = visible
+        self._update_surfaces()
 
     def see_through(self, seen: bool) -> None:
         """Make objects transparent, so that contacts inside of them show, or as they are."""
+        self._see_through = seen
+        self._update_surfaces()
+
+    def _update_surfaces(self) -> None:
+        """Show the surfaces, their transparent copies, or neither; copies are made when asked."""
+        clear = self._see_through and self._surfaces
         with self._server.atomic():
+            if clear and not self._clear and self.scene is not None:
+                for obj in self.scene.objects:
+                    for part in obj.spec.parts:
+                        path = f"/scene/{obj.name}/{part.name}/clear"
+                        for k, mesh in enumerate(visible_meshes(obj.spec, part)):
+                            mesh = mesh._replace(alpha=CLEAR)
+                            node = _add_mesh(self._server.scene, f"{path}/{k}", mesh)
+                            self._pickable(node, obj.name)
+                            self._clear.append(node)
             for node in self._visible:
-                own = self._opacity.get(node.name)
-                node.opacity = 0.3 if seen else own
+                node.visible = self._surfaces and not self._see_through
+            for node in self._clear:
+                node.visible = clear
 
     def show_pieces(self) -> None:
         """Show the convex pieces that collide, in colours."""
@@ -162,10 +191,7 @@ class ScenePage:
 
     def extent(self) -> float:
         """Return a length to draw marks by: the median distance of objects from the camera [m]."""
-        if self.scene is None or not self._shown:
-            return 1.0
-        eye = np.zeros(3) if self.scene.camera is None else self.scene.camera.position()
-        return float(np.median([np.linalg.norm(at.pos - eye) for at in self._shown.values()]))
+        return 1.0 if self.scene is None else _distance(self.scene, self._shown)
 
     def blend(self, camera: Camera, picture: NDArray, share: float) -> None:
         """Lay the photograph over the scene, as seen from its camera.
@@ -195,7 +221,7 @@ class ScenePage:
         """Let objects be clicked or not; a handle behind a clickable object cannot be dragged."""
         self._clickable = pickable
         with self._server.atomic():
-            for node in (*self._visible, *self._pieces):
+            for node in (*self._visible, *self._clear, *self._pieces):
                 node.remove_click_callback("all")
                 self._pickable(node, node.name.split("/")[2])
 
@@ -231,6 +257,16 @@ def look_at(client: Any, low: NDArray, high: NDArray) -> None:
     with client.atomic():
         client.camera.position = centre + away
         client.camera.look_at = centre
+
+
+def _distance(scene: SceneSpec, poses: Mapping[tuple[str, str], Pose]) -> float:
+    """Return the median distance of parts from the camera [m]."""
+    eye = np.zeros(3) if scene.camera is None else scene.camera.position()
+    return float(np.median([np.linalg.norm(at.pos - eye) for at in poses.values()] or [1.0]))
+
+
+def _add_glb(api: Any, path: str, glb: bytes) -> Any:
+    return api.add_glb(path, glb, cast_shadow=False, receive_shadow=False)
 
 
 def _add_mesh(api: Any, path: str, mesh: PartMesh) -> Any:

@@ -4,7 +4,7 @@ import logging
 import math
 import threading
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,20 +12,20 @@ from ..compose.layout_patch import LayoutPatch, read_layout_patch
 from ..config import Config
 from ..errors import NeoWorldError
 from ..files import write_atomic
-from ..pipeline import Result, rebuild, search_again
-from ..program import build
 from ..spec import Box2D
-from ..verify.patched import read_program
 from .annotation_drawing import CHOSEN, draw_box, hide_boxes
-from .free_fall import FreeFall
 from .joint_sliders import JointSliders
-from .object_facts import crop_of, facts, signals_of, told
 from .page_log import Tell, work
+from .page_text import told
 from .population import Ghosts, term_chart
 from .rectangle_picker import RectanglePicker
 from .scene_editor import SceneEditor
 from .scene_page import ScenePage, bounds_of, look_at, look_through, part_poses
 from .view_target import ViewTarget, open_target
+
+if TYPE_CHECKING:
+    from ..pipeline import Result
+    from .free_fall import FreeFall
 
 _log = logging.getLogger(__name__)
 
@@ -48,7 +48,7 @@ class SceneViewer:
         self._busy, self._drawing = threading.Lock(), threading.Lock()
         self._target = target
         self._stage = ScenePage(server, self.pick)
-        self._fall: FreeFall | None = None
+        self._fall: "FreeFall | None" = None
         self._handle: Any = None
         self._chart: Any = None
         self._picked = ""
@@ -211,15 +211,7 @@ class SceneViewer:
         contacts = fall.contacts()
         self._stage.show_contacts(contacts.points, contacts.depths, contacts.normals)
         if not fall.playing:
-            deepest: dict[tuple[str, str], float] = {}
-            for depth, pair in zip(contacts.depths, contacts.pairs, strict=True):
-                deepest[pair] = max(deepest.get(pair, 0.0), float(depth))
-            worst = sorted(deepest.items(), key=lambda entry: -entry[1])[:4]
-            named = [f"{a} and {b} {1000 * d:.2f} mm" for (a, b), d in worst if d > 0]
-            said = (
-                f"{len(contacts.depths)} contacts. Deepest: {'; '.join(named) or 'none overlaps'}"
-            )
-            self._status.content = told(said)
+            self._status.content = told(contacts.summary())
 
     def _move_joint(self, name: str, key: str, value: float) -> None:
         self._drop_fall()
@@ -228,9 +220,11 @@ class SceneViewer:
 
     # Free fall.
 
-    def _falling(self) -> FreeFall | None:
+    def _falling(self) -> "FreeFall | None":
         """Return the simulation of the scene shown, compiled when it is first needed."""
         if self._fall is None:
+            from .free_fall import FreeFall
+
             try:
                 self._fall = FreeFall(self._editor.scene, self._show_frame)
             except (NeoWorldError, ValueError) as error:
@@ -260,7 +254,7 @@ class SceneViewer:
             fall.reset()
             self._show_frame(fall)
 
-    def _show_frame(self, fall: FreeFall) -> None:
+    def _show_frame(self, fall: "FreeFall") -> None:
         self._stage.pose(fall.poses())
         self._status.content = told(f"{fall.seconds:.2f} s simulated")
         if self._contacts.value:
@@ -279,6 +273,9 @@ class SceneViewer:
 
     def pick(self, name: str) -> None:
         """Show what is known of an object."""
+        from ..verify.patched import read_program
+        from .object_facts import crop_of, facts
+
         if name not in {obj.name for obj in self._editor.scene.objects}:
             self._picked = ""
             return
@@ -361,6 +358,10 @@ class SceneViewer:
         work(self._busy, self._signals, self._build_again)
 
     def _build_again(self, tell: Tell) -> None:
+        from ..pipeline import rebuild
+        from ..program import build
+        from .object_facts import signals_of
+
         name, text = self._picked, self._text.value
         program = self._target.program_of(name)
         if program is None:
@@ -391,12 +392,13 @@ class SceneViewer:
         work(self._busy, self._log, self._search_on)
 
     def _search_on(self, tell: Tell) -> None:
+        from ..pipeline import search_again
+        from ..refinement import refine
+
         tell("searching ...")
         if self._target.run is not None:
             self._reload(search_again(self._target.run, self._editor.patch))
             return
-        from ..refinement import refine
-
         self._editor.snap()
         options, seed = self._config.refine, self._config.seed
         refined = refine(self._editor.scene, options, seed=seed, progress=_log.info)
@@ -412,13 +414,15 @@ class SceneViewer:
         work(self._busy, self._log, self._without_patch)
 
     def _without_patch(self, tell: Tell) -> None:
+        from ..pipeline import search_again
+
         had, self._editor.patch = self._editor.patch, LayoutPatch()
         if self._target.run is not None and had.objects:
             self._reload(search_again(self._target.run, LayoutPatch()))
         else:
             self._load()
 
-    def _reload(self, result: Result | None) -> None:
+    def _reload(self, result: "Result | None") -> None:
         if result is not None:
             self._target = open_target(self._path, self._config)
             self._load()

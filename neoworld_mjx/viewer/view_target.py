@@ -14,8 +14,6 @@ from ..parse.photo import load_photo
 from ..reading import read_arrays, read_model
 from ..run_folder import refuse_links
 from ..spec import ObjectSpec, SceneObject, SceneSpec, read_scene
-from ..verify.checking import import_object
-from ..verify.patched import build_patched
 
 OBJECT_FILES = (".urdf", ".xml", ".mjcf")
 """Suffixes of files that contain an object."""
@@ -87,12 +85,16 @@ def open_target(path: Path, config: Config) -> ViewTarget:
             "run folder, a scene.json, a program (.py), or a URDF or MJCF file"
         )
     if path.suffix == ".py":
+        from ..verify.patched import build_patched
+
         built = build_patched(path, config.program).built
         if built.spec is None:
             reasons = "; ".join(signal.phrase() for signal in built.signals[:3])
             raise SpecError(f"{path} gives no object: {reasons}")
         return ViewTarget(path.name, alone(built.spec), program=path)
     if path.suffix.lower() in OBJECT_FILES:
+        from ..verify.checking import import_object
+
         return ViewTarget(path.name, alone(import_object(path).spec))
     if path.name in ("spec.json", "verified.json"):
         spec = read_model(path, ObjectSpec, SpecError, "an object")

@@ -14,7 +14,7 @@ from neoworld_mjx.bench.dataset.settle_scene import failures
 from neoworld_mjx.bench.dataset.starts import noise_number, true_tree
 from neoworld_mjx.bench.dataset.truth_scene import truth_scene
 from neoworld_mjx.bench.photo_scenes import see
-from neoworld_mjx.compose import compose
+from neoworld_mjx.compose.compose import compose
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.physics.settling import moved
 from neoworld_mjx.spec import world_poses

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.compose import compose
+from neoworld_mjx.compose.compose import compose
 from neoworld_mjx.compose.resting_pose import on_level, resting_tilt
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.measure import scene_measure, unstable_objects

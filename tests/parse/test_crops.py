@@ -3,8 +3,7 @@ import io
 import numpy as np
 from PIL import Image
 
-from neoworld_mjx.parse import crops
-from neoworld_mjx.parse.crops import MARGIN, MARK, colour_in_box
+from neoworld_mjx.parse.crops import MARGIN, MARK, colour_in_box, crops
 from neoworld_mjx.parse.enlarge import enlarged
 from neoworld_mjx.parse.photo import Photo
 from neoworld_mjx.spec import Box2D

@@ -6,7 +6,7 @@ import pytest
 
 from neoworld_mjx.config import ParseOptions
 from neoworld_mjx.errors import ModelError
-from neoworld_mjx.parse import parse
+from neoworld_mjx.parse.parse import parse
 from neoworld_mjx.parse.prompts import SceneCritique
 from tests.support import answers
 from tests.support.scripted_model import ScriptedModel

@@ -6,7 +6,7 @@ Programs are the true shapes; their sizes are what composition makes of the answ
 
 import zlib
 
-from ...compose import compose
+from ...compose.compose import compose
 from ...config import ComposeOptions
 from ...parse.fit import fit_tree
 from ...parse.refit import refit_tree

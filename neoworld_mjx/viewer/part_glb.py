@@ -1,0 +1,138 @@
+"""A part of an object as one glTF mesh with a colour at every vertex: one draw call on the page.
+
+A large scene is drawn with its light in its colours, and with fewer triangles where that does not
+show from where the photograph was taken: a browser without a GPU spends most of a frame on light
+and on triangles.
+"""
+
+import json
+import struct
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..render.appearance import linear
+from ..render.part_meshes import PartMesh, visible_meshes, visible_triangles
+from ..spec import ObjectSpec, PartSpec, SceneSpec
+from ..spec.pose import rotate
+
+LIT_TRIANGLES = 20_000
+"""Most triangles of a scene that is drawn with all of them, and lit by the browser."""
+TOLERANCE = 5e-4
+"""Deviation of simplified surfaces as a share of the distance from the camera: a third of a pixel
+in a picture of 640 rows."""
+SKY, SUN, GROUND = 1.2, 3.0, 0.4
+"""Intensities of the page's lights: from all around, from above, and from below."""
+TO_SUN = np.array([-0.19, -0.19, 0.96])
+SHEEN = 0.015
+"""Share of the light that a dielectric reflects without its colour."""
+_GLTF, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
+_FLOAT, _UINT = 5126, 5125
+
+
+class Detail(NamedTuple):
+    """How much of a scene's surfaces the page draws."""
+
+    tolerance: float = 0.0
+    """Deviation of simplified surfaces [m]; 0 keeps every triangle."""
+    lit: bool = True
+    """Whether the browser lights surfaces; else their colours hold the light."""
+
+
+def detail_of(scene: SceneSpec, distance: float) -> Detail:
+    """Return the detail at which a scene is drawn.
+
+    Args:
+        scene: what is drawn.
+        distance: of the objects from the camera [m].
+    """
+    count = sum(visible_triangles(part) for obj in scene.objects for part in obj.spec.parts)
+    return Detail() if count <= LIT_TRIANGLES else Detail(TOLERANCE * distance, lit=False)
+
+
+def part_glb(spec: ObjectSpec, part: PartSpec, quat: NDArray, detail: Detail) -> bytes | None:
+    """Return the opaque surfaces of a part as binary glTF, in the object's frame at rest.
+
+    Args:
+        spec: the object.
+        part: of it.
+        quat: orientation of the part's rest frame in the world; light comes from above.
+        detail: of the surfaces.
+
+    Returns:
+        None where the part shows nothing opaque.
+    """
+    meshes = visible_meshes(spec, part, opaque=True, tolerance=detail.tolerance)
+    if not meshes:
+        return None
+    normals = np.vstack([vertex_normals(mesh) for mesh in meshes])
+    colours = np.repeat(
+        linear(np.array([mesh.rgb for mesh in meshes]) / 255),
+        [len(mesh.vertices) for mesh in meshes],
+        axis=0,
+    )
+    if not detail.lit:
+        colours = _light(rotate(quat, normals))[:, None] * ((1 - SHEEN) * colours + SHEEN)
+    starts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
+    faces = np.vstack([mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)])
+    return _glb(np.vstack([mesh.vertices for mesh in meshes]), normals, colours, faces, detail.lit)
+
+
+def vertex_normals(mesh: PartMesh) -> NDArray:
+    """Return unit normals [v, 3], means of the faces around each vertex by area."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(float) for k in range(3))
+    areas = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    index, count = mesh.faces.ravel(), len(mesh.vertices)
+    total = np.stack([np.bincount(index, areas[:, k], count) for k in range(3)], axis=1)
+    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)
+
+
+def _light(normals: NDArray) -> NDArray:
+    """Return the light [n] that surfaces with normals [n, 3] in the world give back."""
+    sun = np.clip(normals @ (TO_SUN / np.linalg.norm(TO_SUN)), 0.0, None)
+    return (SKY + SUN * sun + GROUND * np.clip(-normals[:, 2], 0.0, None)) / np.pi
+
+
+def _glb(vertices: NDArray, normals: NDArray, colours: NDArray, faces: NDArray, lit: bool) -> bytes:
+    arrays = [np.asarray(array, "<f4") for array in (vertices, normals, colours)]
+    buffers = [array.tobytes() for array in (*arrays, faces.astype("<u4"))]
+    starts = np.cumsum([0] + [len(buffer) for buffer in buffers]).tolist()
+    accessors: list[dict[str, object]] = [
+        {"bufferView": k, "componentType": _FLOAT, "count": len(vertices), "type": "VEC3"}
+        for k in range(3)
+    ]
+    accessors[0] |= {"min": arrays[0].min(axis=0).tolist(), "max": arrays[0].max(axis=0).tolist()}
+    accessors.append(
+        {"bufferView": 3, "componentType": _UINT, "count": faces.size, "type": "SCALAR"}
+    )
+    attributes = {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}
+    unlit = {} if lit else {"extensions": {"KHR_materials_unlit": {}}}
+    surface = {"metallicFactor": 0, "roughnessFactor": 1}
+    document = {
+        "asset": {"version": "2.0"},
+        "extensionsUsed": [] if lit else ["KHR_materials_unlit"],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "materials": [{"pbrMetallicRoughness": surface, **unlit}],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": 3, "material": 0}]}],
+        "accessors": accessors,
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": start, "byteLength": len(buffer)}
+            for start, buffer in zip(starts, buffers, strict=False)
+        ],
+        "buffers": [{"byteLength": starts[-1]}],
+    }
+    if lit:
+        del document["extensionsUsed"]  # It may not be empty.
+    return _packed(json.dumps(document).encode(), buffers)
+
+
+def _packed(text: bytes, buffers: Sequence[bytes]) -> bytes:
+    text += b" " * (-len(text) % 4)
+    content = b"".join(buffers)
+    chunks = struct.pack("<II", len(text), _JSON) + text
+    chunks += struct.pack("<II", len(content), _BIN) + content
+    return struct.pack("<III", _GLTF, 2, 12 + len(chunks)) + chunks
