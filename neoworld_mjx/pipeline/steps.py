@@ -96,8 +96,7 @@ def program_objects(context: StepContext) -> None:
     run.record("supports", **{name: colour._asdict() for name, colour in colours.items()})
     inputs = program_inputs(tree, pictures, colours, options)
 
-    # Each object is charged the time since the last one was done, so that their sum is the time
-    # that passed.
+    # Each object is charged the time since the one before was done: the sum is what passed.
     last_done = run.now()
 
     async def program_one(node: TreeNode) -> None:
