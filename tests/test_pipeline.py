@@ -14,6 +14,7 @@ from neoworld_mjx import refinement
 from neoworld_mjx.errors import EngineError, RunError
 from neoworld_mjx.pipeline import reconstruct, refine_again
 from neoworld_mjx.spec import SceneSpec, SceneTree
+from tests.support.notebooks import run_small
 
 ROOT = Path(__file__).parents[1]
 OBJECTS = ["table", "saucer", "cup", "spoon"]
@@ -137,6 +138,20 @@ def test_the_readme_example_runs(quick_run, tmp_path, monkeypatch, capsys):
     assert printed.startswith("Result('out': ")
     assert "objects: table, saucer, cup, spoon" in printed
     assert np.isfinite(names["again"].history["absolute"].max())
+
+
+def test_the_quickstart_notebook_runs_on_a_run_that_is_there(
+    quick_run, quick_config, photo, tmp_path
+):
+    shutil.copytree(quick_run, tmp_path / "out")
+    changes = {
+        'Path("../examples/coffee.png")': "PHOTO",
+        'Path(tempfile.mkdtemp()) / "out"': "FOLDER",
+        "load_config(overrides=small)": "CONFIG, resume=True",
+    }
+    given = {"PHOTO": photo, "FOLDER": tmp_path / "out", "CONFIG": quick_config}
+    ran = run_small("quickstart", changes, **given)
+    assert ran["result"].objects and ran["moved"] < 0.02
 
 
 def test_refining_again_keeps_the_steps_before(tmp_path, photo, quick_config):

@@ -10,6 +10,7 @@ from neoworld_mjx.errors import ConfigError, NeoWorldError, RunError
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.sweeps import Case, ablate, run, sweep
 from neoworld_mjx.sweeps.run_rows import COLUMNS, read_parquet
+from tests.support.notebooks import run_small
 
 SCENE = Case("two", crowded(2))
 BASE = {
@@ -95,6 +96,25 @@ def test_the_table_sums_points_up(swept):
     assert about["static"] == []
     assert [group["runs"] for group in about["groups"]] == [8]
     assert about["compilations"] > 0
+
+
+def test_the_notebook_runs_in_small_form():
+    base = """{
+        "refine": {
+            "cem": {"population": 24, "iterations": 4, "keep_sound": False, "stop_by": "elites"},
+            "rollout": {"engine": "native"},
+        }
+    }"""
+    changes = {
+        '"seeds": [0, 1, 2]': '"seeds": [0, 1]',
+        f'"base": {base}': '"base": BASE',
+        "wide: [0.01, 0.03, 0.08]": "wide: [0.01, 0.08]",
+        "cases=[scene]": "cases=[SCENE]",
+        "== 18": "== 8",
+        "passed.max() == 1.0": "passed.shape == (2, 2)",
+    }
+    ran = run_small("sweep_with_plots", changes, BASE=BASE, SCENE=SCENE)
+    assert {row["seed"] for row in ran["found"].rows} == {0, 1}
 
 
 def test_a_sweep_is_not_lost(swept, tmp_path):
