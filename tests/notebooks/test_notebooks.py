@@ -6,7 +6,7 @@ import jupytext
 import pytest
 from nbclient import NotebookClient
 
-# In small form they run with tests that compile the same: test_sweep, test_environments, test_pipeline.
+# In small form they run in test_sweep, test_environments and test_pipeline.
 SLOW = {"quickstart", "sweep_with_plots", "policy_rollouts_in_mjx"}
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 
