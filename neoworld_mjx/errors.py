@@ -45,11 +45,20 @@ class RunError(NeoWorldError):
     """A run folder cannot be used: in use, foreign, incomplete or not writable."""
 
 
+MAX_CHOICES = 40
+"""Most names that an error message lists beside a near one."""
+
+
 def choices(given: str, valid: object) -> str:
-    """Phrase "got 'x', valid are a, b, c" for an error message, with the nearest name first."""
+    """Phrase "got 'x', valid are a, b, c; did you mean 'b'?" for an error message.
+
+    Of very many names only the nearest is told, if there is a near one.
+    """
     import difflib
 
     names = [str(name) for name in valid]  # pyright: ignore[reportGeneralTypeIssues]
     near = difflib.get_close_matches(given, names, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
+    if near and len(names) > MAX_CHOICES:
+        return f"got {given!r}, which is none of {len(names)} names{hint}"
     return f"got {given!r}, valid are: {', '.join(names) or 'none'}{hint}"

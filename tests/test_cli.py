@@ -184,7 +184,7 @@ def test_a_program_that_fails_writes_nothing_and_exits_1(neoworld, tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
-        (None, None, "cannot read"),
+        (None, None, "no such file or folder"),
         ("scene.txt", "x", "expected a run folder or a scene.json"),
         ("scene.json", "{", "is not a scene"),
         ("scene.json", '{"objects": []}', "is not a scene: objects"),
@@ -195,6 +195,16 @@ def test_what_cannot_be_checked_is_one_message(neoworld, tmp_path, name, content
     if content is not None:
         target.write_text(content)
     assert_refused(neoworld("check", target), said, str(target))
+
+
+def test_what_cannot_be_shown_is_one_message_of_few_words(neoworld, tmp_path):
+    assert_refused(neoworld("view", tmp_path / "nothing"), "no such file or folder")
+    assert_refused(neoworld("check", tmp_path), f"{tmp_path} is no run folder with a scene")
+    (tmp_path / "notes.txt").write_text("x")
+    assert_refused(neoworld("view", tmp_path / "notes.txt"), "a program (.py), a URDF or an MJCF")
+    misspelt = neoworld("template", "nightstnd", "--out", tmp_path / "x.py")
+    assert_refused(misspelt, "did you mean 'nightstand'?")
+    assert len(misspelt.stderr) < 160
 
 
 def test_json_puts_an_error_on_stdout_and_on_stderr(neoworld, tmp_path):

@@ -143,6 +143,10 @@ def read_scene(path: Path) -> SceneSpec:
     """
     path = Path(path)
     file = path / "scene.json" if path.is_dir() else path
+    if not path.exists():
+        raise SpecError(f"cannot read {path}: no such file or folder")
+    if path.is_dir() and not file.exists():
+        raise SpecError(f"{path} is no run folder with a scene: it holds no scene.json")
     if file.suffix != ".json":
         raise SpecError(f"{path}: expected a run folder or a scene.json")
     return read_model(file, SceneSpec, SpecError, "a scene")

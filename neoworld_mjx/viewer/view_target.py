@@ -99,6 +99,11 @@ def open_target(path: Path, config: Config) -> ViewTarget:
     if path.name in ("spec.json", "verified.json"):
         spec = read_model(path, ObjectSpec, SpecError, "an object")
         return ViewTarget(spec.name, alone(spec))
+    if path.exists() and path.suffix != ".json":
+        raise SpecError(
+            f"{path}: expected a run folder, a scene.json, an object's folder, a program (.py), a "
+            "URDF or an MJCF file"
+        )
     scene = read_scene(path)
     around = (path.parent, path.parent.parent) if path.parent.name == "compose" else (path.parent,)
     picture = next((p for folder in around if (p := _picture(folder)) is not None), None)
