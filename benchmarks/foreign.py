@@ -26,7 +26,7 @@ class Program(NamedTuple):
     requirements: tuple[str, ...]
     """Of its environment; none is this one."""
     objects: tuple[str, ...]
-    """Suffixes of the objects' files that it reads."""
+    """Files of an object that it reads."""
     scenes: tuple[str, ...] = ()
     """Files of a scene that it reads."""
     moves: bool = False
@@ -36,43 +36,46 @@ class Program(NamedTuple):
 
 
 PROGRAMS: dict[str, Program] = {
-    "mujoco": Program("mujoco", "mujoco", (), ("xml", "urdf"), ("scene.xml",), True),
+    "mujoco": Program("mujoco", "mujoco", (), ("object.xml", "object.urdf"), ("scene.xml",), True),
     "mujoco_4": Program(
-        "mujoco", "mujoco", ("mujoco>=4,<5",), ("xml", "urdf"), ("scene.xml",), True
+        "mujoco", "mujoco", ("mujoco>=4,<5",), ("object.xml", "object.urdf"), ("scene.xml",), True
     ),
     "dm_control": Program(
-        "dm_control", "dm_control", ("dm_control", "mujoco<4"), ("xml",), ("scene.xml",)
+        "dm_control", "dm_control", ("dm_control", "mujoco<4"), ("object.xml",), ("scene.xml",)
     ),
-    "yourdfpy": Program("yourdfpy", "yourdfpy", (), ("urdf",)),
-    "pinocchio": Program("pinocchio", "pin", ("pin>=4.1,<5",), ("urdf",)),
+    "yourdfpy": Program("yourdfpy", "yourdfpy", (), ("object.urdf",)),
+    "pinocchio": Program("pinocchio", "pin", ("pin>=4.1,<5",), ("object.urdf",)),
     "drake": Program(
-        "drake", "drake", ("drake>=1.51",), ("urdf", "sdf", "xml"),
+        "drake", "drake", ("drake>=1.51",), ("object.urdf", "object.sdf", "object.xml"),
         ("scene.sdf", "scene.dmd.yaml", "scene.xml"), True, ("dry",),
     ),
-    "pybullet": Program("pybullet", "pybullet", ("pybullet>=3.2.7,<4",), ("urdf",), (), True),
+    "pybullet": Program(
+        "pybullet", "pybullet", ("pybullet>=3.2.7,<4",), ("object.urdf",), (), True
+    ),
     "sapien": Program(
-        "sapien", "sapien", ("sapien>=3,<4",), ("urdf",), (), True, ("coefficient",)
+        "sapien", "sapien", ("sapien>=3,<4",), ("object.urdf",), (), True, ("coefficient",)
     ),
     "newton": Program(
         "newton", "newton", ("newton[importers,sim]>=1.8,<2",),
-        ("xml", "urdf", "usda"), ("scene.xml", "scene.usda", "newton.usda"), True,
+        ("object.xml", "object.urdf", "object.usda", "newton.usda"),
+        ("scene.xml", "scene.usda", "newton.usda"), True,
     ),
     "genesis": Program(
-        "genesis", "genesis-world", ("genesis-world>=1.4,<2", "torch"), ("xml", "urdf"),
-        ("scene.xml",), True,
+        "genesis", "genesis-world", ("genesis-world>=1.4,<2", "torch"),
+        ("object.xml", "object.urdf"), ("scene.xml",), True,
     ),
-    "usd": Program("usd", "usd-core", (), ("usda",), ("scene.usda",)),
+    "usd": Program("usd", "usd-core", (), ("object.usda",), ("scene.usda",)),
     "nvidia": Program(
         "nvidia", "usd-validation-nvidia",
         ("usd-validation-nvidia", "physx-usd-schemas", "newton-usd-schemas", "usd-core"),
-        ("usdc",), ("scene.usdc", "isaac.usda", "newton.usda"),
+        ("object.usdc",), ("scene.usdc", "isaac.usda", "newton.usda"),
     ),
     "mujoco_usd_converter": Program(
-        "mujoco_usd_converter", "mujoco-usd-converter", ("mujoco-usd-converter",), ("xml",),
+        "mujoco_usd_converter", "mujoco-usd-converter", ("mujoco-usd-converter",), ("object.xml",),
         ("scene.xml",),
     ),
     "urdf_usd_converter": Program(
-        "urdf_usd_converter", "urdf-usd-converter", ("urdf-usd-converter",), ("urdf",)
+        "urdf_usd_converter", "urdf-usd-converter", ("urdf-usd-converter",), ("object.urdf",)
     ),
 }  # fmt: skip
 """Programs by the name that `--reader` takes."""

@@ -106,7 +106,13 @@ def mujoco(path: str, o: Options) -> Motion:
 
 def drake(path: str, o: Options) -> Motion:
     import numpy as np
-    from pydrake.geometry import HalfSpace
+    from pydrake.geometry import (
+        AddContactMaterial,
+        AddRigidHydroelasticProperties,
+        HalfSpace,
+        ProximityProperties,
+        SceneGraphConfig,
+    )
     from pydrake.math import RigidTransform
     from pydrake.multibody.math import SpatialForce
     from pydrake.multibody.parsing import Parser
@@ -119,8 +125,13 @@ def drake(path: str, o: Options) -> Motion:
     from pydrake.systems.framework import DiagramBuilder
 
     builder = DiagramBuilder()
-    plant, _ = AddMultibodyPlantSceneGraph(builder, STEP_S)
+    plant, graph = AddMultibodyPlantSceneGraph(builder, STEP_S)
     parser = Parser(plant)
+    if path.endswith("xml"):  # MJCF has no words for what URDF and SDF say of contacts.
+        config = SceneGraphConfig()
+        config.default_proximity_properties.compliance_type = "compliant"
+        config.default_proximity_properties.hydroelastic_modulus = 1e8
+        graph.set_config(config)
     if path.endswith("dmd.yaml"):
         folder = path.rpartition("/")[0]
         parser.package_map().AddPackageXml(f"{folder}/package.xml")
@@ -129,10 +140,10 @@ def drake(path: str, o: Options) -> Motion:
         root = plant.get_body(plant.GetBodyIndices(instances[0])[0])
         plant.WeldFrames(plant.world_frame(), root.body_frame())
     elif "low" in o:
-        at = RigidTransform(p=[0, 0, o["low"]])
-        plant.RegisterCollisionGeometry(
-            plant.world_body(), at, HalfSpace(), "ground", CoulombFriction(1.0, 1.0)
-        )
+        at, ground = RigidTransform(p=[0, 0, o["low"]]), ProximityProperties()
+        AddRigidHydroelasticProperties(ground)
+        AddContactMaterial(friction=CoulombFriction(1.0, 1.0), properties=ground)
+        plant.RegisterCollisionGeometry(plant.world_body(), at, HalfSpace(), "ground", ground)
     plant.Finalize()
     diagram = builder.Build()
     context = diagram.CreateDefaultContext()
@@ -302,7 +313,12 @@ def genesis(path: str, o: Options) -> Motion:
 
     if not gs._initialized:
         gs.init(backend=gs.cpu, logging_level="error")
-    scene = gs.Scene(show_viewer=False, sim_options=gs.options.SimOptions(dt=LONG_STEP_S))
+    # Contacts as the MJCF states them, whose options it does not take.
+    contacts = gs.options.RigidOptions(
+        friction_cone=gs.friction_cone.elliptic, impratio=10.0, constraint_timeconst=0.02
+    )
+    step = gs.options.SimOptions(dt=LONG_STEP_S)
+    scene = gs.Scene(show_viewer=False, sim_options=step, rigid_options=contacts)
     if "low" in o:
         scene.add_entity(gs.morphs.Plane(pos=(0, 0, o["low"])))
     body = scene.add_entity(genesis_morph(gs, path, fixed="joint" in o))

@@ -12,7 +12,7 @@ import yaml
 import neoworld_mjx as nw
 from benchmarks.foreign import PROGRAMS, Program, probe
 from benchmarks.motion_probe import degrees
-from benchmarks.pulls import Pull, pull_of
+from benchmarks.pulls import PULL_S, pull_of
 from benchmarks.suites import Readers
 from neoworld_mjx.config import ProgramOptions, load_config
 from neoworld_mjx.errors import NeoWorldError
@@ -28,7 +28,7 @@ TOLERANCE_M, TOLERANCE_MASS, LEAST_KG = 1e-6, 1e-5, 1e-5
 """Masses are alike within a share, or this: SAPIEN and others give frames a milligram each."""
 REST_MM, REST_DEGREES, PULLED = 5.0, 2.0, 0.1
 """How far what rests may end beside where it ends in MuJoCo, and a pulled joint, over its value."""
-REST_S, PULL_S = 2.0, 0.5
+REST_S = 2.0
 ASSET = "asset_"
 """Begins the names of the assets of others, which are counted apart."""
 KNOWN = {
@@ -56,11 +56,10 @@ def answer(o: Readers) -> dict[str, Any]:
         specs = {spec.name: spec for spec in objects(o, scene)}
         for name, spec in specs.items():
             export_object(spec, home / name)
-            write_formats(spec, home / name, ["usd"])
-        pulls = {name: pull_of(spec) for name, spec in specs.items()}
-        expected = expectations(home, specs, pulls, scene)
+            write_formats(spec, home / name, ["usd"], simulator="newton")
+        expected = expectations(home, specs, scene)
         for name in names:
-            new = rows_of(name, home, specs, pulls, scene, expected)
+            new = rows_of(name, home, specs, scene, expected)
             faults += [f"{row['reader']} {row['file']}: {f}" for row in new for f in row["faults"]]
             rows += new
     if o.figure is not None:
@@ -96,13 +95,11 @@ def objects(o: Readers, scene: SceneSpec | None) -> Iterator[ObjectSpec]:
             yield import_mjcf(path).spec.model_copy(update={"name": name})
 
 
-def expectations(
-    home: Path, specs: dict[str, ObjectSpec], pulls: dict[str, Pull | None], scene: SceneSpec | None
-) -> Results:
+def expectations(home: Path, specs: dict[str, ObjectSpec], scene: SceneSpec | None) -> Results:
     """Return how things move in this environment's MuJoCo: by job, as `jobs_of` names them."""
     result: Results = {}
     for dry in (True, False):
-        jobs = jobs_of(home, specs, pulls, "xml", dry)
+        jobs = jobs_of(home, specs, "object.xml", dry)
         _, done = probe("mujoco", list(jobs.values()))
         result |= {(key, dry): one for key, one in zip(jobs, done, strict=True)}
     if scene is not None:
@@ -112,17 +109,17 @@ def expectations(
 
 
 def jobs_of(
-    home: Path, specs: dict[str, ObjectSpec], pulls: dict[str, Pull | None], suffix: str, dry: bool
+    home: Path, specs: dict[str, ObjectSpec], name: str, dry: bool
 ) -> dict[tuple[str, str], dict[str, Any]]:
     """Return simulations of objects by (object, what): at rest, and pulled by a handle."""
     jobs: dict[tuple[str, str], dict[str, Any]] = {}
-    for name, spec in specs.items():
-        file = str(home / name / f"object.{suffix}")
+    for key, spec in specs.items():
+        file = str(home / key / name)
         low = float(bounds(spec)[0][2])
-        jobs[name, "rest"] = {"move": file, "low": low, "seconds": REST_S}
-        pull = pulls[name]
+        jobs[key, "rest"] = {"move": file, "low": low, "seconds": REST_S}
+        pull = pull_of(spec, dry=dry)
         if pull is not None:
-            jobs[name, "pulled"] = {"move": file, "seconds": PULL_S, "dry": dry, **pull._asdict()}
+            jobs[key, "pulled"] = {"move": file, "seconds": PULL_S, "dry": dry, **pull._asdict()}
     return jobs
 
 
@@ -130,7 +127,6 @@ def rows_of(
     name: str,
     home: Path,
     specs: dict[str, ObjectSpec],
-    pulls: dict[str, Pull | None],
     scene: SceneSpec | None,
     expected: Results,
 ) -> list[Row]:
@@ -144,18 +140,18 @@ def rows_of(
         places.append((row, key, what))
         jobs.append(job)
 
-    for suffix in program.objects:
+    for file in program.objects:
         row = len(rows)
-        rows.append({"file": f"object.{suffix}", "suffix": suffix})
+        rows.append({"file": file, "scene": False})
         for key in specs:
-            add(row, key, "read", {"read": str(home / key / f"object.{suffix}")})
+            add(row, key, "read", {"read": str(home / key / file)})
         if program.moves:
-            moved = jobs_of(home, specs, pulls, suffix, not program.known)
+            moved = jobs_of(home, specs, file, not program.known)
             for (key, what), job in moved.items():
                 add(row, key, what, job)
     for file in program.scenes if scene is not None else ():
         row, path = len(rows), str(home / "scene" / file)
-        rows.append({"file": file, "suffix": None})
+        rows.append({"file": file, "scene": True})
         add(row, "scene", "read", {"read": path})
         if program.moves:
             add(row, "scene", "rest", {"move": path, "scene": True, "seconds": REST_S})
@@ -164,14 +160,14 @@ def rows_of(
         own = {
             (key, what): r for (at, key, what), r in zip(places, results, strict=True) if at == k
         }
-        compared = _compare_scene if row["suffix"] is None else _compare_objects
+        compared = _compare_scene if row["scene"] else _compare_objects
         row |= {"reader": name, "version": version}
-        row |= compared(program, row["suffix"], own, specs, scene, expected)
+        row |= compared(program, own, specs, scene, expected)
     return rows
 
 
 def _compare_objects(
-    program: Program, suffix: str, own: Results, specs: dict[str, ObjectSpec],
+    program: Program, own: Results, specs: dict[str, ObjectSpec],
     scene: SceneSpec | None, expected: Results,
 ) -> Row:  # fmt: skip
     tally = {(check, kind): (0, 0) for check in CHECKS for kind in (False, True)}
@@ -256,7 +252,7 @@ def _quotient(one: list[float], other: list[float]) -> list[float]:
 
 
 def _compare_scene(
-    program: Program, suffix: None, own: Results, specs: dict[str, ObjectSpec],
+    program: Program, own: Results, specs: dict[str, ObjectSpec],
     scene: SceneSpec | None, expected: Results,
 ) -> Row:  # fmt: skip
     assert scene is not None
@@ -304,12 +300,18 @@ def _share(tally: tuple[int, int]) -> str:
     return f"{good}/{of}" if of else ""
 
 
+def _label(row: Row) -> str:
+    """Name a row's file, also where objects and scenes have one of the same name."""
+    both = row["file"] == "newton.usda" and not row["scene"]
+    return f"`{row['file']}`{' of objects' if both else ''}"
+
+
 def write_figure(path: Path, rows: list[Row]) -> None:
     """Write rows as the table of a figure of `benchmarks/figures`, where that file has the rest."""
     kept = yaml.safe_load(path.read_text(encoding="utf-8")) if path.exists() else {}
     kept["columns"] = ["", "file", *CHECKS]
     kept["rows"] = [
-        [f"{row['reader']} {row['version']}".replace("_4 ", " "), f"`{row['file']}`",
+        [f"{row['reader']} {row['version']}".replace("_4 ", " "), _label(row),
          *(str(row[check]) or "-" for check in CHECKS)]
         for row in rows
     ]  # fmt: skip

@@ -1,7 +1,8 @@
 """A USD layer over a scene or an object that says to Newton what MJCF says to MuJoCo.
 
 Newton's own defaults let a resting cup sink by millimetres: it looks for contacts up to 10 cm away,
-which crowds out those that touch, takes one point a pair of convex pieces, and has soft friction.
+which crowds out those that touch, takes one point a pair of convex pieces, and has soft friction
+and soft stops of joints.
 The `mjc:` attributes are for its MuJoCo solver; register them before reading:
 `newton.solvers.SolverMuJoCo.register_custom_attributes(builder)`. Newton reads joint states only in
 its own words.
@@ -10,7 +11,7 @@ its own words.
 import math
 from collections.abc import Iterator
 
-from pxr import Sdf, Usd
+from pxr import Sdf, Usd, Vt
 
 from ..spec import ObjectSpec, SceneSpec, joint_value
 from ..spec.convex import Piece
@@ -20,6 +21,8 @@ from .write_usd import new_stage
 
 GAP_M = 0.002
 """Distance [m] from which on contacts are looked for."""
+SOLREF = (0.02, 1.0)
+"""Time constant [s] and damping ratio of a joint's ends: MuJoCo's default."""
 
 
 def opened_layer(described: SceneSpec | ObjectSpec) -> tuple[Usd.Stage, Sdf.Path]:
@@ -40,6 +43,7 @@ def newton_text(described: SceneSpec | ObjectSpec, file: str) -> str:
     stage, base = opened_layer(described)
     if isinstance(described, ObjectSpec):
         add_gaps(stage, base, described)
+        _add_stops(stage, base, described)
     else:
         settings = stage.OverridePrim(physics_path(described))
         for name, kind, value in (
@@ -51,6 +55,7 @@ def newton_text(described: SceneSpec | ObjectSpec, file: str) -> str:
         for item in described.objects:
             path = base.AppendChild(item.name)
             add_gaps(stage, path, item.spec)
+            _add_stops(stage, path, item.spec)
             if not (item.static and all(joint.type == "fixed" for joint in item.spec.joints)):
                 _add_states(stage, path, item.spec, item.joint_state)
     return laid_over(stage, file)
@@ -80,6 +85,15 @@ def add_gaps(stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec) -> None:
         prim = stage.OverridePrim(path)
         prim.AddAppliedSchema("NewtonCollisionAPI")
         set_number(prim, "newton:contactGap", GAP_M)
+
+
+def _add_stops(stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec) -> None:
+    """Make the ends of joints as stiff as in MuJoCo: Newton's own give way by centimetres."""
+    for joint in spec.joints:
+        if joint.type in ("prismatic", "revolute"):
+            prim = stage.OverridePrim(base.AppendPath(f"joints/{joint.name}"))
+            kind = Sdf.ValueTypeNames.DoubleArray
+            prim.CreateAttribute("mjc:solreflimit", kind, custom=False).Set(Vt.DoubleArray(SOLREF))
 
 
 def _add_states(

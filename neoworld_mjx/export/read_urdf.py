@@ -13,6 +13,7 @@ from ..spec import Box, Cylinder, JointSpec, Site, Sphere
 from ..spec.base_shape import BaseShape
 from ..spec.object import Role
 from .checked_xml import inside, read_xml
+from .drake_contact import DRAKE
 from .load_mesh import load_mesh
 from .mechanism import (
     Link,
@@ -25,7 +26,7 @@ from .mechanism import (
     unchecked_mimic,
     unchecked_site,
 )
-from .write_urdf import CLEARANCE_M, DRAKE, as_drawn
+from .write_urdf import CLEARANCE_M, as_drawn
 
 XACRO = "xacro"
 LOST = {

@@ -24,9 +24,10 @@ from ..spec import (
 from ..spec.convex import Piece
 from ..spec.finish import finish
 from ..spec.pose import Pose, matrix, pose, to_rpy
+from .drake_contact import DRAKE, add_contact, add_filters, declare_convex
 from .handles import frames
 from .meshes import collision_file, number, numbers, visual_file
-from .write_urdf import DRAKE, link_name
+from .write_urdf import link_name
 
 VERSION = "1.11"
 """The first that knows joints which follow others."""
@@ -91,6 +92,7 @@ def _add_model(parent: ET.Element, name: str, spec: ObjectSpec, folder: str) -> 
         attached = {"name": label, "attached_to": link_name(spec, frame.part)}
         place = pose(np.array(frame.pos) - origins[frame.part])
         _pose(ET.SubElement(model, "frame", attached), place)
+    add_filters(model, "sdf", spec, {p.name: link_name(spec, p.name) for p in spec.parts})
     return model
 
 
@@ -137,13 +139,13 @@ def _add_collision(
     collision = ET.SubElement(link, "collision", name=f"{geom.name}-{k}")
     _pose(collision, local.then(pose(piece.pos, piece.quat)))
     _shape(collision, None if piece.kind == "mesh" else piece, folder + collision_file(geom, k))
+    for mesh in collision.iter("mesh"):
+        declare_convex(mesh)
     friction = ET.SubElement(ET.SubElement(collision, "surface"), "friction")
     ode = ET.SubElement(friction, "ode")
     for name in ("mu", "mu2"):
         _put(ode, name, material.friction)
-    properties = ET.SubElement(collision, "drake:proximity_properties")
-    for name in ("drake:mu_static", "drake:mu_dynamic"):
-        _put(properties, name, material.friction)
+    add_contact(collision, "sdf", piece, material.friction)
 
 
 def _shape(parent: ET.Element, piece: Piece | None, file: str) -> None:

@@ -2,12 +2,13 @@
 
 A link's frame has its origin at its joint's anchor and the object's orientation, so origins are
 plain offsets. The root link has the object's name, as in MJCF. Sites and handles are links without
-geometry. Friction of surfaces is written for PyBullet (<contact>) and Drake. What URDF has no place
-for is left out: joint stiffness and armature. Capsules become a cylinder and two balls, ellipsoids
-meshes. URDF knows no ball joint: it becomes three hinges <joint>_x, _y, _z through one point, with
-two links of tiny mass between them; each turns as far as the ball, the middle one at most a quarter
-turn. An element <neoworld>, which other readers ignore, names the balls, the links that are
-drawn in and the limits that are not stated, so that our reader restores them.
+geometry. Friction of surfaces is written for PyBullet (<contact>), and for Drake with more that it
+alone reads (drake_contact.py). What URDF has no place for is left out: joint stiffness and
+armature. Capsules become a cylinder and two balls, ellipsoids meshes. URDF knows no ball joint: it
+becomes three hinges <joint>_x, _y, _z through one point, with two links of tiny mass between them;
+each turns as far as the ball, the middle one at most a quarter turn. An element <neoworld>, which
+other readers ignore, names the balls, the links that are drawn in and the limits that are not
+stated, so that our reader restores them.
 
 Parts that a joint joins may touch in our scenes, where they never collide. URDF has no word for
 that, and some readers let a drawer jam in its case; so colliders of what moves are drawn in by half
@@ -25,6 +26,7 @@ from ..spec import GeomSpec, JointSpec, ObjectSpec, PartSpec, inertial
 from ..spec.convex import Piece
 from ..spec.kinematics import welded
 from ..spec.pose import Pose, matrix, pose, to_rpy
+from .drake_contact import DRAKE, add_contact, add_filters, declare_convex
 from .handles import Frame, frames
 from .meshes import (
     collision_file,
@@ -41,7 +43,6 @@ BALL_LINK = 1e-6
 """Mass and inertia of the links within a ball joint, over its child's."""
 CLEARANCE_M, MOST_OF_HALF = 0.0005, 0.1
 """How far colliders of moving parts are drawn in on each side [m], and at most over half a size."""
-DRAKE = "http://drake.mit.edu"
 
 
 def urdf_text(spec: ObjectSpec) -> str:
@@ -89,6 +90,8 @@ def urdf_text(spec: ObjectSpec) -> str:
     taken.add(link_name(spec, spec.root))
     for frame in frames(spec):
         _add_frame(robot, spec, frame, origins[frame.part], taken)
+    links = {part.name: link_name(spec, part.name) for part in spec.parts}
+    add_filters(robot, "urdf", spec, links)
     ET.indent(robot, " ")
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 
@@ -157,13 +160,7 @@ def _add_link(
             for k, piece in enumerate(geom.shape.pieces()):
                 at = local.then(pose(piece.pos, piece.quat))
                 for element in _add_collision(link, geom, k, piece, at, clearance):
-                    _add_friction(element, spec.material(geom.material).friction)
-
-
-def _add_friction(collision: ET.Element, friction: float) -> None:
-    properties = ET.SubElement(collision, "drake:proximity_properties")
-    for name in ("mu_static", "mu_dynamic"):
-        ET.SubElement(properties, f"drake:{name}", value=number(friction))
+                    add_contact(element, "urdf", piece, spec.material(geom.material).friction)
 
 
 def _visual_shape(geometry: ET.Element, geom: GeomSpec) -> None:
@@ -215,7 +212,7 @@ def _add_collision(
         if clearance:
             at = at.then(pose(middle * (1 - factor)))
             fields["scale"] = numbers(np.round(factor, 9))
-        ET.SubElement(geometry(name, at), "mesh", fields)
+        declare_convex(ET.SubElement(geometry(name, at), "mesh", fields))
     return collisions
 
 

@@ -127,6 +127,9 @@ def test_a_layer_for_newton_says_where_joints_are_and_how_contacts_hold(tmp_path
     for path, (kind, value) in states.items():
         read = over.GetPrimAtPath(path).GetAttribute(f"newton:{kind}:position").Get()
         assert read == pytest.approx(value), path
+        # Joints end as stiffly as in MuJoCo.
+        stop = over.GetPrimAtPath(path).GetAttribute("mjc:solreflimit").Get()
+        assert list(stop) == [0.02, 1.0]
     # Every collider is there below, and keeps what it has.
     colliders = 0
     for prim in over.Traverse():

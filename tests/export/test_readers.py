@@ -9,6 +9,8 @@ from benchmarks.pulls import pull_of
 from benchmarks.reader_probe import READERS
 from benchmarks.readers import apart, compare
 from neoworld_mjx.export import export_object
+from neoworld_mjx.spec import Box, ObjectSpec, inertial
+from tests.support.mechanisms import WOOD, geom, joint, part
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +77,20 @@ def test_a_handle_is_pulled_from_urdf_as_from_mjcf(folder, cabinet):
     )
     # URDF has no stiffness, which holds the drawer back.
     assert one > 0.003 and other == pytest.approx(one, rel=0.1)
+
+
+def test_a_pull_opens_a_part_of_the_way_and_carries_the_weight(cabinet):
+    assert pull_of(cabinet, dry=False) != pull_of(cabinet)
+    lid = part("lid", geom("plate", Box(size=(0.4, 0.3, 0.02)), (0.2, 0, 0.31)))
+    box = part("box", geom("body", Box(size=(0.4, 0.3, 0.3)), (0.2, 0, 0.15)))
+    hinge = joint("hinge", "revolute", "box", "lid", axis=(0, -1, 0), pos=(0, 0, 0.3), upper=1.5)
+    spec = ObjectSpec(name="chest", materials=(WOOD,), parts=(box, lid), joints=(hinge,))
+    pull = pull_of(spec)
+    mass = inertial(spec, lid).mass
+    torque = float(np.cross(pull.offset, pull.force) @ np.array(hinge.axis))
+    weight = mass * 9.81 * 0.2
+    moment = mass * (0.4**2 + 0.02**2) / 12 + mass * (0.2**2 + 0.01**2)
+    assert torque == pytest.approx(weight + 2.5 * moment + hinge.friction, rel=1e-3)
 
 
 def test_a_motion_that_is_not_the_same_is_told():

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.export import export_scene
+from neoworld_mjx.export.drake_contact import DRAKE
 from neoworld_mjx.export.write_sdf import sdf_text
+from neoworld_mjx.export.write_urdf import link_name, urdf_text
+from neoworld_mjx.physics.mjcf import excluded_pairs
 from neoworld_mjx.spec import SceneSpec, world_poses
 from neoworld_mjx.spec.pose import from_matrix
 from neoworld_mjx.spec.pose import matrix as rotation
@@ -100,3 +103,44 @@ def test_links_joints_and_frames_of_an_sdf_model_have_names_of_their_own(cabinet
     assert len(names) == len(set(names)) and {"drawer", "drawer_"} <= set(names)
     tied = [mimic.get("joint") for mimic in model.iter("mimic")]
     assert set(tied) <= set(names) and "drawer" not in tied
+
+
+@pytest.mark.parametrize("form", ["urdf", "sdf"])
+def test_drake_reads_compliance_and_which_links_never_collide(form, cabinet):
+    root = ET.fromstring((urdf_text if form == "urdf" else sdf_text)(cabinet))
+    drake = f"{{{DRAKE}}}"
+
+    def value(element):
+        return element.text if form == "sdf" else next(iter(element.attrib.values()))
+
+    colliders = list(root.iter("collision"))
+    assert colliders
+    for collider in colliders:
+        properties = collider.find(f"{drake}proximity_properties")
+        assert properties.find(f"{drake}compliant_hydroelastic") is not None
+        assert float(value(properties.find(f"{drake}hydroelastic_modulus"))) == 1e8
+        mesh = collider.find("geometry/mesh")
+        assert mesh is None or mesh.find(f"{drake}declare_convex") is not None
+        radius = collider.find("geometry/cylinder")
+        hint = properties.find(f"{drake}mesh_resolution_hint")
+        if collider.find("geometry/box") is not None or (mesh is not None and form == "sdf"):
+            assert hint is None
+        if radius is not None:
+            assert float(value(hint)) > 0
+    groups = {}
+    for group in root.iter(f"{drake}collision_filter_group"):
+        member = value(group.find(f"{drake}member"))
+        others = group.findall(f"{drake}ignored_collision_filter_group")
+        groups[group.get("name")] = (member, [value(other) for other in others])
+    never = {(one, groups[name][0]) for one, names in groups.values() for name in names}
+    joined = {
+        (link_name(cabinet, joint.parent), link_name(cabinet, joint.child))
+        for joint in cabinet.joints
+    }
+    meant = {
+        (link_name(cabinet, one), link_name(cabinet, other))
+        for one, other in excluded_pairs(cabinet)
+    }
+    # Drake leaves out by itself what a joint joins.
+    assert never == meant - joined
+    assert never
