@@ -261,6 +261,10 @@ def newton(path: str, o: Options) -> Motion:
     builder = newton.ModelBuilder()
     newton.solvers.SolverMuJoCo.register_custom_attributes(builder)
     suffix = path.rpartition(".")[2]
+    # MJCF has no words for what newton.usda says: contacts from 2 mm on, several points a pair.
+    several = True if suffix == "xml" else None
+    if suffix == "xml":
+        builder.rigid_gap = 0.002
     add: Callable[..., Any] = {"xml": builder.add_mjcf, "urdf": builder.add_urdf}.get(
         suffix, builder.add_usd
     )
@@ -272,7 +276,7 @@ def newton(path: str, o: Options) -> Motion:
     else:
         add(path)
     model = builder.finalize()
-    solver = newton.solvers.SolverMuJoCo(model, use_mujoco_cpu=True)
+    solver = newton.solvers.SolverMuJoCo(model, use_mujoco_cpu=True, enable_multiccd=several)
     states, control = [model.state(), model.state()], model.control()
     newton.eval_fk(model, model.joint_q, model.joint_qd, states[0])
     before = states[0].body_q.numpy().copy()
