@@ -95,4 +95,5 @@ def _searched(before: Path, after: Path) -> dict[str, str]:
 def _phrase(distance: float, ratio: float, turn: float) -> str:
     if distance < 5e-5 and abs(ratio - 1) < 5e-4 and abs(turn) < 0.05:
         return "kept"
-    return f"{100 * distance:.1f} cm, {100 * (ratio - 1):+.1f} %, {turn:+.1f}°"
+    percent, turned = (round(value, 1) + 0.0 for value in (100 * (ratio - 1), turn))  # No -0.0.
+    return f"{100 * distance:.1f} cm, {percent:+.1f} %, {turned:+.1f}°"

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 WIDTH, HEIGHT = 460, 260
-_LEFT, _RIGHT, _TOP, _BOTTOM = 68, 16, 14, 42
+_LEFT, _RIGHT, _TOP, _BOTTOM = 84, 16, 14, 42
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,8 @@ th { text-align:left; color:var(--dim); font-weight:500; border-bottom:1px solid
   padding:4px 12px 4px 0; white-space:nowrap; }
 td { border-bottom:1px solid var(--line); padding:5px 12px 5px 0; vertical-align:top; }
 tr:last-child td { border-bottom:0; }
-.num { text-align:right; } th.num { text-align:right; }
+td:last-child:not(.num) { min-width:16em; }
+.num { text-align:right; white-space:nowrap; } th.num { text-align:right; }
 .charts { display:grid; grid-template-columns:repeat(auto-fit,minmax(340px,1fr)); gap:18px; }
 .chart svg { width:100%; height:auto; display:block; }
 .legend { display:flex; flex-wrap:wrap; gap:4px 16px; } .legend svg { width:26px; height:12px;
