@@ -12,6 +12,7 @@ where it was, `start`, and how far it went, `pos` [m] and `quat` (w, x, y, z); o
 """
 
 import math
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from typing import Any
 
@@ -60,6 +61,9 @@ def mujoco(path: str, o: Options) -> Motion:
 
     spec = mujoco.MjSpec.from_file(path)
     spec.option.timestep = STEP_S
+    if path.endswith("urdf"):  # Which it does not look for by itself.
+        for pair in ElementTree.parse(f"{path[:-5]}.srdf").iter("disable_collisions"):
+            spec.add_exclude(bodyname1=pair.get("link1"), bodyname2=pair.get("link2"))
     if "scene" not in o:
         for key in list(spec.keys):
             spec.delete(key)
