@@ -34,6 +34,8 @@ NOTED_TILT_DEG = 2.0
 """Change of the tilt from which on a note says that an object rests otherwise than parsed."""
 NOTED_SLOPE_TILT_DEG = 10.0
 """The same on a dish or a slope, where a picture hardly shows the tilt."""
+NOTED_SHIFT_M = 0.03
+"""Horizontal shift from which on a note says so."""
 
 
 @dataclass(frozen=True)
@@ -208,11 +210,12 @@ def _settled(
         )
         return obj
     tilted = float(np.degrees(angle_between(obj.base_tilt, resting.base_tilt)))
-    if tilted > NOTED_SLOPE_TILT_DEG:
-        shift = 1e3 * float(np.hypot(*np.subtract(resting.xy, obj.xy)))
+    shift = float(np.hypot(*np.subtract(resting.xy, obj.xy)))
+    if tilted > NOTED_SLOPE_TILT_DEG or shift > NOTED_SHIFT_M:
         notes.append(
-            f"{node.name}: settling it on {node.parent} tilted it by {tilted:.0f} deg and moved it "
-            f"by {shift:.0f} mm sideways and {1e3 * (resting.z - obj.z):+.0f} mm in height"
+            f"{node.name}: settling it {node.relation} {node.parent} tilted it by {tilted:.0f} deg "
+            f"and moved it by {1e3 * shift:.0f} mm sideways and "
+            f"{1e3 * (resting.z - obj.z):+.0f} mm in height"
         )
     return resting
 

@@ -4,13 +4,16 @@ The search does not move tilts. An object that starts at its parsed tilt settles
 every rollout, and that drift hides what else is wrong with a candidate.
 """
 
+import itertools
+
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SpecError
-from ..physics.mjcf import to_mjspec
+from ..physics.mjcf import body_name, to_mjspec
 from ..spec import SceneObject, SceneSpec, bounds, support_frame, world_poses
-from ..spec.pose import angle_between, conjugate, from_yaw, pose, quat_mul, yaw_of
+from ..spec.pose import Pose, angle_between, conjugate, from_yaw, pose, quat_mul, yaw_of
 from .resting_pose import MAX_TILT_RAD
 
 FALL_M_S = 0.1
@@ -20,14 +23,25 @@ STILL_M_S, CREEP_M_S = 5e-4, 0.003
 """Speeds of an object's ends: below the first it rests; below the second at the end of the time its
 contacts only creep, which on a slope they do for ever."""
 CLEAR_M, LIFT_M = 1e-4, 0.002
-MAX_SHIFT = 0.25
-"""Horizontal shift over the object's diagonal beyond which it rests somewhere else."""
+MAX_SHIFT, MAX_SHIFT_INSIDE = 0.25, 1.0
+"""Horizontal shift over the object's diagonal beyond which it rests somewhere else; what is known
+to be in a container must get there."""
+LET_DOWN = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Shares of the way to a container's middle by which an object's lowest points are moved."""
+SOLE_M = 0.002
+"""Height within which points are an object's lowest."""
+SHIFT_COST = 0.2
+"""Height that a resting pose must gain over the horizontal shift to it."""
 JOINT_DRAG = 1e6
 """Drag of joints over that of the fall: they keep their parsed positions."""
 
 
 def settle(parent: SceneObject, obj: SceneObject) -> SceneObject | None:
-    """Let an object come to rest on its parent alone, in a simulation with strong drag.
+    """Let an object come to rest on or in its parent, in a simulation with strong drag.
+
+    What is in a container may pierce its wall as parsed, and would end up on the rim. So it is also
+    let down with its lowest points nearer to the middle; the lowest resting pose that is not tilted
+    for it is taken.
 
     Args:
         parent: its parent, which does not move.
@@ -35,7 +49,7 @@ def settle(parent: SceneObject, obj: SceneObject) -> SceneObject | None:
 
     Returns:
         The object with the heading, tilt and place of its resting pose, or None if it has none
-        within 30 degrees and a quarter of its size.
+        within 30 degrees and a quarter of its size, in a container within its size.
 
     Raises:
         SpecError: MuJoCo cannot compile the two.
@@ -53,9 +67,64 @@ def settle(parent: SceneObject, obj: SceneObject) -> SceneObject | None:
     drag = float(root.subtreemass[0]) * float(np.linalg.norm(scene.gravity)) / FALL_M_S
     model.dof_damping[:] = JOINT_DRAG * drag
     model.dof_damping[dofs] = np.repeat([drag, drag * (size / 2) ** 2], 3)
+    at = world_poses(scene)
+    frame = support_frame(base, at[base.name], obj.parent_link)
+    start = frame.inverse().then(at[obj.name])
+    best, least = None, np.inf
+    container = body_name(base, obj.parent_link or base.spec.root)
+    for shift in _shifts(model, root.id, obj, model.body(container).id):
+        end, height = _rest(model, root.id, shift, size)
+        resting = None if end is None else _resting(obj, frame.inverse().then(end), start, size)
+        if resting is None:
+            continue
+        # An end that got stuck on the rim is as high as its tilt.
+        cost = height + size / 2 * float(angle_between(obj.base_tilt, resting.base_tilt))
+        cost += SHIFT_COST * float(np.hypot(*np.subtract(resting.xy, obj.xy)))
+        if cost < least:
+            best, least = resting, cost
+    return best
+
+
+def _shifts(model: mujoco.MjModel, body: int, obj: SceneObject, container: int) -> list[NDArray]:
+    """Return where an object is let down, as horizontal shifts [m] from where it was parsed."""
+    if obj.relation != "in":
+        return [np.zeros(2)]
     data = mujoco.MjData(model)
-    if not _lifted(model, data, root.id, size):
-        return None
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    corners = _corners(model, data, container)
+    own = _corners(model, data, body)
+    middle = (corners.min(axis=0) + corners.max(axis=0))[:2] / 2
+    sole = own[own[:, 2] < own[:, 2].min() + SOLE_M]
+    way = middle - sole.mean(axis=0)[:2]
+    return [share * way for share in LET_DOWN]
+
+
+def _corners(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> NDArray:
+    """Return the corners of the colliders' boxes of a body's subtree, in the world."""
+    ids = np.arange(model.nbody)
+    parts = ids == body
+    for child in ids[body + 1 :]:
+        parts[child] |= parts[model.body_parentid[child]]
+    geoms = np.flatnonzero(parts[model.geom_bodyid] & (model.geom_contype > 0))
+    sides = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    box = model.geom_aabb[geoms]
+    local = box[:, None, :3] + sides * box[:, None, 3:]
+    turn = data.geom_xmat[geoms].reshape(-1, 1, 3, 3)
+    return (data.geom_xpos[geoms][:, None] + np.einsum("gkij,gkj->gki", turn, local)).reshape(-1, 3)
+
+
+def _rest(
+    model: mujoco.MjModel, body: int, shift: NDArray, size: float
+) -> tuple[Pose | None, float]:
+    """Let a body down at a shift; return where it rests, if it does, and how high its middle is."""
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    joint = model.body_jntadr[body]
+    data.qpos[model.jnt_qposadr[joint] + np.arange(2)] += shift
+    if not _lifted(model, data, body, size):
+        return None, np.inf
+    dofs = model.jnt_dofadr[joint] + np.arange(6)
     speed = np.inf
     for _ in range(round(MAX_DURATION_S / CHECK_INTERVAL_S)):
         mujoco.mj_step(model, data, round(CHECK_INTERVAL_S / TIMESTEP_S))
@@ -63,14 +132,25 @@ def settle(parent: SceneObject, obj: SceneObject) -> SceneObject | None:
         if speed < STILL_M_S:
             break
     if not speed < CREEP_M_S:
-        return None
-    at = world_poses(scene)
-    frame = support_frame(base, at[base.name], obj.parent_link)
-    end = frame.inverse().then(pose(data.body(obj.name).xpos, data.body(obj.name).xquat))
-    heading = yaw_of(quat_mul(end.quat, conjugate(frame.inverse().then(at[obj.name]).quat)))
+        return None, np.inf
+    end = pose(data.body(body).xpos, data.body(body).xquat)
+    return end, float(data.body(body).subtree_com[2])
+
+
+def _resting(obj: SceneObject, end: Pose, start: Pose, size: float) -> SceneObject | None:
+    """Return an object at its resting pose, unless that is somewhere else than was parsed.
+
+    Args:
+        obj: the object.
+        end: its pose at rest, in its parent's frame.
+        start: the parsed pose there.
+        size: its diagonal [m].
+    """
+    heading = yaw_of(quat_mul(end.quat, conjugate(start.quat)))
     tilt = quat_mul(conjugate(from_yaw(obj.yaw + heading)), end.quat)
     shift = float(np.linalg.norm(end.pos[:2] - np.array(obj.xy)))
-    if angle_between(obj.base_tilt, tilt) > MAX_TILT_RAD or shift > MAX_SHIFT * size:
+    most = MAX_SHIFT_INSIDE if obj.relation == "in" else MAX_SHIFT
+    if angle_between(obj.base_tilt, tilt) > MAX_TILT_RAD or shift > most * size:
         return None
     return obj.model_copy(
         update={
@@ -83,8 +163,7 @@ def settle(parent: SceneObject, obj: SceneObject) -> SceneObject | None:
 
 
 def _lifted(model: mujoco.MjModel, data: mujoco.MjData, body: int, most: float) -> bool:
-    """Put the scene at its start, and lift a free body until it is in nothing else."""
-    mujoco.mj_resetDataKeyframe(model, data, 0)
+    """Lift a free body until it is in nothing else."""
     height = int(model.jnt_qposadr[model.body_jntadr[body]]) + 2
     tree = model.body_rootid[model.geom_bodyid]
     for _ in range(round(most / LIFT_M) + 1):

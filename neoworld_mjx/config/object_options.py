@@ -239,7 +239,8 @@ class ComposeOptions(Options):
     )
     settle: bool = option(
         True,
-        "Let what lies tilted on a dish or a slope come to rest there by simulation.",
+        "Let what lies tilted on a dish or a slope, or leans in a container, come to rest there by "
+        "simulation.",
         departure=Departure(
             False,
             "The search moves no tilts, and at its parsed tilt hardly anything rests.",

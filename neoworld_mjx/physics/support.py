@@ -22,6 +22,11 @@ FOOT = 192
 """Points that stand for a child's underside."""
 WALL = 0.02
 """How far [m] a wall reaches above an object that stands beside it, such as a book in a shelf."""
+LEANING_DEG = 5.0
+"""Tilt from which on an object in its parent leans there."""
+SOLE = 0.005
+"""How far [m] the floor reaches above the lowest point of what leans in its parent: it stands on an
+edge, and the wall beside that is no floor."""
 NOTHING = -1e3
 """Height [m] where a support has no surface."""
 
@@ -198,8 +203,8 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     such as a can on a lower shelf, the highest surface below pieces that leave it room. Of the two
     the one nearer to the composed height is taken. An object inside its parent is never lifted onto
     a wall, and enters walls instead, where D_pen has a gradient that leads out. A wall is what
-    reaches above the middle of the composed object with relation "in", and by WALL above the top of
-    another.
+    reaches above the middle of the composed object with relation "in", by WALL above the top of
+    another, and by SOLE above the lowest point of one that leans in its parent on a floor.
 
     Args:
         scene: the composed scene.
@@ -226,6 +231,9 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     # A wall does not hide the floor on which it stands.
     wall = middle if item.relation == "in" else item.z + top + WALL
     floor = under & (high <= wall)
+    if item.relation == "in" and _leans(item):
+        sole = under & (high <= item.z + own[:, 2].min() + SOLE)
+        floor = sole if sole.any() else floor
     inside = np.max(np.where(floor, high, NOTHING), axis=0, initial=NOTHING)
     ceiling = np.min(np.where(under, np.inf, low), axis=0, initial=np.inf)
 
@@ -242,6 +250,11 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
         np.asarray(cell, np.float32),
         np.asarray(foot, np.float32),
     )
+
+
+def _leans(item: SceneObject) -> bool:
+    up = rotate(np.asarray(item.base_tilt, float), np.array([0.0, 0.0, 1.0]))
+    return bool(up[2] < np.cos(np.radians(LEANING_DEG)))
 
 
 def link_frame(parent: SceneObject, link: str | None) -> Pose:

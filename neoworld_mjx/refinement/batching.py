@@ -117,35 +117,35 @@ def roll_out(
 
 
 def settled(
-    scene: SceneModel,
-    poses: Sequence[Poses],
-    engine: Engine,
-    o: RefineOptions,
-    number: int,
+    scene: SceneModel, poses: Sequence[Poses], engine: Engine, o: RefineOptions
 ) -> list[Poses]:
-    """Let the first `number` placed candidates of several runs come to rest, all at once.
+    """Let placed candidates of several runs come to rest, all at once.
 
     Args:
         scene: the compiled scene.
         poses: of each run's candidates, on the host, of padded objects too.
         engine: what simulates them.
         o: options of the rollouts.
-        number: candidates that come to rest; the others stay where they are.
     """
     real = len(scene.names)
-    together = jax.tree.map(lambda *x: np.concatenate([a[:number, :real] for a in x]), *poses)
+    together = jax.tree.map(lambda *x: np.concatenate([a[:, :real] for a in x]), *poses)
     ends = settle(scene, together, engine, o.rollout.duration_s)
-    by_run = []
-    for k, own in enumerate(poses):
-        rows = jax.tree.map(lambda x, k=k: x[k * number : (k + 1) * number], ends)
-        put = lambda whole, part: _put(np.array(whole), part.astype(whole.dtype))
-        by_run.append(jax.tree.map(put, own, rows))
+    by_run, first = [], 0
+    for own in poses:
+        rows = slice(first, first := first + len(own.scale))
+        by_run.append(
+            jax.tree.map(
+                lambda whole, end, rows=rows: put(whole, end[rows], np.s_[:, :real]), own, ends
+            )
+        )
     return by_run
 
 
-def _put(whole: np.ndarray, part: np.ndarray) -> np.ndarray:
-    whole[: part.shape[0], : part.shape[1]] = part
-    return whole
+def put(whole: np.ndarray, part: np.ndarray, at: Any) -> np.ndarray:
+    """Return an array with another one at some of its entries."""
+    copied = np.array(whole)
+    copied[at] = part
+    return copied
 
 
 def pad_rollout(rollout: Rollout, scene: SceneArrays) -> Rollout:

@@ -9,13 +9,14 @@ itself: there a tile is one run, and every number is that of a separate refineme
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import numpy as np
 
 from ..config import RefineOptions
+from ..measure import SceneMeasure
 from ..physics.engine import Engine
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
@@ -42,8 +43,9 @@ from .outcome import Round, best_first, iteration_summary
 from .pruning import RolloutPlan
 from .rewards import Term
 from .scorer import SemanticScorer
-from .search_run import SearchResult, SearchRun, population_at, prunes
+from .search_run import SearchResult, SearchRun, bounded, population_at, prunes
 from .soundness import (
+    RESTING,
     ROOM,
     disagreeing,
     never_held,
@@ -109,7 +111,7 @@ def search(
         layouts = _propose(arrays, live, t, tile, clock)
         pop = population_at(o, t)
         placements = evaluation.place(
-            [r.problem for r in live], layouts, pop, [r.settles for r in live]
+            [r.problem for r in live], layouts, pop, [_settling(r, pop) for r in live]
         )
         layouts, placements = take((layouts, placements), slice(pop))
         plans = [_plan(r, placement, scorer) for r, placement in zip(live, placements, strict=True)]
@@ -161,6 +163,16 @@ def _update_progress(
     )
 
 
+class _Start(NamedTuple):
+    """What runs that start alike share; fields as in `SearchResult`."""
+
+    origin: Layout
+    stages: list[np.ndarray]
+    later: np.ndarray | None
+    first: Round | None
+    checked: SceneMeasure | None
+
+
 def _opened(
     evaluation: Evaluation,
     runs: Sequence[SearchRun],
@@ -171,28 +183,30 @@ def _opened(
 ) -> list[SearchResult]:
     """Open every run; those that start alike share what is known of their start."""
     # Not a vmap over starts: its gradients round differently, and Adam carries that on.
-    known: dict[Any, tuple[Layout, list[np.ndarray], np.ndarray | None, Round | None]] = {}
+    known: dict[Any, _Start] = {}
     scene, results = evaluation.arrays, []
     for run in runs:
         o = run.options
         start = Layout.zero(1, scene.count) if run.start is None else run.start
         start = on_device(pad_objects(start, scene.count))
         alike = (o.cem.sigma_xy, o.cem.sigma_yaw_deg, o.cem.sigma_log_scale, o.cem.keep_sound)
+        alike += (o.max_depth_m, o.max_drift_m, o.max_tilt_deg)
+        alike += (o.check_duration_s, o.check_timestep_s)
         alike += tuple(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(start))
         if alike not in known:
-            mask, later, first = [np.asarray(scene.optimised)], None, None
+            mask, later, first, checked = [np.asarray(scene.optimised)], None, None, None
             if keeps and o.cem.keep_sound:
-                first, sound = evaluation.of_start(start, o, terms)
+                first, sound, checked = evaluation.of_start(start, o, terms)
                 mask = stages(scene, sound, o.cem)
                 later = disagreeing(scene, sound, mask[0])
                 if progress is not None:
                     progress(start_line(evaluation.scene.names, sound, mask[-1]))
             mean = _warm_start(scene, start, mask[0], o, evaluation.clock)
-            known[alike] = (mean, mask, later, first)
-        mean, mask, later, first = known[alike]
+            known[alike] = _Start(mean, mask, later, first, checked)
+        mean, mask, later, first, checked = known[alike]
         problem = open_problem(scene, o, mean, moves=mask[0], terms=terms, optimizer=optimizer)
         result = SearchResult(run, mean, problem, initial_state(problem, mean), stages=list(mask))
-        result.later = later
+        result.later, result.checked = later, checked
         if first is not None and not mask[0].any():
             # All is sound: the start is the answer.
             result.rounds, result.rollouts, result.finished = [first], 1, True
@@ -305,6 +319,14 @@ def _plan(r: SearchResult, placement: Placement, scorer: SemanticScorer | None) 
         elites=elite_count(c.elite_ratio, len(placement.bound)),
         until_valid=c.credit == "auto" and not bool(r.state.seen_valid),
     )
+
+
+def _settling(r: SearchResult, population: int) -> int:
+    """Return how many candidates come to rest: all where none may be left out."""
+    if not r.settles:
+        return 0
+    few = bool(r.state.seen_valid) and bounded(r.run.options, r.problem)
+    return min(RESTING, population) if few else population
 
 
 def _finalists(round_: Round, o: RefineOptions) -> Round:

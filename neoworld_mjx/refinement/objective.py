@@ -276,8 +276,8 @@ class Scores(eqx.Module):
     absolute: Float[Either, " pop"]
     """With fixed scales, comparable between iterations; -inf for failed and pruned candidates."""
     fidelity: Float[Either, " pop"]
-    """The absolute reward without D_pen and D_drift, which a valid candidate holds by its bounds;
-    -inf for failed and pruned candidates."""
+    """The absolute reward without D_pen and D_drift, which a valid candidate holds by its bounds,
+    but less for how far it has settled; -inf for failed and pruned candidates."""
     drift: Float[Either, "pop object"]
     """Each object's largest drift in units of the stability bounds; NaN where pruned."""
     depth: Float[Either, "pop object"]
@@ -353,6 +353,11 @@ def evaluate(
         absolute_contribution(term, values[term.name].charged)
         for term in objective.terms
         if term.name not in PHYSICAL
+    )
+    # Where they came to rest otherwise than the photograph shows them, candidates are less like it.
+    settled = jnp.sum(placement.settled, axis=1)
+    fidelity += sum(
+        absolute_contribution(term, settled) for term in objective.terms if term.name == "d_drift"
     )
     reward = total(lambda t, x: contribution(t, x, alive, objective.normalisation))
     shares = [

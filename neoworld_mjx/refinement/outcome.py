@@ -122,12 +122,24 @@ class Chosen:
 
 
 def choose(
-    model: SceneModel, rounds: list[Round], o: RefineOptions, start: Layout | None = None
+    model: SceneModel,
+    rounds: list[Round],
+    o: RefineOptions,
+    start: Layout | None = None,
+    known: tuple[SceneSpec, SceneMeasure] | None = None,
 ) -> Chosen:
     """Choose the best valid candidate by absolute reward that also passes the exact check.
 
     When none of the first `finalists` passes, the least bad of them is chosen.
+
+    Args:
+        model: the compiled scene.
+        rounds: all iterations.
+        o: options of the check.
+        start: what is left where every candidate failed; None is the composed scene.
+        known: a scene whose check is known.
     """
+    check = lambda scene: known[1] if known and known[0] == scene else measured(scene, o)
     fallback: Chosen | None = None
     order = ranked(rounds)
     for tried, ((t, k), absolute) in enumerate(order[: o.finalists], start=1):
@@ -135,7 +147,7 @@ def choose(
             break
         update(done=tried, of=o.finalists, unit="final check", rate=None, left_s=None)
         scene, away = finished(model, rounds[t], k)
-        measure = measured(scene, o)
+        measure = check(scene)
         chosen = Chosen((t, k), scene, measure, tried, passes(measure, o) and not away, away)
         if chosen.passed:
             return chosen
@@ -144,7 +156,7 @@ def choose(
     if fallback is None:
         # Every candidate failed in physics: the start is all there is.
         scene = snap_exactly(model.spec if start is None else model.apply(start, 0))
-        measure = measured(scene, o)
+        measure = check(scene)
         return Chosen((-1, -1), scene, measure, o.finalists, passes(measure, o))
     return replace(fallback, tried=min(o.finalists, len(order)))
 

@@ -25,6 +25,7 @@ from ..physics.support import Either
 from ..spec import SceneSpec
 from .objective import Objective, photograph_decides
 from .outcome import Chosen, Round, choose, moved_away, world_pose
+from .soundness import failing
 
 STILL_M, STILL = 1e-5, 1e-5
 """Changes of place [m], and of yaw [rad] or log scale, up to which an object has not moved."""
@@ -52,6 +53,7 @@ def choose_and_return(
     o: RefineOptions,
     objective: Objective,
     start: Layout | None = None,
+    checked: SceneMeasure | None = None,
 ) -> Winner:
     """Choose the winner of a search, and put back what it moved without need.
 
@@ -63,11 +65,12 @@ def choose_and_return(
         o: options of the check.
         objective: of the search.
         start: layout at which the search started, pop axis of length 1; None is the composed scene.
+        checked: final check of that, where it is known.
     """
     origin = Layout.zero(1, len(model.names)) if start is None else start
-    chosen = choose(model, rounds, o, start)
     exact = snap_exactly(model.apply(origin, 0))
-    before = chosen.measure if exact == chosen.scene else measured(exact, o)
+    before = measured(exact, o) if checked is None else checked
+    chosen = choose(model, rounds, o, start, (exact, before))
     t, k = chosen.index
     layout = rounds[t].layouts[k : k + 1] if t >= 0 else origin
     rests = t >= 0 and bool(rounds[t].rests[k])
@@ -103,7 +106,7 @@ def return_moved(
     moved = _moved(layout, start) & np.asarray(model.optimised)
     if not (chosen.passed and o.returns and moved.any()):
         return chosen, layout
-    faulty = _faulty(model, before, o)
+    faulty = failing(model.names, before, o)
     groups = [(moved & ~faulty, WHOLE), (moved & faulty, WHOLE), (moved, ("yaw",))]
     groups += [(moved, ("log_scale",))]
     padded = pad_scene(model)
@@ -176,19 +179,6 @@ def _moved(
         "log_scale": off.log_scale > STILL,
     }
     return np.any([moved[part] for part in parts], axis=0)
-
-
-def _faulty(
-    model: SceneModel, before: SceneMeasure, o: RefineOptions
-) -> Bool[np.ndarray, " object"]:
-    """Return which objects overlap others, or do not hold still, where the search started."""
-    deep = {n for p, d in before.depths_m.items() if d > o.max_depth_m for n in p.split("|")}
-    restless = {
-        name
-        for name, drift in before.drift_m.items()
-        if not (drift < o.max_drift_m and before.tilt_deg[name] < o.max_tilt_deg)
-    }
-    return np.array([name in deep | restless for name in model.names])
 
 
 def _mixed(

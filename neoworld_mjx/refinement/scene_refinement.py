@@ -117,7 +117,7 @@ def refine(
                 scorer.close()
         began = time.perf_counter()
         chosen, layout, before = choose_and_return(
-            model, rounds, o, result.problem.objective, start
+            model, rounds, o, result.problem.objective, start, result.checked
         )
         clock["check"] = time.perf_counter() - began
         return outcome(

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..config import RefineOptions
+from ..measure import SceneMeasure
 from ..physics.layout import Layout
 from .algorithm import Problem, SearchState
 from .outcome import Round
@@ -41,6 +42,8 @@ class SearchResult:
     """Masks [object] of what moves: now, and after iterations in which nothing was valid."""
     later: np.ndarray | None = None
     """Mask [object] of what may also move once the search has a valid candidate and converges."""
+    checked: SceneMeasure | None = None
+    """Final check of where the run starts, where the search needed it."""
     stage_began: int = 0
     """Iteration in which the first of `stages` began."""
     judged_from: int = 0
@@ -61,9 +64,14 @@ def population_at(options: RefineOptions, t: int) -> int:
 
 
 def prunes(options: RefineOptions, problem: Problem) -> bool:
-    """Tell whether candidates that cannot become elites are left out.
+    """Tell whether candidates that cannot become elites are left out."""
+    return options.cem.prune and bounded(options, problem)
+
+
+def bounded(options: RefineOptions, problem: Problem) -> bool:
+    """Tell whether rewards are known to lie below bounds before physics.
 
     Only where every term has a bound, and elites are those of the whole scene.
     """
     fixed = options.reward.normalisation == "fixed" and options.cem.credit in ("auto", "scene")
-    return options.cem.prune and fixed and not problem.objective.unbounded
+    return fixed and not problem.objective.unbounded

@@ -246,7 +246,9 @@ def _folded(scene: Case, model: SceneModel, runs: Sequence[SearchRun], engine: E
 
     def finish(result: SearchResult) -> Row:
         run, objective = result.run, result.problem.objective
-        winner = choose_and_return(model, result.rounds, run.options, objective, run.start)
+        winner = choose_and_return(
+            model, result.rounds, run.options, objective, run.start, result.checked
+        )
         row = row_of_search(scene, model, result, winner)
         return row | timing | {"history": so_far(result.summaries)}
 

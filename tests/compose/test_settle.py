@@ -10,6 +10,7 @@ from neoworld_mjx.compose.settle import settle
 from neoworld_mjx.measure.stability import scene_measure
 from neoworld_mjx.spec import (
     Box,
+    Cylinder,
     Material,
     ObjectSpec,
     SceneObject,
@@ -90,3 +91,41 @@ def test_overlaps_within_the_parent_are_ignored():
     rested = settle(case, item)
     assert rested is not None
     assert rested.z == pytest.approx(0.12, abs=5e-4)
+
+
+def in_cup(xy, lean):
+    """Return a cup, and a stick that leans in it towards +x; its lower end is at `xy`."""
+    cup = SceneObject(name="cup", spec=scenes.cup(), environment=True)
+    stick = scenes.single("stick", (Cylinder(radius=0.003, height=0.12), (0, 0, 0.06)))
+    tilt = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(lean)).tolist())
+    return cup, SceneObject(
+        name="stick", spec=stick, parent="cup", relation="in", xy=xy, z=0.006, base_tilt=tilt
+    )
+
+
+@pytest.mark.parametrize("x", [-0.015, 0.02, 0.09])
+def test_a_stick_that_pierces_its_cup_is_let_down_into_it(x):
+    cup, stick = in_cup((x, 0.004), 38)
+    rested = settle(cup, stick)
+    assert rested is not None
+    # Its lower end is on the bottom, beyond the middle; its upper end leans the way that it did.
+    assert rested.z < 0.015 and -0.035 < rested.xy[0] < 0.0
+    up = rotate(from_axis_angle((0.0, 0.0, 1.0), rested.yaw), np.array([1.0, 0.0, 0.0]))
+    assert up[0] > 0.9
+    assert angle_between(rested.base_tilt, stick.base_tilt) < math.radians(15)
+    table = SceneObject(name="table", spec=scenes.table(), environment=True, z=-0.04)
+    held = cup.model_copy(update={"parent": "table", "environment": False, "z": 0.0401})
+    before = scene_measure(snap(SceneSpec(objects=(table, held, stick))))
+    after = scene_measure(snap(SceneSpec(objects=(table, held, rested))))
+    assert after.max_depth_m < 0.001 and after.drift_m["stick"] < 0.005
+    assert x < 0 or before.drift_m["stick"] > 0.005 or before.max_depth_m > 0.001
+
+
+def test_snapping_leaves_a_stick_in_a_cup_where_it_rests():
+    cup, stick = in_cup((0.0, 0.0), 45)
+    rested = settle(cup, stick)
+    assert rested is not None
+    table = SceneObject(name="table", spec=scenes.table(), environment=True, z=-0.04)
+    held = cup.model_copy(update={"parent": "table", "environment": False, "z": 0.0401})
+    snapped = snap(SceneSpec(objects=(table, held, rested)))
+    assert snapped.object("stick").z == pytest.approx(rested.z, abs=5e-4)

@@ -12,7 +12,7 @@ from neoworld_mjx.measure import scene_measure
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.refinement import refine
+from neoworld_mjx.refinement import loop, refine
 from neoworld_mjx.spec import Box
 from neoworld_mjx.spec.pose import from_axis_angle
 from tests.support import scenes
@@ -148,3 +148,17 @@ def test_what_hangs_in_the_air_comes_to_rest_where_the_options_let_it():
     # Settling counts as drift: 8 of 15 degrees.
     drift = let.history["d_drift"][let.winner]
     assert drift == pytest.approx(8 / 15, rel=0.1)
+
+
+def test_few_come_to_rest_once_one_is_valid_whether_pruned_or_not(monkeypatch):
+    monkeypatch.setattr(loop, "RESTING", 8)
+    o = options(32, 3, 125).model_copy(update={"settle": "always"})
+    runs = {}
+    for prune in (True, False):
+        cem = o.cem.model_copy(update={"prune": prune, "stop_gain": 0.0, "patience": 9})
+        runs[prune] = refine(leaning(), o.model_copy(update={"cem": cem}), seed=1)
+    judged = {k: np.isfinite(r.history["absolute"]).sum(axis=1) for k, r in runs.items()}
+    assert judged[False].tolist() == [32, 8, 8]
+    assert (judged[True] <= judged[False]).all() and runs[True].passed
+    assert runs[True].winner == runs[False].winner
+    assert (runs[True].history["xy"] == runs[False].history["xy"]).all()

@@ -7,7 +7,8 @@ from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.scene_arrays import on_device
-from neoworld_mjx.refinement import refine
+from neoworld_mjx.measure import measured
+from neoworld_mjx.refinement import evaluation, refine
 from neoworld_mjx.refinement.algorithm import SearchState
 from neoworld_mjx.refinement.cem import CEMState
 from neoworld_mjx.refinement.soundness import FARTHER, reaching_out
@@ -46,6 +47,19 @@ def test_a_sound_scene_is_its_own_answer():
     assert set(refined.kept) == {"low", "high", "ball"}
     assert all((np.asarray(getattr(refined.layout, k)) == 0).all() for k in ("xy", "yaw"))
     assert lines == ["all 3 objects are sound where they stand"]
+
+
+def test_what_fails_the_final_check_where_it_stands_is_not_sound(monkeypatch):
+    """The final check goes on for longer than a rollout."""
+
+    def check(scene, o):
+        measure = measured(scene, o)
+        return measure.model_copy(update={"tilt_deg": measure.tilt_deg | {"high": 9.0}})
+
+    monkeypatch.setattr(evaluation, "measured", check)
+    refined = refine(snap_exactly(scenes.blocks()), options(), engine="native")
+    assert set(refined.kept) == {"low", "ball"}
+    assert refined.before.tilt_deg["high"] == 9.0
 
 
 def test_only_what_overlaps_is_moved():
