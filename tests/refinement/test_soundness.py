@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.measure import measured
 from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.scene_arrays import on_device
-from neoworld_mjx.measure import measured
 from neoworld_mjx.refinement import evaluation, refine
 from neoworld_mjx.refinement.algorithm import SearchState
 from neoworld_mjx.refinement.cem import CEMState
