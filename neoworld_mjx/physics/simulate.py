@@ -96,8 +96,11 @@ def rollout(
 def on_cpu() -> contextlib.AbstractContextManager[object]:
     """Let JAX compute on the CPU what a GPU would only start kernels for.
 
-    Nothing changes where JAX's settings leave it no CPU.
+    Nothing changes where JAX's settings leave it no CPU, or nothing else: to name the default
+    device would compile every program once more.
     """
+    if jax.default_backend() == "cpu":
+        return contextlib.nullcontext()
     try:
         return jax.default_device(jax.devices("cpu")[0])
     except RuntimeError:
