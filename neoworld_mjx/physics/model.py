@@ -116,19 +116,20 @@ class SceneModel(SceneArrays):
         """Write one candidate into the scene's description.
 
         Args:
-            layouts: the candidates.
+            layouts: the candidates, padded or not.
             index: which.
             poses: where `place` put the candidates; the heights are taken from here, since snapping
                 one candidate alone may round differently in the last bit of single precision.
         """
+        count = len(self.names)
+        # Taken as NumPy first: JAX would compile the indexing for every number of objects.
+        one = jax.tree.map(lambda leaf: np.asarray(leaf)[index : index + 1, :count], layouts)
         if poses is None:
-            one = jax.tree.map(lambda leaf: np.asarray(leaf)[index : index + 1], layouts)
             height = snapped_heights(self.arrangement, one)
         else:
-            height = np.asarray(poses.height)[index]
-        # Taken as NumPy first: JAX would compile the indexing for every number of objects.
+            height = np.asarray(poses.height)[index, :count]
         xy, yaw, log_scale = (
-            np.asarray(leaf, float)[index] for leaf in (layouts.xy, layouts.yaw, layouts.log_scale)
+            np.asarray(leaf, float)[0] for leaf in (one.xy, one.yaw, one.log_scale)
         )
         return rearranged(self.spec, xy, yaw, log_scale, np.asarray(height, float))
 

@@ -34,6 +34,17 @@ def test_a_bucket_is_the_smallest_doubled(scene):
     assert wide == Bucket(*(2 * n for n in SMALLEST))
 
 
+def test_a_padded_layout_applies_as_its_own(scene):
+    """The search's bucket may be wider than that of the objects alone."""
+    layouts = open_cem(scene, RefineOptions().cem)
+    layouts = layouts.ask(jax.random.key(3), layouts.init(), 2)
+    poses = scene.place(layouts)
+    for wide in (SMALLEST.objects, 4 * SMALLEST.objects):
+        padded = pad_objects(layouts, wide)
+        assert scene.apply(padded, 1) == scene.apply(layouts, 1)
+        assert scene.apply(padded, 1, pad_objects(poses, wide)) == scene.apply(layouts, 1, poses)
+
+
 def test_padded_equals_unpadded(scene):
     o = RefineOptions()
     padded = pad_scene(scene)
