@@ -2,6 +2,7 @@
 runs.
 """
 
+import gc
 import hashlib
 import json
 import os
@@ -12,12 +13,16 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.type_checks import check_annotations
+from tests.support.type_checks import check_annotations, keep_code
 
 check_annotations()
 
 PHOTO = Path(__file__).parents[1] / "examples" / "coffee.png"
-FAST_COMPILATION = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+FAST_COMPILATION = (
+    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+    " --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+)
+"""Tests compile more than they run; this takes two thirds off compiling."""
 LONG = (
     *("refinement", "bench", "test_pipeline", "test_resume", "kernels", "physics", "sweeps"),
     *("test_recipes", "notebooks", "verify", "program"),
@@ -33,9 +38,16 @@ def pytest_configure(config: pytest.Config) -> None:
     cache = getattr(config, "cache", None)
     if cache is not None:
         os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache.mkdir("jax")))
+        keep_code(cache.mkdir("checked"))
+        if sys.dont_write_bytecode:
+            # Without bytecode beside the sources, each process would compile every library anew.
+            os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix = str(cache.mkdir("bytecode"))
+            os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+            sys.dont_write_bytecode = False
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-    # Tests compile more than they run; this takes a third off compiling.
     os.environ.setdefault("XLA_FLAGS", FAST_COMPILATION)
+    # Tracing makes many objects that live on, and the default looks at all of them often.
+    gc.set_threshold(50_000, 10, 10)
     # xdist would begin with the files of the most tests.
     if hasattr(config.option, "loadscopereorder"):
         config.option.loadscopereorder = False
@@ -51,6 +63,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(slow)
         if "gpu" in item.keywords and shutil.which("nvidia-smi") is None:
             item.add_marker(gpu)
+
+
+def pytest_collection_finish() -> None:
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)

@@ -9,11 +9,15 @@ its first call, and only functions with shapes get jaxtyping's scope of named ax
 import ast
 import dataclasses
 import functools
+import hashlib
 import importlib.machinery
 import inspect
+import marshal
+import os
 import sys
 import typing
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from beartype import BeartypeConf, beartype
@@ -71,6 +75,8 @@ def _has_shape(hint: Any) -> bool:
 
 
 class _Decorate(ast.NodeTransformer):
+    VERSION = Path(__file__).read_bytes()
+
     def visit_ClassDef(self, node: ast.ClassDef) -> ast.AST:
         # Outermost, after `@dataclass`.
         return self._decorated(node, 0)
@@ -88,10 +94,25 @@ class _Decorate(ast.NodeTransformer):
 
 
 class _Loader(importlib.machinery.SourceFileLoader):
+    kept_in: Path | None = None
+
     def get_code(self, fullname: str) -> Any:
         path = self.get_filename(fullname)
-        tree = _Decorate().visit(ast.parse(self.get_data(path), path))
-        return compile(tree, path, "exec", dont_inherit=True)
+        source = self.get_data(path)
+        if self.kept_in is None:
+            return self._with_decorators(source, path)
+        # Its own folder: Python would take it for the code without checks.
+        key = (_Decorate.VERSION, sys.version, path, source)
+        kept = self.kept_in / hashlib.sha256(repr(key).encode()).hexdigest()
+        if not kept.is_file():
+            part = kept.with_suffix(f".{os.getpid()}")
+            part.write_bytes(marshal.dumps(self._with_decorators(source, path)))
+            part.replace(kept)
+        return marshal.loads(kept.read_bytes())
+
+    @staticmethod
+    def _with_decorators(source: bytes, path: str) -> Any:
+        return compile(_Decorate().visit(ast.parse(source, path)), path, "exec", dont_inherit=True)
 
     def exec_module(self, module: Any) -> None:
         module.__checked__ = checked
@@ -114,3 +135,8 @@ def check_annotations() -> None:
     early = sorted(name for name in sys.modules if name.partition(".")[0] in PACKAGES)
     assert not early, f"imported before their annotations could be checked: {early}"
     sys.meta_path.insert(0, _Finder)  # pyright: ignore[reportArgumentType]
+
+
+def keep_code(folder: Path) -> None:
+    """Keep the code with checks of each module there; building it takes longer than a read."""
+    _Loader.kept_in = folder
