@@ -42,7 +42,7 @@ def test_candidates_are_refined_before_their_rollout(crowd):
     scene, layouts = crowd
     start = scene.apply(layouts, 0)
     options = RefineOptions(
-        cem=CEMOptions(population=16, iterations=1, first=0, keep_sound=False),
+        cem=CEMOptions(population=32, iterations=1, first=0, keep_sound=False),
         descent=DescentOptions(warm_steps=0, project="always"),
         rollout=RolloutOptions(duration_s=0.1, samples_per_object=64),
     )

@@ -21,7 +21,7 @@ from tests.support import scenes
 @pytest.fixture(scope="module")
 def scene():
     """Furniture with joints: boxes, hulls and slides."""
-    return compile_scene(scenes.furnished())
+    return compile_scene(scenes.furnished(), samples=64)
 
 
 def own(tree, scene):
@@ -50,7 +50,7 @@ def test_padded_equals_unpadded(scene):
     padded = pad_scene(scene)
     cem, wide = (open_cem(of, o.cem) for of in (scene, padded))
     key = jax.random.key(1)
-    layouts, drawn = (c.ask(key, c.init(), 24) for c in (cem, wide))
+    layouts, drawn = (c.ask(key, c.init(), 32) for c in (cem, wide))
     jax.tree.map(np.testing.assert_array_equal, own(drawn, scene), own(layouts, scene))
     objective = open_objective(o)
     one, two = (place(s, z, objective) for s, z in ((scene, layouts), (padded, drawn)))
@@ -89,7 +89,7 @@ def test_a_second_scene_compiles_nothing(monkeypatch):
         None,
         {
             "refine": {
-                "cem": {"population": 24, "iterations": 2, "batch": 8},
+                "cem": {"population": 32, "iterations": 2, "batch": 8},
                 "rollout": {"samples_per_object": 64},
             }
         },

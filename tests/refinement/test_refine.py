@@ -31,7 +31,7 @@ def clashing():
     )
 
 
-def options(population=64, iterations=6, steps=50):
+def options(population=32, iterations=6, steps=50):
     return RefineOptions(
         cem=CEMOptions(population=population, iterations=iterations),
         rollout=RolloutOptions(duration_s=steps * 0.004, samples_per_object=64),
@@ -47,8 +47,7 @@ def options(population=64, iterations=6, steps=50):
     ],
 )
 def test_an_invalid_scene_becomes_valid(engine):
-    population = 64 if engine.name == "native" else 32
-    result = refine(clashing(), options(population), seed=1, engine=engine)
+    result = refine(clashing(), options(), seed=1, engine=engine)
     assert result.engine == engine.name
     before, after = result.before, result.measure
     assert before.s_pen == 1
@@ -58,7 +57,7 @@ def test_an_invalid_scene_becomes_valid(engine):
     assert after.s_stab is True
     assert after.movable == 3
     assert after.max_depth_m < 1e-3
-    plain = options(population).model_copy(update={"descent": DescentOptions(warm_steps=0)})
+    plain = options().model_copy(update={"descent": DescentOptions(warm_steps=0)})
     tried = refine(clashing(), plain, seed=1, engine=engine).history
     assert not tried["xy"][0, 0].any()  # without a warm start the zero layout comes first
     assert tried["absolute"].max() > tried["absolute"][0, 0] + 0.2
@@ -89,7 +88,7 @@ class Stubborn:
 
 
 def test_when_every_candidate_fails_that_is_said():
-    result = refine(clashing(), options(8, 2), engine=Stubborn())
+    result = refine(clashing(), options(32, 2), engine=Stubborn())
     assert not result.passed
     assert result.winner == (-1, -1)
     assert result.fallbacks
@@ -97,7 +96,7 @@ def test_when_every_candidate_fails_that_is_said():
 
 
 def test_a_scene_that_is_valid_already_keeps_its_layout():
-    result = refine(scenes.blocks(), options(16, 4))
+    result = refine(scenes.blocks(), options(32, 4))
     assert result.passed
     assert math.isfinite(result.measure.max_drift_m)
     assert isinstance(result.layout, Layout)
@@ -111,14 +110,16 @@ def test_without_simulation_only_the_final_check_tells_what_falls():
     on_low = {"parent": "low", "z": 0.06}
     scene = scenes.on_table((low, (0, 0), 0.0, {}), (plate, (0.06, 0.0), 0.0, on_low), name="tips")
     options = RefineOptions(
-        cem=CEMOptions(population=8, iterations=2, sigma_xy=1e-4, sigma_yaw_deg=0.1),
-        rollout=RolloutOptions(duration_s=0.0),
+        cem=CEMOptions(population=32, iterations=2, sigma_xy=1e-4, sigma_yaw_deg=0.1),
+        rollout=RolloutOptions(duration_s=0.0, samples_per_object=64),
         descent=DescentOptions(warm_steps=0),
     )
     result = refine(scene, options, seed=0)
     assert not result.passed and not result.measure.s_stab
     assert np.nanmax(result.history["d_drift"]) < 1e-6
-    simulated = options.model_copy(update={"rollout": RolloutOptions(duration_s=0.5)})
+    simulated = options.model_copy(
+        update={"rollout": RolloutOptions(duration_s=0.5, samples_per_object=64)}
+    )
     assert np.nanmin(refine(scene, simulated, seed=0).history["d_drift"]) > 1.0
 
 
