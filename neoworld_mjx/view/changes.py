@@ -1,4 +1,4 @@
-"""Table of a report: what the model said of each object, and what fits and search made of it."""
+"""Table of a report: what the parse says of each object, and what fits and search made of it."""
 
 import math
 from pathlib import Path
@@ -40,7 +40,7 @@ def changes(folder: Path) -> Html:
         *("#fit to the boxes", "#fit of the built shapes", "#search", "not seen"),
     ]
     note = (
-        '<p class="dim">Changes of place, size and heading: by both fits from what the model said, '
+        '<p class="dim">Changes of place, size and heading: by both fits from what the parse says, '
         'by the search from the second; "kept" where a step left the object alone. Not seen: sides '
         "of its 2D box that are cut off or hidden.</p>"
     )

@@ -98,7 +98,7 @@ def _words(
     if node:
         size = " × ".join(f"{100 * v:.1f}" for v in node["box3d"]["size"])
         stands = f"{node.get('relation', 'on')} {node['parent']}" if node.get("parent") else "world"
-        entries.append(("model", f"{node['label']}, {stands}, {size} cm"))
+        entries.append(("parse", f"{node['label']}, {stands}, {size} cm"))
     entries += moves
     if agreement.get("refined") is not None:
         steps = ("parsed", "composed", "refined")
