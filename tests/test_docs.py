@@ -72,7 +72,7 @@ def test_a_command_of_the_pages_can_be_given(line):
         return  # Named in a sentence.
     if words[:1] in (["export"], ["check"]) and len(words) == 1:
         words.append("out")
-    command = cli.parse(words)
+    command = cli.parse(words[0], words[1:])
     assert callable(command.run)
 
 
