@@ -22,7 +22,8 @@ FAST_COMPILATION = (
     "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
     " --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
 )
-"""Tests compile more than they run; this takes two thirds off compiling."""
+"""Tests compile more than they run: a search's gradient refinement took 6.6 s without the last two
+flags, 2.7 s with them."""
 LONG = (
     *("refinement", "bench", "test_pipeline", "test_resume", "kernels", "physics", "sweeps"),
     *("test_recipes", "notebooks", "verify", "program"),
