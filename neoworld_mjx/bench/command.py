@@ -135,6 +135,7 @@ def scenes_answer(o: suites.SceneSet, config: Config) -> dict[str, Any]:
         seed=o.seed,
         refine=config.refine,
         compose=config.compose,
+        noise=o.noise,
         workers=o.workers,
         out=o.out,
     )

@@ -160,6 +160,8 @@ class SceneSet:
         ...,
     ] = ("ours", "open_loop", "gravity", "gradient", "no_simulation", "algorithm1")
     """Methods; random and cma_es make as many rollouts as ours."""
+    noise: Literal["exact", "layout"] = "layout"
+    """Noise of the starts: none, or positions, sizes, headings, camera and 2D boxes."""
     seed: int = 0
     """Seed of noise and searches."""
     workers: int = 0

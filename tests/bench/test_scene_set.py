@@ -7,7 +7,7 @@ from neoworld_mjx.bench.dataset.declaration import ROOMS, declarations, read_dec
 from neoworld_mjx.bench.dataset.layout_errors import displaced, layout_errors
 from neoworld_mjx.bench.dataset.make_dataset import rounded
 from neoworld_mjx.bench.dataset.scene_methods import METHODS, USUAL
-from neoworld_mjx.bench.dataset.scene_runs import SceneRow, chosen_scenes
+from neoworld_mjx.bench.dataset.scene_runs import RESULTS, SceneRow, chosen_scenes, run_scenes
 from neoworld_mjx.bench.dataset.scene_summary import BOUNDS, interval, summarise
 from neoworld_mjx.bench.dataset.scene_table import latex, markdown, table_records
 from neoworld_mjx.bench.dataset.settle_scene import failures
@@ -15,8 +15,10 @@ from neoworld_mjx.bench.dataset.starts import noise_number, true_tree
 from neoworld_mjx.bench.dataset.truth_scene import truth_scene
 from neoworld_mjx.bench.photo_scenes import see
 from neoworld_mjx.compose.compose import compose
-from neoworld_mjx.errors import SpecError
+from neoworld_mjx.config import ComposeOptions, RefineOptions
+from neoworld_mjx.errors import RunError, SpecError
 from neoworld_mjx.physics.settling import moved
+from neoworld_mjx.reading.parquet_files import write_rows
 from neoworld_mjx.spec import world_poses
 
 CHEAP = ("tents", "dominoes", "desk_drawers", "overhang_stack")
@@ -165,6 +167,9 @@ def _row(method: str, *, valid: bool, scene: str = "tents", start: int = 0, **mo
             "valid": valid,
             "check_passed": valid,
             "displaced": 0,
+            "noise": "layout",
+            "missed": 0,
+            "extra": 0,
             "s_pen": 0,
             "s_stab": valid,
             "max_depth_m": 0.0,
@@ -191,6 +196,12 @@ def test_summary_counts_and_judges_difficulty():
     assert answer["methods"]["ours"]["seconds_to_valid"] == 2.0
     # Of objects: 2 of 4 and 12 of 12.
     assert answer["methods"]["gravity"]["o_stab"] == pytest.approx(14 / 16)
+    # Missed ones are in no denominator but their own; extra ones can fall, too.
+    own = _row("ours", valid=False, missed=1, extra=2, displaced=1)
+    figures = summarise([own])["methods"]["ours"]
+    assert (figures["objects"], figures["found"]) == (4, 3)
+    shares = [figures[name] for name in ("displaced", "missed", "extra")]
+    assert shares == pytest.approx([1 / 3, 1 / 4, 2 / 4])
     assert answer["evaluation"]["open_loop"]["valid_rate"] == 0.0
     assert not answer["difficulty"]["open_loop"]["hard_enough"]
     assert answer["difficulty"]["gravity"]["hard_enough"]
@@ -208,3 +219,20 @@ def test_tables_mark_the_papers_figures():
     text = markdown(records)
     assert "| NeoWorld-Pro* | 30 |" in text and "50.0 (0.0 to 100.0)" in text
     assert r"VIGA$^\ast$ & 30" in latex(records)
+
+
+def test_a_folder_holds_starts_of_one_noise(tmp_path):
+    row = _row("open_loop", valid=False).model_dump()
+    kinds = {k: type(v) for k, v in row.items() if v is not None} | {"seconds_to_valid": float}
+    write_rows(tmp_path / RESULTS, [row], kinds, RunError)
+    with pytest.raises(RunError, match="rows of --noise layout: take another folder"):
+        run_scenes(
+            ("tents",),
+            ("open_loop",),
+            starts=1,
+            seed=0,
+            refine=RefineOptions(),
+            compose=ComposeOptions(),
+            noise="exact",
+            out=tmp_path,
+        )

@@ -16,7 +16,7 @@ MOST_HEIGHT, MOST_HEIGHT_M = 0.1, 0.01
 
 
 def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
-    """Compare a scene with the truth of the same objects.
+    """Compare a scene with the truth, over the objects that both have.
 
     What all objects are off by alike, their median shift, is not counted: it is that of the
     answer's camera, and no layout shows it.
@@ -24,10 +24,10 @@ def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
     Returns:
         "xy_error_m", horizontal distance of the objects' middles; "yaw_error_deg", up to an
         object's symmetry and without round ones; "scale_error", of the logarithm. Means over the
-        objects that are no supports.
+        found objects that are no supports; what is missed or extra is for `unmatched` to count.
     """
     ends, starts = world_poses(scene), world_poses(truth)
-    items = [item for item in truth.objects if not item.static]
+    items = [item for item in truth.objects if not item.static and item.name in ends]
     offs, turns, scales = [], [], []
     for item in items:
         other = scene.object(item.name)
@@ -45,18 +45,29 @@ def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
     }
 
 
+def unmatched(scene: SceneSpec, truth: SceneSpec) -> tuple[list[str], list[str]]:
+    """Return the movable objects of the truth that a scene misses, and those that it has besides.
+
+    No search can put them right, so they count apart, in no error and in no verdict.
+    """
+    real, own = ([item for item in s.objects if not item.static] for s in (truth, scene))
+    names, known = {item.name for item in own}, {item.name for item in truth.objects}
+    missed = [item.name for item in real if item.name not in names]
+    return missed, [item.name for item in own if item.name not in known]
+
+
 def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
     """Return the objects that a scene shows in another way than the truth: toppled or fallen down.
 
     Whatever has come to rest is stable, a toppled book as well; this tells the two apart. An object
     is displaced whose vertical axis is tilted by MOST_TILT_DEG from the truth's, or whose middle is
     higher or lower than the truth's by MOST_HEIGHT of its diagonal and MOST_HEIGHT_M. A ball has no
-    axis.
+    axis. What a scene misses is not displaced, see `unmatched`.
     """
     ends, starts = world_poses(scene), world_poses(truth)
     names = []
     for item in truth.objects:
-        if item.static:
+        if item.static or item.name not in ends:
             continue
         end, start = ends[item.name], starts[item.name]
         up = [at.apply([0.0, 0.0, 1.0]) - at.pos for at in (end, start)]

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -19,9 +19,16 @@ from ...reading.parquet_files import read_rows, write_rows
 from ...spec import SceneSpec
 from ..rows import Row, log
 from .declaration import declaration, declarations
-from .layout_errors import displaced, layout_errors
+from .layout_errors import displaced, layout_errors, unmatched
 from .scene_methods import BUDGETED, METHODS, MethodResult, outcome_of
-from .starts import composed_start, is_evaluation, noise_number, photographed, true_tree
+from .starts import (
+    NoiseLevel,
+    composed_start,
+    is_evaluation,
+    noise_number,
+    photographed,
+    true_tree,
+)
 
 RESULTS = "results.parquet"
 
@@ -33,6 +40,13 @@ class SceneRow(Row):
     room: str
     tabletop: bool
     objects: int
+    """Movable objects of the truth."""
+    noise: str
+    """Level of the start's noise."""
+    missed: int
+    """Of them, those that the start does not have."""
+    extra: int
+    """Movable objects of the start that the truth does not have."""
     start: int
     seed: int
     evaluation: bool
@@ -61,7 +75,12 @@ class SceneRow(Row):
     seconds: float
     rollouts: int
     fingerprint: str
-    """Hash of the scene's declaration and of the options."""
+    """Hash of the scene's declaration, of the noise and of the options."""
+
+    @property
+    def found(self) -> int:
+        """Number of the truth's movable objects that the start has, over which errors are means."""
+        return self.objects - self.missed
 
 
 _KINDS: dict[str, type] = {
@@ -80,6 +99,7 @@ class SceneTask:
     seed: int
     refine: RefineOptions
     compose: ComposeOptions
+    noise: NoiseLevel
     threads: int
 
 
@@ -109,6 +129,7 @@ def run_scenes(
     seed: int,
     refine: RefineOptions,
     compose: ComposeOptions,
+    noise: NoiseLevel,
     workers: int = 0,
     out: Path | None = None,
 ) -> list[SceneRow]:
@@ -121,11 +142,13 @@ def run_scenes(
         seed: of noise and searches.
         refine: options of the search and of the final check.
         compose: options of composition.
+        noise: level of the starts' noise.
         workers: processes; 0 takes one for every two cores.
         out: folder of `results.parquet`; None keeps nothing.
 
     Raises:
-        RunError: the file cannot be read or written, or a scene's process died.
+        RunError: the file cannot be read or written or has rows of another noise, or a scene's
+            process died.
     """
     for method in methods:
         if method not in METHODS:
@@ -137,7 +160,11 @@ def run_scenes(
         except OSError as error:
             raise RunError(f"cannot make {file.parent}: {error.strerror}") from None
     rows = [] if file is None or not file.exists() else _known(file)
-    prints = {name: _fingerprint(name, refine, compose) for name in scenes}
+    for other in sorted({row.noise for row in rows} - {noise}):
+        raise RunError(
+            f"{file} has rows of --noise {other}: take another folder for --noise {noise}"
+        )
+    prints = {name: _fingerprint(name, noise, refine, compose) for name in scenes}
     done = {
         (r.scene, r.start, r.seed, r.method) for r in rows if prints.get(r.scene) == r.fingerprint
     }
@@ -150,7 +177,9 @@ def run_scenes(
         ]
         if any(own for _, own in wanted):
             tasks.append(
-                SceneTask(name, tuple(wanted), seed, refine, compose, max(1, cores // workers))
+                SceneTask(
+                    name, tuple(wanted), seed, refine, compose, noise, max(1, cores // workers)
+                )
             )
     for row in _rows_of(tasks, workers):
         rows = [r for r in rows if _key(r) != _key(row)] + [row]
@@ -179,9 +208,7 @@ def _rows_of(tasks: Sequence[SceneTask], workers: int) -> Iterator[SceneRow]:
     with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
         # One start a future, so that rows come as they are made.
         futures = [
-            pool.submit(_listed, SceneTask(t.scene, (own,), t.seed, t.refine, t.compose, t.threads))
-            for t in tasks
-            for own in t.wanted
+            pool.submit(_listed, replace(t, wanted=(own,))) for t in tasks for own in t.wanted
         ]
         for future in as_completed(futures):
             yield from future.result()
@@ -202,7 +229,11 @@ def scene_rows(task: SceneTask) -> Iterator[SceneRow]:
     engine = NativeEngine(threads=task.threads)
     for start, methods in task.wanted:
         number = noise_number(task.scene, task.seed, start)
-        composed = composed_start(truth, tree, number, task.compose) if methods else truth
+        composed = (
+            composed_start(truth, tree, number, task.compose, noise=task.noise)
+            if methods
+            else truth
+        )
         rollouts = 0
         # Ours comes first: the others may get its budget.
         for method in sorted(methods, key=lambda name: (name != "ours", METHODS.index(name))):
@@ -227,20 +258,24 @@ def _row(
     ]
     # Its own camera: that of the answer, as fitted.
     seen = {item.name: item for item in truth.objects}
-    shown = [
-        item.model_copy(
-            update={"box2d": seen[item.name].box2d, "occluded": seen[item.name].occluded}
-        )
-        for item in result.scene.objects
-    ]
+    shown = []
+    for item in result.scene.objects:
+        # What is not in the truth has no box to agree with, but hides others.
+        true = seen.get(item.name)
+        box = {"box2d": None} if true is None else {"box2d": true.box2d, "occluded": true.occluded}
+        shown.append(item.model_copy(update=box))
     photographed_as = result.scene.model_copy(update={"objects": tuple(shown)})
     lost = displaced(result.scene, truth)
+    missed, extra = unmatched(result.scene, truth)
     valid = result.check_passed and not lost
     return SceneRow(
         scene=task.scene,
         room=declared.room,
         tabletop=declared.tabletop,
         objects=len(declared.movable()),
+        noise=task.noise,
+        missed=len(missed),
+        extra=len(extra),
         start=start,
         seed=task.seed,
         evaluation=is_evaluation(start),
@@ -259,13 +294,15 @@ def _row(
         seconds_to_valid=result.seconds_to_valid if valid else None,
         seconds=result.seconds,
         rollouts=result.rollouts,
-        fingerprint=_fingerprint(task.scene, task.refine, task.compose),
+        fingerprint=_fingerprint(task.scene, task.noise, task.refine, task.compose),
     )
 
 
-def _fingerprint(name: str, refine: RefineOptions, compose: ComposeOptions) -> str:
+def _fingerprint(
+    name: str, noise: NoiseLevel, refine: RefineOptions, compose: ComposeOptions
+) -> str:
     parts = [declaration(name), refine, compose]
-    return content_hash([part.model_dump(mode="json") for part in parts])[:16]
+    return content_hash([noise, *(part.model_dump(mode="json") for part in parts)])[:16]
 
 
 def _known(file: Path) -> list[SceneRow]:

@@ -14,7 +14,9 @@ DRAWS, LEVEL = 2000, 0.95
 MEASURES: dict[str, Callable[[SceneRow], float]] = {
     "valid_rate": lambda r: r.valid,
     "check_rate": lambda r: r.check_passed,
-    "displaced": lambda r: r.displaced / r.objects,
+    "displaced": lambda r: r.displaced / r.found,
+    "missed": lambda r: r.missed / r.objects,
+    "extra": lambda r: r.extra / r.objects,
     "s_pen": lambda r: r.s_pen,
     "s_stab": lambda r: r.s_stab,
     "o_stab": lambda r: r.o_stab,
@@ -24,8 +26,13 @@ MEASURES: dict[str, Callable[[SceneRow], float]] = {
     "box_iou": lambda r: r.box_iou,
 }
 """Means over scenes and starts; rates are shares."""
-OF_OBJECTS = ("o_stab", "displaced")
-"""Measures whose mean is over objects."""
+OF_OBJECTS: dict[str, Callable[[SceneRow], int]] = {
+    "displaced": lambda r: r.found,
+    "missed": lambda r: r.objects,
+    "extra": lambda r: r.objects,
+    "o_stab": lambda r: r.found + r.extra,
+}
+"""Measures whose mean is over objects: those found, the truth's, or all that the scene has."""
 
 
 def summarise(rows: Sequence[SceneRow]) -> dict[str, Any]:
@@ -48,17 +55,19 @@ def by_method(rows: Sequence[SceneRow]) -> dict[str, Any]:
 def figures(rows: Sequence[SceneRow]) -> dict[str, Any]:
     """Return the figures of rows of one method.
 
-    "objects" is the number of movable objects over all rows, the denominator of O-Stab.
+    "objects" is the number of the truth's movable objects over all rows, "found" of those that
+    starts have, over which errors are means; O-Stab is over these and the extra ones.
     "seconds_to_valid" is the median over the valid ones, None without any.
     """
     times = [row.seconds_to_valid for row in rows if row.seconds_to_valid is not None]
     means = {name: float(np.mean([of(row) for row in rows])) for name, of in MEASURES.items()}
-    counts = [row.objects for row in rows]
-    for name in OF_OBJECTS:
+    for name, count in OF_OBJECTS.items():
+        counts = [count(row) for row in rows]
         means[name] = float(np.average([MEASURES[name](row) for row in rows], weights=counts))
     return {
         "n": len(rows),
         "objects": sum(row.objects for row in rows),
+        "found": sum(row.found for row in rows),
         **means,
         "seconds_to_valid": float(np.median(times)) if times else None,
         "seconds": float(np.median([row.seconds for row in rows])),
@@ -91,7 +100,7 @@ def interval(rows: Sequence[SceneRow], measure: str) -> tuple[float, float, floa
     Starts of one scene are alike, so scenes are what is drawn again.
     """
     of = MEASURES[measure]
-    weigh = lambda r: r.objects if measure in OF_OBJECTS else 1.0
+    weigh = OF_OBJECTS.get(measure, lambda r: 1)
     scenes = sorted({row.scene for row in rows})
     sums = np.array([sum(weigh(r) for r in rows if r.scene == s) for s in scenes], float)
     totals = np.array([sum(weigh(r) * of(r) for r in rows if r.scene == s) for s in scenes], float)

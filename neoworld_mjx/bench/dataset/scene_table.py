@@ -14,6 +14,8 @@ from .scene_summary import LEVEL, interval
 COLUMNS = {
     "valid": ("valid_rate", 100.0, "%"),
     "displaced": ("displaced", 100.0, "%"),
+    "missed": ("missed", 100.0, "%"),
+    "extra": ("extra", 100.0, "%"),
     "S-Pen": ("s_pen", 100.0, "%"),
     "S-Stab": ("s_stab", 100.0, "%"),
     "O-Stab": ("o_stab", 100.0, "%"),

@@ -5,6 +5,7 @@ Programs are the true shapes; their sizes are what composition makes of the answ
 """
 
 import zlib
+from typing import Literal
 
 from ...compose.compose import compose
 from ...config import ComposeOptions
@@ -16,6 +17,8 @@ from ..photo_scenes import see
 from .declaration import SceneDeclaration
 from .truth_scene import truth_scene
 
+NoiseLevel = Literal["exact", "layout"]
+"""Noise of a start: none, or positions, headings, sizes, camera and 2D boxes."""
 EVALUATION = 1
 """Starts whose number is odd are the evaluation half: no default is tuned on them."""
 
@@ -36,7 +39,12 @@ def noise_number(name: str, seed: int, start: int) -> int:
 
 
 def composed_start(
-    scene: SceneSpec, tree: SceneTree, number: int, options: ComposeOptions | None = None
+    scene: SceneSpec,
+    tree: SceneTree,
+    number: int,
+    options: ComposeOptions | None = None,
+    *,
+    noise: NoiseLevel = "layout",
 ) -> SceneSpec:
     """Return the scene that a run would compose from a disturbed answer.
 
@@ -45,10 +53,11 @@ def composed_start(
         tree: its exact answer.
         number: of the noise.
         options: of composition.
+        noise: its level.
     """
     o = options or ComposeOptions()
     shapes = {item.name: item.spec for item in scene.objects}
-    answer = disturbed_answer(tree, number)
+    answer = tree if noise == "exact" else disturbed_answer(tree, number)
     fitted, _ = fit_tree(answer)
     again = refit_tree(fitted, shapes)[0] if o.refit else fitted
     return compose(again, shapes, o, name=scene.name).scene
