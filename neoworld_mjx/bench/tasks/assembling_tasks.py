@@ -3,12 +3,16 @@
 import math
 from functools import partial
 
+from ...spec import SceneSpec, world_poses
+from ...spec.pose import Pose, from_yaw, pose
 from ...templates.template import Value
-from .carrying_tasks import INSERTED, PLACED, UPRIGHT, carry, placed
+from ..scenes import TOP
+from .carrying_tasks import INSERTED, PLACED, UPRIGHT, carry, grasp_in, placed
+from .plan_format import TaskPlan
 from .predicates import Every, Located
-from .reference import Grasp, grasp_box
+from .reference import Grasp, grasp_box, pick_and_place
 from .task import ManipulationTask, Prepared
-from .task_scenes import put, scene_of
+from .task_scenes import grown, put, scene_of
 
 
 def lid_on_jar(stuff: str, across: float, tall: float, at: tuple[float, float]) -> Prepared:
@@ -76,24 +80,40 @@ def bridge(form: str, turn: float) -> Prepared:
         put("toy_block", (0.12 - x, 0.05 - y), name="pier_2", yaw=turn, values=pier),
         put("toy_block", (-0.15, -0.1), name="beam", yaw=0.4, values=beam),
     )
-    goal = Every(
-        of=(
-            placed(scene, "beam", "table", (0.12, 0.05, 0.1), radius=0.01, touching=()),
-            Located(
-                object="beam",
-                relative_to="pier_1",
-                target=(-0.07, 0.0, 0.06),
-                radius=0.015,
-                low=-0.005,
-                high=0.005,
-                touching=("pier_1", "pier_2"),
-                source=PLACED,
-            ),
-        )
+    on_table = placed(scene, "beam", "table", (0.12, 0.05, 0.1), radius=0.01, touching=())
+    on_piers = Located(
+        object="beam",
+        relative_to="pier_1",
+        target=(-0.07, 0.0, 0.06),
+        radius=0.015,
+        low=-0.005,
+        high=0.005,
+        touching=("pier_1", "pier_2"),
+        source=PLACED,
     )
     grasp = grasp_box(scene, "beam", depth=0.01)
-    spot = (0.12, 0.05, 0.04 + 0.06)
-    return carry(scene, goal, "beam", grasp, "table", spot, yaw=turn)
+
+    def condition(made: SceneSpec) -> Every:
+        poses, at = world_poses(made), _across(scene, made).pos
+        targets = (poses[name].inverse().apply(at).tolist() for name in ("table", "pier_1"))
+        both = zip((on_table, on_piers), targets, strict=True)
+        return Every(of=tuple(leaf.model_copy(update={"target": tuple(t)}) for leaf, t in both))
+
+    def plan(made: SceneSpec) -> TaskPlan:
+        held = grasp_in(scene, made, "beam", grasp)
+        return pick_and_place(made, "beam", held, _across(scene, made))
+
+    return Prepared(scene, Every(of=(on_table, on_piers)), plan, condition)
+
+
+def _across(truth: SceneSpec, scene: SceneSpec) -> Pose:
+    """Where a beam lies on the piers of `bridge`: in their middle, along the line from 2 to 1."""
+    poses, piers = world_poses(scene), ("pier_1", "pier_2")
+    top = max(0.06 * float(grown(truth, scene, name)[2]) for name in piers)
+    first, second = (poses[name].pos for name in piers)
+    middle = (first + second) / 2
+    heading = math.atan2(first[1] - second[1], first[0] - second[0])
+    return pose((middle[0], middle[1], poses["table"].pos[2] + TOP + top), from_yaw(heading))
 
 
 def roof_on_house() -> Prepared:

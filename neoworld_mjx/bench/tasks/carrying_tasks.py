@@ -1,13 +1,17 @@
 """What the tasks share in which an object is picked up and put somewhere else."""
 
 import math
+from dataclasses import replace
+
+import numpy as np
 
 from ...spec import Quat, SceneSpec, Vec3
 from ...spec.pose import IDENTITY
+from .plan_format import TaskPlan
 from .predicates import Located, Predicate
 from .reference import Grasp, pick_and_place
 from .task import Prepared
-from .task_scenes import goal_on, size_of
+from .task_scenes import goal_on, grown, in_other, size_of
 
 STILL = "at rest and let go: StackCube-v1 of ManiSkill"
 PLACED = f"{STILL}; own radius and height, which are less than half the object"
@@ -91,5 +95,16 @@ def carry(
     **ways: float,
 ) -> Prepared:
     """Plan to carry an object to a pose in another's frame; `ways` are those of pick_and_place."""
-    goal = goal_on(scene, to, at, yaw=yaw, tilt=tilt)
-    return Prepared(scene, predicate, pick_and_place(scene, moved, grasp, goal, **ways))
+
+    def plan(made: SceneSpec) -> TaskPlan:
+        goal = goal_on(made, to, in_other(scene, made, to, at), yaw=yaw, tilt=tilt)
+        return pick_and_place(made, moved, grasp_in(scene, made, moved, grasp), goal, **ways)
+
+    return Prepared(scene, predicate, plan)
+
+
+def grasp_in(truth: SceneSpec, scene: SceneSpec, name: str, grasp: Grasp) -> Grasp:
+    """Hold an object in another scene at the same share of its box."""
+    across = float(np.abs(grasp.closing) @ grown(truth, scene, name))
+    point = in_other(truth, scene, name, grasp.point)
+    return replace(grasp, point=point, width=grasp.width * across)

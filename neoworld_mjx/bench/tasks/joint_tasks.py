@@ -4,6 +4,7 @@ from functools import partial
 
 from ...spec import SceneSpec, joint_position
 from ..scenes import TOP
+from .plan_format import TaskPlan
 from .predicates import JointBetween
 from .reference import Hold, work_joint
 from .task import ManipulationTask, Prepared, TaskKind
@@ -23,10 +24,14 @@ LEAST_TURN, TURN = 1.05, 1.4
 def open_joint(template: str, joint: str, hold: Hold, *, yaw: float = 0.0) -> Prepared:
     """A joint from its lower limit to at least OPEN of its range."""
     scene = _alone(template, yaw, {})
-    moving = scene.object(template).spec.joint(joint)
     goal = JointBetween(object=template, joint=joint, low=OPEN, high=1.05, source=OPENED)
-    target = moving.lower + AIM * (moving.upper - moving.lower)
-    return Prepared(scene, goal, work_joint(scene, template, joint, target, hold))
+
+    def plan(made: SceneSpec) -> TaskPlan:
+        moving = made.object(template).spec.joint(joint)
+        target = moving.lower + AIM * (moving.upper - moving.lower)
+        return work_joint(made, template, joint, target, hold)
+
+    return Prepared(scene, goal, plan)
 
 
 def close_joint(
@@ -38,7 +43,12 @@ def close_joint(
     start = moving.lower + share * (moving.upper - moving.lower)
     scene = _alone(template, yaw, {joint: start})
     goal = JointBetween(object=template, joint=joint, low=-0.1, high=CLOSED, source=CLOSED_SOURCE)
-    return Prepared(scene, goal, work_joint(scene, template, joint, moving.lower, hold))
+
+    def plan(made: SceneSpec) -> TaskPlan:
+        shut = made.object(template).spec.joint(joint).lower
+        return work_joint(made, template, joint, shut, hold)
+
+    return Prepared(scene, goal, plan)
 
 
 def turn_joint(template: str, joint: str, hold: Hold, *, yaw: float = 0.0) -> Prepared:
@@ -47,8 +57,7 @@ def turn_joint(template: str, joint: str, hold: Hold, *, yaw: float = 0.0) -> Pr
     moving = scene.object(template).spec.joint(joint)
     if moving.type != "continuous":
         return open_joint(template, joint, hold, yaw=yaw)
-    value = joint_position(scene.object(template).spec, moving, {})
-    assert not isinstance(value, tuple)
+    value = _value(scene, template, joint)
     goal = JointBetween(
         object=template,
         joint=joint,
@@ -57,7 +66,19 @@ def turn_joint(template: str, joint: str, hold: Hold, *, yaw: float = 0.0) -> Pr
         absolute=True,
         source=TURNED,
     )
-    return Prepared(scene, goal, work_joint(scene, template, joint, value + TURN, hold))
+
+    def plan(made: SceneSpec) -> TaskPlan:
+        return work_joint(made, template, joint, _value(made, template, joint) + TURN, hold)
+
+    return Prepared(scene, goal, plan)
+
+
+def _value(scene: SceneSpec, name: str, joint: str) -> float:
+    """Where a joint that is no ball stands [rad or m]."""
+    item = scene.object(name)
+    value = joint_position(item.spec, item.spec.joint(joint), item.joint_state)
+    assert not isinstance(value, tuple)
+    return value
 
 
 def _alone(template: str, yaw: float, state: dict[str, float]) -> SceneSpec:

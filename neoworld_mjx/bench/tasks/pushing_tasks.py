@@ -4,14 +4,17 @@ import math
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ...spec import SceneObject
+from ...spec import SceneObject, SceneSpec, world_poses
+from ...spec.pose import Pose, conjugate, rotate
 from ...templates.template import Value
 from .carrying_tasks import PLACED
+from .plan_format import TaskPlan
 from .predicates import Every, Leaning, Located, Predicate
 from .reference import push
 from .task import ManipulationTask, Prepared
-from .task_scenes import put, scene_of
+from .task_scenes import GAP, grown, put, scene_of
 
 TOPPLED = (math.radians(45.0), math.pi)
 TOPPLED_SOURCE = "own bound: past 45 deg nothing of these sizes comes back upright"
@@ -44,12 +47,17 @@ def dominoes(count: int, gap: float, bend: float, values: dict[str, Value]) -> P
     goal = Every(
         of=tuple(Leaning(object=item.name, tilt=TOPPLED, source=TOPPLED_SOURCE) for item in row)
     )
-    way = np.array([math.cos(row[0].yaw), math.sin(row[0].yaw), 0.0])
-    # 3 mm before its face, near its top, and 6 mm farther than it takes to tip it over.
-    first = np.array([*row[0].xy, 0.0])
-    start = first - way * (thick / 2 + 0.011) + np.array([0.0, 0.0, tall - 0.01])
-    far = 0.003 + thick * (tall - 0.01) / tall + 0.006
-    return Prepared(scene, goal, push(start, way * far, speed=0.05))
+
+    def plan(made: SceneSpec) -> TaskPlan:
+        first, edges = _foot(made, "domino_1"), grown(scene, made, "domino_1")
+        deep, high = thick * float(edges[0]), tall * float(edges[2])
+        way = _level(rotate(first.quat, (1.0, 0.0, 0.0)))
+        # 3 mm before its face, near its top, and 6 mm farther than it takes to tip it over.
+        start = first.pos - way * (deep / 2 + 0.011) + np.array([0.0, 0.0, high - 0.01])
+        far = 0.003 + deep * (high - 0.01) / high + 0.006
+        return push(start, way * far, speed=0.05)
+
+    return Prepared(scene, goal, plan)
 
 
 def tip(program: str, tall: float, half: float, foot: float, values: dict[str, Value]) -> Prepared:
@@ -68,9 +76,18 @@ def tip(program: str, tall: float, half: float, foot: float, values: dict[str, V
         put("toy_block", (-0.1, 0.2), values={"colour": "green"}),
     )
     goal = Leaning(object=program, tilt=TOPPLED, source=TOPPLED_SOURCE)
-    start = (-half - 0.012, 0.0, tall - 0.012)
-    far = 0.005 + foot * (tall - 0.012) / tall + 0.01
-    return Prepared(scene, goal, push(start, (far, 0.0, 0.0), speed=0.05))
+    # The push goes along +x of the table.
+    along = np.round(rotate(conjugate(world_poses(scene)[program].quat), (1.0, 0.0, 0.0)), 9)
+
+    def plan(made: SceneSpec) -> TaskPlan:
+        at, edges = _foot(made, program), grown(scene, made, program)
+        across, high = float(np.abs(along) @ edges), tall * float(edges[2])
+        way = _level(rotate(at.quat, along))
+        start = at.pos - way * (half * across + 0.012) + np.array([0.0, 0.0, high - 0.012])
+        far = 0.005 + foot * across * (high - 0.012) / high + 0.01
+        return push(start, way * far, speed=0.05)
+
+    return Prepared(scene, goal, plan)
 
 
 def slide(
@@ -79,7 +96,7 @@ def slide(
     """Something is pushed across the table to a mark."""
     length = math.hypot(*way)
     heading = math.atan2(way[1], way[0])
-    forward = np.array([way[0], way[1], 0.0]) / length
+    forward = np.array([way[0], way[1]]) / length
     mark: dict[str, Value] = {"depth": 0.02, "width": 0.02, "height": 0.01, "colour": "yellow"}
     side = np.array([-forward[1], forward[0]]) * 0.12
     ends = np.array(way)
@@ -111,8 +128,25 @@ def slide(
         released=False,
         source=PUSHED_SOURCE,
     )
-    start = -forward * (half + 0.012) + np.array([0.0, 0.0, height])
-    return Prepared(scene, goal, push(start, forward * (length + 0.003), speed=0.08, retreat=0.1))
+
+    def between(made: SceneSpec) -> NDArray:
+        poses = world_poses(made)
+        return (poses["mark"].pos + poses["mark_2"].pos) / 2
+
+    def plan(made: SceneSpec) -> TaskPlan:
+        at, edges = _foot(made, program), grown(scene, made, program)
+        offset = (between(made) - at.pos) * [1.0, 1.0, 0.0]
+        way = _level(offset)
+        start = at.pos - way * (half * float(edges[0]) + 0.012)
+        start = start + np.array([0.0, 0.0, height * float(edges[2])])
+        far = float(np.linalg.norm(offset)) + 0.003
+        return push(start, way * far, speed=0.08, retreat=0.1)
+
+    def condition(made: SceneSpec) -> Predicate:
+        x, y, _ = world_poses(made)["table"].inverse().apply(between(made)).tolist()
+        return goal.model_copy(update={"target": (x, y, goal.target[2])})
+
+    return Prepared(scene, goal, plan, condition)
 
 
 def off_the_edge() -> Prepared:
@@ -146,8 +180,16 @@ def off_the_edge() -> Prepared:
         touching=("tray",),
         source=PLACED,
     )
-    way = (0.075, 0.0, 0.0)
-    return Prepared(scene, goal, push((-0.032, 0.0, 0.1), way, speed=0.1, retreat=0.1))
+
+    def plan(made: SceneSpec) -> TaskPlan:
+        at, edges = _foot(made, "cube"), grown(scene, made, "cube")
+        way = _level(world_poses(made)["tray"].pos - at.pos)
+        # The shelf's own clearance lies below the cube, too.
+        middle = 0.02 * float(edges[2]) - GAP
+        start = at.pos - way * (0.02 * float(edges[0]) + 0.012) + np.array([0.0, 0.0, middle])
+        return push(start, way * 0.075, speed=0.1, retreat=0.1)
+
+    return Prepared(scene, goal, plan)
 
 
 def ball_into_goal(angle: float) -> Prepared:
@@ -188,12 +230,38 @@ def ball_into_goal(angle: float) -> Prepared:
         released=False,
         source=PUSHED_SOURCE,
     )
-    # The fingers lie flat and are open, so that the ball rests against both.
-    start = -forward * (0.035 + 0.01) + np.array([0.0, 0.0, 0.035])
-    aim = (float(forward[0]), float(forward[1]), 0.0)
-    side = (-aim[1], aim[0], 0.0)
-    plan = push(start, forward * 0.31, approach=aim, closing=side, opening=0.04, speed=0.1)
+
+    def plan(made: SceneSpec) -> TaskPlan:
+        at, radius = _foot(made, "ball"), 0.035 * float(grown(scene, made, "ball")[2])
+        offset = (world_poses(made)["gate"].pos - at.pos) * [1.0, 1.0, 0.0]
+        way = _level(offset)
+        # The fingers lie flat and are open, so that the ball rests against both.
+        start = at.pos - way * (radius + 0.01) + np.array([0.0, 0.0, radius])
+        aim = (float(way[0]), float(way[1]), 0.0)
+        side = (-aim[1], aim[0], 0.0)
+        far = float(np.linalg.norm(offset)) + 0.06
+        return push(start, way * far, approach=aim, closing=side, opening=0.04, speed=0.1)
+
     return Prepared(scene, goal, plan)
+
+
+def _foot(scene: SceneSpec, name: str) -> Pose:
+    """Where an object's origin would be without the clearance that it is set down with."""
+    at = world_poses(scene)[name]
+    return Pose(at.pos - np.array([0.0, 0.0, GAP]), at.quat)
+
+
+def _level(direction: NDArray) -> NDArray:
+    """Return the horizontal unit vector along a direction [3].
+
+    Raises:
+        ValueError: it is vertical, or zero.
+    """
+    flat = np.array([direction[0], direction[1], 0.0])
+    length = float(np.linalg.norm(flat))
+    if length < 1e-6:
+        raise ValueError("there is no horizontal direction to push along")
+    return flat / length
 
 
 _task = partial(ManipulationTask, kind="pushing")

@@ -9,7 +9,8 @@ import numpy as np
 
 from ...spec import SceneSpec, bounds
 from .plan_format import TaskPlan
-from .predicates import Predicate
+from .predicates import Every, Located, Predicate
+from .task_scenes import in_other
 
 TaskKind = Literal[
     "placement",
@@ -23,13 +24,19 @@ TaskKind = Literal[
 ]
 
 
+Planner = Callable[[SceneSpec], TaskPlan]
+"""Plans in a scene of a task's objects, at whatever poses and sizes they have there."""
+
+
 class Prepared(NamedTuple):
     """What a task is made of, computed from its programs."""
 
     scene: SceneSpec
     predicate: Predicate
-    plan: TaskPlan
-    """The reference plan, from the truth."""
+    planner: Planner
+    condition: Callable[[SceneSpec], Predicate] | None = None
+    """The predicate in another scene of the same objects, where places on the table come from
+    objects; None keeps what it says of each object's own frame."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +66,31 @@ class ManipulationTask:
         """What success is."""
         return self.prepared.predicate
 
-    @property
+    @cached_property
     def plan(self) -> TaskPlan:
-        """The reference plan."""
-        return self.prepared.plan
+        """The reference plan, from the truth."""
+        return self.plan_in(self.scene)
+
+    def plan_in(self, scene: SceneSpec) -> TaskPlan:
+        """Plan in a scene of the same objects, such as a reconstruction, and from nothing else.
+
+        Points of an object that the task names, such as where it is held, are taken at the same
+        share of its box.
+
+        Raises:
+            ValueError: the plan would leave its bounds, such as fingers that open too little.
+        """
+        return self.prepared.planner(scene)
+
+    def predicate_in(self, scene: SceneSpec) -> Predicate:
+        """Return what success is in a scene of the same objects, such as a reconstruction.
+
+        Targets lie at the same share of an object's box; bounds about them stay.
+        """
+        condition = self.prepared.condition
+        return (
+            _in_other(self.predicate, self.scene, scene) if condition is None else condition(scene)
+        )
 
     def displaced(self, heading: float) -> SceneSpec:
         """Move the object concerned by half its largest horizontal edge.
@@ -88,3 +116,17 @@ class ManipulationTask:
             for item in self.scene.objects
         )
         return self.scene.model_copy(update={"objects": objects})
+
+
+def _in_other(predicate: Predicate, truth: SceneSpec, scene: SceneSpec) -> Predicate:
+    if isinstance(predicate, Every):
+        parts = [_in_other(each, truth, scene) for each in predicate.of]
+        return predicate.model_copy(update={"of": tuple(parts)})
+    if not isinstance(predicate, Located):
+        return predicate
+    return predicate.model_copy(
+        update={
+            "point": in_other(truth, scene, predicate.object, predicate.point),
+            "target": in_other(truth, scene, predicate.relative_to, predicate.target),
+        }
+    )

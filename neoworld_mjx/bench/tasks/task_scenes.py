@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import SpecError, choices
 from ...program.sandbox import run
-from ...spec import ObjectSpec, Quat, SceneObject, SceneSpec, bounds, world_poses
+from ...spec import ObjectSpec, Quat, SceneObject, SceneSpec, Vec3, bounds, world_poses
 from ...spec.pose import IDENTITY, Pose, from_yaw, pose, quat_mul
 from ...templates import read_template, templates
 from ...templates.template import Template, Value
@@ -95,6 +95,17 @@ def size_of(scene: SceneSpec, name: str) -> np.ndarray:
     """Return the edges of an object's box at rest [3] m."""
     low, high = bounds(scene.object(name).spec)
     return high - low
+
+
+def grown(truth: SceneSpec, scene: SceneSpec, name: str) -> np.ndarray:
+    """Return an object's edges in a scene over those in the truth [3]; 1 in the truth itself."""
+    return size_of(scene, name) / size_of(truth, name)
+
+
+def in_other(truth: SceneSpec, scene: SceneSpec, name: str, point: Vec3) -> Vec3:
+    """Return a point of an object's frame at the same share of its box in another scene [m]."""
+    x, y, z = (np.array(point) * grown(truth, scene, name)).tolist()
+    return x, y, z
 
 
 def goal_on(
