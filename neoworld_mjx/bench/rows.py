@@ -28,6 +28,16 @@ def collect(rows: Iterable[_Row]) -> list[_Row]:
     return collected
 
 
+def column_types(row: type[BaseModel]) -> dict[str, type]:
+    """Return the columns of a kind of row with their plain types: bool, int, float or str."""
+    return {
+        name: next(
+            kind for kind in (bool, int, float, str) if field.annotation in (kind, kind | None)
+        )
+        for name, field in row.model_fields.items()
+    }
+
+
 def plain(rows: Iterable[BaseModel]) -> list[dict[str, Any]]:
     """Return rows as JSON."""
     return [row.model_dump() for row in rows]

@@ -153,13 +153,18 @@ class SceneSet:
             "gravity",
             "gradient",
             "no_simulation",
+            "without_s_sem",
+            "without_d_pen",
+            "without_d_drift",
             "algorithm1",
             "random",
             "cma_es",
         ],
         ...,
     ] = ("ours", "open_loop", "gravity", "gradient", "no_simulation", "algorithm1")
-    """Methods; random and cma_es make as many rollouts as ours."""
+    """Methods; random and cma_es make as many rollouts as ours, without_... leave a term of the
+    reward out, as the paper's ablations do.
+    """
     noise: Literal["exact", "layout"] = "layout"
     """Noise of the starts: none, or positions, sizes, headings, camera and 2D boxes."""
     seed: int = 0

@@ -171,6 +171,8 @@ def _row(method: str, *, valid: bool, scene: str = "tents", start: int = 0, **mo
             "missed": 0,
             "extra": 0,
             "s_pen": 0,
+            "articulated": 0,
+            "p_pen": 0,
             "s_stab": valid,
             "max_depth_m": 0.0,
             "max_drift_m": 0.0,

@@ -3,10 +3,12 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 
-from ...config import RefineOptions
+from ...config import RefineOptions, merged
 from ...measure import SceneMeasure, measured, passes
 from ...physics.engine import Engine
 from ...physics.exact import snap_exactly
@@ -43,26 +45,34 @@ def gradient(o: RefineOptions) -> RefineOptions:
     return o.model_copy(update={"cem": o.cem.model_copy(update=cem), "settle": "never"})
 
 
-def no_simulation(o: RefineOptions) -> RefineOptions:
-    """Return the options of the search by the photograph and penetration alone."""
-    return o.model_copy(
-        update={
-            "reward": o.reward.model_copy(update={"w_drift": 0.0}),
-            "rollout": o.rollout.model_copy(update={"duration_s": 0.0}),
-        }
-    )
+def changed(o: RefineOptions, change: dict[str, Any]) -> RefineOptions:
+    """Return options with some of them replaced, given as a tree."""
+    return RefineOptions.model_validate(merged(o.model_dump(mode="json"), change))
 
 
+ABLATIONS: dict[str, dict[str, Any]] = {
+    "without_s_sem": {"reward": {"w_sem": 0.0}},
+    "without_d_pen": {"reward": {"w_pen": 0.0}},
+    "without_d_drift": {"reward": {"w_drift": 0.0}},
+    "no_simulation": {"rollout": {"duration_s": 0.0}, "finalists": 1},
+}
+"""What each ablation changes of the refinement's options, as configs/ablations/refine.yaml does."""
 SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
     "ours": ours,
     "gradient": gradient,
-    "no_simulation": no_simulation,
     "algorithm1": algorithm1,
+    **{name: partial(changed, change=change) for name, change in ABLATIONS.items()},
 }
 """Methods that are a refinement with other options."""
 BUDGETED = ("random", "cma_es")
 """Other optimizers, with as many rollouts as ours made from the same start."""
-METHODS = ("open_loop", "gravity", "gradient", "no_simulation", "algorithm1", *BUDGETED, "ours")
+METHODS = (
+    "open_loop",
+    "gravity",
+    *(name for name in SEARCHES if name != "ours"),
+    *BUDGETED,
+    "ours",
+)
 USUAL = ("ours", "open_loop", "gravity", "gradient", "no_simulation", "algorithm1")
 """Methods that a run takes by default."""
 

@@ -17,10 +17,12 @@ from ...measure import visible_box_iou
 from ...physics.native import NativeEngine
 from ...reading.parquet_files import read_rows, write_rows
 from ...spec import SceneSpec
-from ..rows import Row, log
+from ..rows import Row, column_types, log
 from .declaration import declaration, declarations
 from .layout_errors import displaced, layout_errors, unmatched
+from .part_depths import P_PEN_M
 from .scene_methods import BUDGETED, METHODS, MethodResult, outcome_of
+from .scene_objects import COLUMNS, OBJECTS, ObjectRow, object_rows, read_object_rows
 from .starts import (
     NoiseLevel,
     composed_start,
@@ -62,6 +64,10 @@ class SceneRow(Row):
     s_stab: bool
     o_stab: float
     """Share of the movable objects that stay within the bounds."""
+    articulated: int
+    """Objects with joints that move."""
+    p_pen: int
+    """Articulated objects of which two parts are deeper than 1 mm over the joints' ranges."""
     max_depth_m: float
     max_drift_m: float
     max_tilt_deg: float
@@ -83,10 +89,7 @@ class SceneRow(Row):
         return self.objects - self.missed
 
 
-_KINDS: dict[str, type] = {
-    name: next(kind for kind in (bool, int, float, str) if field.annotation in (kind, kind | None))
-    for name, field in SceneRow.model_fields.items()
-}
+_KINDS = column_types(SceneRow)
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,10 @@ class SceneTask:
     compose: ComposeOptions
     noise: NoiseLevel
     threads: int
+
+
+SceneRows = tuple[SceneRow, list[ObjectRow]]
+"""The row of a scene, and those of its objects."""
 
 
 def chosen_scenes(names: Sequence[str]) -> tuple[str, ...]:
@@ -164,6 +171,7 @@ def run_scenes(
         raise RunError(
             f"{file} has rows of --noise {other}: take another folder for --noise {noise}"
         )
+    objects = [] if file is None else read_object_rows(file.parent)
     prints = {name: _fingerprint(name, noise, refine, compose) for name in scenes}
     done = {
         (r.scene, r.start, r.seed, r.method) for r in rows if prints.get(r.scene) == r.fingerprint
@@ -181,10 +189,14 @@ def run_scenes(
                     name, tuple(wanted), seed, refine, compose, noise, max(1, cores // workers)
                 )
             )
-    for row in _rows_of(tasks, workers):
+    for row, own in _rows_of(tasks, workers):
         rows = [r for r in rows if _key(r) != _key(row)] + [row]
+        objects = [o for o in objects if o.key != _key(row)] + own
         log.info(_line(row))
         if file is not None:
+            # Objects first: a scene whose row is there has the rows of its objects, too.
+            table = file.with_name(OBJECTS)
+            write_rows(table, [o.model_dump() for o in objects], COLUMNS, RunError)
             write_rows(file, [r.model_dump() for r in rows], _KINDS, RunError)
     return sorted(
         (
@@ -200,7 +212,7 @@ def run_scenes(
     )
 
 
-def _rows_of(tasks: Sequence[SceneTask], workers: int) -> Iterator[SceneRow]:
+def _rows_of(tasks: Sequence[SceneTask], workers: int) -> Iterator[SceneRows]:
     if workers == 1:
         for task in tasks:
             yield from scene_rows(task)
@@ -214,15 +226,15 @@ def _rows_of(tasks: Sequence[SceneTask], workers: int) -> Iterator[SceneRow]:
             yield from future.result()
 
 
-def _listed(task: SceneTask) -> list[SceneRow]:
+def _listed(task: SceneTask) -> list[SceneRows]:
     from ...cache import keep_compilations
 
     keep_compilations()
     return list(scene_rows(task))
 
 
-def scene_rows(task: SceneTask) -> Iterator[SceneRow]:
-    """Run the methods of a scene, one row as soon as it is known."""
+def scene_rows(task: SceneTask) -> Iterator[SceneRows]:
+    """Run the methods of a scene; yield each row and those of its objects as soon as known."""
     declared = declaration(task.scene)
     truth = photographed(declared)
     tree = true_tree(truth)
@@ -245,11 +257,18 @@ def scene_rows(task: SceneTask) -> Iterator[SceneRow]:
                 method, composed, task.refine, engine, seed=task.seed, rollouts=rollouts
             )
             rollouts = result.rollouts if method == "ours" else rollouts
-            yield _row(task, start, method, result, truth)
+            key = task.scene, start, task.seed, method
+            objects = object_rows(result.scene, result.measure, key)
+            yield _row(task, start, method, result, truth, objects), objects
 
 
 def _row(
-    task: SceneTask, start: int, method: str, result: MethodResult, truth: SceneSpec
+    task: SceneTask,
+    start: int,
+    method: str,
+    result: MethodResult,
+    truth: SceneSpec,
+    objects: Sequence[ObjectRow],
 ) -> SceneRow:
     declared, m = declaration(task.scene), result.measure
     o = task.refine
@@ -265,6 +284,7 @@ def _row(
         box = {"box2d": None} if true is None else {"box2d": true.box2d, "occluded": true.occluded}
         shown.append(item.model_copy(update=box))
     photographed_as = result.scene.model_copy(update={"objects": tuple(shown)})
+    part_depths = [o.part_depth_m for o in objects if o.part_depth_m is not None]
     lost = displaced(result.scene, truth)
     missed, extra = unmatched(result.scene, truth)
     valid = result.check_passed and not lost
@@ -286,6 +306,8 @@ def _row(
         s_pen=m.s_pen or 0,
         s_stab=bool(m.s_stab),
         o_stab=float(np.mean(still)),
+        articulated=len(part_depths),
+        p_pen=sum(depth > P_PEN_M for depth in part_depths),
         max_depth_m=m.max_depth_m,
         max_drift_m=min(m.max_drift_m, 1e6),
         max_tilt_deg=min(m.max_tilt_deg, 1e6),

@@ -18,6 +18,7 @@ MEASURES: dict[str, Callable[[SceneRow], float]] = {
     "missed": lambda r: r.missed / r.objects,
     "extra": lambda r: r.extra / r.objects,
     "s_pen": lambda r: r.s_pen,
+    "p_pen": lambda r: r.p_pen / r.articulated if r.articulated else 0.0,
     "s_stab": lambda r: r.s_stab,
     "o_stab": lambda r: r.o_stab,
     "xy_error_m": lambda r: r.xy_error_m,
@@ -31,8 +32,10 @@ OF_OBJECTS: dict[str, Callable[[SceneRow], int]] = {
     "missed": lambda r: r.objects,
     "extra": lambda r: r.objects,
     "o_stab": lambda r: r.found + r.extra,
+    "p_pen": lambda r: r.articulated,
 }
-"""Measures whose mean is over objects: those found, the truth's, or all that the scene has."""
+"""Measures whose mean is over objects: those found, the truth's, all that the scene has, or those
+of them with joints."""
 
 
 def summarise(rows: Sequence[SceneRow]) -> dict[str, Any]:
@@ -56,19 +59,17 @@ def figures(rows: Sequence[SceneRow]) -> dict[str, Any]:
     """Return the figures of rows of one method.
 
     "objects" is the number of the truth's movable objects over all rows, "found" of those that
-    starts have, over which errors are means; O-Stab is over these and the extra ones.
+    starts have, over which errors are means; O-Stab is over these and the extra ones, P-Pen over
+    "articulated". A mean over nothing is None.
     "seconds_to_valid" is the median over the valid ones, None without any.
     """
     times = [row.seconds_to_valid for row in rows if row.seconds_to_valid is not None]
-    means = {name: float(np.mean([of(row) for row in rows])) for name, of in MEASURES.items()}
-    for name, count in OF_OBJECTS.items():
-        counts = [count(row) for row in rows]
-        means[name] = float(np.average([MEASURES[name](row) for row in rows], weights=counts))
     return {
         "n": len(rows),
         "objects": sum(row.objects for row in rows),
         "found": sum(row.found for row in rows),
-        **means,
+        "articulated": sum(row.articulated for row in rows),
+        **{name: interval(rows, name, draws=0)[0] for name in MEASURES},
         "seconds_to_valid": float(np.median(times)) if times else None,
         "seconds": float(np.median([row.seconds for row in rows])),
     }
@@ -94,18 +95,37 @@ def difficulty(rows: Sequence[SceneRow]) -> dict[str, Any]:
     return checks
 
 
-def interval(rows: Sequence[SceneRow], measure: str) -> tuple[float, float, float]:
+def interval(
+    rows: Sequence[SceneRow], measure: str, draws: int = DRAWS
+) -> tuple[float | None, float | None, float | None]:
     """Return the mean and a bootstrap interval of one of MEASURES, drawing whole scenes.
 
-    Starts of one scene are alike, so scenes are what is drawn again.
+    Starts of one scene are alike, so scenes are what is drawn again. All are None where there is
+    nothing to take the mean over; draws without anything are left out.
     """
-    of = MEASURES[measure]
-    weigh = OF_OBJECTS.get(measure, lambda r: 1)
-    scenes = sorted({row.scene for row in rows})
-    sums = np.array([sum(weigh(r) for r in rows if r.scene == s) for s in scenes], float)
-    totals = np.array([sum(weigh(r) * of(r) for r in rows if r.scene == s) for s in scenes], float)
-    rng = np.random.default_rng(0)
-    drawn = rng.integers(len(scenes), size=(DRAWS, len(scenes)))
-    means = totals[drawn].sum(axis=1) / sums[drawn].sum(axis=1)
+    of, weigh = MEASURES[measure], OF_OBJECTS.get(measure, lambda r: 1)
+    return ratio_interval([(row.scene, weigh(row) * of(row), weigh(row)) for row in rows], draws)
+
+
+def ratio_interval(
+    parts: Sequence[tuple[str, float, float]], draws: int = DRAWS
+) -> tuple[float | None, float | None, float | None]:
+    """Return sum over count of parts, and its bootstrap interval over the groups of parts.
+
+    Args:
+        parts: group, such as a scene, sum and count of each.
+        draws: of the bootstrap; 0 gives no interval.
+    """
+    groups = sorted({group for group, _, _ in parts})
+    sums = np.array([sum(s for g, s, _ in parts if g == group) for group in groups], float)
+    counts = np.array([sum(n for g, _, n in parts if g == group) for group in groups], float)
+    if not counts.sum():
+        return None, None, None
+    mean = float(sums.sum() / counts.sum())
+    if not draws:
+        return mean, None, None
+    drawn = np.random.default_rng(0).integers(len(groups), size=(draws, len(groups)))
+    sums, counts = sums[drawn].sum(axis=1), counts[drawn].sum(axis=1)
+    means = sums[counts > 0] / counts[counts > 0]
     low, high = np.quantile(means, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return float(totals.sum() / sums.sum()), float(low), float(high)
+    return mean, float(low), float(high)
