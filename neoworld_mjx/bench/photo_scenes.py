@@ -211,6 +211,21 @@ def occluders(scene: SceneSpec) -> dict[str, tuple[str, ...]]:
     return hidden_by
 
 
+def visible_shares(scene: SceneSpec) -> dict[str, float]:
+    """Return by object the share of it that the scene's camera sees, 0 to 1.
+
+    What lies outside the picture is not asked of; an object that is whole outside has 0.
+    """
+    camera = scene.camera
+    assert camera is not None
+    first, names = _owners(scene, camera, 2.0)
+    shares = {}
+    for k, name in enumerate(names):
+        whole = int((_owners(scene, camera, 2.0, only=k)[0] == k).sum())
+        shares[name] = int((first == k).sum()) / max(whole, 1)
+    return shares
+
+
 def _owners(
     scene: SceneSpec, camera: Camera, step: float, only: int | None = None
 ) -> tuple[Int[np.ndarray, "row column"], list[str]]:
@@ -222,7 +237,7 @@ def _owners(
         step: from ray to ray [px].
         only: the one object that rays can hit; None is all.
     """
-    from ..render.ray_caster import RayCaster
+    from ..render.ray_caster import LAYER_GROUP, RayCaster
     from ..render.rendering import compile_posed, object_of_geoms
 
     model, data = compile_posed(scene)
@@ -230,7 +245,7 @@ def _owners(
     caster = RayCaster(model, data)
     if only is not None:
         # A group that rays do not hit.
-        caster.model.geom_group[owner != only] = 5
+        caster.model.geom_group[owner != only] = LAYER_GROUP
     size = np.array([camera.height_px, camera.width])
     rows, columns = np.mgrid[tuple(slice(0, n) for n in (size / step).astype(int))]
     pixels = (np.stack([columns, rows], axis=-1).reshape(-1, 2) + 0.5) * step

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx import cli
+from neoworld_mjx.bench.photo_scenes import occluders, photo_scene, visible_shares
 from neoworld_mjx.bench.photo_semantics import semantic_rows
 from neoworld_mjx.bench.photos import (
     MEASURES,
@@ -50,6 +51,16 @@ def test_steps_come_closer_to_the_truth(rows):
         assert steps["refined"]["box_iou"] > steps["composed"]["box_iou"] - 0.01
         assert part["valid_scenes"]["refined"] >= part["valid_scenes"]["composed"]
         assert all(len(lines) <= 1 for lines in part["made_worse"].values())
+
+
+def test_occluders_are_named():
+    # A block in a bin: each hides a part of the other.
+    scene = photo_scene(3, width=320)
+    hidden_by = occluders(scene)
+    assert hidden_by["bin_3_in"] == ("bin_3",) and "bin_3_in" in hidden_by["bin_3"]
+    assert hidden_by["mug_0"] == ()
+    shares = visible_shares(scene)
+    assert shares["mug_0"] == 1.0 and 0.3 < shares["bin_3_in"] < 0.97
 
 
 def test_what_a_step_made_worse_is_listed_unless_it_was_unsound():
