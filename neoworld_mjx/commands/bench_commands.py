@@ -54,7 +54,9 @@ class BenchMakeCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class BenchTableCommand(Command):
-    """Write table.md, table.csv and table.tex of what `bench run scenes --out` measured."""
+    """Write tables and curves over thresholds of what `bench run scenes --out` measured: table.md,
+    table.csv, table.tex, curves.csv and curves.svg.
+    """
 
     folder: Positional[Path]
     """Folder with results.parquet."""

@@ -1,16 +1,13 @@
 """One figure of a sweep: convergence of its points, the effect of its axes, terms side by side."""
 
-import io
-import logging
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..render.plots import plot_svg
 from .run_rows import Row
-
-_log = logging.getLogger(__name__)
 
 MOST_CELLS = 64
 """Combinations of values that a heat map writes as numbers."""
@@ -47,29 +44,18 @@ def draw(rows: Sequence[Row], axes: Sequence[str]) -> str | None:
         rows: the runs, each with its iterations under "history".
         axes: columns that distinguish points.
     """
-    try:
-        import matplotlib
-    except ImportError:
-        _log.info("no figure: uv sync --inexact --extra plot draws one")
-        return None
-    from matplotlib.figure import Figure
-
     axes = [name for name in axes if len({row[name] for row in rows}) > 1]
     effects = EFFECTS if axes else ()
     columns = 2 + len(effects)
-    # A figure of its own: pyplot would keep it, and ask for a display.
-    with matplotlib.rc_context(
-        {"font.size": 8, "svg.hashsalt": "neoworld", "svg.fonttype": "none"}
-    ):
-        figure = Figure(figsize=(3.4 * columns, 3.2), layout="constrained")
+
+    def fill(figure: Any) -> None:
         places = figure.subplots(1, columns)
         _convergence(places[0], rows)
         for place, effect in zip(places[1:-1], effects, strict=True):
             _effect(figure, place, rows, axes[:2], effect)
         _terms(places[-1], rows)
-        drawn = io.StringIO()
-        figure.savefig(drawn, format="svg", metadata={"Date": None, "Creator": None})
-    return drawn.getvalue()
+
+    return plot_svg((3.4 * columns, 3.2), fill)
 
 
 def _points(rows: Sequence[Row]) -> dict[str, list[Row]]:

@@ -3,8 +3,10 @@
 import pytest
 
 from neoworld_mjx.bench.dataset.part_depths import P_PEN_M, articulated, part_depth
+from neoworld_mjx.bench.dataset.scene_curves import CURVES, curve_records, curves_csv, curves_svg
 from neoworld_mjx.bench.dataset.scene_methods import ABLATIONS, SEARCHES
-from neoworld_mjx.bench.dataset.scene_objects import FAR, object_rows
+from neoworld_mjx.bench.dataset.scene_objects import FAR, ObjectRow, object_rows
+from neoworld_mjx.bench.dataset.scene_summary import ratio_interval
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.measure import SceneMeasure
 from neoworld_mjx.spec import (
@@ -90,3 +92,46 @@ def test_rows_of_objects_keep_what_curves_need():
     assert (other.drift_m, other.depth_m, other.part_depth_m) == (None, 5e-4, 0.0)
     lost = measure.model_copy(update={"drift_m": {"chest": float("nan")}})
     assert object_rows(scene, lost, key)[0].drift_m == FAR
+
+
+def test_curves_count_at_every_threshold():
+    def row(scene: str, name: str, drift: float | None, tilt: float, depth: float, parts=None):
+        return ObjectRow(
+            scene=scene, start=0, seed=0, method="ours", object=name, drift_m=drift,
+            tilt_deg=None if drift is None else tilt, depth_m=depth, part_depth_m=parts,
+        )  # fmt: skip
+
+    objects = [
+        row("tents", "a", 0.002, 1.0, 5e-4),
+        row("tents", "b", 0.02, 1.0, 0.0, 2e-3),
+        row("dominoes", "c", 0.002, 7.0, 0.0, 0.0),
+        row("dominoes", "d", None, 0.0, 3e-3),
+    ]
+    records = curve_records(objects)
+
+    def share(measure: str, over: str, threshold: float) -> tuple[float, int]:
+        return next(
+            (r["share"], r["n"])
+            for r in records
+            if (r["measure"], r["over"], r["threshold"]) == (measure, over, threshold)
+        )
+
+    # What cannot move has no stability, but may enter others.
+    assert share("O-Stab", "drift_m", 0.01) == (pytest.approx(1 / 3), 3)
+    assert share("O-Stab", "drift_m", 0.1) == (pytest.approx(2 / 3), 3)
+    assert share("S-Stab", "drift_m", 0.1) == (0.5, 2)
+    assert share("S-Stab", "tilt_deg", 50.0) == (0.5, 2)
+    assert share("S-Stab", "tilt_deg", 5.0) == (0.0, 2)
+    assert share("S-Pen", "depth_m", 1e-4) == (1.0, 2)
+    assert share("S-Pen", "depth_m", 1e-3) == (0.5, 2)
+    assert share("P-Pen", "depth_m", 1e-3) == (0.5, 2) and share("P-Pen", "depth_m", 0.01)[0] == 0
+    assert all(curve.table in curve.thresholds for curve in CURVES)
+    assert curves_csv(records).count("\n") == 1 + sum(len(c.thresholds) for c in CURVES)
+    drawn = curves_svg(records)
+    assert drawn is not None and "P-Pen [%]" in drawn and "ours" in drawn
+
+
+def test_shares_over_nothing_are_none():
+    assert ratio_interval([("a", 0.0, 0.0)]) == (None, None, None)
+    mean, low, high = ratio_interval([("a", 1.0, 1.0), ("b", 0.0, 0.0)])
+    assert (mean, low, high) == (1.0, 1.0, 1.0)

@@ -116,15 +116,18 @@ def ratio_interval(
         parts: group, such as a scene, sum and count of each.
         draws: of the bootstrap; 0 gives no interval.
     """
-    groups = sorted({group for group, _, _ in parts})
-    sums = np.array([sum(s for g, s, _ in parts if g == group) for group in groups], float)
-    counts = np.array([sum(n for g, _, n in parts if g == group) for group in groups], float)
+    totals: dict[str, list[float]] = {}
+    for group, amount, count in parts:
+        total = totals.setdefault(group, [0.0, 0.0])
+        total[0] += amount
+        total[1] += count
+    sums, counts = np.array([totals[group] for group in sorted(totals)]).reshape(-1, 2).T
     if not counts.sum():
         return None, None, None
     mean = float(sums.sum() / counts.sum())
     if not draws:
         return mean, None, None
-    drawn = np.random.default_rng(0).integers(len(groups), size=(draws, len(groups)))
+    drawn = np.random.default_rng(0).integers(len(sums), size=(draws, len(sums)))
     sums, counts = sums[drawn].sum(axis=1), counts[drawn].sum(axis=1)
     means = sums[counts > 0] / counts[counts > 0]
     low, high = np.quantile(means, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])

@@ -8,6 +8,8 @@ from typing import Any
 
 from ...errors import RunError
 from ...files import write_atomic
+from .scene_curves import curve_records, curves_csv, curves_svg
+from .scene_objects import read_object_rows
 from .scene_runs import SceneRow, known_rows
 from .scene_summary import LEVEL, interval
 
@@ -49,7 +51,7 @@ _NAMES = {"full": "All scenes", "tabletop": "Tabletop", "evaluation": "Evaluatio
 
 
 def write_tables(folder: Path) -> dict[str, Any]:
-    """Write table.md, table.csv and table.tex beside a folder's rows.
+    """Write table.md, table.csv and table.tex beside a folder's rows, curves.csv and curves.svg.
 
     Raises:
         RunError: it has no rows, or a file cannot be written.
@@ -63,6 +65,10 @@ def write_tables(folder: Path) -> dict[str, Any]:
         "table.csv": comma_separated(records),
         "table.tex": latex(records),
     }
+    if curves := curve_records(read_object_rows(folder)):
+        texts["curves.csv"] = curves_csv(curves)
+        if (drawn := curves_svg(curves)) is not None:
+            texts["curves.svg"] = drawn
     for name, text in texts.items():
         try:
             write_atomic(folder / name, text)
