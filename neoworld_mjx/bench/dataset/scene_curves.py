@@ -41,7 +41,7 @@ CURVES = (
     Curve("S-Pen", "depth_m", _steps(1e-4, 0.01), DEPTH_M, 1e3, "mm"),
     Curve("P-Pen", "depth_m", _steps(1e-4, 0.01), DEPTH_M, 1e3, "mm"),
 )
-FIELDS = ("method", "measure", "over", "threshold", "share", "low", "high", "n")
+FIELDS: tuple[str, ...] = ("method", "measure", "over", "threshold", "share", "low", "high", "n")
 
 
 def curve_records(objects: Sequence[ObjectRow]) -> list[dict[str, Any]]:
