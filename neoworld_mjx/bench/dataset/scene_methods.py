@@ -1,7 +1,7 @@
 """Methods that make a layout from a start: ours, its ablations and baselines, gravity, nothing."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...config import RefineOptions, merged
+from ...errors import SpecError, choices
 from ...measure import SceneMeasure, measured, passes
 from ...physics.engine import Engine
 from ...physics.exact import snap_exactly
@@ -128,3 +129,33 @@ def outcome_of(
         spent,
         refined.rollouts,
     )
+
+
+def outcomes_of(
+    methods: Sequence[str],
+    composed: SceneSpec,
+    o: RefineOptions,
+    engine: Engine,
+    *,
+    seed: int = 0,
+    warm: bool = True,
+) -> Iterator[tuple[str, MethodResult]]:
+    """Run methods from one start; see `outcome_of`.
+
+    Ours comes first, as BUDGETED get as many rollouts as it made; where it is not asked for, it
+    runs for its count alone.
+    """
+    rollouts = 0
+    for method in sorted(methods, key=lambda name: (name != "ours", METHODS.index(name))):
+        if method in BUDGETED and not rollouts:
+            rollouts = outcome_of("ours", composed, o, engine, seed=seed, warm=False).rollouts
+        result = outcome_of(method, composed, o, engine, seed=seed, rollouts=rollouts, warm=warm)
+        rollouts = result.rollouts if method == "ours" else rollouts
+        yield method, result
+
+
+def check_methods(methods: Sequence[str]) -> None:
+    """Raise a SpecError for a name that is no method."""
+    for method in methods:
+        if method not in METHODS:
+            raise SpecError(f"method: {choices(method, METHODS)}")

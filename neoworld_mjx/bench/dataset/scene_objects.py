@@ -3,11 +3,10 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from ...errors import RunError
 from ...measure import SceneMeasure
-from ...reading.parquet_files import read_rows
 from ...spec import SceneSpec
-from ..rows import Row, column_types
+from ..rows import Row
+from .kept_rows import stored_rows
 from .part_depths import articulated, part_depth
 
 OBJECTS = "objects.parquet"
@@ -35,9 +34,6 @@ class ObjectRow(Row):
     def key(self) -> tuple[str, int, int, str]:
         """The row of its scene."""
         return self.scene, self.start, self.seed, self.method
-
-
-COLUMNS = column_types(ObjectRow)
 
 
 def object_rows(
@@ -85,6 +81,4 @@ def read_object_rows(folder: Path) -> list[ObjectRow]:
         RunError: they cannot be read.
     """
     file = folder / OBJECTS
-    if not file.exists():
-        return []
-    return [ObjectRow.model_validate(row) for row in read_rows(file, list(COLUMNS), RunError)]
+    return stored_rows(file, ObjectRow) if file.exists() else []

@@ -1,12 +1,8 @@
 """Run methods over scenes and starts, in processes of their own, and keep a row of each."""
 
-import os
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, replace
-from multiprocessing import get_context
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,14 +11,14 @@ from ...errors import RunError, SpecError, choices
 from ...files import content_hash
 from ...measure import visible_box_iou
 from ...physics.native import NativeEngine
-from ...reading.parquet_files import read_rows, write_rows
 from ...spec import SceneSpec
-from ..rows import Row, column_types, log
+from ..rows import Row, log
 from .declaration import declaration, declarations
+from .kept_rows import RowFile, made_by_jobs, sized, stored_rows
 from .layout_errors import displaced, layout_errors, unmatched
 from .part_depths import P_PEN_M
-from .scene_methods import BUDGETED, METHODS, MethodResult, outcome_of
-from .scene_objects import COLUMNS, OBJECTS, ObjectRow, object_rows, read_object_rows
+from .scene_methods import MethodResult, check_methods, outcomes_of
+from .scene_objects import OBJECTS, ObjectRow, object_rows
 from .starts import (
     NoiseLevel,
     composed_start,
@@ -89,16 +85,13 @@ class SceneRow(Row):
         return self.objects - self.missed
 
 
-_KINDS = column_types(SceneRow)
-
-
 @dataclass(frozen=True)
 class SceneTask:
-    """The starts and methods of one scene that are to be run."""
+    """The methods that are to be run on one scene from one start."""
 
     scene: str
-    wanted: tuple[tuple[int, tuple[str, ...]], ...]
-    """Starts, each with its methods."""
+    start: int
+    methods: tuple[str, ...]
     seed: int
     refine: RefineOptions
     compose: ComposeOptions
@@ -157,51 +150,35 @@ def run_scenes(
         RunError: the file cannot be read or written or has rows of another noise, or a scene's
             process died.
     """
-    for method in methods:
-        if method not in METHODS:
-            raise SpecError(f"method: {choices(method, METHODS)}")
-    file = None if out is None else out / RESULTS
-    if file is not None and not file.exists():
-        try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RunError(f"cannot make {file.parent}: {error.strerror}") from None
-    rows = [] if file is None or not file.exists() else _known(file)
-    for other in sorted({row.noise for row in rows} - {noise}):
+    check_methods(methods)
+    kept = RowFile(None if out is None else out / RESULTS, SceneRow, _key)
+    for other in sorted({row.noise for row in kept.rows} - {noise}):
         raise RunError(
-            f"{file} has rows of --noise {other}: take another folder for --noise {noise}"
+            f"{kept.file} has rows of --noise {other}: take another folder for --noise {noise}"
         )
-    objects = [] if file is None else read_object_rows(file.parent)
+    objects = RowFile(None if out is None else out / OBJECTS, ObjectRow, lambda row: row.key)
     prints = {name: _fingerprint(name, noise, refine, compose) for name in scenes}
     done = {
-        (r.scene, r.start, r.seed, r.method) for r in rows if prints.get(r.scene) == r.fingerprint
+        (r.scene, r.start, r.seed, r.method)
+        for r in kept.rows
+        if prints.get(r.scene) == r.fingerprint
     }
-    cores = os.cpu_count() or 1
-    workers = workers or max(1, cores // 2)
+    workers, threads = sized(workers)
     tasks = []
     for name in scenes:
-        wanted = [
-            (k, tuple(m for m in methods if (name, k, seed, m) not in done)) for k in range(starts)
-        ]
-        if any(own for _, own in wanted):
-            tasks.append(
-                SceneTask(
-                    name, tuple(wanted), seed, refine, compose, noise, max(1, cores // workers)
-                )
-            )
-    for row, own in _rows_of(tasks, workers):
-        rows = [r for r in rows if _key(r) != _key(row)] + [row]
-        objects = [o for o in objects if o.key != _key(row)] + own
+        for k in range(starts):
+            own = tuple(m for m in methods if (name, k, seed, m) not in done)
+            if own:
+                tasks.append(SceneTask(name, k, own, seed, refine, compose, noise, threads))
+    for row, own in made_by_jobs(scene_rows, tasks, workers):
         log.info(_line(row))
-        if file is not None:
-            # Objects first: a scene whose row is there has the rows of its objects, too.
-            table = file.with_name(OBJECTS)
-            write_rows(table, [o.model_dump() for o in objects], COLUMNS, RunError)
-            write_rows(file, [r.model_dump() for r in rows], _KINDS, RunError)
+        # Objects first: a scene whose row is there has the rows of its objects, too.
+        objects.put(own, in_place_of=_key(row))
+        kept.put([row], in_place_of=_key(row))
     return sorted(
         (
             r
-            for r in rows
+            for r in kept.rows
             if r.scene in scenes
             and r.fingerprint == prints[r.scene]
             and r.method in methods
@@ -212,59 +189,20 @@ def run_scenes(
     )
 
 
-def _rows_of(tasks: Sequence[SceneTask], workers: int) -> Iterator[SceneRows]:
-    if workers == 1:
-        for task in tasks:
-            yield from scene_rows(task)
-        return
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        # One start a future, so that rows come as they are made.
-        futures = [
-            pool.submit(_listed, replace(t, wanted=(own,))) for t in tasks for own in t.wanted
-        ]
-        for future in as_completed(futures):
-            yield from future.result()
-
-
-def _listed(task: SceneTask) -> list[SceneRows]:
-    from ...cache import keep_compilations
-
-    keep_compilations()
-    return list(scene_rows(task))
-
-
 def scene_rows(task: SceneTask) -> Iterator[SceneRows]:
     """Run the methods of a scene; yield each row and those of its objects as soon as known."""
-    declared = declaration(task.scene)
-    truth = photographed(declared)
-    tree = true_tree(truth)
+    truth = photographed(declaration(task.scene))
+    number = noise_number(task.scene, task.seed, task.start)
+    composed = composed_start(truth, true_tree(truth), number, task.compose, noise=task.noise)
     engine = NativeEngine(threads=task.threads)
-    for start, methods in task.wanted:
-        number = noise_number(task.scene, task.seed, start)
-        composed = (
-            composed_start(truth, tree, number, task.compose, noise=task.noise)
-            if methods
-            else truth
-        )
-        rollouts = 0
-        # Ours comes first: the others may get its budget.
-        for method in sorted(methods, key=lambda name: (name != "ours", METHODS.index(name))):
-            if method in BUDGETED and not rollouts:
-                rollouts = outcome_of(
-                    "ours", composed, task.refine, engine, seed=task.seed, warm=False
-                ).rollouts
-            result = outcome_of(
-                method, composed, task.refine, engine, seed=task.seed, rollouts=rollouts
-            )
-            rollouts = result.rollouts if method == "ours" else rollouts
-            key = task.scene, start, task.seed, method
-            objects = object_rows(result.scene, result.measure, key)
-            yield _row(task, start, method, result, truth, objects), objects
+    for method, result in outcomes_of(task.methods, composed, task.refine, engine, seed=task.seed):
+        key = task.scene, task.start, task.seed, method
+        objects = object_rows(result.scene, result.measure, key)
+        yield _row(task, method, result, truth, objects), objects
 
 
 def _row(
     task: SceneTask,
-    start: int,
     method: str,
     result: MethodResult,
     truth: SceneSpec,
@@ -296,9 +234,9 @@ def _row(
         noise=task.noise,
         missed=len(missed),
         extra=len(extra),
-        start=start,
+        start=task.start,
         seed=task.seed,
-        evaluation=is_evaluation(start),
+        evaluation=is_evaluation(task.start),
         method=method,
         valid=valid,
         check_passed=result.check_passed,
@@ -327,18 +265,13 @@ def _fingerprint(
     return content_hash([noise, *(part.model_dump(mode="json") for part in parts)])[:16]
 
 
-def _known(file: Path) -> list[SceneRow]:
-    rows: list[Mapping[str, Any]] = list(read_rows(file, list(_KINDS), RunError))
-    return [SceneRow.model_validate(row) for row in rows]
-
-
 def known_rows(folder: Path) -> list[SceneRow]:
     """Read the rows of a folder.
 
     Raises:
         RunError: it has none, or they cannot be read.
     """
-    return _known(folder / RESULTS)
+    return stored_rows(folder / RESULTS, SceneRow)
 
 
 def _key(row: SceneRow) -> tuple[str, int, int, str]:
