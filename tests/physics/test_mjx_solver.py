@@ -1,0 +1,100 @@
+"""Newton's method and its exact line search, against C MuJoCo's solver and a fine grid."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from neoworld_mjx.physics.mjx_solver import Rows, exact_step, newton
+
+XML = """
+<mujoco>
+  <option timestep="0.004" cone="pyramidal" jacobian="dense"/>
+  <worldbody>
+    <geom type="plane" size="2 2 0.1"/>
+    <body pos="0 0 0.048"><freejoint/><geom type="box" size="0.05 0.05 0.05"/></body>
+    <body pos="0.02 0.01 0.145"><freejoint/><geom type="box" size="0.04 0.05 0.05"/></body>
+    <body pos="1 0 0.5">
+      <joint name="hinge" axis="0 1 0" range="-0.1 0.1" limited="true" frictionloss="0.3"/>
+      <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/>
+      <body pos="0.3 0 0">
+        <joint name="arm" axis="0 1 0" frictionloss="0.1"/>
+        <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.02"/>
+      </body>
+    </body>
+  </worldbody>
+  <equality><joint joint1="arm" joint2="hinge" polycoef="0 1 0 0 0"/></equality>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="module", params=[0.0, 0.15, -0.3])
+def stepped(request):
+    """State with equality, dry friction, a limit and many contacts, some of them deep."""
+    model = mujoco.MjModel.from_xml_string(XML)
+    model.opt.iterations, model.opt.tolerance = 200, 1e-12
+    data = mujoco.MjData(model)
+    data.joint("hinge").qpos = request.param
+    data.qvel[:] = np.random.default_rng(3).normal(0, 0.3, model.nv)
+    mujoco.mj_forward(model, data)
+    assert data.ne == 1 and data.nf == 2 and data.nefc > 30
+    return model, data
+
+
+def test_accelerations_are_those_of_mujoco(stepped):
+    model, data = stepped
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, inertia)
+    k, split = np.arange(data.nefc), data.ne + data.nf
+    loss = np.where(k < split, data.efc_frictionloss, 0.0)
+    rows = Rows(
+        data.efc_J.reshape(-1, model.nv),
+        data.efc_aref,
+        data.efc_D,
+        np.where((k >= data.ne) & (k < split), -loss, -np.inf),
+        np.where(k < data.ne, np.inf, loss),
+    )
+    single = lambda tree: jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), tree)
+    with jax.default_matmul_precision("highest"):
+        solved = jax.jit(newton, static_argnames="iterations")(
+            *single((rows, inertia, data.qfrc_smooth, np.zeros(model.nv))), iterations=12
+        )
+    qacc, force = map(np.asarray, solved)
+    assert np.allclose(qacc, data.qacc, rtol=1e-3, atol=2e-3 * np.abs(data.qacc).max())
+    assert np.allclose(force, data.efc_force, atol=2e-3 * np.abs(data.efc_force).max())
+
+
+def test_the_step_is_where_the_function_is_least():
+    rng = np.random.default_rng(0)
+    count, rows = 64, 20
+    stiffness = rng.uniform(0.1, 10, (count, rows))
+    residual, way = rng.normal(size=(2, count, rows))
+    low, high = np.full(rows, -np.inf), np.where(np.arange(rows) < 3, np.inf, 0.0)
+    low[3:8], high[3:8] = -0.7, 0.7
+    curvature = rng.uniform(0.1, 2, count)
+    pull = stiffness * residual
+    push = np.clip(pull, low, high)
+    # Steep enough that all functions fall at first, some beyond their last breakpoint.
+    slope = -np.abs(rng.normal(0, 30, count)) - np.sum(np.abs(push * way), axis=1)
+    ends = np.stack([low - push, high - push], axis=1)
+    arrays = (ends, pull - push, stiffness, way, slope, curvature)
+    found = jax.jit(jax.vmap(exact_step))(*(jnp.asarray(x, jnp.float32) for x in arrays))
+
+    def slope_at(x: np.ndarray) -> np.ndarray:
+        pulls = np.clip(x[:, None] * stiffness * way + pull, low, high) - push
+        return slope + x * curvature + np.sum(pulls * way, axis=1)
+
+    inner, outer = np.zeros(count), np.full(count, 1e4)
+    for _ in range(80):
+        middle = (inner + outer) / 2
+        falls = slope_at(middle) < 0
+        inner, outer = np.where(falls, middle, inner), np.where(falls, outer, middle)
+    assert np.ptp(inner) > 1
+    assert np.allclose(found, inner, rtol=1e-3, atol=1e-4)
+
+
+def test_where_nothing_falls_no_step_is_made():
+    ends, zero, one = jnp.array([[-jnp.inf], [0.0]]), jnp.zeros(1), jnp.ones(1)
+    assert float(exact_step(ends, zero, one, one, jnp.float32(0.0), jnp.float32(1.0))) == 0
+    assert float(exact_step(ends, zero, one, zero, jnp.float32(0.0), jnp.float32(0.0))) == 0
