@@ -34,7 +34,7 @@ with contextlib.redirect_stdout(io.StringIO()):
 
 ITERATIONS = 6
 """Iterations of Newton's method a step, from the last step's accelerations. From none, where things
-overlap deeply, 8 find the minimum to rounding; over the steps of a rollout 5 gave the verdicts of 8.
+overlap deeply, 8 find the minimum to rounding; over the steps of a rollout 5 gave 8's verdicts.
 """
 NEAR = 0.002
 """Gap [m] up to which pairs of geoms of the composed scene count as near."""

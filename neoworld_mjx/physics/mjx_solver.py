@@ -2,9 +2,9 @@
 
 The forces minimise a convex function of the acceleration that is quadratic between breakpoints,
 where a constraint begins or ceases to act (MuJoCo's documentation, Computation, "Primal problem").
-Along a line its slope is piecewise linear. MJX looks for the zero by bracketing, some 64 passes over
-the rows of a step, which is half of a step on a GPU. Here the slope is taken at all breakpoints at
-once, and the zero between two of them is known.
+Along a line its slope is piecewise linear. MJX looks for the zero by bracketing, some 64 passes
+over the rows of a step, which took a third of a step on a GPU. Here the slope is taken at all
+breakpoints at once, and the zero between two of them is known.
 """
 
 from typing import Any, NamedTuple, cast
