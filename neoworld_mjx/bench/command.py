@@ -138,6 +138,7 @@ def scenes_answer(o: suites.SceneSet, config: Config) -> dict[str, Any]:
         noise=o.noise,
         workers=o.workers,
         out=o.out,
+        submission=o.submission,
     )
     return {**summarise(rows), "machine": machine()}
 

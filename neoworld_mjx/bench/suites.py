@@ -173,6 +173,10 @@ class SceneSet:
     """Processes; 0 takes one for every two cores."""
     out: Path | None = None
     """Folder of results.parquet; rows that are there already are not run again."""
+    submission: Path | None = None
+    """Folder of another method's scenes to score in place of running methods: SCENE/scene.json,
+    scene.xml or scene.usda (docs/benchmark-scenes.md).
+    """
 
 
 @dataclass(frozen=True, kw_only=True)

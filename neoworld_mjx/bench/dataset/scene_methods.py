@@ -31,7 +31,8 @@ class MethodResult:
     check_passed: bool
     seconds_to_valid: float | None
     """Until the first candidate that passes was known; None where none was."""
-    seconds: float
+    seconds: float | None
+    """Of the method; None where a submission does not say."""
     rollouts: int = 0
 
 

@@ -27,6 +27,7 @@ from .starts import (
     photographed,
     true_tree,
 )
+from .submission import submission_name, submitted, submitted_starts
 
 RESULTS = "results.parquet"
 
@@ -51,7 +52,9 @@ class SceneRow(Row):
     """Whether the start is of the evaluation half."""
     method: str
     valid: bool
-    """Whether the result passes the final check, and no object is displaced."""
+    """Whether the result passes the final check and no object is displaced, nor, of a submission,
+    missed.
+    """
     check_passed: bool
     displaced: int
     """Objects that are toppled or have fallen from where the truth has them."""
@@ -74,7 +77,8 @@ class SceneRow(Row):
     """Overlap of visible boxes with the truth's, mean over objects."""
     seconds_to_valid: float | None
     """Time at the first valid candidate; None where the result is not valid."""
-    seconds: float
+    seconds: float | None
+    """Time of the method; None where a submission does not say."""
     rollouts: int
     fingerprint: str
     """Hash of the scene's declaration, of the noise and of the options."""
@@ -97,6 +101,8 @@ class SceneTask:
     compose: ComposeOptions
     noise: NoiseLevel
     threads: int
+    submission: Path | None = None
+    """Folder of scenes that another method made."""
 
 
 SceneRows = tuple[SceneRow, list[ObjectRow]]
@@ -132,6 +138,7 @@ def run_scenes(
     noise: NoiseLevel,
     workers: int = 0,
     out: Path | None = None,
+    submission: Path | None = None,
 ) -> list[SceneRow]:
     """Run methods; rows that are in the folder's file already are not run again.
 
@@ -145,12 +152,17 @@ def run_scenes(
         noise: level of the starts' noise.
         workers: processes; 0 takes one for every two cores.
         out: folder of `results.parquet`; None keeps nothing.
+        submission: folder of scenes to score in place of running methods, anew each time.
 
     Raises:
+        SpecError: there is no such method, or the submission cannot be read.
         RunError: the file cannot be read or written or has rows of another noise, or a scene's
             process died.
     """
-    check_methods(methods)
+    if submission is None:
+        check_methods(methods)
+    else:
+        methods = (submission_name(submission),)
     kept = RowFile(None if out is None else out / RESULTS, SceneRow, _key)
     for other in sorted({row.noise for row in kept.rows} - {noise}):
         raise RunError(
@@ -166,10 +178,13 @@ def run_scenes(
     workers, threads = sized(workers)
     tasks = []
     for name in scenes:
-        for k in range(starts):
-            own = tuple(m for m in methods if (name, k, seed, m) not in done)
+        own_starts = submitted_starts(submission, name, starts) if submission else range(starts)
+        for k in own_starts:
+            own = tuple(m for m in methods if submission or (name, k, seed, m) not in done)
             if own:
-                tasks.append(SceneTask(name, k, own, seed, refine, compose, noise, threads))
+                tasks.append(
+                    SceneTask(name, k, own, seed, refine, compose, noise, threads, submission)
+                )
     for row, own in made_by_jobs(scene_rows, tasks, workers):
         log.info(_line(row))
         # Objects first: a scene whose row is there has the rows of its objects, too.
@@ -192,13 +207,20 @@ def run_scenes(
 def scene_rows(task: SceneTask) -> Iterator[SceneRows]:
     """Run the methods of a scene; yield each row and those of its objects as soon as known."""
     truth = photographed(declaration(task.scene))
-    number = noise_number(task.scene, task.seed, task.start)
-    composed = composed_start(truth, true_tree(truth), number, task.compose, noise=task.noise)
-    engine = NativeEngine(threads=task.threads)
-    for method, result in outcomes_of(task.methods, composed, task.refine, engine, seed=task.seed):
+    for method, result in _outcomes(task, truth):
         key = task.scene, task.start, task.seed, method
         objects = object_rows(result.scene, result.measure, key)
         yield _row(task, method, result, truth, objects), objects
+
+
+def _outcomes(task: SceneTask, truth: SceneSpec) -> Iterator[tuple[str, MethodResult]]:
+    if task.submission is not None:
+        made = submitted(task.submission, task.start, truth, task.refine)
+        return iter([(task.methods[0], made)])
+    number = noise_number(task.scene, task.seed, task.start)
+    composed = composed_start(truth, true_tree(truth), number, task.compose, noise=task.noise)
+    engine = NativeEngine(threads=task.threads)
+    return outcomes_of(task.methods, composed, task.refine, engine, seed=task.seed)
 
 
 def _row(
@@ -226,6 +248,8 @@ def _row(
     lost = displaced(result.scene, truth)
     missed, extra = unmatched(result.scene, truth)
     valid = result.check_passed and not lost
+    if task.submission is not None:  # It had the picture, in which the missed ones are seen.
+        valid = valid and not missed
     return SceneRow(
         scene=task.scene,
         room=declared.room,
@@ -280,7 +304,7 @@ def _key(row: SceneRow) -> tuple[str, int, int, str]:
 
 def _line(row: SceneRow) -> str:
     valid = "valid" if row.valid else "not valid"
+    time = "" if row.seconds is None else f", {row.seconds:.1f} s"
     return (
-        f"{row.scene} start {row.start} {row.method}: {valid}, "
-        f"{1e3 * row.xy_error_m:.1f} mm, {row.seconds:.1f} s"
+        f"{row.scene} start {row.start} {row.method}: {valid}, {1e3 * row.xy_error_m:.1f} mm{time}"
     )

@@ -64,6 +64,7 @@ def figures(rows: Sequence[SceneRow]) -> dict[str, Any]:
     "seconds_to_valid" is the median over the valid ones, None without any.
     """
     times = [row.seconds_to_valid for row in rows if row.seconds_to_valid is not None]
+    whole = [row.seconds for row in rows if row.seconds is not None]
     return {
         "n": len(rows),
         "objects": sum(row.objects for row in rows),
@@ -71,7 +72,7 @@ def figures(rows: Sequence[SceneRow]) -> dict[str, Any]:
         "articulated": sum(row.articulated for row in rows),
         **{name: interval(rows, name, draws=0)[0] for name in MEASURES},
         "seconds_to_valid": float(np.median(times)) if times else None,
-        "seconds": float(np.median([row.seconds for row in rows])),
+        "seconds": float(np.median(whole)) if whole else None,
     }
 
 

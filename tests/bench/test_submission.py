@@ -1,0 +1,145 @@
+"""Scenes of other methods: the truth scores as such, and what is wrong moves its own figure."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from neoworld_mjx.bench.dataset.declaration import declarations
+from neoworld_mjx.bench.dataset.layout_errors import displaced, layout_errors, unmatched
+from neoworld_mjx.bench.dataset.scene_runs import known_rows, run_scenes
+from neoworld_mjx.bench.dataset.starts import true_tree
+from neoworld_mjx.bench.dataset.submission import submission_name, submitted, submitted_starts
+from neoworld_mjx.bench.dataset.truth_scene import truth_scene
+from neoworld_mjx.bench.photo_scenes import see
+from neoworld_mjx.config import ComposeOptions, RefineOptions
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.export import export_scene
+from neoworld_mjx.spec import SceneSpec
+
+QUICK = RefineOptions(check_duration_s=0.2)
+DOCS = Path("docs/benchmark-scenes.md")
+
+
+@pytest.fixture(scope="module")
+def truth() -> SceneSpec:
+    return truth_scene(declarations()["dominoes"])
+
+
+def write(folder: Path, scene: SceneSpec) -> Path:
+    place = folder / "dominoes"
+    place.mkdir(parents=True, exist_ok=True)
+    (place / "scene.json").write_text(scene.to_json())
+    return folder
+
+
+def changed(scene: SceneSpec, name: str, /, **update: object) -> SceneSpec:
+    objects = (o.model_copy(update=update) if o.name == name else o for o in scene.objects)
+    return scene.model_copy(update={"objects": tuple(objects)})
+
+
+def without(scene: SceneSpec, name: str) -> SceneSpec:
+    objects = tuple(o for o in scene.objects if o.name != name)
+    return scene.model_copy(update={"objects": objects})
+
+
+def test_the_truth_is_perfect_as_our_scene_and_as_mjcf(tmp_path, truth: SceneSpec):
+    write(tmp_path, truth)
+    (tmp_path / "dominoes" / "result.json").write_text('{"seconds": 12.5}')
+    assert submitted_starts(tmp_path, "dominoes", 4) == (0,)
+    own = submitted(tmp_path, 0, truth, QUICK)
+    assert own.scene == truth and own.check_passed
+    assert own.seconds == own.seconds_to_valid == 12.5
+    export_scene(truth, tmp_path / "mjcf" / "dominoes" / "start_0")
+    (tmp_path / "mjcf" / "dominoes" / "start_0" / "scene.json").unlink()
+    assert submitted_starts(tmp_path / "mjcf", "dominoes", 1) == (0,)
+    read = submitted(tmp_path / "mjcf", 0, truth, QUICK)
+    assert read.check_passed and read.seconds is None and read.scene.camera == truth.camera
+    assert unmatched(read.scene, truth) == ([], []) and displaced(read.scene, truth) == []
+    assert max(layout_errors(read.scene, truth).values()) < 1e-6
+    assert read.measure.max_drift_m == pytest.approx(own.measure.max_drift_m, abs=1e-5)
+
+
+def test_what_is_wrong_moves_its_own_figure(tmp_path, truth: SceneSpec):
+    movable = [item for item in truth.objects if not item.static]
+    first = movable[0]
+    pushed = changed(truth, first.name, xy=(first.xy[0], first.xy[1] + 0.5))
+    scene = submitted(write(tmp_path, pushed), 0, truth, QUICK).scene
+    assert layout_errors(scene, truth)["xy_error_m"] == pytest.approx(0.5 / len(movable))
+    assert layout_errors(scene, truth)["yaw_error_deg"] == 0.0
+    scene = submitted(write(tmp_path, without(truth, first.name)), 0, truth, QUICK).scene
+    assert unmatched(scene, truth) == ([first.name], [])
+    scene = submitted(write(tmp_path, changed(truth, first.name, name="odd")), 0, truth, QUICK)
+    assert unmatched(scene.scene, truth) == ([first.name], ["odd"])
+    # Whatever is nailed down is stable, and no reconstruction of a thing that moves.
+    nailed = changed(truth, first.name, fixed_base=True)
+    scene = submitted(write(tmp_path, nailed), 0, truth, QUICK).scene
+    assert unmatched(scene, truth) == ([first.name], [])
+    assert scene.object(f"held_{first.name}").static
+
+
+def test_broken_submissions_are_named(tmp_path, truth: SceneSpec):
+    file = tmp_path / "dominoes" / "scene.json"
+    with pytest.raises(SpecError, match="nothing is no folder"):
+        submitted_starts(tmp_path / "nothing", "dominoes", 1)
+    with pytest.raises(SpecError, match=r"dominoes has none of scene\.json.*--scenes"):
+        submitted_starts(tmp_path, "dominoes", 1)
+    (tmp_path / "dominoes" / "start_0").mkdir(parents=True)
+    with pytest.raises(SpecError, match=r"start_0 has none of scene\.json.*--starts"):
+        submitted_starts(tmp_path, "dominoes", 1)
+    file.write_text('{"objects": [')
+    with pytest.raises(SpecError, match=r"scene\.json is not a scene"):
+        submitted(tmp_path, 0, truth, QUICK)
+    table = truth.model_copy(update={"objects": truth.objects[:1]})
+    with pytest.raises(SpecError, match=r"no object of the scene that is free to move.*domino_0"):
+        submitted(write(tmp_path, table), 0, truth, QUICK)
+    write(tmp_path, truth)
+    (tmp_path / "dominoes" / "result.json").write_text('{"seconds": -1}')
+    with pytest.raises(SpecError, match=r"result\.json is not a result: seconds"):
+        submitted(tmp_path, 0, truth, QUICK)
+    file.unlink()
+    file.with_suffix(".xml").write_text(
+        '<mujoco><worldbody><body name="domino_0"><freejoint/><geom size="0.1"/></body>'
+        "</worldbody></mujoco>"
+    )
+    with pytest.raises(SpecError, match="holds one object, not a scene"):
+        submitted(tmp_path, 0, truth, QUICK)
+    assert submission_name(tmp_path / "a|b <i>") == "submission:a_b__i_"
+
+
+def test_the_documented_program_submits_without_the_package(
+    tmp_path, truth: SceneSpec, monkeypatch
+):
+    code = re.search(r'```python title="boxes.py"\n(.*?)```', DOCS.read_text(), re.DOTALL)
+    assert code is not None and "neoworld" not in code[1]
+    monkeypatch.chdir(tmp_path)
+    Path("data/scenes/dominoes").mkdir(parents=True)
+    Path("data/scenes/dominoes/tree.json").write_text(true_tree(see(truth)).to_json())
+    exec(code[1], {})
+    made = submitted(Path("boxes"), 0, truth, QUICK)
+    assert unmatched(made.scene, truth) == ([], [])
+    assert layout_errors(made.scene, truth)["xy_error_m"] < 1e-6
+
+
+@pytest.mark.slow
+def test_rows_of_a_submission_stand_beside_others(tmp_path, truth: SceneSpec):
+    first = next(item.name for item in truth.objects if not item.static)
+
+    def row(name: str, scene: SceneSpec):
+        write(tmp_path / name, scene)
+        (one,) = run_scenes(
+            ["dominoes"], ("ours",), starts=3, seed=0, refine=RefineOptions(),
+            compose=ComposeOptions(), noise="layout", workers=1, out=tmp_path / "results",
+            submission=tmp_path / name,
+        )  # fmt: skip
+        return one
+
+    perfect = row("perfect", truth)
+    assert perfect.valid and perfect.missed == 0 and perfect.o_stab == 1.0
+    assert perfect.xy_error_m < 1e-9 and perfect.box_iou > 0.95 and perfect.seconds is None
+    lacking = row("lacking", without(truth, first))
+    # All of it is stable, but it is not all.
+    assert lacking.missed == 1 and lacking.check_passed and not lacking.valid
+    names = {json.dumps(r.method) for r in known_rows(tmp_path / "results")}
+    assert names == {'"submission:perfect"', '"submission:lacking"'}
