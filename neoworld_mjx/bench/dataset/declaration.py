@@ -157,16 +157,25 @@ def _small_programs() -> dict[str, Template]:
     return {path.stem: read_template(path) for path in sorted(PROGRAMS.glob("*.py"))}
 
 
+def template_of(item: ObjectDeclaration) -> Template:
+    """Return the template that an object is an instance of.
+
+    Raises:
+        SpecError: there is none of the name.
+    """
+    small = _small_programs()
+    if item.program in small:
+        return small[item.program]
+    if item.program not in templates():
+        names = [*small, *templates()]
+        raise SpecError(f"object {item.name}, program: {choices(item.program, names)}")
+    return template(item.program)
+
+
 def program_of(item: ObjectDeclaration) -> str:
     """Return the text of an object's program.
 
     Raises:
         SpecError: there is no such program or parameter, or a value is out of its range.
     """
-    small = _small_programs()
-    if item.program in small:
-        return small[item.program].program(item.set)
-    if item.program not in templates():
-        names = [*small, *templates()]
-        raise SpecError(f"object {item.name}, program: {choices(item.program, names)}")
-    return template(item.program).program(item.set)
+    return template_of(item).program(item.set)

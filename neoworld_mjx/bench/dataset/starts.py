@@ -1,24 +1,29 @@
 """Where methods start: the truth disturbed as answers are, fitted and composed as a run does it.
 
-Every start of every scene has noise of its own, from `photo_answers`, which measured answers set.
-Programs are the true shapes; their sizes are what composition makes of the answer's boxes.
+Every start of every scene has noise of its own, with spreads and rates of measured answers: of the
+numbers of a parse (`photo_answers`), of its tree (`parse_noise`), of programs (`program_noise`,
+`joint_noise`). Sizes are what composition makes of the answer's boxes.
 """
 
 import zlib
+from dataclasses import dataclass
 from typing import Literal
 
 from ...compose.compose import compose
 from ...config import ComposeOptions
 from ...parse.fit import fit_tree
 from ...parse.refit import refit_tree
-from ...spec import SceneSpec, SceneTree
+from ...spec import ObjectSpec, SceneSpec, SceneTree
 from ..photo_answers import disturbed_answer, exact_answer
 from ..photo_scenes import see
-from .declaration import SceneDeclaration
+from .declaration import SceneDeclaration, declaration
+from .parse_noise import NoiseLog, WrongParse, wrong_parse
+from .program_noise import wrong_program
 from .truth_scene import truth_scene
 
-NoiseLevel = Literal["exact", "layout"]
-"""Noise of a start: none, or positions, headings, sizes, camera and 2D boxes."""
+NoiseLevel = Literal["exact", "layout", "parse", "programs", "all"]
+"""Noise of a start: none; the numbers of a parse; these and its tree; these and the programs;
+everything."""
 EVALUATION = 1
 """Starts whose number is odd are the evaluation half: no default is tuned on them."""
 
@@ -38,29 +43,62 @@ def noise_number(name: str, seed: int, start: int) -> int:
     return zlib.crc32(f"{name}/{seed}/{start}".encode())
 
 
+@dataclass(frozen=True)
+class Start:
+    """Where methods begin."""
+
+    scene: SceneSpec
+    """As a run would compose it."""
+    log: NoiseLog
+
+
 def composed_start(
     scene: SceneSpec,
     tree: SceneTree,
     number: int,
     options: ComposeOptions | None = None,
     *,
-    noise: NoiseLevel = "layout",
-) -> SceneSpec:
-    """Return the scene that a run would compose from a disturbed answer.
+    noise: NoiseLevel = "all",
+) -> Start:
+    """Compose a scene from a disturbed answer, as a run would.
 
     Args:
-        scene: the truth, as photographed.
+        scene: the truth, as photographed; a scene of the benchmark where programs have noise.
         tree: its exact answer.
-        number: of the noise.
+        number: of the noise. All levels of one number have the same noise in the answer's numbers.
         options: of composition.
         noise: its level.
     """
-    o = options or ComposeOptions()
-    shapes = {item.name: item.spec for item in scene.objects}
+    o, log = options or ComposeOptions(), NoiseLog()
     answer = tree if noise == "exact" else disturbed_answer(tree, number)
-    fitted, _ = fit_tree(answer)
+    parsed = WrongParse(answer, {})
+    if noise in ("parse", "all"):
+        parsed = wrong_parse(answer, number, log)
+    shapes = {item.name: item.spec for item in scene.objects}
+    if noise in ("programs", "all"):
+        shapes |= wrong_shapes(scene, number, log)
+    shapes |= {copy: shapes[like] for copy, like in parsed.copies.items()}
+    fitted, _ = fit_tree(parsed.tree)
     again = refit_tree(fitted, shapes)[0] if o.refit else fitted
-    return compose(again, shapes, o, name=scene.name).scene
+    return Start(compose(again, shapes, o, name=scene.name).scene, log)
+
+
+def wrong_shapes(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, ObjectSpec]:
+    """Return the movable objects of a scene as a programmer would make them.
+
+    Args:
+        scene: a scene of the benchmark.
+        number: of the noise.
+        log: of the errors.
+    """
+    carriers: dict[str, set[str]] = {item.name: set() for item in scene.objects}
+    for item in scene.objects:
+        if item.parent is not None and item.parent_link is not None:
+            carriers[item.parent].add(item.parent_link)
+    return {
+        item.name: wrong_program(item, number, frozenset(carriers[item.name]), log)
+        for item in declaration(scene.name).movable()
+    }
 
 
 def is_evaluation(start: int) -> bool:
