@@ -165,8 +165,9 @@ class SceneSet:
     """Methods; random and cma_es make as many rollouts as ours, without_... leave a term of the
     reward out, as the paper's ablations do.
     """
-    noise: Literal["exact", "layout"] = "layout"
-    """Noise of the starts: none, or positions, sizes, headings, camera and 2D boxes."""
+    noise: Literal["exact", "layout", "parse", "programs", "all"] = "all"
+    """Noise of the starts: none; positions, sizes, headings, camera and 2D boxes; these and wrong
+    objects, carriers and openings; these and wrong shapes and joints; everything."""
     seed: int = 0
     """Seed of noise and searches."""
     workers: int = 0

@@ -168,6 +168,8 @@ def _row(method: str, *, valid: bool, scene: str = "tents", start: int = 0, **mo
             "check_passed": valid,
             "displaced": 0,
             "noise": "layout",
+            "injected": "",
+            "refused": "",
             "missed": 0,
             "extra": 0,
             "s_pen": 0,

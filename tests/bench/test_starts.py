@@ -1,10 +1,37 @@
-"""Starts of the thirty scenes: levels of noise, and how missed and extra objects count."""
+"""Starts of the thirty scenes: each kind of noise, and how missed and extra objects count."""
 
+import numpy as np
 import pytest
 
-from neoworld_mjx.bench.dataset.declaration import declarations
+from neoworld_mjx.bench.dataset import joint_noise, parse_noise
+from neoworld_mjx.bench.dataset.declaration import (
+    ObjectDeclaration,
+    declarations,
+    program_of,
+    template_of,
+)
 from neoworld_mjx.bench.dataset.layout_errors import displaced, layout_errors, unmatched
-from neoworld_mjx.bench.dataset.truth_scene import truth_scene
+from neoworld_mjx.bench.dataset.noise_draft import Draft
+from neoworld_mjx.bench.dataset.parse_noise import (
+    NoiseLog,
+    with_copy,
+    with_other_carrier,
+    with_other_relation,
+    without,
+    wrong_parse,
+)
+from neoworld_mjx.bench.dataset.program_noise import (
+    EDGE,
+    near_parameters,
+    with_other_shape,
+    with_other_walls,
+    without_part,
+)
+from neoworld_mjx.bench.dataset.starts import composed_start, true_tree, wrong_shapes
+from neoworld_mjx.bench.dataset.truth_scene import built, truth_scene
+from neoworld_mjx.bench.photo_scenes import see
+from neoworld_mjx.parse.checks import check_tree
+from neoworld_mjx.spec import ObjectSpec, SceneTree, bounds, inertial
 
 
 def test_missed_and_extra_objects_are_counted_and_no_error():
@@ -21,3 +48,222 @@ def test_missed_and_extra_objects_are_counted_and_no_error():
     scene = wrong.model_copy(update={"objects": (truth.objects[0], pushed, *others[1:])})
     found = [item for item in others if not item.static]
     assert layout_errors(scene, truth)["xy_error_m"] == pytest.approx(0.03 / len(found))
+
+
+@pytest.fixture(scope="module")
+def desk():
+    """Photograph a scene in few pixels: a drawer open with a die in it, books, leaning things."""
+    scene = truth_scene(declarations()["desk_drawers"])
+    camera = declarations()["desk_drawers"].camera.camera(320, 240)
+    return see(scene.model_copy(update={"camera": camera}))
+
+
+@pytest.fixture(scope="module")
+def answer(desk) -> SceneTree:
+    return true_tree(desk)
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(3)
+
+
+def test_without_noise_every_figure_is_perfect(desk, answer):
+    log = NoiseLog()
+    start = composed_start(desk, answer, 5, noise="exact", log=log)
+    assert log == NoiseLog()
+    assert unmatched(start, desk) == ([], []) and displaced(start, desk) == []
+    errors = layout_errors(start, desk)
+    assert errors["xy_error_m"] < 1e-3 and errors["scale_error"] < 1e-6
+    assert errors["yaw_error_deg"] < 0.1
+    for item in desk.objects:
+        joint = start.object(item.name).joint_state
+        assert joint == pytest.approx(item.joint_state)
+
+
+def test_what_a_missed_object_carried_rests_on_its_carrier(answer):
+    (tree,) = without(answer, "book_0", rng())
+    assert len(tree.nodes) == len(answer.nodes) - 1
+    assert (tree.node("book_1").parent, tree.node("book_1").relation) == ("table", "on")
+    assert tree.node("book_1").box3d == answer.node("book_1").box3d
+    assert not any("book_0" in node.occluded_by for node in tree.nodes)
+    (tree,) = without(answer, "chest", rng())
+    dice = tree.node("dice")
+    assert (dice.parent, dice.parent_link, dice.relation) == ("table", None, "on")
+
+
+def test_an_invented_object_stands_beside_the_one_it_resembles(answer):
+    for tree in with_copy(answer, "tin", rng()):
+        tin, ghost = tree.node("tin"), tree.node("tin_again")
+        step = np.subtract(ghost.box3d.position, tin.box3d.position)
+        assert np.linalg.norm(step) == pytest.approx(parse_noise.APART * tin.box3d.size[0])
+        assert ghost.box2d != tin.box2d and ghost.parent == "chest"
+        assert tin == answer.node("tin")
+    assert not list(with_copy(answer, "file", rng()))
+
+
+def test_wrong_carriers_and_relations_leave_places_as_they_are(answer):
+    trees = list(with_other_carrier(answer, "book_0", rng()))
+    carriers = {tree.node("book_0").parent for tree in trees}
+    assert carriers == {"chest", "dice", "tin", "carton", "file", "cup", "pen"}
+    swapped = {"dice": "on", "tin": "in", "book_0": "leaning", "file": "on"}
+    for name, relation in swapped.items():
+        (tree,) = with_other_relation(answer, name, rng())
+        assert tree.node(name).relation == relation
+        trees.append(tree)
+    for tree in trees:
+        assert [n.box3d for n in tree.nodes] == [n.box3d for n in answer.nodes]
+
+
+def test_only_errors_that_the_checks_let_pass_are_made(answer, monkeypatch):
+    monkeypatch.setattr(parse_noise, "UNSEEN", 0.25)
+    log = NoiseLog()
+    parsed = wrong_parse(answer, 4, log)
+    known = {(i.node, i.code) for i in check_tree(answer) if i.severity == "error"}
+    new = {(i.node, i.code) for i in check_tree(parsed.tree) if i.severity == "error"} - known
+    assert new == set() and {"missed", "extra", "relation"} <= set(log.injected)
+    names = {node.name for node in answer.nodes}
+    assert len(parsed.copies) == log.injected.count("extra")
+    assert set(parsed.copies.values()) <= names
+    # The same number is the same answer.
+    assert wrong_parse(answer, 4, NoiseLog()) == parsed
+
+
+def test_an_open_drawer_is_answered_as_closed_or_open_by_another_share(answer, monkeypatch):
+    monkeypatch.setattr(parse_noise, "MISJUDGED", 0.0)
+    monkeypatch.setattr(parse_noise, "UNSEEN", 0.0)
+    true = answer.node("chest").articulation[0].opening
+    shares = [wrong_parse(answer, k, NoiseLog()).tree.node("chest").articulation for k in range(40)]
+    offs = [states[0].opening - true for states in shares if states]
+    assert len(offs) > 30 and np.std(offs) == pytest.approx(parse_noise.OPENING, rel=0.35)
+    monkeypatch.setattr(parse_noise, "CLOSED", 1.0)
+    log = NoiseLog()
+    assert wrong_parse(answer, 0, log).tree.node("chest").articulation == ()
+    assert log.injected == ["closed"]
+
+
+def test_a_misjudged_view_keeps_the_layout(answer, monkeypatch):
+    monkeypatch.setattr(parse_noise, "MISJUDGED", 1.0)
+    for k in range(4):
+        tree = parse_noise.with_misjudged_view(answer, np.random.default_rng(k), NoiseLog())
+        off = np.degrees(abs(tree.camera.fovy - answer.camera.fovy))
+        assert parse_noise.LEAST_DEG <= off <= parse_noise.MOST_DEG
+        middles = [
+            [n.box3d.corners(n.base_tilt).mean(axis=0) for n in t.nodes[1:]] for t in (answer, tree)
+        ]
+        shift = np.subtract(*middles)
+        assert np.ptp(shift, axis=0) == pytest.approx(0, abs=1e-9)
+        pixels = [t.camera.project(m)[0] for t, m in zip((answer, tree), middles, strict=True)]
+        assert np.abs(np.subtract(*pixels).mean(axis=0)).max() < 0.05 * answer.camera.width
+
+
+def test_parameters_are_drawn_near_the_true_ones():
+    tumbler = next(o for o in declarations()["desk_drawers"].objects if o.name == "cup")
+    template, random = template_of(tumbler), rng()
+    drawn = [near_parameters(template, tumbler.set, random) for _ in range(800)]
+    for name in ("depth", "height"):
+        logs = np.log([values[name] / tumbler.set[name] for values in drawn])
+        assert np.std(logs) == pytest.approx(EDGE, rel=0.1) and abs(np.mean(logs)) < 0.01
+    # A round thing stays round, and colours are seen.
+    assert all(v["depth"] == v["width"] and v["stuff"] == "ceramic" for v in drawn)
+    assert len({v["height"] / v["depth"] for v in drawn}) == 800
+
+
+def program(name: str, **values: float | str) -> ObjectSpec:
+    item = ObjectDeclaration(name="it", program=name, set=values, parent="table", at=(0, 0, 0))
+    return built(program_of(item))
+
+
+def mass(spec: ObjectSpec) -> float:
+    return sum(inertial(spec, part).mass for part in spec.parts)
+
+
+def test_shapes_walls_and_parts_change_mass_with_them():
+    crate = program("crate", wall=0.004)
+    thicker = with_other_walls(crate, rng())
+    wall = thicker.parts[0].geoms[0].shape.wall
+    assert wall != 0.004 and bounds(thicker)[1] == pytest.approx(bounds(crate)[1])
+    assert mass(thicker) == pytest.approx(mass(crate) * wall / 0.004, rel=0.1)
+    board = with_other_shape(program("board"), rng())
+    assert board.parts[0].geoms[0].shape.type == "rounded_box"
+    can = program("can")
+    boxy = with_other_shape(can, rng())
+    assert boxy is not None and boxy != can
+    low, high = np.subtract(bounds(boxy), bounds(can))
+    assert np.abs([low, high]).max() < 1e-6
+    mug = program("mug")
+    plain = without_part(mug, rng(), frozenset())
+    assert [g.name for g in plain.parts[0].geoms] != [g.name for g in mug.parts[0].geoms]
+    assert 0.8 * mass(mug) < mass(plain) < mass(mug)
+    # Nothing that carries, and no root, goes missing.
+    cabinet = program("drawer_cabinet", drawers=2)
+    for seed in range(8):
+        less = without_part(cabinet, np.random.default_rng(seed), frozenset({"drawer_2"}))
+        assert {"body", "drawer_2"} <= {part.name for part in less.parts}
+
+
+def test_each_error_of_a_joint_is_its_own():
+    chest = program("treasure_chest")
+    (lid, *_) = [joint for joint in chest.joints if joint.type == "revolute"]
+    name, axis = lid.name, np.array(lid.axis)
+    assert joint_noise.fastened(chest, name).type == "fixed"
+    across = joint_noise.across_axis(chest, name, rng())
+    assert abs(axis @ across.axis) < 1e-9 and across.pos == lid.pos
+    slanted = joint_noise.slanted_axis(chest, name, rng())
+    assert np.degrees(np.arccos(axis @ slanted.axis)) == pytest.approx(joint_noise.SLANT_DEG)
+    diagonal = float(np.linalg.norm(np.subtract(*bounds(chest))))
+    steps = np.array(
+        [
+            np.subtract(joint_noise.off_pivot(chest, name, np.random.default_rng(k)).pos, lid.pos)
+            for k in range(200)
+        ]
+    )
+    assert np.abs(steps @ axis).max() < 1e-9
+    # What was measured: the mean distance of lines over the diagonal.
+    assert np.linalg.norm(steps, axis=1).mean() / diagonal == pytest.approx(0.0128, rel=0.15)
+    ranges = [joint_noise.off_range(chest, name, np.random.default_rng(k)) for k in range(400)]
+    overlap = [min(j.upper, lid.upper) / max(j.upper, lid.upper) for j in ranges]
+    assert np.mean(overlap) == pytest.approx(0.82, abs=0.03)
+    slides = joint_noise.of_other_type(chest, name)
+    assert (slides.type, slides.parent, slides.child) == ("prismatic", lid.parent, lid.child)
+
+
+def test_an_error_that_does_not_pass_the_checks_is_not_made():
+    cabinet, log = program("drawer_cabinet", drawers=2), NoiseLog()
+    draft = Draft(cabinet, (), rng(), log)
+    slide = cabinet.joints[0]
+    stuck = slide.model_copy(update={"upper": 1e-6})
+    draft.change("stuck", lambda s, _: joint_noise.with_joint(s, stuck))
+    # A drawer that slides into the cabinet's side.
+    aside = slide.model_copy(update={"axis": (0.0, 1.0, 0.0)})
+    draft.change("aside", lambda s, _: joint_noise.with_joint(s, aside))
+    backwards = slide.model_copy(update={"lower": 1.0, "upper": -1.0})
+    draft.change("backwards", lambda s, _: joint_noise.with_joint(s, backwards))
+    assert draft.spec == cabinet and log.injected == []
+    assert log.refused == ["stuck", "aside", "backwards"]
+    shorter = slide.model_copy(update={"upper": 0.8 * slide.upper, "intent": None})
+    draft.change("shorter", lambda s, _: joint_noise.with_joint(s, shorter))
+    assert draft.spec.joint(slide.name) == shorter and log.injected == ["shorter"]
+
+
+def test_programs_of_a_start_are_the_same_everywhere(desk):
+    log = NoiseLog()
+    shapes = wrong_shapes(desk, 0, log)
+    assert set(shapes) == {item.name for item in desk.objects if not item.environment}
+    sizes = {name: bounds(spec)[1][2] for name, spec in shapes.items()}
+    assert sizes["carton"] == pytest.approx(0.268692055, rel=1e-6)
+    assert sizes["chest"] == pytest.approx(0.232063581, rel=1e-6)
+    assert log.injected == ["joint missing", "shape", "part", "part"]
+    assert log.refused == ["walls"]
+
+
+def test_a_start_with_all_noise_composes(desk):
+    # Four objects, since a fit costs most of the time.
+    names = ("table", "chest", "dice", "tin", "cup")
+    few = desk.model_copy(update={"objects": tuple(desk.object(name) for name in names)})
+    log = NoiseLog()
+    start = composed_start(few, true_tree(few), 0, noise="all", log=log)
+    missed, extra = unmatched(start, few)
+    assert len(missed) == log.injected.count("missed")
+    assert len(extra) == log.injected.count("extra")
+    assert "joint missing" in log.injected
+    assert layout_errors(start, few)["scale_error"] > 1e-3

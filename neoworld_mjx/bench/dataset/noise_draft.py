@@ -41,10 +41,11 @@ class Draft:
         for _ in range(TRIES):
             try:
                 changed = variant(self.spec, self.rng)
-            except (ValidationError, ValueError):
+                if changed is None or changed == self.spec:
+                    return
+                changed = ObjectSpec.model_validate(changed.model_dump())
+            except ValidationError:
                 continue
-            if changed is None or changed == self.spec:
-                return
             if self._passes(changed):
                 self.spec = changed
                 if noted:
@@ -53,5 +54,6 @@ class Draft:
         self._log.refused.append(kind)
 
     def _passes(self, spec: ObjectSpec) -> bool:
-        ObjectSpec.model_validate(spec.model_dump())
-        return not has_errors(check(spec, ProgramOptions(), None, self._allowances))
+        parts = {part.name for part in spec.parts}
+        left = [a for a in self._allowances if {a.first, a.second} <= parts]
+        return not has_errors(check(spec, ProgramOptions(), None, left))

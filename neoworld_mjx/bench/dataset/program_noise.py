@@ -6,7 +6,7 @@ does so is not made, and noted.
 """
 
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -186,5 +186,5 @@ def _with_geoms(spec: ObjectSpec, change: Callable[[GeomSpec], GeomSpec | None])
     return spec.model_copy(update={"parts": tuple(parts)})
 
 
-def _shaped(geom: GeomSpec, shape: dict[str, object]) -> GeomSpec:
+def _shaped(geom: GeomSpec, shape: Mapping[str, object]) -> GeomSpec:
     return GeomSpec.model_validate(geom.model_dump() | {"shape": shape})

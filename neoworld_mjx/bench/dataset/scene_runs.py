@@ -16,6 +16,7 @@ from ..rows import Row, log
 from .declaration import declaration, declarations
 from .kept_rows import RowFile, made_by_jobs, sized, stored_rows
 from .layout_errors import displaced, layout_errors, unmatched
+from .parse_noise import NoiseLog
 from .part_depths import P_PEN_M
 from .scene_methods import MethodResult, check_methods, outcomes_of
 from .scene_objects import OBJECTS, ObjectRow, object_rows
@@ -42,6 +43,10 @@ class SceneRow(Row):
     """Movable objects of the truth."""
     noise: str
     """Level of the start's noise."""
+    injected: str
+    """Kinds of errors that the start has beside its numbers, with commas; see `parse_noise`."""
+    refused: str
+    """Kinds that were drawn, but of which no form passes the project's checks."""
     missed: int
     """Of them, those that the start does not have."""
     extra: int
@@ -207,18 +212,23 @@ def run_scenes(
 def scene_rows(task: SceneTask) -> Iterator[SceneRows]:
     """Run the methods of a scene; yield each row and those of its objects as soon as known."""
     truth = photographed(declaration(task.scene))
-    for method, result in _outcomes(task, truth):
+    log_of_noise = NoiseLog()
+    for method, result in _outcomes(task, truth, log_of_noise):
         key = task.scene, task.start, task.seed, method
         objects = object_rows(result.scene, result.measure, key)
-        yield _row(task, method, result, truth, objects), objects
+        yield _row(task, method, result, truth, objects, log_of_noise), objects
 
 
-def _outcomes(task: SceneTask, truth: SceneSpec) -> Iterator[tuple[str, MethodResult]]:
+def _outcomes(
+    task: SceneTask, truth: SceneSpec, log_of_noise: NoiseLog
+) -> Iterator[tuple[str, MethodResult]]:
     if task.submission is not None:
         made = submitted(task.submission, task.start, truth, task.refine)
         return iter([(task.methods[0], made)])
     number = noise_number(task.scene, task.seed, task.start)
-    composed = composed_start(truth, true_tree(truth), number, task.compose, noise=task.noise)
+    composed = composed_start(
+        truth, true_tree(truth), number, task.compose, noise=task.noise, log=log_of_noise
+    )
     engine = NativeEngine(threads=task.threads)
     return outcomes_of(task.methods, composed, task.refine, engine, seed=task.seed)
 
@@ -229,6 +239,7 @@ def _row(
     result: MethodResult,
     truth: SceneSpec,
     objects: Sequence[ObjectRow],
+    log_of_noise: NoiseLog,
 ) -> SceneRow:
     declared, m = declaration(task.scene), result.measure
     o = task.refine
@@ -256,6 +267,8 @@ def _row(
         tabletop=declared.tabletop,
         objects=len(declared.movable()),
         noise=task.noise,
+        injected=", ".join(log_of_noise.injected),
+        refused=", ".join(log_of_noise.refused),
         missed=len(missed),
         extra=len(extra),
         start=task.start,

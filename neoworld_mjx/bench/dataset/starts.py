@@ -6,7 +6,6 @@ numbers of a parse (`photo_answers`), of its tree (`parse_noise`), of programs (
 """
 
 import zlib
-from dataclasses import dataclass
 from typing import Literal
 
 from ...compose.compose import compose
@@ -43,15 +42,6 @@ def noise_number(name: str, seed: int, start: int) -> int:
     return zlib.crc32(f"{name}/{seed}/{start}".encode())
 
 
-@dataclass(frozen=True)
-class Start:
-    """Where methods begin."""
-
-    scene: SceneSpec
-    """As a run would compose it."""
-    log: NoiseLog
-
-
 def composed_start(
     scene: SceneSpec,
     tree: SceneTree,
@@ -59,7 +49,8 @@ def composed_start(
     options: ComposeOptions | None = None,
     *,
     noise: NoiseLevel = "all",
-) -> Start:
+    log: NoiseLog | None = None,
+) -> SceneSpec:
     """Compose a scene from a disturbed answer, as a run would.
 
     Args:
@@ -68,8 +59,9 @@ def composed_start(
         number: of the noise. All levels of one number have the same noise in the answer's numbers.
         options: of composition.
         noise: its level.
+        log: to which the errors beside the numbers are added.
     """
-    o, log = options or ComposeOptions(), NoiseLog()
+    o, log = options or ComposeOptions(), log or NoiseLog()
     answer = tree if noise == "exact" else disturbed_answer(tree, number)
     parsed = WrongParse(answer, {})
     if noise in ("parse", "all"):
@@ -78,9 +70,12 @@ def composed_start(
     if noise in ("programs", "all"):
         shapes |= wrong_shapes(scene, number, log)
     shapes |= {copy: shapes[like] for copy, like in parsed.copies.items()}
-    fitted, _ = fit_tree(parsed.tree)
-    again = refit_tree(fitted, shapes)[0] if o.refit else fitted
-    return Start(compose(again, shapes, o, name=scene.name).scene, log)
+    fitted = parsed.tree
+    if noise != "exact":
+        # A fit would only move what is right, by up to some millimetres.
+        fitted, _ = fit_tree(fitted)
+        fitted = refit_tree(fitted, shapes)[0] if o.refit else fitted
+    return compose(fitted, shapes, o, name=scene.name).scene
 
 
 def wrong_shapes(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, ObjectSpec]:
