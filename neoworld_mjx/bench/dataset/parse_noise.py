@@ -33,6 +33,8 @@ MISJUDGED, LEAST_DEG, MOST_DEG = 2 / 5, 12.0, 16.0
 five rendered pictures. To which side was not noted; here either."""
 NARROWEST_DEG = 12.0
 """No answer's field of view is narrower."""
+COPY = "_again"
+"""End of the name of an invented object, behind that of the one that it resembles."""
 APART = 1.15
 """Distance of an invented object from the one that it resembles, over its size."""
 
@@ -110,7 +112,7 @@ def wrong_parse(answer: SceneTree, number: int, log: NoiseLog) -> WrongParse:
             (log.refused if changed is None else log.injected).append(kind)
             tree = changed or tree
     known = {node.name for node in answer.nodes}
-    copies = {n.name: n.name.rpartition("_again")[0] for n in tree.nodes if n.name not in known}
+    copies = {n.name: n.name.removesuffix(COPY) for n in tree.nodes if n.name not in known}
     return WrongParse(tree, copies)
 
 
@@ -169,9 +171,14 @@ def without(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[Sc
 
 
 def with_copy(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[SceneTree]:
-    """Yield trees with a second object of a kind beside the first, on each of its four sides."""
-    node, copy = tree.node(name), f"{name}_again"
-    if node.relation not in ("on", "in") or any(n.name == copy for n in tree.nodes):
+    """Yield trees with a second object of a kind beside the first, on each of its four sides.
+
+    The first carries nothing, stands or lies, and is not invented itself.
+    """
+    node, copy = tree.node(name), f"{name}{COPY}"
+    if node.relation not in ("on", "in") or name.endswith(COPY):
+        return
+    if any(other.name == copy or other.parent == name for other in tree.nodes):
         return
     for side in rng.permutation(4).tolist():
         axis, sign = side // 2, 1 - 2 * (side % 2)

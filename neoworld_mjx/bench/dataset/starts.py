@@ -54,7 +54,8 @@ def composed_start(
     """Compose a scene from a disturbed answer, as a run would.
 
     Args:
-        scene: the truth, as photographed; a scene of the benchmark where programs have noise.
+        scene: the truth, as photographed; where programs have noise, objects of a scene of the
+            benchmark.
         tree: its exact answer.
         number: of the noise. All levels of one number have the same noise in the answer's numbers.
         options: of composition.
@@ -82,18 +83,17 @@ def wrong_shapes(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, Obje
     """Return the movable objects of a scene as a programmer would make them.
 
     Args:
-        scene: a scene of the benchmark.
+        scene: a scene of the benchmark, or some of its objects.
         number: of the noise.
         log: of the errors.
     """
-    carriers: dict[str, set[str]] = {item.name: set() for item in scene.objects}
-    for item in scene.objects:
-        if item.parent is not None and item.parent_link is not None:
-            carriers[item.parent].add(item.parent_link)
-    return {
-        item.name: wrong_program(item, number, frozenset(carriers[item.name]), log)
-        for item in declaration(scene.name).movable()
-    }
+    names = {item.name for item in scene.objects}
+    shapes = {}
+    for item in declaration(scene.name).movable():
+        if item.name in names:
+            carriers = {o.parent_link for o in scene.objects if o.parent == item.name} - {None}
+            shapes[item.name] = wrong_program(item, number, frozenset(carriers), log)
+    return shapes
 
 
 def is_evaluation(start: int) -> bool:
