@@ -105,7 +105,7 @@ def near_parameters(
     return values
 
 
-def with_other_walls(spec: ObjectSpec, rng: np.random.Generator) -> ObjectSpec | None:
+def with_other_walls(spec: ObjectSpec, rng: np.random.Generator) -> ObjectSpec:
     """Return an object whose walls are all thicker or thinner by one factor."""
     factor = float(np.exp(WALL * rng.normal()))
 

@@ -91,8 +91,9 @@ def wrong_shapes(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, Obje
     shapes = {}
     for item in declaration(scene.name).movable():
         if item.name in names:
-            carriers = {o.parent_link for o in scene.objects if o.parent == item.name} - {None}
-            shapes[item.name] = wrong_program(item, number, frozenset(carriers), log)
+            links = (o.parent_link for o in scene.objects if o.parent == item.name)
+            carriers = frozenset(link for link in links if link is not None)
+            shapes[item.name] = wrong_program(item, number, carriers, log)
     return shapes
 
 
