@@ -169,6 +169,28 @@ def tasks_answer(o: suites.Tasks) -> dict[str, Any]:
     return {**summarised(rows), "machine": machine(), "rows": plain(rows)}
 
 
+def task_success_answer(o: suites.TaskSuccess, config: Config) -> dict[str, Any]:
+    """Plan tasks in what methods make of starts, and carry the plans out."""
+    from .tasks.catalogue import all_tasks, find_task
+    from .tasks.success_runs import run_successes
+    from .tasks.success_summary import success_summary
+
+    if o.starts < 1:
+        raise ConfigError(f"--starts must be 1 or more, got {o.starts}")
+    rows = run_successes(
+        [find_task(name) for name in o.task] or list(all_tasks()),
+        o.method,
+        starts=o.starts,
+        seed=o.seed,
+        refine=config.refine,
+        compose=config.compose,
+        noise=o.noise,
+        workers=o.workers,
+        out=o.out,
+    )
+    return {**success_summary(rows), "machine": machine()}
+
+
 def plans_answer(o: suites.Plans, config: Config) -> dict[str, Any]:
     """Ask a model for plans."""
     from ..mllm import open_panel

@@ -12,6 +12,23 @@ from typing import Any, Literal, NamedTuple
 
 from ..engines import ENGINES, EngineChoice, EngineName
 
+MethodName = Literal[
+    "ours",
+    "open_loop",
+    "gravity",
+    "gradient",
+    "no_simulation",
+    "without_s_sem",
+    "without_d_pen",
+    "without_d_drift",
+    "algorithm1",
+    "random",
+    "cma_es",
+]
+"""Methods that make a layout from a start: `dataset.scene_methods.METHODS`."""
+NoiseName = Literal["exact", "layout", "parse", "programs", "all"]
+"""Levels of noise of starts: `dataset.starts.NoiseLevel`."""
+
 
 class Suite(NamedTuple):
     """A row of a table of suites."""
@@ -146,26 +163,18 @@ class SceneSet:
     """Names of scenes, or one number of scenes; none takes all."""
     starts: int = 2
     """Starts of each scene; those with odd numbers are the evaluation half."""
-    method: tuple[
-        Literal[
-            "ours",
-            "open_loop",
-            "gravity",
-            "gradient",
-            "no_simulation",
-            "without_s_sem",
-            "without_d_pen",
-            "without_d_drift",
-            "algorithm1",
-            "random",
-            "cma_es",
-        ],
-        ...,
-    ] = ("ours", "open_loop", "gravity", "gradient", "no_simulation", "algorithm1")
+    method: tuple[MethodName, ...] = (
+        "ours",
+        "open_loop",
+        "gravity",
+        "gradient",
+        "no_simulation",
+        "algorithm1",
+    )
     """Methods; random and cma_es make as many rollouts as ours, without_... leave a term of the
     reward out, as the paper's ablations do.
     """
-    noise: Literal["exact", "layout", "parse", "programs", "all"] = "all"
+    noise: NoiseName = "all"
     """Noise of the starts: none; positions, sizes, headings, camera and 2D boxes; these and wrong
     objects, carriers and openings; these and wrong shapes and joints; everything."""
     seed: int = 0
@@ -190,6 +199,30 @@ class Tasks:
     """Names of tasks; none takes all."""
     directions: int = 4
     """Directions in which the object concerned is displaced by half its size; 0 for none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskSuccess:
+    """Photograph each manipulation task, let methods make a layout of a disturbed answer, plan the
+    task in it, and carry the plan out there and in the truth: task success.
+    """
+
+    task: tuple[str, ...] = ()
+    """Names of tasks; none takes all 84."""
+    starts: int = 2
+    """Starts of each task; those with odd numbers are the evaluation half."""
+    method: tuple[MethodName, ...] = ("ours", "open_loop", "gravity", "gradient", "no_simulation")
+    """Methods, as in `bench run scenes`."""
+    noise: Literal["exact", "layout", "parse"] = "parse"
+    """Noise of the starts: none; positions, sizes, headings, camera and 2D boxes; these and wrong
+    objects, carriers and openings. Programs have the true shapes.
+    """
+    seed: int = 0
+    """Seed of noise and searches."""
+    workers: int = 0
+    """Processes; 0 takes one for every two cores."""
+    out: Path | None = None
+    """Folder of tasks.parquet; rows that are there already are not run again."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,6 +258,9 @@ SUITES = {
     "agreement": Suite(Agreement, "neoworld_mjx.bench.command:agreement_answer"),
     "refine": Suite(Refine, "neoworld_mjx.bench.command:refine_answer", configured=True),
     "tasks": Suite(Tasks, "neoworld_mjx.bench.command:tasks_answer"),
+    "task-success": Suite(
+        TaskSuccess, "neoworld_mjx.bench.command:task_success_answer", configured=True
+    ),
     "plans": Suite(Plans, "neoworld_mjx.bench.command:plans_answer", configured=True),
     "photos": Suite(Photos, "neoworld_mjx.bench.command:photos_answer", configured=True),
 }

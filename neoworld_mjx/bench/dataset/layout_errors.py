@@ -1,6 +1,7 @@
 """How far a scene's layout is from the truth, over the objects that may move."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -28,21 +29,33 @@ def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
     """
     ends, starts = world_poses(scene), world_poses(truth)
     items = [item for item in truth.objects if not item.static and item.name in ends]
-    offs, turns, scales = [], [], []
+    turns, scales = [], []
     for item in items:
         other = scene.object(item.name)
-        offs.append((_middle(other, ends[item.name]) - _middle(item, starts[item.name]))[:2])
         scales.append(abs(math.log(_size(other) / _size(item))))
         period = symmetry(item)
         if period > 0:
             turned = quat_mul(ends[item.name].quat, conjugate(starts[item.name].quat))
             turns.append(abs(math.remainder(yaw_of(turned), period)))
-    shift = np.array(offs) - np.median(offs, axis=0)
+    offs = offsets(scene, truth, [item.name for item in items])
+    shift = offs - np.median(offs, axis=0)
     return {
         "xy_error_m": float(np.mean(np.linalg.norm(shift, axis=1))),
         "yaw_error_deg": math.degrees(float(np.mean(turns))) if turns else 0.0,
         "scale_error": float(np.mean(scales)),
     }
+
+
+def offsets(
+    scene: SceneSpec, truth: SceneSpec, names: Sequence[str]
+) -> Float[np.ndarray, "object 2"]:
+    """Return how far the middles of objects are from the truth's, horizontally [m]."""
+    ends, starts = world_poses(scene), world_poses(truth)
+    middles = [
+        [_middle(s.object(name), at[name]) for name in names]
+        for s, at in ((scene, ends), (truth, starts))
+    ]
+    return (np.array(middles[0]) - np.array(middles[1])).reshape(-1, 3)[:, :2]
 
 
 def unmatched(scene: SceneSpec, truth: SceneSpec) -> tuple[list[str], list[str]]:

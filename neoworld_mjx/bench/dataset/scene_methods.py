@@ -147,12 +147,17 @@ def outcomes_of(
     runs for its count alone.
     """
     rollouts = 0
-    for method in sorted(methods, key=lambda name: (name != "ours", METHODS.index(name))):
+    for method in in_order(methods):
         if method in BUDGETED and not rollouts:
             rollouts = outcome_of("ours", composed, o, engine, seed=seed, warm=False).rollouts
         result = outcome_of(method, composed, o, engine, seed=seed, rollouts=rollouts, warm=warm)
         rollouts = result.rollouts if method == "ours" else rollouts
         yield method, result
+
+
+def in_order(methods: Sequence[str]) -> list[str]:
+    """Sort methods as they are run: ours first, then as METHODS has them."""
+    return sorted(methods, key=lambda name: (name != "ours", METHODS.index(name)))
 
 
 def check_methods(methods: Sequence[str]) -> None:

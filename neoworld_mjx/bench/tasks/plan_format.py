@@ -88,6 +88,18 @@ class TaskPlan(Spec):
         """Duration of all moves [s]."""
         return sum(move.seconds for move in self.moves)
 
+    def shifted(self, by: Vec3) -> "TaskPlan":
+        """Return the same plan elsewhere: its start and the axes of its turns moved by this [m]."""
+        moves = [
+            move if move.about is None else move.model_copy(update={"about": _sum(move.about, by)})
+            for move in self.moves
+        ]
+        return self.model_copy(update={"position": _sum(self.position, by), "moves": tuple(moves)})
+
+
+def _sum(a: Vec3, b: Vec3) -> Vec3:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
 
 def rotation(vector: Vec3 | NDArray) -> NDArray:
     """Return the quaternion of a rotation vector [rad]."""

@@ -1,0 +1,207 @@
+"""Tasks planned in reconstructions: plans follow the scene, failures are told, rows are kept."""
+
+import math
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.bench.dataset.scene_methods import METHODS
+from neoworld_mjx.bench.suites import MethodName
+from neoworld_mjx.bench.tasks import all_tasks, find_task, success_runs
+from neoworld_mjx.bench.tasks.plan_format import rotation
+from neoworld_mjx.bench.tasks.reconstructed_plans import planned_there
+from neoworld_mjx.bench.tasks.success_runs import SuccessRow, known_successes, run_successes
+from neoworld_mjx.bench.tasks.success_summary import success_interval, success_summary
+from neoworld_mjx.bench.tasks.task_photo import moved_whole, photographed_task
+from neoworld_mjx.config import ComposeOptions, RefineOptions
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.spec import scale
+from neoworld_mjx.spec.pose import from_yaw, pose, rotate
+
+ONE_OF_EACH = (
+    *("cup_on_plate", "tight_peg", "third_cube", "push_block", "ball_through_gate", "tip_book"),
+    *("dominoes_curved", "push_off_the_edge", "open_till", "close_laptop", "turn_faucet", "bridge"),
+)
+
+
+def _moved(task, names, by):
+    objects = []
+    for item in task.scene.objects:
+        if item.name in names:
+            xy = (item.xy[0] + by[0], item.xy[1] + by[1])
+            item = item.model_copy(update={"xy": xy})
+        objects.append(item)
+    return task.scene.model_copy(update={"objects": tuple(objects)})
+
+
+def _check_that_the_plan_moves_along(task):
+    """Planned in the scene, moved as a whole, it is the reference plan, moved as a whole."""
+    by = pose((0.4, -0.3, 0.0), from_yaw(0.9))
+    plan, moved = task.plan, task.plan_in(moved_whole(task.scene, by))
+    near = {"atol": 3e-6}
+    np.testing.assert_allclose(moved.position, by.apply(plan.position), **near)
+    for name in ("approach", "closing"):
+        a, b = getattr(moved, name), rotate(by.quat, getattr(plan, name))
+        np.testing.assert_allclose(a, b, **near)
+    assert len(moved.moves) == len(plan.moves)
+    for a, b in zip(moved.moves, plan.moves, strict=True):
+        np.testing.assert_allclose(a.displacement, rotate(by.quat, b.displacement), **near)
+        np.testing.assert_allclose(a.turn, rotate(by.quat, b.turn), **near)
+        assert (a.about is None) == (b.about is None)
+        if b.about is not None:
+            np.testing.assert_allclose(a.about, by.apply(b.about), **near)
+        assert (a.opening, a.seconds) == (
+            pytest.approx(b.opening, abs=1e-6),
+            pytest.approx(b.seconds, abs=1e-4),
+        )
+    assert task.predicate_in(task.scene) == task.predicate or task.prepared.condition is not None
+
+
+@pytest.mark.parametrize("name", ONE_OF_EACH)
+def test_plans_move_along_with_the_scene(name):
+    _check_that_the_plan_moves_along(find_task(name))
+
+
+@pytest.mark.slow
+def test_every_plan_moves_along_with_the_scene():
+    for task in all_tasks():
+        _check_that_the_plan_moves_along(task)
+
+
+def test_conditions_follow_what_lies_between_objects():
+    task = find_task("push_block")
+    assert task.predicate_in(task.scene).target == pytest.approx(task.predicate.target)
+    marks = _moved(task, ("mark", "mark_2"), (0.05, 0.0))
+    x, y, z = task.predicate.target
+    assert task.predicate_in(marks).target == pytest.approx((x + 0.05, y, z))
+    (farther,) = (m for m in task.plan_in(marks).moves if m.displacement[0] > 0)
+    assert farther.displacement[0] == pytest.approx(0.25 + 0.003 * 0.25 / math.hypot(0.25, 0.1))
+    bridge = find_task("bridge")
+    for a, b in zip(bridge.predicate_in(bridge.scene).of, bridge.predicate.of, strict=True):
+        assert a.target == pytest.approx(b.target, abs=2e-4)
+
+
+def test_grips_and_targets_grow_with_objects():
+    task = find_task("cube_on_cube")
+    objects = [
+        item.model_copy(update={"spec": scale(item.spec, 1.2), "z": 1.2 * item.z})
+        if item.name in ("upper", "lower")
+        else item
+        for item in task.scene.objects
+    ]
+    larger = task.scene.model_copy(update={"objects": tuple(objects)})
+    plan = task.plan_in(larger)
+    assert plan.opening == pytest.approx(task.plan.opening + 0.2 * 0.05)
+    assert task.predicate_in(larger).target == pytest.approx((0.0, 0.0, 0.06))
+    assert task.predicate_in(larger).radius == task.predicate.radius
+
+
+def test_a_plan_from_a_wrong_layout_fails_in_the_truth():
+    task = find_task("cube_on_cube")
+    there = planned_there(task, _moved(task, ("upper",), (0.03, -0.02)))
+    assert there.in_scene.success and not there.on_truth.success
+    assert "upper within" in there.on_truth.reason
+    assert there.object_error_m == pytest.approx(math.hypot(0.03, 0.02))
+
+
+def test_what_all_objects_share_is_no_error():
+    task = find_task("cube_on_cube")
+    names = [item.name for item in task.scene.objects if not item.environment]
+    there = planned_there(task, _moved(task, names, (0.04, 0.03)))
+    assert there.shift_m == pytest.approx(0.05) and there.object_error_m == pytest.approx(0.0)
+    assert there.on_truth.success and there.in_scene.success and not there.unaligned.success
+
+
+def test_shifted_plans_take_their_axes_along():
+    plan = find_task("turn_faucet").plan
+    there = plan.shifted((0.1, 0.2, 0.0))
+    before, after = plan.moves[-1].about, there.moves[-1].about
+    assert np.subtract(after, before) == pytest.approx((0.1, 0.2, 0.0))
+    assert np.subtract(there.position, plan.position) == pytest.approx((0.1, 0.2, 0.0))
+    np.testing.assert_allclose(rotation(plan.moves[-1].turn), rotation(there.moves[-1].turn))
+
+
+def test_without_an_object_there_is_no_plan():
+    task = find_task("cube_on_cube")
+    objects = [item for item in task.scene.objects if item.name != "lower"]
+    there = planned_there(task, task.scene.model_copy(update={"objects": tuple(objects)}))
+    assert not (there.on_truth.success or there.in_scene.success or there.unaligned.success)
+    assert there.on_truth.reason.startswith("no plan: ")
+    assert there.on_truth.reason.endswith("; the scene has no lower")
+
+
+def test_photographs_show_the_front_and_what_hides_behind():
+    front = photographed_task(find_task("cube_on_cube").scene)
+    for item in front.scene.objects[1:]:
+        x0, y0, x1, y1 = item.box2d.as_tuple()
+        assert x0 > 0 and y0 > 0 and x1 < 640 and y1 < 480 and (x1 - x0) * (y1 - y0) > 500
+    back = front.back(front.scene).objects[0]
+    assert (*back.xy, back.z, back.yaw) == pytest.approx((0, 0, -0.04, 0), abs=1e-12)
+    # From the front the first domino hides behind the last.
+    row = photographed_task(find_task("dominoes_straight").scene)
+    assert abs(abs(math.degrees(row.scene.objects[0].yaw)) - 180.0) > 20.0
+
+
+def _run(out, **changes):
+    given = {"starts": 1, "seed": 0, "refine": RefineOptions(), "compose": ComposeOptions()}
+    given |= {"methods": ["open_loop"], "noise": "exact", "workers": 1, "out": out} | changes
+    return run_successes([find_task("cube_on_cube")], **given)
+
+
+def test_rows_are_kept_and_what_raises_is_a_failure(tmp_path, monkeypatch):
+    def raising(*_, **__):
+        raise ValueError("broken")
+        yield
+
+    with monkeypatch.context() as patch:
+        patch.setattr(success_runs, "outcomes_of", raising)
+        (row,) = _run(tmp_path)
+    assert not (row.on_truth or row.in_scene or row.unaligned or row.valid)
+    assert row.reason == "no layout: ValueError: broken"
+    assert known_successes(tmp_path) == [row] == _run(tmp_path)
+    assert known_successes(tmp_path / "none") == []
+    with pytest.raises(SpecError, match="method: got 'opn_loop'"):
+        run_successes(
+            [],
+            ["opn_loop"],
+            starts=1,
+            seed=0,
+            refine=RefineOptions(),
+            compose=ComposeOptions(),
+            noise="exact",
+        )
+
+
+@pytest.mark.slow
+def test_an_exact_answer_is_a_success(tmp_path):
+    (row,) = _run(tmp_path)
+    assert row.on_truth and row.in_scene and row.valid and row.missed == 0
+    assert row.shift_m < 1e-3 and row.object_error_m < 1e-3 and row.reason == ""
+
+
+def _row(task, kind, method, on_truth, start=0, **more):
+    given = dict.fromkeys(SuccessRow.model_fields, 0) | {
+        **{"task": task, "kind": kind, "method": method, "on_truth": on_truth, "start": start},
+        **{"in_scene": True, "unaligned": False, "valid": True, "evaluation": start % 2 == 1},
+        **{"noise": "layout", "reason": "", "scene_reason": "", "fingerprint": "x"},
+    }
+    return SuccessRow.model_validate(given | more)
+
+
+def test_figures_by_method_and_kind():
+    rows = [_row("a", "stacking", "ours", True), _row("a", "stacking", "ours", True, 1)]
+    rows += [_row("b", "pushing", "ours", False), _row("b", "pushing", "ours", False, 1)]
+    rows += [_row("b", "pushing", "gravity", False, reason="no plan: x")]
+    summary = success_summary(rows)
+    ours = summary["methods"]["ours"]
+    assert (ours["n"], ours["success_on_truth"], ours["success_in_scene"]) == (4, 0.5, 1.0)
+    assert ours["success_on_truth_interval"] == [0.0, 1.0]
+    assert summary["evaluation"]["ours"]["n"] == 2
+    assert summary["kinds"]["pushing"]["gravity"]["no_plan"] == 1
+    assert summary["kinds"]["stacking"]["ours"]["success_on_truth"] == 1.0
+    assert summary["paper"]["success"]["NeoWorld-Pro"] == 0.9285
+    assert success_interval(rows[:2], "success_on_truth") == (1.0, 1.0, 1.0)
+
+
+def test_methods_on_the_command_line_are_all_methods():
+    assert set(MethodName.__args__) == set(METHODS)
