@@ -41,7 +41,7 @@ def planned_there(task: ManipulationTask, made: SceneSpec) -> PlannedThere:
     Args:
         task: what is to be done.
         made: a scene of the same objects, moved to where the task's scene is. Objects may be
-            missing; the table is where it is in the truth.
+            missing, and the table shares the shift.
     """
     began = time.perf_counter()
     there = {item.name for item in made.objects}

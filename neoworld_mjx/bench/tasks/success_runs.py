@@ -7,6 +7,7 @@ in the truth.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from ...config import ComposeOptions, RefineOptions
@@ -16,6 +17,7 @@ from ...physics.native import NativeEngine
 from ...spec import SceneSpec
 from ..dataset.kept_rows import RowFile, made_by_jobs, sized, stored_rows
 from ..dataset.layout_errors import displaced
+from ..dataset.parse_noise import NoiseLog
 from ..dataset.scene_methods import MethodResult, check_methods, in_order, outcomes_of
 from ..dataset.starts import (
     NoiseLevel,
@@ -42,6 +44,8 @@ class SuccessRow(Row):
     """Objects of the truth without its table."""
     noise: str
     """Level of the start's noise."""
+    injected: str
+    """Kinds of errors that the start has beside its numbers, with commas; see `parse_noise`."""
     missed: int
     """Of them, those that the start does not have."""
     start: int
@@ -149,16 +153,18 @@ def run_successes(
 def success_rows(job: SuccessJob) -> Iterator[SuccessRow]:
     """Run the methods of a job, one row as soon as it is known; what raises is a failure."""
     task = find_task(job.task)
-    left = in_order(job.methods)
+    left, errors = in_order(job.methods), NoiseLog()
+    row = partial(_row, job, task, errors)
     try:
         photo = photographed_task(task.scene)
         number = noise_number(f"task/{job.task}", job.seed, job.start)
+        tree = true_tree(photo.scene)
         composed = composed_start(
-            photo.scene, true_tree(photo.scene), number, job.compose, noise=job.noise
+            photo.scene, tree, number, job.compose, noise=job.noise, log=errors
         )
     except Exception as error:  # Of one task, which must not end the run of all others.
         for method in left:
-            yield _row(job, task, method, f"no start: {described(error)}")
+            yield row(method, f"no start: {described(error)}")
         return
     engine = NativeEngine(threads=job.threads)
     while left:
@@ -167,13 +173,17 @@ def success_rows(job: SuccessJob) -> Iterator[SuccessRow]:
                 tuple(left), composed, job.refine, engine, seed=job.seed, warm=False
             ):
                 left.remove(method)
-                yield _row(job, task, method, (photo, result))
+                yield row(method, (photo, result))
         except Exception as error:
-            yield _row(job, task, left.pop(0), f"no layout: {described(error)}")
+            yield row(left.pop(0), f"no layout: {described(error)}")
 
 
 def _row(
-    job: SuccessJob, task: ManipulationTask, method: str, made: tuple[TaskPhoto, MethodResult] | str
+    job: SuccessJob,
+    task: ManipulationTask,
+    errors: NoiseLog,
+    method: str,
+    made: tuple[TaskPhoto, MethodResult] | str,
 ) -> SuccessRow:
     valid, missed, seconds, rollouts = False, 0, 0.0, 0
     if isinstance(made, str):
@@ -185,12 +195,13 @@ def _row(
         there = planned_there(task, scene)
         valid = result.check_passed and not displaced(scene, task.scene)
         missed = len(_things(task.scene) - _things(scene))
-        seconds, rollouts = result.seconds, result.rollouts
+        seconds, rollouts = result.seconds or 0.0, result.rollouts
     return SuccessRow(
         task=task.name,
         kind=task.kind,
         objects=len(_things(task.scene)),
         noise=job.noise,
+        injected=", ".join(errors.injected),
         missed=missed,
         start=job.start,
         seed=job.seed,
