@@ -24,6 +24,9 @@ class ProgramError(NeoWorldError):
 class ModelError(NeoWorldError):
     """A multimodal model could not be asked, or gave no valid answer."""
 
+    texts: tuple[str, ...] = ()
+    """The answers that could not be used, as they came, without keys."""
+
 
 class MissingAnswerError(ModelError):
     """A tape holds no answer for a request."""

@@ -10,6 +10,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+from tyro.conf import Positional
+
 from ..engines import ENGINES, EngineChoice, EngineName
 
 MethodName = Literal[
@@ -251,6 +253,76 @@ class Plans:
     """Seed of the offsets and the refinement."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class PictureSuite:
+    """Hold pictures of made scenes against the photographs: SSIM, and LPIPS, CLIP, DINOv2 and Uni3D
+    where their models are given.
+    """
+
+    folders: Positional[tuple[Path, ...]] = ()
+    """Run folders, or folders that `neoworld bench make` wrote."""
+    clip: Path | None = None
+    """CLIP: a folder with onnx/vision_model.onnx and preprocessor_config.json."""
+    dino: Path | None = None
+    """DINOv2: a folder with onnx/model.onnx and preprocessor_config.json."""
+    lpips: Path | None = None
+    """LPIPS: an ONNX file that takes two pictures."""
+    uni3d: Path | None = None
+    """Uni3D: a folder with points.onnx, image.onnx and preprocessor_config.json."""
+    size: int = 512
+    """Longer side of a scene's pictures, at most the photograph's [px]; an object's have 256."""
+    no_objects: bool = False
+    """Measure whole scenes alone."""
+    out: Path | None = None
+    """Folder to write the compared pictures into, the photograph left."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judge:
+    """Show made scenes to a model, which scores completeness, layout and function from 1 to 7."""
+
+    folders: Positional[tuple[Path, ...]] = ()
+    """Run folders, or folders that `neoworld bench make` wrote."""
+    repeats: int = 3
+    """Judgements of each scene."""
+    out: Path | None = None
+    """Folder for answers.json with every answer as it came, and the pictures."""
+    provider: str = "auto"
+    """Who answers: auto, anthropic, openai, mailbox or replay."""
+    tape: Path | None = None
+    """Tape to replay."""
+    mailbox: Path | None = None
+    """Folder of the mailbox."""
+    record: Path | None = None
+    """Tape to record the answers on."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointVideos:
+    """Show a model each true joint's motion beside a made one's, and count those that it says are
+    the same, as the paper decides hits; beside it, hits by geometry.
+    """
+
+    made: Path | None = None
+    """Made object: a program, spec.json, URDF, MJCF or USD, or a folder of them by name."""
+    truth: Path | None = None
+    """True object, or a folder of them with the same names."""
+    front: Literal["+x", "-x", "+y", "-y"] = "+x"
+    """Direction in the true objects' frame in which their fronts face."""
+    repeats: int = 1
+    """Answers about each joint; more than half of them decide."""
+    out: Path | None = None
+    """Folder for answers.json with every answer as it came, and the pictures."""
+    provider: str = "auto"
+    """Who answers: auto, anthropic, openai, mailbox or replay."""
+    tape: Path | None = None
+    """Tape to replay."""
+    mailbox: Path | None = None
+    """Folder of the mailbox."""
+    record: Path | None = None
+    """Tape to record the answers on."""
+
+
 SUITES = {
     "scenes": Suite(SceneSet, "neoworld_mjx.bench.command:scenes_answer", configured=True),
     "physics": Suite(Physics, "neoworld_mjx.bench.command:physics_answer"),
@@ -262,6 +334,11 @@ SUITES = {
         TaskSuccess, "neoworld_mjx.bench.command:task_success_answer", configured=True
     ),
     "plans": Suite(Plans, "neoworld_mjx.bench.command:plans_answer", configured=True),
+    "pictures": Suite(PictureSuite, "neoworld_mjx.bench.seen.seen_command:pictures_answer"),
+    "judge": Suite(Judge, "neoworld_mjx.bench.seen.seen_command:judge_answer", configured=True),
+    "joint-videos": Suite(
+        JointVideos, "neoworld_mjx.bench.seen.seen_command:joint_videos_answer", configured=True
+    ),
     "photos": Suite(Photos, "neoworld_mjx.bench.command:photos_answer", configured=True),
 }
 """Suites that `neoworld bench run NAME` runs."""

@@ -98,7 +98,8 @@ class SuiteCommand:
             value = getattr(self, field.name)
             if value == field.default or field.name in ("quiet", "verbose", "debug"):
                 continue
-            yield "--" + field.name.replace("_", "-")
+            if not hasattr(field.type, "__metadata__"):  # Positional is an annotation.
+                yield "--" + field.name.replace("_", "-")
             if value is not True:
                 yield from map(str, value if isinstance(value, tuple) else (value,))
 

@@ -73,10 +73,13 @@ def bench_lines(answer: Answer) -> list[str]:
     rows += _wrapped(facts[:MOST_FACTS])
     if len(facts) > MOST_FACTS:
         rows.append(f"  and {len(facts) - MOST_FACTS} more numbers")
+    if "paper" in answer:
+        theirs = f"theirs: {answer['paper']['note']}"
+        rows += textwrap.wrap(theirs, initial_indent="  ", subsequent_indent="  ")
     return [*rows, DETAILS]
 
 
-_HEAD = ("suite", "command", "date", "machine")
+_HEAD = ("suite", "command", "date", "machine", "models", "paper")
 
 
 def _facts(answer: Mapping[str, Any], prefix: str = "") -> Iterable[str]:

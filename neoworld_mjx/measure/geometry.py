@@ -133,16 +133,19 @@ def surface_points(spec: ObjectSpec, count: int = SAMPLES, seed: int = 0) -> NDA
 
 def sampled(meshes: "Sequence[trimesh.Trimesh]", count: int, seed: int) -> NDArray:
     """Sample points [count, 3] of several meshes, evenly by area; the same for the same seed."""
+    return np.vstack(samples_of_each(meshes, count, seed))
+
+
+def samples_of_each(meshes: "Sequence[trimesh.Trimesh]", count: int, seed: int) -> list[NDArray]:
+    """Return the same points as `sampled`, [n, 3] of each mesh."""
     import trimesh
 
     areas = np.array([mesh.area for mesh in meshes])
     which = np.random.default_rng(seed).multinomial(count, areas / areas.sum())
-    points = [
-        trimesh.sample.sample_surface(mesh, n, seed=seed + k)[0]
+    return [
+        trimesh.sample.sample_surface(mesh, n, seed=seed + k)[0] if n else np.zeros((0, 3))
         for k, (mesh, n) in enumerate(zip(meshes, which.tolist(), strict=True))
-        if n
     ]
-    return np.vstack(points)
 
 
 def _fitted(own: NDArray, true: NDArray, tree: KDTree, size: float) -> tuple[NDArray, float, float]:

@@ -101,22 +101,21 @@ def joint_measure(predicted: ObjectSpec | ObjectTruth, truth: ObjectTruth) -> Jo
     """
     own = truth_of(predicted) if isinstance(predicted, ObjectSpec) else predicted
     ours, theirs = _normalised(own), _normalised(truth)
-    worth = np.zeros((len(theirs), len(ours)))
-    for i, true in enumerate(theirs):
-        for j, estimate in enumerate(ours):
-            agreement = agree(estimate, true)
-            if agreement >= LEAST_AGREEMENT:
-                worth[i, j] = (
-                    agreement + alike(estimate, true) + float(np.mean(overlaps(estimate, true)))
-                )
-    rows, columns = linear_sum_assignment(worth, maximize=True)
-    pairs = tuple(
-        _pair(ours[j], theirs[i]) for i, j in zip(rows, columns, strict=True) if worth[i, j] > 0
-    )
+    pairs = tuple(_pair(ours[j], theirs[i]) for i, j in _assigned(ours, theirs, LEAST_AGREEMENT))
     matched, used = {p.true for p in pairs}, {p.predicted for p in pairs}
     missed = tuple(joint.name for joint in theirs if joint.name not in matched)
     extra = tuple(joint.name for joint in ours if joint.name not in used)
     return _summed(truth.name, pairs, missed, extra)
+
+
+def joint_partners(predicted: ObjectSpec, truth: ObjectTruth) -> dict[str, str]:
+    """Return the made joint that is held against each true one, by name, however poorly they agree.
+
+    The assignment is that of `joint_measure` without its least overlap. True joints are left out
+    only where there are fewer made ones.
+    """
+    ours, theirs = _normalised(truth_of(predicted)), _normalised(truth)
+    return {theirs[i].name: ours[j].name for i, j in _assigned(ours, theirs, -1.0)}
 
 
 def pooled(measures: Sequence[JointMeasure], name: str = "all") -> JointMeasure:
@@ -164,6 +163,24 @@ def line_distance(p: NDArray, a: NDArray, q: NDArray, b: NDArray, near: NDArray)
         return float(np.linalg.norm(np.cross(point - p, a)))
     normal = np.cross(a, b)
     return abs(float((q - p) @ normal)) / float(np.linalg.norm(normal))
+
+
+def _assigned(
+    ours: Sequence[TrueJoint], theirs: Sequence[TrueJoint], least: float
+) -> list[tuple[int, int]]:
+    """Return the pairs (index of theirs, of ours) with the largest sum of overlap and motion."""
+    worth = np.zeros((len(theirs), len(ours)))
+    allowed = np.zeros(worth.shape, bool)
+    for i, true in enumerate(theirs):
+        for j, estimate in enumerate(ours):
+            agreement = agree(estimate, true)
+            if agreement >= least:
+                allowed[i, j] = True
+                worth[i, j] = (
+                    agreement + alike(estimate, true) + float(np.mean(overlaps(estimate, true)))
+                )
+    rows, columns = linear_sum_assignment(worth, maximize=True)
+    return [(i, j) for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if allowed[i, j]]
 
 
 def _normalised(truth: ObjectTruth) -> list[TrueJoint]:

@@ -167,6 +167,11 @@ def diagonal(truth: ObjectTruth) -> float:
     return float(np.linalg.norm(np.ptp(np.array(truth.box), axis=0)))
 
 
+def quarter_turns(front: Front) -> int:
+    """Return how many quarter turns about +z bring a front to +x."""
+    return _TURNS[front]
+
+
 def quarter_turn(count: int) -> NDArray:
     """Return the matrix [3, 3] of so many quarter turns about +z."""
     c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[count % 4]

@@ -219,18 +219,22 @@ class Panel:
                 continue
             self._write_record(request, reply)
             return Answer(value, reply.text, usage, reply.model)
-        raise self._calls.error(
+        error = self._calls.error(
             f"{request.name}: {model} gave no valid answer in {rounds} "
             f"{'try' if rounds == 1 else 'tries'}; the last one: {reason}"
         )
+        error.texts = tuple(hide(each.text, self.provider.secrets) for each in rejected)
+        raise error
 
     def _check_stop(self, request: Request[Any], role: RoleOptions, reply: Reply) -> None:
         if reply.stop == "refusal":
             reason = f": {reply.detail}" if reply.detail else ""
-            raise self._calls.error(
+            error = self._calls.error(
                 f"{request.name}: {reply.model} refused to answer{reason}; "
                 f"try another photo or another model (mllm.{request.role}.model)"
             )
+            error.texts = (hide(reply.text, self.provider.secrets),)
+            raise error
         if reply.stop == "length":
             raise self._calls.error(
                 f"{request.name}: the answer of {reply.model} was cut off at {role.max_tokens} "

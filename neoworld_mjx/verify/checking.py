@@ -4,12 +4,13 @@ import time
 from pathlib import Path
 from typing import Any
 
-from ..config import Config
+from ..config import Config, ProgramOptions
 from ..errors import SpecError
 from ..export import export_object
 from ..export.importing import Imported
 from ..export.importing_scene import ImportedScene, import_file
 from ..program.allowance import Allowance
+from ..reading import read_model
 from ..spec import ObjectSpec
 from .battery import VERSION
 from .patch import overlay_path, read_overlay, write_overlay
@@ -30,6 +31,23 @@ def import_object(path: Path) -> Imported:
         names = ", ".join(item.name for item in imported.spec.objects[:8])
         raise SpecError(f"{path} holds a scene of several objects, not one: {names}")
     return imported
+
+
+def object_of_file(path: Path, options: ProgramOptions) -> ObjectSpec:
+    """Read the object of a program (.py), spec.json, URDF, MJCF or USD.
+
+    Raises:
+        SpecError: the file cannot be read, or gives no object.
+    """
+    if path.suffix == ".json":
+        return read_model(path, ObjectSpec, SpecError, "an object")
+    if path.suffix != ".py":
+        return import_object(path).spec
+    built = build_patched(path, options).built
+    if built.spec is None:
+        reasons = "; ".join(signal.phrase() for signal in built.signals[:3])
+        raise SpecError(f"{path} gives no object: {reasons}")
+    return built.spec
 
 
 def check_object(

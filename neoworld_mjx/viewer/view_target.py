@@ -11,7 +11,7 @@ from PIL import Image
 from ..config import Config
 from ..errors import PhotoError, RunError, SpecError
 from ..parse.photo import load_photo
-from ..reading import read_arrays, read_model
+from ..reading import read_arrays
 from ..run_folder import refuse_links
 from ..spec import ObjectSpec, SceneObject, SceneSpec, read_scene
 
@@ -84,21 +84,13 @@ def open_target(path: Path, config: Config) -> ViewTarget:
             f"{path} is no run folder and holds no scene.json, program.py or spec.json: name a "
             "run folder, a scene.json, a program (.py), or a URDF or MJCF file"
         )
-    if path.suffix == ".py":
-        from ..verify.patched import build_patched
+    of_spec = path.name in ("spec.json", "verified.json")
+    if of_spec or path.suffix == ".py" or path.suffix.lower() in OBJECT_FILES:
+        from ..verify.checking import object_of_file
 
-        built = build_patched(path, config.program).built
-        if built.spec is None:
-            reasons = "; ".join(signal.phrase() for signal in built.signals[:3])
-            raise SpecError(f"{path} gives no object: {reasons}")
-        return ViewTarget(path.name, alone(built.spec), program=path)
-    if path.suffix.lower() in OBJECT_FILES:
-        from ..verify.checking import import_object
-
-        return ViewTarget(path.name, alone(import_object(path).spec))
-    if path.name in ("spec.json", "verified.json"):
-        spec = read_model(path, ObjectSpec, SpecError, "an object")
-        return ViewTarget(spec.name, alone(spec))
+        spec = object_of_file(path, config.program)
+        program = path if path.suffix == ".py" else None
+        return ViewTarget(spec.name if of_spec else path.name, alone(spec), program=program)
     if path.exists() and path.suffix != ".json":
         raise SpecError(
             f"{path}: expected a run folder, a scene.json, an object's folder, a program (.py), a "

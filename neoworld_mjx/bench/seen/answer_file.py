@@ -1,0 +1,71 @@
+"""Answers of a judge: all asked side by side, and kept as they came."""
+
+import asyncio
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel
+
+from ...errors import BudgetError, MissingAnswerError, ModelError, RunError
+from ...files import write_atomic
+from ...mllm import Answer, Panel, Request
+
+T = TypeVar("T", bound=BaseModel)
+ANSWERS = "answers.json"
+
+
+def answers_to(models: Panel, requests: Sequence[Request[T]]) -> list[Answer[T] | ModelError]:
+    """Ask requests side by side; a refusal or an answer that does not fit is its error.
+
+    Raises:
+        BudgetError: the cost cap is reached.
+        MissingAnswerError: a tape lacks an answer.
+    """
+
+    async def one(request: Request[T]) -> Answer[T] | ModelError:
+        try:
+            return await models.ask(request)
+        except (BudgetError, MissingAnswerError):
+            raise
+        except ModelError as error:
+            return error
+
+    async def together() -> list[Answer[T] | ModelError]:
+        return await asyncio.gather(*map(one, requests))
+
+    return models.run(together())
+
+
+class AnswerFile:
+    """Writes answers.json: of each request its name, its key, the model, and the raw answers.
+
+    Args:
+        folder: where the file is written after every answer; None writes none.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self._file = None if folder is None else folder / ANSWERS
+        self._entries: list[dict[str, Any]] = []
+
+    def add(self, request: Request[Any], answer: Answer[Any] | ModelError) -> None:
+        """Add what came of a request.
+
+        Raises:
+            RunError: the file cannot be written.
+        """
+        entry: dict[str, Any] = {"name": request.name, "key": request.key}
+        if isinstance(answer, ModelError):
+            entry |= {"valid": False, "why": str(answer), "texts": list(answer.texts)}
+        else:
+            entry |= {"valid": True, "model": answer.model, "texts": [answer.text]}
+        self._entries.append(entry)
+        if self._file is None:
+            return
+        text = json.dumps(self._entries, indent=1, ensure_ascii=False) + "\n"
+        try:
+            self._file.parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(self._file, text)
+        except OSError as error:
+            raise RunError(f"cannot write {self._file}: {error.strerror}") from None

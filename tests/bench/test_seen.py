@@ -1,0 +1,376 @@
+"""Pictures, judge and films of joints on small scenes; the tapes are written by hand."""
+
+import io
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from neoworld_mjx import cli
+from neoworld_mjx.bench.seen import picture_rows as comparing
+from neoworld_mjx.bench.seen.joint_films import JointedPair, joint_frames, motion_is_seen
+from neoworld_mjx.bench.seen.joint_hits import (
+    comparison_request,
+    joint_hit_figures,
+    joint_hit_rows,
+)
+from neoworld_mjx.bench.seen.made_scenes import made_scenes
+from neoworld_mjx.bench.seen.picture_rows import picture_figures, picture_rows
+from neoworld_mjx.bench.seen.scene_judge import (
+    SceneRating,
+    judged_pictures,
+    rating_figures,
+    rating_request,
+    rating_rows,
+)
+from neoworld_mjx.config import MLLMOptions
+from neoworld_mjx.errors import ConfigError, MissingAnswerError, SpecError
+from neoworld_mjx.measure.picture_measure import PictureModels
+from neoworld_mjx.mllm import Panel
+from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
+from neoworld_mjx.mllm.replay import Replay, Tape
+from neoworld_mjx.render import render_scene, to_png
+from neoworld_mjx.spec import (
+    Box2D,
+    Box3D,
+    Camera,
+    GeomSpec,
+    JointSpec,
+    Material,
+    ObjectSpec,
+    PartSpec,
+    SceneObject,
+    SceneSpec,
+    SceneTree,
+    TreeNode,
+)
+from neoworld_mjx.spec.primitives import Box
+
+WIDTH, HEIGHT = 96, 72
+
+
+def geom(name, size, pos=(0.0, 0.0, 0.0), material="wood"):
+    return GeomSpec(name=name, shape=Box(size=size), pos=pos, material=material)
+
+
+def chest(*, hinge=True, drawer=True, colour=(0.6, 0.4, 0.2)):
+    """A body with a door on the left of its front and a drawer below, both optional."""
+    parts = [PartSpec(name="body", geoms=(geom("body", (0.3, 0.4, 0.5), (0.0, 0.0, 0.25)),))]
+    joints = []
+    if hinge:
+        door = geom("door", (0.02, 0.38, 0.25), (0.16, 0.0, 0.35), "pale")
+        parts.append(PartSpec(name="door", geoms=(door,)))
+        joints.append(
+            JointSpec(
+                name="hinge",
+                type="revolute",
+                parent="body",
+                child="door",
+                pos=(0.17, -0.19, 0.35),
+                axis=(0.0, 0.0, -1.0),
+                upper=1.5,
+            )
+        )
+    if drawer:
+        front = geom("front", (0.02, 0.38, 0.18), (0.16, 0.0, 0.1), "pale")
+        parts.append(PartSpec(name="drawer", geoms=(front,)))
+        joints.append(
+            JointSpec(
+                name="slide",
+                type="prismatic",
+                parent="body",
+                child="drawer",
+                axis=(1.0, 0.0, 0.0),
+                upper=0.2,
+            )
+        )
+    materials = (
+        Material(name="wood", density=500.0, rgba=(*colour, 1.0)),
+        Material(name="pale", density=500.0, rgba=(0.9, 0.85, 0.7, 1.0)),
+    )
+    return ObjectSpec(
+        name="chest", label="small chest", parts=tuple(parts), joints=tuple(joints),
+        materials=materials,
+    )  # fmt: skip
+
+
+def scene(spec=None):
+    """A chest on the floor, seen from its front."""
+    camera = Camera(width=WIDTH, height_px=HEIGHT, fovy=0.8, pitch=0.3, height=0.9)
+    item = SceneObject(name="chest", spec=spec or chest(), xy=(1.6, 0.0), yaw=float(np.pi))
+    return SceneSpec(name="small", objects=(item,), camera=camera)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A run folder with what these suites read; the photograph is the scene in other colours."""
+    own = tmp_path / "small"
+    own.mkdir()
+    made, photographed = scene(), scene(chest(colour=(0.3, 0.3, 0.5)))
+    (own / "scene.json").write_text(made.to_json())
+    image = render_scene(photographed)
+    (own / "photo.png").write_bytes(to_png(image))
+    rows, columns = np.nonzero(image.segmentation == 0)
+    box = Box2D(
+        x0=float(columns.min()),
+        y0=float(rows.min()),
+        x1=float(columns.max() + 1),
+        y1=float(rows.max() + 1),
+    )
+    room = Box3D(position=(1.6, 0.0, 0.25), size=(0.3, 0.4, 0.5), yaw=0.0)
+    floor = TreeNode(
+        name="floor",
+        label="floor",
+        environment=True,
+        box2d=Box2D(x0=0.0, y0=20.0, x1=96.0, y1=72.0),
+        box3d=Box3D(position=(1.6, 0.0, -0.05), size=(3.0, 3.0, 0.1), yaw=0.0),
+    )
+    node = TreeNode(name="chest", label="chest", parent="floor", box2d=box, box3d=room)
+    tree = SceneTree(camera=made.camera, nodes=(floor, node))
+    (own / "tree.json").write_text(tree.to_json())
+    return own
+
+
+def test_scene_and_object_are_held_against_the_photograph(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(comparing, "OBJECT_PX", 64)
+    out = tmp_path / "compared"
+    rows = list(picture_rows([folder], PictureModels.load(), side=96, out=out))
+    assert [(row.kind, row.name) for row in rows] == [("scene", ""), ("object", "chest")]
+    assert (rows[0].width, rows[0].height, rows[1].width) == (96, 72, 64)
+    assert all(0 < row.ssim < 1 for row in rows)
+    assert rows[1].why == {name: f"no --{name} PATH" for name in ("lpips", "clip", "dino", "uni3d")}
+    figures = picture_figures(rows)
+    assert figures["scenes"] == {"n": 1, "ssim": rows[0].ssim} | dict.fromkeys(
+        ("lpips", "clip", "dino", "uni3d")
+    )
+    assert figures["paper"]["scenes"]["full"]["NeoWorld-Pro"] == {"clip": 0.9128, "dino": 0.7855}
+    names = ["00_small-chest.png", "00_small-scene.png"]
+    assert sorted(path.name for path in out.iterdir()) == names
+    with Image.open(out / names[1]) as pair:
+        assert pair.size == (192, 72)
+
+
+def test_the_photograph_of_the_scene_itself_has_ssim_one(folder):
+    (folder / "photo.png").write_bytes(to_png(render_scene(scene())))
+    (row,) = picture_rows([folder], PictureModels.load(), side=96, objects=False)
+    assert row.ssim == pytest.approx(1, abs=1e-12)
+
+
+def test_a_data_set_stands_for_its_scenes(folder):
+    whole = folder.parent / "set"
+    (whole / "scenes").mkdir(parents=True)
+    folder.rename(whole / "scenes" / "small")
+    (whole / "dataset.json").write_text("{}")
+    photo = whole / "scenes" / "small" / "photo.png"
+    photo.rename(photo.with_name("picture.png"))
+    (made,) = made_scenes([whole])
+    assert made.numbered == "00_small" and set(made.boxes) == {"chest"}
+
+
+def _no_photo(folder):
+    (folder / "photo.png").unlink()
+
+
+def _other_aspect(folder):
+    Image.new("RGB", (96, 96)).save(folder / "photo.png")
+
+
+def _no_camera(folder):
+    text = scene().model_copy(update={"camera": None}).to_json()
+    (folder / "scene.json").write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (_no_photo, r"has no photograph: expected is photo\.png or picture\.png"),
+        (_other_aspect, "96 x 96 pixels and the scene's camera 96 x 72"),
+        (_no_camera, "has no camera"),
+    ],
+)
+def test_a_folder_that_does_not_fit_says_why(folder, spoil, message):
+    spoil(folder)
+    with pytest.raises(SpecError, match=message):
+        made_scenes([folder])
+
+
+def test_commands_say_what_is_missing(capfd, folder):
+    for arguments, message in (
+        (["pictures"], "name at least one run folder"),
+        (["pictures", str(folder), "--size", "8"], "--size takes 64 to 4096 pixels, got 8"),
+        (["pictures", str(folder), "--clip", str(folder)], "holds no onnx/vision_model.onnx"),
+        (["judge", str(folder), "--provider", "mailbox"], "mailbox"),
+        (["joint-videos", "--made", str(folder)], "needs --made and --truth"),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            cli.main(["bench", "run", *arguments])
+        assert ended.value.code == 2
+        assert message in capfd.readouterr().err
+
+
+def test_command_prints_figures_beside_the_papers(capfd, folder):
+    arguments = ["bench", "run", "pictures", str(folder), "--no-objects", "--json"]
+    with pytest.raises(SystemExit) as ended:
+        cli.main(arguments)
+    assert ended.value.code in (0, None)
+    answer = json.loads(capfd.readouterr().out)
+    assert answer["command"] == " ".join(["neoworld", *arguments])
+    assert answer["scenes"]["n"] == 1 and answer["models"]["clip"] is None
+
+
+def rating(*scores):
+    questions = ("completeness", "layout", "function")
+    return {q: {"reason": "by hand", "score": s} for q, s in zip(questions, scores, strict=True)}
+
+
+def judged(folder, answers, out=None):
+    """Return the rows of a tape written by hand; an answer may be any text."""
+    (made,) = made_scenes([folder])
+    tape = Tape(made="written by hand")
+    pictures = judged_pictures(made)
+    for k, answer in enumerate(answers, start=1):
+        text = answer if isinstance(answer, str) else json.dumps(answer)
+        tape.put(rating_request(made, pictures, k, len(answers)), text, "hand")
+    with Panel(Replay(tape, "by hand"), MLLMOptions()) as models:
+        return list(rating_rows(models, [made], repeats=len(answers), out=out))
+
+
+def test_judgements_are_bounded_and_what_is_no_score_is_missing(folder, tmp_path):
+    out = tmp_path / "judged"
+    answers = [rating(6, 5, 4), rating(7, 5, 2), rating(9, 5, 5), "I would rather not."]
+    rows = judged(folder, answers, out)
+    assert [row.completeness for row in rows] == [6, 7, None, None]
+    assert "score" in rows[2].why and rows[3].why
+    figures = rating_figures(rows)
+    assert (figures["scenes"], figures["answers"], figures["missing"]) == (1, 2, 2)
+    assert figures["completeness"]["mean"] == 6.5 and figures["completeness"]["n"] == 1
+    assert figures["function"]["sd_repeats"] == pytest.approx(np.std([4, 2], ddof=1))
+    assert figures["function"]["sd_scenes"] is None
+    kept = json.loads((out / "answers.json").read_text())
+    assert [entry["valid"] for entry in kept] == [True, True, False, False]
+    assert json.loads(kept[2]["texts"][0])["completeness"]["score"] == 9
+    assert kept[3]["texts"] == ["I would rather not."]
+    shown = {path.name for path in out.glob("*.png")}
+    assert shown == {f"00_small-{label}.png" for label in ("photo", "scene", "aside", "open")}
+
+
+def test_a_scene_without_valid_answers_is_in_no_mean(folder):
+    figures = rating_figures(judged(folder, ["no", "no"]))
+    assert figures["completeness"] == {
+        "mean": None,
+        "n": 0,
+        "sd_scenes": None,
+        "sd_repeats": None,
+    }
+    assert figures["missing"] == 2
+
+
+@pytest.mark.parametrize("score", [0, 8, 3.5, "7", True, None])
+def test_scores_are_whole_numbers_from_one_to_seven(score):
+    with pytest.raises(InvalidAnswer, match="score"):
+        read_answer(json.dumps(rating(score, 5, 5)), SceneRating)
+
+
+def test_requests_of_the_judge_name_joints_and_differ_by_repeat_alone(folder):
+    (made,) = made_scenes([folder])
+    pictures = judged_pictures(made)
+    first, second = (rating_request(made, pictures, k, 2) for k in (1, 2))
+    assert "- chest: door (revolute)" in first.prompt and first.key != second.key
+    differing = {part for part in first.parts if first.parts[part] != second.parts[part]}
+    assert differing == {"prompt"}
+    assert [p.label for p in first.pictures] == ["photo", "scene", "aside", "open"]
+    still = made_scenes([folder])[0]
+    plain = {"scene": scene(chest(hinge=False, drawer=False))}
+    still = type(made)(**(made.__dict__ | plain))
+    assert [p.label for p in judged_pictures(still).for_request()][-1] == "aside"
+    assert "- none" in rating_request(still, pictures, 1, 1).prompt
+
+
+def pair_of(made, front="+x"):
+    return JointedPair("chest", made, chest(), front)
+
+
+def compared(pair, verdicts):
+    tape = Tape(made="written by hand")
+    for joint, answer in verdicts.items():
+        films = pair.strips(joint, pair.partners[joint])
+        text = answer if isinstance(answer, str) else json.dumps(answer)
+        tape.put(comparison_request(pair, joint, films, 1, 1), text, "hand")
+    with Panel(Replay(tape, "by hand"), MLLMOptions()) as models:
+        return list(joint_hit_rows(models, [pair]))
+
+
+def test_hits_are_what_the_model_says_of_films_beside_geometry(tmp_path):
+    pair = pair_of(chest())
+    same = {"reason": "both doors turn", "same_joint": True}
+    rows = compared(pair, {"hinge": same, "slide": {"reason": "no", "same_joint": False}})
+    assert [(row.joint, row.made_joint, row.hit) for row in rows] == [
+        ("hinge", "hinge", True),
+        ("slide", "slide", False),
+    ]
+    figures = joint_hit_figures(rows, [pair])
+    assert (figures["total"], figures["hits"], figures["missed"], figures["miss"]) == (2, 1, 1, 0.5)
+    assert figures["geometry"] == {"total": 2, "hits": 2, "miss": 0.0}
+    assert figures["paper"]["joints"]["NeoWorld-Pro"]["hits"] == 216
+
+
+def test_joints_without_a_partner_are_missed_and_without_an_answer_undecided():
+    pair = pair_of(chest(drawer=False))
+    (hinge, slide) = compared(pair, {"hinge": "I cannot tell."})
+    assert hinge.hit is None and hinge.answers == 0 and "no valid answer" in hinge.why
+    assert slide.hit is False and slide.why == "no made joint is left for it"
+    figures = joint_hit_figures([hinge, slide], [pair])
+    assert (figures["hits"], figures["missed"], figures["unanswered"]) == (0, 1, 1)
+    nothing = pair_of(None)
+    with Panel(Replay(Tape(), "empty"), MLLMOptions()) as models:
+        rows = list(joint_hit_rows(models, [nothing]))
+    assert joint_hit_figures(rows, [nothing])["miss"] == 1.0
+
+
+def test_a_tape_without_the_answer_stops_the_suite():
+    with Panel(Replay(Tape(), "empty"), MLLMOptions()) as models:
+        with pytest.raises(MissingAnswerError, match="joint:chest:hinge:1"):
+            list(joint_hit_rows(models, [pair_of(chest())]))
+        with pytest.raises(ConfigError, match="--repeats takes 1 to 20, got 0"):
+            list(joint_hit_rows(models, [], repeats=0))
+
+
+def test_films_show_the_joint_move_and_the_front_wherever_it_faces():
+    frames = joint_frames(chest(), "hinge", -0.6)
+    assert motion_is_seen(frames) and not motion_is_seen(frames[:1] * 3)
+    first, second = pair_of(chest()).strips("hinge", "hinge")
+    assert first.pixels == second.pixels and first.size == (5 * 256 + 4 * 6, 224)
+    # The same films if the true object's front is said to be its left: seen from there, both
+    # directions differ, but those of the made object do not depend on the true frame.
+    turned = pair_of(chest(), front="+y")
+    assert turned.strips("hinge", "hinge")[1].size == second.size
+    assert turned.strips("hinge", "hinge")[0].pixels != first.pixels
+
+
+def test_what_is_hidden_is_filmed_with_the_others_open():
+    inner = geom("plate", (0.1, 0.1, 0.02), (0.0, 0.0, 0.3), "pale")
+    hollow = [
+        geom("back", (0.02, 0.4, 0.5), (-0.14, 0.0, 0.25)),
+        geom("top", (0.3, 0.4, 0.02), (0.0, 0.0, 0.49)),
+        geom("bottom", (0.3, 0.4, 0.02), (0.0, 0.0, 0.01)),
+        geom("left", (0.3, 0.02, 0.5), (0.0, 0.19, 0.25)),
+        geom("right", (0.3, 0.02, 0.5), (0.0, -0.19, 0.25)),
+    ]
+    base = chest(drawer=False)
+    door = PartSpec(name="door", geoms=(geom("door", (0.02, 0.4, 0.5), (0.16, 0, 0.25), "pale"),))
+    parts = (
+        PartSpec(name="body", geoms=tuple(hollow)),
+        door,
+        PartSpec(name="plate", geoms=(inner,)),
+    )
+    spin = JointSpec(name="spin", type="continuous", parent="body", child="plate")
+    oven = base.model_copy(update={"parts": parts, "joints": (*base.joints, spin)})
+    closed, opened = (joint_frames(oven, "spin", 0.6, others_open=o) for o in (False, True))
+    assert not motion_is_seen(closed) and motion_is_seen(opened)
+    # From the right the open door is in the way; the film is taken from the left.
+    assert not motion_is_seen(joint_frames(oven, "spin", -0.6, others_open=True))
+    first, _ = JointedPair("oven", oven, oven, "+x").strips("spin", "spin")
+    pixels = np.asarray(Image.open(io.BytesIO(first.data)))
+    expected = joint_frames(oven, "spin", np.radians(35), others_open=True)[-1]
+    assert (pixels[:, -expected.shape[1] :] == expected).all()
