@@ -80,6 +80,11 @@ NEEDS = (
         "uv sync --inexact --extra baselines",
     ),
     Need(
+        *("extra metrics", _installed("onnxruntime")),
+        "bench run pictures gives SSIM alone, no LPIPS, CLIP, DINOv2 or Uni3D",
+        "uv sync --inexact --extra metrics",
+    ),
+    Need(
         *("extra plot", _installed("matplotlib")),
         "sweeps end without a figure",
         "uv sync --inexact --extra plot",

@@ -7,6 +7,8 @@ import pytest
 from PIL import Image
 from pydantic import create_model
 
+from neoworld_mjx.bench.seen.joint_hits import FilmComparison
+from neoworld_mjx.bench.seen.scene_judge import SceneRating
 from neoworld_mjx.errors import ModelError
 from neoworld_mjx.mllm import Picture
 from neoworld_mjx.parse.prompts import SceneCritique
@@ -87,6 +89,8 @@ def test_a_renamed_class_with_its_former_title_keeps_the_key(make):
         (ExportCritique, "3e5d73d39ab1872e"),
         (MotionCritique, "84a3c2e836d4acfd"),
         (ProposedEdit, "8d2b04cfc105d197"),
+        (SceneRating, "3319ccf4b8e2f3f7"),
+        (FilmComparison, "ece876ddb29f5602"),
     ],
 )
 def test_schemas_of_answers_are_fixed(make, schema, digest_start):
