@@ -95,6 +95,9 @@ def made_by_jobs(
                 "a process died, for want of memory perhaps; take fewer --workers, the rows that "
                 "are there are kept"
             ) from None
+        finally:
+            # Whatever ends this early, such as Ctrl-C, ends what has not begun, too.
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _listed(work: Callable[[Job], Iterable[Made]], job: Job) -> list[Made]:
