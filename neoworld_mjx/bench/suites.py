@@ -260,7 +260,9 @@ class PictureSuite:
     """
 
     folders: Positional[tuple[Path, ...]] = ()
-    """Run folders, or folders that `neoworld bench make` wrote."""
+    """Run folders, folders that `neoworld bench make` wrote, or submissions (with --data)."""
+    data: Path | None = None
+    """The data set whose photographs the scenes of a submission were made from."""
     clip: Path | None = None
     """CLIP: a folder with onnx/vision_model.onnx and preprocessor_config.json."""
     dino: Path | None = None
@@ -282,7 +284,9 @@ class Judge:
     """Show made scenes to a model, which scores completeness, layout and function from 1 to 7."""
 
     folders: Positional[tuple[Path, ...]] = ()
-    """Run folders, or folders that `neoworld bench make` wrote."""
+    """Run folders, folders that `neoworld bench make` wrote, or submissions (with --data)."""
+    data: Path | None = None
+    """The data set whose photographs the scenes of a submission were made from."""
     repeats: int = 3
     """Judgements of each scene."""
     out: Path | None = None

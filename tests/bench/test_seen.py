@@ -151,6 +151,17 @@ def test_scene_and_object_are_held_against_the_photograph(folder, tmp_path, monk
         assert pair.size == (192, 72)
 
 
+def test_an_object_that_was_not_made_counts_with_what_is_seen_in_its_place(folder, monkeypatch):
+    monkeypatch.setattr(comparing, "OBJECT_PX", 32)
+    made = list(picture_rows([folder], PictureModels.load(), side=96))[1]
+    other = scene().objects[0].model_copy(update={"name": "other", "xy": (1.6, 5.0)})
+    text = scene().model_copy(update={"objects": (other,)}).to_json()
+    (folder / "scene.json").write_text(text)
+    (_, row) = picture_rows([folder], PictureModels.load(), side=96)
+    assert row.name == "chest" and row.ssim < made.ssim
+    assert row.why["uni3d"] == "the object was not made"
+
+
 def test_the_photograph_of_the_scene_itself_has_ssim_one(folder):
     (folder / "photo.png").write_bytes(to_png(render_scene(scene())))
     (row,) = picture_rows([folder], PictureModels.load(), side=96, objects=False)
@@ -161,11 +172,36 @@ def test_a_data_set_stands_for_its_scenes(folder):
     whole = folder.parent / "set"
     (whole / "scenes").mkdir(parents=True)
     folder.rename(whole / "scenes" / "small")
-    (whole / "dataset.json").write_text("{}")
     photo = whole / "scenes" / "small" / "photo.png"
     photo.rename(photo.with_name("picture.png"))
     (made,) = made_scenes([whole])
     assert made.numbered == "00_small" and set(made.boxes) == {"chest"}
+
+
+def test_a_submission_takes_photograph_camera_and_boxes_from_the_data_set(folder, tmp_path):
+    truth = tmp_path / "data" / "scenes" / "small"
+    truth.mkdir(parents=True)
+    for name in ("photo.png", "tree.json"):
+        (folder / name).rename(truth / name)
+    (folder / "scene.json").unlink()
+    bodies = (
+        '<body name="chest" pos="1.6 0 0.25"><freejoint/>'
+        '<geom type="box" size="0.15 0.2 0.25"/></body>'
+        '<body name="floor"><geom type="box" size="2 2 0.1" pos="1 0 -0.1"/></body>'
+    )
+    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    (made,) = made_scenes([folder.parent / "small"], tmp_path / "data")
+    assert set(made.boxes) == {"chest"} and made.camera == scene().camera
+    photo, rendered = made.whole(96)
+    assert photo.shape == rendered.shape == (72, 96, 3)
+    with pytest.raises(SpecError, match="--data names the data set"):
+        made_scenes([folder])
+    with pytest.raises(SpecError, match=r"nor has .*none.*expected is photo\.png"):
+        made_scenes([folder], tmp_path / "none")
+
+
+def _no_scene(folder):
+    (folder / "scene.json").unlink()
 
 
 def _no_photo(folder):
@@ -179,11 +215,13 @@ def _other_aspect(folder):
 def _no_camera(folder):
     text = scene().model_copy(update={"camera": None}).to_json()
     (folder / "scene.json").write_text(text)
+    (folder / "tree.json").unlink()
 
 
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
+        (_no_scene, r"has no scene: expected is one of scene\.json, scene\.xml"),
         (_no_photo, r"has no photograph: expected is photo\.png or picture\.png"),
         (_other_aspect, "96 x 96 pixels and the scene's camera 96 x 72"),
         (_no_camera, "has no camera"),

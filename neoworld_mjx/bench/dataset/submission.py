@@ -49,7 +49,7 @@ def submitted_starts(folder: Path, scene: str, starts: int) -> tuple[int, ...]:
     """
     if not folder.is_dir():
         raise SpecError(f"submission: {folder} is no folder")
-    if _file(folder / scene) is not None:
+    if scene_file(folder / scene) is not None:
         return (0,)
     if not (folder / scene / "start_0").is_dir():
         raise SpecError(
@@ -57,7 +57,7 @@ def submitted_starts(folder: Path, scene: str, starts: int) -> tuple[int, ...]:
             "--scenes scores only the scenes that it names"
         )
     for start in range(starts):
-        if _file(_place(folder, scene, start)) is None:
+        if scene_file(_place(folder, scene, start)) is None:
             raise SpecError(
                 f"submission: {folder / scene}/start_{start} has none of {', '.join(FILES)}; "
                 "--starts says how many there are"
@@ -81,10 +81,10 @@ def submitted(folder: Path, start: int, truth: SceneSpec, o: RefineOptions) -> M
         SpecError: a file is broken or hostile, or holds none of the truth's objects.
     """
     place = _place(folder, truth.name, start)
-    file = _file(place)
+    file = scene_file(place)
     if file is None:
         raise SpecError(f"submission: {place} has none of {', '.join(FILES)}")
-    scene = _renamed(_read(file), truth)
+    scene = _renamed(read_scene_file(file), truth)
     if scene.camera is None:
         scene = scene.model_copy(update={"camera": truth.camera})
     movable = [item.name for item in truth.objects if not item.static]
@@ -104,14 +104,20 @@ def submitted(folder: Path, start: int, truth: SceneSpec, o: RefineOptions) -> M
 def _place(folder: Path, scene: str, start: int) -> Path:
     """Return the folder of a start, which is the scene's where that has a file of its own."""
     own = folder / scene
-    return own if _file(own) is not None else own / f"start_{start}"
+    return own if scene_file(own) is not None else own / f"start_{start}"
 
 
-def _file(folder: Path) -> Path | None:
+def scene_file(folder: Path) -> Path | None:
+    """Return the file of a folder's scene, the first of FILES; None if there is none."""
     return next((folder / name for name in FILES if (folder / name).exists()), None)
 
 
-def _read(file: Path) -> SceneSpec:
+def read_scene_file(file: Path) -> SceneSpec:
+    """Read a scene.json, MJCF or USD scene.
+
+    Raises:
+        SpecError: it cannot be read, or holds a single object.
+    """
     if file.suffix == ".json":
         return read_scene(file)
     imported = import_file(file)

@@ -1,4 +1,4 @@
-"""Made scenes with their photographs: run folders, and the scenes of the data set."""
+"""Made scenes with their photographs: run folders, the data set, and scenes of other methods."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,8 @@ from ...errors import ConfigError, SpecError
 from ...parse.photo import Photo, load_photo
 from ...reading import read_model
 from ...render import View, render_scene
-from ...spec import Camera, SceneSpec, SceneTree, read_scene
+from ...spec import Camera, SceneSpec, SceneTree
+from ..dataset.submission import FILES, read_scene_file, scene_file
 
 PHOTOS = ("photo.png", "picture.png")
 """Names of the photograph: in a run folder, and in a scene of the data set."""
@@ -36,8 +37,8 @@ class MadeScene:
     camera: Camera
     photo: Photo
     boxes: dict[str, tuple[float, float, float, float]]
-    """What the photograph shows of each object but the environment, where a tree says: a box in
-    the camera's pixels.
+    """What the photograph shows of each object but the environment, made or not, where a tree says:
+    a box in the camera's pixels.
     """
 
     @property
@@ -83,8 +84,13 @@ class MadeScene:
         return left, top, right, bottom
 
 
-def made_scenes(folders: Sequence[Path]) -> list[MadeScene]:
-    """Open run folders, scenes of the data set, and whole data sets.
+def made_scenes(folders: Sequence[Path], data: Path | None = None) -> list[MadeScene]:
+    """Open run folders, scenes of the data set, scenes of other methods, and folders of these.
+
+    Args:
+        folders: each with a scene and its photograph, or folders of such folders.
+        data: the data set, whose scene of the same name gives photograph, camera and tree to a
+            folder that has no photograph.
 
     Raises:
         ConfigError: no folder is given.
@@ -97,18 +103,38 @@ def made_scenes(folders: Sequence[Path]) -> list[MadeScene]:
         )
     single: list[Path] = []
     for folder in folders:
-        data_set = (folder / "dataset.json").is_file()
-        single += sorted((folder / "scenes").iterdir()) if data_set else [folder]
-    return [_made(number, folder) for number, folder in enumerate(single)]
+        within = folder / "scenes" if (folder / "scenes").is_dir() else folder
+        inner = sorted(each for each in _entries(within) if scene_file(each) is not None)
+        single += [folder] if scene_file(folder) is not None or not inner else inner
+    return [_made(number, folder, data) for number, folder in enumerate(single)]
 
 
-def _made(number: int, folder: Path) -> MadeScene:
-    scene = read_scene(folder)
-    file = next((folder / name for name in PHOTOS if (folder / name).is_file()), None)
+def _entries(folder: Path) -> list[Path]:
+    try:
+        return [each for each in folder.iterdir() if each.is_dir()]
+    except OSError as error:
+        raise SpecError(f"cannot read {folder}: {error.strerror}") from None
+
+
+def _made(number: int, folder: Path, data: Path | None) -> MadeScene:
+    file = scene_file(folder)
     if file is None:
-        raise SpecError(f"{folder} has no photograph: expected is {' or '.join(PHOTOS)}")
-    photo = load_photo(file)
-    camera = scene.camera
+        raise SpecError(f"{folder} has no scene: expected is one of {', '.join(FILES)}")
+    scene, truth = read_scene_file(file), folder
+    if data is not None and _photograph(folder) is None:
+        truth = data / "scenes" / folder.resolve().name
+    picture = _photograph(truth)
+    if picture is None:
+        of_data = "" if data is None else f", nor has {truth}"
+        hint = "; --data names the data set of scenes without one" if data is None else ""
+        raise SpecError(
+            f"{folder} has no photograph{of_data}: expected is {' or '.join(PHOTOS)}{hint}"
+        )
+    photo = load_photo(picture)
+    tree = None
+    if (truth / "tree.json").is_file():
+        tree = read_model(truth / "tree.json", SceneTree, SpecError, "a scene tree")
+    camera = scene.camera or (None if tree is None else tree.camera)
     if camera is None:
         raise SpecError(f"{folder}: the scene has no camera, so nothing can be compared")
     width, height = photo.original_size
@@ -117,12 +143,13 @@ def _made(number: int, folder: Path) -> MadeScene:
             f"{folder}: the photograph has {width} x {height} pixels and the scene's camera "
             f"{camera.width} x {camera.height_px}: expected is the same aspect"
         )
-    boxes = {}
-    if (folder / "tree.json").is_file():
-        tree = read_model(folder / "tree.json", SceneTree, SpecError, "a scene tree")
-        names = {item.name for item in scene.objects if not item.environment}
-        boxes = {n.name: n.box2d.as_tuple() for n in tree.nodes if n.name in names}
+    nodes = () if tree is None else tree.nodes
+    boxes = {node.name: node.box2d.as_tuple() for node in nodes if not node.environment}
     return MadeScene(number, folder.resolve().name, scene, camera, photo, boxes)
+
+
+def _photograph(folder: Path) -> Path | None:
+    return next((folder / name for name in PHOTOS if (folder / name).is_file()), None)
 
 
 def _placed(middle: float, side: float, room: float) -> tuple[float, float]:

@@ -53,17 +53,20 @@ def picture_rows(
     *,
     side: int = 512,
     objects: bool = True,
+    data: Path | None = None,
     out: Path | None = None,
 ) -> Iterator[PictureRow]:
     """Yield the row of each scene and then those of its objects.
 
-    Objects of the environment, and those whose box no tree gives, have no row.
+    Objects have rows as the tree lists them, with what is rendered in their place if they were not
+    made; those of the environment have none, nor have those of a scene without a tree.
 
     Args:
         folders: run folders, or data sets.
         models: those that there are.
         side: longer side of a scene's pictures [px].
         objects: whether to measure objects.
+        data: the data set of scenes that have no photograph of their own.
         out: folder to write what is compared into, the photograph left.
 
     Raises:
@@ -73,13 +76,13 @@ def picture_rows(
     """
     if not 64 <= side <= 4096:
         raise ConfigError(f"--size takes 64 to 4096 pixels, got {side}")
-    for made in made_scenes(folders):
+    for made in made_scenes(folders, data):
         yield _row(made, "", made.whole(side), models, None, out)
-        for item in made.scene.objects if objects else ():
-            if item.name in made.boxes:
-                cloud = coloured_points(item.spec, item.joint_state)
-                pair = made.part(item.name, OBJECT_PX)
-                yield _row(made, item.name, pair, models, cloud, out)
+        items = {item.name: item for item in made.scene.objects}
+        for name in made.boxes if objects else ():
+            item = items.get(name)
+            cloud = None if item is None else coloured_points(item.spec, item.joint_state)
+            yield _row(made, name, made.part(name, OBJECT_PX), models, cloud, out)
 
 
 def picture_figures(rows: Sequence[PictureRow]) -> dict[str, Any]:
@@ -121,6 +124,9 @@ def _row(
         except OSError as error:
             raise RunError(f"cannot write {file}: {error.strerror}") from None
     measure = picture_measure(photo, rendered, models, cloud)
+    why = measure.why
+    if name and cloud is None:
+        why = why | {"uni3d": "the object was not made"}
     return PictureRow(
         folder=made.name,
         kind="object" if name else "scene",
@@ -128,5 +134,5 @@ def _row(
         width=photo.shape[1],
         height=photo.shape[0],
         **{measured: getattr(measure, measured) for measured in PICTURE_MEASURES},
-        why=measure.why,
+        why=why,
     )

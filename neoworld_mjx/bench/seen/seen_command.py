@@ -15,7 +15,9 @@ def pictures_answer(o: suites.PictureSuite) -> dict[str, Any]:
 
     models = PictureModels.load(clip=o.clip, dino=o.dino, lpips=o.lpips, uni3d=o.uni3d)
     rows = collect(
-        picture_rows(o.folders, models, side=o.size, objects=not o.no_objects, out=o.out)
+        picture_rows(
+            o.folders, models, side=o.size, objects=not o.no_objects, data=o.data, out=o.out
+        )
     )
     return {**picture_figures(rows), "models": models.described(), "rows": plain(rows)}
 
@@ -25,7 +27,7 @@ def judge_answer(o: suites.Judge, config: Config) -> dict[str, Any]:
     from .made_scenes import made_scenes
     from .scene_judge import rating_figures, rating_rows
 
-    scenes = made_scenes(o.folders)
+    scenes = made_scenes(o.folders, o.data)
     with _panel(o, config) as models:
         rows = collect(rating_rows(models, scenes, repeats=o.repeats, out=o.out))
     return {**rating_figures(rows), "rows": plain(rows)}
