@@ -75,7 +75,7 @@ def bench_lines(answer: Answer) -> list[str]:
         rows.append(f"  and {len(facts) - MOST_FACTS} more numbers")
     if "paper" in answer:
         theirs = f"theirs: {answer['paper']['note']}"
-        rows += textwrap.wrap(theirs, initial_indent="  ", subsequent_indent="  ")
+        rows += textwrap.wrap(theirs, _MOST_COLUMNS, initial_indent="  ", subsequent_indent="  ")
     return [*rows, DETAILS]
 
 

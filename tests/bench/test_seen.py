@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx import cli
+from neoworld_mjx.bench.seen import joint_films, scene_judge
 from neoworld_mjx.bench.seen import picture_rows as comparing
 from neoworld_mjx.bench.seen.joint_films import JointedPair, joint_frames, motion_is_seen
 from neoworld_mjx.bench.seen.joint_hits import (
@@ -48,6 +49,14 @@ from neoworld_mjx.spec import (
 from neoworld_mjx.spec.primitives import Box
 
 WIDTH, HEIGHT = 96, 72
+
+
+@pytest.fixture(autouse=True)
+def small_pictures(monkeypatch):
+    monkeypatch.setattr(comparing, "OBJECT_PX", 32)
+    monkeypatch.setattr(joint_films, "WIDTH", 64)
+    monkeypatch.setattr(joint_films, "HEIGHT", 56)
+    monkeypatch.setattr(scene_judge, "LOOK_PX", 32)
 
 
 def geom(name, size, pos=(0.0, 0.0, 0.0), material="wood"):
@@ -132,12 +141,11 @@ def folder(tmp_path):
     return own
 
 
-def test_scene_and_object_are_held_against_the_photograph(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(comparing, "OBJECT_PX", 64)
+def test_scene_and_object_are_held_against_the_photograph(folder, tmp_path):
     out = tmp_path / "compared"
     rows = list(picture_rows([folder], PictureModels.load(), side=96, out=out))
     assert [(row.kind, row.name) for row in rows] == [("scene", ""), ("object", "chest")]
-    assert (rows[0].width, rows[0].height, rows[1].width) == (96, 72, 64)
+    assert (rows[0].width, rows[0].height, rows[1].width) == (96, 72, 32)
     assert all(0 < row.ssim < 1 for row in rows)
     assert rows[1].why == {name: f"no --{name} PATH" for name in ("lpips", "clip", "dino", "uni3d")}
     figures = picture_figures(rows)
@@ -151,8 +159,7 @@ def test_scene_and_object_are_held_against_the_photograph(folder, tmp_path, monk
         assert pair.size == (192, 72)
 
 
-def test_an_object_that_was_not_made_counts_with_what_is_seen_in_its_place(folder, monkeypatch):
-    monkeypatch.setattr(comparing, "OBJECT_PX", 32)
+def test_an_object_that_was_not_made_counts_with_what_is_seen_in_its_place(folder):
     made = list(picture_rows([folder], PictureModels.load(), side=96))[1]
     other = scene().objects[0].model_copy(update={"name": "other", "xy": (1.6, 5.0)})
     text = scene().model_copy(update={"objects": (other,)}).to_json()
@@ -282,9 +289,13 @@ def test_judgements_are_bounded_and_what_is_no_score_is_missing(folder, tmp_path
     assert "score" in rows[2].why and rows[3].why
     figures = rating_figures(rows)
     assert (figures["scenes"], figures["answers"], figures["missing"]) == (1, 2, 2)
-    assert figures["completeness"]["mean"] == 6.5 and figures["completeness"]["n"] == 1
-    assert figures["function"]["sd_repeats"] == pytest.approx(np.std([4, 2], ddof=1))
-    assert figures["function"]["sd_scenes"] is None
+    assert (figures["n"], figures["completeness"], figures["function"]) == (1, 6.5, 3)
+    assert figures["sd_repeats"]["function"] == pytest.approx(np.std([4, 2], ddof=1))
+    assert figures["sd_scenes"]["function"] is None
+    more = [*rows, rows[0].model_copy(update={"scene_number": 1})]
+    # Scenes count alike, however many answers they have.
+    assert rating_figures(more)["completeness"] == (6.5 + 6) / 2
+    assert rating_figures(more)["sd_scenes"]["completeness"] == pytest.approx(np.sqrt(0.125))
     kept = json.loads((out / "answers.json").read_text())
     assert [entry["valid"] for entry in kept] == [True, True, False, False]
     assert json.loads(kept[2]["texts"][0])["completeness"]["score"] == 9
@@ -295,12 +306,8 @@ def test_judgements_are_bounded_and_what_is_no_score_is_missing(folder, tmp_path
 
 def test_a_scene_without_valid_answers_is_in_no_mean(folder):
     figures = rating_figures(judged(folder, ["no", "no"]))
-    assert figures["completeness"] == {
-        "mean": None,
-        "n": 0,
-        "sd_scenes": None,
-        "sd_repeats": None,
-    }
+    assert (figures["scenes"], figures["n"], figures["completeness"]) == (1, 0, None)
+    assert figures["sd_repeats"]["layout"] is None
     assert figures["missing"] == 2
 
 
@@ -349,7 +356,7 @@ def test_hits_are_what_the_model_says_of_films_beside_geometry(tmp_path):
     ]
     figures = joint_hit_figures(rows, [pair])
     assert (figures["total"], figures["hits"], figures["missed"], figures["miss"]) == (2, 1, 1, 0.5)
-    assert figures["geometry"] == {"total": 2, "hits": 2, "miss": 0.0}
+    assert figures["geometry"] == {"hits": 2, "miss": 0.0}
     assert figures["paper"]["joints"]["NeoWorld-Pro"]["hits"] == 216
 
 
@@ -378,7 +385,7 @@ def test_films_show_the_joint_move_and_the_front_wherever_it_faces():
     frames = joint_frames(chest(), "hinge", -0.6)
     assert motion_is_seen(frames) and not motion_is_seen(frames[:1] * 3)
     first, second = pair_of(chest()).strips("hinge", "hinge")
-    assert first.pixels == second.pixels and first.size == (5 * 256 + 4 * 6, 224)
+    assert first.pixels == second.pixels and first.size == (5 * 64 + 4 * 6, 56)
     # The same films if the true object's front is said to be its left: seen from there, both
     # directions differ, but those of the made object do not depend on the true frame.
     turned = pair_of(chest(), front="+y")

@@ -84,6 +84,11 @@ class JointedPair:
         """Return a true joint by name."""
         return _joint(self.true, name)
 
+    def made_type(self, name: str) -> str:
+        """Return the type of a made joint."""
+        assert self.made is not None
+        return _joint(self.made, name).type
+
 
 def object_pairs(
     made: Path | None, truth: Path | None, options: ProgramOptions, *, front: Front = "+x"

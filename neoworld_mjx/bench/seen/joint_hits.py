@@ -89,37 +89,38 @@ def joint_hit_rows(
     for number, pair in enumerate(pairs):
         by_geometry = {each.true for each in pair.geometry().pairs}
         partners = pair.partners
-        for joint in (each.name for each in pair.truth.joints):
-            partner = partners.get(joint, "")
-            answers, same, why = 0, 0, ""
-            balls = "ball" in (pair.true_joint(joint).type, _type(pair, partner))
-            if not partner:
-                why = "no made joint is left for it"
-            elif balls:
-                why = "ball joints are not filmed"
-            else:
+        requests: dict[str, list[Request[FilmComparison]]] = {}
+        for joint, partner in partners.items():
+            if "ball" not in (pair.true_joint(joint).type, pair.made_type(partner)):
                 films = pair.strips(joint, partner)
                 _save(out, f"{number:02d}_{pair.name}-{joint}", films)
-                requests = [
+                requests[joint] = [
                     comparison_request(pair, joint, films, k, repeats)
                     for k in range(1, repeats + 1)
                 ]
-                for request, answer in zip(requests, answers_to(models, requests), strict=True):
-                    file.add(request, answer)
-                    if isinstance(answer, ModelError):
-                        why = str(answer)
-                    else:
-                        answers += 1
-                        same += answer.value.same_joint
+        asked = [request for own in requests.values() for request in own]
+        answers = dict(zip(asked, answers_to(models, asked), strict=True))
+        for joint in (each.name for each in pair.truth.joints):
+            own = [(request, answers[request]) for request in requests.get(joint, ())]
+            for request, answer in own:
+                file.add(request, answer)
+            valid = [a.value.same_joint for _, a in own if not isinstance(a, ModelError)]
+            failed = [str(a) for _, a in own if isinstance(a, ModelError)]
+            made_joint, same = partners.get(joint, ""), sum(valid)
+            if not made_joint:
+                failed = ["no made joint is left for it"]
+            elif not own:
+                failed = ["ball joints are not filmed"]
+            decided = 2 * same > len(valid) if valid else None
             yield JointHitRow(
                 object=pair.name,
                 joint=joint,
-                made_joint=partner,
-                answers=answers,
+                made_joint=made_joint,
+                answers=len(valid),
                 same=same,
-                hit=False if not partner else 2 * same > answers if answers else None,
+                hit=decided if made_joint else False,
                 geometric_hit=joint in by_geometry,
-                why=why,
+                why=failed[-1] if failed else "",
             )
 
 
@@ -132,21 +133,16 @@ def joint_hit_figures(rows: Sequence[JointHitRow], pairs: Sequence[JointedPair])
     hits = sum(bool(row.hit) for row in decided)
     geometry = pooled([pair.geometry() for pair in pairs])
     return {
-        "objects": len(pairs),
         "total": len(rows),
         "predicted": geometry.predicted,
         "hits": hits,
-        "missed": len(decided) - hits,
         "unanswered": len(rows) - len(decided),
         "miss": 1 - hits / len(decided) if decided else None,
-        "geometry": {"total": geometry.total, "hits": geometry.hits, "miss": geometry.miss},
+        "geometry": {"hits": geometry.hits, "miss": geometry.miss},
+        "objects": len(pairs),
+        "missed": len(decided) - hits,
         "paper": {"joints": PAPER_JOINTS, "note": NOTE},
     }
-
-
-def _type(pair: JointedPair, name: str) -> str:
-    joints = () if pair.made is None else pair.made.joints
-    return next((joint.type for joint in joints if joint.name == name), "")
 
 
 def _save(out: Path | None, name: str, films: Sequence[Picture]) -> None:

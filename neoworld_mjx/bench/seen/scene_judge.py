@@ -194,31 +194,34 @@ def rating_rows(
 
 
 def rating_figures(rows: Sequence[RatingRow]) -> dict[str, Any]:
-    """Return each question's mean over scenes with its n and spreads, beside the paper's.
+    """Return each question's mean over the n scenes with a valid answer, beside the paper's.
 
-    A scene's score is the mean of its valid answers; one without any is in no mean.
+    A scene's score is the mean of its valid answers. "sd_scenes" is the standard deviation of these
+    scores, "sd_repeats" the mean one of the answers about one scene; None where there is none.
     """
-    figures: dict[str, Any] = {
-        "scenes": len({row.scene_number for row in rows}),
-        "answers": sum(row.completeness is not None for row in rows),
-        "missing": sum(row.completeness is None for row in rows),
-    }
+    by_scene: dict[int, list[RatingRow]] = {}
+    for row in rows:
+        if row.completeness is not None:
+            by_scene.setdefault(row.scene_number, []).append(row)
+    answers = sum(map(len, by_scene.values()))
+    means: dict[str, float | None] = {}
+    spread: dict[str, dict[str, float | None]] = {"sd_scenes": {}, "sd_repeats": {}}
     for question in QUESTIONS:
-        scores: dict[int, list[int]] = {}
-        for row in rows:
-            score = getattr(row, question)
-            if score is not None:
-                scores.setdefault(row.scene_number, []).append(score)
-        means = [fmean(each) for each in scores.values()]
-        repeated = [stdev(each) for each in scores.values() if len(each) > 1]
-        figures[question] = {
-            "mean": fmean(means) if means else None,
-            "n": len(means),
-            "sd_scenes": stdev(means) if len(means) > 1 else None,
-            "sd_repeats": fmean(repeated) if repeated else None,
-        }
-    paper = of_scenes("complete", "layout", "function")
-    return {**figures, "paper": {"scenes": paper, "note": NOTE}}
+        scores = [[getattr(row, question) for row in own] for own in by_scene.values()]
+        own_means = [fmean(each) for each in scores]
+        repeated = [stdev(each) for each in scores if len(each) > 1]
+        means[question] = fmean(own_means) if own_means else None
+        spread["sd_scenes"][question] = stdev(own_means) if len(own_means) > 1 else None
+        spread["sd_repeats"][question] = fmean(repeated) if repeated else None
+    return {
+        "scenes": len({row.scene_number for row in rows}),
+        "n": len(by_scene),
+        "answers": answers,
+        "missing": len(rows) - answers,
+        **means,
+        **spread,
+        "paper": {"scenes": of_scenes("complete", "layout", "function"), "note": NOTE},
+    }
 
 
 def _row(made: MadeScene, repeat: int, answer: Answer[SceneRating] | ModelError) -> RatingRow:
