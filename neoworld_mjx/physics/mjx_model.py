@@ -32,7 +32,7 @@ with contextlib.redirect_stdout(io.StringIO()):
     from mujoco import mjx
     from mujoco.mjx._src import constraint, math
 
-ITERATIONS = 6
+ITERATIONS = 5
 """Iterations of Newton's method a step, from the last step's accelerations. From none, where things
 overlap deeply, 8 find the minimum to rounding; over the steps of a rollout 5 gave 8's verdicts.
 """

@@ -6,7 +6,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..config import RefineOptions
@@ -54,9 +53,12 @@ def _mapped(fn: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _stack(rows: Sequence[Any]) -> Any:
-    """Stack the arrays of equal trees; what is no array is taken from the first."""
+    """Stack the arrays of equal trees; what is no array is taken from the first.
+
+    On the host, whence one array travels: on the device each row would be an operation of its own.
+    """
     arrays, rest = zip(*(eqx.partition(row, _is_array) for row in rows), strict=True)
-    return eqx.combine(jax.tree.map(lambda *x: jnp.stack(x), *arrays), rest[0])
+    return eqx.combine(jax.tree.map(lambda *x: np.stack(x), *arrays), rest[0])
 
 
 def _is_array(x: Any) -> bool:
