@@ -152,9 +152,31 @@ def make_answer(o: "BenchMakeCommand") -> dict[str, Any]:
 
 def table_answer(o: "BenchTableCommand") -> dict[str, Any]:
     """Write the tables of a folder of results."""
-    from .dataset.scene_table import write_tables
+    from .result_tables import write_tables
 
     return write_tables(o.folder)
+
+
+def joints_answer(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
+    """Score made objects."""
+    from .objects.joint_table import NOTE, PAPER
+    from .objects.object_scores import score_figures, score_objects
+
+    if o.made is None:
+        raise ConfigError("joints needs --made DIR, the objects, and --partnet PATH or --truth DIR")
+    rows = collect(
+        score_objects(
+            o.made,
+            partnet=o.partnet,
+            truth=o.truth,
+            objects=o.object,
+            front=o.front,
+            options=config.program,
+            out=o.out,
+        )
+    )
+    paper = {"joints": PAPER, "note": NOTE}
+    return {**score_figures(rows), "paper": paper, "rows": plain(rows)}
 
 
 def tasks_answer(o: suites.Tasks) -> dict[str, Any]:

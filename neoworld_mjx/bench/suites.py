@@ -192,6 +192,28 @@ class SceneSet:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ObjectSuite:
+    """Hold joints and surfaces of made objects against those of PartNet-Mobility, which lies where
+    you have it, or against truth files; beside them the paper's 245 joints.
+    """
+
+    made: Path | None = None
+    """Folder of made objects by the names of the true ones: NAME.py, .urdf, .xml or .usda, or NAME/
+    with program.py, spec.json or object.urdf.
+    """
+    partnet: Path | None = None
+    """Folder of PartNet-Mobility: ID/mobility.urdf with its meshes."""
+    truth: Path | None = None
+    """Folder of truth files instead: NAME.json, with NAME.npz where surfaces are sampled."""
+    object: tuple[str, ...] = ()
+    """True objects; those that are not made are missed. None takes all that are made."""
+    front: Literal["+x", "-x", "+y", "-y"] = "-x"
+    """Direction in which objects of PartNet-Mobility face in their URDF."""
+    out: Path | None = None
+    """Folder of joints.parquet; rows replace those of the same objects."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Tasks:
     """Check the manipulation tasks on truth: reference plans succeed, nothing is true without a
     plan, and plans fail when the object concerned is elsewhere.
@@ -333,6 +355,7 @@ SUITES = {
     "kernels": Suite(Kernels, "neoworld_mjx.bench.command:kernels_answer"),
     "agreement": Suite(Agreement, "neoworld_mjx.bench.command:agreement_answer"),
     "refine": Suite(Refine, "neoworld_mjx.bench.command:refine_answer", configured=True),
+    "joints": Suite(ObjectSuite, "neoworld_mjx.bench.command:joints_answer", configured=True),
     "tasks": Suite(Tasks, "neoworld_mjx.bench.command:tasks_answer"),
     "task-success": Suite(
         TaskSuccess, "neoworld_mjx.bench.command:task_success_answer", configured=True

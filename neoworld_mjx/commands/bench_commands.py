@@ -54,12 +54,12 @@ class BenchMakeCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class BenchTableCommand(Command):
-    """Write tables and curves over thresholds of what `bench run scenes --out` measured: table.md,
-    table.csv, table.tex, curves.csv and curves.svg.
+    """Write tables of what `bench run scenes --out` and `bench run joints --out` measured, in
+    Markdown, CSV and LaTeX: table.*, joints.*, and curves over thresholds.
     """
 
     folder: Positional[Path]
-    """Folder with results.parquet."""
+    """Folder with results.parquet or joints.parquet."""
 
     def run(self) -> Answer:
         """Write the tables."""

@@ -6,8 +6,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from ...errors import RunError
-from ...files import write_atomic
 from .scene_curves import curve_records, curves_csv, curves_svg
 from .scene_objects import read_object_rows
 from .scene_runs import SceneRow, known_rows
@@ -50,16 +48,13 @@ THRESHOLDS = (
 _NAMES = {"full": "All scenes", "tabletop": "Tabletop", "evaluation": "Evaluation half"}
 
 
-def write_tables(folder: Path) -> dict[str, Any]:
-    """Write table.md, table.csv and table.tex beside a folder's rows, curves.csv and curves.svg.
+def scene_tables(folder: Path) -> dict[str, str]:
+    """Return table.md, table.csv and table.tex of a folder's rows, curves.csv and curves.svg.
 
     Raises:
-        RunError: it has no rows, or a file cannot be written.
+        RunError: the rows cannot be read.
     """
-    rows = known_rows(folder)
-    if not rows:
-        raise RunError(f"{folder} has no rows yet; `neoworld bench run scenes --out` makes them")
-    records = list(table_records(rows))
+    records = list(table_records(known_rows(folder)))
     texts = {
         "table.md": markdown(records),
         "table.csv": comma_separated(records),
@@ -69,12 +64,7 @@ def write_tables(folder: Path) -> dict[str, Any]:
         texts["curves.csv"] = curves_csv(curves)
         if (drawn := curves_svg(curves)) is not None:
             texts["curves.svg"] = drawn
-    for name, text in texts.items():
-        try:
-            write_atomic(folder / name, text)
-        except OSError as error:
-            raise RunError(f"cannot write {folder / name}: {error.strerror}") from None
-    return {"rows": len(rows), "files": [str(folder / name) for name in texts]}
+    return texts
 
 
 def table_records(rows: Sequence[SceneRow]) -> Iterator[dict[str, Any]]:

@@ -1,0 +1,1 @@
+"""Made objects held against true ones: joints and surfaces."""

@@ -1,0 +1,36 @@
+"""Tables of what a folder of results holds: scenes, joints."""
+
+from pathlib import Path
+from typing import Any
+
+from ..errors import RunError
+from ..files import write_atomic
+from .dataset.scene_runs import RESULTS
+from .dataset.scene_table import scene_tables
+from .objects.joint_table import joint_table
+from .objects.object_scores import SCORES, stored_scores
+
+
+def write_tables(folder: Path) -> dict[str, Any]:
+    """Write table.md, table.csv, table.tex, curves.csv and curves.svg of scenes, joints.md and the
+    like of objects, beside the rows that a folder has.
+
+    Raises:
+        RunError: it has no rows, or a file cannot be written.
+    """
+    texts: dict[str, str] = {}
+    if (folder / RESULTS).exists():
+        texts |= scene_tables(folder)
+    if rows := stored_scores(folder):
+        texts |= joint_table(rows).files("joints")
+    if not texts:
+        raise RunError(
+            f"{folder} has no rows yet, no {RESULTS} or {SCORES}; `neoworld bench run scenes "
+            "--out` and `bench run joints --out` make them"
+        )
+    for name, text in texts.items():
+        try:
+            write_atomic(folder / name, text)
+        except OSError as error:
+            raise RunError(f"cannot write {folder / name}: {error.strerror}") from None
+    return {"files": [str(folder / name) for name in texts]}
