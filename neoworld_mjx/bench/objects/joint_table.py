@@ -3,32 +3,11 @@
 from collections.abc import Sequence
 from typing import Any
 
+from ..seen.paper_figures import PAPER_JOINTS, PAPER_SURFACES
 from ..text_tables import TextTable
 from .object_scores import ObjectScoreRow, score_figures
 
-PAPER: dict[str, dict[str, float]] = {
-    "Articulate-Anything": {
-        **{"total": 245, "predicted": 170, "hits": 95, "miss": 0.6122, "type_error": 0.6939},
-        **{"axis_deg": 63.25, "pivot": 0.32, "chamfer_x10": 0.3989, "f_01": 10.76, "f_05": 41.07},
-    },
-    "PhysX-Anything": {
-        **{"total": 245, "predicted": 192, "hits": 126, "miss": 0.4857, "type_error": 0.5878},
-        **{"axis_deg": 45.80, "pivot": 0.37, "chamfer_x10": 0.7150, "f_01": 4.61, "f_05": 24.72},
-    },
-    "URDF-Anything+": {
-        **{"total": 245, "predicted": 96, "hits": 74, "miss": 0.6980, "type_error": 0.8286},
-        **{"axis_deg": 50.41, "pivot": 0.40, "chamfer_x10": 0.1696, "f_01": 24.30, "f_05": 65.18},
-    },
-    "Articraft": {
-        **{"total": 245, "predicted": 304, "hits": 190, "miss": 0.2245, "type_error": 0.2939},
-        **{"axis_deg": 30.14, "pivot": 0.23, "chamfer_x10": 0.2155, "f_01": 22.14, "f_05": 62.25},
-    },
-    "NeoWorld-Pro": {
-        **{"total": 245, "predicted": 268, "hits": 216, "miss": 0.1183, "type_error": 0.1878},
-        **{"axis_deg": 28.52, "pivot": 0.19, "chamfer_x10": 0.1809, "f_01": 25.77, "f_05": 67.06},
-    },
-}
-"""Tables of joints and of geometry of the paper; "type_error" is over all 245 joints."""
+PAPER = {name: PAPER_JOINTS[name] | PAPER_SURFACES[name] for name in PAPER_JOINTS}
 NOTE = (
     "Rows marked * are the paper's figures: of 245 joints of its own choice, a hit decided by a "
     "model that is shown paired videos, and surfaces normalised as it does not say. Ours "

@@ -18,6 +18,7 @@ from ...render.viewpoints import opened
 from ...spec import JointSpec, ObjectSpec, SceneObject, SceneSpec
 from ...spec.opening import opening_value, prerequisite_state
 from ...verify.checking import object_of_file
+from ..objects.made_objects import object_files
 
 FRAMES = 5
 WIDTH, HEIGHT, GAP = 256, 224, 6
@@ -32,9 +33,6 @@ LEAST_CHANGED = 1e-3
 """Share of a frame's pixels in which motion is seen."""
 WHOLE_TURN = 0.8
 """Share of a turn that an endless joint is shown to make, so that its ends differ."""
-OBJECT_FILES = ("verified.json", "spec.json", "program.py", "object.urdf")
-"""Names of an object's file in a folder of its own; the first that is there is taken."""
-SUFFIXES = (".py", ".urdf", ".xml", ".mjcf", ".usd", ".usda", ".usdc", ".usdz")
 
 
 @dataclass(frozen=True)
@@ -115,12 +113,10 @@ def object_pairs(
     if made.is_file() and truth.is_file():
         files = {truth.stem: (made, truth)}
     elif made.is_dir() and truth.is_dir():
-        own = _objects(made)
-        files = {name: (own.get(name), path) for name, path in _objects(truth).items()}
+        own = object_files(made)
+        files = {name: (own.get(name), path) for name, path in object_files(truth).items()}
     else:
         raise ConfigError("--made and --truth must both be files or both be folders")
-    if not files:
-        raise SpecError(f"{truth} holds no objects: expected are {', '.join(SUFFIXES)} or folders")
     return [
         JointedPair(
             name,
@@ -192,18 +188,6 @@ def _side(truth: ObjectTruth, joint: str) -> float:
 def _beside(frames: Sequence[NDArray]) -> NDArray:
     gap = np.full((HEIGHT, GAP, 3), 255, np.uint8)
     return np.concatenate([part for frame in frames for part in (frame, gap)][:-1], axis=1)
-
-
-def _objects(folder: Path) -> dict[str, Path]:
-    """Return the files of objects in a folder by name: files, or folders of one object each."""
-    found: dict[str, Path] = {}
-    for path in sorted(folder.iterdir()):
-        file = path
-        if path.is_dir():
-            file = next((path / n for n in OBJECT_FILES if (path / n).is_file()), None)
-        if file is not None and (path.is_dir() or path.suffix.lower() in SUFFIXES):
-            found[path.name if path.is_dir() else path.stem] = file
-    return found
 
 
 def _joint(spec: ObjectSpec, name: str) -> JointSpec:
