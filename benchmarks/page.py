@@ -26,7 +26,7 @@ HEAD = """# Benchmarks
     neoworld bench run kernels --json                # the penetration term
     neoworld bench make --out data --json            # the data set: categories and thirty scenes
     neoworld bench run scenes --out results --json   # methods on thirty scenes, with a table
-    neoworld bench run joints --made DIR --partnet PATH --json   # joints and surfaces of made objects
+    neoworld bench run joints --made M --partnet P --json   # joints and surfaces of objects
     neoworld bench run refine --json                 # refinement from noisy starts
     neoworld bench run photos --json                 # errors of each step, forty scenes with truth
     neoworld bench run photos --semantic --json      # how often S_sem prefers the truth

@@ -3,9 +3,9 @@ r"""Write down the joints and the surface of a published MJCF model, to score pr
     uv run python examples/truth_from_mjcf.py cabinet/model.xml --front=-y --name cabinet \
         --out truth
 
-OUT gets `<name>.json` and `<name>.npz`, as `neoworld bench run joints --truth` reads them. `--front` is the
-direction in which
-the object's front faces in the model's own frame; the model does not say.
+OUT gets `<name>.json` and `<name>.npz`, as `neoworld bench run joints --truth` reads them.
+`--front` is the direction in which the object's front faces in the model's own frame; the
+model does not say.
 """
 
 import argparse
