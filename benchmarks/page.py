@@ -27,6 +27,8 @@ HEAD = """# Benchmarks
     neoworld bench make --out data --json            # the data set: categories and thirty scenes
     neoworld bench run scenes --out results --json   # methods on thirty scenes, with a table
     neoworld bench run joints --made M --partnet P --json   # joints and surfaces of objects
+    neoworld bench run pictures OUT --json           # made scenes against their photographs
+    neoworld bench run judge OUT --json              # the same by a model, from 1 to 7
     neoworld bench run refine --json                 # refinement from noisy starts
     neoworld bench run photos --json                 # errors of each step, forty scenes with truth
     neoworld bench run photos --semantic --json      # how often S_sem prefers the truth

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from scipy.spatial import KDTree
 
-from ..errors import ConfigError, SpecError
+from ..errors import ConfigError
 from ..spec import ObjectSpec, link_poses
 from .geometry import SAMPLES, samples_of_each
 from .image_encoders import ImageEncoder
@@ -83,30 +83,26 @@ def coloured_points(
 ) -> Cloud:
     """Sample the visible shapes of an object evenly by area, each in its material's colour.
 
-    Patterns and prints of materials are left out.
+    Of an object that has none, as MJCF may leave them out, the colliders are taken. Patterns and
+    prints of materials are left out.
 
     Args:
         spec: the object.
         joint_state: joint values [rad or m]; joints not named stand at 0.
         count: number of points.
         seed: of the points.
-
-    Raises:
-        SpecError: the object shows nothing.
     """
     import trimesh
 
     moved = link_poses(spec, dict(joint_state or {}))
+    geoms = [(part, geom) for part in spec.parts for geom in part.geoms]
+    shown = [(part, geom) for part, geom in geoms if geom.role != "collision"] or geoms
     meshes, colours = [], []
-    for part in spec.parts:
-        for geom in part.geoms:
-            if geom.role != "collision":
-                vertices, faces = geom.shape.surface()
-                vertices = moved[part.name].then(geom.pose()).apply(vertices)
-                meshes.append(trimesh.Trimesh(vertices, faces, process=False))
-                colours.append(spec.material(geom.material).rgba[:3])
-    if not meshes:
-        raise SpecError(f"{spec.name} has nothing visible to take points of")
+    for part, geom in shown:
+        vertices, faces = geom.shape.surface()
+        vertices = moved[part.name].then(geom.pose()).apply(vertices)
+        meshes.append(trimesh.Trimesh(vertices, faces, process=False))
+        colours.append(spec.material(geom.material).rgba[:3])
     points = samples_of_each(meshes, count, seed)
     rgb = np.repeat(np.array(colours), [len(each) for each in points], axis=0)
     return np.column_stack([np.vstack(points), rgb])

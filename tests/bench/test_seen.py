@@ -147,6 +147,7 @@ def test_scene_and_object_are_held_against_the_photograph(folder, tmp_path):
     assert [(row.kind, row.name) for row in rows] == [("scene", ""), ("object", "chest")]
     assert (rows[0].width, rows[0].height, rows[1].width) == (96, 72, 32)
     assert all(0 < row.ssim < 1 for row in rows)
+    assert rows[1].line() == f"small/chest: ssim {rows[1].ssim:.3f}"
     assert rows[1].why == {name: f"no --{name} PATH" for name in ("lpips", "clip", "dino", "uni3d")}
     figures = picture_figures(rows)
     assert figures["scenes"] == {"n": 1, "ssim": rows[0].ssim} | dict.fromkeys(

@@ -260,6 +260,10 @@ def test_points_lie_on_the_surface_in_the_colours_of_their_materials():
     above = cloud[:, 2] > 0.055
     assert cloud[above, 3:] == pytest.approx(np.tile((0.1, 0.2, 0.9), (above.sum(), 1)))
     assert len(np.unique(cloud[:, 3:], axis=0)) == 2
+    (part,) = block().parts
+    hidden = [geom.model_copy(update={"role": "collision"}) for geom in part.geoms]
+    bare = block().model_copy(update={"parts": (part.model_copy(update={"geoms": tuple(hidden)}),)})
+    assert (coloured_points(bare, count=500) == cloud).all()
 
 
 def test_groups_are_centred_in_the_unit_ball_with_y_and_z_exchanged():

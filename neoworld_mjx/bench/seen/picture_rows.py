@@ -46,6 +46,12 @@ class PictureRow(Row):
     why: dict[str, str]
     """The reason of each measure that is None."""
 
+    def line(self) -> str:
+        """Return the row in one line, without what is None."""
+        values = [(name, getattr(self, name)) for name in PICTURE_MEASURES]
+        known = [f"{name} {value:.3f}" for name, value in values if value is not None]
+        return f"{self.folder}{'/' + self.name if self.name else ''}: {', '.join(known)}"
+
 
 def picture_rows(
     folders: Sequence[Path],

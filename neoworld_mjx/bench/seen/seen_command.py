@@ -5,7 +5,7 @@ from typing import Any
 from ...config import Config
 from ...mllm import Panel, open_panel
 from .. import suites
-from ..rows import collect, plain
+from ..rows import collect, log, plain
 
 
 def pictures_answer(o: suites.PictureSuite) -> dict[str, Any]:
@@ -14,11 +14,12 @@ def pictures_answer(o: suites.PictureSuite) -> dict[str, Any]:
     from .picture_rows import picture_figures, picture_rows
 
     models = PictureModels.load(clip=o.clip, dino=o.dino, lpips=o.lpips, uni3d=o.uni3d)
-    rows = collect(
-        picture_rows(
-            o.folders, models, side=o.size, objects=not o.no_objects, data=o.data, out=o.out
-        )
-    )
+    rows = []
+    for row in picture_rows(
+        o.folders, models, side=o.size, objects=not o.no_objects, data=o.data, out=o.out
+    ):
+        rows.append(row)
+        log.info(row.line())
     return {**picture_figures(rows), "models": models.described(), "rows": plain(rows)}
 
 
