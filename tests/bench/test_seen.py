@@ -10,7 +10,12 @@ from PIL import Image
 from neoworld_mjx import cli
 from neoworld_mjx.bench.seen import joint_films, scene_judge
 from neoworld_mjx.bench.seen import picture_rows as comparing
-from neoworld_mjx.bench.seen.joint_films import JointedPair, joint_frames, motion_is_seen
+from neoworld_mjx.bench.seen.joint_films import (
+    JointedPair,
+    joint_frames,
+    motion_is_seen,
+    object_pairs,
+)
 from neoworld_mjx.bench.seen.joint_hits import (
     comparison_request,
     joint_hit_figures,
@@ -25,7 +30,7 @@ from neoworld_mjx.bench.seen.scene_judge import (
     rating_request,
     rating_rows,
 )
-from neoworld_mjx.config import MLLMOptions
+from neoworld_mjx.config import MLLMOptions, ProgramOptions
 from neoworld_mjx.errors import ConfigError, MissingAnswerError, SpecError
 from neoworld_mjx.measure.picture_measure import PictureModels
 from neoworld_mjx.mllm import Panel
@@ -372,6 +377,27 @@ def test_joints_without_a_partner_are_missed_and_without_an_answer_undecided():
     with Panel(Replay(Tape(), "empty"), MLLMOptions()) as models:
         rows = list(joint_hit_rows(models, [nothing]))
     assert joint_hit_figures(rows, [nothing])["miss"] == 1.0
+    assert rows[0].why == "there is no made object of this name"
+
+
+def test_objects_are_paired_by_name_and_a_broken_one_was_not_made(tmp_path):
+    for side in ("made", "true"):
+        for name in ("whole", "broken"):
+            (tmp_path / side / name).mkdir(parents=True)
+            (tmp_path / side / name / "spec.json").write_text(chest().to_json())
+    (tmp_path / "made" / "broken" / "spec.json").write_text("{}")
+    pairs = {
+        p.name: p for p in object_pairs(tmp_path / "made", tmp_path / "true", ProgramOptions())
+    }
+    assert pairs["whole"].partners == {"hinge": "hinge", "slide": "slide"}
+    assert pairs["broken"].made is None and "is not an object" in pairs["broken"].why
+    file = tmp_path / "true" / "whole" / "spec.json"
+    (alone,) = object_pairs(file, file, ProgramOptions(), front="-y")
+    assert alone.truth.front == "-y"
+    with pytest.raises(ConfigError, match="both be files or both be folders"):
+        object_pairs(file, tmp_path / "true", ProgramOptions())
+    with pytest.raises(SpecError, match="there is no"):
+        object_pairs(tmp_path / "none", file, ProgramOptions())
 
 
 def test_a_tape_without_the_answer_stops_the_suite():

@@ -1,7 +1,7 @@
 """Film strips of a true joint's motion and of the made joint that is held against it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +45,8 @@ class JointedPair:
     true: ObjectSpec
     front: Front
     """Of the true object."""
+    why: str = "there is no made object of this name"
+    """The reason where nothing was made."""
 
     @property
     def truth(self) -> ObjectTruth:
@@ -93,7 +95,8 @@ def object_pairs(
 ) -> list[JointedPair]:
     """Read a made and a true object, or two folders of objects with the same names.
 
-    A true object without a made one is a pair too: all of its joints are missed.
+    A true object without a made one, or whose made one gives no object, is a pair too: all of its
+    joints are missed.
 
     Args:
         made: file of an object, or folder of files or of folders such as a run's `objects`.
@@ -103,7 +106,7 @@ def object_pairs(
 
     Raises:
         ConfigError: a path is not given, or only one of them is a folder.
-        SpecError: a file is missing or holds no object.
+        SpecError: a path is missing, or a true object cannot be read.
     """
     if made is None or truth is None:
         raise ConfigError("joint-videos needs --made and --truth: objects, or folders of objects")
@@ -117,15 +120,16 @@ def object_pairs(
         files = {name: (own.get(name), path) for name, path in object_files(truth).items()}
     else:
         raise ConfigError("--made and --truth must both be files or both be folders")
-    return [
-        JointedPair(
-            name,
-            None if own_file is None else object_of_file(own_file, options),
-            object_of_file(true_file, options),
-            front,
-        )
-        for name, (own_file, true_file) in files.items()
-    ]
+    pairs = []
+    for name, (own_file, true_file) in files.items():
+        pair = JointedPair(name, None, object_of_file(true_file, options), front)
+        if own_file is not None:
+            try:
+                pair = replace(pair, made=object_of_file(own_file, options))
+            except SpecError as error:
+                pair = replace(pair, why=str(error))
+        pairs.append(pair)
+    return pairs
 
 
 def joint_frames(

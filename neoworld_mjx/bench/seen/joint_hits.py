@@ -108,7 +108,7 @@ def joint_hit_rows(
             failed = [str(a) for _, a in own if isinstance(a, ModelError)]
             made_joint, same = partners.get(joint, ""), sum(valid)
             if not made_joint:
-                failed = ["no made joint is left for it"]
+                failed = [pair.why if pair.made is None else "no made joint is left for it"]
             elif not own:
                 failed = ["ball joints are not filmed"]
             decided = 2 * same > len(valid) if valid else None
