@@ -5,8 +5,10 @@ from .geometry import Closeness, GeometryMeasure, geometry_measure
 from .joints import JointMeasure, JointPair, joint_measure, pooled
 from .moves import Move, object_moves
 from .parsing import ParseMeasure, parse_measure
+from .picture_similarity import PictureMeasure, PictureModels, picture_measure
 from .scene_check import SceneCheck, measured, passes, scene_checks
 from .stability import SceneMeasure, scene_measure
+from .structural_similarity import ssim
 from .truth import ObjectTruth, TrueJoint, canonical_points, read_truth, truth_of
 from .truth_mjcf import truth_of_mjcf
 from .unstable import UnstableObject, unstable_objects
@@ -20,6 +22,8 @@ __all__ = [
     "Move",
     "ObjectTruth",
     "ParseMeasure",
+    "PictureMeasure",
+    "PictureModels",
     "SceneCheck",
     "SceneMeasure",
     "SidesShown",
@@ -36,11 +40,13 @@ __all__ = [
     "object_moves",
     "parse_measure",
     "passes",
+    "picture_measure",
     "pooled",
     "read_truth",
     "scene_checks",
     "scene_measure",
     "shown_sides",
+    "ssim",
     "truth_of",
     "truth_of_mjcf",
     "unstable_objects",

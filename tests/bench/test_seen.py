@@ -32,7 +32,7 @@ from neoworld_mjx.bench.seen.scene_judge import (
 )
 from neoworld_mjx.config import MLLMOptions, ProgramOptions
 from neoworld_mjx.errors import ConfigError, MissingAnswerError, SpecError
-from neoworld_mjx.measure.picture_measure import PictureModels
+from neoworld_mjx.measure.picture_similarity import PictureModels
 from neoworld_mjx.mllm import Panel
 from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
 from neoworld_mjx.mllm.replay import Replay, Tape

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 
 from neoworld_mjx.errors import ConfigError, PhotoError
 from neoworld_mjx.measure.image_encoders import CONFIG, ImageEncoder, LpipsModel, Preprocessing
-from neoworld_mjx.measure.picture_measure import PictureModels, picture_measure
+from neoworld_mjx.measure.picture_similarity import PictureModels, picture_measure
 from neoworld_mjx.measure.point_clouds import (
     Uni3DModel,
     coloured_points,
@@ -275,6 +275,33 @@ def test_groups_are_centred_in_the_unit_ball_with_y_and_z_exchanged():
     assert features[:, 0, :3] == pytest.approx(np.zeros((20, 3)), abs=1e-12)  # itself first
     line = np.column_stack([np.arange(5.0), np.zeros(5), np.zeros(5)])
     assert farthest_points(line, 4).tolist() == [0, 4, 2, 1]
+
+
+@pytest.mark.parametrize(
+    ("size", "mean", "std", "expected"),
+    [
+        (  # CLIPImageProcessor(size={"shortest_edge": 32}, crop_size={"height": 32, "width": 32})
+            32,
+            (0.48145466, 0.4578275, 0.40821073),
+            (0.26862954, 0.26130258, 0.27577711),
+            (-1.266719, -0.221305, -1.252699, 0.981439, 0.216386, 1.055725),
+        ),
+        (  # BitImageProcessor, which DINOv2 uses, likewise, with its own mean and deviation
+            40,
+            (0.485, 0.456, 0.406),
+            (0.229, 0.224, 0.225),
+            (-0.902046, -0.635154, 2.186841, 1.204298, 0.395984, 1.247221),
+        ),
+    ],
+)
+def test_preprocessing_is_that_of_transformers(size, mean, std, expected):
+    # Their numbers, of transformers 5.23.0 on a picture of 61 x 37 pixels.
+    rows, columns = np.mgrid[:37, :61]
+    rgb = np.stack([(7 * rows + 3 * columns) % 256, rows * columns % 256, 11 * columns % 256], -1)
+    plan = Preprocessing(size=size, crop_size=32, image_mean=mean, image_std=std)
+    t = plan.tensor(rgb.astype(np.uint8))
+    own = (t[0, 0, 0, 0], t[0, 1, 15, 20], t[0, 2, 31, 31], t[0, 0, 16, 7], t.mean(), t.std())
+    assert own == pytest.approx(expected, abs=2e-6)
 
 
 def test_pictures_are_resized_as_pillow_does():

@@ -19,6 +19,8 @@ from .answer_file import AnswerFile, answers_to
 from .joint_films import JointedPair
 from .paper_figures import PAPER_JOINTS
 
+MOST_LABEL = 80
+"""Characters of an object's label that are told."""
 NOTE = "NeoWorld-Pro as the paper reports it: 216 hits of its 245 joints, miss 0.1183"
 
 
@@ -53,8 +55,9 @@ def comparison_request(
     pair: JointedPair, joint: str, films: Sequence[Picture], repeat: int, repeats: int
 ) -> Request[FilmComparison]:
     """Return the request about a true joint; repeats differ by their number."""
+    kind = " ".join((pair.true.label or pair.true.name).split())[:MOST_LABEL]
     prompt = (
-        f"The object: {pair.true.label or pair.name}.\n\nThis is answer {repeat} of {repeats} "
+        f"The object: {kind}.\n\nThis is answer {repeat} of {repeats} "
         "about these strips. The others are not known to you."
     )
     system = package_text(__package__, "joint_judge").removesuffix("\n")

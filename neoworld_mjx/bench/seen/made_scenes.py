@@ -12,6 +12,7 @@ from ...errors import ConfigError, SpecError
 from ...parse.photo import Photo, load_photo
 from ...reading import read_model
 from ...render import View, render_scene
+from ...run_folder import refuse_links
 from ...spec import Camera, SceneSpec, SceneTree
 from ..dataset.submission import FILES, read_scene_file, scene_file
 
@@ -96,6 +97,7 @@ def made_scenes(folders: Sequence[Path], data: Path | None = None) -> list[MadeS
         ConfigError: no folder is given.
         SpecError: a folder has no scene, no camera or no photograph, or they do not fit.
         PhotoError: a photograph cannot be read.
+        RunError: a folder holds links, pipes or devices.
     """
     if not folders:
         raise ConfigError(
@@ -120,6 +122,7 @@ def _made(number: int, folder: Path, data: Path | None) -> MadeScene:
     file = scene_file(folder)
     if file is None:
         raise SpecError(f"{folder} has no scene: expected is one of {', '.join(FILES)}")
+    refuse_links(folder)
     scene, truth = read_scene_file(file), folder
     if data is not None and _photograph(folder) is None:
         truth = data / "scenes" / folder.resolve().name

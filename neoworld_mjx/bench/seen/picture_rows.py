@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import ConfigError, RunError
 from ...files import write_atomic
-from ...measure.picture_measure import (
+from ...measure.picture_similarity import (
     PICTURE_MEASURES,
     PictureModels,
     picture_measure,

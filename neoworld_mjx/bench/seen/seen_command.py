@@ -10,7 +10,7 @@ from ..rows import collect, log, plain
 
 def pictures_answer(o: suites.PictureSuite) -> dict[str, Any]:
     """Measure pictures."""
-    from ...measure.picture_measure import PictureModels
+    from ...measure.picture_similarity import PictureModels
     from .picture_rows import picture_figures, picture_rows
 
     models = PictureModels.load(clip=o.clip, dino=o.dino, lpips=o.lpips, uni3d=o.uni3d)
