@@ -1,4 +1,4 @@
-"""Tables of what a folder of results holds: scenes, joints."""
+"""Tables of what a folder of results holds: scenes, joints, tasks."""
 
 from pathlib import Path
 from typing import Any
@@ -9,11 +9,13 @@ from .dataset.scene_runs import RESULTS
 from .dataset.scene_table import scene_tables
 from .objects.joint_table import joint_table
 from .objects.object_scores import SCORES, stored_scores
+from .tasks.success_runs import SUCCESSES, known_successes
+from .tasks.success_table import success_table
 
 
 def write_tables(folder: Path) -> dict[str, Any]:
     """Write table.md, table.csv, table.tex, curves.csv and curves.svg of scenes, joints.md and the
-    like of objects, beside the rows that a folder has.
+    like of objects, tasks.md and the like of tasks, beside the rows that a folder has.
 
     Raises:
         RunError: it has no rows, or a file cannot be written.
@@ -23,10 +25,12 @@ def write_tables(folder: Path) -> dict[str, Any]:
         texts |= scene_tables(folder)
     if rows := stored_scores(folder):
         texts |= joint_table(rows).files("joints")
+    if successes := known_successes(folder):
+        texts |= success_table(successes).files("tasks")
     if not texts:
         raise RunError(
-            f"{folder} has no rows yet, no {RESULTS} or {SCORES}; `neoworld bench run scenes "
-            "--out` and `bench run joints --out` make them"
+            f"{folder} has no rows yet, no {RESULTS}, {SCORES} or {SUCCESSES}; "
+            "`neoworld bench run` with scenes, joints or task-success and --out makes them"
         )
     for name, text in texts.items():
         try:

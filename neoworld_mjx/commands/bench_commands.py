@@ -54,12 +54,12 @@ class BenchMakeCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class BenchTableCommand(Command):
-    """Write tables of what `bench run scenes --out` and `bench run joints --out` measured, in
-    Markdown, CSV and LaTeX: table.*, joints.*, and curves over thresholds.
+    """Write tables of what `bench run` of scenes, joints and task-success measured with --out, in
+    Markdown, CSV and LaTeX: table.*, joints.* and tasks.*, and curves over thresholds of scenes.
     """
 
     folder: Positional[Path]
-    """Folder with results.parquet or joints.parquet."""
+    """Folder with results.parquet, joints.parquet or tasks.parquet."""
 
     def run(self) -> Answer:
         """Write the tables."""

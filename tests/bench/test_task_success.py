@@ -12,6 +12,7 @@ from neoworld_mjx.bench.tasks.plan_format import rotation
 from neoworld_mjx.bench.tasks.reconstructed_plans import planned_there
 from neoworld_mjx.bench.tasks.success_runs import SuccessRow, known_successes, run_successes
 from neoworld_mjx.bench.tasks.success_summary import success_interval, success_summary
+from neoworld_mjx.bench.tasks.success_table import success_table
 from neoworld_mjx.bench.tasks.task_photo import moved_whole, photographed_task
 from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.errors import SpecError
@@ -201,6 +202,14 @@ def test_figures_by_method_and_kind():
     assert summary["kinds"]["stacking"]["ours"]["success_on_truth"] == 1.0
     assert summary["paper"]["success"]["NeoWorld-Pro"] == 0.9285
     assert success_interval(rows[:2], "success_on_truth") == (1.0, 1.0, 1.0)
+
+
+def test_the_table_has_ours_with_intervals_and_the_papers_marked():
+    rows = [_row("a", "stacking", "ours", True), _row("b", "pushing", "ours", False, 1)]
+    text = success_table(rows).markdown()
+    assert "| ours | all | 2 | 50.0 (0.0 to 100.0) | 100.0 (100.0 to 100.0) |" in text
+    assert "| ours | evaluation | 1 | 0.0 (0.0 to 0.0) |" in text
+    assert "| NeoWorld-Pro* |  |  |  | 92.85 |  |  |" in text
 
 
 def test_methods_on_the_command_line_are_all_methods():
