@@ -1,12 +1,15 @@
 """The thirty scenes: what is declared, what they are held to, how methods' rows are summed up."""
 
+from dataclasses import replace
+
+import jax
 import numpy as np
 import pytest
 
 from neoworld_mjx.bench.dataset.declaration import ROOMS, declarations, read_declaration
 from neoworld_mjx.bench.dataset.layout_errors import displaced, layout_errors
 from neoworld_mjx.bench.dataset.make_dataset import rounded
-from neoworld_mjx.bench.dataset.scene_methods import METHODS, USUAL
+from neoworld_mjx.bench.dataset.scene_methods import METHODS, USUAL, OneForAll
 from neoworld_mjx.bench.dataset.scene_runs import RESULTS, SceneRow, chosen_scenes, run_scenes
 from neoworld_mjx.bench.dataset.scene_summary import BOUNDS, interval, summarise
 from neoworld_mjx.bench.dataset.scene_table import latex, markdown, table_records
@@ -14,9 +17,13 @@ from neoworld_mjx.bench.dataset.settle_scene import failures
 from neoworld_mjx.bench.dataset.starts import noise_number, true_tree
 from neoworld_mjx.bench.dataset.truth_scene import truth_scene
 from neoworld_mjx.bench.photo_scenes import see
+from neoworld_mjx.bench.scenes import crowded
 from neoworld_mjx.compose.compose import compose
 from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.errors import RunError, SpecError
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.settling import moved
 from neoworld_mjx.reading.parquet_files import write_rows
 from neoworld_mjx.spec import world_poses
@@ -240,3 +247,26 @@ def test_a_folder_holds_starts_of_one_noise(tmp_path):
             noise="exact",
             out=tmp_path,
         )
+
+
+def test_a_rehearsal_simulates_one_candidate_and_says_the_same_of_all():
+    scene = compile_scene(crowded(3))
+    layouts = Layout.zero(5, len(scene.names))
+    poses = jax.tree.map(np.asarray, scene.place(layouts))
+    tilted = replace(layouts, yaw=np.full_like(np.asarray(layouts.yaw), 0.3))
+    others = jax.tree.map(np.asarray, scene.place(tilted))
+    mixed = jax.tree.map(lambda a, b: np.concatenate([a[:1], b[1:]]), poses, others)
+    asked: list[int] = []
+
+    class Counting(NativeEngine):
+        def rollout(self, scene, poses, **options):
+            asked.append(len(poses.scale))
+            return super().rollout(scene, poses, **options)
+
+    rollout = OneForAll(Counting(1)).rollout(scene, mixed, duration=0.02, record_every=0.02)
+    assert asked == [1]
+    for leaf in (rollout.pos, rollout.quat, rollout.status, rollout.steps):
+        assert len(leaf) == 5 and np.array_equal(leaf, np.repeat(leaf[:1], 5, axis=0))
+    # Where they were placed is each candidate's own.
+    assert np.array_equal(rollout.start.quat, mixed.quat)
+    assert not np.array_equal(mixed.quat[0], mixed.quat[1])
