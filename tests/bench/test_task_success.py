@@ -41,7 +41,8 @@ def _check_that_the_plan_moves_along(task):
     plan, moved = task.plan, task.plan_in(moved_whole(task.scene, by))
     near = {"atol": 3e-6}
     np.testing.assert_allclose(moved.position, by.apply(plan.position), **near)
-    for name in ("approach", "closing"):
+    # Closed fingers that poke from above may close along any line.
+    for name in ("approach", "closing") if plan.opening else ("approach",):
         a, b = getattr(moved, name), rotate(by.quat, getattr(plan, name))
         np.testing.assert_allclose(a, b, **near)
     assert len(moved.moves) == len(plan.moves)

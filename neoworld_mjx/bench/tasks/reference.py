@@ -184,7 +184,8 @@ def work_joint(
     axis, anchor = rotate(base.quat, moving.axis), base.apply(np.array(moving.pos))
     change = target - value
     approach = rotate(part.quat, _axis(hold.approach))
-    way = _direction(moving, axis, anchor, point) * np.sign(change)
+    ahead = rotate(base.quat, (1.0, 0.0, 0.0))
+    way = _direction(moving, axis, anchor, point, ahead) * np.sign(change)
     if hold.way == "grip":
         closing = rotate(part.quat, _axis(hold.closing))
         width = 2 * float(np.abs(_axis(hold.closing)) @ half)
@@ -303,12 +304,15 @@ def _arm(joint: JointSpec, axis: NDArray, anchor: NDArray, point: NDArray) -> fl
     return max(0.005, float(np.linalg.norm(arm - (arm @ axis) * axis)))
 
 
-def _direction(joint: JointSpec, axis: NDArray, anchor: NDArray, point: NDArray) -> NDArray:
+def _direction(
+    joint: JointSpec, axis: NDArray, anchor: NDArray, point: NDArray, ahead: NDArray
+) -> NDArray:
+    """Return the direction in which a joint moves a point: `ahead` if it is on the axis."""
     if joint.type == "prismatic":
         return axis
     way = np.cross(axis, point - anchor)
     length = float(np.linalg.norm(way))
-    return way / length if length > 1e-4 else np.array([1.0, 0.0, 0.0])
+    return way / length if length > 1e-4 else ahead
 
 
 def grasp_box(
