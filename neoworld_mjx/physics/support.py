@@ -149,9 +149,12 @@ def footprint(item: SceneObject) -> NDArray:
     xy = np.unique(np.round(np.vstack([spots[:, :2], steps]), 9), axis=0)
     z = np.min([column(piece, at, xy)[0] for piece, at in pieces], axis=0)
     points = np.column_stack([xy, z])[np.isfinite(z)]
+    if item.relation == "in" and _leans(item):
+        # It stands on its lowest edge; the rest touches the wall.
+        points = points[points[:, 2] <= points[:, 2].min() + SOLE]
     if len(points) > FOOT:
-        # The lowest points matter most, but a wide flat foot must stay covered: take the hull of
-        # each low level first, then spread the rest.
+        # The lowest points matter most, but the rim of a lid must be seen beside its plug: each
+        # level has a share, and what is left over is the lowest ones'.
         level = np.round((points[:, 2] - points[:, 2].min()) / (1e-4 + np.ptp(points[:, 2]) / 8))
         points = points[_spread(points[:, :2], level)[:FOOT]]
     pad = np.full((FOOT - len(points), 3), np.inf)
@@ -181,19 +184,20 @@ def _corners(piece: Piece, at: Pose) -> NDArray:
 
 
 def _spread(xy: NDArray, level: NDArray) -> NDArray:
-    """Order points so that low ones come first and each prefix covers its level evenly."""
-    order: list[int] = []
+    """Order points so that the first FOOT are of all levels, the low first, each evenly covered."""
+    levels: list[list[int]] = []
     for value in np.unique(level):
         rest = np.flatnonzero(level == value)
-        centre = xy[rest].mean(axis=0)
-        gap = np.linalg.norm(xy[rest] - centre, axis=1)
-        for _ in range(min(len(rest), FOOT - len(order))):
+        order: list[int] = []
+        gap = np.linalg.norm(xy[rest] - xy[rest].mean(axis=0), axis=1)
+        for _ in range(min(len(rest), FOOT)):
             k = int(np.argmax(gap))
             order.append(int(rest[k]))
             gap = np.minimum(gap, np.linalg.norm(xy[rest] - xy[rest[k]], axis=1))
-        if len(order) >= FOOT:
-            break
-    return np.array(order)
+        levels.append(order)
+    share = FOOT // len(levels)
+    first = [k for order in levels for k in order[:share]]
+    return np.array(first + [k for order in levels for k in order[share:]])
 
 
 def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:

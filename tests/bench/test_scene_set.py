@@ -25,6 +25,7 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.settling import moved
+from neoworld_mjx.physics.support import footprint
 from neoworld_mjx.reading.parquet_files import write_rows
 from neoworld_mjx.spec import world_poses
 
@@ -270,3 +271,14 @@ def test_a_rehearsal_simulates_one_candidate_and_says_the_same_of_all():
     # Where they were placed is each candidate's own.
     assert np.array_equal(rollout.start.quat, mixed.quat)
     assert not np.array_equal(mixed.quat[0], mixed.quat[1])
+
+
+def test_a_footprint_has_the_rim_of_a_lid_beside_its_plug():
+    truth = truth_scene(declarations()["nested_lids"])
+    foot = footprint(truth.object("lid_0"))
+    foot = foot[np.isfinite(foot[:, 2])]
+    rim = foot[:, 2] > foot[:, 2].min() + 0.005
+    radius = np.linalg.norm(foot[:, :2], axis=1)
+    # The jar's mouth is 43 to 48 mm from the middle, the plug 33 mm wide.
+    assert np.sum(rim & (radius > 0.043) & (radius < 0.048)) >= 6
+    assert np.sum(~rim & (radius < 0.034)) > 20
