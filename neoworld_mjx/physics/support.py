@@ -20,6 +20,8 @@ GRID = 160
 """Cells along each side of a support's height grid."""
 FOOT = 192
 """Points that stand for a child's underside."""
+SHARE = 0.8
+"""Most of the underside's points that are of one level of height, if there are others."""
 WALL = 0.02
 """How far [m] a wall reaches above an object that stands beside it, such as a book in a shelf."""
 LEANING_DEG = 5.0
@@ -153,8 +155,8 @@ def footprint(item: SceneObject) -> NDArray:
         # It stands on its lowest edge; the rest touches the wall.
         points = points[points[:, 2] <= points[:, 2].min() + SOLE]
     if len(points) > FOOT:
-        # The lowest points matter most, but the rim of a lid must be seen beside its plug: each
-        # level has a share, and what is left over is the lowest ones'.
+        # The lowest points matter most, but a wide flat foot must stay covered, and the rim of a
+        # lid be seen beside its plug: take the hull of each low level first, then spread the rest.
         level = np.round((points[:, 2] - points[:, 2].min()) / (1e-4 + np.ptp(points[:, 2]) / 8))
         points = points[_spread(points[:, :2], level)[:FOOT]]
     pad = np.full((FOOT - len(points), 3), np.inf)
@@ -184,20 +186,23 @@ def _corners(piece: Piece, at: Pose) -> NDArray:
 
 
 def _spread(xy: NDArray, level: NDArray) -> NDArray:
-    """Order points so that the first FOOT are of all levels, the low first, each evenly covered."""
-    levels: list[list[int]] = []
+    """Order points so that low ones come first and each prefix covers its level evenly.
+
+    No level has more than SHARE of the first FOOT while others wait.
+    """
+    first: list[int] = []
+    later: list[int] = []
+    most = int(SHARE * FOOT)
     for value in np.unique(level):
         rest = np.flatnonzero(level == value)
-        order: list[int] = []
         gap = np.linalg.norm(xy[rest] - xy[rest].mean(axis=0), axis=1)
-        for _ in range(min(len(rest), FOOT)):
-            k = int(np.argmax(gap))
-            order.append(int(rest[k]))
-            gap = np.minimum(gap, np.linalg.norm(xy[rest] - xy[rest[k]], axis=1))
-        levels.append(order)
-    share = FOOT // len(levels)
-    first = [k for order in levels for k in order[:share]]
-    return np.array(first + [k for order in levels for k in order[share:]])
+        for k in range(min(len(rest), FOOT)):
+            point = int(np.argmax(gap))
+            (first if k < most else later).append(int(rest[point]))
+            gap = np.minimum(gap, np.linalg.norm(xy[rest] - xy[rest[point]], axis=1))
+        if len(first) >= FOOT:
+            break
+    return np.array(first + later)
 
 
 def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
