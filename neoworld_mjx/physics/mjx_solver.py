@@ -7,13 +7,14 @@ over the rows of a step, which took a third of a step on a GPU. Here the slope i
 breakpoints at once, and the zero between two of them is known.
 """
 
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-from mujoco import mjx
 
+MjxState = Any
+"""An `mjx.Data` of MJX's implementation in JAX; `mjx_model` imports MJX, which prints."""
 FARTHEST = 100.0
 """Longest step, in Newton steps, at which a breakpoint is looked for."""
 
@@ -30,9 +31,9 @@ class Rows(NamedTuple):
     high: Float[Array, " row"]
 
 
-def constraint_rows(d: mjx.Data) -> Rows:
+def constraint_rows(d: MjxState) -> Rows:
     """Return the rows of a step: equalities, dry friction, then limits and pyramids of friction."""
-    impl = cast(Any, d)._impl
+    impl = d._impl
     count = impl.efc_D.shape[0]
     k = jnp.arange(count)
     equality, friction = k < impl.ne, (k >= impl.ne) & (k < impl.ne + impl.nf)
@@ -41,7 +42,7 @@ def constraint_rows(d: mjx.Data) -> Rows:
     return Rows(impl.efc_J, impl.efc_aref, impl.efc_D, low, high)
 
 
-def solve(d: mjx.Data, iterations: int) -> mjx.Data:
+def solve(d: MjxState, iterations: int) -> MjxState:
     """Find the accelerations and forces that the constraints of a step ask for.
 
     Args:
@@ -52,7 +53,7 @@ def solve(d: mjx.Data, iterations: int) -> mjx.Data:
     Returns:
         Data with `qacc`, `qfrc_constraint` and `efc_force`.
     """
-    rows, impl = constraint_rows(d), cast(Any, d)._impl
+    rows, impl = constraint_rows(d), d._impl
     qacc, force = newton(rows, impl.M, d.qfrc_smooth, d.qacc_warmstart, iterations)
     constraint = rows.jacobian.T @ force
     return d.replace(qacc=qacc, qfrc_constraint=constraint, _impl=impl.replace(efc_force=force))

@@ -1,5 +1,8 @@
 """Newton's method and its exact line search, against C MuJoCo's solver and a fine grid."""
 
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -98,3 +101,9 @@ def test_where_nothing_falls_no_step_is_made():
     ends, zero, one = jnp.array([[-jnp.inf], [0.0]]), jnp.zeros(1), jnp.ones(1)
     assert float(exact_step(ends, zero, one, one, jnp.float32(0.0), jnp.float32(1.0))) == 0
     assert float(exact_step(ends, zero, one, zero, jnp.float32(0.0), jnp.float32(0.0))) == 0
+
+
+def test_nothing_is_printed_where_warp_is_missing():
+    code = "import sys; sys.modules['warp'] = None; import neoworld_mjx.physics.mjx_engine"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout == "" and "warp" not in ran.stderr
