@@ -79,7 +79,7 @@ def prior_costs(cores: int) -> dict[str, EngineCost]:
     return {
         "native": EngineCost(0.05, native),
         "warp": EngineCost(12.0, ((1, 0.5), (64, 0.5), (1024, 0.71), (4096, 1.38))),
-        "mjx": EngineCost(15.0, ((1, 1.0), (256, 1.0), (4096, 1.9))),
+        "mjx": EngineCost(16.0, ((4096, 2.06),)),
     }
 
 

@@ -94,6 +94,8 @@ def put_compiled(mjm: mujoco.MjModel, start: Float[np.ndarray, " nq"]) -> MjxMod
     Raises:
         EngineError: the model has something that MJX cannot simulate.
     """
+    if mjm.opt.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL:
+        raise EngineError("engine mjx solves pyramidal friction cones; take --engine native")
     pairs, solids = geom_pairs(mjm), geom_solids(mjm)
     bare = copy.copy(mjm)
     # MJX then has no pairs to unroll.

@@ -9,6 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from neoworld_mjx.errors import EngineError
+from neoworld_mjx.physics.mjx_model import put_compiled
 from neoworld_mjx.physics.mjx_solver import Rows, exact_step, newton
 
 XML = """
@@ -101,6 +103,12 @@ def test_where_nothing_falls_no_step_is_made():
     ends, zero, one = jnp.array([[-jnp.inf], [0.0]]), jnp.zeros(1), jnp.ones(1)
     assert float(exact_step(ends, zero, one, one, jnp.float32(0.0), jnp.float32(1.0))) == 0
     assert float(exact_step(ends, zero, one, zero, jnp.float32(0.0), jnp.float32(0.0))) == 0
+
+
+def test_elliptic_cones_are_refused():
+    model = mujoco.MjModel.from_xml_string(XML.replace('"pyramidal"', '"elliptic"'))
+    with pytest.raises(EngineError, match="pyramidal"):
+        put_compiled(model, model.qpos0)
 
 
 def test_nothing_is_printed_where_warp_is_missing():
