@@ -7,7 +7,7 @@ from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from ...errors import RunError
 from ...reading.parquet_files import read_rows, write_rows
@@ -59,6 +59,14 @@ def stored_rows(file: Path, kind: type[R]) -> list[R]:
     """
     rows = read_rows(file, list(column_types(kind)), RunError)
     return [kind.model_validate(row) for row in rows]
+
+
+def check_level(kept: RowFile[Any], noise: str) -> None:
+    """Raise a RunError if a file has rows, each with its `noise`, of another level of noise."""
+    for other in sorted({row.noise for row in kept.rows} - {noise}):
+        raise RunError(
+            f"{kept.file} has rows of --noise {other}: take another folder for --noise {noise}"
+        )
 
 
 def sized(workers: int) -> tuple[int, int]:

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from ...config import ComposeOptions, RefineOptions
-from ...errors import RunError, SpecError, choices
+from ...errors import SpecError, choices
 from ...files import content_hash
 from ...measure import visible_box_iou
 from ...physics.native import NativeEngine
 from ...spec import SceneSpec
 from ..rows import Row, log
 from .declaration import declaration, declarations
-from .kept_rows import RowFile, made_by_jobs, sized, stored_rows
+from .kept_rows import RowFile, check_level, made_by_jobs, sized, stored_rows
 from .layout_errors import displaced, layout_errors, unmatched
 from .parse_noise import NoiseLog
 from .part_depths import P_PEN_M
@@ -169,10 +169,7 @@ def run_scenes(
     else:
         methods = (submission_name(submission),)
     kept = RowFile(None if out is None else out / RESULTS, SceneRow, _key)
-    for other in sorted({row.noise for row in kept.rows} - {noise}):
-        raise RunError(
-            f"{kept.file} has rows of --noise {other}: take another folder for --noise {noise}"
-        )
+    check_level(kept, noise)
     objects = RowFile(None if out is None else out / OBJECTS, ObjectRow, lambda row: row.key)
     prints = {name: _fingerprint(name, noise, refine, compose) for name in scenes}
     done = {

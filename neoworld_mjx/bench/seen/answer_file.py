@@ -10,7 +10,7 @@ from pydantic import BaseModel
 
 from ...errors import BudgetError, MissingAnswerError, ModelError, RunError
 from ...files import write_atomic
-from ...mllm import Answer, Panel, Request
+from ...mllm import Answer, Panel, Picture, Request
 
 T = TypeVar("T", bound=BaseModel)
 ANSWERS = "answers.json"
@@ -36,6 +36,21 @@ def answers_to(models: Panel, requests: Sequence[Request[T]]) -> list[Answer[T] 
         return await asyncio.gather(*map(one, requests))
 
     return models.run(together())
+
+
+def save_pictures(folder: Path, name: str, pictures: Sequence[Picture]) -> None:
+    """Write what a judge saw as NAME-LABEL.png into a folder.
+
+    Raises:
+        RunError: a file cannot be written.
+    """
+    for picture in pictures:
+        file = folder / f"{name}-{picture.label}.png"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            write_atomic(file, picture.data)
+        except OSError as error:
+            raise RunError(f"cannot write {file}: {error.strerror}") from None
 
 
 class AnswerFile:

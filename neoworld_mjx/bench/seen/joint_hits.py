@@ -10,12 +10,11 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from ...errors import ConfigError, ModelError, RunError
-from ...files import write_atomic
+from ...errors import ConfigError, ModelError
 from ...measure import pooled
 from ...mllm import Panel, Picture, Request, package_text
 from ..rows import Row
-from .answer_file import AnswerFile, answers_to
+from .answer_file import AnswerFile, answers_to, save_pictures
 from .joint_films import JointedPair
 from .paper_figures import PAPER_JOINTS
 
@@ -96,7 +95,8 @@ def joint_hit_rows(
         for joint, partner in partners.items():
             if "ball" not in (pair.true_joint(joint).type, pair.made_type(partner)):
                 films = pair.strips(joint, partner)
-                _save(out, f"{number:02d}_{pair.name}-{joint}", films)
+                if out is not None:
+                    save_pictures(out, f"{number:02d}_{pair.name}-{joint}", films)
                 requests[joint] = [
                     comparison_request(pair, joint, films, k, repeats)
                     for k in range(1, repeats + 1)
@@ -146,14 +146,3 @@ def joint_hit_figures(rows: Sequence[JointHitRow], pairs: Sequence[JointedPair])
         "missed": len(decided) - hits,
         "paper": {"joints": PAPER_JOINTS, "note": NOTE},
     }
-
-
-def _save(out: Path | None, name: str, films: Sequence[Picture]) -> None:
-    for film in films if out is not None else ():
-        assert out is not None
-        file = out / f"{name}-{film.label}.png"
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-            write_atomic(file, film.data)
-        except OSError as error:
-            raise RunError(f"cannot write {file}: {error.strerror}") from None

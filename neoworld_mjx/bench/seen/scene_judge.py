@@ -13,14 +13,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from ...errors import ConfigError, ModelError, RunError
-from ...files import write_atomic
+from ...errors import ConfigError, ModelError
 from ...mllm import Answer, Panel, Picture, Request, package_text
 from ...render import View, render_scene
 from ...render.viewpoints import opened, subject_points
 from ...spec import SceneSpec
 from ..rows import Row
-from .answer_file import AnswerFile, answers_to
+from .answer_file import AnswerFile, answers_to, save_pictures
 from .made_scenes import MadeScene
 from .paper_figures import of_scenes
 
@@ -89,20 +88,6 @@ class JudgedPictures:
     def for_request(self) -> list[Picture]:
         """Return the pictures, the photograph first."""
         return [Picture.of(label, rgb) for label, rgb in self.shown.items()]
-
-    def save(self, folder: Path, name: str) -> None:
-        """Write NAME-LABEL.png into a folder.
-
-        Raises:
-            RunError: a file cannot be written.
-        """
-        for picture in self.for_request():
-            file = folder / f"{name}-{picture.label}.png"
-            try:
-                folder.mkdir(parents=True, exist_ok=True)
-                write_atomic(file, picture.data)
-            except OSError as error:
-                raise RunError(f"cannot write {file}: {error.strerror}") from None
 
 
 def judged_pictures(made: MadeScene, side: int = SHOWN_PX) -> JudgedPictures:
@@ -186,7 +171,7 @@ def rating_rows(
     for made in scenes:
         pictures = judged_pictures(made)
         if out is not None:
-            pictures.save(out, made.numbered)
+            save_pictures(out, made.numbered, pictures.for_request())
         requests = [rating_request(made, pictures, k, repeats) for k in range(1, repeats + 1)]
         for k, answer in enumerate(answers_to(models, requests), start=1):
             file.add(requests[k - 1], answer)

@@ -11,11 +11,10 @@ from functools import partial
 from pathlib import Path
 
 from ...config import ComposeOptions, RefineOptions
-from ...errors import RunError
 from ...files import content_hash
 from ...physics.native import NativeEngine
 from ...spec import SceneSpec
-from ..dataset.kept_rows import RowFile, made_by_jobs, sized, stored_rows
+from ..dataset.kept_rows import RowFile, check_level, made_by_jobs, sized, stored_rows
 from ..dataset.layout_errors import displaced
 from ..dataset.parse_noise import NoiseLog
 from ..dataset.scene_methods import MethodResult, check_methods, in_order, outcomes_of
@@ -126,10 +125,7 @@ def run_successes(
     """
     check_methods(methods)
     kept = RowFile(None if out is None else out / SUCCESSES, SuccessRow, _key)
-    for other in sorted({row.noise for row in kept.rows} - {noise}):
-        raise RunError(
-            f"{kept.file} has rows of --noise {other}: take another folder for --noise {noise}"
-        )
+    check_level(kept, noise)
     prints = {task.name: _fingerprint(task, noise, refine, compose) for task in tasks}
     known = [row for row in kept.rows if prints.get(row.task) == row.fingerprint]
     done = {_key(row) for row in known}
