@@ -174,6 +174,7 @@ def _row(method: str, *, valid: bool, scene: str = "tents", start: int = 0, **mo
             "method": method,
             "valid": valid,
             "check_passed": valid,
+            "accepted": valid if method == "ours" else None,
             "displaced": 0,
             "noise": "layout",
             "injected": "",
@@ -205,6 +206,9 @@ def test_summary_counts_and_judges_difficulty():
     rows += [_row("gravity", valid=False, scene="dominoes", o_stab=1.0, objects=12)]
     answer = summarise(rows)
     assert answer["methods"]["ours"]["n"] == 2
+    # A search says what it takes for valid; gravity says nothing.
+    rates = {name: of["accepted_rate"] for name, of in answer["methods"].items()}
+    assert rates == {"ours": 1.0, "open_loop": None, "gravity": None}
     assert answer["methods"]["ours"]["seconds_to_valid"] == 2.0
     # Of objects: 2 of 4 and 12 of 12.
     assert answer["methods"]["gravity"]["o_stab"] == pytest.approx(14 / 16)
@@ -235,7 +239,10 @@ def test_tables_mark_the_papers_figures():
 
 def test_a_folder_holds_starts_of_one_noise(tmp_path):
     row = _row("open_loop", valid=False).model_dump()
-    kinds = {k: type(v) for k, v in row.items() if v is not None} | {"seconds_to_valid": float}
+    kinds = {k: type(v) for k, v in row.items() if v is not None} | {
+        "seconds_to_valid": float,
+        "accepted": bool,
+    }
     write_rows(tmp_path / RESULTS, [row], kinds, RunError)
     with pytest.raises(RunError, match="rows of --noise layout: take another folder"):
         run_scenes(

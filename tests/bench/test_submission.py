@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from neoworld_mjx.bench.dataset.scene_runs import known_rows, run_scenes
 from neoworld_mjx.bench.dataset.starts import true_tree
 from neoworld_mjx.bench.dataset.submission import submission_name, submitted, submitted_starts
 from neoworld_mjx.bench.dataset.truth_scene import truth_scene
+from neoworld_mjx.bench.dataset.validity import validity
 from neoworld_mjx.bench.photo_scenes import see
 from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.errors import SpecError
@@ -49,13 +51,15 @@ def test_the_truth_is_perfect_as_our_scene_and_as_mjcf(tmp_path, truth: SceneSpe
     (tmp_path / "dominoes" / "result.json").write_text('{"seconds": 12.5}')
     assert submitted_starts(tmp_path, "dominoes", 4) == (0,)
     own = submitted(tmp_path, 0, truth, QUICK)
-    assert own.scene == truth and own.check_passed
-    assert own.seconds == own.seconds_to_valid == 12.5
+    assert own.scene == truth and own.accepted is None
+    assert validity(own.scene, own.measure, truth, QUICK).valid
+    assert own.seconds == own.seconds_to_result == 12.5
     export_scene(truth, tmp_path / "mjcf" / "dominoes" / "start_0")
     (tmp_path / "mjcf" / "dominoes" / "start_0" / "scene.json").unlink()
     assert submitted_starts(tmp_path / "mjcf", "dominoes", 1) == (0,)
     read = submitted(tmp_path / "mjcf", 0, truth, QUICK)
-    assert read.check_passed and read.seconds is None and read.scene.camera == truth.camera
+    assert validity(read.scene, read.measure, truth, QUICK).valid
+    assert read.seconds is None and read.scene.camera == truth.camera
     assert unmatched(read.scene, truth) == ([], []) and displaced(read.scene, truth) == []
     assert max(layout_errors(read.scene, truth).values()) < 1e-6
     assert read.measure.max_drift_m == pytest.approx(own.measure.max_drift_m, abs=1e-5)
@@ -77,6 +81,26 @@ def test_what_is_wrong_moves_its_own_figure(tmp_path, truth: SceneSpec):
     scene = submitted(write(tmp_path, nailed), 0, truth, QUICK).scene
     assert unmatched(scene, truth) == ([first.name], [])
     assert scene.object(f"held_{first.name}").static
+
+
+def test_one_verdict_counts_for_every_method(tmp_path, truth: SceneSpec):
+    first = next(item for item in truth.objects if not item.static)
+    judge = lambda made, given=None: validity(made.scene, made.measure, truth, QUICK, given=given)
+    lacking = submitted(write(tmp_path, without(truth, first.name)), 0, truth, QUICK)
+    # A method from a start without the object cannot have it; who saw the picture can.
+    assert judge(lacking).lost == (first.name,) and not judge(lacking).valid
+    assert judge(lacking, given=lacking.scene).valid and judge(lacking, given=truth).lost
+    assert judge(lacking, given=lacking.scene).missed == (first.name,)
+    lying = changed(truth, first.name, z=first.z - 0.5)
+    fallen = submitted(write(tmp_path, lying), 0, truth, QUICK)
+    assert judge(fallen).displaced == (first.name,) and not judge(fallen).valid
+    # What a search says of its own scene counts for nothing, for better or worse.
+    for accepted in (True, False, None):
+        assert judge(replace(lacking, accepted=accepted), given=lacking.scene).valid
+        assert not judge(replace(fallen, accepted=accepted)).valid
+    deep = lacking.measure.model_copy(update={"settled_depth_m": 2 * QUICK.max_depth_m})
+    sunk = judge(replace(lacking, measure=deep, accepted=True), given=lacking.scene)
+    assert not sunk.check_passed and not sunk.valid
 
 
 def test_broken_submissions_are_named(tmp_path, truth: SceneSpec):
@@ -141,5 +165,6 @@ def test_rows_of_a_submission_stand_beside_others(tmp_path, truth: SceneSpec):
     lacking = row("lacking", without(truth, first))
     # All of it is stable, but it is not all.
     assert lacking.missed == 1 and lacking.check_passed and not lacking.valid
+    assert lacking.accepted is None
     names = {json.dumps(r.method) for r in known_rows(tmp_path / "results")}
     assert names == {'"submission:perfect"', '"submission:lacking"'}

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...config import RefineOptions, merged
 from ...errors import SpecError, choices
-from ...measure import SceneMeasure, measured, passes
+from ...measure import SceneMeasure, measured
 from ...physics.engine import EarlyStop, Engine, Rollout
 from ...physics.exact import snap_exactly
 from ...physics.layout import Poses
@@ -32,12 +32,13 @@ class MethodResult:
 
     scene: SceneSpec
     measure: SceneMeasure
-    check_passed: bool
-    seconds_to_valid: float | None
-    """Until the first candidate that passes was known; None where none was."""
+    seconds_to_result: float | None
+    """Until the first candidate that a search takes for valid was known; otherwise `seconds`."""
     seconds: float | None
     """Of the method; None where a submission does not say."""
     rollouts: int = 0
+    accepted: bool | None = None
+    """A search's own verdict; None of what gives none."""
 
 
 def ours(o: RefineOptions) -> RefineOptions:
@@ -111,9 +112,7 @@ def outcome_of(
         if method == "gravity":
             scene = at_rest(scene, DROP)
         spent = time.perf_counter() - began
-        measure = measured(scene, o)
-        valid = passes(measure, o)
-        return MethodResult(scene, measure, valid, spent if valid else None, spent)
+        return MethodResult(scene, measured(scene, o), spent, spent)
     options = (
         with_budget(o, method, max(rollouts, 1)) if method in BUDGETED else SEARCHES[method](o)
     )
@@ -129,11 +128,12 @@ def outcome_of(
     return MethodResult(
         refined.scene,
         refined.measure,
-        refined.passed,
-        # A candidate of coarse rollouts that fails the final check is not valid.
-        float(to_valid) if refined.passed and not np.isnan(to_valid) else None,
+        # A candidate of coarse rollouts that fails the final check is not valid; what is kept in
+        # its place is known at the end.
+        float(to_valid) if refined.passed and not np.isnan(to_valid) else spent,
         spent,
         refined.rollouts,
+        refined.passed,
     )
 
 

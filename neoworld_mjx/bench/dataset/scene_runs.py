@@ -15,7 +15,7 @@ from ...spec import SceneSpec
 from ..rows import Row, log
 from .declaration import declaration, declarations
 from .kept_rows import RowFile, check_level, made_by_jobs, sized, stored_rows
-from .layout_errors import displaced, layout_errors, unmatched
+from .layout_errors import layout_errors
 from .parse_noise import NoiseLog
 from .part_depths import P_PEN_M
 from .scene_methods import MethodResult, check_methods, outcomes_of
@@ -29,6 +29,7 @@ from .starts import (
     true_tree,
 )
 from .submission import submission_name, submitted, submitted_starts
+from .validity import Validity, validity
 
 RESULTS = "results.parquet"
 
@@ -57,10 +58,15 @@ class SceneRow(Row):
     """Whether the start is of the evaluation half."""
     method: str
     valid: bool
-    """Whether the result passes the final check and no object is displaced, nor, of a submission,
-    missed.
+    """Whether the result passes the final check, no object is displaced, and none that the method
+    was given is missed; see `validity`.
     """
     check_passed: bool
+    """Whether it passes the final check alone."""
+    accepted: bool | None
+    """A search's own verdict, which also asks that nothing came to rest away from where it was
+    composed; None of other methods.
+    """
     displaced: int
     """Objects that are toppled or have fallen from where the truth has them."""
     s_pen: int
@@ -210,24 +216,27 @@ def scene_rows(task: SceneTask) -> Iterator[SceneRows]:
     """Run the methods of a scene; yield each row and those of its objects as soon as known."""
     truth = photographed(declaration(task.scene))
     log_of_noise = NoiseLog()
-    for method, result in _outcomes(task, truth, log_of_noise):
+    for method, result, given in _outcomes(task, truth, log_of_noise):
         key = task.scene, task.start, task.seed, method
         objects = object_rows(result.scene, result.measure, key)
-        yield _row(task, method, result, truth, objects, log_of_noise), objects
+        verdict = validity(result.scene, result.measure, truth, task.refine, given=given)
+        yield _row(task, method, result, truth, verdict, objects, log_of_noise), objects
 
 
 def _outcomes(
     task: SceneTask, truth: SceneSpec, log_of_noise: NoiseLog
-) -> Iterator[tuple[str, MethodResult]]:
+) -> Iterator[tuple[str, MethodResult, SceneSpec | None]]:
+    """Yield each method, what it made, and the start that it was given; a submission had none."""
     if task.submission is not None:
-        made = submitted(task.submission, task.start, truth, task.refine)
-        return iter([(task.methods[0], made)])
+        yield task.methods[0], submitted(task.submission, task.start, truth, task.refine), None
+        return
     number = noise_number(task.scene, task.seed, task.start)
     composed = composed_start(
         truth, true_tree(truth), number, task.compose, noise=task.noise, log=log_of_noise
     )
     engine = NativeEngine(threads=task.threads)
-    return outcomes_of(task.methods, composed, task.refine, engine, seed=task.seed)
+    for method, result in outcomes_of(task.methods, composed, task.refine, engine, seed=task.seed):
+        yield method, result, composed
 
 
 def _row(
@@ -235,6 +244,7 @@ def _row(
     method: str,
     result: MethodResult,
     truth: SceneSpec,
+    verdict: Validity,
     objects: Sequence[ObjectRow],
     log_of_noise: NoiseLog,
 ) -> SceneRow:
@@ -253,11 +263,6 @@ def _row(
         shown.append(item.model_copy(update=box))
     photographed_as = result.scene.model_copy(update={"objects": tuple(shown)})
     part_depths = [o.part_depth_m for o in objects if o.part_depth_m is not None]
-    lost = displaced(result.scene, truth)
-    missed, extra = unmatched(result.scene, truth)
-    valid = result.check_passed and not lost
-    if task.submission is not None:  # It had the picture, in which the missed ones are seen.
-        valid = valid and not missed
     return SceneRow(
         scene=task.scene,
         room=declared.room,
@@ -266,15 +271,16 @@ def _row(
         noise=task.noise,
         injected=", ".join(log_of_noise.injected),
         refused=", ".join(log_of_noise.refused),
-        missed=len(missed),
-        extra=len(extra),
+        missed=len(verdict.missed),
+        extra=len(verdict.extra),
         start=task.start,
         seed=task.seed,
         evaluation=is_evaluation(task.start),
         method=method,
-        valid=valid,
-        check_passed=result.check_passed,
-        displaced=len(lost),
+        valid=verdict.valid,
+        check_passed=verdict.check_passed,
+        accepted=result.accepted,
+        displaced=len(verdict.displaced),
         s_pen=m.s_pen or 0,
         s_stab=bool(m.s_stab),
         o_stab=float(np.mean(still)),
@@ -285,7 +291,7 @@ def _row(
         max_tilt_deg=min(m.max_tilt_deg, 1e6),
         **layout_errors(result.scene, truth),
         box_iou=float(np.mean(list(visible_box_iou(photographed_as).values()))),
-        seconds_to_valid=result.seconds_to_valid if valid else None,
+        seconds_to_valid=result.seconds_to_result if verdict.valid else None,
         seconds=result.seconds,
         rollouts=result.rollouts,
         fingerprint=_fingerprint(task.scene, task.noise, task.refine, task.compose),

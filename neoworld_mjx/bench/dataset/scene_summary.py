@@ -14,6 +14,7 @@ DRAWS, LEVEL = 2000, 0.95
 MEASURES: dict[str, Callable[[SceneRow], float]] = {
     "valid_rate": lambda r: r.valid,
     "check_rate": lambda r: r.check_passed,
+    "accepted_rate": lambda r: bool(r.accepted),
     "displaced": lambda r: r.displaced / r.found,
     "missed": lambda r: r.missed / r.objects,
     "extra": lambda r: r.extra / r.objects,
@@ -28,6 +29,7 @@ MEASURES: dict[str, Callable[[SceneRow], float]] = {
 }
 """Means over scenes and starts; rates are shares."""
 OF_OBJECTS: dict[str, Callable[[SceneRow], int]] = {
+    "accepted_rate": lambda r: r.accepted is not None,
     "displaced": lambda r: r.found,
     "missed": lambda r: r.objects,
     "extra": lambda r: r.objects,

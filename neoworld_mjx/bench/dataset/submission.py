@@ -15,7 +15,7 @@ from pydantic import Field
 from ...config import RefineOptions
 from ...errors import SpecError
 from ...export.importing_scene import ImportedScene, import_file
-from ...measure import measured, passes
+from ...measure import measured
 from ...names import identifier
 from ...reading import read_model
 from ...spec import SceneSpec, Spec, read_scene
@@ -96,9 +96,7 @@ def submitted(folder: Path, start: int, truth: SceneSpec, o: RefineOptions) -> M
     said = SubmittedResult()
     if (place / RESULT).exists():
         said = read_model(place / RESULT, SubmittedResult, SpecError, "a result")
-    measure = measured(scene, o)
-    valid = passes(measure, o)
-    return MethodResult(scene, measure, valid, said.seconds if valid else None, said.seconds)
+    return MethodResult(scene, measured(scene, o), said.seconds, said.seconds)
 
 
 def _place(folder: Path, scene: str, start: int) -> Path:

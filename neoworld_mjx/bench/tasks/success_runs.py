@@ -15,7 +15,6 @@ from ...files import content_hash
 from ...physics.native import NativeEngine
 from ...spec import SceneSpec
 from ..dataset.kept_rows import RowFile, check_level, made_by_jobs, sized, stored_rows
-from ..dataset.layout_errors import displaced
 from ..dataset.parse_noise import NoiseLog
 from ..dataset.scene_methods import MethodResult, check_methods, in_order, outcomes_of
 from ..dataset.starts import (
@@ -25,6 +24,7 @@ from ..dataset.starts import (
     noise_number,
     true_tree,
 )
+from ..dataset.validity import validity
 from ..rows import Row, log
 from .catalogue import find_task
 from .reconstructed_plans import PlannedThere, described, failed, planned_there
@@ -169,7 +169,7 @@ def success_rows(job: SuccessJob) -> Iterator[SuccessRow]:
                 tuple(left), composed, job.refine, engine, seed=job.seed, warm=False
             ):
                 left.remove(method)
-                yield row(method, (photo, result))
+                yield row(method, (photo, composed, result))
         except Exception as error:
             yield row(left.pop(0), f"no layout: {described(error)}")
 
@@ -179,17 +179,17 @@ def _row(
     task: ManipulationTask,
     errors: NoiseLog,
     method: str,
-    made: tuple[TaskPhoto, MethodResult] | str,
+    made: tuple[TaskPhoto, SceneSpec, MethodResult] | str,
 ) -> SuccessRow:
     valid, missed, seconds, rollouts = False, 0, 0.0, 0
     if isinstance(made, str):
         nothing = failed(made)
         there = PlannedThere(nothing, nothing, nothing, 0.0, None, 0.0)
     else:
-        photo, result = made
+        photo, given, result = made
         scene = photo.back(result.scene)
         there = planned_there(task, scene)
-        valid = result.check_passed and not displaced(scene, task.scene)
+        valid = validity(scene, result.measure, task.scene, job.refine, given=given).valid
         missed = len(_things(task.scene) - _things(scene))
         seconds, rollouts = result.seconds or 0.0, result.rollouts
     return SuccessRow(
