@@ -128,6 +128,7 @@ def search(
         ):
             r.state = state
             r.rollouts += plans[k].rolled_out
+            r.pruned += pop - plans[k].rolled_out
             rests = np.full(pop, r.settles)
             round_ = Round(layouts[k], placements[k].poses, scores[k], rests)
             round_ = round_.of_objects(len(scene.names))

@@ -34,6 +34,8 @@ class SearchResult:
     summaries: list[dict[str, Any]] = field(default_factory=list)
     """Each iteration in numbers; see `outcome.iteration_summary`."""
     rollouts: int = 0
+    pruned: int = 0
+    """Candidates that were drawn and not rolled out."""
     first_valid_s: float = float("nan")
     """When the batch of the first valid candidate was scored, since the start of the search."""
     marks: list[np.ndarray] = field(default_factory=list)

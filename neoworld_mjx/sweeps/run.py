@@ -35,6 +35,9 @@ from .plan import Ablation, Plan, Point, points, read, shared_config
 from .run_rows import Key, Row, row_of_refined, row_of_search
 from .table import comma_separated, differences, flat, latex, markdown, summary
 
+BATCHES = 4
+"""Batches of a population, at most, that are rolled out one after the other on an accelerator."""
+
 
 @dataclass(frozen=True)
 class Swept:
@@ -65,8 +68,7 @@ def sweep(
 ) -> Swept:
     """Refine scenes with every combination of some options' values, with several seeds.
 
-    Runs that differ in traced options alone are one computation; see `refinement.loop.search`. They
-    are not pruned, which changes no elite.
+    Runs that differ in traced options alone are one computation; see `refinement.loop.search`.
 
     Args:
         plan: a plan, or its YAML file or mapping.
@@ -237,10 +239,10 @@ def _run(
 
 
 def _folded(scene: Case, model: SceneModel, runs: Sequence[SearchRun], engine: Engine) -> list[Row]:
-    """Search all runs at once, without pruning, in few large rollouts."""
+    """Search all runs at once, in few large rollouts."""
     clock: dict[str, float] = {}
     before = compiled().seconds
-    results = search(model, [unpruned(run) for run in runs], engine, keep=False, clock=clock)
+    results = search(model, [in_few_batches(run) for run in runs], engine, keep=False, clock=clock)
     seconds = max(clock["search"] - (compiled().seconds - before), 0.0) / len(runs)
     timing = {"seconds": seconds, "to_valid_s": None, "engine": engine.name}
 
@@ -257,12 +259,16 @@ def _folded(scene: Case, model: SceneModel, runs: Sequence[SearchRun], engine: E
         return list(pool.map(finish, results))
 
 
-def unpruned(run: SearchRun) -> SearchRun:
-    """Return the run with every candidate rolled out, which changes no elite."""
-    o = run.options
-    return run._replace(
-        options=o.model_copy(update={"cem": o.cem.model_copy(update={"prune": False})})
-    )
+def in_few_batches(run: SearchRun) -> SearchRun:
+    """Return the run with larger batches where an accelerator rolls them out.
+
+    Pruning then leaves out a few candidates less, and no elite is another.
+    """
+    c = run.options.cem
+    if jax.default_backend() == "cpu":
+        return run
+    cem = c.model_copy(update={"batch": max(c.batch, -(-c.population // BATCHES))})
+    return run._replace(options=run.options.model_copy(update={"cem": cem}))
 
 
 def _one_by_one(

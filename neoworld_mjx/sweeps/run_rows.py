@@ -82,7 +82,7 @@ def row_of_search(case: Case, model: SceneModel, result: SearchResult, winner: W
         "passed": chosen.passed,
         "iterations": len(result.rounds),
         "rollouts": result.rollouts,
-        "pruned": 0,
+        "pruned": result.pruned,
     }
     t, k = chosen.index
     values = None

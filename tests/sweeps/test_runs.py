@@ -16,6 +16,7 @@ from neoworld_mjx.refinement.returning import choose_and_return
 from neoworld_mjx.refinement.scene_refinement import compile_for_search, refine
 from neoworld_mjx.refinement.search_run import SearchRun
 from neoworld_mjx.sweeps.histories import summaries
+from neoworld_mjx.sweeps.run import in_few_batches
 
 ENGINE = NativeEngine()
 
@@ -64,6 +65,7 @@ def same_as_alone(model, runs):
         # Sums of all candidates, of which only those that may win are kept.
         assert result.summaries == summaries(one.history)
         assert (len(result.rounds), result.rollouts) == (one.iterations, one.rollouts)
+        assert result.pruned == one.pruned
         ended = (t, chosen.tried, chosen.passed)
         assert ended == (one.winner[0], one.finalists_tried, one.passed)
         for a, b in zip(jax.tree.leaves(layout), jax.tree.leaves(one.layout), strict=True):
@@ -85,14 +87,16 @@ def test_two_points_and_two_seeds_are_as_alone(model):
     assert any(one.winner[0] > 0 for one in alone)
 
 
-def test_runs_that_stop_leave_the_others_alone(model):
+def test_runs_that_stop_or_prune_leave_the_others_alone(model):
+    pruning = {"prune": True, "batch": 8}
     settings = [
-        options(cem={"stop_gain": 1e3, "patience": 1}),
-        options(cem={"iterations": 2}),
-        options(cem={"stop_gain": 0.0}, w_prior=0.0),
+        options(cem={"stop_gain": 1e3, "patience": 1, **pruning}),
+        options(cem={"iterations": 2, **pruning}),
+        options(cem={"stop_gain": 0.0, **pruning}, w_prior=0.0),
     ]
     alone = same_as_alone(model, started(model, settings, (0, 1)))
     assert len({one.iterations for one in alone}) > 1
+    assert len({one.pruned for one in alone}) > 1
 
 
 @pytest.mark.slow
@@ -160,3 +164,12 @@ def test_32_points_and_4_seeds_compile_once_and_are_as_alone(model):
     subset = counted(model, [runs[0], runs[-1]])
     assert counted(model, runs) == subset
     same_as_alone(model, runs)
+
+
+def test_an_accelerator_gets_a_quarter_of_a_population_at_once(monkeypatch):
+    run = SearchRun(options(cem={"population": 70, "batch": 4}), 0)
+    assert in_few_batches(run).options.cem.batch == 4
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert in_few_batches(run).options.cem.batch == 18
+    few = run._replace(options=options(cem={"population": 70, "batch": 32}))
+    assert in_few_batches(few).options.cem.batch == 32
