@@ -5,7 +5,6 @@ import os
 import platform
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,9 +20,8 @@ from ..physics.model import SceneModel
 from ..physics.simulate import open_engine
 from ..progress import report
 from ..refinement.loop import search
-from ..refinement.returning import choose_and_return
 from ..refinement.scene_refinement import compile_for_search, refine
-from ..refinement.search_run import SearchResult, SearchRun
+from ..refinement.search_run import SearchRun
 from ..run_folder import versions
 from ..spec import SceneSpec
 from .cases import Case, Source, case
@@ -34,6 +32,7 @@ from .model_scores import ModelScores, asks_a_model
 from .plan import Ablation, Plan, Point, points, read, shared_config
 from .run_rows import Key, Row, row_of_refined, row_of_search
 from .table import comma_separated, differences, flat, latex, markdown, summary
+from .winners import winners
 
 BATCHES = 4
 """Batches of a population, at most, that are rolled out one after the other on an accelerator."""
@@ -198,7 +197,7 @@ def _run(
                 for point, seed in pending
             ]
             if fold:
-                rows = _folded(scene, model, runs, rollout_engine)
+                rows = _folded(scene, reach, model, runs, rollout_engine)
             else:
                 labels = [point.label for point, _ in pending]
                 try:
@@ -238,7 +237,13 @@ def _run(
     return result
 
 
-def _folded(scene: Case, model: SceneModel, runs: Sequence[SearchRun], engine: Engine) -> list[Row]:
+def _folded(
+    scene: Case,
+    reach: RefineOptions,
+    model: SceneModel,
+    runs: Sequence[SearchRun],
+    engine: Engine,
+) -> list[Row]:
     """Search all runs at once, in few large rollouts."""
     clock: dict[str, float] = {}
     before = compiled().seconds
@@ -246,17 +251,11 @@ def _folded(scene: Case, model: SceneModel, runs: Sequence[SearchRun], engine: E
     seconds = max(clock["search"] - (compiled().seconds - before), 0.0) / len(runs)
     timing = {"seconds": seconds, "to_valid_s": None, "engine": engine.name}
 
-    def finish(result: SearchResult) -> Row:
-        run, objective = result.run, result.problem.objective
-        winner = choose_and_return(
-            model, result.rounds, run.options, objective, run.start, result.checked
-        )
-        row = row_of_search(scene, model, result, winner)
-        return row | timing | {"history": so_far(result.summaries)}
-
-    # Final checks simulate one layout at a time, in MuJoCo, which lets other threads run.
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        return list(pool.map(finish, results))
+    chosen = winners(scene.scene, reach, model, results)
+    return [
+        row_of_search(scene, model, result, winner) | timing | {"history": so_far(result.summaries)}
+        for result, winner in zip(results, chosen, strict=True)
+    ]
 
 
 def in_few_batches(run: SearchRun) -> SearchRun:

@@ -1,3 +1,5 @@
+import sys
+
 import jax
 import numpy as np
 import pytest
@@ -15,8 +17,10 @@ from neoworld_mjx.refinement.objective import evaluate, place
 from neoworld_mjx.refinement.returning import choose_and_return
 from neoworld_mjx.refinement.scene_refinement import compile_for_search, refine
 from neoworld_mjx.refinement.search_run import SearchRun
+from neoworld_mjx.sweeps import winners as module
 from neoworld_mjx.sweeps.histories import summaries
 from neoworld_mjx.sweeps.run import in_few_batches
+from neoworld_mjx.sweeps.winners import in_processes, processes_pay, winners
 
 ENGINE = NativeEngine()
 
@@ -173,3 +177,32 @@ def test_an_accelerator_gets_a_quarter_of_a_population_at_once(monkeypatch):
     assert in_few_batches(run).options.cem.batch == 18
     few = run._replace(options=options(cem={"population": 70, "batch": 32}))
     assert in_few_batches(few).options.cem.batch == 32
+
+
+def test_processes_choose_the_winners_that_threads_choose(model):
+    results = search(model, started(model, [options(2.0)], (0, 1, 2)), ENGINE, keep=False)
+    threads = winners(model.spec, options(), model, results)
+    processes = in_processes(model.spec, options(), results, 2)
+    assert processes is not None
+    for one, other in zip(threads, processes, strict=True):
+        assert one.chosen == other.chosen
+        assert one.before == other.before
+        for a, b in zip(jax.tree.leaves(one.layout), jax.tree.leaves(other.layout), strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_a_process_that_fails_leaves_the_checks_to_threads(model, monkeypatch):
+    results = search(model, started(model, [options(2.0)], (0,)), ENGINE, keep=False)
+    lines = []
+    monkeypatch.setattr(module, "report", lines.append)
+    monkeypatch.setattr(module, "processes_pay", lambda runs, cores: True)
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    (winner,) = winners(model.spec, options(), model, results)
+    assert winner.chosen.tried > 0
+    assert lines == ["a process of final checks failed (exit status 1); they are made in this one"]
+
+
+def test_processes_pay_for_many_runs_on_many_cores():
+    assert not processes_pay(10_000, 2)
+    assert not processes_pay(8, 16)
+    assert processes_pay(512, 16)
