@@ -27,6 +27,7 @@ from ..spec import (
 )
 from ..spec.opening import matching_joint, parsed_state
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
+from .joint_friction import held
 from .resting_pose import on_level, resting_tilt
 from .settle import settle
 
@@ -61,7 +62,7 @@ def compose(
     Args:
         tree: the parse.
         objects: an object for every node, by node name.
-        options: clearance under snapped objects, and whether tilted ones settle.
+        options: clearance under snapped objects, whether tilted ones settle and joints are held.
         name: of the scene.
 
     Raises:
@@ -81,6 +82,8 @@ def compose(
         placed[node.name] = _place(node, tree, placed, spec, state, residual, notes)
         if options.settle:
             placed[node.name] = _settled(node, tree, placed, notes)
+        if options.hold_joints:
+            placed[node.name] = _held(placed[node.name], notes)
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
     return Composed(snap(scene, options.gap_m), scales, tuple(notes))
 
@@ -218,6 +221,18 @@ def _settled(
             f"{1e3 * (resting.z - obj.z):+.0f} mm in height"
         )
     return resting
+
+
+def _held(obj: SceneObject, notes: list[str]) -> SceneObject:
+    """Return an object with joints that stay where the parse shows them."""
+    holding, changes = held(obj)
+    for joint, (before, after) in changes.items():
+        unit = "N" if obj.spec.joint(joint).type == "prismatic" else "N m"
+        notes.append(
+            f"{obj.name}: composition raised the dry friction of joint {joint} from {before:.2g} "
+            f"to {after:.2g} {unit}, as its weight would move it from where the parse shows it"
+        )
+    return holding
 
 
 def _rest(

@@ -2,10 +2,8 @@
 
 import math
 
-import numpy as np
-
 from ..spec import Inertial, JointSpec
-from ..spec.pose import conjugate, rotate
+from ..spec.mass import inertia_about
 
 GRAVITY = 9.81
 SETTLING_S = 0.4
@@ -21,16 +19,9 @@ def default_losses(joint: JointSpec, child: Inertial) -> tuple[float, float]:
         joint: the joint, not fixed.
         child: mass and inertia of the part that it carries.
     """
+    inertia = inertia_about(joint, child)
     if joint.type == "prismatic":
-        return child.mass / SETTLING_S, SLIDING_FRICTION * child.mass * GRAVITY
-    arm = np.array(child.pos) - np.array(joint.pos)
-    if joint.type == "ball":
-        own = max(child.diagonal)  # It turns about any axis: take the slowest.
-    else:
-        axis = np.array(joint.axis)
-        arm = arm - (arm @ axis) * axis
-        own = rotate(conjugate(child.quat), axis) ** 2 @ np.array(child.diagonal)
-    inertia = float(own) + child.mass * float(arm @ arm)
+        return inertia / SETTLING_S, SLIDING_FRICTION * child.mass * GRAVITY
     # The radius of gyration is the lever, so that a balanced knob holds still too.
     lever = math.sqrt(inertia / child.mass)
     return inertia / SETTLING_S, TURNING_FRICTION * child.mass * GRAVITY * lever

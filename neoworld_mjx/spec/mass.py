@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from .base import Quat, Spec, Vec3
 from .convex import mass_properties
 from .extent import pieces
+from .joint import JointSpec
 from .object import ObjectSpec, PartSpec
-from .pose import IDENTITY, from_matrix, rotate
+from .pose import IDENTITY, conjugate, from_matrix, rotate
 
 
 class Inertial(Spec):
@@ -92,3 +93,24 @@ def _principal(tensor: NDArray) -> tuple[NDArray, Quat]:
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     quat = from_matrix(axes)
     return np.diag(axes.T @ tensor @ axes).copy(), tuple(quat.tolist())
+
+
+def inertia_about(joint: JointSpec, child: Inertial) -> float:
+    """Return the inertia of a joint's child about its axis [kg m2], or its mass [kg] if it slides.
+
+    A ball turns about any axis; its slowest counts.
+
+    Args:
+        joint: the joint, not fixed.
+        child: mass and inertia of the part that it carries.
+    """
+    if joint.type == "prismatic":
+        return child.mass
+    arm = np.array(child.pos) - np.array(joint.pos)
+    if joint.type == "ball":
+        own = max(child.diagonal)
+    else:
+        axis = np.array(joint.axis)
+        arm = arm - (arm @ axis) * axis
+        own = rotate(conjugate(child.quat), axis) ** 2 @ np.array(child.diagonal)
+    return float(own) + child.mass * float(arm @ arm)

@@ -1,0 +1,147 @@
+"""Joints that gravity would move are held where the parse shows them, and no others change."""
+
+import math
+
+import pytest
+
+from neoworld_mjx.compose.compose import compose
+from neoworld_mjx.compose.joint_friction import MARGIN, held, joint_loads
+from neoworld_mjx.config import ComposeOptions
+from neoworld_mjx.measure import scene_measure
+from neoworld_mjx.spec import (
+    Box,
+    Box2D,
+    Box3D,
+    Camera,
+    Mimic,
+    ObjectSpec,
+    PartState,
+    SceneObject,
+    SceneSpec,
+    SceneTree,
+    TreeNode,
+    bounds,
+    inertial,
+)
+from tests.support import scenes
+from tests.support.mechanisms import WOOD, geom, joint, part
+
+LID = 0.2
+"""Depth of the lid, whose hinge is at its back edge [m]."""
+OPEN = math.radians(40)
+
+
+def chest(**hinge) -> ObjectSpec:
+    """A block with a lid on it that opens about its back edge."""
+    spec = {"upper": 2.0, "axis": (0, -1, 0), "pos": (-LID / 2, 0, 0.1)} | hinge
+    return ObjectSpec(
+        name="chest",
+        materials=(WOOD,),
+        parts=(
+            part("body", geom("block", Box(size=(LID, 0.3, 0.1)), (0, 0, 0.05))),
+            part("lid", geom("board", Box(size=(LID, 0.3, 0.02)), (0, 0, 0.11))),
+        ),
+        joints=(joint("hinge", "revolute", "body", "lid", **spec),),
+    )
+
+
+def placed(spec: ObjectSpec, **more) -> SceneObject:
+    return SceneObject(name="chest", spec=spec, parent="table", z=0.02, **more)
+
+
+def lid_turn(obj: SceneObject) -> float:
+    """Return how far the lid turns by itself in 2 s [deg]."""
+    table = SceneObject(name="table", spec=scenes.table(), environment=True)
+    scene = SceneSpec(objects=(table, obj.model_copy(update={"fixed_base": True})))
+    return scene_measure(scene).joint_turn_deg["chest-hinge"]
+
+
+def test_an_open_lid_stays_where_it_is_shown():
+    lid = placed(chest(friction=0.01), joint_state={"hinge": OPEN})
+    weight = inertial(lid.spec, lid.spec.part("lid")).mass * 9.81
+    load = joint_loads(lid)["hinge"]
+    # About the back edge, half way up the lid's thickness at its middle.
+    arm = LID / 2 * math.cos(OPEN) - 0.01 * math.sin(OPEN)
+    assert load == pytest.approx(-weight * arm, rel=1e-6)
+    assert lid_turn(lid) > 30
+    holding, changes = held(lid)
+    assert changes == {"hinge": (0.01, pytest.approx(MARGIN * abs(load)))}
+    # Dry friction sticks: by MuJoCo's soft one the lid would creep by degrees.
+    assert lid_turn(holding) < 0.1
+    assert held(holding) == (holding, {})
+
+
+@pytest.mark.parametrize(
+    ("hinge", "state"),
+    [
+        ({}, 0.0),  # Closed: its limit holds it.
+        ({"upper": OPEN, "axis": (0, 0, 1)}, 0.3),  # A door: nothing pulls.
+        ({"stiffness": 3.0}, OPEN),  # A spring moves it.
+        ({"friction": 50.0}, OPEN),
+    ],
+)
+def test_what_stays_by_itself_is_left_as_it_is(hinge, state):
+    obj = placed(chest(**hinge), joint_state={"hinge": state})
+    assert held(obj) == (obj, {})
+
+
+def test_a_leader_bears_what_follows_it():
+    spec = chest()
+    flap = part("flap", geom("flap", Box(size=(0.1, 0.3, 0.02)), (0.15, 0, 0.05)))
+    hung = {"upper": 2.0, "axis": (0, -1, 0), "pos": (0.1, 0, 0.06)}
+    follower = joint(
+        "fold", "revolute", "body", "flap", mimic=Mimic(joint="hinge", multiplier=0.5), **hung
+    )
+    both = ObjectSpec(
+        name="chest", materials=(WOOD,), parts=(*spec.parts, flap), joints=(*spec.joints, follower)
+    )
+    lid = joint_loads(placed(spec, joint_state={"hinge": 0.4}))["hinge"]
+    alone = joint_loads(
+        placed(
+            both.model_copy(
+                update={
+                    "joints": (spec.joints[0], joint("fold", "revolute", "body", "flap", **hung))
+                }
+            ),
+            joint_state={"hinge": 0.4, "fold": 0.2},
+        )
+    )["fold"]
+    loads = joint_loads(placed(both, joint_state={"hinge": 0.4}))
+    assert loads["fold"] == 0.0 and alone < 0
+    assert loads["hinge"] == pytest.approx(lid + 0.5 * alone)
+
+
+def test_composition_holds_joints_and_says_so():
+    spec = chest(friction=0.01)
+    size = tuple((bounds(spec, {"hinge": OPEN})[1] - bounds(spec, {"hinge": OPEN})[0]).tolist())
+    pixels = Box2D(x0=10, y0=10, x1=100, y1=100)
+    tree = SceneTree(
+        camera=Camera(width=640, height_px=480, fovy=0.8, height=1.0, pitch=0.6),
+        nodes=(
+            TreeNode(
+                name="table",
+                label="table",
+                environment=True,
+                box2d=pixels,
+                box3d=Box3D(position=(1.0, 0, -0.04), size=(0.6, 0.8, 0.04)),
+            ),
+            TreeNode(
+                name="chest",
+                label="chest",
+                parent="table",
+                box2d=pixels,
+                box3d=Box3D(position=(1.0, 0, 0), size=size),
+                articulation=(PartState(part="lid", type="revolute", opening=OPEN / 2.0),),
+            ),
+        ),
+    )
+    objects = {"table": scenes.table(), "chest": spec}
+    made = compose(tree, objects)
+    after = made.scene.object("chest").spec.joint("hinge").friction
+    assert after > 0.05
+    assert made.notes == (
+        f"chest: composition raised the dry friction of joint hinge from 0.01 to {after:.2g} N m, "
+        "as its weight would move it from where the parse shows it",
+    )
+    plain = compose(tree, objects, ComposeOptions(hold_joints=False))
+    assert plain.scene.object("chest").spec == spec and plain.notes == ()
