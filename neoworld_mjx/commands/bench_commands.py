@@ -2,6 +2,7 @@
 
 import dataclasses
 import datetime
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +11,31 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Union
 from tyro.conf import Positional, subcommand
 
 from ..bench.suites import SUITES, Suite
+from ..errors import ConfigError
 from .base_command import Answer, Command, ConfiguredCommand
 from .listing_lines import bench_lines
+
+MAY_BE_ZERO = ("delay_s", "directions", "failing", "pairs", "rounds", "scenes")
+"""Numbers of suites that may be zero, beside those that are by default."""
+
+
+def check_numbers(options: Any) -> None:
+    """Check the numbers among a command's options: counts and durations are positive.
+
+    Raises:
+        ConfigError: one is too small, or not finite.
+    """
+    for field in dataclasses.fields(options):
+        value = getattr(options, field.name)
+        zero = field.name in MAY_BE_ZERO or field.default in (0, None)
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, bool) or not isinstance(number, int | float):
+                continue
+            if not math.isfinite(number) or number < 0 or (number == 0 and not zero):
+                whole = "1 or more" if isinstance(number, int) else "above 0"
+                least = "0 or more" if zero else whole
+                name = field.name.replace("_", "-")
+                raise ConfigError(f"--{name} must be {least}, got {number}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +71,7 @@ class BenchMakeCommand(Command):
 
     def run(self) -> Answer:
         """Write the data set."""
+        check_numbers(self)
         from ..bench.command import make_answer
 
         return make_answer(self)
@@ -78,6 +103,7 @@ class SuiteCommand:
         """Run the suite; its answer also has the suite, the command and the date, for figures."""
         from ..cache import keep_compilations
 
+        check_numbers(self)
         keep_compilations()
         function = self.suite.load()
         configured = isinstance(self, ConfiguredCommand)

@@ -44,3 +44,21 @@ def test_the_package_imports_nothing_of_tests_and_benchmarks():
     modules = list(root.rglob("*.py"))
     assert len(modules) > 100
     assert [path for path in modules if imports.search(path.read_text(encoding="utf-8"))] == []
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("physics --population 64 0", "--population must be 1 or more, got 0"),
+        ("physics --duration 0", "--duration must be above 0, got 0.0"),
+        ("physics --budget nan", "--budget must be above 0, got nan"),
+        ("scenes --starts 0", "--starts must be 1 or more, got 0"),
+        ("scenes --workers -1", "--workers must be 0 or more, got -1"),
+        ("tasks --directions -1", "--directions must be 0 or more, got -1"),
+    ],
+)
+def test_numbers_of_suites_have_bounds(words, message, capfd):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["bench", "run", *words.split(), "--json"])
+    assert ended.value.code == 2
+    assert json.loads(capfd.readouterr().out)["error"] == message
