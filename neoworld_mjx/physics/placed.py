@@ -1,11 +1,12 @@
 """Placed candidates: their poses, how deep objects are in one another, and what the camera sees.
 
-This is the dear part of what can be said of candidates before physics. It is one program of a
-scene's bucket, whatever the population and the reward are.
+This is the dear part of what can be said of candidates before physics. It is two programs of a
+scene's bucket, whatever the population and the reward are, and wherever the candidates' poses come
+from: one that places layouts, and one that looks at poses.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -21,6 +22,7 @@ from .visibility import Visible, visibility
 
 CHUNK = 64
 """Candidates that are looked at at once on CPUs, where more at once gain nothing."""
+Out = TypeVar("Out")
 
 
 class Placed(eqx.Module):
@@ -40,6 +42,8 @@ BALL = 0.03
 UP, SIDEWAYS, DOWN = float(np.radians(15.0)), 0.25, (0.1, 0.01)
 """Bounds of settling: of the tilt [rad]; of the horizontal shift, over the object's size; of the
 change of height, over its size, and beyond that [m]."""
+LEAST = 1e-6
+"""Least size of an object [m]."""
 
 
 def pair_depths(scene: SceneArrays, poses: Poses) -> Float[Array, "pop object object"]:
@@ -53,14 +57,25 @@ def pair_depths(scene: SceneArrays, poses: Poses) -> Float[Array, "pop object ob
 
 
 @eqx.filter_jit
-def placed(scene: SceneArrays, layouts: Layout) -> Placed:
-    """Place candidates, and measure what does not depend on physics; may be vmapped."""
-    poses = scene.place(layouts)
-    still = jnp.zeros(layouts.yaw.shape)
-    return Placed(poses, pair_depths(scene, poses), visibility(scene, poses), still)
+def placed_poses(scene: SceneArrays, layouts: Layout) -> Poses:
+    """Place candidates; may be vmapped."""
+    return scene.place(layouts)
 
 
 @eqx.filter_jit
+def looked_at(
+    scene: SceneArrays, poses: Poses
+) -> tuple[Float[Array, "pop object object"], Visible]:
+    """Measure depths and what the camera sees of candidates; may be vmapped."""
+    return pair_depths(scene, poses), visibility(scene, poses)
+
+
+def placed(scene: SceneArrays, layouts: Layout) -> Placed:
+    """Place candidates, and measure what does not depend on physics; may be vmapped."""
+    poses = placed_poses(scene, layouts)
+    return Placed(poses, *looked_at(scene, poses), jnp.zeros(layouts.yaw.shape))
+
+
 def come_to_rest(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
     """Measure candidates where they have come to rest; may be vmapped.
 
@@ -69,8 +84,7 @@ def come_to_rest(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
         start: where their layouts put them.
         end: where they rest; see `settling.settle`.
     """
-    settled = settled_by(scene, start, end)
-    return Placed(end, pair_depths(scene, end), visibility(scene, end), settled)
+    return Placed(end, *looked_at(scene, end), settled_by(scene, start, end))
 
 
 def settled_by(
@@ -89,7 +103,8 @@ def settled_by(
     """
     corners = xp.asarray(scene.corners)
     box = xp.max(corners, axis=1) - xp.min(corners, axis=1)
-    size = xp.linalg.norm(box, axis=-1) * start.scale
+    # What is padded has no size.
+    size = xp.maximum(xp.linalg.norm(box, axis=-1) * start.scale, LEAST)
     ball = xp.asarray(scene.round) & (xp.ptp(box, axis=-1) < BALL * xp.max(box, axis=-1))
     up, now = (_own_up(quat, xp) for quat in (start.quat, end.quat))
     leans = xp.arctan2(xp.linalg.norm(xp.cross(up, now), axis=-1), xp.sum(up * now, axis=-1))
@@ -107,6 +122,11 @@ def _own_up(quat: Any, xp: Any) -> Any:
     return xp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
 
 
+def poses_in_chunks(scene: SceneArrays, layouts: Layout, number: int | None = None) -> Poses:
+    """Place candidates in chunks; see `placed_in_chunks`."""
+    return _in_chunks(placed_poses, scene, layouts, number)
+
+
 def placed_in_chunks(scene: SceneArrays, layouts: Layout, number: int | None = None) -> Placed:
     """Do what `placed` does in chunks of CHUNK, so that one program serves all populations.
 
@@ -118,26 +138,27 @@ def placed_in_chunks(scene: SceneArrays, layouts: Layout, number: int | None = N
     Returns:
         Arrays on the host.
     """
-    return _in_chunks(placed, scene, (layouts,), number)
+    poses = poses_in_chunks(scene, layouts, number)
+    still = np.zeros(poses.scale.shape, np.float32)
+    return Placed(poses, *_in_chunks(looked_at, scene, poses, number), still)
 
 
-def at_rest_in_chunks(
-    scene: SceneArrays, start: Poses, end: Poses, number: int | None = None
-) -> Placed:
+def at_rest_in_chunks(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
     """Do what `come_to_rest` does in chunks; see `placed_in_chunks`."""
-    return _in_chunks(come_to_rest, scene, (start, end), number)
+    settled = settled_by(scene, start, end, np).astype(np.float32)
+    return Placed(end, *_in_chunks(looked_at, scene, end, None), settled)
 
 
 def _in_chunks(
-    look: Callable[..., Placed], scene: SceneArrays, of: tuple[Any, ...], number: int | None
-) -> Placed:
+    look: Callable[[SceneArrays, Any], Out], scene: SceneArrays, of: Any, number: int | None
+) -> Out:
     pop = jax.tree.leaves(of)[0].shape[0]
     used = pop if number is None else number
-    parts: list[Placed] = []
+    parts: list[Out] = []
     for first in range(0, used, CHUNK):
         # The last chunk is filled up with its first candidate.
         rows = np.arange(first, first + CHUNK)
         rows = np.where(rows < used, rows, first)
-        parts.append(look(scene, *jax.tree.map(lambda x, rows=rows: np.asarray(x)[rows], of)))
+        parts.append(look(scene, jax.tree.map(lambda x, rows=rows: np.asarray(x)[rows], of)))
     rows = np.where(np.arange(pop) < used, np.arange(pop), 0)
     return jax.tree.map(lambda *x: np.concatenate(x)[rows], *jax.device_get(parts))

@@ -166,12 +166,23 @@ def propose(
             they are, as the paper does.
     """
     layouts = ask(scene, problem, state, seed, population)
-    if projection is None:
-        return layouts
+    return layouts if projection is None else project(scene, problem, layouts, projection)
+
+
+def project(
+    scene: SceneArrays, problem: Problem, layouts: Layout, projection: tuple[int, float, int]
+) -> Layout:
+    """Move drawn candidates out of interpenetration; `projection` as in `propose`."""
     steps, rate, samples = projection
     return refine_by_gradient(
         scene, layouts, problem.sigma, steps=steps, rate=rate, samples=samples, photo=False
     )
+
+
+def projects(option: str, t: int, state: SearchState) -> bool:
+    """Tell whether the candidates of iteration t are projected, by `descent.project`."""
+    needed = option == "needed" and t > 0 and not bool(state.seen_valid)
+    return option == "always" or needed
 
 
 @eqx.filter_jit

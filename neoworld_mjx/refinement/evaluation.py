@@ -13,7 +13,7 @@ from ..config import RefineOptions
 from ..measure import SceneMeasure, measured
 from ..physics.engine import Engine, Rollout
 from ..physics.exact import snap_exactly
-from ..physics.layout import Layout, Poses
+from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..physics.placed import (
     Placed,
@@ -21,9 +21,11 @@ from ..physics.placed import (
     come_to_rest,
     placed,
     placed_in_chunks,
+    placed_poses,
+    poses_in_chunks,
 )
 from ..physics.scene_arrays import SceneArrays
-from .algorithm import Problem, initial_state, open_problem
+from .algorithm import Problem, initial_state, open_problem, project, projects
 from .batching import map_runs, pad_rollout, put, roll_out, settled, take
 from .objective import Placement, Scores, evaluate, place
 from .outcome import Round
@@ -51,7 +53,7 @@ class Evaluation(NamedTuple):
         problems: Sequence[Problem],
         layouts: Sequence[Layout],
         number: int,
-        settles: Sequence[int] = (),
+        rests: Sequence[bool] = (),
     ) -> list[Placement]:
         """Place the populations of several runs, of which only the first `number` will be used.
 
@@ -59,31 +61,17 @@ class Evaluation(NamedTuple):
             problems: of the runs.
             layouts: their populations.
             number: candidates that will be used.
-            settles: how many of each run's candidates come to rest, those that agree best with the
-                photograph; where some do, the others are left out. None do by default.
+            rests: whether each run's candidates will come to rest; they are bounded as if nothing
+                overlapped, for when they have, nothing does. None will by default.
         """
         began = time.perf_counter()
         if jax.default_backend() == "cpu":
             known = [placed_in_chunks(self.arrays, z, number) for z in layouts]
         else:
             known = map_runs(placed, self.arrays, [(z,) for z in layouts], self.tile)
-        settling = [k for k, most in enumerate(settles) if most]
-        screened = {}
-        if settling:
-            known = [jax.tree.map(np.asarray, at) for at in known]
-            # Come to rest, things overlap no more.
-            apart = [(problems[k], layouts[k], _apart(known[k])) for k in settling]
-            for k, placement in zip(settling, self._placements(apart), strict=True):
-                order = np.argsort(-np.asarray(placement.bound)[:number], kind="stable")
-                screened[k] = np.sort(order[: settles[k]])
-            self.clock["score"] += time.perf_counter() - began
-            some = [(known[k], rows) for k, rows in screened.items()]
-            for k, at in zip(screened, self._at_rest(some), strict=True):
-                known[k] = at
-            began = time.perf_counter()
+        for k in np.flatnonzero(rests).tolist():
+            known[k] = _apart(jax.tree.map(np.asarray, known[k]))
         placements = self._placements(list(zip(problems, layouts, known, strict=True)))
-        for k, rows in screened.items():
-            placements[k] = _left_out(placements[k], rows)
         self.clock["score"] += time.perf_counter() - began
         return placements
 
@@ -91,49 +79,84 @@ class Evaluation(NamedTuple):
         rows = [(z, problem.objective.bounded, at) for problem, z, at in of]
         return map_runs(place, self.arrays, rows, self.tile)
 
-    def _at_rest(self, some: Sequence[tuple[Placed, np.ndarray]]) -> list[Placed]:
-        """Let some candidates of several runs come to rest, and look at them again."""
-        began = time.perf_counter()
-        starts = [take(at.poses, rows) for at, rows in some]
-        ends = settled(self.scene, starts, self.engine, self.options)
-        self.clock["rollout"] += time.perf_counter() - began
-        began = time.perf_counter()
-        pairs = list(zip(starts, ends, strict=True))
-        if jax.default_backend() == "cpu":
-            rest = [at_rest_in_chunks(self.arrays, start, end) for start, end in pairs]
-        else:
-            rest = self._seen_at_rest(pairs)
-        whole = [
-            jax.tree.map(lambda x, new, rows=rows: put(x, new, rows), at, new)
-            for (at, rows), new in zip(some, rest, strict=True)
-        ]
-        self.clock["score"] += time.perf_counter() - began
-        return whole
-
-    def _seen_at_rest(self, pairs: Sequence[tuple[Poses, Poses]]) -> list[Placed]:
-        """Look at runs with equal numbers of candidates at once."""
-        rest: dict[int, Placed] = {}
-        sizes = [len(start.scale) for start, _ in pairs]
-        for size in sorted(set(sizes)):
-            which = [k for k, own in enumerate(sizes) if own == size]
-            mapped = map_runs(come_to_rest, self.arrays, [pairs[k] for k in which], self.tile)
-            rest |= dict(zip(which, mapped, strict=True))
-        return [rest[k] for k in range(len(pairs))]
-
     def in_batches(
         self,
         live: Sequence[SearchResult],
-        layouts: Sequence[Layout],
-        placements: Sequence[Placement],
+        layouts: list[Layout],
+        placements: list[Placement],
         plans: Sequence[RolloutPlan],
     ) -> None:
-        """Follow the plans of all runs, one batch of each at a time."""
-        while batches := {k: rows for k, p in enumerate(plans) if (rows := p.next()) is not None}:
+        """Follow the plans of all runs, one batch of each at a time.
+
+        Layouts and placements of what comes to rest are replaced.
+        """
+        while True:
+            batches = {k: rows for k, p in enumerate(plans) if (rows := p.next()) is not None}
+            idle = [k for k in range(len(plans)) if k not in batches]
+            waiting = {k: rows for k in idle if (rows := plans[k].waiting()) is not None}
+            if waiting:
+                self._bring_to_rest(live, layouts, placements, plans, waiting)
+                continue
+            if not batches:
+                return
             some = [take((layouts[k], placements[k]), rows) for k, rows in batches.items()]
             rollouts = self.roll_out([placement for _, placement in some])
             own = [live[k] for k in batches]
             for k, scores in zip(batches, self.score(own, some, rollouts), strict=True):
                 plans[k].add(scores)
+
+    def _bring_to_rest(
+        self,
+        live: Sequence[SearchResult],
+        layouts: list[Layout],
+        placements: list[Placement],
+        plans: Sequence[RolloutPlan],
+        waiting: dict[int, np.ndarray],
+    ) -> None:
+        """Project candidates where the options say so, let them come to rest, and look again."""
+        began = time.perf_counter()
+        d, on_cpu = self.options.descent, jax.default_backend() == "cpu"
+        projection = (d.project_steps, d.rate, d.samples)
+        # All runs take so many at once; the last are filled up, so that one shape is compiled.
+        few = {k: take(layouts[k], np.resize(rows, plans[k].rests)) for k, rows in waiting.items()}
+        rows = [
+            (live[k].problem, z, projection)
+            for k, z in few.items()
+            if projects(d.project, len(live[k].rounds), live[k].state)
+        ]
+        if rows:
+            few = dict(zip(few, map_runs(project, self.arrays, rows, self.tile), strict=True))
+        self.clock["descent"] += time.perf_counter() - began
+        if on_cpu:
+            starts = [poses_in_chunks(self.arrays, z) for z in few.values()]
+        else:
+            starts = map_runs(placed_poses, self.arrays, [(z,) for z in few.values()], self.tile)
+        began = time.perf_counter()
+        own = [
+            take(at, slice(len(rows))) for at, rows in zip(starts, waiting.values(), strict=True)
+        ]
+        ends = settled(self.scene, own, self.engine, self.options)
+        self.clock["rollout"] += time.perf_counter() - began
+        began = time.perf_counter()
+        pairs = [
+            (start, take(end, np.resize(np.arange(len(end.scale)), len(start.scale))))
+            for start, end in zip(starts, ends, strict=True)
+        ]
+        if on_cpu:
+            looked = [at_rest_in_chunks(self.arrays, *pair) for pair in pairs]
+        else:
+            looked = map_runs(come_to_rest, self.arrays, pairs, self.tile)
+        placed_now = []
+        for (k, rows), at in zip(waiting.items(), looked, strict=True):
+            put_in = lambda x, new, rows=rows: put(x, new[: len(rows)], rows)
+            layouts[k] = jax.tree.map(put_in, layouts[k], few[k])
+            p = placements[k]
+            whole = Placed(p.poses, p.depth, p.visible, p.settled)
+            placed_now.append((live[k].problem, layouts[k], jax.tree.map(put_in, whole, at)))
+        for k, placement in zip(waiting, self._placements(placed_now), strict=True):
+            plans[k].come_to_rest(placement)
+            placements[k] = _left_out(placement, plans[k].ready)
+        self.clock["score"] += time.perf_counter() - began
 
     def with_scorer(
         self,

@@ -24,11 +24,11 @@ from ..physics.scene_arrays import SceneArrays, on_device, pad_objects, pad_scen
 from ..physics.simulate import on_cpu
 from ..progress import update as update_progress
 from .algorithm import (
-    SearchState,
     check_credit,
     converged,
     initial_state,
     open_problem,
+    projects,
     propose,
     resumed,
     update,
@@ -110,11 +110,10 @@ def search(
             break
         layouts = _propose(arrays, live, t, tile, clock)
         pop = population_at(o, t)
-        placements = evaluation.place(
-            [r.problem for r in live], layouts, pop, [_settling(r, pop) for r in live]
-        )
+        problems, rests = [r.problem for r in live], [_rests(r, pop) for r in live]
+        placements = evaluation.place(problems, layouts, pop, [n > 0 for n in rests])
         layouts, placements = take((layouts, placements), slice(pop))
-        plans = [_plan(r, placement, scorer) for r, placement in zip(live, placements, strict=True)]
+        plans = [_plan(*of, scorer) for of in zip(live, placements, rests, strict=True)]
         if scorer is None:
             evaluation.in_batches(live, layouts, placements, plans)
         else:
@@ -299,19 +298,17 @@ def _propose(
             k: (r.problem, r.state, np.asarray(r.run.seed, np.uint32), population)
             + ((projection,) if projected else (None,))
             for k, r in enumerate(live)
-            if _projects(d.project, t, r.state) == projected
+            # What comes to rest is projected just before that.
+            if (projects(d.project, t, r.state) and not r.settles) == projected
         }
         layouts |= zip(rows, map_runs(propose, scene, list(rows.values()), tile), strict=True)
     clock["descent"] += time.perf_counter() - began
     return [layouts[k] for k in range(len(live))]
 
 
-def _projects(option: str, t: int, state: SearchState) -> bool:
-    needed = option == "needed" and t > 0 and not bool(state.seen_valid)
-    return option == "always" or needed
-
-
-def _plan(r: SearchResult, placement: Placement, scorer: SemanticScorer | None) -> RolloutPlan:
+def _plan(
+    r: SearchResult, placement: Placement, rests: int, scorer: SemanticScorer | None
+) -> RolloutPlan:
     c = r.run.options.cem
     pruned = prunes(r.run.options, r.problem) and scorer is None
     return RolloutPlan(
@@ -319,15 +316,16 @@ def _plan(r: SearchResult, placement: Placement, scorer: SemanticScorer | None) 
         batch=c.batch if pruned else None,
         elites=elite_count(c.elite_ratio, len(placement.bound)),
         until_valid=c.credit == "auto" and not bool(r.state.seen_valid),
+        seen_valid=bool(r.state.seen_valid),
+        rests=rests,
     )
 
 
-def _settling(r: SearchResult, population: int) -> int:
-    """Return how many candidates come to rest: all where none may be left out."""
+def _rests(r: SearchResult, population: int) -> int:
+    """Return how many candidates come to rest at once: all where none may be left out."""
     if not r.settles:
         return 0
-    few = bool(r.state.seen_valid) and bounded(r.run.options, r.problem)
-    return min(RESTING, population) if few else population
+    return min(RESTING, population) if bounded(r.run.options, r.problem) else population
 
 
 def _finalists(round_: Round, o: RefineOptions) -> Round:

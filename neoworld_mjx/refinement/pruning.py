@@ -17,20 +17,35 @@ PRUNED = len(RolloutStatus)
 class RolloutPlan:
     """Says which candidates of a population to roll out next, and puts their scores together.
 
+    Where candidates come to rest before they are judged, the plan also says which do so next: some
+    at a time, those first that agree best with the photograph, until one is valid.
+
     Args:
         placement: the candidates, with the upper bounds of their rewards.
         batch: candidates rolled out at once; None rolls all of them out at once and prunes nothing.
         elites: K.
         until_valid: prune nothing as long as no candidate is valid.
+        seen_valid: whether any was valid before.
+        rests: candidates that come to rest at once; with 0 none do, and all are ready.
     """
 
     def __init__(
-        self, placement: Placement, *, batch: int | None, elites: int, until_valid: bool = False
+        self,
+        placement: Placement,
+        *,
+        batch: int | None,
+        elites: int,
+        until_valid: bool = False,
+        seen_valid: bool = False,
+        rests: int = 0,
     ) -> None:
         self._placement = placement
         self._upper = np.asarray(placement.bound)
-        self._order = np.argsort(-self._upper, kind="stable")
-        self._batch, self._until_valid = batch, until_valid
+        order = np.argsort(-self._upper, kind="stable")
+        self._order, self._waiting = (order[:0], order) if rests else (order, order[:0])
+        self._prunes = batch is not None
+        self._batch = batch or rests or None
+        self.rests, self._until_valid, self._seen_valid = rests, until_valid, seen_valid
         self._best = np.full(elites, -np.inf)
         self._first = 0
         self._parts: list[tuple[np.ndarray, Scores]] = []
@@ -40,6 +55,28 @@ class RolloutPlan:
         """Candidates that were rolled out."""
         return sum(len(rows) for rows, _ in self._parts)
 
+    @property
+    def ready(self) -> np.ndarray:
+        """Candidates that may be rolled out: all, or those that have come to rest."""
+        return np.sort(self._order)
+
+    def waiting(self) -> np.ndarray | None:
+        """Return the candidates to bring to rest now that `next` has none; None if that will do.
+
+        The first ones always, more only as long as nothing is valid.
+        """
+        if not len(self._waiting) or (len(self._order) and self._seen_valid):
+            return None
+        return np.sort(self._waiting[: self.rests])
+
+    def come_to_rest(self, placement: Placement) -> None:
+        """Take in the placement in which those that were `waiting` rest."""
+        self._placement, self._upper = placement, np.asarray(placement.bound)
+        new, self._waiting = np.split(self._waiting, [self.rests])
+        self._first = len(self._order)
+        new = new[np.argsort(-self._upper[new], kind="stable")]
+        self._order = np.concatenate([self._order, new])
+
     def next(self) -> np.ndarray | slice | None:
         """Return the candidates to roll out now; None when the rest cannot become elites.
 
@@ -48,24 +85,28 @@ class RolloutPlan:
         The last batch repeats some of its candidates, so that all batches share one shape and one
         compilation.
         """
-        pop = len(self._upper)
         if self._batch is None:
             return None if self._parts else slice(None)
-        if self._first >= pop or not np.isfinite(self._upper[self._order[self._first]]):
+        if self._first >= len(self._order):
             return None
-        if not self._until_valid and self._upper[self._order[self._first]] < self._best[0]:
+        upper = self._upper[self._order[self._first]]
+        if not np.isfinite(upper):
+            return None
+        if self._prunes and not self._until_valid and upper < self._best[0]:
             return None
         rows = self._order[self._first : self._first + self._batch]
-        return np.resize(rows, min(self._batch, pop))
+        return np.resize(rows, min(self._batch, len(self._upper)))
 
     def add(self, scores: Scores) -> None:
         """Take in the scores of the candidates that `next` returned last."""
         if self._batch is None:
             self._parts.append((np.arange(len(self._upper)), scores))
+            self._seen_valid |= bool(np.any(scores.valid))
             return
         rows = self._order[self._first : self._first + self._batch]
         self._parts.append((rows, scores))
-        self._until_valid &= not bool(np.any(scores.valid))
+        self._seen_valid |= bool(np.any(scores.valid))
+        self._until_valid &= not self._seen_valid
         # What filled the batch up comes a second time, and must count once.
         reward = np.asarray(scores.reward)[: len(rows)]
         self._best = np.sort(np.concatenate([self._best, reward]))[-len(self._best) :]
