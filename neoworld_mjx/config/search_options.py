@@ -333,8 +333,9 @@ class RefineOptions(Options):
         "rollout, and what they show, how deep they are in one another and how far they drift "
         "counts from there. Settling counts as drift, and a candidate is not valid in which an "
         "object comes to rest tilted by more than 15 degrees, a quarter of its size beside, or a "
-        "tenth of it and 1 cm above or below its place. Once one has been valid, only the 64 of a "
-        "population that agree best with the photograph do so, and the others are left out.",
+        "tenth of it and 1 cm above or below its place. They do so 64 at a time, "
+        "those first that agree best with the photograph, until one is valid; once one has been "
+        "valid, only the first 64 do, and the others are left out.",
         departure=Departure(
             "never",
             "What leans, lies in a cup or rolls rests at a tilt that no layout has; only gravity "

@@ -26,6 +26,8 @@ REACH_M = 0.05
 """Length by which drag on turning follows from that on sinking, in `at_rest`."""
 JOINT_DRAG = 1e6
 """Drag of joints over that of the fall, in populations: they keep their positions."""
+COARSER = 2
+"""Time steps of populations that sink are longer by this factor: nothing is fast."""
 LEVEL_DEG = 0.3
 """Tilt below which an object counts as upright."""
 SINKING = EarlyStop(distance=1e3, angle=1e3, drift=1e3, tilt=1e3)
@@ -65,7 +67,7 @@ def settle(scene: SceneModel, poses: Poses, engine: Engine, duration: float) -> 
 def with_drag(scene: SceneModel) -> SceneModel:
     """Return a scene in which drag lets free objects fall at FALL_M_S at most, and holds joints.
 
-    The drag grows with an object's weight, whatever its scale.
+    The drag grows with an object's weight, whatever its scale. Time steps are COARSER.
     """
     known = _dragged.get(scene.static)
     if known is None:
@@ -78,6 +80,7 @@ _dragged: "weakref.WeakKeyDictionary[StaticScene, StaticScene]" = weakref.WeakKe
 
 def _static_with_drag(static: StaticScene) -> StaticScene:
     model = copy.copy(static.mjm)
+    model.opt.timestep *= COARSER
     drag = _drag(model, static.characteristic_length)
     of_free = model.jnt_type[model.dof_jntid] == FREE
     model.dof_damping[:] = np.where(of_free, drag, JOINT_DRAG * drag)

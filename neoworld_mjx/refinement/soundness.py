@@ -29,8 +29,8 @@ AGREES = 3.0
 UNSETTLED = 1
 """Iterations without a valid candidate after which candidates come to rest."""
 RESTING = 64
-"""Candidates that come to rest in an iteration once one has been valid: those that agree best with
-the photograph. Most elites were among them on photographs; all 256 took twice as long."""
+"""Candidates that come to rest at once, those first that agree best with the photograph; no more do
+so in an iteration once one is valid. Most elites were among them on photographs."""
 ROOM = 2
 """Iterations without a valid candidate after which more objects may move."""
 TRIED = 64

@@ -1,11 +1,13 @@
 """Pruning leaves out rollouts without changing an elite."""
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
 
 from neoworld_mjx.bench.scenes import crowded, noisy_layouts
 from neoworld_mjx.config import CEMOptions, RefineOptions, RolloutOptions
+from neoworld_mjx.physics.engine import unmoved
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import refine
@@ -37,6 +39,29 @@ def test_pruning_changes_no_elite(crowd, elites):
         np.asarray(complete.reward)[pruned].max()
         <= np.asarray(complete.reward)[best(complete)].min()
     )
+
+
+def test_more_come_to_rest_until_one_is_valid(crowd):
+    scene, layouts = crowd
+    objective = open_objective(RefineOptions())
+    placement = place(scene, layouts, objective)
+    still = evaluate(scene, layouts, placement, unmoved(scene, placement.poses), objective)
+    order = np.argsort(-np.asarray(placement.bound), kind="stable")
+    plan = RolloutPlan(placement, batch=8, elites=4, until_valid=True, rests=16)
+    rolled = []
+    for valid in (False, True):
+        assert plan.next() is None
+        waiting = plan.waiting()
+        assert waiting.tolist() == sorted(order[len(rolled) : len(rolled) + 16])
+        plan.come_to_rest(placement)
+        while (rows := plan.next()) is not None:
+            scores = jax.tree.map(lambda x, rows=rows: np.asarray(x)[rows], still)
+            plan.add(eqx.tree_at(lambda s: s.valid, scores, np.full(8, valid)))
+            rolled += rows.tolist()
+    assert plan.waiting() is None and plan.next() is None
+    # What rests beside a valid candidate may be pruned, nothing before it.
+    assert rolled == order[: len(rolled)].tolist() and 16 < len(rolled) <= 32
+    assert plan.rolled_out == len(rolled)
 
 
 def test_a_refinement_with_pruning_ends_where_one_without_does():
