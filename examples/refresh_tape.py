@@ -25,15 +25,21 @@ from neoworld_mjx.pipeline import reconstruct
 
 
 def answer(mailbox: Path, texts: dict[str, str], done: threading.Event) -> None:
-    """Answer requests by their names until `done` is set."""
+    """Answer requests by their names until `done` is set; others wait for an answer by hand."""
+    told: set[Path] = set()
     while not done.wait(0.1):
         for request in mailbox.glob("*/request.json"):
             response = request.with_name("response.json")
-            if not response.exists():
-                name = json.loads(request.read_text(encoding="utf-8"))["name"]
+            if response.exists() or response in told:
+                continue
+            name = json.loads(request.read_text(encoding="utf-8"))["name"]
+            if name in texts:
                 part = response.with_name("response.part")
                 part.write_text(texts[name], encoding="utf-8")
                 part.replace(response)
+            else:
+                told.add(response)
+                print(f"the tape has no answer to {name}: write {response}", file=sys.stderr)
 
 
 def main(photo: Path, path: Path, configs: list[str]) -> None:
