@@ -9,7 +9,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ...spec import GeomSpec, JointSpec, ObjectSpec, PartSpec, bounds, part_bounds
+from ...program.joint_losses import default_losses
+from ...spec import GeomSpec, JointSpec, ObjectSpec, PartSpec, bounds, inertial, part_bounds
 from .noise_draft import Draft
 
 MISSED = 2 / 29
@@ -92,7 +93,7 @@ def fastened(spec: ObjectSpec, name: str) -> JointSpec:
 def of_other_type(spec: ObjectSpec, name: str) -> JointSpec:
     """Return a joint that slides in place of turning, or turns in place of sliding."""
     joint, size = spec.joint(name), _child_size(spec, name)
-    plain = {"damping": 0.0, "friction": 0.0, "stiffness": 0.0, "armature": 0.0}
+    plain: dict[str, object] = {"stiffness": 0.0, "armature": 0.0}
     plain |= {"effort": None, "velocity": None, "lower": 0.0}
     if joint.type == "prismatic":
         low, high = part_bounds(spec, spec.part(joint.child))
@@ -100,7 +101,7 @@ def of_other_type(spec: ObjectSpec, name: str) -> JointSpec:
         plain |= {"type": "revolute", "pos": middle, "upper": TURN_RAD}
     else:
         plain |= {"type": "prismatic", "upper": SLIDE * float(np.abs(joint.axis) @ size)}
-    return joint.model_copy(update=plain)
+    return _with_usual_losses(spec, joint.model_copy(update=plain))
 
 
 def across_axis(spec: ObjectSpec, name: str, rng: np.random.Generator) -> JointSpec:
@@ -159,8 +160,15 @@ def with_extra_joint(spec: ObjectSpec, rng: np.random.Generator) -> ObjectSpec |
     else:
         fields |= {"type": "prismatic", "upper": SLIDE * float(axis @ (high - low))}
     parts = [p.model_copy(update={"geoms": rest}) if p is part else p for p in spec.parts]
-    joint = JointSpec.model_validate(fields)
-    return spec.model_copy(update={"parts": (*parts, alone), "joints": (*spec.joints, joint)})
+    apart = spec.model_copy(update={"parts": (*parts, alone)})
+    joint = _with_usual_losses(apart, JointSpec.model_validate(fields))
+    return apart.model_copy(update={"joints": (*spec.joints, joint)})
+
+
+def _with_usual_losses(spec: ObjectSpec, joint: JointSpec) -> JointSpec:
+    """Return a joint with the damping and dry friction of programs that state none."""
+    losses = default_losses(joint, inertial(spec, spec.part(joint.child)))
+    return joint.model_copy(update=dict(zip(("damping", "friction"), losses, strict=True)))
 
 
 def _loose_shapes(spec: ObjectSpec) -> Iterator[tuple[PartSpec, GeomSpec]]:

@@ -8,15 +8,17 @@ here it is drawn again.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from ...parse.checks import check_tree
 from ...parse.project import expected_box
-from ...spec import Box2D, SceneTree, TreeNode
+from ...spec import Box2D, ObjectSpec, SceneTree, TreeNode
 from ...spec.pose import from_yaw, rotate
+from .split_noise import SPLIT, with_halves
 
 UNSEEN = 1 / (30 + 2)
 """Rate by object of what none of 30 objects of five rendered pictures had: being missed, an
@@ -54,8 +56,8 @@ class WrongParse:
     """An answer with errors."""
 
     tree: SceneTree
-    copies: dict[str, str]
-    """Invented objects, each with the one that it resembles."""
+    shapes: dict[str, ObjectSpec]
+    """Programs of the objects that it invents."""
 
 
 Edit = Callable[[SceneTree, str, np.random.Generator], Iterator[SceneTree]]
@@ -89,31 +91,38 @@ def with_misjudged_view(tree: SceneTree, rng: np.random.Generator, log: NoiseLog
     )
 
 
-def wrong_parse(answer: SceneTree, number: int, log: NoiseLog) -> WrongParse:
+def wrong_parse(
+    answer: SceneTree, number: int, log: NoiseLog, shapes: Mapping[str, ObjectSpec]
+) -> WrongParse:
     """Put errors into an answer.
 
     Args:
         answer: with noise in its numbers.
         number: of the noise.
-        log: to which kinds are added: "view", "closed", "missed", "extra", "carrier", "relation".
+        log: to which kinds are added: "view", "closed", "missed", "extra", "carrier", "relation",
+            "split".
+        shapes: programs of the answer's objects.
     """
     tree = with_misjudged_view(answer, np.random.default_rng((number, 47)), log)
     tree = _openings(tree, np.random.default_rng((number, 44)), log)
-    kinds: tuple[tuple[str, Edit], ...] = (
-        ("missed", without),
-        ("extra", with_copy),
-        ("carrier", with_other_carrier),
-        ("relation", with_other_relation),
+    halves: dict[str, ObjectSpec] = {}
+    kinds: tuple[tuple[str, Edit, float], ...] = (
+        ("missed", without, UNSEEN),
+        ("extra", with_copy, UNSEEN),
+        ("carrier", with_other_carrier, UNSEEN),
+        ("relation", with_other_relation, UNSEEN),
+        ("split", partial(with_halves, shapes=shapes, made=halves), SPLIT),
     )
-    for k, (kind, edit) in enumerate(kinds):
+    for k, (kind, edit, rate) in enumerate(kinds):
         rng = np.random.default_rng((number, 44, k))
-        for _ in range(int(rng.binomial(len(_objects(tree)), UNSEEN))):
+        for _ in range(int(rng.binomial(len(_objects(tree)), rate))):
             changed = _first_accepted(tree, edit, rng)
             (log.refused if changed is None else log.injected).append(kind)
             tree = changed or tree
     known = {node.name for node in answer.nodes}
-    copies = {n.name: n.name.removesuffix(COPY) for n in tree.nodes if n.name not in known}
-    return WrongParse(tree, copies)
+    new = [node.name for node in tree.nodes if node.name not in known]
+    own = {name: halves.get(name) or shapes[name.removesuffix(COPY)] for name in new}
+    return WrongParse(tree, own)
 
 
 def _first_accepted(tree: SceneTree, edit: Edit, rng: np.random.Generator) -> SceneTree | None:

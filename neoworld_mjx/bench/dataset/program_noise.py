@@ -1,4 +1,4 @@
-"""Errors of programs: proportions, walls, other shapes, a part that is missing; then joints.
+"""Errors of programs: proportions, walls, shapes, a missing part; then joints, and shares.
 
 Magnitudes come from twelve objects that were programmed from one picture each (docs/objects.md).
 A drawn object must pass the checks that a program in a run must pass; an error of which no draw
@@ -31,6 +31,7 @@ from .declaration import ObjectDeclaration, Value, template_of
 from .joint_noise import wrong_joints
 from .noise_draft import TRIES, Draft
 from .parse_noise import NoiseLog
+from .share_noise import AXES, with_other_shares
 
 EDGE = 0.06
 """Spread of the logarithm of an edge, and of other lengths and ratios that a program states: the
@@ -57,7 +58,7 @@ def wrong_program(
         item: the object's declaration, which is true.
         number: of the noise; every object has a stream of its own.
         carriers: its parts that carry other objects, which are never missing.
-        log: to which "shape", "part" and the kinds of `joint_noise` are added.
+        log: to which "shape", "part", and the kinds of `joint_noise` are added.
     """
     rng = np.random.default_rng((number, 45, zlib.crc32(item.name.encode())))
     built = _drawn(template_of(item), item.set, rng, log)
@@ -69,6 +70,8 @@ def wrong_program(
     if rng.uniform() < MISSING:
         draft.change("part", lambda spec, rng: without_part(spec, rng, carriers))
     wrong_joints(draft)
+    axes = iter(AXES)
+    draft.change("shares", lambda spec, rng: with_other_shares(spec, rng, next(axes)), noted=False)
     return scale(recentred(draft.spec), item.scale)
 
 

@@ -16,7 +16,7 @@ from ...spec import ObjectSpec, SceneSpec, SceneTree
 from ..photo_answers import disturbed_answer, exact_answer
 from ..photo_scenes import see
 from .declaration import SceneDeclaration, declaration
-from .parse_noise import NoiseLog, WrongParse, wrong_parse
+from .parse_noise import NoiseLog, wrong_parse
 from .program_noise import wrong_program
 from .truth_scene import truth_scene
 
@@ -63,15 +63,16 @@ def composed_start(
         log: to which the errors beside the numbers are added.
     """
     o, log = options or ComposeOptions(), log or NoiseLog()
-    answer = tree if noise == "exact" else disturbed_answer(tree, number)
-    parsed = WrongParse(answer, {})
-    if noise in ("parse", "all"):
-        parsed = wrong_parse(answer, number, log)
-    shapes = {item.name: item.spec for item in scene.objects}
+    fitted = tree if noise == "exact" else disturbed_answer(tree, number)
+    shapes, programs = {item.name: item.spec for item in scene.objects}, NoiseLog()
     if noise in ("programs", "all"):
-        shapes |= wrong_shapes(scene, number, log)
-    shapes |= {copy: shapes[like] for copy, like in parsed.copies.items()}
-    fitted = parsed.tree
+        shapes |= wrong_shapes(scene, number, programs)
+    if noise in ("parse", "all"):
+        parsed = wrong_parse(fitted, number, log, shapes)
+        fitted = parsed.tree
+        shapes |= parsed.shapes
+    log.injected += programs.injected
+    log.refused += programs.refused
     if noise != "exact":
         # A fit would only move what is right, by up to some millimetres.
         fitted, _ = fit_tree(fitted)
