@@ -80,9 +80,9 @@ def halves_of(spec: ObjectSpec, axis: int) -> tuple[ObjectSpec, ObjectSpec] | No
         The half below and the half above, in the object's frame; None where a shape that is in the
         way cannot be cut, or a half would hang in the air.
     """
-    if len(spec.parts) > 1 or spec.parts[0].mass is not None:
+    part = spec.part(spec.root)
+    if spec.parts != (part,) or part.mass is not None:
         return None
-    (part,) = spec.parts
     low, high = bounds(spec)
     middle = (low[axis] + high[axis]) / 2
     solid = [geom for geom in part.geoms if geom.role == "both"]
