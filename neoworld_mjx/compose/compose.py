@@ -27,6 +27,7 @@ from ..spec import (
 )
 from ..spec.opening import matching_joint, parsed_state
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
+from .inside import on_floor
 from .joint_friction import held
 from .resting_pose import on_level, resting_tilt
 from .settle import settle
@@ -82,6 +83,7 @@ def compose(
         placed[node.name] = _place(node, tree, placed, spec, state, residual, notes)
         if options.settle:
             placed[node.name] = _settled(node, tree, placed, notes)
+            placed[node.name] = _let_in(placed[node.name], placed, notes)
         if options.hold_joints:
             placed[node.name] = _held(placed[node.name], notes)
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
@@ -221,6 +223,21 @@ def _settled(
             f"{1e3 * (resting.z - obj.z):+.0f} mm in height"
         )
     return resting
+
+
+def _let_in(obj: SceneObject, placed: dict[str, SceneObject], notes: list[str]) -> SceneObject:
+    """Return what stands upright in a container as it stands on its floor."""
+    upright = np.allclose(obj.base_tilt, IDENTITY)
+    if obj.relation != "in" or obj.parent is None or obj.static or not upright:
+        return obj
+    inside = on_floor(placed[obj.parent], obj)
+    shift = float(np.hypot(*np.subtract(inside.xy, obj.xy)))
+    if shift > 0:
+        notes.append(
+            f"{obj.name}: composition moved it by {1e3 * shift:.0f} mm into {obj.parent}, on whose "
+            "rim it would have stood"
+        )
+    return inside
 
 
 def _held(obj: SceneObject, notes: list[str]) -> SceneObject:

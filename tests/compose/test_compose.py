@@ -199,6 +199,23 @@ def test_a_cup_in_a_bowl_stands_on_the_bowls_floor_and_not_on_its_rim():
     assert world_poses(made.scene)["cup"].pos[2] == pytest.approx(0.0042, abs=5e-4)
 
 
+@pytest.mark.parametrize(("off", "end"), [(0.0, 0.0), (0.01, 0.005), (0.06, 0.0)])
+def test_what_was_parsed_across_a_rim_stands_on_the_floor_inside(off, end):
+    profile = ((0, 0), (0.04, 0), (0.06, 0.07))
+    pot = scenes.single("pot", (Lathe(profile=profile, thickness=0.004), (0, 0, 0)))
+    shapes = {"pot": pot, "small": scale(pot, 0.8)}
+    small = node("small", shapes["small"], (1.0, off, 0.01), parent="pot", relation="in")
+    made = composed([node("pot", pot, (1.0, 0, 0)), small], shapes)
+    at = world_poses(made.scene)["small"].pos
+    assert at[1] == pytest.approx(end, abs=1e-6) and at[2] < 0.006
+    assert len(made.notes) == (off != end)
+    if off > 0.05:
+        # What is said to be on it may stand on its rim.
+        on = small.model_copy(update={"relation": "on"})
+        made = composed([node("pot", pot, (1.0, 0, 0)), on], shapes)
+        assert world_poses(made.scene)["small"].pos[1:] == pytest.approx((off, 0.0713), abs=1e-3)
+
+
 @pytest.mark.parametrize(("parsed", "expected"), [(0.02, 0.02), (0.26, 0.26), (0.5, 0.52)])
 def test_a_can_stands_on_the_shelf_it_was_seen_on(parsed, expected):
     shelf = scenes.single(
