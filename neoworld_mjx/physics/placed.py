@@ -15,10 +15,11 @@ import numpy as np
 from jaxtyping import Array, Float
 from neoworld_kernels import pair_depth
 
+from ..traces import kept
 from .layout import Layout, Poses, rotation
 from .scene_arrays import SceneArrays
 from .support import Either
-from .visibility import Visible, visibility
+from .visibility import Visible, as_parsed, visibility
 
 CHUNK = 64
 """Candidates that are looked at at once on CPUs, where more at once gain nothing."""
@@ -63,11 +64,18 @@ def placed_poses(scene: SceneArrays, layouts: Layout) -> Poses:
 
 
 @eqx.filter_jit
+def _look(scene: SceneArrays, poses: Poses) -> tuple[Float[Array, "pop object object"], Visible]:
+    return pair_depths(scene, poses), visibility(scene, poses)
+
+
 def looked_at(
     scene: SceneArrays, poses: Poses
-) -> tuple[Float[Array, "pop object object"], Visible]:
+) -> tuple[Float[Either, "pop object object"], Visible]:
     """Measure depths and what the camera sees of candidates; may be vmapped."""
-    return pair_depths(scene, poses), visibility(scene, poses)
+    return _kept_look(scene, poses)
+
+
+_kept_look = kept(_look, lambda scene, poses: (poses.scale, as_parsed(scene.photo, 1)))
 
 
 def placed(scene: SceneArrays, layouts: Layout) -> Placed:

@@ -18,12 +18,16 @@ from ..errors import ConfigError
 from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays, on_device
 from ..physics.support import Either
+from ..traces import kept
 from .cem import elite_count, elite_rows, initial_sigma
 from .credit import assigned_credit, contact_components
 from .gradient import refine_by_gradient
 from .objective import Objective, Scores, open_objective
 from .optimizer import Optimizer, open_optimizer
 from .rewards import Term
+
+by_gradient = kept(refine_by_gradient, lambda scene, layouts, sigma: layouts)
+"""`refine_by_gradient`, whose traces are kept."""
 
 
 class Problem(eqx.Module):
@@ -174,7 +178,7 @@ def project(
 ) -> Layout:
     """Move drawn candidates out of interpenetration; `projection` as in `propose`."""
     steps, rate, samples = projection
-    return refine_by_gradient(
+    return by_gradient(
         scene, layouts, problem.sigma, steps=steps, rate=rate, samples=samples, photo=False
     )
 

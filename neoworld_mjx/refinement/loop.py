@@ -24,6 +24,7 @@ from ..physics.scene_arrays import SceneArrays, on_device, pad_objects, pad_scen
 from ..physics.simulate import on_cpu
 from ..progress import update as update_progress
 from .algorithm import (
+    by_gradient,
     check_credit,
     converged,
     initial_state,
@@ -36,7 +37,6 @@ from .algorithm import (
 from .batching import map_runs, take, tile_of
 from .cem import CEMState, elite_count, initial_sigma
 from .evaluation import Evaluation
-from .gradient import refine_by_gradient
 from .objective import Placement, Scores, open_objective, photograph_decides, try_terms
 from .optimizer import Optimizer
 from .outcome import Round, best_first, iteration_summary
@@ -266,7 +266,7 @@ def _warm_start(
     began = time.perf_counter()
     # With a single candidate a GPU does nothing but start kernels.
     with on_cpu():
-        mean = refine_by_gradient(
+        mean = by_gradient(
             scene,
             start,
             initial_sigma(scene, o.cem, moves),
