@@ -34,6 +34,14 @@ class CEMOptions(Options):
     sigma_log_scale: float = traced(
         0.1, "Initial standard deviation of the logarithm of the scale.", ge=0
     )
+    sigma_agreeing: float = traced(
+        0.25,
+        "Share of the initial standard deviations of yaw and scale, for objects whose boxes agree "
+        "with the photograph's where the search starts. 1 where `keep_sound` is false.",
+        gt=0,
+        le=1,
+        departure=Departure(1.0, "An answer whose boxes agree is seldom off by more."),
+    )
     sigma_floor: float = traced(
         0.02,
         "Smallest standard deviation, as a fraction of the initial one.",

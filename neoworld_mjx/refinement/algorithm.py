@@ -23,7 +23,7 @@ from .cem import elite_count, elite_rows, initial_sigma
 from .credit import assigned_credit, contact_components
 from .gradient import refine_by_gradient
 from .objective import Objective, Scores, open_objective
-from .optimizer import Optimizer, open_optimizer
+from .optimizer import Optimizer, open_optimizer, with_sigma
 from .rewards import Term
 
 by_gradient = kept(refine_by_gradient, lambda scene, layouts, sigma: layouts)
@@ -72,6 +72,7 @@ def open_problem(
     origin: Layout,
     *,
     moves: Bool[np.ndarray, " object"] | None = None,
+    share: Float[np.ndarray, " object"] | None = None,
     terms: Sequence[Term] = (),
     optimizer: Optimizer | None = None,
 ) -> Problem:
@@ -82,6 +83,7 @@ def open_problem(
         options: of the search and the rewards.
         origin: initial layout, pop axis of length 1.
         moves: objects that the search may move; all that are no environment supports by default.
+        share: of the initial deviations of yaw and log scale, by object; 1 by default.
         terms: reward terms besides those that the options name.
         optimizer: in place of the one that the options name.
 
@@ -95,10 +97,12 @@ def open_problem(
         scene = eqx.tree_at(lambda s: s.optimised, scene, allowed)
     own = bool(o.reward.terms or terms)
     by_object = o.cem.credit != "scene" and not own and o.semantic.scorer != "mllm"
+    share = np.ones(scene.count, np.float32) if share is None else share
+    sigma = initial_sigma(scene, o.cem, share=share)
     return Problem(
-        objective=open_objective(o, origin, terms),
-        optimizer=optimizer or open_optimizer(o.optimizer, scene, o.cem),
-        sigma=initial_sigma(scene, o.cem),
+        objective=open_objective(o, origin, terms, on_device(share)),
+        optimizer=optimizer or with_sigma(open_optimizer(o.optimizer, scene, o.cem), sigma),
+        sigma=sigma,
         components=on_device(contact_components(scene, o.cem)) if by_object else None,
         stop_by=o.cem.stop_by,
         stop_gain=on_device(o.cem.stop_gain),

@@ -133,22 +133,27 @@ def elite_rows(reward: Float[Array, " pop"], elites: int) -> tuple[Array, Float[
 
 
 def initial_sigma(
-    scene: SceneArrays, options: CEMOptions, moves: Bool[np.ndarray, " object"] | None = None
+    scene: SceneArrays,
+    options: CEMOptions,
+    moves: Bool[np.ndarray, " object"] | None = None,
+    share: Float[np.ndarray, " object"] | None = None,
 ) -> Layout:
     """Return the initial standard deviations, pop axis of length 1 (paper Appendix B).
 
     sigma_xy is a fraction of each object's horizontal bounding-box diagonal; supports of the
-    environment get zero, and so do objects that `moves` leaves out. What is attached to an upright
-    plate, such as a wall, moves along it and does not turn.
+    environment get zero, and so do objects that `moves` leaves out. Those of yaw and log scale are
+    multiplied by `share`. What is attached to an upright plate, such as a wall, moves along it and
+    does not turn.
     """
     free = np.asarray(scene.optimised)
     moves = (free if moves is None else free & moves).astype(np.float32)
     xy = options.sigma_xy * np.asarray(scene.diagonal) * moves
     fastened = _fastened_along(scene)
+    own = moves if share is None else moves * np.asarray(share, np.float32)
     sigma = Layout(
         (xy[:, None] * ~fastened)[None],
-        (np.radians(options.sigma_yaw_deg) * moves * ~fastened.any(axis=1))[None],
-        (options.sigma_log_scale * moves)[None],
+        (np.radians(options.sigma_yaw_deg) * own * ~fastened.any(axis=1))[None],
+        (options.sigma_log_scale * own)[None],
     )
     return on_device(sigma)
 

@@ -48,6 +48,7 @@ from .soundness import (
     RESTING,
     ROOM,
     disagreeing,
+    doubt,
     never_held,
     reaching_out,
     settles_now,
@@ -168,6 +169,7 @@ class _Start(NamedTuple):
 
     origin: Layout
     stages: list[np.ndarray]
+    share: np.ndarray | None
     later: np.ndarray | None
     first: Round | None
     checked: SceneMeasure | None
@@ -189,24 +191,29 @@ def _opened(
         o = run.options
         start = Layout.zero(1, scene.count) if run.start is None else run.start
         start = on_device(pad_objects(start, scene.count))
-        alike = (o.cem.sigma_xy, o.cem.sigma_yaw_deg, o.cem.sigma_log_scale, o.cem.keep_sound)
+        alike = (o.cem.sigma_xy, o.cem.sigma_yaw_deg, o.cem.sigma_log_scale)
+        alike += (o.cem.sigma_agreeing, o.cem.keep_sound)
         alike += (o.max_depth_m, o.max_drift_m, o.max_tilt_deg)
         alike += (o.check_duration_s, o.check_timestep_s)
         alike += tuple(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(start))
         if alike not in known:
-            mask, later, first, checked = [np.asarray(scene.optimised)], None, None, None
+            mask, share = [np.asarray(scene.optimised)], None
+            later, first, checked = None, None, None
             if keeps and o.cem.keep_sound:
                 first, sound, checked = evaluation.of_start(start, o, terms)
                 mask = stages(scene, sound, o.cem)
                 later = disagreeing(scene, sound, mask[0])
+                share = doubt(sound, o.cem)
                 if progress is not None:
                     progress(start_line(evaluation.scene.names, sound, mask[-1]))
-            mean = _warm_start(scene, start, mask[0], o, evaluation.clock)
-            known[alike] = _Start(mean, mask, later, first, checked)
-        mean, mask, later, first, checked = known[alike]
-        problem = open_problem(scene, o, mean, moves=mask[0], terms=terms, optimizer=optimizer)
+            mean = _warm_start(scene, start, mask[0], share, o, evaluation.clock)
+            known[alike] = _Start(mean, mask, share, later, first, checked)
+        mean, mask, share, later, first, checked = known[alike]
+        problem = open_problem(
+            scene, o, mean, moves=mask[0], share=share, terms=terms, optimizer=optimizer
+        )
         result = SearchResult(run, mean, problem, initial_state(problem, mean), stages=list(mask))
-        result.later, result.checked = later, checked
+        result.share, result.later, result.checked = share, later, checked
         if first is not None and not mask[0].any():
             # All is sound: the start is the answer.
             result.rounds, result.rollouts, result.finished = [first], 1, True
@@ -234,7 +241,7 @@ def _make_room(scene: SceneArrays, r: SearchResult, terms: Sequence[Term]) -> No
     r.stages.pop(0)
     r.stage_began = len(r.rounds)
     o = r.run.options
-    r.problem = open_problem(scene, o, r.origin, moves=r.stages[0], terms=terms)
+    r.problem = open_problem(scene, o, r.origin, moves=r.stages[0], share=r.share, terms=terms)
     r.state = widened(r.state, r.problem.sigma)
 
 
@@ -246,10 +253,11 @@ def _follow_photo(
     o, later, r.later = r.run.options, r.later, None
     if o.cem.iterations <= len(r.rounds):
         return
-    r.problem = open_problem(scene, o, r.origin, moves=r.stages[0] | later, terms=terms)
+    moves = r.stages[0] | later
+    r.problem = open_problem(scene, o, r.origin, moves=moves, share=r.share, terms=terms)
     r.state = resumed(widened(r.state, r.problem.sigma))
     if isinstance(r.state.optimizer, CEMState):
-        mean = _warm_start(scene, r.state.optimizer.mean, later, o, clock)
+        mean = _warm_start(scene, r.state.optimizer.mean, later, r.share, o, clock)
         r.state = eqx.tree_at(lambda s: s.optimizer.mean, r.state, mean)
     r.finished = False
 
@@ -258,6 +266,7 @@ def _warm_start(
     scene: SceneArrays,
     start: Layout,
     moves: np.ndarray,
+    share: np.ndarray | None,
     o: RefineOptions,
     clock: dict[str, float],
 ) -> Layout:
@@ -269,7 +278,7 @@ def _warm_start(
         mean = by_gradient(
             scene,
             start,
-            initial_sigma(scene, o.cem, moves),
+            initial_sigma(scene, o.cem, moves, share),
             steps=o.descent.warm_steps,
             rate=o.descent.rate,
             samples=o.descent.samples,

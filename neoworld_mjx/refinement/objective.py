@@ -111,7 +111,10 @@ class Objective(eqx.Module):
 
 
 def open_objective(
-    options: RefineOptions, origin: Layout | None = None, terms: Sequence[Term] = ()
+    options: RefineOptions,
+    origin: Layout | None = None,
+    terms: Sequence[Term] = (),
+    share: Float[Either, " object"] | None = None,
 ) -> Objective:
     """Build the objective from options.
 
@@ -119,6 +122,7 @@ def open_objective(
         options: weights, scales, caps and bounds, and the names of further terms.
         origin: initial layout that the prior counts from; None is the composed scene.
         terms: further terms, besides those that the options name.
+        share: of the prior's deviations of yaw and log scale, by object; None is 1.
 
     Raises:
         ConfigError: a term cannot be found, or two have the same name.
@@ -131,7 +135,7 @@ def open_objective(
             raise ConfigError(f"reward term {name}: the name is taken; give the term another one")
     if origin is not None:
         every = [
-            eqx.tree_at(lambda t: t.fn.origin, t, origin, is_leaf=lambda x: x is None)
+            dataclasses.replace(t, fn=Prior(t.fn.sigma, origin, share))
             if isinstance(t.fn, Prior)
             else t
             for t in every

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Key
 from ..config import CEMOptions
 from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays
-from .cem import draw, initial_sigma, open_cem
+from .cem import CEM, draw, initial_sigma, open_cem
 from .cma_es import open_cma_es
 from .objective import imported
 
@@ -81,6 +81,15 @@ OPTIMIZERS: dict[str, Callable[[SceneArrays, CEMOptions], Optimizer]] = {
     "random": _open_random,
 }
 """What builds each optimizer that `refine.optimizer` names, from the scene and `refine.cem`."""
+
+
+def with_sigma(optimizer: Optimizer, sigma: Layout) -> Optimizer:
+    """Give CEM and random search other initial deviations; other optimizers keep their own."""
+    if isinstance(optimizer, CEM):
+        return eqx.tree_at(lambda c: c.params.sigma, optimizer, sigma)
+    if isinstance(optimizer, RandomSearch):
+        return RandomSearch(sigma)
+    return optimizer
 
 
 def open_optimizer(name: str, scene: SceneArrays, options: CEMOptions) -> Optimizer:

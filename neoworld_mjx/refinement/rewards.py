@@ -178,6 +178,8 @@ class Prior(eqx.Module):
     """Deviations of xy (over each object's diagonal), yaw [rad] and log scale."""
     origin: Layout | None = None
     """The initial layout, pop axis of length 1; None is the composed scene."""
+    share: Float[Array, " object"] | None = None
+    """Of the deviations of yaw and log scale, by object; None is 1."""
 
     def __call__(self, scene: SceneArrays, layouts: Layout, rollout: Rollout | None) -> TermValue:
         """Compute the prior."""
@@ -185,7 +187,8 @@ class Prior(eqx.Module):
         if self.origin is not None:
             layouts = jax.tree.map(jnp.subtract, layouts, self.origin)
         xy = jnp.sum((layouts.xy / (safe[0] * scene.diagonal[:, None])) ** 2, axis=-1)
-        each = (xy + (layouts.yaw / safe[1]) ** 2 + (layouts.log_scale / safe[2]) ** 2) / 4
+        own = safe[1:, None] * (1.0 if self.share is None else self.share)
+        each = (xy + (layouts.yaw / own[0]) ** 2 + (layouts.log_scale / own[1]) ** 2) / 4
         each = jnp.where(scene.optimised, each, 0.0)
         total = jnp.sum(each, axis=1) / jnp.maximum(jnp.sum(scene.optimised), 1)
         return TermValue(total, total, each)

@@ -42,6 +42,8 @@ class SearchResult:
     """How each S_sem came about, by iteration; see `scorer.Mark`."""
     stages: list[np.ndarray] = field(default_factory=list)
     """Masks [object] of what moves: now, and after iterations in which nothing was valid."""
+    share: np.ndarray | None = None
+    """Of the initial deviations of yaw and log scale [object]; None is 1."""
     later: np.ndarray | None = None
     """Mask [object] of what may also move once the search has a valid candidate and converges."""
     checked: SceneMeasure | None = None

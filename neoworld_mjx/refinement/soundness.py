@@ -26,6 +26,8 @@ from .objective import Placement, Scores
 
 AGREES = 3.0
 """Error of a box side, in units of the noise, up to which an object agrees with the photograph."""
+SURE = 2.0
+"""The same up to which it gives no reason to doubt the object's heading and size."""
 UNSETTLED = 1
 """Iterations without a valid candidate after which candidates come to rest."""
 RESTING = 64
@@ -47,6 +49,8 @@ class Soundness(NamedTuple):
     sound: Bool[np.ndarray, " object"]
     faulty: Bool[np.ndarray, " object"]
     """Objects that penetrate others or do not hold still."""
+    box_error: Float[np.ndarray, " object"]
+    """How far each object's box is off the photograph's, in units of the noise."""
 
 
 def soundness(
@@ -66,10 +70,11 @@ def soundness(
     """
     still = np.asarray(scores.drift[0]) < 1.0
     apart = np.asarray(scores.depth[0]) < o.max_depth_m
-    agrees = np.asarray(placement.box_error[0]) <= AGREES
+    box_error = np.asarray(placement.box_error[0])
+    agrees = box_error <= AGREES
     faulty = ~(still & apart & np.isfinite(scores.absolute[0]))
     faulty |= np.pad(failed, (0, len(faulty) - len(failed)))
-    return Soundness(agrees & ~faulty, faulty)
+    return Soundness(agrees & ~faulty, faulty, box_error)
 
 
 def failing(
@@ -108,6 +113,15 @@ def disagreeing(
     """Return the objects that only the photograph asks to move, unless they move from the first."""
     later = np.asarray(scene.optimised) & ~start.sound & ~first
     return later if later.any() else None
+
+
+def doubt(start: Soundness, options: CEMOptions) -> Float[np.ndarray, " object"]:
+    """Return which share of the initial deviations of yaw and scale each object has.
+
+    Answers judge headings and sizes well: where a box agrees with the photograph's, nothing asks
+    for others.
+    """
+    return np.where(start.box_error <= SURE, options.sigma_agreeing, 1.0).astype(np.float32)
 
 
 def start_line(

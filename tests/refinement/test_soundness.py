@@ -74,6 +74,27 @@ def test_only_what_overlaps_is_moved():
     assert np.nanmax(np.abs(drawn)) == 0.0
 
 
+def test_what_agrees_with_the_photograph_turns_and_grows_less():
+    names = [item.name for item in OVERLAPPING.objects]
+    pixel = OVERLAPPING.camera.project(np.array([[0.5, 0.25, 0.03]]))[0][0]
+    x, y = (float(v) for v in pixel)
+    box = Box2D(x0=x - 40, y0=y - 40, x1=x + 40, y1=y + 40)
+    objects = tuple(
+        item.model_copy(update={"box2d": box}) if item.name == "two" else item
+        for item in OVERLAPPING.objects
+    )
+    scene = OVERLAPPING.model_copy(update={"objects": objects})
+    refined = refine(scene, options(iterations=1), engine="native")
+    one, two = names.index("one"), names.index("two")
+    for drawn, sigma in (
+        (refined.history["yaw"][0], np.radians(15)),
+        (refined.history["log_scale"][0], 0.1),
+    ):
+        spread = np.nanstd(drawn, axis=0)
+        assert 0.15 * sigma < spread[one] < 0.4 * sigma
+        assert 0.7 * sigma < spread[two] < 1.3 * sigma
+
+
 def test_all_objects_move_where_the_option_says_so():
     refined = refine(OVERLAPPING, options(keep_sound=False), engine="native")
     assert refined.passed and not refined.kept
