@@ -125,7 +125,8 @@ def _look(node: TreeNode, rgb: RGB | None) -> tuple[str, str]:
     if node.surface is None:
         words = f"{node.label} {node.description}".lower()
         like = next((name for word, name in _MATERIALS.items() if word in words), "wood")
-        return like, "" if rgb is None else f", rgb={_triple(rgb)}"
+        look = "" if rgb is None else f", rgb={_triple(rgb)}"
+        return like, look + (', pattern="veins"' if "vein" in words else "")
     surface, pattern = node.surface, node.surface.pattern
     look, shown = "", rgb or surface.rgb
     if shown is not None:

@@ -157,3 +157,9 @@ def test_boards_run_across_where_the_answer_says_so():
 def test_quartz_is_stone_by_its_words():
     node = node_of(SupportOutline(), SLAB).model_copy(update={"description": "white quartz"})
     assert 'like="stone"' in support_program(node)
+
+
+@pytest.mark.parametrize("surface", ["white quartz with fine grey veins", "veined marble"])
+def test_veins_are_drawn_where_words_name_them(surface):
+    node = node_of(SupportOutline(), SLAB).model_copy(update={"description": surface})
+    assert 'pattern="veins"' in support_program(node)
