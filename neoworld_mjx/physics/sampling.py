@@ -22,15 +22,17 @@ def surface_samples(item: SceneObject, count: int) -> Float[np.ndarray, "count 3
     pieces = posed_pieces(item, tilted=False)
     areas = np.array([_area(piece) for piece, _ in pieces])
     solids = [_Solid(piece, at) for piece, at in pieces]
+    centres, radii = np.array([s.centre for s in solids]), np.array([s.radius for s in solids])
     sharp, smooth = [], []
     for k, (piece, at) in enumerate(pieces):
+        apart = np.linalg.norm(centres - centres[k], axis=1)
+        near = [j for j in np.flatnonzero(apart < radii + radii[k]).tolist() if j != k]
         own = max(12, int(np.ceil(4 * count * areas[k] / areas.sum())))
         for points, into in ((_edges(piece), sharp), (_faces(piece, own), smooth)):
             world = at.apply(points)
             hidden = np.zeros(len(world), bool)
-            for j, solid in enumerate(solids):
-                if j != k:
-                    solid.hide(world, hidden)
+            for j in near:
+                solids[j].hide(world, hidden)
             into.append(world[~hidden])
     first, rest = np.vstack(sharp), np.vstack(smooth)
     chosen = _farthest(first, min(len(first), count // 2), np.zeros((0, 3)))

@@ -29,6 +29,8 @@ LEANING_DEG = 5.0
 SOLE = 0.005
 """How far [m] the floor reaches above the lowest point of what leans in its parent: it stands on an
 edge, and the wall beside that is no floor."""
+EDGE = 1e-6
+"""How far beside a piece [m] lines are still held against it."""
 NOTHING = -1e3
 """Height [m] where a support has no surface."""
 
@@ -96,6 +98,19 @@ def column(piece: Piece, at: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
     Returns:
         Lowest and highest point [n] m on each line; (inf, -inf) where a line misses.
     """
+    if piece.kind in ("box", "mesh"):
+        # Few lines of a grid meet a small piece.
+        spots = _corners(piece, at)[:, :2]
+        near = np.all((xy >= spots.min(axis=0) - EDGE) & (xy <= spots.max(axis=0) + EDGE), axis=1)
+        low, high = np.full(len(xy), np.inf), np.full(len(xy), -np.inf)
+        if near.any():
+            low[near], high[near] = _meet(piece, at, xy[near])
+        return low, high
+    return _meet(piece, at, xy)
+
+
+def _meet(piece: Piece, at: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
+    """Intersect all lines with a piece; see `column`."""
     back = conjugate(at.quat)
     o = rotate(back, np.column_stack([xy, np.zeros(len(xy))]) - at.pos)
     d = rotate(back, np.array([0.0, 0.0, 1.0]))
