@@ -91,7 +91,8 @@ def snap_exactly(scene: SceneSpec, gap: float = 1e-4, rounds: int = 30) -> Scene
     """Set every snapped object down on its support to within `gap` [m], from the root downwards.
 
     A distance bounds how far an object can sink before it touches, so sinking by it never
-    overshoots; where two objects overlap the upper one is raised until they do not.
+    overshoots; where two objects overlap the upper one is raised until they do not. Where that
+    leaves them as deep in each other, as they overlap sideways, it keeps its height.
     """
     model, data = start_state(scene)
     owner = object_of_geom(scene, model)
@@ -107,12 +108,16 @@ def snap_exactly(scene: SceneSpec, gap: float = 1e-4, rounds: int = 30) -> Scene
         support = np.flatnonzero(owner == scene.index(item.parent))
         # What stands on it goes with it. Nothing turns, so geoms are moved and not compiled anew.
         moved = np.flatnonzero((owner >= 0) & carried[owner, index])
-        height = item.z
+        height, distances = item.z, []
         for _ in range(rounds):
             distance = pair_distance(model, data, own, support, reach=0.02)
+            distances.append(distance)
             if distance >= 0.02 or abs(distance - gap) < 5e-6:
                 break
             height += gap - distance
             data.geom_xpos[moved, 2] += gap - distance
+        if distances[-1] < min(distances[0] / 2, 0.0):
+            data.geom_xpos[moved, 2] -= height - item.z
+            height = item.z
         objects[index] = item.model_copy(update={"z": height})
     return scene.model_copy(update={"objects": tuple(objects)})

@@ -3,7 +3,7 @@ import pytest
 
 from neoworld_mjx.measure import scene_measure, unstable_objects
 from neoworld_mjx.physics.exact import snap_exactly
-from neoworld_mjx.spec import Box, Cylinder, SceneObject, Sphere
+from neoworld_mjx.spec import Box, Cylinder, HollowBox, SceneObject, Sphere
 from tests.support import scenes
 
 
@@ -105,3 +105,19 @@ def test_moving_objects_are_named_with_the_reason_those_that_fall_first():
     assert "rests" not in reasons
     assert [entry.kind for entry in entries[:2]] == ["falls", "falls"]
     assert entries[0].phrase().startswith(f"{entries[0].name} falls ")
+
+
+@pytest.mark.parametrize(("aside", "above"), [(0.0, 0.0), (0.0003, 0.0), (0.0, -0.002)])
+def test_what_overlaps_a_wall_sideways_is_not_lifted_over_it(aside, above):
+    tray = scenes.single("tray", (HollowBox(size=(0.2, 0.2, 0.06), wall=0.006), (0, 0, 0)))
+    base = scenes.on_table((tray, (0, 0), 0.0, {}))
+    inside = SceneObject(
+        name="inside",
+        spec=box("inside", (0.06, 0.06, 0.05)),
+        parent="tray",
+        xy=(0.1 - 0.006 - 0.03 + aside - 0.01 * (not aside), 0.0),
+        z=0.006 + 1e-4 + above,
+        relation="in",
+    )
+    scene = base.model_copy(update={"objects": (*base.objects, inside)})
+    assert snap_exactly(scene).object("inside").z == pytest.approx(0.006 + 1e-4, abs=2e-5)
