@@ -35,7 +35,7 @@ class CEMOptions(Options):
         0.1, "Initial standard deviation of the logarithm of the scale.", ge=0
     )
     sigma_agreeing: float = traced(
-        0.25,
+        0.4,
         "Share of the initial standard deviations of yaw and scale, for objects whose boxes agree "
         "with the photograph's where the search starts. 1 where `keep_sound` is false.",
         gt=0,
