@@ -35,7 +35,7 @@ class CEMOptions(Options):
         0.1, "Initial standard deviation of the logarithm of the scale.", ge=0
     )
     sigma_agreeing: float = traced(
-        0.4,
+        0.3,
         "Share of the initial standard deviations of yaw and scale, for objects whose boxes agree "
         "with the photograph's where the search starts. 1 where `keep_sound` is false.",
         gt=0,
@@ -66,7 +66,8 @@ class CEMOptions(Options):
         _SHAPE,
         32,
         "Population of the first iteration, if smaller than `population`: that iteration mostly "
-        "shows where the initial layout fails. 0 is `population`.",
+        "shows where the initial layout fails, and the optimizer learns nothing from it. 0 is "
+        "`population`.",
         ge=0,
         departure=Departure(
             0,

@@ -44,6 +44,8 @@ class Problem(eqx.Module):
     stop_gain: Float[Array, ""]
     patience: Int[Array, ""]
     elite_ratio: float = eqx.field(static=True)
+    population: int = eqx.field(static=True)
+    """N; the optimizer learns nothing from an iteration with fewer candidates."""
     until_valid: bool = eqx.field(static=True)
     """Whether elites are chosen by object only until a candidate is valid."""
 
@@ -108,6 +110,7 @@ def open_problem(
         stop_gain=on_device(o.cem.stop_gain),
         patience=on_device(o.cem.patience),
         elite_ratio=o.cem.elite_ratio,
+        population=o.cem.population,
         until_valid=o.cem.credit == "auto",
     )
 
@@ -204,9 +207,12 @@ def update(
     if problem.components is not None and scores.credit is not None:
         by_object = ~seen_valid if problem.until_valid else True
         credit = assigned_credit(scores.credit, scores.reward, problem.components, by_object)
-    optimizer = problem.optimizer.tell(
-        state.optimizer, layouts, scores.reward, absolute=scores.absolute, credit=credit
-    )
+    optimizer = state.optimizer
+    if len(scores.reward) == problem.population:
+        # A first few candidates have a single elite, which would end the search for all others.
+        optimizer = problem.optimizer.tell(
+            optimizer, layouts, scores.reward, absolute=scores.absolute, credit=credit
+        )
     elites = elite_count(problem.elite_ratio, len(scores.reward))
     rows, weight = elite_rows(scores.reward, elites)
     absolute = jnp.sum(jnp.where(weight > 0, scores.absolute[rows], 0.0))

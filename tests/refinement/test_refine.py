@@ -66,6 +66,18 @@ def test_an_invalid_scene_becomes_valid(engine):
     assert again == after
 
 
+def test_the_optimizer_learns_nothing_from_a_first_few_candidates():
+    means = {}
+    for first in (8, 32):
+        o = options(32, 2)
+        cem = o.cem.model_copy(update={"first": first})
+        tried = refine(clashing(), o.model_copy(update={"cem": cem}), seed=1).history
+        assert np.sum(tried["status"][0] >= 0) == first
+        means[first] = [tried["xy"][t, 0] for t in (0, 1)]  # The mean is the first candidate.
+    np.testing.assert_array_equal(*means[8])
+    assert np.abs(np.subtract(*means[32])).max() > 1e-4
+
+
 def test_the_same_seed_gives_the_same_bits():
     first = refine(clashing(), options(32, 3), seed=5)
     second = refine(clashing(), options(32, 3), seed=5)
