@@ -83,7 +83,7 @@ class FitReport:
             elif change.distance_m > NOTED_M or abs(ratio - 1) > NOTED_SIZE:
                 yield (
                     f"{name} other than the answer has it",
-                    f"the fit to the photo moved it by {100 * change.distance_m:.0f} cm, scaled "
+                    f"the fit to the photo moved it by {100 * change.distance_m:.1f} cm, scaled "
                     f"it by {ratio:.2f} and turned it by {change.yaw_deg:.0f} deg",
                 )
 

@@ -113,8 +113,12 @@ class Programmed:
         """Reason why there is no object, in one line; empty if there is one."""
         if self.spec is not None:
             return ""
-        first = next((s.phrase() for s in self.signals if s.severity == "error"), "no program")
-        return f"no program of {len(self.rounds)} could be built; the last: {first}"
+        signals = self.rounds[-1].built.signals if self.rounds else ()
+        first = next((s.phrase() for s in signals if s.severity == "error"), "no program")
+        return (
+            f"no program of {len(self.rounds)} could be built; the last: {first}; --resume with a "
+            "higher program.debug_rounds asks for another"
+        )
 
     def to_json(self) -> str:
         """Return all rounds as JSON."""

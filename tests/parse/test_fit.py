@@ -98,7 +98,7 @@ def test_notes_name_what_moved_far_and_what_was_refused():
     _, report = fit_tree(wrong)
     ((instead, reason),) = report.notes()
     assert instead == "right other than the answer has it"
-    assert re.search(r"moved it by 1\d cm", reason)
+    assert re.search(r"moved it by 1\d.\d cm", reason)
 
 
 def test_contacts_hold_and_floating_things_come_down():
