@@ -23,8 +23,9 @@ from jax.core import Tracer
 
 from .files import MIB, read_bytes, write_atomic
 
-SOURCES = ("neoworld_mjx/physics", "neoworld_mjx/refinement", "neoworld_kernels")
-"""Packages that programs are traced from."""
+_ROOMS = ("config", "measure", "physics", "refinement", "spec")
+SOURCES = (*(f"neoworld_mjx/{room}" for room in _ROOMS), "neoworld_kernels")
+"""Packages that programs are traced from, with those whose constants they may hold."""
 LIBRARIES = ("jax", "jaxlib", "equinox", "optax", "numpy")
 MOST, MAX_BYTES = 64, 64 * MIB
 """Programs that are kept, of more the oldest are removed; and the largest that is read."""
