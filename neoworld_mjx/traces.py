@@ -90,15 +90,15 @@ def _open(flat: _Program, name: str, avals: tuple[Any, ...]) -> _Program:
     if exported is None:
         shapes = [jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in avals]
         exported = jax.export.export(jax.jit(flat))(*shapes)
-        _keep(path, bytes(exported.serialize()))
+        _keep(path, exported)
     return jax.jit(exported.call)
 
 
-def _keep(path: Path, data: bytes) -> None:
+def _keep(path: Path, exported: jax.export.Exported) -> None:
     # Where it cannot be written it costs time only.
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, ImportError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(path, data)
+        write_atomic(path, bytes(exported.serialize()))
         for old in sorted(path.parent.glob("*.bin"), key=os.path.getmtime)[:-MOST]:
             old.unlink(missing_ok=True)
 
