@@ -40,7 +40,12 @@ class CEMOptions(Options):
         "with the photograph's where the search starts. 1 where `keep_sound` is false.",
         gt=0,
         le=1,
-        departure=Departure(1.0, "An answer whose boxes agree is seldom off by more."),
+        departure=Departure(
+            1.0,
+            "An answer whose boxes agree is seldom off by more.",
+            "heading after the search 1.90 and 2.29 deg, valid 20 and 18 of 20 rendered scenes "
+            "(with 0.25; scenes 0 to 19)",
+        ),
     )
     sigma_floor: float = traced(
         0.02,

@@ -42,6 +42,8 @@ class Optimizer(Protocol):
     ) -> Any:
         """Return the state after a population was evaluated.
 
+        Not called for a first iteration of fewer candidates (`refine.cem.first`).
+
         Args:
             state: before.
             layouts: the candidates, as they were evaluated.
