@@ -24,6 +24,9 @@ FALL_M_S = 0.15
 """Terminal speed where there is drag: things sink instead of falling."""
 REACH_M = 0.05
 """Length by which drag on turning follows from that on sinking, in `at_rest`."""
+HEADING = 100.0
+"""Drag of turning about the vertical over that of other turning: what is pushed gives way, and it
+keeps the heading that was seen in the photograph."""
 JOINT_DRAG = 1e6
 """Drag of joints over that of the fall, in populations: they keep their positions."""
 COARSER = 2
@@ -86,6 +89,7 @@ def _static_with_drag(static: StaticScene) -> StaticScene:
     model.dof_damping[:] = np.where(of_free, drag, JOINT_DRAG * drag)
     turning = of_free & (np.arange(model.nv) - model.jnt_dofadr[model.dof_jntid] >= 3)
     mass = static.powers.body_mass[model.body_rootid[model.dof_bodyid]]
+    model.dof_damping[_heading_dofs(model, static.start)] *= HEADING
     power = mass + np.where(turning, 2.0, 0.0)
     powers = static.powers._replace(dof_damping=power)
     return dataclasses.replace(static, mjm=model, powers=powers)
@@ -96,6 +100,14 @@ def _drag(model: mujoco.MjModel, length: np.ndarray) -> np.ndarray:
     weight = model.body_subtreemass[model.body_rootid[model.dof_bodyid]]
     gravity = float(np.linalg.norm(model.opt.gravity))
     return weight * gravity / FALL_M_S * length**2
+
+
+def _heading_dofs(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+    """Return the dof of each free object that turns it about its own axis nearest the vertical."""
+    free = np.flatnonzero(model.jnt_type == FREE)
+    w, x, y, z = qpos[model.jnt_qposadr[free][:, None] + np.arange(3, 7)].T
+    vertical = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
+    return model.jnt_dofadr[free] + 3 + np.abs(vertical).argmax(axis=1)
 
 
 def at_rest(scene: SceneSpec, phases: Sequence[tuple[bool, float]]) -> SceneSpec:
@@ -113,6 +125,7 @@ def at_rest(scene: SceneSpec, phases: Sequence[tuple[bool, float]]) -> SceneSpec
             weight = float(body.subtreemass[0]) * float(np.linalg.norm(scene.gravity)) / FALL_M_S
             dofs = model.jnt_dofadr[int(body.jntadr[0])] + np.arange(6)
             drag[dofs] = np.repeat([weight, weight * REACH_M**2], 3)
+    drag[_heading_dofs(model, data.qpos)] *= HEADING
     for dragging, seconds in phases:
         model.dof_damping[:] = drag if dragging else plain
         mujoco.mj_step(model, data, round(seconds / model.opt.timestep))

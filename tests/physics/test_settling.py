@@ -8,8 +8,8 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import come_to_rest
-from neoworld_mjx.physics.settling import FALL_M_S, at_rest, moved, settle, with_drag
-from neoworld_mjx.spec import Box, world_poses
+from neoworld_mjx.physics.settling import FALL_M_S, HEADING, at_rest, moved, settle, with_drag
+from neoworld_mjx.spec import Box, HollowBox, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle, pose
 from tests.support import scenes
 
@@ -83,6 +83,26 @@ def test_a_scene_comes_to_rest_exactly():
     assert scene.object("slab").base_tilt == (1.0, 0.0, 0.0, 0.0)
     ends = world_poses(scene)
     assert ends["slab"].pos[2] == pytest.approx(ends["block"].pos[2], abs=5e-4)
+
+
+def test_what_is_pushed_aside_keeps_its_heading():
+    bin_ = scenes.single("bin", (HollowBox(size=(0.13, 0.11, 0.06), wall=0.006), (0, 0, 0)))
+    block = scenes.single("block", (Box(size=(0.06, 0.05, 0.05)), (0, 0, 0)))
+    scene = scenes.on_table((bin_, (0, 0), 0.0, {}), (block, (0.035, 0.02), 0.3, {}))
+    rest = at_rest(scene, ((True, 0.5), (False, 0.5)))
+    way = np.subtract(rest.object("block").xy, scene.object("block").xy)
+    # A corner of it was 8 mm in the wall; with nothing to hold its heading it turned by 5.5 degrees.
+    assert np.linalg.norm(way) > 0.005
+    assert abs(rest.object("block").yaw - 0.3) < np.radians(0.5)
+    assert abs(rest.object("bin").yaw) < np.radians(0.5)
+
+
+def test_populations_keep_headings_too(settled):
+    model, _, _ = settled
+    static = with_drag(model).static
+    for name in ("slab", "block"):
+        about = static.mjm.dof_damping[static.mjm.body(name).dofadr[0] + np.arange(3, 6)]
+        np.testing.assert_allclose(about[2], HEADING * about[:2], rtol=1e-12)
 
 
 def test_what_stands_on_a_moved_object_goes_with_it():
