@@ -12,7 +12,7 @@ from .structural_similarity import ssim
 from .truth import ObjectTruth, TrueJoint, canonical_points, read_truth, truth_of
 from .truth_mjcf import truth_of_mjcf
 from .unstable import UnstableObject, unstable_objects
-from .visible_boxes import SidesShown, box_iou, layout_box_iou, shown_sides, visible_box_iou
+from .visible_boxes import SidesShown, box_iou, seen_box_iou, shown_sides, visible_box_iou
 
 __all__ = [
     "Closeness",
@@ -35,7 +35,6 @@ __all__ = [
     "iou_2d",
     "iou_3d",
     "joint_measure",
-    "layout_box_iou",
     "measured",
     "object_moves",
     "parse_measure",
@@ -45,6 +44,7 @@ __all__ = [
     "read_truth",
     "scene_checks",
     "scene_measure",
+    "seen_box_iou",
     "shown_sides",
     "ssim",
     "truth_of",

@@ -9,8 +9,8 @@ from ..spec import SceneSpec, SceneTree
 from .boxes import iou_2d
 
 if TYPE_CHECKING:
-    from ..physics.layout import Layout, Poses
     from ..physics.scene_arrays import SceneArrays
+    from ..physics.visibility import Visible
 
 
 class SidesShown(NamedTuple):
@@ -56,31 +56,25 @@ def visible_box_iou(scene: SceneSpec) -> dict[str, float]:
         return {}
     from ..physics.layout import Layout
     from ..physics.model import compile_scene
+    from ..physics.placed import placed_in_chunks
     from ..physics.scene_arrays import pad_scene
 
     padded = pad_scene(compile_scene(scene))
-    return layout_box_iou(scene, padded, Layout.zero(1, padded.count))
+    seen = placed_in_chunks(padded, Layout.zero(1, padded.count)).visible
+    return seen_box_iou(scene, padded, seen)
 
 
-def layout_box_iou(
-    scene: SceneSpec, padded: "SceneArrays", layout: "Layout", *, end: "Poses | None" = None
-) -> dict[str, float]:
-    """Return `visible_box_iou` of a layout of a compiled scene, without compiling another one.
+def seen_box_iou(scene: SceneSpec, padded: "SceneArrays", seen: "Visible") -> dict[str, float]:
+    """Return `visible_box_iou` of a compiled scene of which it is known what the camera sees.
 
     Args:
         scene: the description that was compiled.
         padded: its arrays, padded to their bucket.
-        layout: padded, pop axis of length 1.
-        end: where it has come to rest, padded; as placed by default.
+        seen: of a single candidate.
     """
     if scene.camera is None:
         return {}
-    from ..physics.placed import at_rest_in_chunks, placed_in_chunks
-
-    # Programs of a refinement, which are then compiled already.
-    at = placed_in_chunks(padded, layout) if end is None else at_rest_in_chunks(padded, end, end)
-    boxes = np.asarray(at.visible.boxes)[0]
-    parsed = np.asarray(padded.photo.boxes)
+    boxes, parsed = np.asarray(seen.boxes)[0], np.asarray(padded.photo.boxes)
     return {
         item.name: iou_2d(boxes[k], parsed[k])
         for k, item in enumerate(scene.objects)

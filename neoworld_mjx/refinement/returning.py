@@ -4,7 +4,9 @@ A search moves everything at once, and within the noise of the photograph one pl
 another. So whatever may go back does: the scene must still pass the final check, and no visible box
 may agree less with the photograph's than within its noise. Objects are returned in groups, halved
 where that fails; one that cannot go back alone goes half the way. Headings and sizes are also
-returned by themselves: what had to make room seldom had to turn or shrink for it.
+returned by themselves: what had to make room seldom had to turn or shrink for it. Answers judge
+them well, and boxes show them badly, so they go back unless that is less likely by the boxes than
+it is likelier by the answer.
 """
 
 from dataclasses import replace
@@ -15,26 +17,45 @@ import numpy as np
 from jaxtyping import Bool
 
 from ..config import RefineOptions
-from ..measure import SceneMeasure, layout_box_iou, measured, passes
+from ..measure import SceneMeasure, measured, passes, seen_box_iou
 from ..physics.exact import snap_exactly
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
+from ..physics.placed import at_rest_in_chunks, placed_in_chunks
 from ..physics.scene_arrays import SceneArrays, pad_objects, pad_scene
 from ..physics.settling import at_rest
 from ..physics.support import Either
 from ..spec import SceneSpec
 from .objective import Objective, photograph_decides
 from .outcome import Chosen, Round, choose, moved_away, world_pose
+from .semantic import boxes_off
 from .soundness import failing
 
 STILL_M, STILL = 1e-5, 1e-5
 """Changes of place [m], and of yaw [rad] or log scale, up to which an object has not moved."""
 WHOLE = ("xy", "yaw", "log_scale")
 """All that a layout says of an object."""
+HEADING, SIZE = ("yaw",), ("log_scale",)
+"""Parts of it that are also returned by themselves."""
+SHARES = {WHOLE: (1.0, 0.5), HEADING: (1.0, 0.5, 0.25), SIZE: (1.0,)}
+"""Shares of the way back that are tried with an object alone."""
 SINKING = ((True, 1.0), (False, 1.0), (True, 0.5))
 """How a returned layout comes to rest; see `at_rest`."""
 NOISE = 0.03
 """Loss of an object's visible-box IoU that the noise of a parsed box explains."""
+JUDGED = {"yaw": np.radians(3.0), "log_scale": 0.03}
+"""Standard deviations of the headings [rad] and log scales of answers; see `_likelier`."""
+OUTLYING = 3.0
+"""Degrees of freedom of their distribution, Student's: few are much further off."""
+
+
+class Seen(NamedTuple):
+    """What the photograph says of a layout."""
+
+    ious: dict[str, float]
+    """Of each object's visible box with the photograph's."""
+    off: float
+    """Of `boxes_off`: half the squared errors of all boxes in units of their noise."""
 
 
 class Winner(NamedTuple):
@@ -107,40 +128,57 @@ def return_moved(
     if not (chosen.passed and o.returns and moved.any()):
         return chosen, layout
     faulty = failing(model.names, before, o)
-    groups = [(moved & ~faulty, WHOLE), (moved & faulty, WHOLE), (moved, ("yaw",))]
-    groups += [(moved, ("log_scale",))]
+    groups = [(moved & ~faulty, WHOLE), (moved, HEADING), (moved & faulty, WHOLE), (moved, SIZE)]
     padded = pad_scene(model)
-    at = chosen.scene if rests else None
-    best, ious, left = chosen, _ious(model, padded, layout, at), o.returns
+    best, composed = chosen, _seen(model, padded, start, None)
+    seen, left = _seen(model, padded, layout, chosen.scene if rests else None), o.returns
     while groups and left:
         group, parts = groups.pop(0)
         group = group & _moved(layout, start, parts)
-        if not group.any():
-            continue
-        left -= 1
-        nearer = _mixed(layout, start, group, 1.0, parts)
-        found = _checked(model, padded, nearer, best, ious, o, rests)
-        if found is None and group.sum() == 1 and left and parts == WHOLE:
+        shares = SHARES[parts] if group.sum() == 1 else (1.0,)
+        for share in shares[:left] if group.any() else ():
             left -= 1
-            nearer = _mixed(layout, start, group, 0.5, parts)
-            found = _checked(model, padded, nearer, best, ious, o, rests)
-        if found is not None:
-            layout, (best, ious) = nearer, found
-        elif group.sum() > 1:
-            groups += [(half, parts) for half in _halves(group)]
+            nearer = _mixed(layout, start, group, share, parts)
+            found = _checked(model, nearer, o, rests)
+            if found is None:
+                continue
+            new = _seen(model, padded, nearer, found[0] if rests else None)
+            likelier = -np.inf if parts == WHOLE else _likelier(layout, nearer, start, group)
+            kept = _kept(new, seen, composed, likelier)
+            if kept is not None:
+                layout, seen = nearer, kept
+                best = replace(best, scene=found[0], measure=found[1])
+                break
+        else:
+            if group.sum() > 1:
+                halves = [(half, parts) for half in _halves(group)]
+                # Headings first: there are few checks, and boxes tell least about them.
+                groups = halves + groups if parts == HEADING else groups + halves
     return best, layout
 
 
+def _kept(new: Seen, seen: Seen, composed: Seen, likelier: float) -> Seen | None:
+    """Return what is to be kept of the photograph's agreement if a return may be made, else None.
+
+    Args:
+        new: what is seen after it.
+        seen: what was to be kept before.
+        composed: what is seen where the search started.
+        likelier: by how much the return makes headings and sizes likelier, which boxes may be less
+            likely for; -inf where boxes decide.
+    """
+    if all(new.ious[name] >= iou - NOISE for name, iou in seen.ious.items()):
+        # What is lost in one step is not lost again in the next.
+        return new._replace(ious={n: max(iou, seen.ious[n]) for n, iou in new.ious.items()})
+    floor = {name: min(iou, composed.ious[name]) for name, iou in seen.ious.items()}
+    agrees = all(new.ious[name] >= iou - NOISE for name, iou in floor.items())
+    return new if agrees and new.off - seen.off <= likelier else None
+
+
 def _checked(
-    model: SceneModel,
-    padded: SceneArrays,
-    layout: Layout,
-    best: Chosen,
-    ious: dict[str, float],
-    o: RefineOptions,
-    rests: bool,
-) -> tuple[Chosen, dict[str, float]] | None:
-    """Return a layout's scene and visible-box IoUs if it may take the place of the best."""
+    model: SceneModel, layout: Layout, o: RefineOptions, rests: bool
+) -> tuple[SceneSpec, SceneMeasure] | None:
+    """Return a layout's scene and its final check if it passes."""
     placed = model.apply(layout, 0)
     scene: SceneSpec = at_rest(placed, SINKING) if rests else snap_exactly(placed)
     measure = measured(scene, o)
@@ -148,24 +186,37 @@ def _checked(
         return None
     if rests and moved_away(model, placed, scene, np.asarray(layout.log_scale)[0]):
         return None
-    new = _ious(model, padded, layout, scene if rests else None)
-    if any(new[name] < iou - NOISE for name, iou in ious.items()):
-        return None
-    # What is lost in one step is not lost again in the next.
-    kept = {name: max(iou, ious[name]) for name, iou in new.items()}
-    return replace(best, scene=scene, measure=measure), kept
+    return scene, measure
 
 
-def _ious(
-    model: SceneModel, padded: SceneArrays, layout: Layout, rest: SceneSpec | None
-) -> dict[str, float]:
-    """Return the visible-box IoUs of a layout, or of where it came to rest."""
+def _likelier(
+    layout: Layout, nearer: Layout, start: Layout, group: Bool[np.ndarray, " object"]
+) -> float:
+    """Return how much likelier headings and sizes nearer to the start's are, as a logarithm."""
+
+    def unlikely(of: Layout) -> float:
+        total = 0.0
+        for part, deviation in JUDGED.items():
+            off = (np.asarray(getattr(of, part)) - np.asarray(getattr(start, part)))[0, group]
+            total += float(np.sum(np.log1p((off / deviation) ** 2 / OUTLYING)))
+        return (OUTLYING + 1) / 2 * total
+
+    return unlikely(layout) - unlikely(nearer)
+
+
+def _seen(model: SceneModel, padded: SceneArrays, layout: Layout, rest: SceneSpec | None) -> Seen:
+    """Look at a layout, or at where it came to rest."""
+    if model.spec.camera is None:
+        return Seen({}, 0.0)
     layout = pad_objects(layout, padded.count)
     if rest is None:
-        return layout_box_iou(model.spec, padded, layout)
-    end = world_pose(rest, np.exp(np.asarray(layout.log_scale)[:, : len(model.names)]))
-    end = jax.tree.map(np.float32, pad_objects(end, padded.count))
-    return layout_box_iou(model.spec, padded, layout, end=end)
+        visible = placed_in_chunks(padded, layout).visible
+    else:
+        end = world_pose(rest, np.exp(np.asarray(layout.log_scale)[:, : len(model.names)]))
+        end = jax.tree.map(np.float32, pad_objects(end, padded.count))
+        visible = at_rest_in_chunks(padded, end, end).visible
+    off = float(boxes_off(padded, visible.outlines, np)[0])
+    return Seen(seen_box_iou(model.spec, padded, visible), off)
 
 
 def _moved(

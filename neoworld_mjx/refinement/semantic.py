@@ -8,6 +8,8 @@ whether an object is cut or hidden that the photograph shows whole. Errors withi
 parse count little, but no two are the same, so that candidates can be ranked.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +17,7 @@ from jaxtyping import Array, Float
 
 from ..physics.layout import Poses
 from ..physics.scene_arrays import SceneArrays
+from ..physics.support import Either
 from ..physics.visibility import Outlines, Visible, outlines
 
 NOISE = 0.02
@@ -31,10 +34,10 @@ BOX_NOISE_PX, BOX_NOISE = 2.0, 0.02
 """Noise of a parsed box edge: pixels, and a share of the box's size."""
 
 
-def _extent(boxes: Array) -> Array:
+def _extent(boxes: Any, xp: Any = jnp) -> Any:
     """Return the square roots of the boxes' areas [px]."""
-    sides = jnp.maximum(boxes[..., 2:] - boxes[..., :2], 0.0)
-    return jnp.sqrt(sides[..., 0] * sides[..., 1] + 1e-9)
+    sides = xp.maximum(boxes[..., 2:] - boxes[..., :2], 0.0)
+    return xp.sqrt(sides[..., 0] * sides[..., 1] + 1e-9)
 
 
 class Semantic(eqx.Module):
@@ -115,9 +118,14 @@ def reprojection_error(scene: SceneArrays, poses: Poses) -> Float[Array, " pop"]
     Differentiable; beyond three units it grows linearly (Huber), as a parsed box may be plainly
     wrong. Only sides count that the photograph shows: see `PhotoView.sides`.
     """
-    off = _box_sides(scene, outlines(scene, poses))
-    huber = jnp.where(jnp.abs(off) < 3.0, off**2 / 2, 3.0 * (jnp.abs(off) - 1.5))
-    return jnp.sum(huber, axis=(1, 2))
+    return boxes_off(scene, outlines(scene, poses))
+
+
+def boxes_off(scene: SceneArrays, shown: Outlines, xp: Any = jnp) -> Float[Either, " pop"]:
+    """Return `reprojection_error` of known outlines; `xp` is `numpy` on the host."""
+    off = xp.abs(_box_sides(scene, shown, xp))
+    huber = xp.where(off < 3.0, off**2 / 2, 3.0 * (off - 1.5))
+    return xp.sum(huber, axis=(1, 2))
 
 
 def box_error(scene: SceneArrays, shown: Outlines) -> Float[Array, "pop object"]:
@@ -129,8 +137,9 @@ def box_error(scene: SceneArrays, shown: Outlines) -> Float[Array, "pop object"]
     return jnp.max(jnp.abs(_box_sides(scene, shown)), axis=-1)
 
 
-def _box_sides(scene: SceneArrays, shown: Outlines) -> Float[Array, "pop object 4"]:
+def _box_sides(scene: SceneArrays, shown: Outlines, xp: Any = jnp) -> Float[Either, "pop object 4"]:
     v = scene.photo
-    off = shown.boxes - v.boxes
-    off = off / (BOX_NOISE_PX + BOX_NOISE * _extent(v.boxes)[:, None])
-    return jnp.where(v.sides & v.judged[:, None], off, 0.0)
+    boxes, sides, judged = (xp.asarray(x) for x in (v.boxes, v.sides, v.judged))
+    off = xp.asarray(shown.boxes) - boxes
+    off = off / (BOX_NOISE_PX + BOX_NOISE * _extent(boxes, xp)[:, None])
+    return xp.where(sides & judged[:, None], off, 0.0)
