@@ -91,7 +91,7 @@ def test_what_is_pushed_aside_keeps_its_heading():
     scene = scenes.on_table((bin_, (0, 0), 0.0, {}), (block, (0.035, 0.02), 0.3, {}))
     rest = at_rest(scene, ((True, 0.5), (False, 0.5)))
     way = np.subtract(rest.object("block").xy, scene.object("block").xy)
-    # A corner of it was 8 mm in the wall; with nothing to hold its heading it turned by 5.5 degrees.
+    # A corner of it was 8 mm in the wall; without that drag it turned by 5.5 degrees.
     assert np.linalg.norm(way) > 0.005
     assert abs(rest.object("block").yaw - 0.3) < np.radians(0.5)
     assert abs(rest.object("bin").yaw) < np.radians(0.5)
