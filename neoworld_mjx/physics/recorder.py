@@ -129,7 +129,7 @@ class Recorder:
         moved = _Motion.between(self._start[rows], base)
         drifted = moved.beyond(rule.drift, rule.tilt)
         past = moved.beyond(rule.distance, rule.angle)
-        settled |= self._lingers(base) & (past | self._invalid[rows])
+        settled |= self._lingers(base) & (past | self._invalid[rows] | rule.anywhere)
         recorded = self.steps[rows] % self.every == 0
         self._invalid[rows] |= past & recorded
         self.status[rows[settled]] = int(RolloutStatus.SETTLED)

@@ -118,6 +118,15 @@ def outlines(scene: SceneArrays, poses: Poses) -> Outlines:
     )
 
 
+def unhidden(scene: SceneArrays, poses: Poses) -> Visible:
+    """Return what the camera would see of each object if nothing hid it."""
+    seen = outlines(scene, poses)
+    border = jnp.tile(scene.photo.half_size, 2)
+    return Visible(
+        jnp.clip(seen.boxes, -border, border), seen.inside, jnp.abs(seen.boxes) <= border, seen
+    )
+
+
 def without_spin(scene: SceneArrays, poses: Poses) -> Poses:
     """Undo turns of round objects about their own axis, which nobody sees."""
     w, x, y, z = jnp.moveaxis(poses.quat, -1, 0)

@@ -19,6 +19,8 @@ from ..physics.placed import (
     Placed,
     at_rest_in_chunks,
     come_to_rest,
+    guessed,
+    guessed_in_chunks,
     placed,
     placed_in_chunks,
     placed_poses,
@@ -62,16 +64,24 @@ class Evaluation(NamedTuple):
             layouts: their populations.
             number: candidates that will be used.
             rests: whether each run's candidates will come to rest; they are bounded as if nothing
-                overlapped, for when they have, nothing does. None will by default.
+                overlapped, for when they have, nothing does, and nothing hid anything: they are
+                looked at where they rest. None will by default.
         """
         began = time.perf_counter()
-        if jax.default_backend() == "cpu":
-            known = [placed_in_chunks(self.arrays, z, number) for z in layouts]
-        else:
-            known = map_runs(placed, self.arrays, [(z,) for z in layouts], self.tile)
-        for k in np.flatnonzero(rests).tolist():
-            known[k] = _apart(jax.tree.map(np.asarray, known[k]))
-        placements = self._placements(list(zip(problems, layouts, known, strict=True)))
+        resting = rests or [False] * len(layouts)
+        known: dict[int, Placed] = {}
+        for rest in set(resting):
+            own = [k for k in range(len(layouts)) if resting[k] == rest]
+            if jax.default_backend() == "cpu":
+                look = guessed_in_chunks if rest else placed_in_chunks
+                new = [look(self.arrays, layouts[k], number) for k in own]
+            else:
+                rows = [(layouts[k],) for k in own]
+                new = map_runs(_guessed if rest else placed, self.arrays, rows, self.tile)
+            known |= zip(own, new, strict=True)
+        placements = self._placements(
+            [(problems[k], layouts[k], known[k]) for k in range(len(layouts))]
+        )
         self.clock["score"] += time.perf_counter() - began
         return placements
 
@@ -243,9 +253,8 @@ def _left_out(placement: Placement, kept: np.ndarray) -> Placement:
     )
 
 
-def _apart(at: Placed) -> Placed:
-    """Return placed candidates as if nothing overlapped."""
-    return eqx.tree_at(lambda p: p.depth, at, np.zeros_like(at.depth))
+def _guessed(scene: SceneArrays, layouts: Layout) -> Placed:
+    return guessed(scene, placed_poses(scene, layouts))
 
 
 def with_semantic(placement: Placement, values: np.ndarray) -> Placement:

@@ -10,7 +10,7 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.outline import is_round
 from neoworld_mjx.physics.scene_arrays import pad_scene
-from neoworld_mjx.physics.visibility import raster, visibility
+from neoworld_mjx.physics.visibility import raster, unhidden, visibility
 from neoworld_mjx.render import render
 from neoworld_mjx.spec import Box, Cylinder, Material, SceneObject
 from tests.support import scenes
@@ -67,6 +67,13 @@ def test_boxes_and_shares_are_of_what_is_visible(photographed, picture):
     assert share[: len(pixels)][np.array(pixels) == 0].max(initial=0.0) < 0.05
     assert share[np.flatnonzero(~judged)].max() == 0.0
     assert share[shown].min() < 0.8 and share[shown].max() > 0.99
+    # The guess is right where nothing hides an object, and never smaller than what is seen.
+    guess = unhidden(scene, scene.place(Layout.zero(1, scene.count)))
+    whole = shown & np.asarray(seen.own_sides[0]).all(axis=1)
+    assert whole.any()
+    np.testing.assert_allclose(guess.boxes[0][whole], seen.boxes[0][whole], atol=0.01)
+    grown = np.asarray(guess.boxes[0] - seen.boxes[0]) * np.array([-1, -1, 1, 1])
+    assert grown[shown].min() > -0.01
 
 
 def test_a_box_before_another_hides_its_share_and_side():
