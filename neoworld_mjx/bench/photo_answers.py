@@ -4,6 +4,7 @@ Heights over the support are those of the truth: composition sets them anyway.
 """
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 
@@ -132,6 +133,37 @@ def disturbed_answer(truth: SceneTree, number: int) -> SceneTree:
         for node in truth.nodes
     ]
     return SceneTree(camera=camera, nodes=tuple(nodes))
+
+
+def with_boxes_redrawn(
+    answer: SceneTree, truth: SceneTree, names: Collection[str], number: int
+) -> SceneTree:
+    """Return an answer in which a model has thought again about the 3D boxes of some objects.
+
+    Args:
+        answer: a disturbed one.
+        truth: the exact one.
+        names: objects whose boxes are drawn anew, with as much noise as before.
+        number: that of the answer's noise.
+    """
+    rng = np.random.default_rng((number, 48))
+    nodes = [
+        node.model_copy(
+            update={
+                "box3d": _disturbed_box(
+                    truth.node(node.name),
+                    truth.camera,
+                    answer.camera,
+                    rng,
+                    by_pixel=number % 2 == 0,
+                )
+            }
+        )
+        if node.name in names
+        else node
+        for node in answer.nodes
+    ]
+    return answer.model_copy(update={"nodes": tuple(nodes)})
 
 
 def _disturbed_camera(camera: Camera, rng: np.random.Generator) -> Camera:

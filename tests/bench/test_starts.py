@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.bench.dataset import joint_noise, parse_noise
+from neoworld_mjx.bench.dataset import joint_noise, parse_noise, starts
 from neoworld_mjx.bench.dataset.declaration import (
     ObjectDeclaration,
     declarations,
@@ -30,7 +30,12 @@ from neoworld_mjx.bench.dataset.program_noise import (
 )
 from neoworld_mjx.bench.dataset.share_noise import with_other_shares
 from neoworld_mjx.bench.dataset.split_noise import with_halves
-from neoworld_mjx.bench.dataset.starts import composed_start, true_tree, wrong_shapes
+from neoworld_mjx.bench.dataset.starts import (
+    composed_start,
+    fitted_answer,
+    true_tree,
+    wrong_shapes,
+)
 from neoworld_mjx.bench.dataset.truth_scene import built, truth_scene
 from neoworld_mjx.bench.photo_scenes import see
 from neoworld_mjx.measure.geometry import geometry_measure, surface_points
@@ -337,3 +342,33 @@ def test_a_start_with_all_noise_composes(desk):
     assert len(extra) == log.injected.count("extra") + 2 * split
     assert "joint missing" in log.injected
     assert layout_errors(start, few)["scale_error"] > 1e-3
+
+
+def test_what_the_checks_refuse_is_answered_once_more(desk, monkeypatch):
+    names = ("table", "chest", "tin")
+    few = desk.model_copy(update={"objects": tuple(desk.object(name) for name in names)})
+    tree = true_tree(few)
+    box = tree.node("tin").box3d
+    beside = box.model_copy(update={"position": (*box.position[:2], box.position[2] + 2.0)})
+    nodes = tuple(
+        n.model_copy(update={"box3d": beside}) if n.name == "tin" else n for n in tree.nodes
+    )
+    wrong = tree.model_copy(update={"nodes": nodes})
+    monkeypatch.setattr(starts, "disturbed_answer", lambda truth, number: wrong)
+    monkeypatch.setattr(starts, "fit_tree", lambda answer: (answer, None))
+    kept = fitted_answer(tree, 4, {}, wrong_tree=False).tree
+    assert any(i.node == "tin" and i.severity == "error" for i in check_tree(wrong))
+    assert not [i for i in check_tree(kept) if i.severity == "error"]
+    assert kept.node("chest") == tree.node("chest")
+    assert 1e-4 < abs(kept.node("tin").box3d.position[0] - box.position[0]) < 0.1
+
+    # An answer that is worse the second time is not kept.
+    worse = lambda answer, truth, names, number: answer.model_copy(
+        update={
+            "nodes": tuple(
+                n if n.environment else n.model_copy(update={"box3d": beside}) for n in answer.nodes
+            )
+        }
+    )
+    monkeypatch.setattr(starts, "with_boxes_redrawn", worse)
+    assert fitted_answer(tree, 4, {}, wrong_tree=False).tree == wrong

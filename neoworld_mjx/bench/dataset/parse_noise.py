@@ -8,13 +8,13 @@ here it is drawn again.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 
-from ...parse.checks import check_tree
+from ...parse.checks import SceneIssue, check_tree
 from ...parse.project import expected_box
 from ...spec import Box2D, ObjectSpec, SceneTree, TreeNode
 from ...spec.pose import from_yaw, rotate
@@ -127,16 +127,17 @@ def wrong_parse(
 
 def _first_accepted(tree: SceneTree, edit: Edit, rng: np.random.Generator) -> SceneTree | None:
     """Return the first form of an error that the checks of a parse do not refuse."""
-    known = _refusals(tree)
+    known = refusals(check_tree(tree))
     for name in rng.permutation([node.name for node in _objects(tree)]).tolist():
         for changed in edit(tree, name, rng):
-            if not _refusals(changed) - known:
+            if not refusals(check_tree(changed)) - known:
                 return changed
     return None
 
 
-def _refusals(tree: SceneTree) -> set[tuple[str, str]]:
-    return {(i.node, i.code) for i in check_tree(tree) if i.severity == "error"}
+def refusals(issues: Sequence[SceneIssue]) -> set[tuple[str, str]]:
+    """Return object and code of each issue for which a run sends an answer back."""
+    return {(issue.node, issue.code) for issue in issues if issue.severity == "error"}
 
 
 def _objects(tree: SceneTree) -> list[TreeNode]:

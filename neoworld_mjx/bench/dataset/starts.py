@@ -6,17 +6,19 @@ numbers of a parse (`photo_answers`), of its tree (`parse_noise`), of programs (
 """
 
 import zlib
+from dataclasses import dataclass
 from typing import Literal
 
 from ...compose.compose import compose
-from ...config import ComposeOptions
+from ...config import ComposeOptions, ParseOptions
+from ...parse.checks import SceneIssue, check_score, check_tree
 from ...parse.fit import fit_tree
 from ...parse.refit import refit_tree
 from ...spec import ObjectSpec, SceneSpec, SceneTree
-from ..photo_answers import disturbed_answer, exact_answer
+from ..photo_answers import disturbed_answer, exact_answer, with_boxes_redrawn
 from ..photo_scenes import see
 from .declaration import SceneDeclaration, declaration
-from .parse_noise import NoiseLog, wrong_parse
+from .parse_noise import NoiseLog, refusals, wrong_parse
 from .program_noise import wrong_program
 from .truth_scene import truth_scene
 
@@ -63,21 +65,77 @@ def composed_start(
         log: to which the errors beside the numbers are added.
     """
     o, log = options or ComposeOptions(), log or NoiseLog()
-    fitted = tree if noise == "exact" else disturbed_answer(tree, number)
     shapes, programs = {item.name: item.spec for item in scene.objects}, NoiseLog()
     if noise in ("programs", "all"):
         shapes |= wrong_shapes(scene, number, programs)
-    if noise in ("parse", "all"):
-        parsed = wrong_parse(fitted, number, log, shapes)
-        fitted = parsed.tree
-        shapes |= parsed.shapes
+    fitted = tree
+    # A fit of what is exact would only move what is right, by up to some millimetres.
+    if noise != "exact":
+        wrong_tree = noise in ("parse", "all")
+        kept = fitted_answer(tree, number, shapes, wrong_tree=wrong_tree)
+        log.injected += kept.log.injected
+        log.refused += kept.log.refused
+        shapes |= kept.shapes
+        fitted = refit_tree(kept.tree, shapes)[0] if o.refit else kept.tree
     log.injected += programs.injected
     log.refused += programs.refused
-    if noise != "exact":
-        # A fit would only move what is right, by up to some millimetres.
-        fitted, _ = fit_tree(fitted)
-        fitted = refit_tree(fitted, shapes)[0] if o.refit else fitted
     return compose(fitted, shapes, o, name=scene.name).scene
+
+
+@dataclass(frozen=True)
+class FittedAnswer:
+    """An answer as a parse keeps it."""
+
+    tree: SceneTree
+    """Fitted."""
+    shapes: dict[str, ObjectSpec]
+    """Programs of the objects that it invents."""
+    log: NoiseLog
+    """Errors beside those of its numbers."""
+    issues: tuple[SceneIssue, ...]
+    """What the checks of a parse find in it."""
+
+    @property
+    def score(self) -> float:
+        """By which a parse takes the best of its answers."""
+        return check_score(self.tree, self.issues)
+
+
+def fitted_answer(
+    tree: SceneTree, number: int, shapes: dict[str, ObjectSpec], *, wrong_tree: bool
+) -> FittedAnswer:
+    """Answer as a parse does: what the checks refuse is answered once more, the best is kept.
+
+    Args:
+        tree: the exact answer.
+        number: of the noise.
+        shapes: programs of its objects.
+        wrong_tree: whether the tree has errors, too.
+    """
+    answer = disturbed_answer(tree, number)
+    attempts = [_attempt(answer, number, shapes, wrong_tree)]
+    known = refusals(check_tree(tree))
+    for _ in range(ParseOptions().critic_rounds):
+        last = attempts[-1]
+        refused = {name for name, _ in refusals(last.issues) - known}
+        # What it invents has no true box about which it could think again.
+        names = refused & {node.name for node in answer.nodes if not node.environment}
+        if not names:
+            break
+        answer = with_boxes_redrawn(answer, tree, names, number)
+        attempts.append(_attempt(answer, number, shapes, wrong_tree))
+    return max(attempts, key=lambda attempt: attempt.score)
+
+
+def _attempt(
+    answer: SceneTree, number: int, shapes: dict[str, ObjectSpec], wrong_tree: bool
+) -> FittedAnswer:
+    log, made = NoiseLog(), dict[str, ObjectSpec]()
+    if wrong_tree:
+        parsed = wrong_parse(answer, number, log, shapes)
+        answer, made = parsed.tree, parsed.shapes
+    fitted, _ = fit_tree(answer)
+    return FittedAnswer(fitted, made, log, check_tree(fitted))
 
 
 def wrong_shapes(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, ObjectSpec]:
