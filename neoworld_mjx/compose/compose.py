@@ -27,7 +27,7 @@ from ..spec import (
 )
 from ..spec.opening import matching_joint, parsed_state
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
-from .inside import on_floor
+from .inside import covers, entrance
 from .joint_friction import held
 from .resting_pose import on_level, resting_tilt
 from .settle import settle
@@ -93,7 +93,7 @@ def compose(
 def snap(scene: SceneSpec, gap: float = 1e-4) -> SceneSpec:
     """Set every object down on the surface under its footprint, `gap` [m] above it."""
     arrangement = arrange(scene, gap=gap)
-    z = snapped_heights(arrangement, Layout.zero(1, len(scene.objects)))
+    z = snapped_heights(arrangement, Layout.zero(1, len(scene.objects)))[0]
     objects = [
         obj.model_copy(update={"z": float(h)}) if flag else obj
         for obj, h, flag in zip(scene.objects, z, arrangement.snapped, strict=True)
@@ -207,7 +207,7 @@ def _settled(
     lies = not (obj.static or on_level(node, tree) or np.allclose(obj.base_tilt, IDENTITY))
     if node.parent is None or not lies or node.relation not in ("on", "in"):
         return obj
-    resting = settle(placed[node.parent], obj)
+    resting = settle(placed[node.parent], obj, _beside(obj, placed))
     if resting is None:
         notes.append(
             f"{node.name}: composition kept the parsed tilt, at which it does not rest on "
@@ -226,18 +226,29 @@ def _settled(
 
 
 def _let_in(obj: SceneObject, placed: dict[str, SceneObject], notes: list[str]) -> SceneObject:
-    """Return what stands upright in a container as it stands on its floor."""
+    """Return what stands upright in a container, or covers it, as it stands in it."""
     upright = np.allclose(obj.base_tilt, IDENTITY)
-    if obj.relation != "in" or obj.parent is None or obj.static or not upright:
+    if obj.parent is None or obj.static or not upright or obj.relation not in ("on", "in"):
         return obj
-    inside = on_floor(placed[obj.parent], obj)
-    shift = float(np.hypot(*np.subtract(inside.xy, obj.xy)))
-    if shift > 0:
-        notes.append(
-            f"{obj.name}: composition moved it by {1e3 * shift:.0f} mm into {obj.parent}, on whose "
-            "rim it would have stood"
-        )
-    return inside
+    parent = placed[obj.parent]
+    if obj.relation == "on" and (parent.environment or not covers(parent, obj)):
+        return obj
+    place = entrance(parent, obj, _beside(obj, placed))
+    if place is None:
+        return obj
+    shift = float(np.hypot(*np.subtract(place, obj.xy)))
+    notes.append(
+        f"{obj.name}: composition moved it by {1e3 * shift:.0f} mm into {obj.parent}, on whose "
+        "rim it would have stood"
+    )
+    return obj.model_copy(update={"xy": tuple(place.tolist())})
+
+
+def _beside(obj: SceneObject, placed: dict[str, SceneObject]) -> list[SceneObject]:
+    """Return the objects that are in an object's container already."""
+    where = obj.parent, obj.parent_link
+    others = [other for name, other in placed.items() if name != obj.name]
+    return [other for other in others if (other.parent, other.parent_link) == where]
 
 
 def _held(obj: SceneObject, notes: list[str]) -> SceneObject:

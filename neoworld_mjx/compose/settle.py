@@ -5,6 +5,7 @@ every rollout, and that drift hides what else is wrong with a candidate.
 """
 
 import itertools
+from collections.abc import Iterable
 
 import mujoco
 import numpy as np
@@ -13,7 +14,18 @@ from numpy.typing import NDArray
 from ..errors import SpecError
 from ..physics.mjcf import body_name, to_mjspec
 from ..spec import SceneObject, SceneSpec, bounds, support_frame, world_poses
-from ..spec.pose import Pose, angle_between, conjugate, from_yaw, pose, quat_mul, yaw_of
+from ..spec.pose import (
+    IDENTITY,
+    Pose,
+    angle_between,
+    conjugate,
+    from_yaw,
+    pose,
+    quat_mul,
+    rotate,
+    yaw_of,
+)
+from .inside import entrance
 from .resting_pose import MAX_TILT_RAD
 
 FALL_M_S = 0.1
@@ -36,16 +48,19 @@ JOINT_DRAG = 1e6
 """Drag of joints over that of the fall: they keep their parsed positions."""
 
 
-def settle(parent: SceneObject, obj: SceneObject) -> SceneObject | None:
+def settle(
+    parent: SceneObject, obj: SceneObject, others: Iterable[SceneObject] = ()
+) -> SceneObject | None:
     """Let an object come to rest on or in its parent, in a simulation with strong drag.
 
     What is in a container may pierce its wall as parsed, and would end up on the rim. So it is also
-    let down with its lowest points nearer to the middle; the lowest resting pose that is not tilted
-    for it is taken.
+    let down with its lowest points nearer to the middle, and where it would stand upright inside;
+    the lowest resting pose that is not tilted for it is taken.
 
     Args:
         parent: its parent, which does not move.
         obj: the object; it is first lifted until it touches nothing.
+        others: what is in the container already, see `entrance`; they are not simulated.
 
     Returns:
         The object with the heading, tilt and place of its resting pose, or None if it has none
@@ -72,8 +87,16 @@ def settle(parent: SceneObject, obj: SceneObject) -> SceneObject | None:
     start = frame.inverse().then(at[obj.name])
     best, least = None, np.inf
     container = body_name(base, obj.parent_link or base.spec.root)
-    for shift in _shifts(model, root.id, obj, model.body(container).id):
-        end, height = _rest(model, root.id, shift, size)
+    turned = at[obj.name].quat
+    starts = [(way, turned) for way in _shifts(model, root.id, obj, model.body(container).id)]
+    tilt = float(angle_between(obj.base_tilt, IDENTITY))
+    place = entrance(parent, obj, others) if obj.relation == "in" and tilt < MAX_TILT_RAD else None
+    if place is not None:
+        # A narrow hole takes it upright only.
+        upright = quat_mul(frame.quat, from_yaw(obj.yaw))
+        starts.append((rotate(frame.quat, [*np.subtract(place, obj.xy), 0.0])[:2], upright))
+    for shift, quat in starts:
+        end, height = _rest(model, root.id, shift, quat, size)
         resting = None if end is None else _resting(obj, frame.inverse().then(end), start, size)
         if resting is None:
             continue
@@ -115,13 +138,17 @@ def _corners(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> NDArray:
 
 
 def _rest(
-    model: mujoco.MjModel, body: int, shift: NDArray, size: float
+    model: mujoco.MjModel, body: int, shift: NDArray, quat: NDArray, size: float
 ) -> tuple[Pose | None, float]:
-    """Let a body down at a shift; return where it rests, if it does, and how high its middle is."""
+    """Let a body down at a shift, turned so; return where it rests, and how high its middle is.
+
+    The pose is None if it does not come to rest.
+    """
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     joint = model.body_jntadr[body]
     data.qpos[model.jnt_qposadr[joint] + np.arange(2)] += shift
+    data.qpos[model.jnt_qposadr[joint] + 3 + np.arange(4)] = quat
     if not _lifted(model, data, body, size):
         return None, np.inf
     dofs = model.jnt_dofadr[joint] + np.arange(6)

@@ -13,6 +13,7 @@ from .judgement import (
     camera_spread,
     place_information,
     rests_on_slab,
+    shift_inside,
     side_tolerance,
     size_spread,
     wall_normal,
@@ -124,6 +125,9 @@ class FitProblem:
         self.carried = np.column_stack([carried, carried, np.ones(len(objects))])
         self.offsets = self.places - self.carriers(self.values)
         self.offsets[:, 2] += rests
+        # What is in another thing is looked for there, though the answer may have it beside.
+        held = self.parents >= 0
+        self.offsets[held, :2] += np.array([shift_inside(tree, node) for node in objects])[held]
 
     def start(self) -> Float[np.ndarray, " u"]:
         """Return the unknowns of the answer."""

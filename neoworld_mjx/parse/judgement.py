@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..spec import Camera, SceneTree, TreeNode
+from ..spec.pose import from_yaw, matrix
 
 PIXELS, SIDE = 0.003, 0.015
 """Of a 2D side: over the picture's longer side, plus a share of its own box: read off to 1 to 3 px
@@ -30,6 +31,8 @@ LEANING = 0.5
 """Share of `DEPTH` for what leans on something, whose distance that thing gives."""
 ROOM_M = 0.005
 """Least room [m] of a thing in another one: boxes are rough, and some things stick out."""
+UPRIGHT = math.radians(10.0)
+"""Tilt up to which the foot of a thing is in the middle of its box."""
 FASTENED_M, FASTENED = 0.005, 0.025
 """Of what is attached: along the normal of its carrier [m], in its plane over the distance."""
 CONTACT_M, CONTACT = 0.002, 0.05
@@ -123,6 +126,25 @@ def room_inside(tree: SceneTree, node: TreeNode) -> float:
     """Return how far a node can move to each side in what it is in [m], at least ROOM_M."""
     outer = tree.node(node.parent).box3d.size[:2] if node.parent is not None else (np.inf, np.inf)
     return max((min(outer) - min(node.box3d.size[:2])) / 2, ROOM_M)
+
+
+def shift_inside(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "2"]:
+    """Return the smallest shift [m] after which a node's box is over that of what it is in.
+
+    Along each side of the container one of the two boxes spans the other: a lid, a pot in a pot,
+    a spoon that sticks out of a bowl. Zero for what is tilted, whose box is far from its foot, and
+    for what is in a part of its container, such as a drawer.
+    """
+    if node.relation != "in" or node.parent is None or node.parent_link is not None:
+        return np.zeros(2)
+    outer = tree.node(node.parent)
+    if not all(abs(n.base_tilt[0]) > math.cos(UPRIGHT / 2) for n in (node, outer)):
+        return np.zeros(2)
+    axes = matrix(from_yaw(outer.box3d.yaw))[:2, :2]
+    turn = np.abs(matrix(from_yaw(node.box3d.yaw - outer.box3d.yaw)))[:2, :2]
+    room = np.abs(np.array(outer.box3d.size[:2]) - turn @ np.array(node.box3d.size[:2])) / 2
+    off = axes.T @ np.subtract(node.box3d.position[:2], outer.box3d.position[:2])
+    return axes @ (np.clip(off, -room, room) - off)
 
 
 def wall_normal(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "3"]:

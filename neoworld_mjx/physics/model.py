@@ -125,7 +125,7 @@ class SceneModel(SceneArrays):
         # Taken as NumPy first: JAX would compile the indexing for every number of objects.
         one = jax.tree.map(lambda leaf: np.asarray(leaf)[index : index + 1, :count], layouts)
         if poses is None:
-            height = snapped_heights(self.arrangement, one)
+            height = snapped_heights(self.arrangement, one)[0]
         else:
             height = np.asarray(poses.height)[index, :count]
         xy, yaw, log_scale = (

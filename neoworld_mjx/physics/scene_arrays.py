@@ -173,18 +173,20 @@ def pad_objects(tree: Any, objects: int) -> Any:
 _heights = jax.jit(heights)
 
 
-def snapped_heights(arrangement: Arrangement, layout: Layout) -> Float[np.ndarray, " object"]:
-    """Return the heights [m] at which one candidate is snapped; compiled once for many scenes.
+def snapped_heights(arrangement: Arrangement, layout: Layout) -> Float[np.ndarray, "pop object"]:
+    """Return the heights [m] at which candidates are snapped.
+
+    Compiled once for all scenes of a bucket and each number of candidates, so take few numbers.
 
     Args:
         arrangement: of the scene, on the host or the device.
-        layout: pop axis of length 1.
+        layout: the candidates.
     """
     count = len(arrangement.parent)
     wide = object_bucket(count)
     # Jitted, so that it rounds as in a search.
     padded = on_device(pad_arrangement(arrangement, wide))
-    return np.asarray(_heights(padded, on_device(pad_objects(layout, wide)))[0])[:count]
+    return np.asarray(_heights(padded, on_device(pad_objects(layout, wide))))[:, :count]
 
 
 def _pad_pieces(group: PieceGroup, pieces: int, faces: int, owner: int) -> PieceGroup:

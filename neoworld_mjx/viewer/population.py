@@ -61,7 +61,7 @@ def show_ghosts(server: Any, scene: SceneSpec, history: History, iteration: int)
     layouts = Layout(
         xy=np.asarray(xy, float), yaw=np.asarray(yaw, float), log_scale=np.asarray(log_scale, float)
     )
-    heights = np.stack(
+    heights = np.concatenate(
         [
             snapped_heights(arrangement, jax.tree.map(lambda leaf, k=k: leaf[k : k + 1], layouts))
             for k in range(len(chosen))

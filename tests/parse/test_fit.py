@@ -354,3 +354,45 @@ def test_what_hangs_on_a_wall_neither_leaves_it_nor_turns():
     off = np.subtract(box.position, hung.box3d.position)
     assert np.linalg.norm(off) > 0.005
     assert abs(off @ normal) < 2e-5 and box.yaw == hung.box3d.yaw
+
+
+@pytest.mark.parametrize("relation", ["in", "on"])
+def test_what_is_in_a_thing_is_looked_for_there_though_answered_nearer(relation):
+    tree = answers.exact()
+    outer = tree.node("right").box3d
+    place = np.array(outer.position)
+    inner = tree.node("right").model_copy(
+        update={
+            "name": "inner",
+            "parent": "right",
+            "relation": relation,
+            "box3d": Box3D(
+                position=tuple(place + [0, 0, 0.5 * outer.size[2]]),
+                size=tuple(0.9 * np.array(outer.size)),
+                yaw=outer.yaw,
+            ),
+        }
+    )
+    corners = visible_box(tree.camera, inner.box3d.corners())
+    assert corners is not None
+    box2d = Box2D(**dict(zip(("x0", "y0", "x1", "y1"), corners.tolist(), strict=True)))
+    # Six centimetres towards the camera, along the line of sight: the picture hardly tells.
+    eye = tree.camera.position()
+    centre = inner.box3d.corners().mean(axis=0)
+    nearer = centre + 0.06 * (eye - centre) / np.linalg.norm(eye - centre)
+    ratio = float(np.linalg.norm(nearer - eye) / np.linalg.norm(centre - eye))
+    size = ratio * np.array(inner.box3d.size)
+    wrong = inner.model_copy(
+        update={
+            "box2d": box2d,
+            "box3d": Box3D(
+                position=(*nearer[:2], float(nearer[2] - size[2] / 2)),
+                size=tuple(size),
+                yaw=outer.yaw,
+            ),
+        }
+    )
+    fitted, _ = fit_tree(SceneTree(camera=tree.camera, nodes=(*tree.nodes, wrong)))
+    found, carrier = (np.array(fitted.node(n).box3d.position) for n in ("inner", "right"))
+    off = float(np.linalg.norm((found - carrier)[:2]))
+    assert off < 0.02 if relation == "in" else off > 0.03
