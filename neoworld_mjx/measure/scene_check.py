@@ -24,7 +24,7 @@ class SceneCheck(Spec):
         )
 
 
-def measured(scene: SceneSpec, o: RefineOptions) -> SceneMeasure:
+def measured(scene: SceneSpec, o: RefineOptions, *, sleeps: bool = False) -> SceneMeasure:
     """Measure a scene for as long as the final check does; see `scene_measure`."""
     return scene_measure(
         scene,
@@ -33,6 +33,7 @@ def measured(scene: SceneSpec, o: RefineOptions) -> SceneMeasure:
         max_depth=o.max_depth_m,
         max_drift=o.max_drift_m,
         max_tilt=o.max_tilt_deg,
+        sleeps=sleeps,
     )
 
 

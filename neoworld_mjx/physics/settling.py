@@ -111,14 +111,19 @@ def _heading_dofs(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
     return model.jnt_dofadr[free] + 3 + np.abs(vertical).argmax(axis=1)
 
 
-def at_rest(scene: SceneSpec, phases: Sequence[tuple[bool, float]]) -> SceneSpec:
+def at_rest(
+    scene: SceneSpec, phases: Sequence[tuple[bool, float]], *, sleeps: bool = False
+) -> SceneSpec:
     """Return a scene with every movable object where it comes to rest.
 
     Args:
         scene: the scene; joints move, but their values stay as they are written.
         phases: one after the other: whether air drags, and how long it lasts [s].
+        sleeps: whether what rests sleeps until the next phase or until something touches it.
     """
     model, data = start_state(scene)
+    if sleeps:
+        model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     plain, drag = model.dof_damping.copy(), model.dof_damping.copy()
     for item in scene.objects:
         if not item.static:
@@ -128,6 +133,8 @@ def at_rest(scene: SceneSpec, phases: Sequence[tuple[bool, float]]) -> SceneSpec
             drag[dofs] = np.repeat([weight, weight * REACH_M**2], 3)
     drag[_heading_dofs(model, data.qpos)] *= HEADING
     for dragging, seconds in phases:
+        if sleeps:
+            data = _awake(model, data)
         model.dof_damping[:] = drag if dragging else plain
         mujoco.mj_step(model, data, round(seconds / model.opt.timestep))
     mujoco.mj_forward(model, data)
@@ -137,6 +144,13 @@ def at_rest(scene: SceneSpec, phases: Sequence[tuple[bool, float]]) -> SceneSpec
         if not item.static
     }
     return moved(scene, ends)
+
+
+def _awake(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
+    """Return new data in the same state, in which everything is awake."""
+    new = mujoco.MjData(model)
+    new.qpos[:], new.qvel[:] = data.qpos, data.qvel
+    return new
 
 
 def moved(scene: SceneSpec, ends: Mapping[str, Pose]) -> SceneSpec:

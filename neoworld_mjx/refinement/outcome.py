@@ -173,7 +173,7 @@ def finished(model: SceneModel, round_: Round, k: int) -> tuple[SceneSpec, tuple
     pos, quat = (np.asarray(x)[k].astype(float) for x in (round_.poses.pos, round_.poses.quat))
     movable = np.flatnonzero(np.asarray(model.movable))
     ends = {model.names[n]: pose(pos[n], quat[n] / np.linalg.norm(quat[n])) for n in movable}
-    rest = at_rest(moved(scene, ends), RESTING)
+    rest = at_rest(moved(scene, ends), RESTING, sleeps=True)
     return rest, moved_away(model, scene, rest, np.asarray(round_.layouts.log_scale)[k])
 
 

@@ -9,6 +9,7 @@ them well, and boxes show them badly, so they go back unless that is less likely
 it is likelier by the answer.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -21,10 +22,11 @@ from ..measure import SceneMeasure, measured, passes, seen_box_iou
 from ..physics.exact import snap_exactly
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
-from ..physics.placed import at_rest_in_chunks, placed_in_chunks
+from ..physics.placed import CHUNK, at_rest_in_chunks, placed_in_chunks
 from ..physics.scene_arrays import SceneArrays, pad_objects, pad_scene
 from ..physics.settling import at_rest
 from ..physics.support import Either
+from ..physics.visibility import Visible
 from ..spec import SceneSpec
 from .objective import Objective, photograph_decides
 from .outcome import Chosen, Round, choose, moved_away, world_pose
@@ -130,31 +132,45 @@ def return_moved(
     faulty = failing(model.names, before, o)
     groups = [(moved & ~faulty, WHOLE), (moved, HEADING), (moved & faulty, WHOLE), (moved, SIZE)]
     padded = pad_scene(model)
-    best, composed = chosen, _seen(model, padded, start, None)
-    seen, left = _seen(model, padded, layout, chosen.scene if rests else None), o.returns
+    composed, as_placed = _placed_seen(model, padded, [start, layout])
+    seen = _rest_seen(model, padded, layout, chosen.scene) if rests else as_placed
+    steps, left = [(chosen, layout)], o.returns
+    looks: dict[_Try, tuple[Layout, Seen]] = {}
     while groups and left:
         group, parts = groups.pop(0)
         group = group & _moved(layout, start, parts)
-        shares = SHARES[parts] if group.sum() == 1 else (1.0,)
-        for share in shares[:left] if group.any() else ():
+        for key in _tries(group, parts)[:left]:
             left -= 1
-            nearer = _mixed(layout, start, group, share, parts)
-            found = _checked(model, nearer, o, rests)
-            if found is None:
-                continue
-            new = _seen(model, padded, nearer, found[0] if rests else None)
+            if key not in looks:
+                # What may be next is looked at beside it: a few cost as much as one.
+                keys = _ahead([(group, parts), *groups], layout, start)
+                new = [_mixed(layout, start, *t.values()) for t in keys]
+                seen_new = _placed_seen(model, padded, new)
+                looks = dict(zip(keys, zip(new, seen_new, strict=True), strict=True))
+            nearer, look = looks[key]
             likelier = -np.inf if parts == WHOLE else _likelier(layout, nearer, start, group)
-            kept = _kept(new, seen, composed, likelier)
+            kept_placed = _kept(look, as_placed, composed, likelier)
+            found = None if kept_placed is None else _checked(model, nearer, o, rests)
+            if kept_placed is None or found is None:
+                continue
+            kept = kept_placed
+            if rests:
+                kept = _kept(_rest_seen(model, padded, nearer, found[0]), seen, composed, likelier)
             if kept is not None:
-                layout, seen = nearer, kept
-                best = replace(best, scene=found[0], measure=found[1])
+                layout, as_placed, seen = nearer, kept_placed, kept
+                steps.append((replace(chosen, scene=found[0], measure=found[1]), layout))
+                looks.clear()
                 break
         else:
             if group.sum() > 1:
                 halves = [(half, parts) for half in _halves(group)]
                 # Headings first: there are few checks, and boxes tell least about them.
                 groups = halves + groups if parts == HEADING else groups + halves
-    return best, layout
+    for best, layout in steps[:0:-1]:
+        measure = measured(best.scene, o)
+        if passes(measure, o):
+            return replace(best, measure=measure), layout
+    return steps[0]
 
 
 def _kept(new: Seen, seen: Seen, composed: Seen, likelier: float) -> Seen | None:
@@ -178,10 +194,10 @@ def _kept(new: Seen, seen: Seen, composed: Seen, likelier: float) -> Seen | None
 def _checked(
     model: SceneModel, layout: Layout, o: RefineOptions, rests: bool
 ) -> tuple[SceneSpec, SceneMeasure] | None:
-    """Return a layout's scene and its final check if it passes."""
+    """Return a layout's scene and its check if it passes one in which what rests sleeps."""
     placed = model.apply(layout, 0)
-    scene: SceneSpec = at_rest(placed, SINKING) if rests else snap_exactly(placed)
-    measure = measured(scene, o)
+    scene = at_rest(placed, SINKING, sleeps=True) if rests else snap_exactly(placed)
+    measure = measured(scene, o, sleeps=True)
     if not passes(measure, o):
         return None
     if rests and moved_away(model, placed, scene, np.asarray(layout.log_scale)[0]):
@@ -204,19 +220,62 @@ def _likelier(
     return unlikely(layout) - unlikely(nearer)
 
 
-def _seen(model: SceneModel, padded: SceneArrays, layout: Layout, rest: SceneSpec | None) -> Seen:
-    """Look at a layout, or at where it came to rest."""
+def _placed_seen(model: SceneModel, padded: SceneArrays, layouts: list[Layout]) -> list[Seen]:
+    """Look at layouts as they are placed."""
+    if model.spec.camera is None:
+        return [Seen({}, 0.0)] * len(layouts)
+    many = jax.tree.map(lambda *x: np.concatenate([np.asarray(a) for a in x]), *layouts)
+    visible = placed_in_chunks(padded, pad_objects(many, padded.count)).visible
+    return [_seen(model, padded, visible, k) for k in range(len(layouts))]
+
+
+def _rest_seen(model: SceneModel, padded: SceneArrays, layout: Layout, rest: SceneSpec) -> Seen:
+    """Look at where a layout came to rest."""
     if model.spec.camera is None:
         return Seen({}, 0.0)
-    layout = pad_objects(layout, padded.count)
-    if rest is None:
-        visible = placed_in_chunks(padded, layout).visible
-    else:
-        end = world_pose(rest, np.exp(np.asarray(layout.log_scale)[:, : len(model.names)]))
-        end = jax.tree.map(np.float32, pad_objects(end, padded.count))
-        visible = at_rest_in_chunks(padded, end, end).visible
-    off = float(boxes_off(padded, visible.outlines, np)[0])
-    return Seen(seen_box_iou(model.spec, padded, visible), off)
+    end = world_pose(rest, np.exp(np.asarray(layout.log_scale)[:, : len(model.names)]))
+    end = jax.tree.map(np.float32, pad_objects(end, padded.count))
+    return _seen(model, padded, at_rest_in_chunks(padded, end, end).visible, 0)
+
+
+def _seen(model: SceneModel, padded: SceneArrays, visible: Visible, k: int) -> Seen:
+    """Compare what the camera sees of a candidate with the photograph."""
+    own = jax.tree.map(lambda x: np.asarray(x)[k : k + 1], visible)
+    off = float(boxes_off(padded, own.outlines, np)[0])
+    return Seen(seen_box_iou(model.spec, padded, own), off)
+
+
+class _Try(NamedTuple):
+    """A share of the way back of parts of a group's layout."""
+
+    group: tuple[bool, ...]
+    share: float
+    parts: tuple[str, ...]
+
+    def values(self) -> tuple[Bool[np.ndarray, " object"], float, tuple[str, ...]]:
+        return np.array(self.group), self.share, self.parts
+
+
+def _ahead(
+    groups: Sequence[tuple[Bool[np.ndarray, " object"], tuple[str, ...]]],
+    layout: Layout,
+    start: Layout,
+) -> list[_Try]:
+    """Return the next tries, those with halves of groups too; at most CHUNK."""
+    queue, tries = list(groups), dict[_Try, None]()
+    while queue and len(tries) < CHUNK:
+        mask, parts = queue.pop(0)
+        group = mask & _moved(layout, start, parts)
+        tries |= dict.fromkeys(_tries(group, parts))
+        if group.sum() > 1:
+            queue += [(half, parts) for half in _halves(group)]
+    return list(tries)[:CHUNK]
+
+
+def _tries(group: Bool[np.ndarray, " object"], parts: tuple[str, ...]) -> list[_Try]:
+    """Return what is tried with a group, one after the other until one may stay."""
+    shares = SHARES[parts] if group.sum() == 1 else (1.0,)
+    return [_Try(tuple(group.tolist()), share, parts) for share in shares] if group.any() else []
 
 
 def _moved(

@@ -13,7 +13,7 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.scene_arrays import pad_scene
 from neoworld_mjx.refinement.outcome import Chosen
-from neoworld_mjx.refinement.returning import NOISE, Seen, _kept, _seen, return_moved
+from neoworld_mjx.refinement.returning import NOISE, Seen, _kept, _placed_seen, return_moved
 from neoworld_mjx.spec import Camera, SceneSpec
 
 OPTIONS = RefineOptions(check_duration_s=0.3)
@@ -113,7 +113,7 @@ def test_a_heading_that_boxes_hardly_show_goes_back():
     scene = snap_exactly(model.apply(layout, 0))
     chosen = Chosen((0, 0), scene, measured(scene, OPTIONS), 1, True)
     padded = pad_scene(model)
-    turned, straight = (_seen(model, padded, z, None) for z in (layout, start))
+    turned, straight = _placed_seen(model, padded, [layout, start])
     assert straight.ious["third"] < turned.ious["third"] - NOISE
     _, nearer = return_moved(model, chosen, layout, start, chosen.measure, OPTIONS)
     assert not np.asarray(nearer.yaw).any()
