@@ -29,6 +29,7 @@ from ..spec.opening import matching_joint, parsed_state
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
 from .inside import covers, entrance
 from .joint_friction import held
+from .leaning import lean
 from .resting_pose import on_level, resting_tilt
 from .settle import settle
 
@@ -87,7 +88,16 @@ def compose(
         if options.hold_joints:
             placed[node.name] = _held(placed[node.name], notes)
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
-    return Composed(snap(scene, options.gap_m), scales, tuple(notes))
+    scene = snap(scene, options.gap_m)
+    if options.settle:
+        scene, moved = lean(scene)
+        scene = snap(scene, options.gap_m) if moved else scene
+        for leaning, (way, other) in moved.items():
+            notes.append(
+                f"{leaning}: composition moved it by {1e3 * way:.0f} mm up to {other}, on which "
+                "it leans"
+            )
+    return Composed(scene, scales, tuple(notes))
 
 
 def snap(scene: SceneSpec, gap: float = 1e-4) -> SceneSpec:

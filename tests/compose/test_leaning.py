@@ -1,0 +1,82 @@
+"""What leans goes up to what it leans on."""
+
+import math
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.compose.leaning import lean
+from neoworld_mjx.physics.exact import object_depths, start_state
+from neoworld_mjx.spec import Box, SceneObject, SceneSpec
+from neoworld_mjx.spec.pose import from_axis_angle
+from tests.support import scenes
+
+TILT = math.radians(12.0)
+
+
+def leaning_scene(gap, *, yaw=0.0):
+    """A board tilted away along x, `gap` [m] before a wall; a block touches the board's side."""
+    table = scenes.single("table", (Box(size=(2.0, 2.0, 0.1)), (0, 0, -0.05)))
+    wall = scenes.single("wall", (Box(size=(0.1, 2.0, 1.0)), (0, 0, 0.5)))
+    board = scenes.single("board", (Box(size=(0.02, 0.2, 0.3)), (0, 0, 0.15)))
+    block = scenes.single("block", (Box(size=(0.05, 0.05, 0.05)), (0, 0, 0.025)))
+    reach = 0.01 * math.cos(TILT) + 0.3 * math.sin(TILT)
+    tilt = tuple(from_axis_angle((0, 1, 0), TILT).tolist())
+    height = 0.01 * math.sin(TILT)
+    root = {"parent": None, "environment": True}
+    return SceneSpec(
+        name="leaning",
+        objects=(
+            SceneObject(name="table", spec=table, xy=(0, 0), z=-0.1, **root),
+            SceneObject(name="wall", spec=wall, xy=(0.55, 0), z=0.0, **root),
+            SceneObject(
+                name="board",
+                spec=board,
+                parent="table",
+                relation="leaning",
+                xy=(0.5 - reach - gap, 0.0),
+                z=height,
+                yaw=yaw,
+                base_tilt=tilt,
+            ),
+            SceneObject(
+                name="block", spec=block, parent="table", xy=(0.5 - reach - gap, 0.1251), z=0.0
+            ),
+        ),
+    )
+
+
+@pytest.mark.parametrize("gap", [0.1, 0.01])
+def test_a_board_goes_up_to_the_wall_and_keeps_its_tilt(gap):
+    scene = leaning_scene(gap)
+    leant, moved = lean(scene)
+    assert moved == {"board": (pytest.approx(gap, abs=5e-4), "wall")}
+    before, after = scene.object("board"), leant.object("board")
+    assert after.xy == pytest.approx((before.xy[0] + gap, 0.0), abs=5e-4)
+    assert after == before.model_copy(update={"xy": after.xy})
+    assert leant.object("block") == scene.object("block")
+    model, data = start_state(leant)
+    assert max(object_depths(leant, model, data).values(), default=0.0) < 1e-4
+
+
+@pytest.mark.parametrize("gap", [0.0005, 0.3, -0.02])
+def test_what_touches_or_is_far_away_or_overlaps_stays(gap):
+    scene = leaning_scene(gap)
+    leant, moved = lean(scene)
+    assert moved == {} and leant is scene
+
+
+def test_only_what_leans_moves_and_only_where_its_top_is():
+    turned = leaning_scene(0.1, yaw=math.pi)
+    assert lean(turned)[1] == {}
+    scene = leaning_scene(0.1)
+    standing = scene.object("board").model_copy(update={"relation": "on"})
+    objects = tuple(standing if o.name == "board" else o for o in scene.objects)
+    assert lean(scene.model_copy(update={"objects": objects}))[1] == {}
+    # A book leans on a book that leans on the wall: the farther one goes first.
+    second = scene.object("board").model_copy(
+        update={"name": "second", "xy": tuple(np.array(scene.object("board").xy) - [0.05, 0])}
+    )
+    chain = scene.model_copy(update={"objects": (*scene.objects[:3], second)})
+    _, moved = lean(chain)
+    assert list(moved) == ["board", "second"] and moved["second"][1] == "board"
