@@ -35,12 +35,12 @@ def leaning_scene(gap, *, yaw=0.0):
                 parent="table",
                 relation="leaning",
                 xy=(0.5 - reach - gap, 0.0),
-                z=height,
+                z=0.1 + height,
                 yaw=yaw,
                 base_tilt=tilt,
             ),
             SceneObject(
-                name="block", spec=block, parent="table", xy=(0.5 - reach - gap, 0.1251), z=0.0
+                name="block", spec=block, parent="table", xy=(0.5 - reach - gap, 0.1251), z=0.1
             ),
         ),
     )
