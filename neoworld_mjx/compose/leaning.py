@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from ..physics.exact import object_of_geom, start_state
-from ..spec import SceneObject, SceneSpec, support_frame, world_poses
+from ..spec import SceneObject, SceneSpec, bounds, support_frame, world_poses
 from ..spec.pose import conjugate, matrix, rotate
 
 FARTHEST = 0.5
@@ -21,6 +21,8 @@ TOUCHING_M = 2e-4
 STEPS = 60
 LEAST_LEAN, MOST_LEAN = np.radians(2.0), np.radians(60.0)
 """Tilts between which a thing leans: below it stands, above it lies."""
+FOOT = 0.1
+"""Share of the height up to which what touches an object carries it."""
 AHEAD = 0.3
 """Least cosine between the way and the direction to what an object can lean on."""
 
@@ -75,12 +77,12 @@ def _gap(scene: SceneSpec, obj: SceneObject) -> tuple[float, Float[np.ndarray, "
     apart = {names.index(name) for name in with_it} | {-1}
     own = np.flatnonzero(solid & (owner == names.index(obj.name)))
     others = np.flatnonzero(solid & ~np.isin(owner, list(apart)))
-    corners = data.geom_xpos[own, 2]
-    low = (corners - model.geom_rbound[own]).min()
-    farthest = FARTHEST * float((corners + model.geom_rbound[own]).max() - low)
+    bottom, top = bounds(obj.spec, obj.joint_state, obj.base_tilt)
+    height = float(top[2] - bottom[2])
+    farthest, foot = FARTHEST * height, data.body(obj.name).xpos[2] + bottom[2] + FOOT * height
     gone = 0.0
     for _ in range(STEPS):
-        step, other = _nearest_ahead(model, data, own, others, way, farthest - gone)
+        step, other = _nearest_ahead(model, data, own, others, way, farthest - gone, foot)
         if other is None:
             return None
         if step <= TOUCHING_M:
@@ -99,8 +101,12 @@ def _nearest_ahead(
     others: NDArray,
     way: NDArray,
     reach: float,
+    foot: float,
 ) -> tuple[float, int | None]:
-    """Return the distance [m] to the nearest geom ahead, and which it is; None within no reach."""
+    """Return the distance [m] to the nearest geom ahead and above the foot, and which it is.
+
+    None if there is none within reach.
+    """
     nearest, which, ends = reach, None, np.zeros(6)
     for a in own:
         gaps = np.linalg.norm(data.geom_xpos[others] - data.geom_xpos[a], axis=1)
@@ -108,9 +114,10 @@ def _nearest_ahead(
         # Planes have no radius, but are the floor: nothing leans on it.
         for b in others[(gaps < nearest) & (model.geom_rbound[others] > 0)]:
             gap = mujoco.mj_geomDistance(model, data, int(a), int(b), nearest, ends)
-            # Between solids that overlap, the ends have changed places. What carries is below.
+            # Between solids that overlap, the ends have changed places.
             to = (ends[3:] - ends[:3]) * (1.0 if gap > 0 else -1.0)
-            if gap < nearest and to[:2] @ way > AHEAD * np.linalg.norm(to):
+            ahead = to[:2] @ way > AHEAD * np.linalg.norm(to) and ends[2] > foot
+            if gap < nearest and ahead:
                 nearest, which = max(gap, 0.0), int(b)
     return nearest, which
 
