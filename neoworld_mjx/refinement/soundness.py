@@ -26,6 +26,8 @@ from .objective import Placement, Scores
 
 AGREES = 3.0
 """Error of a box side, in units of the noise, up to which an object agrees with the photograph."""
+SURE = 2.0
+"""The same up to which it gives no reason to doubt the object's heading and size."""
 UNSETTLED = 1
 """Iterations without a valid candidate after which candidates come to rest."""
 RESTING = 64
@@ -119,7 +121,7 @@ def doubt(start: Soundness, options: CEMOptions) -> Float[np.ndarray, " object"]
     Answers judge headings and sizes well: where a box agrees with the photograph's, nothing asks
     for others.
     """
-    return np.where(start.box_error <= AGREES, options.sigma_agreeing, 1.0).astype(np.float32)
+    return np.where(start.box_error <= SURE, options.sigma_agreeing, 1.0).astype(np.float32)
 
 
 def start_line(
