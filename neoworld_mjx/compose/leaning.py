@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from ..physics.exact import object_of_geom, start_state
-from ..spec import SceneObject, SceneSpec, bounds, support_frame, world_poses
+from ..errors import SpecError
+from ..physics.exact import geom_distance, object_of_geom, start_state
+from ..spec import SceneSpec, bounds, support_frame, world_poses
 from ..spec.pose import conjugate, matrix, rotate
 
 FARTHEST = 0.5
@@ -18,7 +19,9 @@ FARTHEST = 0.5
 LEAST_M = 0.002
 """Shorter ways are left to the search."""
 TOUCHING_M = 2e-4
+"""Distance at which two touch."""
 STEPS = 60
+"""Most steps, each by the distance to what is nearest ahead."""
 LEAST_LEAN, MOST_LEAN = np.radians(2.0), np.radians(60.0)
 """Tilts between which a thing leans: below it stands, above it lies."""
 FOOT = 0.1
@@ -41,56 +44,74 @@ def lean(scene: SceneSpec) -> tuple[SceneSpec, dict[str, tuple[float, str]]]:
     Raises:
         SpecError: MuJoCo cannot compile the scene.
     """
+    ways = _ways(scene)
+    if not ways:
+        return scene, {}
+    try:
+        model, data = start_state(scene)
+    except ValueError as error:
+        raise SpecError(f"{scene.name}: {error}") from None
+    owner = object_of_geom(scene, model)
+    owner[(model.geom_contype == 0) & (model.geom_conaffinity == 0)] = -1
     moved: dict[str, tuple[float, str]] = {}
-    order = [(float(way @ at[:2]), name) for name, way, at in _ways(scene)]
-    for _, name in sorted(order, reverse=True):
-        found = _gap(scene, scene.object(name))
-        if found is None:
-            continue
-        length, way, other = found
-        moved[name] = length, other
-        scene = _shifted(scene, name, length * way)
+    for name, way in ways:
+        found = _gap(scene, name, way, model, data, owner)
+        if found is not None:
+            moved[name] = found
+            scene = _shifted(scene, name, found[0] * way)
     return scene, moved
 
 
-def _ways(scene: SceneSpec) -> list[tuple[str, NDArray, NDArray]]:
-    """Return name, level unit direction in which the top is, and position of what leans."""
+def _ways(scene: SceneSpec) -> list[tuple[str, NDArray]]:
+    """Return what leans and the level unit direction in which its top is, farthest along first."""
     ways = []
     for name, at in world_poses(scene).items():
         obj, up = scene.object(name), matrix(at.quat)[:, 2]
-        lean = float(np.arccos(np.clip(up[2], -1.0, 1.0)))
-        if obj.relation == "leaning" and not obj.static and LEAST_LEAN < lean < MOST_LEAN:
-            ways.append((name, up[:2] / np.linalg.norm(up[:2]), at.pos))
-    return ways
+        tilt = float(np.arccos(np.clip(up[2], -1.0, 1.0)))
+        if obj.relation == "leaning" and not obj.static and LEAST_LEAN < tilt < MOST_LEAN:
+            way = up[:2] / np.linalg.norm(up[:2])
+            ways.append((float(way @ at.pos[:2]), name, way))
+    return [(name, way) for _, name, way in sorted(ways, key=lambda entry: -entry[0])]
 
 
-def _gap(scene: SceneSpec, obj: SceneObject) -> tuple[float, Float[np.ndarray, " 2"], str] | None:
-    """Return how far an object is from what is ahead of it [m], in which direction, and what."""
-    way = next(way for name, way, _ in _ways(scene) if name == obj.name)
-    model, data = start_state(scene)
-    owner = object_of_geom(scene, model)
-    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+def _gap(
+    scene: SceneSpec,
+    name: str,
+    way: NDArray,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    owner: NDArray,
+) -> tuple[float, str] | None:
+    """Return how far an object is from what is ahead of it [m], and what; move it there in `data`.
+
+    None, and nothing moved, where it touches that already or nothing is near.
+    """
     names = [item.name for item in scene.objects]
-    with_it = {obj.name}
+    with_it = {name}
     for item in scene.objects:
         with_it |= {item.name} if item.parent in with_it else set()
-    apart = {names.index(name) for name in with_it} | {-1}
-    own = np.flatnonzero(solid & (owner == names.index(obj.name)))
-    others = np.flatnonzero(solid & ~np.isin(owner, list(apart)))
+    riding = np.isin(owner, [names.index(other) for other in with_it])
+    own = np.flatnonzero(owner == names.index(name))
+    others = np.flatnonzero((owner >= 0) & ~riding)
+    obj = scene.object(name)
     bottom, top = bounds(obj.spec, obj.joint_state, obj.base_tilt)
     height = float(top[2] - bottom[2])
-    farthest, foot = FARTHEST * height, data.body(obj.name).xpos[2] + bottom[2] + FOOT * height
-    gone = 0.0
+    foot = data.body(name).xpos[2] + bottom[2] + FOOT * height
+    before, gone = data.geom_xpos.copy(), 0.0
     for _ in range(STEPS):
-        step, other = _nearest_ahead(model, data, own, others, way, farthest - gone, foot)
+        reach = FARTHEST * height - gone
+        step, other = _nearest_ahead(model, data, own, others, way, reach, foot)
         if other is None:
-            return None
+            break
         if step <= TOUCHING_M:
-            return None if gone < LEAST_M else (gone, way, names[owner[other]])
+            if gone < LEAST_M:
+                break
+            return gone, names[owner[other]]
         # Where two just touch, MuJoCo finds no direction between them.
         step -= TOUCHING_M / 2
         gone += step
-        data.geom_xpos[own, :2] += step * way
+        data.geom_xpos[riding, :2] += step * way
+    data.geom_xpos[:] = before
     return None
 
 
@@ -113,7 +134,7 @@ def _nearest_ahead(
         gaps = gaps - model.geom_rbound[others] - model.geom_rbound[a]
         # Planes have no radius, but are the floor: nothing leans on it.
         for b in others[(gaps < nearest) & (model.geom_rbound[others] > 0)]:
-            gap = mujoco.mj_geomDistance(model, data, int(a), int(b), nearest, ends)
+            gap = geom_distance(model, data, int(a), int(b), nearest, ends)
             # Between solids that overlap, the ends have changed places.
             to = (ends[3:] - ends[:3]) * (1.0 if gap > 0 else -1.0)
             ahead = to[:2] @ way > AHEAD * np.linalg.norm(to) and ends[2] > foot

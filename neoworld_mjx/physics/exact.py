@@ -45,9 +45,16 @@ def pair_distance(
 
 
 def geom_distance(
-    model: mujoco.MjModel, data: mujoco.MjData, a: int, b: int, reach: float
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    a: int,
+    b: int,
+    reach: float,
+    ends: NDArray | None = None,
 ) -> float:
     """Return the signed distance [m] of two geoms, at most `reach`.
+
+    Into `ends` [6], where it is given, their nearest points [m] are written, of `a` and of `b`.
 
     MuJoCo 3.17 gives the distance of the centres where one centre lies on the other geom's surface
     or on its centre, however deep they are in each other. No two solids are that far apart, so one
@@ -55,12 +62,12 @@ def geom_distance(
     """
     between = float(np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]))
     if between > max(model.geom_rbound[a], model.geom_rbound[b]):
-        return mujoco.mj_geomDistance(model, data, a, b, reach, None)
-    distance = mujoco.mj_geomDistance(model, data, a, b, between + reach, None)
+        return mujoco.mj_geomDistance(model, data, a, b, reach, ends)
+    distance = mujoco.mj_geomDistance(model, data, a, b, between + reach, ends)
     if distance >= between * (1 - 1e-9):
         kept = data.geom_xpos[a].copy()
         data.geom_xpos[a] = kept + NUDGE
-        distance = mujoco.mj_geomDistance(model, data, a, b, reach, None)
+        distance = mujoco.mj_geomDistance(model, data, a, b, reach, ends)
         data.geom_xpos[a] = kept
     return min(distance, reach)
 
