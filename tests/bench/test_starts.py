@@ -10,6 +10,7 @@ from neoworld_mjx.bench.dataset.declaration import (
     program_of,
     template_of,
 )
+from neoworld_mjx.bench.dataset.environment_noise import with_other_supports
 from neoworld_mjx.bench.dataset.layout_errors import displaced, layout_errors, unmatched
 from neoworld_mjx.bench.dataset.noise_draft import Draft
 from neoworld_mjx.bench.dataset.parse_noise import (
@@ -37,6 +38,7 @@ from neoworld_mjx.bench.dataset.starts import (
     wrong_shapes,
 )
 from neoworld_mjx.bench.dataset.truth_scene import built, truth_scene
+from neoworld_mjx.bench.photo_answers import ASIDE, DEPTH, LOG_ASPECT, LOG_SIZE, YAW
 from neoworld_mjx.bench.photo_scenes import see
 from neoworld_mjx.measure.geometry import geometry_measure, surface_points
 from neoworld_mjx.parse.checks import check_tree
@@ -194,6 +196,30 @@ def test_a_misjudged_view_keeps_the_layout(answer, monkeypatch):
         assert np.ptp(shift, axis=0) == pytest.approx(0, abs=1e-9)
         pixels = [t.camera.project(m)[0] for t, m in zip((answer, tree), middles, strict=True)]
         assert np.abs(np.subtract(*pixels).mean(axis=0)).max() < 0.05 * answer.camera.width
+
+
+def test_supports_are_off_as_objects_are_and_tops_stay():
+    tree = true_tree(see(truth_scene(declarations()["shelf_boxes"])))
+    moved = [with_other_supports(tree, tree, number) for number in range(200)]
+    assert all(answer.nodes != tree.nodes for answer in moved)
+    assert moved[3] == with_other_supports(tree, tree, 3)
+    for node in tree.nodes:
+        boxes = [answer.node(node.name).box3d for answer in moved]
+        if not node.environment:
+            assert all(box == node.box3d for box in boxes)
+            continue
+        sizes = np.log([np.divide(box.size, node.box3d.size) for box in boxes])
+        away = np.subtract([box.position for box in boxes], node.box3d.position)
+        yaws = [box.yaw - node.box3d.yaw for box in boxes]
+        assert np.hypot(LOG_SIZE, LOG_ASPECT) == pytest.approx(sizes[:, 0].std(), rel=0.2)
+        assert not away[:, 2].any()
+        if node.name == "floor":
+            assert not away.any() and not any(yaws) and not sizes[:, 2].any()
+        else:
+            reach = np.linalg.norm(np.subtract(node.box3d.position, tree.camera.position()))
+            assert np.std(yaws) == pytest.approx(YAW, rel=0.2)
+            spread = np.linalg.norm(away.std(axis=0)) / reach
+            assert spread == pytest.approx(np.hypot(DEPTH, ASIDE), rel=0.2)
 
 
 def test_parameters_are_drawn_near_the_true_ones():
@@ -355,6 +381,7 @@ def test_what_the_checks_refuse_is_answered_once_more(desk, monkeypatch):
     )
     wrong = tree.model_copy(update={"nodes": nodes})
     monkeypatch.setattr(starts, "disturbed_answer", lambda truth, number: wrong)
+    monkeypatch.setattr(starts, "with_other_supports", lambda answer, truth, number: answer)
     monkeypatch.setattr(starts, "fit_tree", lambda answer: (answer, None))
     kept = fitted_answer(tree, 4, {}, wrong_tree=False).tree
     assert any(i.node == "tin" and i.severity == "error" for i in check_tree(wrong))

@@ -1,8 +1,8 @@
 """Where methods start: the truth disturbed as answers are, fitted and composed as a run does it.
 
 Every start of every scene has noise of its own, with spreads and rates of measured answers: of the
-numbers of a parse (`photo_answers`), of its tree (`parse_noise`), of programs (`program_noise`,
-`joint_noise`). Sizes are what composition makes of the answer's boxes.
+numbers of a parse (`photo_answers`, `environment_noise`), of its tree (`parse_noise`), of programs
+(`program_noise`, `joint_noise`). Sizes are what composition makes of the answer's boxes.
 """
 
 import zlib
@@ -18,6 +18,7 @@ from ...spec import ObjectSpec, SceneSpec, SceneTree
 from ..photo_answers import disturbed_answer, exact_answer, with_boxes_redrawn
 from ..photo_scenes import see
 from .declaration import SceneDeclaration, declaration
+from .environment_noise import with_other_supports
 from .parse_noise import NoiseLog, refusals, wrong_parse
 from .program_noise import wrong_program
 from .truth_scene import truth_scene
@@ -112,7 +113,7 @@ def fitted_answer(
         shapes: programs of its objects.
         wrong_tree: whether the tree has errors, too.
     """
-    answer = disturbed_answer(tree, number)
+    answer = with_other_supports(disturbed_answer(tree, number), tree, number)
     attempts = [_attempt(answer, number, shapes, wrong_tree)]
     known = refusals(check_tree(tree))
     for _ in range(ParseOptions().critic_rounds):
