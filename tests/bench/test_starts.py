@@ -78,6 +78,26 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(3)
 
 
+def test_what_stood_on_a_missed_object_is_not_displaced_and_what_did_not_is():
+    truth = truth_scene(declarations()["overhang_stack"])
+    on = {"tin": "plank_2", "peg": "plank_2"}
+    nodes = []
+    for item in truth.objects:
+        update = {"parent": on.get(item.name, item.parent)}
+        nodes.append(item.model_copy(update=update))
+    lower = truth.model_copy(update={"objects": tuple(nodes)})
+    assert displaced(lower, truth) == ["tin", "peg"]
+    gone = tuple(item for item in lower.objects if item.name != "plank_3")
+    without_carrier = truth.model_copy(update={"objects": gone})
+    assert displaced(without_carrier, truth) == []
+    sunk = tuple(
+        item.model_copy(update={"z": item.z - 0.05}) if item.name == "plank_1" else item
+        for item in gone
+    )
+    found = displaced(truth.model_copy(update={"objects": sunk}), truth)
+    assert found == ["plank_1", "plank_2"]
+
+
 def test_without_noise_every_figure_is_perfect(desk, answer):
     log = NoiseLog()
     start = composed_start(desk, answer, 5, noise="exact", log=log)

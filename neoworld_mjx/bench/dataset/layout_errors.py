@@ -75,12 +75,15 @@ def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
     Whatever has come to rest is stable, a toppled book as well; this tells the two apart. An object
     is displaced whose vertical axis is tilted by MOST_TILT_DEG from the truth's, or whose middle is
     higher or lower than the truth's by MOST_HEIGHT of its diagonal and MOST_HEIGHT_M. A ball has no
-    axis. What a scene misses is not displaced, see `unmatched`.
+    axis. What a scene misses is not displaced, see `unmatched`, nor is what the truth has on it:
+    without the one below it no layout shows it.
     """
     ends, starts = world_poses(scene), world_poses(truth)
-    names = []
+    names, without = [], {item.name for item in truth.objects if item.name not in ends}
     for item in truth.objects:
-        if item.static or item.name not in ends:
+        if item.parent in without:
+            without.add(item.name)
+        if item.static or item.name in without:
             continue
         end, start = ends[item.name], starts[item.name]
         up = [at.apply([0.0, 0.0, 1.0]) - at.pos for at in (end, start)]
