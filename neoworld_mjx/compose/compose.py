@@ -32,6 +32,7 @@ from .joint_friction import held
 from .leaning import lean
 from .resting_pose import on_level, resting_tilt
 from .settle import settle
+from .walls import clear_walls
 
 NOTED_TILT_DEG = 2.0
 """Change of the tilt from which on a note says that an object rests otherwise than parsed."""
@@ -90,6 +91,13 @@ def compose(
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
     scene = snap(scene, options.gap_m)
     if options.settle:
+        scene, out = clear_walls(scene)
+        scene = snap(scene, options.gap_m) if out else scene
+        for item, way in out.items():
+            notes.append(
+                f"{item}: composition moved it by {1e3 * way:.0f} mm sideways, out of a wall of "
+                f"{scene.object(item).parent}"
+            )
         scene, moved = lean(scene)
         scene = snap(scene, options.gap_m) if moved else scene
         for leaning, (way, other) in moved.items():

@@ -16,7 +16,7 @@ from ..spec.pose import conjugate, matrix, rotate
 
 FARTHEST = 0.5
 """Longest way, over the object's height: beyond it leans on something else, or on nothing."""
-LEAST_M = 0.002
+LEAST_M = 0.001
 """Shorter ways are left to the search."""
 TOUCHING_M = 2e-4
 """Distance at which two touch."""
@@ -58,7 +58,7 @@ def lean(scene: SceneSpec) -> tuple[SceneSpec, dict[str, tuple[float, str]]]:
         found = _gap(scene, name, way, model, data, owner)
         if found is not None:
             moved[name] = found
-            scene = _shifted(scene, name, found[0] * way)
+            scene = shifted(scene, name, found[0] * way)
     return scene, moved
 
 
@@ -143,7 +143,8 @@ def _nearest_ahead(
     return nearest, which
 
 
-def _shifted(scene: SceneSpec, name: str, shift: Float[np.ndarray, " 2"]) -> SceneSpec:
+def shifted(scene: SceneSpec, name: str, shift: Float[np.ndarray, " 2"]) -> SceneSpec:
+    """Return a scene with an object moved by a level shift [m] in the world."""
     obj = scene.object(name)
     local = np.array([*shift, 0.0])
     if obj.parent is not None:
