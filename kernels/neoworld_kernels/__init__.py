@@ -1,7 +1,7 @@
 """Array operations of neoworld_mjx, one a module: a plain `jnp` reference and faster kernels."""
 
+from .blocks import sorted_samples
 from .convex_pieces import SPARE, Colliders, PieceGroup, signed_distance
-from .culled import sorted_samples
 from .penetration_depth import PairDepthTuning, pair_depth, pair_depth_culled, pair_depth_reference
 
 __all__ = [

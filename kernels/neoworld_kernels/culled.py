@@ -23,15 +23,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
-from numpy.typing import NDArray
 
+from .blocks import Blocks, bounding_sphere, sample_blocks
 from .coarse_distance import depths, finished, folded
 from .convex_pieces import SPARE, Colliders, PieceGroup, distance
 
-BLOCK = 32
-"""Samples in a block, at most."""
 UNROLL = 4
 """Planes that one pass over a block's samples looks at."""
+PAIRS = 32
+"""Pairs of objects whose gradients are computed at once."""
 ROUND = ("box", "capsule", "cylinder", "ellipsoid")
 """Kinds that sizes define; the others are polytopes, repeated or not."""
 
@@ -58,14 +58,6 @@ class Pieces(NamedTuple):
     """How often each of the rest is repeated about its frame's z axis; 1 is not at all."""
     faces: Int[Array, " flat"]
     """Planes of each that are not spare."""
-
-
-class Blocks(NamedTuple):
-    """Samples of all objects in blocks, with bounding spheres."""
-
-    points: Float[Array, "object block sample 3"]
-    centre: Float[Array, "object block 3"]
-    radius: Float[Array, "object block"]
 
 
 class Deepest(NamedTuple):
@@ -110,26 +102,6 @@ def pair_depth_culled(
     return jnp.transpose(depth, (2, 0, 1))
 
 
-def sorted_samples(
-    samples: Float[NDArray, "object sample 3"], first: int = 2 * BLOCK
-) -> Float[NDArray, "object sample 3"]:
-    """Order each object's samples so that every BLOCK consecutive ones lie near one another.
-
-    Args:
-        samples: surface points, the most important ones first.
-        first: so many stay the first ones, in another order among themselves.
-    """
-
-    def halved(points: NDArray) -> NDArray:
-        if len(points) <= BLOCK:
-            return points
-        order = np.argsort(points[:, np.argmax(np.ptp(points, axis=0))], kind="stable")
-        half = -(-len(points) // (2 * BLOCK)) * BLOCK
-        return np.concatenate([halved(points[order[:half]]), halved(points[order[half:]])])
-
-    return np.stack([np.concatenate([halved(x[:first]), halved(x[first:])]) for x in samples])
-
-
 def join_pieces(colliders: Colliders) -> Pieces:
     """Join the pieces of all kinds, in the order of `Colliders`."""
     flat = (colliders.polytope, colliders.sector)
@@ -153,22 +125,6 @@ def join_pieces(colliders: Colliders) -> Pieces:
     )
 
 
-def sample_blocks(samples: Float[Array, "object sample 3"]) -> Blocks:
-    """Cut samples into blocks of consecutive ones."""
-    count, number, _ = samples.shape
-    size = min(BLOCK, number)
-    points = jnp.pad(samples, ((0, 0), (0, -number % size), (0, 0)), mode="edge")
-    points = points.reshape(count, -1, size, 3)
-    return Blocks(points, *_sphere(points))
-
-
-def _sphere(points: Float[Array, "... sample 3"]) -> tuple[Array, Array]:
-    centre = (points.min(axis=-2) + points.max(axis=-2)) / 2
-    radius = jnp.sqrt(jnp.max(jnp.sum((points - centre[..., None, :]) ** 2, axis=-1), axis=-1))
-    # A hair more, so that rounding never culls what touches.
-    return centre, radius * 1.00001 + 1e-6
-
-
 def touching(
     placed: ObjectPoses, blocks: Blocks, pieces: PieceGroup
 ) -> Bool[Array, "piece object"]:
@@ -176,7 +132,7 @@ def touching(
 
     A pose that is not a number touches nothing.
     """
-    centre, radius = _sphere(blocks.points.reshape(blocks.points.shape[0], -1, 3))
+    centre, radius = bounding_sphere(blocks.points.reshape(blocks.points.shape[0], -1, 3))
     at = jnp.sum(placed.rot * centre[:, None, :, None], axis=2) * placed.scale[:, None] + placed.pos
     owner = pieces.owner
     turn, size = placed.rot[owner], placed.scale[owner]
@@ -367,8 +323,20 @@ def _value_forward(*inputs: Any) -> tuple[Array, tuple[Any, ...]]:
 
 def _value_backward(inputs: tuple[Any, ...], grad: Array) -> tuple[Any, ...]:
     deepest, placed, samples, pieces = inputs
-    pull = jax.vjp(lambda p, s: _depth_at(deepest, p, s, pieces), placed, samples)[1]
-    return None, *pull(grad), None
+    count = len(samples)
+    pairs, number = true_indices(jnp.any(deepest.depth > 0, axis=-1))
+
+    def add(turn: Array, total: tuple[ObjectPoses, Array]) -> tuple[ObjectPoses, Array]:
+        rows = turn * PAIRS + jnp.arange(PAIRS)
+        pair = pairs[jnp.minimum(rows, len(pairs) - 1)]
+        i, j = pair // count, pair % count
+        own = Deepest(*(x[i, j] for x in deepest))
+        pull = jax.vjp(lambda p, s: _depth_at(own, i, j, p, s, pieces), placed, samples)[1]
+        more = pull(jnp.where((rows < number)[:, None], grad[i, j], 0.0))
+        return jax.tree.map(jnp.add, total, more)
+
+    none = jax.tree.map(jnp.zeros_like, (placed, samples))
+    return None, *lax.fori_loop(0, -(-number // PAIRS), add, none), None
 
 
 _value.defvjp(_value_forward, _value_backward)
@@ -376,14 +344,24 @@ _value.defvjp(_value_forward, _value_backward)
 
 def _depth_at(
     deepest: Deepest,
+    i: Int[Array, " pair"],
+    j: Int[Array, " pair"],
     placed: ObjectPoses,
     samples: Float[Array, "object sample 3"],
     pieces: Pieces,
-) -> Float[Array, "object object pop"]:
-    """Compute the depth of the deepest samples, as `pair_depth_reference` does of all."""
-    who = jnp.arange(len(samples))[:, None, None]
+) -> Float[Array, "pair pop"]:
+    """Compute the depth of the deepest samples of pairs, as `pair_depth_reference` does of all.
+
+    Args:
+        deepest: of each pair, arrays [pair, pop].
+        i: objects whose samples they are.
+        j: objects whose pieces they are in.
+        placed: all objects of all candidates.
+        samples: of all objects.
+        pieces: of all objects.
+    """
     first = lambda x: jnp.moveaxis(x, -1, 0)
-    x = first(samples[who, deepest.sample])
+    x = first(samples[i[:, None], deepest.sample])
     # One row a piece, since a CPU gathers rows much faster than their numbers one by one.
     a = pieces.all
     cut, flat = len(pieces.code), len(pieces.times)
@@ -395,12 +373,15 @@ def _depth_at(
     code, times = row[15], row[16]
     # Sums of products, since matrix products may be TF32. World to piece: undo the owner's pose and
     # scale, then the piece's own pose.
-    own = jnp.transpose(placed.rot, (1, 2, 0, 3))
-    turn, at = own[:, :, None], jnp.swapaxes(placed.pos, 0, 1)
-    point = jnp.sum(own[:, :, :, None] * x, axis=1) * placed.scale[:, None]
-    origin = jnp.sum(turn * pos, axis=1) * placed.scale
-    d = (point + at[:, :, None]) - (origin + at[:, None])
-    d = jnp.sum(turn * d[:, None], axis=0) / placed.scale
+    one, two = (
+        jnp.transpose(placed.rot[i], (1, 2, 0, 3)),
+        jnp.transpose(placed.rot[j], (1, 2, 0, 3)),
+    )
+    at_one, at_two = jnp.swapaxes(placed.pos[i], 0, 1), jnp.swapaxes(placed.pos[j], 0, 1)
+    point = jnp.sum(one * x, axis=1) * placed.scale[i]
+    origin = jnp.sum(two * pos, axis=1) * placed.scale[j]
+    d = (point + at_one) - (origin + at_two)
+    d = jnp.sum(two * d[:, None], axis=0) / placed.scale[j]
     local = jnp.sum(rot * d[:, None], axis=0)
     far = jnp.zeros_like(local[0])
     for c, kind in enumerate(ROUND if cut else ()):
@@ -416,7 +397,7 @@ def _depth_at(
         n = first(pieces.planes.reshape(-1, 4)[index])
         beyond = n[0] * x + n[1] * y + n[2] * z - n[3]
         far = jnp.where(code < 0, beyond, far)
-    return jnp.where(deepest.depth > 0, jnp.maximum(-far * placed.scale, 0.0), 0.0)
+    return jnp.where(deepest.depth > 0, jnp.maximum(-far * placed.scale[j], 0.0), 0.0)
 
 
 def dot(a: Any, b: Any) -> Array:

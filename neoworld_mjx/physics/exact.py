@@ -9,6 +9,8 @@ from .mjcf import to_mjspec
 
 NUDGE = np.array([0.36, 0.48, 0.80]) * 1e-6
 """Moves a geom aside where MuJoCo finds no distance [m]."""
+TOUCH_M = 1e-3
+"""Gap up to which objects are looked at for penetration [m]."""
 
 
 def start_state(scene: SceneSpec, timestep: float = 0.002) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -36,12 +38,20 @@ def pair_distance(
     Negative is penetration depth. Pairs whose bounding spheres are further apart are skipped.
     """
     nearest = reach
-    for a in first:
-        gaps = np.linalg.norm(data.geom_xpos[second] - data.geom_xpos[a], axis=1)
-        gaps = gaps - model.geom_rbound[second] - model.geom_rbound[a]
-        for b in second[gaps < nearest]:
-            nearest = min(nearest, geom_distance(model, data, int(a), int(b), nearest))
+    gaps = _sphere_gaps(model, data, first, second)
+    for a, b in np.argwhere(gaps < reach).tolist():
+        if gaps[a, b] < nearest:
+            pair = int(first[a]), int(second[b])
+            nearest = min(nearest, geom_distance(model, data, *pair, nearest))
     return float(nearest)
+
+
+def _sphere_gaps(
+    model: mujoco.MjModel, data: mujoco.MjData, first: NDArray, second: NDArray
+) -> NDArray:
+    """Return the gaps [first, second] between the bounding spheres of geoms [m]."""
+    apart = np.linalg.norm(data.geom_xpos[second] - data.geom_xpos[first, None], axis=-1)
+    return apart - model.geom_rbound[second] - model.geom_rbound[first, None]
 
 
 def geom_distance(
@@ -80,17 +90,18 @@ def object_depths(
     Pairs of environment supports are left out, and so are pairs that do not touch.
     """
     owner = object_of_geom(scene, model)
-    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    geoms = [np.flatnonzero((owner == k) & collides) for k in range(len(scene.objects))]
+    fixed = np.array([item.environment for item in scene.objects], bool)
     depths = {}
     for i, a in enumerate(scene.objects):
-        for j in range(i + 1, len(scene.objects)):
-            b = scene.objects[j]
-            if a.environment and b.environment:
-                continue
-            one, two = (np.flatnonzero((owner == k) & solid) for k in (i, j))
-            depth = -pair_distance(model, data, one, two, reach=1e-3)
+        later = np.flatnonzero((owner > i) & collides)
+        later = later[~(fixed[i] & fixed[owner[later]])]
+        reached = (_sphere_gaps(model, data, geoms[i], later) < TOUCH_M).any(axis=0)
+        for j in np.unique(owner[later[reached]]).tolist():
+            depth = -pair_distance(model, data, geoms[i], geoms[j], reach=TOUCH_M)
             if depth > 0:
-                depths[(a.name, b.name)] = depth
+                depths[(a.name, scene.objects[j].name)] = depth
     return depths
 
 

@@ -21,8 +21,9 @@ from .scene_arrays import SceneArrays
 from .support import Either
 from .visibility import Visible, as_parsed, unhidden, visibility
 
-CHUNK = 64
-"""Candidates that are looked at at once on CPUs, where more at once gain nothing."""
+CHUNK = 16
+"""Candidates that are looked at at once on CPUs, where more at once gain nothing, and a single one
+costs as much as all."""
 Out = TypeVar("Out")
 
 

@@ -8,7 +8,7 @@ import pytest
 from neoworld_kernels import (
     Colliders,
     PieceGroup,
-    culled,
+    blocks,
     pair_depth,
     pair_depth_culled,
     pair_depth_reference,
@@ -180,7 +180,7 @@ def test_culled_agrees_in_small_blocks(mixed, monkeypatch):
     colliders = without(mixed.colliders, "capsule", "cylinder", "ellipsoid", "sector")
     truth = jax.jit(pair_depth_reference)(*mixed.where, subset, colliders)
     assert (truth > 0).mean() > 0.02
-    monkeypatch.setattr(culled, "BLOCK", 3)
+    monkeypatch.setattr(blocks, "BLOCK", 3)
     depths = jax.jit(lambda *x: pair_depth_culled(*x))(*mixed.where, subset, colliders)
     assert np.abs(np.asarray(depths - truth)).max() <= 1e-6
 

@@ -1,0 +1,56 @@
+"""Surface samples in blocks of ones that lie near one another, with bounding spheres."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import NDArray
+
+BLOCK = 32
+"""Samples in a block, at most."""
+
+
+class Blocks(NamedTuple):
+    """Samples of all objects in blocks, with bounding spheres."""
+
+    points: Float[Array, "object block sample 3"]
+    centre: Float[Array, "object block 3"]
+    radius: Float[Array, "object block"]
+
+
+def sorted_samples(
+    samples: Float[NDArray, "object sample 3"], first: int = 2 * BLOCK
+) -> Float[NDArray, "object sample 3"]:
+    """Order each object's samples so that every BLOCK consecutive ones lie near one another.
+
+    Args:
+        samples: surface points, the most important ones first.
+        first: so many stay the first ones, in another order among themselves.
+    """
+
+    def halved(points: NDArray) -> NDArray:
+        if len(points) <= BLOCK:
+            return points
+        order = np.argsort(points[:, np.argmax(np.ptp(points, axis=0))], kind="stable")
+        half = -(-len(points) // (2 * BLOCK)) * BLOCK
+        return np.concatenate([halved(points[order[:half]]), halved(points[order[half:]])])
+
+    return np.stack([np.concatenate([halved(x[:first]), halved(x[first:])]) for x in samples])
+
+
+def sample_blocks(samples: Float[Array, "object sample 3"]) -> Blocks:
+    """Cut samples into blocks of consecutive ones."""
+    count, number, _ = samples.shape
+    size = min(BLOCK, number)
+    points = jnp.pad(samples, ((0, 0), (0, -number % size), (0, 0)), mode="edge")
+    points = points.reshape(count, -1, size, 3)
+    return Blocks(points, *bounding_sphere(points))
+
+
+def bounding_sphere(points: Float[Array, "... sample 3"]) -> tuple[Array, Array]:
+    """Return centres [..., 3] and radii [...] of spheres about points [m]."""
+    centre = (points.min(axis=-2) + points.max(axis=-2)) / 2
+    radius = jnp.sqrt(jnp.max(jnp.sum((points - centre[..., None, :]) ** 2, axis=-1), axis=-1))
+    # A hair more, so that rounding never culls what touches.
+    return centre, radius * 1.00001 + 1e-6
