@@ -65,12 +65,20 @@ def kept(fn: Callable[..., Any], like: Callable[..., Any]) -> Callable[..., Any]
     return call
 
 
+def computes_on_cpu() -> bool:
+    """Whether JAX computes on the CPU now: it has nothing else, or `jax.default_device` says so."""
+    chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
+    if chosen is None:
+        return jax.default_backend() == "cpu"
+    return (chosen if isinstance(chosen, str) else chosen.platform).startswith("cpu")
+
+
 def _keeps(leaves: list[Any]) -> bool:
     """Whether arrays are those of a call on a CPU, by a process that keeps what it compiles."""
     for x in leaves:
         if isinstance(x, Tracer) or not isinstance(x, np.ndarray | np.generic | jax.Array):
             return False
-    return _folder() is not None and jax.default_backend() == "cpu"
+    return _folder() is not None and computes_on_cpu()
 
 
 def _folder() -> Path | None:
@@ -89,7 +97,7 @@ def _open(flat: _Program, name: str, avals: tuple[Any, ...]) -> _Program:
         exported = jax.export.deserialize(bytearray(read_bytes(path, MAX_BYTES)))
     if exported is None:
         shapes = [jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in avals]
-        exported = jax.export.export(jax.jit(flat))(*shapes)
+        exported = jax.export.export(jax.jit(flat), platforms=("cpu",))(*shapes)
         _keep(path, exported)
     return jax.jit(exported.call)
 

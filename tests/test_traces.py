@@ -65,3 +65,16 @@ def test_only_the_newest_traces_stay(counted, monkeypatch):
     for n in (1, 2, 3):
         new()({"a": np.ones(n, np.float32), "b": np.float32(2)})
     assert len(list(folder.glob("*.bin"))) == 2
+
+
+def test_traces_are_kept_on_the_cores_of_an_accelerator_host(counted, monkeypatch):
+    calls, folder, new, _ = counted
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    tree = {"a": np.ones(3, np.float32), "b": np.float32(2)}
+    new()(tree)
+    assert not folder.exists()
+    with jax.default_device(jax.devices("cpu")[0]):
+        first = new()(tree)["out"]
+        traced = len(calls)
+        assert np.array_equal(new()(tree)["out"], first)
+    assert len(list(folder.glob("*.bin"))) == 1 and len(calls) == traced

@@ -14,6 +14,7 @@ from ..physics.layout import Poses
 from ..physics.model import SceneModel
 from ..physics.scene_arrays import SceneArrays, pad_axis, pad_objects
 from ..physics.settling import settle
+from ..traces import computes_on_cpu
 
 TILE = 8192
 """Candidates that are drawn and scored at once, on accelerators."""
@@ -23,7 +24,7 @@ SHAPES = 4
 
 def tile_of(runs: int, population: int) -> int:
     """Return how many runs are drawn and scored at once."""
-    if jax.default_backend() == "cpu":
+    if computes_on_cpu():
         return 1
     return max(1, min(runs, TILE // population))
 
@@ -79,9 +80,6 @@ def roll_out(
 ) -> list[Rollout]:
     """Roll the placed candidates of several runs out at once.
 
-    They are filled up with candidates that no engine simulates, so that few shapes are compiled as
-    runs stop.
-
     Args:
         scene: the compiled scene.
         poses: of each run's candidates, on the host, of padded objects too.
@@ -92,13 +90,7 @@ def roll_out(
     Returns:
         Rollouts on the host, without padded objects.
     """
-    count, pop = len(poses), poses[0].scale.shape[0]
-    most = min(m for m in (-(-runs // 2**k) for k in range(SHAPES)) if m >= count)
-    fill = lambda x: np.pad(
-        x, [(0, (most - count) * pop), *[(0, 0)] * (x.ndim - 1)], constant_values=np.nan
-    )
-    real = len(scene.names)
-    together = jax.tree.map(lambda *x: fill(np.concatenate(x)[:, :real]), *poses)
+    together, rows = _together(poses, len(scene.names), runs)
     r = o.rollout
     if r.duration_s:
         rollout = engine.rollout(
@@ -112,35 +104,46 @@ def roll_out(
         rollout = unmoved(scene, together)
     host = jax.device_get(rollout)
     by_run = []
-    for k in range(count):
-        own = jax.tree.map(lambda x, k=k: x[k * pop : (k + 1) * pop], host)
+    for own_rows in rows:
+        own = jax.tree.map(lambda x, at=own_rows: x[at], host)
         by_run.append(eqx.tree_at(lambda r: r.time, own, host.time))
     return by_run
 
 
 def settled(
-    scene: SceneModel, poses: Sequence[Poses], engine: Engine, o: RefineOptions
+    scene: SceneModel, poses: Sequence[Poses], engine: Engine, o: RefineOptions, runs: int
 ) -> list[Poses]:
-    """Let placed candidates of several runs come to rest, all at once.
+    """Let placed candidates of several runs come to rest, all at once; as `roll_out`."""
+    real = len(scene.names)
+    together, rows = _together(poses, real, runs)
+    ends = settle(scene, together, engine, o.rollout.duration_s)
+    return [
+        jax.tree.map(lambda whole, end, at=at: put(whole, end[at], np.s_[:, :real]), own, ends)
+        for own, at in zip(poses, rows, strict=True)
+    ]
+
+
+def _together(poses: Sequence[Poses], real: int, runs: int) -> tuple[Poses, list[slice]]:
+    """Put the candidates of several runs together, without padded objects.
+
+    They are filled up with candidates that no engine simulates, so that few shapes are compiled as
+    runs stop.
 
     Args:
-        scene: the compiled scene.
-        poses: of each run's candidates, on the host, of padded objects too.
-        engine: what simulates them.
-        o: options of the rollouts.
+        poses: of each run's candidates, on the host.
+        real: objects that are not padded.
+        runs: how many there were at first.
+
+    Returns:
+        The candidates, and each run's rows of them.
     """
-    real = len(scene.names)
-    together = jax.tree.map(lambda *x: np.concatenate([a[:, :real] for a in x]), *poses)
-    ends = settle(scene, together, engine, o.rollout.duration_s)
-    by_run, first = [], 0
-    for own in poses:
-        rows = slice(first, first := first + len(own.scale))
-        by_run.append(
-            jax.tree.map(
-                lambda whole, end, rows=rows: put(whole, end[rows], np.s_[:, :real]), own, ends
-            )
-        )
-    return by_run
+    counts = [len(own.scale) for own in poses]
+    total, sizes = sum(counts), [-(-runs // 2**k) * max(counts) for k in range(SHAPES)]
+    left = min(size for size in sizes if size >= total) - total
+    fill = lambda x: np.pad(x, [(0, left), *[(0, 0)] * (x.ndim - 1)], constant_values=np.nan)
+    together = jax.tree.map(lambda *x: fill(np.concatenate([a[:, :real] for a in x])), *poses)
+    ends = np.cumsum(counts)
+    return together, [slice(end - n, end) for end, n in zip(ends, counts, strict=True)]
 
 
 def put(whole: np.ndarray, part: np.ndarray, at: Any) -> np.ndarray:

@@ -27,6 +27,7 @@ from ..physics.placed import (
     poses_in_chunks,
 )
 from ..physics.scene_arrays import SceneArrays
+from ..traces import computes_on_cpu
 from .algorithm import Problem, initial_state, open_problem, project, projects
 from .batching import map_runs, pad_rollout, put, roll_out, settled, take
 from .objective import Placement, Scores, evaluate, place
@@ -72,7 +73,7 @@ class Evaluation(NamedTuple):
         known: dict[int, Placed] = {}
         for rest in set(resting):
             own = [k for k in range(len(layouts)) if resting[k] == rest]
-            if jax.default_backend() == "cpu":
+            if computes_on_cpu():
                 look = guessed_in_chunks if rest else placed_in_chunks
                 new = [look(self.arrays, layouts[k], number) for k in own]
             else:
@@ -125,7 +126,7 @@ class Evaluation(NamedTuple):
     ) -> None:
         """Project candidates where the options say so, let them come to rest, and look again."""
         began = time.perf_counter()
-        d, on_cpu = self.options.descent, jax.default_backend() == "cpu"
+        d, on_cpu = self.options.descent, computes_on_cpu()
         projection = (d.project_steps, d.rate, d.samples)
         # All runs take so many at once; the last are filled up, so that one shape is compiled.
         few = {k: take(layouts[k], np.resize(rows, plans[k].rests)) for k, rows in waiting.items()}
@@ -145,7 +146,7 @@ class Evaluation(NamedTuple):
         own = [
             take(at, slice(len(rows))) for at, rows in zip(starts, waiting.values(), strict=True)
         ]
-        ends = settled(self.scene, own, self.engine, self.options)
+        ends = settled(self.scene, own, self.engine, self.options, self.runs)
         self.clock["rollout"] += time.perf_counter() - began
         began = time.perf_counter()
         pairs = [
