@@ -36,8 +36,9 @@ class CEMOptions(Options):
     )
     sigma_agreeing: float = traced(
         0.3,
-        "Share of the initial standard deviations of yaw and scale, for objects whose boxes agree "
-        "with the photograph's where the search starts. 1 where `keep_sound` is false.",
+        "Share of the initial standard deviations of yaw and scale, for objects that overlap "
+        "nothing and hold still where the search starts, or whose boxes agree with the "
+        "photograph's. 1 where `keep_sound` is false.",
         gt=0,
         le=1,
         departure=Departure(

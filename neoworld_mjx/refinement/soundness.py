@@ -27,7 +27,8 @@ from .objective import Placement, Scores
 AGREES = 3.0
 """Error of a box side, in units of the noise, up to which an object agrees with the photograph."""
 SURE = 2.0
-"""The same up to which it gives no reason to doubt the object's heading and size."""
+"""The same up to which it gives no reason to doubt the heading and size of an object, not even of a
+faulty one."""
 UNSETTLED = 1
 """Iterations without a valid candidate after which candidates come to rest."""
 RESTING = 64
@@ -119,9 +120,10 @@ def doubt(start: Soundness, options: CEMOptions) -> Float[np.ndarray, " object"]
     """Return which share of the initial deviations of yaw and scale each object has.
 
     Answers judge headings and sizes well: where a box agrees with the photograph's, nothing asks
-    for others.
+    for others, and what rests soundly beside its box is elsewhere rather than turned.
     """
-    return np.where(start.box_error <= SURE, options.sigma_agreeing, 1.0).astype(np.float32)
+    doubted = start.faulty & (start.box_error > SURE)
+    return np.where(doubted, 1.0, options.sigma_agreeing).astype(np.float32)
 
 
 def start_line(

@@ -116,6 +116,10 @@ def test_what_moves_by_the_photograph_is_not_sound():
     objects = [o.model_copy(update={"box2d": box}) if o.name == "b" else o for o in scene.objects]
     moved = refine(scene.model_copy(update={"objects": tuple(objects)}), options(), engine="native")
     assert "a" in moved.kept and "b" not in moved.kept
+    b, share = moved.history["object_names"].tolist().index("b"), options().cem.sigma_agreeing
+    # It is elsewhere rather than turned.
+    for name, sigma in (("yaw", np.radians(15)), ("log_scale", 0.1)):
+        assert 0.0 < np.nanstd(moved.history[name][0, :, b]) < 1.4 * share * sigma
 
 
 def test_what_only_the_photograph_moves_waits_until_the_others_are_valid():
