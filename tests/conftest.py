@@ -60,9 +60,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     slow = pytest.mark.skip(reason="slow; run with -m slow")
     gpu = pytest.mark.skip(reason="needs an NVIDIA GPU")
     for item in items:
-        if "slow" in item.keywords and "slow" not in config.getoption("-m"):
+        if item.get_closest_marker("slow") and "slow" not in config.getoption("-m"):
             item.add_marker(slow)
-        if "gpu" in item.keywords and shutil.which("nvidia-smi") is None:
+        if item.get_closest_marker("gpu") and shutil.which("nvidia-smi") is None:
             item.add_marker(gpu)
 
 
