@@ -30,7 +30,7 @@ from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul,
 from .inside import covers, entrance
 from .joint_friction import held
 from .leaning import lean
-from .resting_pose import on_level, resting_tilt
+from .resting_pose import on_level, resting_tilt, stands
 from .settle import settle
 from .walls import clear_walls
 
@@ -284,10 +284,13 @@ def _held(obj: SceneObject, notes: list[str]) -> SceneObject:
 def _rest(
     node: TreeNode, spec: ObjectSpec, state: dict[str, float], notes: list[str]
 ) -> tuple[Quat, NDArray]:
-    """Return the tilt of a lying object's resting pose, and the shift of its origin [m]."""
+    """Return the tilt of an object's resting pose on level ground, and the shift of its origin [m].
+
+    What is upright stays so where it stands; a spoon with a round handle rolls onto its side.
+    """
     parsed = node.base_tilt
     upright = np.allclose(parsed, IDENTITY)
-    if upright or node.fastened or node.environment:
+    if node.fastened or node.environment or (upright and stands(spec, state)):
         return parsed, np.zeros(3)
     tilt = resting_tilt(spec, state, parsed)
     if tilt is None:
@@ -296,6 +299,8 @@ def _rest(
         )
         return parsed, np.zeros(3)
     tilted = float(np.degrees(angle_between(parsed, tilt)))
+    if upright and tilted <= NOTED_TILT_DEG:
+        return parsed, np.zeros(3)
     if tilted > NOTED_TILT_DEG:
         notes.append(f"{node.name}: composition tilted it by {tilted:.1f} deg to its resting pose")
     before, after = (np.mean(bounds(spec, state, quat), axis=0) for quat in (parsed, tilt))

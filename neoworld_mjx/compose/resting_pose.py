@@ -5,6 +5,8 @@ is thicker. The search does not move tilts, so the parsed tilt is followed downh
 of mass is at a local minimum of height.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
@@ -15,6 +17,8 @@ from ..spec.pose import IDENTITY, conjugate, from_axis_angle, quat_mul, rotate
 
 MAX_TILT_RAD = np.radians(30.0)
 """Beyond this the object is held by something else, or its parsed tilt is wrong."""
+LEVEL_M = 1e-7
+"""Height by which tilting lowers what is unstable, at least; a ball's middle stays level."""
 _FIRST_STEP_RAD, _LAST_STEP_RAD = np.radians(4.0), np.radians(0.01)
 
 
@@ -29,21 +33,7 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
     Returns:
         The tilt, or None if no rest is within 30 degrees.
     """
-    moved = link_poses(spec, state)
-    placed = [
-        (piece, moved[part.name].then(at)) for part in spec.parts for _, piece, at in pieces(part)
-    ]
-    bodies = [(inertial(spec, part), moved[part.name]) for part in spec.parts]
-    masses = [own.mass for own, _ in bodies]
-    centre = np.average([at.apply(own.pos) for own, at in bodies], axis=0, weights=masses)
-
-    def lowest(down: NDArray) -> NDArray:
-        """Return each piece's furthest point that way, from the centre of mass [n, 3] m."""
-        return (
-            np.array([at.apply(_furthest(s, rotate(conjugate(at.quat), down))) for s, at in placed])
-            - centre
-        )
-
+    lowest = _lowest_points(spec, state)
     parsed = rotate(conjugate(np.array(tilt)), np.array([0.0, 0.0, -1.0]))
     down, step = parsed, _FIRST_STEP_RAD
     low = float((lowest(down) @ down).max())
@@ -60,6 +50,39 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
         if down @ parsed < np.cos(MAX_TILT_RAD):
             return None
     return _turned(tilt, down, parsed)
+
+
+def stands(spec: ObjectSpec, state: dict[str, float]) -> bool:
+    """Tell whether tilting an upright object lifts its centre of mass, so that it stays upright.
+
+    What fails this may stand all the same, on a foot narrower than the tilt: see `resting_tilt`.
+    """
+    lowest, down = _lowest_points(spec, state), np.array([0.0, 0.0, -1.0])
+    least = float((lowest(down) @ down).max()) - LEVEL_M
+    sides = _beside(down, _FIRST_STEP_RAD)
+    sides += [(a + b) / np.linalg.norm(a + b) for a in sides[:2] for b in sides[2:]]
+    return all(float((lowest(side) @ side).max()) >= least for side in sides)
+
+
+def _lowest_points(spec: ObjectSpec, state: dict[str, float]) -> Callable[[NDArray], NDArray]:
+    """Return a function of a unit vector down: each piece's furthest point that way, from the
+    centre of mass [n, 3] m.
+    """
+    moved = link_poses(spec, state)
+    placed = [
+        (piece, moved[part.name].then(at)) for part in spec.parts for _, piece, at in pieces(part)
+    ]
+    bodies = [(inertial(spec, part), moved[part.name]) for part in spec.parts]
+    masses = [own.mass for own, _ in bodies]
+    centre = np.average([at.apply(own.pos) for own, at in bodies], axis=0, weights=masses)
+
+    def lowest(down: NDArray) -> NDArray:
+        return (
+            np.array([at.apply(_furthest(s, rotate(conjugate(at.quat), down))) for s, at in placed])
+            - centre
+        )
+
+    return lowest
 
 
 def on_level(node: TreeNode, tree: SceneTree) -> bool:

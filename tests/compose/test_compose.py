@@ -17,6 +17,7 @@ from neoworld_mjx.spec import (
     Box2D,
     Box3D,
     Camera,
+    Capsule,
     Cylinder,
     HollowBox,
     JointSpec,
@@ -31,7 +32,7 @@ from neoworld_mjx.spec import (
     world_poses,
 )
 from neoworld_mjx.spec.opening import opening_value
-from neoworld_mjx.spec.pose import angle_between, from_axis_angle, from_yaw, rotate
+from neoworld_mjx.spec.pose import IDENTITY, angle_between, from_axis_angle, from_yaw, rotate
 from tests.support import scenes
 from tests.support.mechanisms import geom, part
 
@@ -373,6 +374,20 @@ def test_leaning_and_standing_objects_keep_their_tilt():
         assert made.notes == ()
     made = composed([node("mushroom", thing, (1.0, 0, 0))], {"mushroom": thing})
     assert made.scene.objects[1].base_tilt == (1.0, 0.0, 0.0, 0.0)
+
+
+def test_what_cannot_stay_upright_rolls_to_its_rest():
+    # A round bar with a load on top rolls onto the edge of a leaf 1.5 mm above the ground.
+    laid = tuple(from_axis_angle((0, 1, 0), math.pi / 2))
+    bar = geom("bar", Capsule(radius=0.01, length=0.1), quat=laid)
+    leaf = geom("leaf", Box(size=(0.06, 0.03, 0.002)), (0, 0, -0.0075))
+    load = geom("load", Box(size=(0.06, 0.01, 0.02)), (0, 0, 0.019))
+    spoon = ObjectSpec(name="spoon", materials=(LIGHT,), parts=(part("body", bar, leaf, load),))
+    made = composed([node("spoon", spoon, (1.0, 0, 0))], {"spoon": spoon})
+    turned = math.degrees(float(angle_between(made.scene.object("spoon").base_tilt, IDENTITY)))
+    assert 5 < turned < 30
+    assert made.notes == (f"spoon: composition tilted it by {turned:.1f} deg to its resting pose",)
+    assert unstable_objects(made.scene, scene_measure(made.scene)) == ()
 
 
 @pytest.mark.parametrize("degrees", [70, 90, 100])
