@@ -130,13 +130,10 @@ class Evaluation(NamedTuple):
         projection = (d.project_steps, d.rate, d.samples)
         # All runs take so many at once; the last are filled up, so that one shape is compiled.
         few = {k: take(layouts[k], np.resize(rows, plans[k].rests)) for k, rows in waiting.items()}
-        rows = [
-            (live[k].problem, z, projection)
-            for k, z in few.items()
-            if projects(d.project, len(live[k].rounds), live[k].state)
-        ]
-        if rows:
-            few = dict(zip(few, map_runs(project, self.arrays, rows, self.tile), strict=True))
+        moved = [k for k in few if projects(d.project, len(live[k].rounds), live[k].state)]
+        if moved:
+            rows = [(live[k].problem, few[k], projection) for k in moved]
+            few |= zip(moved, map_runs(project, self.arrays, rows, self.tile), strict=True)
         self.clock["descent"] += time.perf_counter() - began
         if on_cpu:
             starts = [poses_in_chunks(self.arrays, z) for z in few.values()]

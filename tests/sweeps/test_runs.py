@@ -8,6 +8,7 @@ from neoworld_mjx.bench.refine_scenes import START
 from neoworld_mjx.bench.scenes import crowded, noisy_layouts
 from neoworld_mjx.compilations import compilations
 from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement.algorithm import ask, update
 from neoworld_mjx.refinement.batching import map_runs
@@ -101,6 +102,18 @@ def test_runs_that_stop_or_prune_leave_the_others_alone(model):
     alone = same_as_alone(model, started(model, settings, (0, 1)))
     assert len({one.iterations for one in alone}) > 1
     assert len({one.pruned for one in alone}) > 1
+
+
+def test_runs_of_which_some_are_valid_are_as_alone(model):
+    # What is valid already is no longer moved apart before it comes to rest; the others are.
+    o = options(
+        population=8, iterations=3, cem={"stop_gain": 0.0}, descent={"project": "needed"}
+    ).model_copy(update={"settle": "always"})
+    noisy = noisy_layouts(model, 1, seed=0, noise=START)
+    deep = Layout(np.zeros_like(noisy.xy), noisy.yaw, noisy.log_scale + 0.4)
+    alone = same_as_alone(model, [SearchRun(o, 0, noisy), SearchRun(o, 1, deep)])
+    first = [bool(one.history["valid"][0].any()) for one in alone]
+    assert first == [True, False]
 
 
 @pytest.mark.slow
