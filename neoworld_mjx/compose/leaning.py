@@ -6,13 +6,12 @@ which it falls in every rollout, and ends at another tilt.
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import NDArray
 
-from ..errors import SpecError
-from ..physics.exact import geom_distance, object_of_geom, start_state
-from ..spec import SceneSpec, bounds, support_frame, world_poses
-from ..spec.pose import conjugate, matrix, rotate
+from ..physics.exact import geom_distance
+from ..spec import SceneSpec, bounds, world_poses
+from ..spec.pose import matrix
+from .sliding import SceneColliders, colliders, riding, shifted
 
 FARTHEST = 0.5
 """Longest way, over the object's height: beyond it leans on something else, or on nothing."""
@@ -47,15 +46,10 @@ def lean(scene: SceneSpec) -> tuple[SceneSpec, dict[str, tuple[float, str]]]:
     ways = _ways(scene)
     if not ways:
         return scene, {}
-    try:
-        model, data = start_state(scene)
-    except ValueError as error:
-        raise SpecError(f"{scene.name}: {error}") from None
-    owner = object_of_geom(scene, model)
-    owner[(model.geom_contype == 0) & (model.geom_conaffinity == 0)] = -1
+    solid = colliders(scene)
     moved: dict[str, tuple[float, str]] = {}
     for name, way in ways:
-        found = _gap(scene, name, way, model, data, owner)
+        found = _gap(scene, name, way, solid)
         if found is not None:
             moved[name] = found
             scene = shifted(scene, name, found[0] * way)
@@ -78,21 +72,16 @@ def _gap(
     scene: SceneSpec,
     name: str,
     way: NDArray,
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    owner: NDArray,
+    solid: SceneColliders,
 ) -> tuple[float, str] | None:
-    """Return how far an object is from what is ahead of it [m], and what; move it there in `data`.
+    """Return how far an object is from what is ahead of it [m], and what; move its geoms there.
 
     None, and nothing moved, where it touches that already or nothing is near.
     """
-    names = [item.name for item in scene.objects]
-    with_it = {name}
-    for item in scene.objects:
-        with_it |= {item.name} if item.parent in with_it else set()
-    riding = np.isin(owner, [names.index(other) for other in with_it])
-    own = np.flatnonzero(owner == names.index(name))
-    others = np.flatnonzero((owner >= 0) & ~riding)
+    model, data, owner = solid
+    moving = riding(scene, owner, name)
+    own = np.flatnonzero(owner == scene.index(name))
+    others = np.flatnonzero((owner >= 0) & ~moving)
     obj = scene.object(name)
     bottom, top = bounds(obj.spec, obj.joint_state, obj.base_tilt)
     height = float(top[2] - bottom[2])
@@ -106,11 +95,11 @@ def _gap(
         if step <= TOUCHING_M:
             if gone < LEAST_M:
                 break
-            return gone, names[owner[other]]
+            return gone, scene.objects[owner[other]].name
         # Where two just touch, MuJoCo finds no direction between them.
         step -= TOUCHING_M / 2
         gone += step
-        data.geom_xpos[riding, :2] += step * way
+        data.geom_xpos[moving, :2] += step * way
     data.geom_xpos[:] = before
     return None
 
@@ -141,16 +130,3 @@ def _nearest_ahead(
             if gap < nearest and ahead:
                 nearest, which = max(gap, 0.0), int(b)
     return nearest, which
-
-
-def shifted(scene: SceneSpec, name: str, shift: Float[np.ndarray, " 2"]) -> SceneSpec:
-    """Return a scene with an object moved by a level shift [m] in the world."""
-    obj = scene.object(name)
-    local = np.array([*shift, 0.0])
-    if obj.parent is not None:
-        at = world_poses(scene)[obj.parent]
-        frame = support_frame(scene.object(obj.parent), at, obj.parent_link)
-        local = rotate(conjugate(frame.quat), local)
-    place = tuple((np.array(obj.xy) + local[:2]).tolist())
-    items = [o.model_copy(update={"xy": place}) if o is obj else o for o in scene.objects]
-    return scene.model_copy(update={"objects": tuple(items)})

@@ -10,11 +10,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from ..errors import SpecError
-from ..physics.exact import geom_distance, object_of_geom, pair_distance, start_state
+from ..physics.exact import geom_distance, pair_distance
 from ..spec import SceneObject, SceneSpec, bounds
 from ..spec.pose import IDENTITY
-from .leaning import shifted
+from .sliding import SceneColliders, colliders, riding, shifted
 
 LEAST_M = 0.001
 """Overlap from which on an object is moved: less passes the final check."""
@@ -43,15 +42,10 @@ def clear_walls(scene: SceneSpec) -> tuple[SceneSpec, dict[str, float]]:
     standing = [o for o in scene.objects if _is_between(scene, o)]
     if not standing:
         return scene, {}
-    try:
-        model, data = start_state(scene)
-    except ValueError as error:
-        raise SpecError(f"{scene.name}: {error}") from None
-    owner = object_of_geom(scene, model)
-    owner[(model.geom_contype == 0) & (model.geom_conaffinity == 0)] = -1
+    solid = colliders(scene)
     moved: dict[str, float] = {}
     for item in standing:
-        way = _way_out(scene, item, model, data, owner)
+        way = _way_out(scene, item, solid)
         if way is not None:
             scene = shifted(scene, item.name, way)
             moved[item.name] = float(np.linalg.norm(way))
@@ -70,11 +64,7 @@ def _is_between(scene: SceneSpec, item: SceneObject) -> bool:
 
 
 def _way_out(
-    scene: SceneSpec,
-    item: SceneObject,
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    owner: NDArray,
+    scene: SceneSpec, item: SceneObject, solid: SceneColliders
 ) -> Float[np.ndarray, " 2"] | None:
     """Return the level way [m] out of the parent's walls; move the object's geoms along it.
 
@@ -82,13 +72,11 @@ def _way_out(
     something else more.
     """
     assert item.parent is not None
+    model, data, owner = solid
     own = np.flatnonzero(owner == scene.index(item.name))
     walls = np.flatnonzero(owner == scene.index(item.parent))
-    carried = {item.name}
-    for other in scene.objects:
-        carried |= {other.name} if other.parent in carried else set()
-    riding = np.isin(owner, [scene.index(name) for name in carried])
-    others = np.flatnonzero((owner >= 0) & ~riding & (owner != scene.index(item.parent)))
+    moving = riding(scene, owner, item.name)
+    others = np.flatnonzero((owner >= 0) & ~moving & (owner != scene.index(item.parent)))
     low, high = bounds(item.spec, item.joint_state, item.base_tilt)
     farthest = FARTHEST * float((high - low)[:2].min())
     before, way = data.geom_xpos.copy(), np.zeros(2)
@@ -98,7 +86,7 @@ def _way_out(
     gap = min(pair_distance(model, data, own, others), 0.0)
     for _ in range(STEPS):
         way += out
-        data.geom_xpos[riding, :2] += out
+        data.geom_xpos[moving, :2] += out
         out = _out_of_deepest(model, data, own, walls, CLEAR_M / 2)
         if out is None or np.linalg.norm(way) > farthest:
             break
