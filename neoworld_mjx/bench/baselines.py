@@ -7,11 +7,11 @@ import mujoco
 import numpy as np
 
 from ..config import RefineOptions
-from ..physics.engine import EarlyStop, Rollout, record_steps, unplaceable
+from ..physics.engine import EarlyStop, Rollout, record_steps
 from ..physics.layout import Poses
 from ..physics.mjcf import to_mjspec
 from ..physics.model import SceneModel
-from ..physics.recorder import Recorder, joined
+from ..physics.recorder import Recorder, in_chunks
 from ..spec import SceneSpec
 from ..spec.scene import rearranged
 from .verdicts import started
@@ -38,32 +38,30 @@ class OneByOne:
         timestep = scene.static.mjm.opt.timestep
         records, every = record_steps(timestep, duration, record_every)
         poses = jax.tree.map(lambda leaf: np.asarray(leaf, float), poses)
-        failed = unplaceable(poses)
-        parts = []
-        for k in range(len(failed)):
-            row = slice(k, k + 1)
-            recorder = Recorder(scene.static, poses[row], records, every, None, failed[row])
-            if not failed[k]:
-                model, data = started(to_mjspec(_placed_scene(scene, poses, k), timestep=timestep))
-                for t in range(records):
-                    mujoco.mj_step(model, data, nstep=every)
-                    recorder.record(t, data.qpos[None], None, None)
-                    if not len(recorder.active):
-                        break
-            parts.append(recorder.rollout())
-        return joined(parts, len(failed))
+
+        def run(one: Poses) -> Rollout:
+            recorder = Recorder(scene.static, one, records, every, None, np.zeros(1, bool))
+            model, data = started(to_mjspec(_placed_scene(scene, one), timestep=timestep))
+            for t in range(records):
+                mujoco.mj_step(model, data, nstep=every)
+                recorder.record(t, data.qpos[None], None, None)
+                if not len(recorder.active):
+                    break
+            return recorder.rollout()
+
+        return in_chunks(scene.static, poses, 1, records, every, run)
 
 
-def _placed_scene(scene: SceneModel, poses: Poses, k: int) -> SceneSpec:
-    """Describe candidate k with every object placed in the world instead of on its parent."""
+def _placed_scene(scene: SceneModel, poses: Poses) -> SceneSpec:
+    """Describe the one candidate of a population, its objects placed in the world, on no parent."""
     alone = {"parent": None, "parent_link": None, "xy": (0.0, 0.0), "yaw": 0.0}
     objects = tuple(
-        obj.model_copy(update={**alone, "base_tilt": tuple(poses.quat[k, i].tolist())})
+        obj.model_copy(update={**alone, "base_tilt": tuple(poses.quat[0, i].tolist())})
         for i, obj in enumerate(scene.spec.objects)
     )
     flat = scene.spec.model_copy(update={"objects": objects})
-    yaw, pos = np.zeros(len(objects)), poses.pos[k]
-    return rearranged(flat, pos[:, :2], yaw, np.log(poses.scale[k]), pos[:, 2])
+    yaw, pos = np.zeros(len(objects)), poses.pos[0]
+    return rearranged(flat, pos[:, :2], yaw, np.log(poses.scale[0]), pos[:, 2])
 
 
 def algorithm1(options: RefineOptions) -> RefineOptions:

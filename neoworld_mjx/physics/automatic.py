@@ -58,7 +58,7 @@ class AutomaticEngine:
         steps, candidates = records * every, poses.scale.shape[0]
         model = scene.static.mjm
         scenes = scene_class(len(scene.names), model.ngeom, early_stop=early_stop is not None)
-        started = self._started.setdefault(scene.static, set())
+        started = self._started_with(scene.static)
         refused = self._refused.setdefault(scene.static, set())
         while left := [name for name in self._engines if name not in refused]:
             predict = lambda name: self._costs[name].predict(
@@ -89,3 +89,11 @@ class AutomaticEngine:
             write_costs(self._machine, self._costs)
             return rollout
         raise EngineError("; ".join(self.refusals) or "no engine can run here")
+
+    def _started_with(self, static: StaticScene) -> set[str]:
+        """Return the engines that have rolled a scene out, with drag or without.
+
+        The second of the two starts soon: the kernels are there.
+        """
+        known = (names for other, names in self._started.items() if other.spec is static.spec)
+        return self._started.setdefault(static, next(known, set()))

@@ -29,7 +29,7 @@ from .mjx_model import (
     with_fields,
 )
 from .model import SceneModel, StaticScene
-from .recorder import DIVERGED, Recorder, joined, read_states, record_times
+from .recorder import DIVERGED, Recorder, in_chunks, read_states, record_times
 
 CHUNK = 8192
 """Most candidates simulated at once."""
@@ -70,21 +70,24 @@ class MjxEngine:
         """
         records, every = record_steps(scene.static.mjm.opt.timestep, duration, record_every)
         model, scene = self._carried(scene)
+        poses = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), poses)
         pop = poses.scale.shape[0]
-        size = self._chunk(model, pop)
-        run = self._whole if early_stop is None else self._segments
-        parts = []
-        for first in range(0, pop, size):
-            # The last chunk is filled up, so that all have one shape and one compilation.
-            index = np.minimum(np.arange(first, first + size), pop - 1)
-            chunk = jax.tree.map(lambda x, i=index: jnp.asarray(x, jnp.float32)[i], poses)
+        # Early stop runs on in smaller programs: powers of two are shared by all populations.
+        size = self._chunk(model, pop if early_stop is None else 1 << (pop - 1).bit_length())
+
+        def run(some: Poses) -> Rollout:
+            count = len(some.scale)
             if scene.static.mjm.nv == 0:
-                bad = unplaceable(jax.tree.map(np.asarray, chunk))
-                recorder = Recorder(scene.static, chunk, records, every, early_stop, bad)
-                parts.append(recorder.rollout())
-                continue
-            parts.append(run(model, scene, self._spread(chunk), records, every, early_stop))
-        return joined(parts, pop)
+                still = np.zeros(count, bool)
+                return Recorder(scene.static, some, records, every, early_stop, still).rollout()
+            # All chunks are filled up to one shape, which is compiled once.
+            chunk = self._spread(some[np.minimum(np.arange(size), count - 1)])
+            simulate = self._whole if early_stop is None else self._segments
+            rollout = simulate(model, scene, chunk, records, every, early_stop)
+            rows = jax.tree.map(lambda leaf: np.asarray(leaf)[:count], rollout)
+            return eqx.tree_at(lambda r: r.time, rows, np.asarray(rollout.time))
+
+        return in_chunks(scene.static, poses, size, records, every, run)
 
     def _whole(
         self,

@@ -14,11 +14,11 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
-from .engine import EarlyStop, Rollout, RolloutStatus, record_steps, unplaceable
-from .layout import Either, Layout, Poses
+from .engine import EarlyStop, Rollout, RolloutStatus, record_steps
+from .layout import Either, Poses
 from .model import MESH, SceneModel, StaticScene
 from .model_fields import mesh_object, model_fields, owner_scale
-from .recorder import Recorder, joined
+from .recorder import Recorder, in_chunks
 
 CHUNK = 1024
 """Most candidates simulated at once."""
@@ -55,22 +55,22 @@ class NativeEngine:
         """Simulate every candidate; see `Engine.rollout`. Poses in double precision stay so."""
         records, every = record_steps(scene.static.mjm.opt.timestep, duration, record_every)
         poses = jax.tree.map(np.asarray, poses)
-        failed = unplaceable(poses)
         sleeps = early_stop is not None
-        pop, size = poses.scale.shape[0], min(_chunk(scene), SLEEPING if sleeps else CHUNK)
-        parts = []
         # Taken out while in use, so that a rollout in another thread makes copies of its own.
         ring = _rings.pop(scene.static, [])
-        for first in range(0, pop, size):
-            start, bad = poses[first : first + size], failed[first : first + size]
-            recorder = Recorder(scene.static, start, records, every, early_stop, bad)
+
+        def run(some: Poses) -> Rollout:
+            failed = np.zeros(len(some.scale), bool)
+            recorder = Recorder(scene.static, some, records, every, early_stop, failed)
             if scene.static.mjm.nv:
-                runs = _replaced(scene, start, bad)
-                batch = open_batch(scene, runs, self.threads, ring, sleeps=sleeps)
+                batch = open_batch(scene, some, self.threads, ring, sleeps=sleeps)
                 _simulate(batch, recorder, records)
-            parts.append(recorder.rollout())
+            return recorder.rollout()
+
+        size = min(_chunk(scene), SLEEPING if sleeps else CHUNK)
+        rollout = in_chunks(scene.static, poses, size, records, every, run)
         _rings[scene.static] = ring
-        return joined(parts, pop)
+        return rollout
 
 
 _rings: "weakref.WeakKeyDictionary[StaticScene, list[mujoco.MjModel]]" = weakref.WeakKeyDictionary()
@@ -191,12 +191,3 @@ def _step(batch: Batch, active: NDArray, steps: int) -> NDArray:
     except SimulationError as error:
         failed = np.isin(active, error.ids)
     return failed
-
-
-def _replaced(scene: SceneModel, poses: Poses, bad: NDArray) -> Poses:
-    """Put the composed scene in the place of candidates that cannot be simulated."""
-    if not bad.any():
-        return poses
-    composed = scene.place_exactly(Layout.zero(1, poses.scale.shape[1]))
-    fill = lambda leaf, safe: np.where(bad.reshape(-1, *(1,) * (leaf.ndim - 1)), safe, leaf)
-    return jax.tree.map(fill, poses, composed)

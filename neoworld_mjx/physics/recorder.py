@@ -1,20 +1,21 @@
 """The recorder that all engines share: states, statuses, and which candidates have stopped."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from ..spec.pose import angle_between
-from .engine import EarlyStop, Rollout, RolloutStatus
+from .engine import EarlyStop, Rollout, RolloutStatus, unplaceable
 from .layout import Poses
 from .model import BALL, FREE, SLIDE, StaticScene
 
 DIVERGED = 1e10
 """Coordinates beyond this are a failure, as in MuJoCo (mjMAXVAL)."""
+SIMULATED = ("pos", "quat", "joint_shift", "status", "steps")
+"""What of a rollout a simulation makes."""
 LINGER = 0.15
 """Share of the bounds of stability within which an object is said to linger."""
 
@@ -150,7 +151,7 @@ class Recorder:
         return time >= rule.linger - 1e-9
 
     def rollout(self) -> Rollout:
-        """Return what was recorded; a candidate's last state counts for the rest of the time."""
+        """Return what was recorded, on the host; a candidate's last state counts for the rest."""
         pop, records, _ = self.qpos.shape
         time = np.minimum(np.arange(records), np.maximum(self.last, 0)[:, None])
         states = read_states(self.static, self.start, self.qpos[np.arange(pop)[:, None], time], np)
@@ -158,15 +159,15 @@ class Recorder:
         unrecorded = self.last < 0
         for values, at in zip(states, (start.pos[:, None], start.quat[:, None], 0.0), strict=True):
             values[unrecorded] = at[unrecorded] if isinstance(at, np.ndarray) else at
-        pos, quat, joint_shift = (jax.device_put(values) for values in states)
+        pos, quat, joint_shift = states
         return Rollout(
             time=record_times(self.static, records, self.every),
             pos=pos,
             quat=quat,
             joint_shift=joint_shift,
-            status=jax.device_put(self.status),
-            start=jax.device_put(start),
-            steps=jax.device_put(self.steps),
+            status=self.status,
+            start=start,
+            steps=self.steps,
         )
 
 
@@ -191,10 +192,10 @@ class _Motion(NamedTuple):
         return (far | (self.cosine < np.cos(min(angle, np.pi) / 2))).any(axis=1)
 
 
-def record_times(static: StaticScene, records: int, every: int) -> Any:
+def record_times(static: StaticScene, records: int, every: int) -> NDArray:
     """Return the times of the records [s], shape [time]."""
     times = np.arange(1, records + 1) * every * static.mjm.opt.timestep
-    return jax.device_put(times.astype(np.float32))
+    return times.astype(np.float32)
 
 
 def read_states(static: StaticScene, start: Poses, qpos: Any, xp: Any) -> tuple[Any, Any, Any]:
@@ -246,11 +247,38 @@ def _free_bases(static: StaticScene) -> tuple[NDArray, NDArray, NDArray]:
     return free, static.jnt_object[free], static.mjm.jnt_qposadr[free]
 
 
-def joined(parts: Sequence[Rollout], pop: int) -> Rollout:
-    """Join rollouts of consecutive candidates; of the last what goes beyond `pop` is filling."""
-    if len(parts) == 1 and parts[0].status.shape[0] == pop:
-        return parts[0]
-    # On the host: on the device every number of parts would be compiled.
-    join = lambda *rows: jax.device_put(np.concatenate([np.asarray(x) for x in rows])[:pop])
-    whole = jax.tree.map(join, *parts)
-    return eqx.tree_at(lambda r: r.time, whole, parts[0].time)
+def in_chunks(
+    static: StaticScene,
+    poses: Poses,
+    size: int,
+    records: int,
+    every: int,
+    run: Callable[[Poses], Rollout],
+) -> Rollout:
+    """Roll out the candidates that can be placed, some at a time; the others fail where they are.
+
+    Populations of many runs are filled up with candidates that cannot be placed, so that they have
+    few shapes; here these cost nothing.
+
+    Args:
+        static: static data of the scene.
+        poses: of all candidates, on the host.
+        size: most candidates at once.
+        records: how many states are recorded.
+        every: steps between two records.
+        run: rolls some candidates out.
+
+    Returns:
+        The rollout of all, on the host.
+    """
+    bad = unplaceable(poses)
+    rows = np.flatnonzero(~bad)
+    parts = [rows[first : first + size] for first in range(0, len(rows), size)]
+    if len(parts) == 1 and not bad.any():
+        return run(poses)
+    whole = Recorder(static, poses, records, every, None, np.ones(len(bad), bool)).rollout()
+    for own in parts:
+        part = run(poses[own])
+        for name in SIMULATED:
+            getattr(whole, name)[own] = np.asarray(getattr(part, name))
+    return whole

@@ -20,11 +20,11 @@ import numpy as np
 from ..errors import EngineError
 from .derived import invweights, static_geoms, subtree_mass
 from .engine import EarlyStop, Rollout, RolloutStatus, record_steps, unplaceable
-from .layout import Layout, Poses
+from .layout import Poses
 from .model import SceneModel, StaticScene
 from .model_fields import mesh_object, model_fields, owner_scale
 from .native import NativeEngine
-from .recorder import Recorder, joined
+from .recorder import SIMULATED, Recorder, in_chunks
 
 if TYPE_CHECKING:
     from .warp_worlds import Worlds
@@ -36,7 +36,10 @@ GROWTHS = 3
 """How often a pool of contacts that overflowed is doubled before candidates go to `native`."""
 
 BUCKETS = 8
-"""Worlds are launched in eighths of the population, so that few graphs are captured."""
+"""Worlds are launched in eighths of a power of two, so that few graphs are captured."""
+
+BEYOND = np.iinfo(int).max
+"""In the place of a candidate, a world that fills a bucket up."""
 
 _NOT_FIELDS = ("qpos", "site_pos")
 
@@ -84,30 +87,24 @@ class WarpEngine:
                 memory is short.
         """
         records, every = record_steps(scene.static.mjm.opt.timestep, duration, record_every)
+        poses = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), poses)
+        size = self._chunk_size(scene, poses)
         run = functools.partial(self._chunk, scene, records=records, every=every, rule=early_stop)
-        pop = poses.scale.shape[0]
-        poses = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), poses)
-        size = self._chunk_size(scene, pop, poses)
-        parts = [run(poses[first : first + size]) for first in range(0, pop, size)]
-        whole = joined([part[0] for part in parts], pop)
-        again = np.flatnonzero(np.concatenate([part[1] for part in parts]))
-        c = self.counts
+        whole = in_chunks(scene.static, poses, size, records, every, run)
+        again = np.flatnonzero(whole.status == int(RolloutStatus.TRUNCATED))
+        c, pop = self.counts, len(whole.status)
         self.counts = c._replace(candidates=c.candidates + pop, truncated=c.truncated + len(again))
-        if not len(again):
-            return whole
-        redone = NativeEngine().rollout(
-            scene,
-            poses[again],
-            duration=duration,
-            record_every=record_every,
-            early_stop=early_stop,
-        )
-        names = ("pos", "quat", "joint_shift", "status", "steps")
-        return eqx.tree_at(
-            lambda r: [getattr(r, name) for name in names],
-            whole,
-            [getattr(whole, name).at[again].set(getattr(redone, name)) for name in names],
-        )
+        if len(again):
+            redone = NativeEngine().rollout(
+                scene,
+                poses[again],
+                duration=duration,
+                record_every=record_every,
+                early_stop=early_stop,
+            )
+            for name in SIMULATED:
+                getattr(whole, name)[again] = getattr(redone, name)
+        return whole
 
     def worlds(self, scene: SceneModel, pop: int, poses: Poses) -> "Worlds":
         """Return device memory and compiled steps for at least `pop` candidates of a scene."""
@@ -130,10 +127,11 @@ class WarpEngine:
                 ) from None
         return known
 
-    def _chunk_size(self, scene: SceneModel, pop: int, poses: Poses) -> int:
-        if scene.static.mjm.nv == 0:
-            return pop
-        return min(pop, WORLDS, self.worlds(scene, 1, poses).room())
+    def _chunk_size(self, scene: SceneModel, poses: Poses) -> int:
+        fine = poses[~unplaceable(poses)]
+        if scene.static.mjm.nv == 0 or not len(fine.scale):
+            return WORLDS
+        return min(WORLDS, self.worlds(scene, 1, fine).room())
 
     def _chunk(
         self,
@@ -143,39 +141,44 @@ class WarpEngine:
         records: int,
         every: int,
         rule: EarlyStop | None,
-    ) -> tuple[Rollout, np.ndarray]:
-        """Roll candidates out at once; return also a mask of those whose contacts did not fit."""
-        pop = poses.scale.shape[0]
-        bad = unplaceable(jax.tree.map(np.asarray, poses))
-        open_recorder = lambda: Recorder(scene.static, poses, records, every, rule, bad)
+    ) -> Rollout:
+        """Roll candidates out at once; those whose contacts did not fit are TRUNCATED."""
+        pop = len(poses.scale)
+        open_recorder = lambda: Recorder(
+            scene.static, poses, records, every, rule, np.zeros(pop, bool)
+        )
         if scene.static.mjm.nv == 0:
-            return open_recorder().rollout(), np.zeros(pop, bool)
-        runs = poses
-        if bad.any():
-            # A world that starts as NaN would only fill buffers that all worlds share.
-            composed = scene.place(Layout.zero(1, len(scene.names)))
-            fill = lambda leaf, safe: jnp.where(
-                bad.reshape(-1, *(1,) * (leaf.ndim - 1)), safe, leaf
-            )
-            runs = jax.tree.map(fill, poses, composed)
-        fields, start = _prepare(scene, runs)
+            return open_recorder().rollout()
+        # Of populations of any size a few shapes are compiled and captured.
+        room = 1 << (pop - 1).bit_length()
+        fields, start = _prepare(scene, poses[np.resize(np.arange(pop), room)])
+        truncated = np.zeros(pop, bool)
         for attempt in range(GROWTHS + 1):
-            worlds = self.worlds(scene, pop, runs)
-            worlds.load(fields, np.asarray(start))
+            worlds = self.worlds(scene, room, poses)
             recorder = open_recorder()
-            truncated, full = _advance(worlds, recorder, records)
-            if not full or attempt == GROWTHS:
+            truncated, full = _advance(worlds, fields, np.asarray(start), recorder, records)
+            if not full:
+                break
+            if attempt == GROWTHS:
+                truncated[:] = True
                 break
             self._worlds[scene.static] = worlds.grown()
             self.counts = self.counts._replace(grown=self.counts.grown + 1)
-        if full:
-            truncated = ~bad
         recorder.status[truncated] = int(RolloutStatus.TRUNCATED)
-        return recorder.rollout(), truncated
+        return recorder.rollout()
 
 
-def _advance(worlds: "Worlds", recorder: Recorder, records: int) -> tuple[np.ndarray, bool]:
+def _advance(
+    worlds: "Worlds", fields: dict[str, Any], start: np.ndarray, recorder: Recorder, records: int
+) -> tuple[np.ndarray, bool]:
     """Run segments until all candidates have stopped or the time is over.
+
+    Args:
+        worlds: where they run.
+        fields: of the candidates, filled up to a power of two.
+        start: their start states, likewise.
+        recorder: of the candidates.
+        records: how many states are recorded.
 
     Returns:
         A mask [pop] of candidates that ran out of constraints, and whether a pool that all worlds
@@ -183,8 +186,10 @@ def _advance(worlds: "Worlds", recorder: Recorder, records: int) -> tuple[np.nda
     """
     pop = len(recorder.status)
     truncated = np.zeros(pop, bool)
-    rows = np.arange(pop)
-    bucket = max(1, -(-pop // BUCKETS))
+    bucket = max(1, len(start) // BUCKETS)
+    launched = -(-pop // bucket) * bucket
+    worlds.load(fields, start[:launched])
+    rows = np.concatenate([np.arange(pop), np.full(launched - pop, BEYOND)])
     for time in range(records):
         worlds.step(recorder.every)
         qpos, qvel, qacc, overflow = worlds.read(moving=recorder.rule is not None)
@@ -214,7 +219,7 @@ def _advance(worlds: "Worlds", recorder: Recorder, records: int) -> tuple[np.nda
             keep = np.flatnonzero(running)
             keep = np.concatenate([keep, keep[fill]])
             worlds.compact(active[keep], qpos[keep], qvel[keep], qacc[keep], scrub=failed)
-            rows = np.concatenate([recorder.active, np.full(len(fill), np.iinfo(int).max)])
+            rows = np.concatenate([recorder.active, np.full(len(fill), BEYOND)])
     return truncated, False
 
 

@@ -13,6 +13,7 @@ from neoworld_mjx.physics.automatic import AutomaticEngine
 from neoworld_mjx.physics.engine import unmoved
 from neoworld_mjx.physics.engine_costs import EngineCost, prior_costs, read_costs, write_costs
 from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.settling import with_drag
 from neoworld_mjx.refinement import scene_refinement
 from neoworld_mjx.refinement.scene_refinement import refine
 
@@ -34,6 +35,14 @@ class Timed:
         self.sizes.append(pop)
         self.clock[0] += self.fixed + self.each * pop
         return unmoved(scene, poses)
+
+
+def test_a_scene_with_drag_starts_where_the_scene_has_started(blocks_model, clock):
+    warp, mjx = Timed("warp", clock, 20.0, 0.001), Timed("mjx", clock, 0.0, 0.001)
+    engine = AutomaticEngine({"warp": warp, "mjx": mjx})
+    engine.rollout(blocks_model, place(blocks_model, 8))
+    engine.rollout(with_drag(blocks_model), place(blocks_model, 8))
+    assert (len(warp.sizes), len(mjx.sizes)) == (2, 0)
 
 
 class Refusing(Timed):

@@ -4,10 +4,12 @@ import sys
 from types import ModuleType, SimpleNamespace
 from typing import NamedTuple
 
+import jax
 import mujoco
 import numpy as np
 import pytest
 
+from neoworld_mjx.compilations import compilations
 from neoworld_mjx.physics import warp_engine
 from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus
 from neoworld_mjx.physics.layout import Layout
@@ -40,7 +42,9 @@ class Worlds:
         return Worlds(self.static, self.capacity._replace(contacts=16), None)
 
     def load(self, fields, qpos):
-        assert fields["body_pos"].shape == (len(qpos), 3 * self.mjm.nbody)
+        rows, words = fields["body_pos"].shape
+        assert rows >= len(qpos) and words == 3 * self.mjm.nbody
+        assert np.isfinite(qpos).all()
         still = np.zeros((len(qpos), self.mjm.nv))
         self._fill(np.arange(len(qpos)), qpos, still, still)
 
@@ -112,6 +116,18 @@ def test_a_candidate_whose_constraints_do_not_fit_is_rolled_out_by_native(engine
     assert engine.counts == (24, 1, 0)
     assert np.array_equal(ours.pos[3], theirs.pos[3])
     assert int(ours.status[3]) == RolloutStatus.OK
+
+
+def test_populations_of_few_sizes_compile_few_programs(engine, blocks):
+    scene, poses = blocks
+    host = jax.tree.map(np.asarray, poses)
+    engine.rollout(scene, host, duration=0.1)
+    before = compilations()
+    for count in (18, 20, 23):
+        Worlds.overflows = {count - 1: Worlds.OWN}
+        rollout = engine.rollout(scene, host[:count], duration=0.1)
+        assert rollout.pos.shape[0] == count
+    assert compilations() == before
 
 
 def test_a_full_pool_of_contacts_is_doubled(engine, blocks):
