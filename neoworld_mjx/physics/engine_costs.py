@@ -54,10 +54,15 @@ class EngineCost:
     def add(
         self, scenes: str, candidates: int, steps: int, seconds: float, *, started: bool
     ) -> None:
-        """Take in a measurement: of a first rollout, as the cost of starting."""
+        """Take in a measurement: of a first rollout, as the cost of starting.
+
+        A machine's first rollout of a class also compiles what the disk then keeps: minutes of
+        kernels, which no later start costs. So it only counts where it was cheaper than thought.
+        """
         if not started:
             later = self.predict(scenes, candidates, steps, started=True)
-            self.start_s += WEIGHT * (max(seconds - later, 0.0) - self.start_s)
+            change = max(seconds - later, 0.0) - self.start_s
+            self.start_s += WEIGHT * change if scenes in self.tables else min(WEIGHT * change, 0.0)
             return
         table = self.tables.setdefault(scenes, {})
         new = seconds * STEPS / steps

@@ -113,6 +113,14 @@ def test_costs_lie_between_and_beyond_the_sizes_measured():
     assert cost.start_s == pytest.approx(3.0 + 0.3 * (9.0 - 3.0))
 
 
+def test_what_a_machine_compiles_once_is_no_cost_of_starting():
+    cost = EngineCost(3.0, ((1, 1.0), (100, 1.0)))
+    cost.add("new", 10, 250, 200.0, started=False)
+    assert cost.start_s == 3.0
+    cost.add("new", 10, 250, 2.0, started=False)
+    assert cost.start_s == pytest.approx(3.0 + 0.3 * (1.0 - 3.0))
+
+
 @pytest.mark.parametrize(
     "text",
     ["", "[1]", '{"m": 3}', '{"m": {"warp": {"start_s": "x", "tables": {}}}}', "[" * 100_000]
