@@ -136,7 +136,6 @@ def search(
             r.summaries.append(_summary(scores[k]))
             if progress is not None:
                 progress(_line(r, scores[k]))
-            _update_progress(results, runs, began)
             r.finished = converged(r.problem, r.state)
             if r.finished and r.later is not None:
                 _follow_photo(arrays, r, terms, clock)
@@ -146,6 +145,7 @@ def search(
                     r.stage_began = r.judged_from = len(r.rounds)
                 elif not own_optimizer:
                     _make_room(arrays, r, terms)
+        _update_progress(results, runs, began)
     clock["search"] = time.perf_counter() - began
     return results
 
