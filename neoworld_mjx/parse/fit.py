@@ -20,6 +20,7 @@ from scipy.optimize import least_squares
 
 from ..measure import SidesShown
 from ..spec import Box3D, SceneTree, TreeNode
+from .carriers import OtherCarrier
 from .checks import agreement, check_tree
 from .fit_problem import CAMERA, FitProblem
 from .judgement import is_slab
@@ -73,6 +74,8 @@ class FitReport:
     """Change of the camera's pitch; the next is also a change of the camera."""
     height_m: float = 0.0
     objects: dict[str, BoxChange] = field(default_factory=dict)
+    carriers: dict[str, OtherCarrier] = field(default_factory=dict)
+    """What carries objects by the picture, where the answer's carrier cannot."""
 
     def notes(self) -> Iterator[tuple[str, str]]:
         """Yield what a person should know: objects that were refused, or that moved far."""
@@ -89,11 +92,15 @@ class FitReport:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data, numbers rounded to four decimals."""
+        grouped = ("objects", "carriers")
         return {
-            **{name: _plain(value) for name, value in vars(self).items() if name != "objects"},
-            "objects": {
-                name: {key: _plain(value) for key, value in vars(change).items()}
-                for name, change in self.objects.items()
+            **{name: _plain(value) for name, value in vars(self).items() if name not in grouped},
+            **{
+                group: {
+                    name: {key: _plain(value) for key, value in vars(change).items()}
+                    for name, change in getattr(self, group).items()
+                }
+                for group in grouped
             },
         }
 

@@ -5,6 +5,7 @@ heading are fitted to what its surface covers; its proportions are the program's
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +14,7 @@ from ..measure import SidesShown
 from ..render import visible_surface
 from ..spec import ObjectSpec, SceneTree, TreeNode, bounds
 from ..spec.opening import parsed_state
+from .carriers import other_carriers, with_carriers
 from .fit import FitReport, fit_tree
 from .wireframe import Wireframe, edges_of, hull_wireframe
 
@@ -21,6 +23,8 @@ def refit_tree(
     tree: SceneTree,
     objects: Mapping[str, ObjectSpec],
     shown: Mapping[str, SidesShown] | None = None,
+    *,
+    carriers: bool = True,
 ) -> tuple[SceneTree, FitReport]:
     """Fit a tree to its 2D boxes by the shapes of its objects.
 
@@ -29,13 +33,19 @@ def refit_tree(
         objects: the built objects by name, at any size.
         shown: which sides of their visible boxes they show, by `measure.shown_sides` of the scene
             composed from the tree; without it boxes tell what is before what.
+        carriers: whether another object may carry one than the tree says; see `other_carriers`.
 
     Returns:
         The fitted tree, and the report; see `fit_tree`.
     """
     nodes = [node for node in tree.nodes if not node.environment]
     surfaces = {node.name: surface_of(objects[node.name], node) for node in nodes}
-    return fit_tree(tree, surfaces, shown)
+    fitted, report = fit_tree(tree, surfaces, shown)
+    changes = other_carriers(tree, fitted, objects, surfaces) if carriers else {}
+    if not changes:
+        return fitted, report
+    fitted, report = fit_tree(with_carriers(tree, changes), surfaces, shown)
+    return fitted, replace(report, carriers=changes)
 
 
 def surface_of(spec: ObjectSpec, node: TreeNode) -> Wireframe:

@@ -19,10 +19,7 @@ from ..spec import SceneTree, TreeNode
 from .annotation import KEPT, MODEL, Annotation, annotated_tree, opened_annotation, program_of
 from .program_inputs import program_inputs
 from .reconstruction import Result, finish, steps_from
-from .steps import ANSWERED, TREE
-
-ANNOTATION = "annotation.json"
-"""The annotation itself, in the run folder, to be opened again."""
+from .steps import ANNOTATION, ANSWERED, TREE
 
 Files = dict[str, str]
 """Texts of an object's files, by name."""

@@ -3,9 +3,12 @@
 from collections.abc import Mapping
 
 from ..config import ProgramOptions
+from ..errors import SpecError
 from ..parse.crops import Crop
 from ..parse.support_colours import SupportColour
-from ..spec import SceneTree
+from ..reading import read_object
+from ..run_folder import RunFolder
+from ..spec import Box3D, SceneTree
 
 
 def program_inputs(
@@ -27,3 +30,17 @@ def program_inputs(
         }
         for node in tree.nodes
     }
+
+
+def with_corrected_sizes(run: RunFolder, tree: SceneTree) -> SceneTree:
+    """Return a tree with the sizes that programmer or critic corrected in Step 2."""
+    nodes = []
+    for node in tree.nodes:
+        path = run.path / "objects" / node.name / "program.json"
+        try:
+            size = read_object(path, SpecError).get("size") if path.is_file() else None
+            box = node.box3d if size is None else Box3D(**dict(node.box3d) | {"size": size})
+        except (ValueError, TypeError, AttributeError) as error:
+            raise SpecError(f"{path} gives no size of the object: {error}") from None
+        nodes.append(node.model_copy(update={"box3d": box}))
+    return tree.model_copy(update={"nodes": tuple(nodes)})

@@ -21,15 +21,17 @@ from ..parse.photo import Photo, load_photo
 from ..program.allowance import Allowance
 from ..reading import read_model, read_object
 from ..run_folder import RunFolder
-from ..spec import Box3D, ObjectSpec, SceneTree, TreeNode, read_scene
+from ..spec import ObjectSpec, SceneTree, TreeNode, read_scene
 from .coroutines import run_coroutine
 from .pictures import Pictures
-from .program_inputs import program_inputs
+from .program_inputs import program_inputs, with_corrected_sizes
 
 _log = logging.getLogger(__name__)
 
 ANSWERED = "answered.json"
 """The tree before its fit to the boxes."""
+ANNOTATION = "annotation.json"
+"""What a person annotated, to be opened again."""
 TREE, COMPOSED, SCENE = "tree.json", "compose/scene.json", "scene.json"
 CHECK = "compose/check.json"
 REFIT = "compose/fit.json"
@@ -223,7 +225,10 @@ def compose_scene(context: StepContext) -> None:
         repaired = home / VERIFIED
         specs[node.name] = repaired if repaired.is_file() else home / "spec.json"
     refits = config.compose.refit and config.parse.fit
-    if refits and (run.path / ANSWERED).is_file() and TREE not in run.edited_by_hand("parse"):
+    by_hand = TREE in run.edited_by_hand("parse")
+    # What a person says carries an object does.
+    told = by_hand or (run.path / ANNOTATION).is_file()
+    if refits and (run.path / ANSWERED).is_file() and not by_hand:
         # From the answer itself, since the fit by outlines has used the same boxes already.
         tree = with_corrected_sizes(run, read_tree(run, ANSWERED))
     inputs = {"tree": tree, "options": config.compose, "refits": refits, **specs}
@@ -236,13 +241,16 @@ def compose_scene(context: StepContext) -> None:
             (out / "compose").mkdir()
             if refits:
                 shown = shown_sides(compose(tree, objects, config.compose).scene)
-                tree, report = refit_tree(tree, objects, shown)
+                tree, report = refit_tree(tree, objects, shown, carriers=not told)
                 (out / "compose" / TREE).write_text(tree.to_json(), encoding="utf-8")
                 (out / REFIT).write_text(
                     json.dumps(report.to_json(), indent=1) + "\n", encoding="utf-8"
                 )
                 for what, reason in report.notes():
                     run.note("compose", what, reason)
+                for name, other in report.carriers.items():
+                    what = f"{name} {other.relation} {other.parent}, not {other.before}"
+                    run.fallback("compose", what, other.phrase())
             composed = compose(tree, objects, config.compose)
             scene, stale = apply_layout(composed.scene, patch, config.compose.gap_m)
             (out / COMPOSED).write_text(scene.to_json(), encoding="utf-8")
@@ -402,20 +410,6 @@ def write_metrics(run: RunFolder) -> None:
 def read_tree(run: RunFolder, name: str = TREE) -> SceneTree:
     """Read the scene tree that Step 1 wrote, or with `ANSWERED` that of the answer."""
     return read_model(run.path / name, SceneTree, SpecError, "a scene tree")
-
-
-def with_corrected_sizes(run: RunFolder, tree: SceneTree) -> SceneTree:
-    """Return a tree with the sizes that programmer or critic corrected in Step 2."""
-    nodes = []
-    for node in tree.nodes:
-        path = run.path / "objects" / node.name / "program.json"
-        try:
-            size = read_object(path, SpecError).get("size") if path.is_file() else None
-            box = node.box3d if size is None else Box3D(**dict(node.box3d) | {"size": size})
-        except (ValueError, TypeError, AttributeError) as error:
-            raise SpecError(f"{path} gives no size of the object: {error}") from None
-        nodes.append(node.model_copy(update={"box3d": box}))
-    return tree.model_copy(update={"nodes": tuple(nodes)})
 
 
 def _read_object(path: Path) -> ObjectSpec:
