@@ -101,9 +101,10 @@ def compose(
         scene, moved = lean(scene)
         scene = snap(scene, options.gap_m) if moved else scene
         for leaning, (way, other) in moved.items():
+            to = "up to" if way > 0 else "out of"
             notes.append(
-                f"{leaning}: composition moved it by {1e3 * way:.0f} mm up to {other}, on which "
-                "it leans"
+                f"{leaning}: composition moved it by {1e3 * abs(way):.0f} mm {to} {other}, on "
+                "which it leans"
             )
     return Composed(scene, scales, tuple(notes))
 

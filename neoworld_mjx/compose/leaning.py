@@ -1,7 +1,7 @@
-"""Move what leans, at its parsed tilt, up to what it leans on.
+"""Move what leans, at its parsed tilt, up to what it leans on, or out of it.
 
 A parse judges a distance to some percent: a board leans a hand's breadth before its wall, onto
-which it falls in every rollout, and ends at another tilt.
+which it falls in every rollout, and ends at another tilt. Or it leans as far within the wall.
 """
 
 import mujoco
@@ -20,7 +20,7 @@ LEAST_M = 0.001
 TOUCHING_M = 2e-4
 """Distance at which two touch."""
 STEPS = 60
-"""Most steps, each by the distance to what is nearest ahead."""
+"""Most steps, each by the distance to what is nearest ahead, or out of what is deepest."""
 LEAST_LEAN, MOST_LEAN = np.radians(2.0), np.radians(60.0)
 """Tilts between which a thing leans: below it stands, above it lies."""
 FOOT = 0.1
@@ -30,7 +30,7 @@ AHEAD = 0.3
 
 
 def lean(scene: SceneSpec) -> tuple[SceneSpec, dict[str, tuple[float, str]]]:
-    """Move each leaning object that touches nothing ahead of it until it does.
+    """Move each leaning object until it touches what is ahead of it, and overlaps nothing there.
 
     Those that are farthest along come first: a book leans on a book that leans on a wall.
 
@@ -38,7 +38,8 @@ def lean(scene: SceneSpec) -> tuple[SceneSpec, dict[str, tuple[float, str]]]:
         scene: composed and snapped.
 
     Returns:
-        The scene, and by the name of each object that moved how far [m], and to which other.
+        The scene, and by the name of each object that moved how far [m], and to which other;
+        negative is backwards, out of it.
 
     Raises:
         SpecError: MuJoCo cannot compile the scene.
@@ -76,7 +77,8 @@ def _gap(
 ) -> tuple[float, str] | None:
     """Return how far an object is from what is ahead of it [m], and what; move its geoms there.
 
-    None, and nothing moved, where it touches that already or nothing is near.
+    Negative is how far it has to go back out of it. None, and nothing moved, where it touches that
+    already or nothing is near.
     """
     model, data, owner = solid
     moving = riding(scene, owner, name)
@@ -86,7 +88,16 @@ def _gap(
     bottom, top = bounds(obj.spec, obj.joint_state, obj.base_tilt)
     height = float(top[2] - bottom[2])
     foot = data.body(name).xpos[2] + bottom[2] + FOOT * height
-    before, gone = data.geom_xpos.copy(), 0.0
+    before, gone, out_of = data.geom_xpos.copy(), 0.0, -1
+    beyond = _beyond(data, own, others, owner, way)
+    for _ in range(STEPS):
+        back, other = _overlap_ahead(model, data, own, beyond, way)
+        if other is None or back <= LEAST_M or gone - back < -FARTHEST * height:
+            break
+        gone, out_of = gone - back, other
+        data.geom_xpos[moving, :2] -= back * way
+    if gone:
+        return gone, scene.objects[owner[out_of]].name
     for _ in range(STEPS):
         reach = FARTHEST * height - gone
         step, other = _nearest_ahead(model, data, own, others, way, reach, foot)
@@ -102,6 +113,39 @@ def _gap(
         data.geom_xpos[moving, :2] += step * way
     data.geom_xpos[:] = before
     return None
+
+
+def _beyond(
+    data: mujoco.MjData, own: NDArray, others: NDArray, owner: NDArray, way: NDArray
+) -> NDArray:
+    """Return the geoms of the objects whose middle is ahead of an object's: it leans on these.
+
+    What stands before it and overlaps it is not to end up behind it.
+    """
+    along = data.geom_xpos[:, :2] @ way
+    middles = {k: along[owner == k].mean() for k in np.unique(owner[others])}
+    own_middle = along[own].mean()
+    return others[[middles[k] > own_middle for k in owner[others]]]
+
+
+def _overlap_ahead(
+    model: mujoco.MjModel, data: mujoco.MjData, own: NDArray, others: NDArray, way: NDArray
+) -> tuple[float, int | None]:
+    """Return how far back [m] an object has to go out of the geom ahead that takes it farthest.
+
+    None if it overlaps nothing ahead.
+    """
+    farthest, which, ends = 0.0, None, np.zeros(6)
+    for a in own:
+        gaps = np.linalg.norm(data.geom_xpos[others] - data.geom_xpos[a], axis=1)
+        gaps = gaps - model.geom_rbound[others] - model.geom_rbound[a]
+        for b in others[(gaps < 0) & (model.geom_rbound[others] > 0)]:
+            depth = -geom_distance(model, data, int(a), int(b), TOUCHING_M, ends)
+            to = ends[:3] - ends[3:]
+            cosine = float(to[:2] @ way) / max(float(np.linalg.norm(to)), 1e-12)
+            if depth > 0 and cosine > AHEAD and depth / cosine > farthest:
+                farthest, which = depth / cosine, int(b)
+    return farthest, which
 
 
 def _nearest_ahead(

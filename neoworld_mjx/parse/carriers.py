@@ -42,6 +42,8 @@ SAMPLES = 15
 """Columns along each side of a footprint."""
 PLACES = 9
 """Places along each side of a square around an object's own."""
+FITTED = 3
+"""Places or heights that are fitted: those that agree best with the 2D box unfitted."""
 DIRECTIONS, STEPS = 16, 40
 """Ways out of another object, and places along each."""
 
@@ -93,10 +95,14 @@ def other_carriers(
             continue
         trial = _Trial(answered, fitted, node, surfaces[node.name])
         here = np.array(node.box3d.position[:2])
-        ways: list[tuple[float, str, Relation, float]] = [
-            (_inside(trial, other, relation, z, place), other.name, relation, z)
+        levels = [
+            (trial.unfitted(other.name, relation, z, place), other, relation, z, place)
             for other in others
             for relation, z, place in _levels(node, here, other, solids)
+        ]
+        ways: list[tuple[float, str, Relation, float]] = [
+            (_inside(trial, other, relation, z, place), other.name, relation, z)
+            for _, other, relation, z, place in sorted(levels, key=lambda level: level[0])[:FITTED]
         ]
         cost, parent, relation, z = min(
             ways, key=lambda way: way[0], default=(np.inf, "", "on", 0.0)
@@ -199,6 +205,7 @@ class _Trial:
         self.fitted, self.node, self.surface = fitted, node, surface
         # The place that the answer has it at is the prior; heights are the carriers'.
         self.answered = answered.node(node.name).box3d
+        self.problems: dict[tuple[str, str, float], FitProblem] = {}
 
     def at(self, xy: Float[np.ndarray, " 2"], z: float) -> TreeNode:
         """Return the fitted object at another place [m]."""
@@ -213,13 +220,7 @@ class _Trial:
         Returns:
             The sum of squared residuals, and the place.
         """
-        x, y, _ = self.answered.position
-        box = self.answered.model_copy(update={"position": (x, y, z)})
-        update = {"parent": carrier, "relation": relation, "parent_link": None, "box3d": box}
-        node = self.node.model_copy(update=update)
-        nodes = tuple(node if n.name == node.name else n for n in self.fitted.nodes)
-        tree = self.fitted.model_copy(update={"nodes": nodes})
-        problem = FitProblem(tree, [node], {node.name: self.surface})
+        problem = self._problem(carrier, relation, z)
         start = problem.start()
         place = np.array(self.node.box3d.position[:2] if xy is None else xy)
         start[CAMERA : CAMERA + 2] = place
@@ -236,6 +237,26 @@ class _Trial:
         if xy is None:
             place = result.x[:2]
         return float(2 * result.cost), place
+
+    def unfitted(self, carrier: str, relation: str, z: float, xy: Float[np.ndarray, " 2"]) -> float:
+        """Return the sum of squared residuals at a place [m], at the scale and heading it has."""
+        problem = self._problem(carrier, relation, z)
+        start = problem.start()
+        start[CAMERA : CAMERA + 2] = xy
+        return float(np.sum(problem.residuals(start) ** 2))
+
+    def _problem(self, carrier: str, relation: str, z: float) -> FitProblem:
+        """Return the fit of the object alone, at a height [m] on a carrier."""
+        key = carrier, relation, z
+        if key not in self.problems:
+            x, y, _ = self.answered.position
+            box = self.answered.model_copy(update={"position": (x, y, z)})
+            update = {"parent": carrier, "relation": relation, "parent_link": None, "box3d": box}
+            node = self.node.model_copy(update=update)
+            nodes = tuple(node if n.name == node.name else n for n in self.fitted.nodes)
+            tree = self.fitted.model_copy(update={"nodes": nodes})
+            self.problems[key] = FitProblem(tree, [node], {node.name: self.surface})
+        return self.problems[key]
 
 
 def _others(tree: SceneTree, node: TreeNode, solids: Mapping[str, _Solid]) -> list[TreeNode]:
@@ -292,7 +313,7 @@ def _as_answered(trial: _Trial, solids: Mapping[str, _Solid], others: Sequence[T
             default=np.inf,
         )
     own, z = solids[node.name], node.box3d.position[2]
-    place, least = np.array(node.box3d.position[:2]), np.inf
+    here, places = np.array(node.box3d.position[:2]), []
     size = node.box3d.size
     reach = max(math.hypot(*other.box3d.size[:2]) for other in others) + math.hypot(*size[:2])
     for turn in np.linspace(0, 2 * np.pi, DIRECTIONS, endpoint=False):
@@ -300,10 +321,12 @@ def _as_answered(trial: _Trial, solids: Mapping[str, _Solid], others: Sequence[T
         for step in np.linspace(0, reach, STEPS):
             shift = np.array([*(step * way), 0.0])
             if all(own.depth(solids[other.name], shift) <= DEEP_M for other in others):
-                cost, _ = trial.cost(parent.name, node.relation, z, place + shift[:2])
-                least = min(least, cost)
+                places.append(here + shift[:2])
                 break
-    return least
+    of = lambda place: trial.unfitted(parent.name, node.relation, z, place)
+    nearest = sorted(places, key=of)[:FITTED]
+    costs = [trial.cost(parent.name, node.relation, z, place)[0] for place in nearest]
+    return min(costs, default=np.inf)
 
 
 def _towards(node: TreeNode, carrier: TreeNode) -> Float[np.ndarray, " 2"]:

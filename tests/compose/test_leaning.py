@@ -46,8 +46,8 @@ def leaning_scene(gap, *, yaw=0.0):
     )
 
 
-@pytest.mark.parametrize("gap", [0.1, 0.01])
-def test_a_board_goes_up_to_the_wall_and_keeps_its_tilt(gap):
+@pytest.mark.parametrize("gap", [0.1, 0.01, -0.02, -0.06])
+def test_a_board_goes_up_to_the_wall_or_out_of_it_and_keeps_its_tilt(gap):
     scene = leaning_scene(gap)
     leant, moved = lean(scene)
     assert moved == {"board": (pytest.approx(gap, abs=5e-4), "wall")}
@@ -56,11 +56,12 @@ def test_a_board_goes_up_to_the_wall_and_keeps_its_tilt(gap):
     assert after == before.model_copy(update={"xy": after.xy})
     assert leant.object("block") == scene.object("block")
     model, data = start_state(leant)
-    assert max(object_depths(leant, model, data).values(), default=0.0) < 1e-4
+    depths = object_depths(leant, model, data)
+    assert max((d for pair, d in depths.items() if "board" in pair), default=0.0) < 1e-4
 
 
-@pytest.mark.parametrize("gap", [0.0005, 0.3, -0.02])
-def test_what_touches_or_is_far_away_or_overlaps_stays(gap):
+@pytest.mark.parametrize("gap", [0.0005, 0.3, -0.0005])
+def test_what_touches_or_is_far_away_stays(gap):
     scene = leaning_scene(gap)
     leant, moved = lean(scene)
     assert moved == {} and leant is scene
