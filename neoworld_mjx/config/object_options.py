@@ -242,7 +242,7 @@ class ComposeOptions(Options):
         "Let what lies tilted on a dish or a slope, or leans in a container, come to rest there by "
         "simulation; put what stands in a container, or covers it as a lid does, into it instead "
         "of on its rim, and clear of its walls, and move what leans, at its tilt, up to what it "
-        "leans on.",
+        "leans on, or back out of it.",
         departure=Departure(
             False,
             "The search moves no tilts, and at its parsed tilt hardly anything rests.",
