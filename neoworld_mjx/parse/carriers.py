@@ -95,7 +95,7 @@ def other_carriers(
             continue
         trial = _Trial(answered, fitted, node, surfaces[node.name])
         here = np.array(node.box3d.position[:2])
-        levels = [
+        levels: list[tuple[float, TreeNode, Relation, float, Float[np.ndarray, " 2"]]] = [
             (trial.unfitted(other.name, relation, z, place), other, relation, z, place)
             for other in others
             for relation, z, place in _levels(node, here, other, solids)
