@@ -103,7 +103,9 @@ def test_failed_candidates_score_minus_infinity_and_are_never_valid():
     layouts = random_layout(scene, 4, spread=0.1)
     rollout = NativeEngine().rollout(scene, scene.place(layouts), duration=0.1)
     broken = eqx.tree_at(
-        lambda r: r.status, rollout, rollout.status.at[1].set(int(RolloutStatus.FAILED))
+        lambda r: r.status,
+        rollout,
+        jnp.asarray(rollout.status).at[1].set(int(RolloutStatus.FAILED)),
     )
     found = scored(scene, layouts, broken)
     assert float(found.reward[1]) == float(found.absolute[1]) == -np.inf
