@@ -78,7 +78,7 @@ def _gap(
     """Return how far an object is from what is ahead of it [m], and what; move its geoms there.
 
     Negative is how far it has to go back out of it. None, and nothing moved, where it touches that
-    already or nothing is near.
+    already, nothing is near, or the way out is too long.
     """
     model, data, owner = solid
     moving = riding(scene, owner, name)
@@ -92,10 +92,13 @@ def _gap(
     beyond = _beyond(data, own, others, owner, way)
     for _ in range(STEPS):
         back, other = _overlap_ahead(model, data, own, beyond, way)
-        if other is None or back <= LEAST_M or gone - back < -FARTHEST * height:
+        if other is None or back <= LEAST_M:
             break
         gone, out_of = gone - back, other
         data.geom_xpos[moving, :2] -= back * way
+    if gone < -FARTHEST * height:
+        data.geom_xpos[:] = before
+        return None
     if gone:
         return gone, scene.objects[owner[out_of]].name
     for _ in range(STEPS):

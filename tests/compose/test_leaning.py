@@ -60,8 +60,8 @@ def test_a_board_goes_up_to_the_wall_or_out_of_it_and_keeps_its_tilt(gap):
     assert max((d for pair, d in depths.items() if "board" in pair), default=0.0) < 1e-4
 
 
-@pytest.mark.parametrize("gap", [0.0005, 0.3, -0.0005])
-def test_what_touches_or_is_far_away_stays(gap):
+@pytest.mark.parametrize("gap", [0.0005, 0.3, -0.0005, -0.16])
+def test_what_touches_or_is_far_away_or_far_within_stays(gap):
     scene = leaning_scene(gap)
     leant, moved = lean(scene)
     assert moved == {} and leant is scene
