@@ -25,6 +25,8 @@ from .pruning import PRUNED
 RESTING = ((True, 0.5), (False, 1.0), (True, 0.5))
 """What an object that has come to rest in a coarse rollout does until the exact check; see
 `at_rest`."""
+DROPPED = ((False, 3.0),)
+"""The same of the start, where no candidate passes: it moves freely for as long as it may take."""
 
 
 class Round(NamedTuple):
@@ -119,6 +121,8 @@ class Chosen:
     passed: bool
     moved_away: tuple[str, ...] = ()
     """Objects that came to rest where the photograph does not show them; see `settled_by`."""
+    dropped: bool = False
+    """Whether it is the start, come to rest by itself."""
 
 
 def choose(
@@ -130,7 +134,9 @@ def choose(
 ) -> Chosen:
     """Choose the best valid candidate by absolute reward that also passes the exact check.
 
-    When none of the first `finalists` passes, the least bad of them is chosen.
+    When none of the first `finalists` passes, the start is dropped, unless candidates never come to
+    rest: it needs no luck to find what merely settling finds. If it does not pass either, the least
+    bad of all is chosen.
 
     Args:
         model: the compiled scene.
@@ -153,12 +159,29 @@ def choose(
             return chosen
         if fallback is None or _badness(chosen, o) < _badness(fallback, o):
             fallback = chosen
+    if o.settle != "never" and o.rollout.duration_s:
+        chosen = _dropped(model, start, o, min(o.finalists, len(order)))
+        if chosen.passed:
+            return chosen
+        if fallback is not None and _badness(chosen, o) < _badness(fallback, o):
+            fallback = chosen
     if fallback is None:
         # Every candidate failed in physics: the start is all there is.
         scene = snap_exactly(model.spec if start is None else model.apply(start, 0))
         measure = check(scene)
         return Chosen((-1, -1), scene, measure, o.finalists, passes(measure, o))
     return replace(fallback, tried=min(o.finalists, len(order)))
+
+
+def _dropped(model: SceneModel, start: Layout | None, o: RefineOptions, tried: int) -> Chosen:
+    """Let the start come to rest without drag, and check it."""
+    placed = model.spec if start is None else model.apply(start, 0)
+    sizes = np.zeros(len(model.names)) if start is None else np.asarray(start.log_scale)[0]
+    scene = at_rest(snap_exactly(placed), DROPPED)
+    away = moved_away(model, snap_exactly(placed), scene, sizes)
+    measure = measured(scene, o)
+    passed = passes(measure, o) and not away
+    return Chosen((-1, -1), scene, measure, tried, passed, away, dropped=True)
 
 
 def finished(model: SceneModel, round_: Round, k: int) -> tuple[SceneSpec, tuple[str, ...]]:
@@ -288,6 +311,11 @@ def outcome(
         fallbacks += (
             "nothing was valid where layouts put it, so candidates came to rest before they were "
             "judged",
+        )
+    if chosen.dropped:
+        fallbacks += (
+            f"no candidate passed the final check in {chosen.tried} tries; the scene that the "
+            "search started at came to rest by itself",
         )
     if not chosen.passed:
         failed = [c.phrase() for c in scene_checks(chosen.measure, o) if not c.passed]

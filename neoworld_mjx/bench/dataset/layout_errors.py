@@ -8,12 +8,15 @@ from jaxtyping import Float
 
 from ...physics.placed import BALL
 from ...spec import SceneObject, SceneSpec, bounds, world_poses
-from ...spec.pose import Pose, conjugate, quat_mul, yaw_of
+from ...spec.pose import IDENTITY, Pose, conjugate, from_yaw, quat_mul, rotate, yaw_of
 from ..refine_scenes import symmetry
 
 MOST_TILT_DEG = 15.0
 MOST_HEIGHT, MOST_HEIGHT_M = 0.1, 0.01
 """Bounds of `displaced`; answers' sizes alone move a middle by a few percent of its height."""
+LEAST_M = 1e-3
+"""Sides of boxes below it are no measure of scale."""
+Bounds = tuple[np.ndarray, np.ndarray]
 
 
 def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
@@ -73,10 +76,12 @@ def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
     """Return the objects that a scene shows in another way than the truth: toppled or fallen down.
 
     Whatever has come to rest is stable, a toppled book as well; this tells the two apart. An object
-    is displaced whose vertical axis is tilted by MOST_TILT_DEG from the truth's, or whose middle is
-    higher or lower than the truth's by MOST_HEIGHT of its diagonal and MOST_HEIGHT_M. A ball has no
-    axis. What a scene misses is not displaced, see `unmatched`, nor is what the truth has on it:
-    without the one below it no layout shows it.
+    is displaced if it is tilted by MOST_TILT_DEG from the truth, see `tilt_deg`, or if its lowest
+    point and its middle are both higher or lower than they should be by MOST_HEIGHT of its diagonal
+    and MOST_HEIGHT_M. They should be where the truth has them on the object below: how large that
+    is and how it stands in the scene are no faults of what is on it. What a scene misses is not
+    displaced, see `unmatched`, nor is what the truth has on it: without the one below it no layout
+    shows it.
     """
     ends, starts = world_poses(scene), world_poses(truth)
     names, without = [], {item.name for item in truth.objects if item.name not in ends}
@@ -85,14 +90,51 @@ def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
             without.add(item.name)
         if item.static or item.name in without:
             continue
-        end, start = ends[item.name], starts[item.name]
-        up = [at.apply([0.0, 0.0, 1.0]) - at.pos for at in (end, start)]
-        tilt = math.degrees(math.acos(float(np.clip(up[0] @ up[1], -1.0, 1.0))))
-        tilt = 0.0 if _is_ball(item) else tilt
-        rise = abs(float((_middle(scene.object(item.name), end) - _middle(item, start))[2]))
-        if tilt > MOST_TILT_DEG or rise > MOST_HEIGHT * _size(item) + MOST_HEIGHT_M:
+        own, end, start = scene.object(item.name), ends[item.name], starts[item.name]
+        should = _heights(item, start)
+        if item.parent is not None:
+            below = item.parent
+            boxes = [bounds(s.object(below).spec) for s in (truth, scene)]
+            should = ends[below].apply(_carried(starts[below].inverse().apply(should), *boxes))
+        rises = np.abs(_heights(own, end) - should)[:, 2]
+        fallen = rises.min() > MOST_HEIGHT * _size(item) + MOST_HEIGHT_M
+        if fallen or tilt_deg(item, end, start) > MOST_TILT_DEG:
             names.append(item.name)
     return names
+
+
+def tilt_deg(item: SceneObject, end: Pose, start: Pose) -> float:
+    """Return the angle between the poses of an object, whatever its heading [deg].
+
+    It is that between the verticals as the object sees them, up to its symmetry: a pencil that
+    leans as much but to another side is turned, not tilted. A ball has no tilt.
+    """
+    if _is_ball(item):
+        return 0.0
+    up, true = (rotate(conjugate(at.quat), [0.0, 0.0, 1.0]) for at in (end, start))
+    period = symmetry(item.model_copy(update={"base_tilt": IDENTITY}))
+    if period == 0.0:
+        polar = [math.atan2(math.hypot(v[0], v[1]), v[2]) for v in (up, true)]
+        return math.degrees(abs(polar[0] - polar[1]))
+    turns = np.arange(0.0, 2 * math.pi - 1e-9, period)
+    cosines = [float(rotate(from_yaw(turn), up) @ true) for turn in turns]
+    return math.degrees(math.acos(min(1.0, max(cosines))))
+
+
+def _carried(
+    points: Float[np.ndarray, "n 3"], true: Bounds, own: Bounds
+) -> Float[np.ndarray, "n 3"]:
+    """Carry points over from an object's frame to that of another, as their boxes are to each other."""
+    true_size, own_size = (np.subtract(high, low) for low, high in (true, own))
+    ratio = own_size / np.maximum(true_size, LEAST_M)
+    return np.asarray(own[0]) + (points - np.asarray(true[0])) * ratio
+
+
+def _heights(item: SceneObject, at: Pose) -> Float[np.ndarray, "2 3"]:
+    """Return points at the height of an object's lowest point and of its middle."""
+    low, high = bounds(item.spec, item.joint_state, tuple(at.quat.tolist()))
+    middle = (low + high) / 2
+    return at.pos + np.array([[*middle[:2], low[2]], middle])
 
 
 def _middle(item: SceneObject, at: Pose) -> Float[np.ndarray, " 3"]:

@@ -18,12 +18,10 @@ from ...physics.exact import snap_exactly
 from ...physics.layout import Poses
 from ...physics.model import SceneModel
 from ...physics.settling import at_rest
+from ...refinement.outcome import DROPPED
 from ...refinement.scene_refinement import compile_for_search, refine
 from ...spec import SceneSpec
 from ..baselines import algorithm1, with_budget
-
-DROP = ((False, 3.0),)
-"""What `gravity` simulates: free motion, as in the final check, but longer."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +108,7 @@ def outcome_of(
         began = time.perf_counter()
         scene = snap_exactly(composed)
         if method == "gravity":
-            scene = at_rest(scene, DROP)
+            scene = at_rest(scene, DROPPED)
         spent = time.perf_counter() - began
         return MethodResult(scene, measured(scene, o), spent, spent)
     options = (
