@@ -1,5 +1,6 @@
 """The thirty scenes: what is declared, what they are held to, how methods' rows are summed up."""
 
+import math
 from dataclasses import replace
 
 import jax
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.bench.dataset.declaration import ROOMS, declarations, read_declaration
-from neoworld_mjx.bench.dataset.layout_errors import displaced, layout_errors
+from neoworld_mjx.bench.dataset.layout_errors import displaced, layout_errors, tilt_deg
 from neoworld_mjx.bench.dataset.make_dataset import rounded
 from neoworld_mjx.bench.dataset.scene_methods import METHODS, USUAL, OneForAll
 from neoworld_mjx.bench.dataset.scene_runs import RESULTS, SceneRow, chosen_scenes, run_scenes
@@ -27,7 +28,8 @@ from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.settling import moved
 from neoworld_mjx.physics.support import footprint
 from neoworld_mjx.reading.parquet_files import write_rows
-from neoworld_mjx.spec import world_poses
+from neoworld_mjx.spec import bounds, world_poses
+from neoworld_mjx.spec.pose import from_axis_angle, from_yaw, pose, quat_mul
 
 CHEAP = ("tents", "dominoes", "desk_drawers", "overhang_stack")
 
@@ -133,6 +135,33 @@ def test_toppled_and_fallen_objects_are_displaced():
     # Shifted aside it is in the wrong place, but stands as it should.
     aside = cup.model_copy(update={"xy": (cup.xy[0] + 0.1, cup.xy[1]), "yaw": 1.0})
     assert displaced(_with(scene, aside), scene) == []
+
+
+def test_how_large_or_where_turned_an_object_is_does_not_displace_it():
+    scene = truth_scene(declarations()["overhang_stack"])
+    tin = scene.object("tin")
+    below = scene.object(tin.parent)
+    assert displaced(_with(scene, _scaled(scene.object("cup"), 1.6)), scene) == []
+    # What stands on something too high is too high as well, and stands; what floats there does not.
+    tall = _scaled(below, 3.0)
+    high = float(bounds(tall.spec)[1][2] - bounds(below.spec)[1][2])
+    assert high > 0.03
+    risen = tin.model_copy(update={"z": tin.z + high})
+    assert "tin" not in displaced(_with(_with(scene, tall), risen), scene)
+    assert "tin" in displaced(_with(scene, tall), scene)
+    assert displaced(_with(scene, risen), scene) == ["tin"]
+    pencils = truth_scene(declarations()["pencils_in_cup"])
+    pencil = next(i for i in pencils.objects if i.name == "pencil_0")
+    leans = tuple(quat_mul(from_yaw(2.0), pencil.base_tilt).tolist())
+    turned = pencil.model_copy(update={"base_tilt": leans})
+    assert tilt_deg(pencil, pose((0, 0, 0), leans), pose((0, 0, 0), pencil.base_tilt)) < 0.01
+    assert displaced(_with(pencils, turned), pencils) == []
+    further = quat_mul(from_axis_angle([0, 1, 0], math.radians(80.0)), pencil.base_tilt)
+    assert tilt_deg(pencil, pose((0, 0, 0), further), pose((0, 0, 0), pencil.base_tilt)) > 15.0
+
+
+def _scaled(item, by):
+    return item.model_copy(update={"spec": item.spec.scaled(by)})
 
 
 def _with(scene, item):

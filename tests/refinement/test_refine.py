@@ -163,6 +163,17 @@ def test_what_hangs_in_the_air_comes_to_rest_where_the_options_let_it():
     assert drift == pytest.approx(8 / 15, rel=0.1)
 
 
+def test_where_no_candidate_passes_the_start_is_dropped_unless_nothing_may_come_to_rest():
+    dropped = refine(leaning(), options(32, 2), engine=Stubborn())
+    assert dropped.passed and dropped.winner == (-1, -1)
+    assert dropped.scene.object("slab").base_tilt == (1.0, 0.0, 0.0, 0.0)
+    assert any("came to rest by itself" in line for line in dropped.fallbacks)
+    never = options(32, 2).model_copy(update={"settle": "never"})
+    assert not refine(leaning(), never, engine=Stubborn()).passed
+    # What topples when it is dropped is stable in the end, and still not where it was composed.
+    assert not refine(clashing(), options(32, 2), engine=Stubborn()).passed
+
+
 def test_few_come_to_rest_until_one_is_valid_whether_pruned_or_not(monkeypatch):
     monkeypatch.setattr(loop, "RESTING", 8)
     o = options(32, 3, 125).model_copy(update={"settle": "always"})

@@ -124,7 +124,7 @@ def tilt_deg(item: SceneObject, end: Pose, start: Pose) -> float:
 def _carried(
     points: Float[np.ndarray, "n 3"], true: Bounds, own: Bounds
 ) -> Float[np.ndarray, "n 3"]:
-    """Carry points over from an object's frame to that of another, as their boxes are to each other."""
+    """Carry points over from one object's frame to another's, as boxes are to each other."""
     true_size, own_size = (np.subtract(high, low) for low, high in (true, own))
     ratio = own_size / np.maximum(true_size, LEAST_M)
     return np.asarray(own[0]) + (points - np.asarray(true[0])) * ratio
