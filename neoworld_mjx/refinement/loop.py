@@ -23,6 +23,7 @@ from ..physics.model import SceneModel
 from ..physics.scene_arrays import SceneArrays, on_device, pad_objects, pad_scene
 from ..physics.simulate import on_cpu
 from ..progress import update as update_progress
+from ..spec import SceneSpec
 from .algorithm import (
     by_gradient,
     check_credit,
@@ -144,7 +145,7 @@ def search(
                     r.settles = True
                     r.stage_began = r.judged_from = len(r.rounds)
                 elif not own_optimizer:
-                    _make_room(arrays, r, terms)
+                    _make_room(arrays, scene.spec, r, terms)
         _update_progress(results, runs, began)
     clock["search"] = time.perf_counter() - began
     return results
@@ -223,7 +224,7 @@ def _opened(
     return results
 
 
-def _make_room(scene: SceneArrays, r: SearchResult, terms: Sequence[Term]) -> None:
+def _make_room(scene: SceneArrays, spec: SceneSpec, r: SearchResult, terms: Sequence[Term]) -> None:
     """Let more objects move where nothing was valid, or end a search that has no hope."""
     since = r.rounds[r.judged_from :]
     falling = never_held([np.asarray(round_.scores.drift) for round_ in since])
@@ -234,7 +235,7 @@ def _make_room(scene: SceneArrays, r: SearchResult, terms: Sequence[Term]) -> No
         else:
             # Their support may be farther than they were looked for.
             r.reached_out, r.judged_from = True, len(r.rounds)
-            r.state = reaching_out(r.state, r.problem.sigma, falling)
+            r.state = reaching_out(r.state, r.problem.sigma, falling, spec)
         return
     if len(r.rounds) - r.stage_began < ROOM or len(r.stages) < 2:
         return

@@ -19,6 +19,8 @@ from ..config import CEMOptions, RefineOptions
 from ..measure import SceneMeasure
 from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays, on_device
+from ..spec import SceneObject, SceneSpec, bounds
+from ..spec.pose import from_yaw, rotate
 from .algorithm import SearchState
 from .cem import CEMState
 from .credit import contact_components
@@ -155,21 +157,50 @@ def widened(state: SearchState, sigma: Layout) -> SearchState:
 
 
 def reaching_out(
-    state: SearchState, sigma: Layout, falling: Bool[np.ndarray, " object"]
+    state: SearchState, sigma: Layout, falling: Bool[np.ndarray, " object"], spec: SceneSpec
 ) -> SearchState:
-    """Look for objects that fell in every candidate FARTHER times as far away as at first.
+    """Look for objects that fell in every candidate over what carries them, and farther around.
+
+    Their mean moves by `off_carrier`, their deviation is FARTHER times that of the start.
 
     Args:
         state: of a search by CEM, or one whose optimizer has no deviations of its own.
         sigma: initial deviations, pop axis of length 1.
         falling: which they are.
+        spec: the composed scene.
     """
     if not isinstance(state.optimizer, CEMState):
         return state
-    std = state.optimizer.std
+    mean, std = state.optimizer.mean, state.optimizer.std
     padded = np.pad(falling, (0, sigma.yaw.shape[1] - len(falling)))
     far = np.where(padded[None, :, None], FARTHER * np.asarray(sigma.xy), np.asarray(std.xy))
-    return eqx.tree_at(lambda s: s.optimizer.std.xy, state, on_device(far.astype(np.float32)))
+    centre = np.array(mean.xy, np.float32)
+    for k in np.flatnonzero(falling):
+        centre[0, k] -= off_carrier(spec, spec.objects[k], centre[0, k])
+    arrays = on_device((centre, far.astype(np.float32)))
+    return eqx.tree_at(lambda s: (s.optimizer.mean.xy, s.optimizer.std.xy), state, arrays)
+
+
+def off_carrier(
+    spec: SceneSpec, item: SceneObject, xy: Float[np.ndarray, " 2"]
+) -> Float[np.ndarray, " 2"]:
+    """Return how far an object's middle is beside where its carrier's box can hold it [m].
+
+    That is half the object's size within the box, but at most a quarter of the box's.
+
+    Args:
+        spec: the composed scene.
+        item: the object.
+        xy: where a layout puts it, as in `Layout.xy`.
+    """
+    if item.parent is None or item.parent_link is not None:
+        return np.zeros(2)
+    parent = spec.object(item.parent)
+    low, high = (side[:2] for side in bounds(parent.spec, parent.joint_state, parent.base_tilt))
+    own_low, own_high = bounds(item.spec, item.joint_state, item.base_tilt)
+    margin = np.minimum((own_high - own_low)[:2] / 2, (high - low) / 4)
+    middle = rotate(from_yaw(item.yaw), (own_low + own_high) / 2)[:2] + np.array(item.xy) + xy
+    return middle - np.clip(middle, low + margin, high - margin)
 
 
 def settles_now(o: RefineOptions, iterations: int, scorer: object) -> bool:

@@ -8,11 +8,11 @@ from neoworld_mjx.measure import measured
 from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.scene_arrays import on_device
-from neoworld_mjx.refinement import evaluation, refine
+from neoworld_mjx.refinement import evaluation, refine, soundness
 from neoworld_mjx.refinement.algorithm import SearchState
 from neoworld_mjx.refinement.cem import CEMState
-from neoworld_mjx.refinement.soundness import FARTHER, reaching_out
-from neoworld_mjx.spec import Box, Box2D
+from neoworld_mjx.refinement.soundness import FARTHER, off_carrier, reaching_out
+from neoworld_mjx.spec import Box, Box2D, bounds, world_poses
 from tests.support import scenes
 from tests.support.scenes import on_table, single
 
@@ -166,8 +166,37 @@ def test_what_fell_in_every_candidate_is_looked_for_farther_away():
     nothing = on_device((np.int32(0), -np.inf, -np.inf, np.inf, False, np.int32(0)))
     state = SearchState(CEMState(Layout.zero(1, 4), sigma), *nothing)
     # The scene has three objects, padded to four.
-    far = reaching_out(state, sigma, np.array([False, True, False]))
+    spec = on_table((block("low"), (0.0, 0.0), 0.0, {}), (block("other"), (0.0, 0.3), 0.0, {}))
+    far = reaching_out(state, sigma, np.array([False, True, False]), spec)
     np.testing.assert_allclose(
         np.asarray(far.optimizer.std.xy)[0, :, 0], [0.01, 0.01 * FARTHER, 0.01, 0.01]
     )
     np.testing.assert_allclose(np.asarray(far.optimizer.std.yaw), 0.1)
+    # On the table it is over what carries it.
+    assert not np.asarray(far.optimizer.mean.xy).any()
+
+
+def beside(aside):
+    """A peg composed in the air, so far beside the post that it stands on."""
+    post, peg = block("post", (0.04, 0.06, 0.1)), block("peg", (0.03, 0.03, 0.04))
+    on_post = {"parent": "post", "z": 0.1}
+    return on_table((post, (0.0, 0.0), 0.3, {}), (peg, (aside, 0.02), 0.2, on_post))
+
+
+def test_the_mean_of_what_fell_moves_over_its_carrier():
+    scene = beside(0.12)
+    off = off_carrier(scene, scene.object("peg"), np.zeros(2))
+    # Its middle may be a quarter of the post's depth, 1 cm, beside the post's.
+    np.testing.assert_allclose(off, [0.11, 0.005], atol=1e-6)
+    np.testing.assert_allclose(off_carrier(scene, scene.object("peg"), -off), 0.0, atol=1e-9)
+    assert not off_carrier(scene, scene.object("post"), np.zeros(2)).any()
+
+
+def test_what_was_answered_beside_its_carrier_is_put_onto_it(monkeypatch):
+    found = refine(beside(0.12), options(), engine="native")
+    assert found.passed and found.scene.object("peg").parent == "post"
+    low = bounds(found.scene.object("peg").spec)[0][2]
+    assert world_poses(found.scene)["peg"].pos[2] + low > 0.09
+    # Without it nothing is found, however far it is looked for around where it was answered.
+    monkeypatch.setattr(soundness, "off_carrier", lambda *of: np.zeros(2))
+    assert not refine(beside(0.12), options(), engine="native").passed
