@@ -95,7 +95,8 @@ def test_what_stood_on_a_missed_object_is_not_displaced_and_what_did_not_is():
         for item in gone
     )
     found = displaced(truth.model_copy(update={"objects": sunk}), truth)
-    assert found == ["plank_1", "plank_2"]
+    # What stands on a sunken one has sunk with it: it is the lower one that is displaced.
+    assert found == ["plank_1"]
 
 
 def test_without_noise_every_figure_is_perfect(desk, answer):
@@ -127,7 +128,7 @@ def test_an_invented_object_stands_beside_the_one_it_resembles(answer):
         tin, ghost = tree.node("tin"), tree.node("tin_again")
         step = np.subtract(ghost.box3d.position, tin.box3d.position)
         assert np.linalg.norm(step) == pytest.approx(parse_noise.APART * tin.box3d.size[0])
-        assert ghost.box2d != tin.box2d and ghost.parent == "chest"
+        assert ghost.box2d != tin.box2d and ghost.parent == tin.parent
         assert tin == answer.node("tin")
     # What leans, carries something or is invented is not invented again.
     for name in ("file", "chest", "tin_again"):
@@ -137,6 +138,8 @@ def test_an_invented_object_stands_beside_the_one_it_resembles(answer):
 def test_an_object_taken_for_two_is_cut_in_halves(desk, answer):
     shapes = {item.name: item.spec for item in desk.objects}
     made: dict[str, ObjectSpec] = {}
+    # What carries is not cut.
+    (answer,) = without(answer, "tin", rng())
     whole, spec = answer.node("carton"), shapes["carton"]
     trees = list(with_halves(answer, "carton", rng(), shapes, made))
     assert trees and set(made) == {"carton_half_1", "carton_half_2"}
@@ -377,8 +380,8 @@ def test_programs_of_a_start_are_the_same_everywhere(desk):
 
 
 def test_a_start_with_all_noise_composes(desk):
-    # Four objects, since a fit costs most of the time.
-    names = ("table", "chest", "dice", "tin", "cup")
+    # Few objects, since a fit costs most of the time.
+    names = ("table", "chest", "dice", "carton", "tin", "cup")
     few = desk.model_copy(update={"objects": tuple(desk.object(name) for name in names)})
     log = NoiseLog()
     start = composed_start(few, true_tree(few), 0, noise="all", log=log)
@@ -391,7 +394,7 @@ def test_a_start_with_all_noise_composes(desk):
 
 
 def test_what_the_checks_refuse_is_answered_once_more(desk, monkeypatch):
-    names = ("table", "chest", "tin")
+    names = ("table", "carton", "tin")
     few = desk.model_copy(update={"objects": tuple(desk.object(name) for name in names)})
     tree = true_tree(few)
     box = tree.node("tin").box3d
@@ -406,7 +409,7 @@ def test_what_the_checks_refuse_is_answered_once_more(desk, monkeypatch):
     kept = fitted_answer(tree, 4, {}, wrong_tree=False).tree
     assert any(i.node == "tin" and i.severity == "error" for i in check_tree(wrong))
     assert not [i for i in check_tree(kept) if i.severity == "error"]
-    assert kept.node("chest") == tree.node("chest")
+    assert kept.node("carton") == tree.node("carton")
     assert 1e-4 < abs(kept.node("tin").box3d.position[0] - box.position[0]) < 0.1
 
     # An answer that is worse the second time is not kept.
