@@ -21,20 +21,17 @@ from neoworld_mjx.bench.photos import (
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import EngineError
 
-FOUR = (8, 10, 22, 29)
-"""Two scenes of each part, of few objects."""
 
-
-@pytest.fixture(scope="module")
-def rows():
+# Of few objects, as many of each part.
+@pytest.mark.parametrize(
+    "scenes", [(8, 29), pytest.param((8, 10, 22, 29), marks=pytest.mark.slow)], ids=["two", "four"]
+)
+def test_steps_come_closer_to_the_truth(scenes):
     options = searching_little(RefineOptions(check_duration_s=0.3))
-    return list(photo_rows(FOUR, refine_options=options))
-
-
-def test_steps_come_closer_to_the_truth(rows):
+    rows = list(photo_rows(scenes, refine_options=options))
     summary = photo_summary(rows)
     assert set(summary) == {"tuned_on", "held_out"}
-    assert {row.scene for row in rows} == set(FOUR)
+    assert {row.scene for row in rows} == set(scenes)
     median = {
         (step, name): np.median([v for row in rows if (v := getattr(row.errors[step], name))])
         for step in STEPS
