@@ -31,9 +31,9 @@ from ..traces import computes_on_cpu
 from .algorithm import Problem, initial_state, open_problem, project, projects
 from .batching import map_runs, pad_rollout, put, roll_out, settled, take
 from .objective import Placement, Scores, evaluate, place
-from .outcome import Round
 from .pruning import RolloutPlan
 from .rewards import Term
+from .rounds import Round
 from .scorer import SemanticScorer
 from .search_run import SearchResult, SearchRun, population_at, prunes
 from .soundness import Soundness, failing, soundness

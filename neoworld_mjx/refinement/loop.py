@@ -40,9 +40,10 @@ from .cem import CEMState, elite_count, initial_sigma
 from .evaluation import Evaluation
 from .objective import Placement, Scores, open_objective, photograph_decides, try_terms
 from .optimizer import Optimizer
-from .outcome import Round, best_first, iteration_summary
+from .outcome import iteration_summary
 from .pruning import RolloutPlan
 from .rewards import Term
+from .rounds import Round, best_first
 from .scorer import SemanticScorer
 from .search_run import SearchResult, SearchRun, bounded, population_at, prunes
 from .soundness import (

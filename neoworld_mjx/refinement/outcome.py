@@ -1,52 +1,20 @@
 """The outcome of a refinement: the winner, checked exactly, and every candidate."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import Any
 
-import equinox as eqx
-import jax
 import numpy as np
-from jaxtyping import Bool
 
 from ..config import RefineOptions
-from ..measure import SceneMeasure, measured, passes, scene_checks
-from ..physics.exact import snap_exactly
-from ..physics.layout import Layout, Poses
+from ..measure import SceneMeasure, scene_checks
+from ..physics.layout import Layout
 from ..physics.model import SceneModel
-from ..physics.placed import settled_by
-from ..physics.settling import at_rest, moved
-from ..progress import update
-from ..spec import SceneSpec, world_poses
-from ..spec.pose import pose
-from .objective import Objective, Scores
+from ..spec import SceneSpec
+from .choosing import Chosen
+from .objective import Objective
 from .pruning import PRUNED
-
-RESTING = ((True, 0.5), (False, 1.0), (True, 0.5))
-"""What an object that has come to rest in a coarse rollout does until the exact check; see
-`at_rest`."""
-DROPPED = ((False, 3.0),)
-"""The same of the start, where no candidate passes: it moves freely for as long as it may take."""
-
-
-class Round(NamedTuple):
-    """An iteration of one run."""
-
-    layouts: Layout
-    poses: Poses
-    """Where the candidates were placed."""
-    scores: Scores
-    rests: Bool[np.ndarray, " pop"]
-    """Whether the poses are those at which the candidates came to rest."""
-
-    def of_objects(self, count: int) -> "Round":
-        """Leave padded objects out of the layouts and poses."""
-        own = lambda tree: jax.tree.map(lambda x: np.asarray(x)[:, :count], tree)
-        s = self.scores
-        scores = eqx.tree_at(
-            lambda s: (s.drift, s.depth), s, (s.drift[:, :count], s.depth[:, :count])
-        )
-        return Round(own(self.layouts), own(self.poses), scores, self.rests)
+from .rounds import NOT_DRAWN, Round, stacked
 
 
 @dataclass(frozen=True, repr=False)
@@ -110,138 +78,6 @@ class Refined:
         return int(np.sum(self.history["status"] == PRUNED))
 
 
-@dataclass(frozen=True)
-class Chosen:
-    """The winner, with its final check."""
-
-    index: tuple[int, int]
-    scene: SceneSpec
-    measure: SceneMeasure
-    tried: int
-    passed: bool
-    moved_away: tuple[str, ...] = ()
-    """Objects that came to rest where the photograph does not show them; see `settled_by`."""
-    dropped: bool = False
-    """Whether it is the start, come to rest by itself."""
-
-
-def choose(
-    model: SceneModel,
-    rounds: list[Round],
-    o: RefineOptions,
-    start: Layout | None = None,
-    known: tuple[SceneSpec, SceneMeasure] | None = None,
-) -> Chosen:
-    """Choose the best valid candidate by absolute reward that also passes the exact check.
-
-    When none of the first `finalists` passes, the start is dropped, unless candidates never come to
-    rest: it needs no luck to find what merely settling finds. If it does not pass either, the least
-    bad of all is chosen.
-
-    Args:
-        model: the compiled scene.
-        rounds: all iterations.
-        o: options of the check.
-        start: what is left where every candidate failed; None is the composed scene.
-        known: a scene whose check is known.
-    """
-    check = lambda scene: known[1] if known and known[0] == scene else measured(scene, o)
-    fallback: Chosen | None = None
-    order = ranked(rounds)
-    for tried, ((t, k), absolute) in enumerate(order[: o.finalists], start=1):
-        if not np.isfinite(absolute):
-            break
-        update(done=tried, of=o.finalists, unit="final check", rate=None, left_s=None)
-        scene, away = finished(model, rounds[t], k)
-        measure = check(scene)
-        chosen = Chosen((t, k), scene, measure, tried, passes(measure, o) and not away, away)
-        if chosen.passed:
-            return chosen
-        if fallback is None or _badness(chosen, o) < _badness(fallback, o):
-            fallback = chosen
-    if o.settle != "never" and o.rollout.duration_s:
-        chosen = _dropped(model, start, o, min(o.finalists, len(order)))
-        if chosen.passed:
-            return chosen
-        if fallback is not None and _badness(chosen, o) < _badness(fallback, o):
-            fallback = chosen
-    if fallback is None:
-        # Every candidate failed in physics: the start is all there is.
-        scene = snap_exactly(model.spec if start is None else model.apply(start, 0))
-        measure = check(scene)
-        return Chosen((-1, -1), scene, measure, o.finalists, passes(measure, o))
-    return replace(fallback, tried=min(o.finalists, len(order)))
-
-
-def _dropped(model: SceneModel, start: Layout | None, o: RefineOptions, tried: int) -> Chosen:
-    """Let the start come to rest without drag, and check it."""
-    placed = model.spec if start is None else model.apply(start, 0)
-    sizes = np.zeros(len(model.names)) if start is None else np.asarray(start.log_scale)[0]
-    scene = at_rest(snap_exactly(placed), DROPPED)
-    away = moved_away(model, snap_exactly(placed), scene, sizes)
-    measure = measured(scene, o)
-    passed = passes(measure, o) and not away
-    return Chosen((-1, -1), scene, measure, tried, passed, away, dropped=True)
-
-
-def finished(model: SceneModel, round_: Round, k: int) -> tuple[SceneSpec, tuple[str, ...]]:
-    """Describe a candidate as the final check takes it: set down exactly, or come to rest.
-
-    Returns:
-        The scene, and the objects that came to rest beyond the bounds of `settled_by`.
-    """
-    scene = model.apply(round_.layouts, k, round_.poses)
-    if not round_.rests[k]:
-        return snap_exactly(scene), ()
-    pos, quat = (np.asarray(x)[k].astype(float) for x in (round_.poses.pos, round_.poses.quat))
-    movable = np.flatnonzero(np.asarray(model.movable))
-    ends = {model.names[n]: pose(pos[n], quat[n] / np.linalg.norm(quat[n])) for n in movable}
-    rest = at_rest(moved(scene, ends), RESTING, sleeps=True)
-    return rest, moved_away(model, scene, rest, np.asarray(round_.layouts.log_scale)[k])
-
-
-def moved_away(
-    model: SceneModel, start: SceneSpec, end: SceneSpec, log_scale: np.ndarray
-) -> tuple[str, ...]:
-    """Return the objects that came to rest beyond the bounds of `settled_by`.
-
-    Args:
-        model: the compiled scene.
-        start: a layout of it, as placed.
-        end: the same at rest.
-        log_scale: of the layout, [object].
-    """
-    size = np.exp(log_scale)[None]
-    far = settled_by(model, world_pose(start, size), world_pose(end, size), np)[0] > 1.0
-    return tuple(model.names[n] for n in np.flatnonzero(far))
-
-
-def world_pose(scene: SceneSpec, scale: np.ndarray) -> Poses:
-    """Return where a scene's objects are, as poses of a single candidate."""
-    at = list(world_poses(scene).values())
-    pos, quat = (np.array([getattr(p, part) for p in at])[None] for part in ("pos", "quat"))
-    return Poses(pos, quat, scale, pos[..., 2])
-
-
-def ranked(rounds: list[Round]) -> list[tuple[tuple[int, int], float]]:
-    """Order all candidates: valid ones first, by fidelity, then the others, by absolute reward.
-
-    Returns:
-        ((iteration, candidate), absolute reward) of each.
-    """
-    valid = stacked([r.scores.valid for r in rounds], False)
-    absolute = stacked([r.scores.absolute for r in rounds], -np.inf)
-    fidelity = stacked([r.scores.fidelity for r in rounds], -np.inf)
-    pop = valid.shape[1]
-    order = best_first(valid.ravel(), fidelity.ravel(), absolute.ravel())
-    return [(divmod(int(k), pop), float(absolute.flat[k])) for k in order]
-
-
-def best_first(valid: np.ndarray, fidelity: np.ndarray, absolute: np.ndarray) -> np.ndarray:
-    """Return the indices of candidates [pop] in the order in which they are tried; see `ranked`."""
-    return np.lexsort((-np.where(valid, fidelity, absolute), ~valid))
-
-
 def iteration_summary(values: Mapping[str, np.ndarray], terms: Sequence[str]) -> dict[str, Any]:
     """Sum up an iteration.
 
@@ -262,11 +98,6 @@ def iteration_summary(values: Mapping[str, np.ndarray], terms: Sequence[str]) ->
     k = int(np.where(finite, absolute, -np.inf).argmax())
     of_best = {name: float(values[name][k]) for name in terms}
     return {"best": float(absolute[k]), "mean": float(absolute[finite].mean()), **share, **of_best}
-
-
-def _badness(chosen: Chosen, o: RefineOptions) -> float:
-    checks = scene_checks(chosen.measure, o)
-    return sum(check.value / check.threshold for check in checks) + len(chosen.moved_away)
 
 
 def outcome(
@@ -349,19 +180,6 @@ def outcome(
         kept=kept,
         scoring=scoring or {},
     )
-
-
-NOT_DRAWN = -1
-"""Status, in the history, of entries beyond the population of an iteration."""
-
-
-def stacked(rows: list[Any], fill: Any) -> np.ndarray:
-    """Stack iterations; fill shorter ones up to the largest population."""
-    full = np.asarray(max(rows, key=len))
-    stacked = np.full((len(rows), *full.shape), fill, full.dtype)
-    for t, row in enumerate(rows):
-        stacked[t, : len(row)] = row
-    return stacked
 
 
 def _history(model: SceneModel, rounds: list[Round], objective: Objective) -> dict[str, np.ndarray]:

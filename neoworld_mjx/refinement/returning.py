@@ -28,8 +28,9 @@ from ..physics.settling import at_rest
 from ..physics.support import Either
 from ..physics.visibility import Visible
 from ..spec import SceneSpec
+from .choosing import Chosen, choose, moved_away, world_pose
 from .objective import Objective, photograph_decides
-from .outcome import Chosen, Round, choose, moved_away, world_pose
+from .rounds import Round
 from .semantic import boxes_off
 from .soundness import failing
 

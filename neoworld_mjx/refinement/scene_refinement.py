@@ -21,9 +21,10 @@ from ..physics.simulate import on_cpu, open_engine
 from ..spec import SceneSpec, read_scene
 from .loop import search
 from .optimizer import Optimizer
-from .outcome import Refined, Round, outcome, ranked, stacked
+from .outcome import Refined, outcome
 from .returning import choose_and_return
 from .rewards import Term
+from .rounds import Round, ranked, stacked
 from .scorer import Mark, SemanticScorer
 from .search_run import SearchResult, SearchRun
 

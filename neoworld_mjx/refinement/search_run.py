@@ -9,7 +9,7 @@ from ..config import RefineOptions
 from ..measure import SceneMeasure
 from ..physics.layout import Layout
 from .algorithm import Problem, SearchState
-from .outcome import Round
+from .rounds import Round
 
 
 class SearchRun(NamedTuple):

@@ -21,8 +21,8 @@ from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..progress import report
 from ..refinement.objective import open_objective, photograph_decides
-from ..refinement.outcome import Round
 from ..refinement.returning import Winner, choose_and_return
+from ..refinement.rounds import Round
 from ..refinement.scene_refinement import compile_for_search
 from ..refinement.search_run import SearchResult
 from ..spec import SceneSpec

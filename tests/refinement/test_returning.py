@@ -12,7 +12,7 @@ from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.scene_arrays import pad_scene
-from neoworld_mjx.refinement.outcome import Chosen
+from neoworld_mjx.refinement.choosing import Chosen
 from neoworld_mjx.refinement.returning import NOISE, Seen, _kept, _placed_seen, return_moved
 from neoworld_mjx.spec import Camera, SceneSpec
 

@@ -9,7 +9,7 @@ from PIL import Image
 
 from neoworld_mjx.config import Config, load_config
 from neoworld_mjx.errors import RunError
-from neoworld_mjx.refinement import outcome, pruning
+from neoworld_mjx.refinement import pruning, rounds
 from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.verify import Verdict
 from neoworld_mjx.view import convergence
@@ -341,14 +341,14 @@ def test_every_reward_term_is_shown_by_name(tmp_path):
 
 
 def test_pruned_and_failed_candidates_are_counted_apart(tmp_path):
-    assert (convergence.PRUNED, convergence.NOT_DRAWN) == (pruning.PRUNED, outcome.NOT_DRAWN)
+    assert (convergence.PRUNED, convergence.NOT_DRAWN) == (pruning.PRUNED, rounds.NOT_DRAWN)
     path = tmp_path / "history.npz"
     _history(path, iterations=2, population=8)
     with np.load(path) as data:
         history = {key: data[key] for key in data.files}
     history["absolute"][:] = 0.1
     history["status"] = np.zeros((2, 8), int)
-    history["status"][0, 3:] = outcome.NOT_DRAWN
+    history["status"][0, 3:] = rounds.NOT_DRAWN
     history["status"][1, 6:] = pruning.PRUNED
     history["absolute"][0, 3:] = history["absolute"][1, 6:] = -np.inf
     history["absolute"][1, 0] = -np.inf

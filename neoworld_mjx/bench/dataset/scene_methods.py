@@ -18,7 +18,7 @@ from ...physics.exact import snap_exactly
 from ...physics.layout import Poses
 from ...physics.model import SceneModel
 from ...physics.settling import at_rest
-from ...refinement.outcome import DROPPED
+from ...refinement.choosing import DROPPED
 from ...refinement.scene_refinement import compile_for_search, refine
 from ...spec import SceneSpec
 from ..baselines import algorithm1, with_budget
