@@ -386,6 +386,9 @@ class Watcher:
         """Watch while the block runs; the list fills with what is outside of the folders."""
         self.seen = []
         self.allowed = [os.path.realpath(folder) for folder in folders]
+        if sys.pycache_prefix:
+            # A library that is imported meanwhile leaves its bytecode there.
+            self.allowed.append(os.path.realpath(sys.pycache_prefix))
         try:
             yield self.seen
         finally:
@@ -421,7 +424,8 @@ class Watcher:
         if not isinstance(path, str) or "/" not in path:
             return
         real = os.path.join(os.path.realpath(os.path.dirname(path)), os.path.basename(path))
-        if not any(real.startswith(folder) for folder in (*self.allowed, "/dev/")):
+        device = real.startswith("/dev/") and not real.startswith("/dev/shm/")
+        if not device and not any(real.startswith(folder) for folder in self.allowed):
             self.seen.append(f"{event} {path}")
 
 
