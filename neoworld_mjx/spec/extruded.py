@@ -151,6 +151,8 @@ def _tiles(outline: Loop, holes: tuple[Loop, ...]) -> tuple[Loop, ...]:
     loops = _wound(outline, holes)
     flat = np.vstack(loops)
     polygons = [list(map(int, t)) for t in _triangles(loops)]
+    # Edges that no merge removes, until one of their two polygons changes.
+    refused: set[tuple[int, int]] = set()
     merged = True
     while merged:
         merged = False
@@ -159,10 +161,14 @@ def _tiles(outline: Loop, holes: tuple[Loop, ...]) -> tuple[Loop, ...]:
         }
         for (a, b), k in edges.items():
             other = edges.get((b, a))
-            if other is None or other == k:
+            if other is None or other == k or (a, b) in refused:
                 continue
             union = _joined(polygons[k], polygons[other], a, b)
-            if _convex(flat[union]):
+            if not _convex(flat[union]):
+                refused |= {(a, b), (b, a)}
+            else:
+                around = list(zip(union, union[1:] + union[:1], strict=True))
+                refused -= {*around, *((j, i) for i, j in around)}
                 polygons[k] = union
                 del polygons[other]
                 merged = True
