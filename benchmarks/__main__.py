@@ -4,11 +4,11 @@ import sys
 from collections.abc import Sequence
 
 import tyro
+from neoworld_bench.bench_commands import suite_commands
 from tyro.conf import DisallowNone, FlagCreatePairsOff
 
 from benchmarks.suites import SUITES
 from neoworld_mjx import cli
-from neoworld_mjx.commands.bench_commands import suite_commands
 
 
 def main(args: Sequence[str] | None = None) -> None:

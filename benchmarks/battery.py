@@ -14,16 +14,16 @@ from typing import Any
 import mujoco
 import numpy as np
 from mujoco import rollout
+from neoworld_bench.machine import machine
+from neoworld_bench.rows import Row, collect, plain
 from numpy.typing import NDArray
 
 from benchmarks.suites import Battery
-from neoworld_mjx.bench.machine import machine
-from neoworld_mjx.bench.rows import Row, collect, plain
+from neoworld_mjx.checks.scenarios import Scenario, list_scenarios
+from neoworld_mjx.checks.simulation import FORCES, Simulation
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.spec import ObjectSpec, scale
-from neoworld_mjx.verify.scenarios import Scenario, list_scenarios
-from neoworld_mjx.verify.simulation import FORCES, Simulation
 from tests.support.valid_objects import FAMILIES, valid_objects
 
 SIZES = (1.0, 0.8, 1.25, 1.5)

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from neoworld_bench.machine import machine
 
 from benchmarks.suites import Composing
-from neoworld_mjx.bench.machine import machine
 from neoworld_mjx.config import load_config
 from neoworld_mjx.measure import measured, scene_checks, visible_box_iou
 from neoworld_mjx.pipeline import reconstruct

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from neoworld_bench.machine import machine
 
 from benchmarks.suites import Decisions
-from neoworld_mjx.bench.machine import machine
 from neoworld_mjx.commands.object_commands import CheckCommand
 from neoworld_mjx.config import RefineOptions, load_config
 from neoworld_mjx.measure import scene_checks

@@ -7,8 +7,9 @@ import sys
 from collections import Counter
 from typing import Any
 
+from neoworld_bench.machine import machine
+
 from benchmarks.suites import Faults
-from neoworld_mjx.bench.machine import machine
 
 log = logging.getLogger(__name__)
 

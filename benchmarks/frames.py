@@ -6,8 +6,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+from neoworld_bench.machine import machine
+
 from benchmarks.suites import Frames
-from neoworld_mjx.bench.machine import machine
 from neoworld_mjx.config import Config
 from neoworld_mjx.viewer.local_server import address, close_server, open_server
 from neoworld_mjx.viewer.scene_viewer import SceneViewer

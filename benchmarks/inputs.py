@@ -9,8 +9,9 @@ import threading
 from collections import Counter
 from typing import IO, Any
 
+from neoworld_bench.machine import machine
+
 from benchmarks.suites import Inputs
-from neoworld_mjx.bench.machine import machine
 
 log = logging.getLogger(__name__)
 

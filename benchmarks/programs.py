@@ -11,12 +11,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from neoworld_bench.machine import Others, machine
+
 from benchmarks.suites import Programs
-from neoworld_mjx.bench.machine import Others, machine
+from neoworld_mjx.checks.compile_checks import check
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.export import export_object
-from neoworld_mjx.program.check import check
 from neoworld_mjx.program.sandbox import run
 from tests.support.hostile import HOSTILE, contain
 from tests.support.mutants import crashed

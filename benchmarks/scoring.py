@@ -12,12 +12,12 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+from neoworld_bench.engines.table_scenes import Noise, crowded, noisy_layouts
+from neoworld_bench.machine import machine
+from neoworld_bench.rows import collect, plain
 from pydantic import BaseModel, ConfigDict
 
 from benchmarks.suites import Scoring
-from neoworld_mjx.bench.machine import machine
-from neoworld_mjx.bench.rows import collect, plain
-from neoworld_mjx.bench.scenes import Noise, crowded, noisy_layouts
 from neoworld_mjx.config import CEMOptions, MLLMOptions, SemanticOptions
 from neoworld_mjx.mllm import Panel, Picture
 from neoworld_mjx.mllm.anthropic import Anthropic

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from neoworld_bench.suites import Suite
 from tyro.conf import UseAppendAction
-
-from neoworld_mjx.bench.suites import Suite
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,7 +184,7 @@ class Costs:
 class Frames:
     """Open a scene's page in a headless browser, and count frames while the view is turned."""
 
-    scene: Path = Path("neoworld_mjx/bench/real/coffee.json")
+    scene: Path = Path("benchmarks/neoworld_bench/photographs/real/coffee.json")
     """A run folder, a scene.json or a program."""
     seconds: float = 6.0
     """How long the view is turned [s]."""

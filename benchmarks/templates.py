@@ -8,20 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from neoworld_bench.machine import machine
+from neoworld_bench.rows import collect
 from PIL import Image, ImageDraw
 from pydantic import BaseModel
 
 from benchmarks.suites import Templates
-from neoworld_mjx.bench.machine import machine
-from neoworld_mjx.bench.rows import collect
-from neoworld_mjx.program.check import check
+from neoworld_mjx.checks.compile_checks import check
+from neoworld_mjx.checks.object_tests import Battery
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.program.views import opened_state
 from neoworld_mjx.render import View, render_object, visible_vertices
 from neoworld_mjx.spec import ObjectSpec, bounds
 from neoworld_mjx.templates import template, templates
 from neoworld_mjx.templates.template import BOX
-from neoworld_mjx.verify.battery import Battery
 
 SIDE, COLUMNS = 150, 12
 """Pixels of a picture in the contact sheet, and pictures in a row: two a template."""

@@ -13,14 +13,14 @@ from multiprocessing import get_context
 from statistics import median
 from typing import Any
 
+from neoworld_bench.machine import machine
+from neoworld_bench.rows import collect
 from pydantic import BaseModel
 
 from benchmarks.suites import Verify
-from neoworld_mjx.bench.machine import machine
-from neoworld_mjx.bench.rows import collect
+from neoworld_mjx.checks.object_tests import Battery
 from neoworld_mjx.errors import ConfigError, choices
 from neoworld_mjx.spec import ObjectSpec
-from neoworld_mjx.verify.battery import Battery
 from neoworld_mjx.verify.repairs import repair
 from tests.support.injected_faults import KINDS, Kind
 from tests.support.valid_objects import valid_objects

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from neoworld_mjx.checks.object_tests import Battery
 from neoworld_mjx.config import Language, ProgramOptions
 from neoworld_mjx.mllm.provider import bundled_tapes
 from neoworld_mjx.mllm.replay import Tape
@@ -25,7 +26,6 @@ from neoworld_mjx.program.attempt import joined
 from neoworld_mjx.program.views import opened_state
 from neoworld_mjx.render import render_object
 from neoworld_mjx.spec import ObjectSpec, bounds, inertial
-from neoworld_mjx.verify import Battery
 
 LANGUAGES: tuple[Language, ...] = ("sdk", "blender")
 WIDTH, HEIGHT, REPEATS = 360, 300, 3

@@ -9,10 +9,9 @@ moments of the first as a picture.
 import sys
 from pathlib import Path
 
+from neoworld_bench.tasks import execute, find_task
+from neoworld_bench.tasks.picture_strip import picture_strip
 from PIL import Image
-
-from neoworld_mjx.bench.tasks import execute, find_task
-from neoworld_mjx.bench.tasks.picture_strip import picture_strip
 
 MOMENTS = (0.02, 1.4, 2.6, 4.2, 5.3, 7.9)
 

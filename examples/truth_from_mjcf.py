@@ -13,9 +13,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from neoworld_bench.measures import truth_of_mjcf
 
 from neoworld_mjx.errors import NeoWorldError
-from neoworld_mjx.measure import truth_of_mjcf
 
 
 def main() -> None:

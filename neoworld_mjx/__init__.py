@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from .engines import share_gpu_memory
 
 if TYPE_CHECKING:
-    from . import measure as measure
+    from . import measure
     from .environments.controlled_scene import ResetNoise as ResetNoise
     from .environments.gym_environment import gym_env as gym_env
     from .environments.mjx_environment import mjx_env as mjx_env
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from .physics.model import load_scene as load_scene
     from .physics.simulate import rollout as rollout
     from .pipeline import reconstruct as reconstruct
-    from .refinement import rewards as rewards
+    from .refinement import rewards
     from .refinement.cem import CEM as CEM
     from .refinement.cem import CEMParams as CEMParams
     from .refinement.cem import CEMState as CEMState

@@ -19,7 +19,7 @@ from . import __version__
 from .commands import COMMANDS
 from .commands.status_line import StatusLine
 from .errors import NeoWorldError
-from .names import printable
+from .io.names import printable
 from .progress import LOGGER
 
 if TYPE_CHECKING:
@@ -44,16 +44,11 @@ def main(args: Sequence[str] | None = None) -> None:
     if not args or args[0] not in COMMANDS:
         print(f"error: {_no_command(args)}", file=sys.stderr)
         sys.exit(BAD_INPUT)
-    if tuple(args[:2]) == ("bench", "run"):
-        from .bench.suites import DEVELOPER_SUITES
-
-        if args[2:3] and args[2] in DEVELOPER_SUITES:
-            print(
-                f"error: the suite {args[2]} needs a clone of the repository; there, run: "
-                f"uv run python -m benchmarks {' '.join(args[2:])}",
-                file=sys.stderr,
-            )
-            sys.exit(BAD_INPUT)
+    refusal = getattr(COMMANDS[args[0]].load(), "refusal", None)
+    reason = refusal(args[1:]) if refusal else None
+    if reason is not None:
+        print(f"error: {reason}", file=sys.stderr)
+        sys.exit(BAD_INPUT)
     sys.exit(run(parse(args[0], args[1:])))
 
 

@@ -21,7 +21,7 @@ import jax.export
 import numpy as np
 from jax.core import Tracer
 
-from .files import MIB, read_bytes, write_atomic
+from .io.files import MIB, read_bytes, write_atomic
 
 _ROOMS = ("config", "measure", "physics", "refinement", "spec")
 SOURCES = (*(f"neoworld_mjx/{room}" for room in _ROOMS), "neoworld_kernels")

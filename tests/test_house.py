@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 LIBRARY = sorted(
     path
-    for folder in ("neoworld_mjx", "kernels/neoworld_kernels")
+    for folder in ("neoworld_mjx", "kernels/neoworld_kernels", "benchmarks/neoworld_bench")
     for path in (ROOT / folder).rglob("*.py")
     if path.parent.name != "programs"
 )

@@ -4,7 +4,11 @@ import ast
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = {"neoworld_mjx": ROOT, "neoworld_kernels": ROOT / "kernels"}
+FOLDERS = {
+    "neoworld_mjx": ROOT,
+    "neoworld_kernels": ROOT / "kernels",
+    "neoworld_bench": ROOT / "benchmarks",
+}
 
 
 def modules():
@@ -18,14 +22,8 @@ def modules():
 
 
 def import_nodes(tree):
-    """Imports at any depth of a module, but those for type checkers alone."""
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-            yield from (result for branch in node.orelse for result in import_nodes(branch))
-            continue
-        if isinstance(node, ast.Import | ast.ImportFrom):
-            yield node
-        yield from import_nodes(node)
+    """Imports at any depth of a module, those for type checkers included."""
+    return (node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom))
 
 
 def imported(node, package, names):
@@ -80,8 +78,23 @@ def test_a_circle_is_found():
     assert cycle({"a": {"b", "c"}, "b": {"c"}, "c": set()}) is None
 
 
+def packages(graph):
+    """The graph between packages: a library's modules at the top stand for themselves."""
+    owner = {name: ".".join(name.split(".")[:2]) for name in graph}
+    result = {package: set() for package in owner.values()}
+    for name, targets in graph.items():
+        result[owner[name]] |= {owner[target] for target in targets} - {owner[name]}
+    return result
+
+
 def test_no_module_imports_itself_in_a_circle():
     circle = cycle(import_graph())
+    assert circle is None, " -> ".join(circle)
+
+
+def test_no_package_imports_itself_in_a_circle():
+    graph = {name: targets for name, targets in packages(import_graph()).items()}
+    circle = cycle(graph)
     assert circle is None, " -> ".join(circle)
 
 

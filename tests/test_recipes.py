@@ -34,8 +34,9 @@ def test_there_is_a_recipe_for_each_usual_addition():
 @pytest.mark.parametrize("title", RECIPES)
 def test_recipe(title, tmp_path, monkeypatch, capfd, blocks_model):
     """Write the recipe's modules, and run its check with the tables put back afterwards."""
+    from neoworld_bench.suites import SUITES
+
     from neoworld_mjx import cli
-    from neoworld_mjx.bench.suites import SUITES
     from neoworld_mjx.commands import COMMANDS
     from neoworld_mjx.config import load_config
     from neoworld_mjx.engines import ENGINES
@@ -77,9 +78,9 @@ def test_recipe(title, tmp_path, monkeypatch, capfd, blocks_model):
 
 def joint_type_everywhere(tmp_path, kind):
     """Take a joint of a type through kinematics, scaling, sweep, physics and the formats."""
+    from neoworld_mjx.checks.joint_sweep import joint_positions, joint_states
     from neoworld_mjx.export import export_object, read_mjcf, read_urdf, read_usd
     from neoworld_mjx.physics.mjcf import to_mjspec
-    from neoworld_mjx.program.joint_sweep import joint_positions, joint_states
     from neoworld_mjx.spec import Box, ObjectSpec, link_poses, scale
     from tests.support.mechanisms import WOOD, geom, joint, part
 

@@ -1,1 +1,1 @@
-"""Benchmarks for airspeed velocity; the measuring itself is `neoworld_mjx.bench`."""
+"""Benchmarks for airspeed velocity; the measuring itself is `neoworld_bench`."""

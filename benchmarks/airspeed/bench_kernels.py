@@ -2,9 +2,9 @@
 
 import jax
 import numpy as np
+from neoworld_bench.engines.kernel_times import TOLERANCE, implementations, kernels
+from neoworld_bench.engines.table_scenes import Noise, crowded, noisy_layouts
 
-from neoworld_mjx.bench.kernels import TOLERANCE, implementations, kernels
-from neoworld_mjx.bench.scenes import Noise, crowded, noisy_layouts
 from neoworld_mjx.physics.layout import rotation
 from neoworld_mjx.physics.model import compile_scene
 

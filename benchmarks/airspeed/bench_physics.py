@@ -3,11 +3,11 @@
 import sys
 
 import jax
+from neoworld_bench.engines.table_scenes import crowded, noisy_layouts
+from neoworld_bench.engines.throughput import physics
+from neoworld_bench.engines.verdicts import compare, motion, naive_loop
+from neoworld_bench.machine import peak_mib
 
-from neoworld_mjx.bench.machine import peak_mib
-from neoworld_mjx.bench.physics import physics
-from neoworld_mjx.bench.scenes import crowded, noisy_layouts
-from neoworld_mjx.bench.verdicts import compare, motion, naive_loop
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics.engine import EarlyStop
 from neoworld_mjx.physics.model import compile_scene

@@ -78,7 +78,7 @@ COMMANDS: dict[str, CommandEntry] = {
         "Say what is installed here, what can run, and what each missing thing costs.",
     ),
     "bench": CommandEntry(
-        ".bench_commands:BenchCommand",
+        "neoworld_bench.bench_commands:BenchCommand",
         "Make the benchmark, and measure methods, engines and refinement on it.",
     ),
 }

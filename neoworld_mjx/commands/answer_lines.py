@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from ..names import printable
+from ..io.names import printable
 from .base_command import Answer
 
 DETAILS = "details: -v, or --json"

@@ -85,7 +85,7 @@ class ConfiguredCommand(Command):
             flags: values by path of the option; None is a flag that was not given.
         """
         from ..config import load_config, parse_yaml
-        from ..reading import keep_bounds
+        from ..io import keep_bounds
 
         overrides: dict[str, Any] = {}
         for setting in self.set:

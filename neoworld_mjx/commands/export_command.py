@@ -39,7 +39,7 @@ class ExportCommand(ConfiguredCommand):
     def run(self) -> Answer:
         """Write the files."""
         from ..export.formats import collider_error, lost, write_formats
-        from ..files import write_inside
+        from ..io.files import write_inside
         from ..spec import SceneSpec
 
         if self.out.exists() and not self.out.is_dir():

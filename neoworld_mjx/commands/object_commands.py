@@ -149,7 +149,7 @@ def _signals(built: "Built") -> list[dict[str, Any]]:
 
 def _listings(program: Path, answer: Answer) -> list[str]:
     """Return what a program printed and its signals, as terminals show them."""
-    from ..program.signals import Signal
+    from ..checks.signals import Signal
     from ..program.watch import listings
     from ..verify.patched import read_program
 

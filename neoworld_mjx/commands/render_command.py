@@ -51,7 +51,7 @@ class RenderCommand(ConfiguredCommand):
 
     def run(self) -> Answer:
         """Ray-cast the scene."""
-        from ..files import write_atomic
+        from ..io.files import write_atomic
         from ..render import render_scene, to_png
         from ..render.viewpoints import opened
         from ..viewer.view_target import open_target

@@ -7,7 +7,7 @@ import time
 from types import TracebackType
 from typing import Any
 
-from ..names import printable
+from ..io.names import printable
 from ..progress import LOGGER
 
 REFRESH_S = 0.5

@@ -1,6 +1,7 @@
 """Commands that refine scenes many times: sweep, ablate."""
 
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,9 +11,10 @@ from .answer_lines import sweep_lines
 from .base_command import Answer, Command
 
 if TYPE_CHECKING:
-    from ..physics.layout import Layout
-    from ..physics.model import SceneModel
-    from ..sweeps import Case
+    from ..sweeps.cases import Source
+
+SCENE_SOURCES = "neoworld_bench.named_scenes:SOURCES"
+"""Location of the named scenes that a plan can use as KIND:NAME."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,48 +54,20 @@ class AblateCommand(PlanCommand):
 
 
 def _run_plan(command: PlanCommand, *, ablation: bool) -> Answer:
-    from ..bench.named import named
     from ..cache import keep_compilations
-    from ..sweeps import Case, ablate, answer, sweep
+    from ..sweeps import ablate, answer, sweep
 
     keep_compilations()
-    sources = {kind: lambda name, make=make: Case(**make(name)) for kind, make in named().items()}
     result = (ablate if ablation else sweep)(
         command.plan,
         command.out,
-        sources=sources | {"photo": photographed},
+        sources=_scene_sources(),
         resume=command.resume,
         overwrite=command.overwrite,
     )
     return answer(result, command.out)
 
 
-def photographed(name: str) -> "Case":
-    """Return the composed scene of a bundled example, with its photograph.
-
-    Raises:
-        SpecError: no such example has one.
-    """
-    from ..bench.real_scenes import FOLDER
-    from ..errors import SpecError, choices
-    from ..pipeline.bundled_examples import bundled_examples
-    from ..spec import read_scene
-    from ..sweeps import Case
-
-    examples = bundled_examples()
-    composed = {each: FOLDER / f"{each}.json" for each in examples}
-    known = [each for each, path in composed.items() if path.is_file()]
-    if name not in known:
-        raise SpecError(f"scene photo:{name}: {choices(name, known)}")
-    scene, photo = read_scene(composed[name]), examples[name].photo
-    return Case(f"photo:{name}", scene, errors=_box_iou, photo=photo)
-
-
-def _box_iou(model: "SceneModel", layout: "Layout") -> dict[str, float]:
-    """Compare the visible boxes of a layout, pop axis of length 1, with those of the photograph."""
-    import numpy as np
-
-    from ..measure import visible_box_iou
-
-    ious = visible_box_iou(model.apply(layout, 0))
-    return {"box_iou": float(np.mean(list(ious.values())))} if ious else {}
+def _scene_sources() -> "dict[str, Source]":
+    module, name = SCENE_SOURCES.split(":")
+    return getattr(import_module(module), name)

@@ -27,7 +27,7 @@ class TemplateCommand(Command):
 
     def run(self) -> Answer:
         """List templates, or write a program."""
-        from ..files import write_atomic
+        from ..io.files import write_atomic
         from ..templates import template, templates
 
         if self.name is None:

@@ -9,8 +9,8 @@ from pathlib import Path
 from pydantic import Field
 
 from ..errors import SpecError
-from ..files import write_atomic
-from ..reading import read_model
+from ..io import read_model
+from ..io.files import write_atomic
 from ..spec import Box2D, JointKey, Name, Number, SceneSpec, Spec, joint_keys
 
 LAYOUT_PATCH = "layout.patch.json"

@@ -4,7 +4,9 @@
 `docs/departures.md` from the declarations.
 """
 
-from .file_options import FileOptions
+from ..io.file_options import FileOptions
+from ..io.yaml_files import parse_yaml, read_yaml
+from ..options import Departure, Option, Options, list_options, option_values
 from .model_options import MLLMOptions, Role, RoleOptions
 from .object_options import (
     ComposeOptions,
@@ -15,8 +17,7 @@ from .object_options import (
     RenderOptions,
     VerifyOptions,
 )
-from .options import Departure, Option, Options, list_options, option_values
-from .run_config import Config, describe, load_config, merged
+from .run_config import Config, load_config, merged
 from .search_options import (
     CEMOptions,
     DescentOptions,
@@ -25,7 +26,6 @@ from .search_options import (
     RolloutOptions,
     SemanticOptions,
 )
-from .yaml_files import parse_yaml, read_yaml
 
 __all__ = [
     "CEMOptions",
@@ -49,7 +49,6 @@ __all__ = [
     "RolloutOptions",
     "SemanticOptions",
     "VerifyOptions",
-    "describe",
     "list_options",
     "load_config",
     "merged",

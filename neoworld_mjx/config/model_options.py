@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import ConfigDict, field_validator
 
-from .options import Options, option
+from ..options import Options, option
 
 Role = Literal["reasoner", "programmer", "critic"]
 

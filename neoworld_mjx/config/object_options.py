@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from .options import Departure, Options, option
+from ..options import Departure, Options, option
 
 Language = Literal["sdk", "blender"]
 """Languages of object programs."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from .options import Option, Options, list_options
+from ..options import Option, Options, list_options
 from .run_config import Config
 
 _YAML_HEAD = """\

@@ -9,10 +9,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
-from ..errors import ConfigError, choices
-from .file_options import FileOptions
+from ..errors import ConfigError
+from ..io.file_options import FileOptions
+from ..io.validation_message import validation_message
+from ..io.yaml_files import read_yaml
+from ..options import Options, option
 from .model_options import MLLMOptions
 from .object_options import (
     ComposeOptions,
@@ -21,12 +24,7 @@ from .object_options import (
     RenderOptions,
     VerifyOptions,
 )
-from .options import Options, option
 from .search_options import RefineOptions
-from .yaml_files import read_yaml
-
-_UNSHOWN = ("headers", "base_url")
-"""Options whose wrong values are not shown, as they may hold keys."""
 
 
 class Config(Options):
@@ -72,34 +70,7 @@ def load_config(path: Path | None = None, overrides: dict[str, Any] | None = Non
         return Config.model_validate(data)
     except ValidationError as error:
         where = str(path) if path is not None else "options"
-        raise ConfigError(f"{where}: {describe(error, Config)}") from None
-
-
-def describe(error: ValidationError, model: type[BaseModel]) -> str:
-    """Phrase a validation error in one line a person can act on."""
-    lines = []
-    for item in error.errors():
-        where = ".".join(str(step) for step in item["loc"]) or "(root)"
-        if item["type"] == "extra_forbidden":
-            keys = _keys_at(model, item["loc"][:-1])
-            lines.append(f"unknown key {where}: {choices(str(item['loc'][-1]), keys)}")
-        elif any(name in item["loc"] for name in _UNSHOWN):
-            lines.append(f"{where}: {item['msg']}")
-        else:
-            shown = repr(item["input"])
-            shown = shown if len(shown) <= 80 else shown[:77] + "..."
-            lines.append(f"{where}: {item['msg']}, got {shown}")
-    return "; ".join(lines)
-
-
-def _keys_at(model: type[BaseModel], path: tuple[Any, ...]) -> list[str]:
-    for step in path:
-        field = model.model_fields.get(str(step))
-        inner = field.annotation if field is not None else None
-        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
-            return []
-        model = inner
-    return sorted(model.model_fields)
+        raise ConfigError(f"{where}: {validation_message(error, Config)}") from None
 
 
 def _read_mapping(path: Path) -> dict[str, Any]:

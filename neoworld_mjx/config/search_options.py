@@ -7,7 +7,7 @@ against the parameters that the search really compiles with.
 from typing import Literal
 
 from ..engines import ENGINES_HELP, EngineChoice
-from .options import Departure, Options, option, static, traced
+from ..options import Departure, Options, option, static, traced
 
 _PROGRAM, _SHAPE = "is another program", "shapes arrays"
 _EARLY_STOP = "ends rollouts early"

@@ -11,9 +11,9 @@ from pathlib import Path
 from pxr import Sdf, Tf, Usd
 
 from ..errors import SpecError
-from ..files import MIB, read_bytes
-from ..names import printable
-from ..reading import bounds_of_files
+from ..io import bounds_of_files
+from ..io.files import MIB, read_bytes
+from ..io.names import printable
 
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 MAX_LAYERS, MAX_PRIMS = 500, 200_000

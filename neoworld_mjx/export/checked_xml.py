@@ -8,8 +8,8 @@ from math import inf
 from pathlib import Path
 
 from ..errors import SpecError
-from ..files import MIB, read_bytes
-from ..reading import bounds_of_files
+from ..io import bounds_of_files
+from ..io.files import MIB, read_bytes
 
 MAX_ELEMENTS = 200_000
 _DECLARED = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from ..config import describe
 from ..errors import SpecError
-from ..names import identifier
+from ..io.names import identifier
+from ..io.validation_message import validation_message
 from ..physics.decompose import convex_pieces, hull_points, installed
 from ..spec import (
     AuthoredInertia,
@@ -111,7 +111,9 @@ def to_object(mechanism: Mechanism) -> Imported:
         try:
             parts.append(_part(link, names, materials, notes))
         except ValidationError as error:
-            raise SpecError(f"link {link.name} of {name}: {describe(error, PartSpec)}") from None
+            raise SpecError(
+                f"link {link.name} of {name}: {validation_message(error, PartSpec)}"
+            ) from None
     labels = {link.name: part.name for link, part in zip(by_name.values(), parts, strict=True)}
     _check_follow(kept)
     titles = {joint.name: names.take(joint.name, "joint") for joint in kept}
@@ -146,7 +148,7 @@ def to_object(mechanism: Mechanism) -> Imported:
             ),
         )
     except ValidationError as error:
-        raise SpecError(f"{name}: {describe(error, ObjectSpec)}") from None
+        raise SpecError(f"{name}: {validation_message(error, ObjectSpec)}") from None
     low, high = bounds(spec)
     origin = ((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2])
     return Imported(recentred(spec), tuple(dict.fromkeys(notes)), triple(np.array(origin)), titles)

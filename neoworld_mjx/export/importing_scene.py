@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
-from ..config import describe
 from ..errors import SpecError
-from ..names import identifier
+from ..io.names import identifier
+from ..io.validation_message import validation_message
 from ..spec import SceneObject, SceneSpec
 from ..spec.base import Vec3
 from ..spec.pose import conjugate, from_matrix, from_yaw, quat_mul, yaw_of
@@ -78,7 +78,7 @@ def _described(path: Path, made: list[Assembly], gravity: Vec3 | None) -> Import
         if gravity is not None:
             scene = scene.model_copy(update={"gravity": gravity})
     except ValidationError as error:
-        raise SpecError(f"{path}: {describe(error, SceneSpec)}") from None
+        raise SpecError(f"{path}: {validation_message(error, SceneSpec)}") from None
     return ImportedScene(scene, tuple(dict.fromkeys(notes)))
 
 

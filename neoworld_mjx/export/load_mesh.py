@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
-from ..files import MIB, read_bytes
-from ..reading import bounds_of_files
+from ..io import bounds_of_files
+from ..io.files import MIB, read_bytes
 from ..spec.mesh import MAX_VERTICES
 from .checked_xml import inside
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from ..errors import SpecError
-from ..files import MIB
-from ..reading import bounds_of_files
+from ..io import bounds_of_files
+from ..io.files import MIB
 
 RISKY = {"flexcomp", "composite", "replicate", "user", "size", "hfield", "texture", "skin", "flex"}
 """Elements whose numbers decide how much is made of them."""

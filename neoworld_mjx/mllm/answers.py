@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from ..config import describe
+from ..io.validation_message import validation_message
 
 T = TypeVar("T", bound=BaseModel)
 
@@ -41,7 +41,7 @@ def read_answer(text: str, schema: type[T]) -> T:
             # Through JSON again, as only then lists may become tuples and strings enums.
             return schema.model_validate_json(json.dumps(value))
         except ValidationError as error:
-            reason = reason or _shorten(describe(error, schema))
+            reason = reason or _shorten(validation_message(error, schema))
     raise InvalidAnswer(reason or _no_object(text))
 
 

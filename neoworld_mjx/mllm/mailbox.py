@@ -27,9 +27,9 @@ from pydantic import BaseModel
 
 from ..config import RoleOptions
 from ..errors import ModelError
-from ..files import MIB, read_bytes, write_atomic
-from ..names import file_name
-from ..reading import bounds_of_files, read_model
+from ..io import bounds_of_files, read_model
+from ..io.files import MIB, read_bytes, write_atomic
+from ..io.names import file_name
 from .answers import InvalidAnswer, is_json, read_answer
 from .requests import Rejection, Reply, Request, Usage
 

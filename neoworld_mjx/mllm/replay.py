@@ -18,8 +18,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from ..config import RoleOptions
 from ..errors import MissingAnswerError, ModelError
-from ..files import write_atomic
-from ..reading import read_model
+from ..io import read_model
+from ..io.files import write_atomic
 from .requests import Rejection, Reply, Request, Usage
 
 SUFFIX = ".tape.json"

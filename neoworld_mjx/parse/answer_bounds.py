@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from pydantic import BaseModel
 
-from ..names import MAX_NAME, plain_text
+from ..io.names import MAX_NAME, plain_text
 
 FURTHEST_M, LARGEST_M, THINNEST_M = 1000.0, 1000.0, 1e-4
 MAX_LISTED = 200

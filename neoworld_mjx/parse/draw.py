@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
+from ..fit.projection import edges_in_view
 from ..mllm import Picture
 from ..spec import SceneTree, TreeNode
 from .photo import Photo
-from .project import edges_in_view
 
 GREY = (170, 170, 170)
 COLOURS = (

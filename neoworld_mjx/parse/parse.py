@@ -13,11 +13,11 @@ from dataclasses import dataclass, field, replace
 
 from ..config import ParseOptions
 from ..errors import ModelError, SpecError
+from ..fit.fit_tree import FitReport, fit_tree
+from ..fit.tree_checks import SceneIssue, check_score, check_tree
 from ..mllm import Model, ask_or_record, revise
 from ..spec import SceneTree
-from .checks import SceneIssue, check_score, check_tree
 from .draw import draw_parse
-from .fit import FitReport, fit_tree
 from .photo import Photo
 from .prompts import SceneCritique, judge_request, parse_request
 from .schema import SceneSeen, to_tree

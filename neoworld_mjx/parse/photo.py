@@ -17,8 +17,8 @@ from jaxtyping import UInt8
 from PIL import Image, ImageOps
 
 from ..errors import PhotoError
-from ..files import MIB, read_bytes
-from ..reading import bounds_of_files, open_picture
+from ..io import bounds_of_files, open_picture
+from ..io.files import MIB, read_bytes
 from .enlarge import enlarged
 
 MIN_SIDE_PX = 16

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from pydantic import Field, ValidationError, model_validator
 
 from ..errors import SpecError
-from ..names import MAX_NAME, NAME_RULE, is_name, plain_text
+from ..io.names import MAX_NAME, NAME_RULE, is_name, plain_text
 from ..spec import Box2D, Box3D, Camera, Cues, PartState, Quat, SceneTree, TreeNode
 from ..spec.pose import IDENTITY, from_axis_angle, from_yaw, rotate
 from ..spec.tree import Relation

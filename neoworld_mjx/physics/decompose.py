@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from ..cache import cache_folder
 from ..errors import RunError
-from ..files import write_atomic
-from ..reading import read_arrays
+from ..io import read_arrays
+from ..io.files import write_atomic
 
 _log = logging.getLogger(__name__)
 CLOSED, OPEN = (0.02, 96), (0.08, 16)

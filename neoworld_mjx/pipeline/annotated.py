@@ -5,6 +5,7 @@ from pathlib import Path
 
 from ..config import Config
 from ..errors import ProgramError, RunError, SpecError
+from ..io import bounded_by, read_model
 from ..parse.crops import colour_in_box, crops
 from ..parse.draw import draw_parse
 from ..parse.photo import load_photo
@@ -12,7 +13,6 @@ from ..parse.support_colours import support_colours
 from ..program import build
 from ..program.attempt import ProgramAttempt, Programmed
 from ..program.supports import support_program
-from ..reading import bounded_by, read_model
 from ..render import to_png
 from ..run_folder import RunFolder
 from ..spec import SceneTree, TreeNode

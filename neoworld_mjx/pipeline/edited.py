@@ -5,10 +5,10 @@ from pathlib import Path
 from ..compose.layout_patch import LayoutPatch, write_layout_patch
 from ..config import Config
 from ..errors import RunError
-from ..files import write_atomic
+from ..io import bounded_by, read_object
+from ..io.files import write_atomic
 from ..program import Built, build
 from ..program.attempt import ProgramAttempt, Programmed
-from ..reading import bounded_by, read_object
 from ..run_folder import RunFolder, read_run
 from .reconstruction import Result, earlier_options, models_of_run, steps_from
 

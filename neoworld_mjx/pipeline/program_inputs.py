@@ -4,9 +4,9 @@ from collections.abc import Mapping
 
 from ..config import ProgramOptions
 from ..errors import SpecError
+from ..io import read_object
 from ..parse.crops import Crop
 from ..parse.support_colours import SupportColour
-from ..reading import read_object
 from ..run_folder import RunFolder
 from ..spec import Box3D, SceneTree
 

@@ -9,9 +9,9 @@ from typing import Any
 
 from ..config import Config, load_config, merged
 from ..errors import ConfigError, RunError
+from ..io import bounded_by
 from ..mllm import Panel, open_panel
 from ..parse.photo import Photo, load_photo
-from ..reading import bounded_by
 from ..run_folder import STEPS, RunFolder, read_run
 from .pictures import Pictures
 from .steps import ANSWERS, COMPOSED, STEP_FUNCTIONS, StepContext, read_tree, write_metrics

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from .. import progress
+from ..checks.allowance import Allowance
 from ..config import Config
 from ..errors import ProgramError, RunError, SpecError
+from ..io import read_model, read_object
 from ..mllm import Panel, Picture
 from ..parse.photo import Photo, load_photo
-from ..program.allowance import Allowance
-from ..reading import read_model, read_object
 from ..run_folder import RunFolder
 from ..spec import ObjectSpec, SceneTree, TreeNode, read_scene
 from .coroutines import run_coroutine
@@ -155,9 +155,9 @@ def verify_objects(context: StepContext) -> None:
 
 
 def _verify_object(context: StepContext, node: TreeNode, tree: SceneTree) -> None:
+    from ..checks.object_tests import Battery
     from ..compose.resting_pose import on_level, pose_without_scene
     from ..verify import verify_and_repair, write_overlay
-    from ..verify.battery import Battery
     from ..verify.films import films
 
     run, options = context.run, context.config.verify
@@ -214,8 +214,8 @@ def compose_scene(context: StepContext) -> None:
     """
     from ..compose.compose import compose
     from ..compose.layout_patch import LAYOUT_PATCH, apply_layout, read_layout_patch
+    from ..fit.refit import refit_tree
     from ..measure import shown_sides
-    from ..parse.refit import refit_tree
 
     run, config = context.run, context.config
     tree = with_corrected_sizes(run, read_tree(run))
@@ -303,8 +303,8 @@ def _check_composed(context: StepContext) -> None:
 
 def refine_layout(context: StepContext) -> None:
     """Step 5: write scene.json, and every candidate's layout and scores in refine/."""
+    from ..fit.fit_tree import NOTED_M, NOTED_SIZE
     from ..measure import box_iou, object_moves
-    from ..parse.fit import NOTED_M, NOTED_SIZE
     from ..refinement import refine
 
     run, config = context.run, context.config

@@ -7,9 +7,9 @@ plain Python loads no sandbox.
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ..checks.signals import Signal
     from .make import build
     from .sandbox import Built
-    from .signals import Signal
 
 _HOMES = {"build": "make", "Built": "sandbox", "Signal": "signals"}
 

@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from ..checks.signals import Signal
 from ..config import Language
 from ..mllm import Picture, Request, package_text
 from .critique import Critique, corrected_box
-from .signals import Signal
 from .subject import (
     Edges,
     Subject,

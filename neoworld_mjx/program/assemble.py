@@ -5,11 +5,11 @@ from typing import Any
 from pydantic import ValidationError
 
 from .. import spec as S
-from ..config import describe
+from ..checks.signals import Signal, has_errors
+from ..io.validation_message import validation_message
 from ..spec import Inertial
 from .joint_losses import default_losses
 from .sdk_object import Object
-from .signals import Signal, has_errors
 
 
 def assemble(
@@ -64,7 +64,9 @@ def assemble(
         )
     except ValidationError as error:
         return None, [
-            Signal(severity="error", code="structure", message=describe(error, S.ObjectSpec))
+            Signal(
+                severity="error", code="structure", message=validation_message(error, S.ObjectSpec)
+            )
         ]
     inertials = {part.name: S.inertial(authored, part) for part in authored.parts}
     joints = tuple(

@@ -4,11 +4,11 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from ..checks.allowance import Allowance
+from ..checks.signals import Signal
 from ..spec import ObjectSpec
-from .allowance import Allowance
 from .critique import Critique, marks
 from .sandbox import Built
-from .signals import Signal
 
 Size = tuple[float, float, float]
 UNJUDGED = 5.0

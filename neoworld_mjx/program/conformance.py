@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ..checks.signals import Signal
 from ..spec import ObjectSpec, TreeNode, bounds
 from ..spec.opening import parsed_state
-from .signals import Signal
 
 PROPORTION_WARNS, PROPORTION_FAILS = 0.08, 0.25
 """Relative deviation of an edge from the parsed one, after the best uniform scale."""

@@ -1,7 +1,7 @@
 """Turn exceptions of programs into signals."""
 
+from ..checks.signals import Signal
 from .session import LimitExceeded, Session
-from .signals import Signal
 
 MODULE = "neoworld_mjx.program.sdk"
 """The only module of the package that a program may import."""

@@ -5,6 +5,9 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks.allowance import Allowance
+from ..checks.joint_sweep import Overlap, Pair, State, sweep_joints
+from ..checks.part_distances import OutOfTime, Probe
 from ..config import ProgramOptions
 from ..render import render_object, to_png
 from ..spec import GeomSpec, ObjectSpec, PartSpec, link_poses
@@ -13,9 +16,6 @@ from ..spec.csg import faceted
 from ..spec.mesh import Mesh
 from ..spec.object import Material
 from ..spec.pose import Pose
-from .allowance import Allowance
-from .joint_sweep import Overlap, Pair, State, sweep_joints
-from .probe import OutOfTime, Probe
 
 FAILED = "failed.png"
 """Name of the picture in the folder of a build."""

@@ -1,13 +1,13 @@
 """Checks of an object whose parts are not joined yet: the first of the paper's three programs."""
 
+from ..checks.compile_checks import loose_shapes, too_intricate, with_line
+from ..checks.overlap import rest_overlap_signals
+from ..checks.part_distances import OutOfTime, Probe
+from ..checks.plausibility import plausibility
+from ..checks.signals import Signal, deduplicated
 from ..config import ProgramOptions
 from ..spec import ObjectSpec, TreeNode
-from .check import loose_shapes, too_intricate, with_line
 from .conformance import fit
-from .overlap import rest_overlap_signals
-from .plausible import plausibility
-from .probe import OutOfTime, Probe
-from .signals import Signal, deduplicated
 
 _ABOUT_JOINTS = ("missing_joint",)
 _ABOUT_SIZE = ("proportions", "wrong_size")

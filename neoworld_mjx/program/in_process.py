@@ -4,10 +4,10 @@ import contextlib
 import io
 import traceback
 
+from ..checks.signals import Signal
 from ..config import ProgramOptions
 from .exception_signals import exception_signal, limit_signal
 from .session import LimitExceeded, Session, entered
-from .signals import Signal
 
 
 def run_in_process(

@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 from .. import spec as S
+from ..checks.signals import in_radians
 from . import validate
 from .part import Part, extent_of
 from .placing import anchor_of, direction, hinge_of, is_hinge
@@ -55,7 +56,7 @@ def joint_fields(
     if arguments.get("swing") is not None:
         swing = validate.number(arguments["swing"], f"{context}: swing")
         if not 0 < swing <= math.pi:
-            meant = f"; {validate.in_radians(swing)}" if swing > math.pi else ""
+            meant = f"; {in_radians(swing)}" if swing > math.pi else ""
             raise ValueError(
                 f"{context}: swing must lie above 0 and up to pi, got {swing!r}{meant}"
             )

@@ -3,10 +3,10 @@
 import time
 from dataclasses import replace
 
+from ..checks.compile_checks import check
+from ..checks.signals import Signal, deduplicated
 from ..config import ProgramOptions
-from .check import check
 from .sandbox import Built, run
-from .signals import Signal, deduplicated
 
 
 def build(text: str, options: ProgramOptions | None = None) -> Built:

@@ -19,6 +19,7 @@ from typing import Any
 
 import pydantic_monty as monty
 
+from ..checks.signals import Signal
 from ..config import ProgramOptions
 from .call_clock import CallClock
 from .exception_signals import ENDLESS_HINT, MODULE, exception_signal, limit_signal
@@ -26,7 +27,6 @@ from .part import Geom, Joint, Part
 from .placing import Shape
 from .sdk_object import Object
 from .session import LimitExceeded, Session
-from .signals import Signal
 from .type_signals import type_signals
 
 

@@ -11,16 +11,16 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
 
+from ..checks.allowance import Allowance
+from ..checks.signals import Signal, deduplicated, has_errors
 from ..config import ProgramOptions
 from ..spec import ObjectSpec
-from .allowance import Allowance
 from .assemble import assemble
 from .blender.blender_availability import require_blender
 from .blender.blender_objects import run_blender
 from .in_process import run_in_process
 from .monty_sandbox import Starved, run_sandboxed
 from .session import Session
-from .signals import Signal, deduplicated, has_errors
 
 _BPY = re.compile(r"^[ \t]*(import|from)[ \t]+bpy\b", re.MULTILINE)
 

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from typing import Any, Literal, no_type_check
 
 from .. import spec as S
+from ..checks.allowance import Allowance
 from ..errors import choices
 from . import validate
-from .allowance import Allowance
 from .finishing import inherited_finish, stated_finish
 from .furniture import add_door, add_drawer, add_shelf
 from .joining import joint_fields

@@ -13,8 +13,8 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Any
 
+from ..checks.signals import Signal
 from .call_clock import CallClock, CallInterrupted
-from .signals import Signal
 
 MAX_WARNINGS = 20
 

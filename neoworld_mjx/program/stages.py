@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from ..checks.signals import Signal, deduplicated
 from ..config import ProgramOptions
 from ..errors import NeoWorldError
 from ..export import export_object, import_urdf
@@ -18,7 +19,6 @@ from .attempt import joined
 from .geometry_check import check_geometry
 from .make import build
 from .sandbox import Built, run
-from .signals import Signal, deduplicated
 
 LEAST_MASS_RATIO = 0.99
 """Least ratio of a part's mass before and after the URDF."""

@@ -17,6 +17,7 @@ import numpy as np
 from PIL import Image
 from pydantic import BaseModel
 
+from ..checks.signals import Signal, deduplicated, has_errors
 from ..config import ProgramOptions
 from ..mllm import Model, Picture, Request, ask_or_record, package_text, revise
 from ..spec import Camera, TreeNode
@@ -26,7 +27,6 @@ from .conformance import fit, losses, lost_checks
 from .critique import Critique, accepts, corrected_box, critic_request
 from .geometry_check import fit_geometry
 from .sandbox import Built, run
-from .signals import Signal, deduplicated, has_errors
 from .stages import NOTHING_MOVES, STAGES, Stage, in_own_lines, needs_asking, through_urdf
 from .subject import Subject
 from .supports import support_program

@@ -8,11 +8,11 @@ from functools import cache
 from importlib import import_module
 from typing import Any
 
+from ..checks.signals import Signal
 from .exception_signals import IMPORT_HINT, MODULE
 from .part import Geom, Joint, Part
 from .placing import Shape
 from .sdk_object import Object
-from .signals import Signal
 
 MAX_TYPE_SIGNALS = 20
 _CLASSES = (Object, Part, Geom, Joint, Shape)

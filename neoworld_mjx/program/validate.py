@@ -12,8 +12,9 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from ..config import describe
-from ..names import is_name
+from ..checks.signals import in_radians
+from ..io.names import is_name
+from ..io.validation_message import validation_message
 from .session import warn
 
 MAX_COORDINATE_M = 100.0
@@ -91,14 +92,6 @@ def lengths(value: Any, argument: str) -> tuple[float, float, float]:
 
 MOST_TURN_RAD = 4 * math.pi
 """Angle beyond which a turn is taken for one in degrees."""
-
-
-def in_radians(degrees: float) -> str:
-    """Say that angles are in radians, with the value that was probably meant."""
-    return (
-        f"angles are in radians: {degrees:g} degrees are {math.radians(degrees):.4g}, "
-        f"math.radians({degrees:g})"
-    )
 
 
 def turn(value: Any, argument: str) -> tuple[float, float, float]:
@@ -183,6 +176,8 @@ def described(model: type[_S], argument: str, **fields: Any) -> _S:
     try:
         return model(**fields)
     except ValidationError as error:
-        message = describe(error, model).replace("(root): ", "").replace("Value error, ", "")
+        message = (
+            validation_message(error, model).replace("(root): ", "").replace("Value error, ", "")
+        )
         message = re.sub(r", got \{.*$", "", message, flags=re.DOTALL)
         raise ValueError(f"{argument}: {message}") from None

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from ..checks.signals import Signal
 from ..config import ProgramOptions
 from ..errors import ExportError, SpecError
 from ..export import object_files
@@ -13,7 +14,6 @@ from ..render import render_object, to_png
 from ..spec import ObjectSpec
 from .failed_picture import FAILED, failed_picture
 from .sandbox import Built
-from .signals import Signal
 from .views import opened_state
 
 log = logging.getLogger(__name__)

@@ -14,10 +14,10 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from ..config import describe
 from ..errors import ModelError
+from ..io import read_outside_text
+from ..io.validation_message import validation_message
 from ..physics.layout import Layout
-from ..reading import read_outside_text
 from ..spec import SceneSpec
 
 Identity = tuple[int, int]
@@ -152,7 +152,7 @@ def read_scores(path: Path) -> list[Score]:
         try:
             scores.append(Score.model_validate_json(line))
         except ValidationError as error:
-            raise ModelError(f"{path}, line {number}: {describe(error, Score)}") from None
+            raise ModelError(f"{path}, line {number}: {validation_message(error, Score)}") from None
     return scores
 
 

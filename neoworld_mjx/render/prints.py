@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..errors import SpecError
-from ..reading.picture_files import open_picture
+from ..io.picture_files import open_picture
 from ..spec import Material
 from ..spec.photo_print import PhotoPrint
 

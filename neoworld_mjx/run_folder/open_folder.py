@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from ..config import Config
 from ..errors import NeoWorldError, RunError, choices
-from ..files import content_hash, write_atomic
+from ..io.files import content_hash, write_atomic
 from ..progress import report
 from ..step_names import STEPS
 from .run_json import read_run, running, strict_json

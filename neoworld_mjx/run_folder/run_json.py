@@ -11,10 +11,11 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
-from ..config import Config, describe
+from ..config import Config
 from ..errors import RunError
-from ..files import stays_inside
-from ..reading import read_json
+from ..io import read_json
+from ..io.files import stays_inside
+from ..io.validation_message import validation_message
 
 FORMAT = "neoworld-run/1"
 
@@ -93,7 +94,7 @@ def read_run(path: Path) -> dict[str, Any]:
     try:
         _Record.model_validate(data)
     except ValidationError as error:
-        why = describe(error, _Record)
+        why = validation_message(error, _Record)
         why = why if len(why) <= 500 else why[:500] + " ..."
         raise RunError(
             f"{file} is damaged: {why}; mend it, or name another folder and begin anew"

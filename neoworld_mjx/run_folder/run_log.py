@@ -6,7 +6,7 @@ import os
 import stat
 from pathlib import Path
 
-from ..names import printable
+from ..io.names import printable
 
 RUN_LOG = "run.log"
 PACKAGE = "neoworld_mjx"

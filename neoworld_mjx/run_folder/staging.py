@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 from typing import TextIO
 
 from ..errors import ExportError, RunError
-from ..files import (
+from ..io.files import (
     PART,
     content_hash,
     disk_full,

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..errors import SpecError
-from ..reading import read_model
+from ..io import read_model
 from .base import JointKey, Name, Number, Quat, Spec, Vec3
 from .camera import Camera
 from .kinematics import joint_keys, link_poses

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import RunError
-from ..files import write_atomic
-from ..reading import read_object
+from ..io import read_object
+from ..io.files import write_atomic
 from ..run_folder import refuse_links
 from .figure import draw
 from .histories import HISTORIES, with_histories, write_histories

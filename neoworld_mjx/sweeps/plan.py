@@ -9,8 +9,9 @@ from typing import Any, NamedTuple, TypeVar
 
 from pydantic import BaseModel, Field, ValidationError
 
-from ..config import Config, Options, RefineOptions, describe, load_config, merged, read_yaml
+from ..config import Config, Options, RefineOptions, load_config, merged, read_yaml
 from ..errors import ConfigError, choices
+from ..io.validation_message import validation_message
 
 ROOT = "refine"
 """Group of options that plans may set."""
@@ -81,7 +82,7 @@ def read(source: Request | Mapping[str, Any] | Path | str, kind: type[Request]) 
     try:
         plan = kind.model_validate(dict(data))
     except ValidationError as error:
-        raise ConfigError(f"{where}: {describe(error, kind)}") from None
+        raise ConfigError(f"{where}: {validation_message(error, kind)}") from None
     if len(plan.seeds) > MAX_SEEDS:
         raise ConfigError(f"{where}: {len(plan.seeds)} seeds, at most {MAX_SEEDS} are taken")
     if len(set(plan.seeds)) < len(plan.seeds) or min(plan.seeds) < 0:
@@ -164,7 +165,7 @@ def _with_values(base: dict[str, Any], values: Mapping[str, Any], where: str) ->
     try:
         return Config.model_validate(_replaced(base, overrides)).refine
     except ValidationError as error:
-        raise ConfigError(f"{where}: {describe(error, Config)}") from None
+        raise ConfigError(f"{where}: {validation_message(error, Config)}") from None
 
 
 def _replaced(base: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import jax
 from ..compilations import compiled
 from ..config import RefineOptions, option_values
 from ..errors import ConfigError
-from ..files import content_hash
+from ..io.files import content_hash
 from ..physics.engine import Engine
 from ..physics.model import SceneModel
 from ..physics.simulate import open_engine

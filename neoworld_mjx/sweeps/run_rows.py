@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import RunError
+from ..io import parquet_files
 from ..measure import SceneMeasure
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
-from ..reading import parquet_files
 from ..refinement.outcome import Refined
 from ..refinement.returning import Winner
 from ..refinement.search_run import SearchResult

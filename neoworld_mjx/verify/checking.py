@@ -4,18 +4,18 @@ import time
 from pathlib import Path
 from typing import Any
 
+from ..checks.allowance import Allowance
+from ..checks.object_tests import VERSION
+from ..checks.verdict import Check, Verdict
 from ..config import Config, ProgramOptions
 from ..errors import SpecError
 from ..export import export_object
 from ..export.importing import Imported
 from ..export.importing_scene import ImportedScene, import_file
-from ..program.allowance import Allowance
-from ..reading import read_model
+from ..io import read_model
 from ..spec import ObjectSpec
-from .battery import VERSION
 from .patch import overlay_path, read_overlay, write_overlay
 from .patched import build_patched
-from .verdict import Check, Verdict
 from .verification import VerificationResult, verify_and_repair
 
 

@@ -14,10 +14,10 @@ from typing import Annotated, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from ..checks.object_tests import Battery
 from ..errors import MissingAnswerError
 from ..mllm import Panel, Request, ask_or_record, package_text, revise
 from ..spec import ObjectSpec, inertial
-from .battery import Battery
 from .key_frames import questionable, strips
 from .patch import Patch
 from .repairs import Repaired, RunBattery, try_patches

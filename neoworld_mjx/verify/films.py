@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from ..checks.object_tests import Battery
+from ..checks.simulation import Trajectory
 from ..render.animation import encode_animation
 from ..render.flat_rendering import render_plain
 from ..spec import SceneSpec
-from .battery import Battery
 from .key_frames import posed_at, standard_runs, view_of_all
-from .simulation import Trajectory
 
 WIDTH, HEIGHT = 240, 200
 FRAMES = 16

@@ -6,15 +6,15 @@ import numpy as np
 from PIL import Image, ImageDraw
 from scipy.spatial.transform import Rotation
 
+from ..checks.object_tests import Battery
+from ..checks.scenarios import PRESETS, SINGLE
+from ..checks.simulation import Trajectory
+from ..checks.verdict import Check, Verdict
 from ..program.views import DescribedPicture
 from ..render import View, render_scene, to_png
 from ..render.scene_images import visible_vertices
 from ..spec import SceneObject, SceneSpec
 from ..spec.opening import prerequisite_state
-from .battery import Battery
-from .scenarios import PRESETS, SINGLE
-from .simulation import Trajectory
-from .verdict import Check, Verdict
 
 WIDTH, HEIGHT, BAND = 220, 200, 16
 FRAMES, MOST = 4, 3

@@ -11,10 +11,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from ..config import describe
 from ..errors import SpecError
-from ..files import write_atomic
-from ..reading import read_model
+from ..io import read_model
+from ..io.files import write_atomic
+from ..io.validation_message import validation_message
 from ..spec import AuthoredInertia, GeomSpec, JointSpec, Name, ObjectSpec, PartSpec, Vec3
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -133,7 +133,9 @@ def apply(patch: Patch, spec: ObjectSpec) -> tuple[ObjectSpec, tuple[str, ...]]:
             sites=sites,
         )
     except ValidationError as error:
-        raise SpecError(f"the patch of {spec.name}: {describe(error, ObjectSpec)}") from None
+        raise SpecError(
+            f"the patch of {spec.name}: {validation_message(error, ObjectSpec)}"
+        ) from None
     return patched, tuple(stale)
 
 

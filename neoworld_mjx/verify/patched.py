@@ -5,9 +5,9 @@ from pathlib import Path
 
 from ..config import ProgramOptions
 from ..errors import SpecError
+from ..io import read_outside_text
 from ..program import build
 from ..program.watch import BuiltProgram
-from ..reading import read_outside_text
 from .patch import SUFFIX, Patch, apply, read_overlay
 
 

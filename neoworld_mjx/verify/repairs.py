@@ -11,14 +11,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks.joint_checks import on_edge, pivot_edges
+from ..checks.object_tests import Battery
+from ..checks.part_distances import Probe
+from ..checks.verdict import Check, Fault, Verdict
 from ..errors import SpecError
 from ..program.joint_losses import SETTLING_S, default_losses
-from ..program.probe import Probe
 from ..spec import JointSpec, ObjectSpec, PartSpec, Vec3, inertial, part_bounds
-from .battery import Battery
-from .joint_checks import on_edge, pivot_edges
 from .patch import GeomEdit, JointEdit, PartEdit, Patch, apply
-from .verdict import Check, Fault, Verdict
 
 GAP_M = 0.0005
 """Gap between parts that a repair moves apart or together."""

@@ -9,20 +9,20 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from ..cache import cache_folder
+from ..checks.allowance import Allowance
+from ..checks.object_tests import VERSION, Battery
+from ..checks.verdict import Verdict
 from ..config import VerifyOptions
 from ..errors import RunError
-from ..files import content_hash, write_atomic
+from ..io import read_model
+from ..io.files import content_hash, write_atomic
 from ..mllm import Panel
-from ..program.allowance import Allowance
-from ..reading import read_model
 from ..spec import ObjectSpec, Quat
 from ..spec.pose import IDENTITY
-from .battery import VERSION, Battery
 from .critic import MotionCritique, with_models
 from .key_frames import standard_runs
 from .patch import Patch, apply
 from .repairs import repair
-from .verdict import Verdict
 
 _log = logging.getLogger(__name__)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RunError
-from ..reading import read_arrays
+from ..io import read_arrays
 from . import charts
 from .charts import Band, Series
 from .page import Html, missing, section, table

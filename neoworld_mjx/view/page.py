@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..errors import RunError
-from ..files import MIB, read_bytes
-from ..reading import bounds_of_files, open_picture
+from ..io import bounds_of_files, open_picture
+from ..io.files import MIB, read_bytes
 
 _MAX_PX = 1280
 _SMALL_BYTES = 300_000

@@ -12,7 +12,7 @@ from typing import Any
 
 from ..config import Config
 from ..errors import NeoWorldError, RunError
-from ..files import write_atomic
+from ..io.files import write_atomic
 from ..run_folder import STEPS, read_run, refuse_links
 from ..spec import read_scene
 from . import charts

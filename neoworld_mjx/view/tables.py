@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import RunError
-from ..reading import read_object
+from ..io import read_object
 from ..run_folder import STEPS
 from .page import Html, film_strip, missing, picture, section, table, verdict
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ..config import Config
 from ..errors import SpecError
-from ..names import is_name
+from ..fit.vanishing_points import camera_of_lines
+from ..io.names import is_name
 from ..parse.photo import load_photo
-from ..parse.vanishing import camera_of_lines
 from ..pipeline import Result
 from ..pipeline.annotated import write_annotated
 from ..pipeline.annotation import GROUND, KEPT, MODEL, PLAIN, AnnotatedObject, Annotation

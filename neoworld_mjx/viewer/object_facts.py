@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..errors import NeoWorldError, SpecError
+from ..io import read_model
 from ..parse.crops import crops
 from ..parse.photo import load_photo
 from ..program import Built
-from ..reading import read_model
 from ..spec import SceneObject, SceneTree, bounds, inertial
 from ..view.changes import moves_of
 from ..view.page import Html, table, text

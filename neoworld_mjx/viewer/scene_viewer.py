@@ -11,7 +11,7 @@ import numpy as np
 from ..compose.layout_patch import LayoutPatch, read_layout_patch
 from ..config import Config
 from ..errors import NeoWorldError
-from ..files import write_atomic
+from ..io.files import write_atomic
 from ..spec import Box2D
 from .annotation_drawing import CHOSEN, draw_box, hide_boxes
 from .joint_sliders import JointSliders

@@ -10,8 +10,8 @@ from PIL import Image
 
 from ..config import Config
 from ..errors import PhotoError, RunError, SpecError
+from ..io import read_arrays
 from ..parse.photo import load_photo
-from ..reading import read_arrays
 from ..run_folder import refuse_links
 from ..spec import ObjectSpec, SceneObject, SceneSpec, read_scene
 

@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from neoworld_bench.engines import throughput as timing
+from neoworld_bench.engines.agreement import ModelRow, VerdictRow, agreed, agreement
+from neoworld_bench.engines.agreement_scenes import AGREEMENT
+from neoworld_bench.engines.growth import growth, growth_svg
+from neoworld_bench.engines.kernel_times import KernelRow, dispatch, kernels
+from neoworld_bench.engines.table_scenes import COUNTS, Noise, crowded, noisy_layouts
+from neoworld_bench.engines.throughput import PhysicsRow, Task, measure, physics
+from neoworld_bench.engines.verdicts import compare, motion, naive_loop
 
 from neoworld_mjx import cli
-from neoworld_mjx.bench import physics as timing
-from neoworld_mjx.bench.agreement import ModelRow, VerdictRow, agreed, agreement
-from neoworld_mjx.bench.growth import growth, growth_svg
-from neoworld_mjx.bench.kernels import KernelRow, dispatch, kernels
-from neoworld_mjx.bench.physics import PhysicsRow, Task, measure, physics
-from neoworld_mjx.bench.scenes import COUNTS, Noise, crowded, noisy_layouts
-from neoworld_mjx.bench.six import AGREEMENT
-from neoworld_mjx.bench.verdicts import compare, motion, naive_loop
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics.engine import RolloutStatus
 from neoworld_mjx.physics.model import compile_scene
@@ -125,7 +125,8 @@ def test_all_six_scenes_agree():
 
 
 def test_a_wrong_law_of_scale_is_found(monkeypatch):
-    from neoworld_mjx.bench import agreement as comparing
+    from neoworld_bench.engines import agreement as comparing
+
     from neoworld_mjx.physics import native
 
     right = native.model_fields

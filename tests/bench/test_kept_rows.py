@@ -3,9 +3,9 @@
 import os
 
 import pytest
+from neoworld_bench.row_files import RowFile, made_by_jobs, sized, stored_rows
+from neoworld_bench.rows import Row
 
-from neoworld_mjx.bench.dataset.kept_rows import RowFile, made_by_jobs, sized, stored_rows
-from neoworld_mjx.bench.rows import Row
 from neoworld_mjx.errors import RunError
 
 

@@ -4,12 +4,12 @@ import json
 
 import numpy as np
 import pytest
+from neoworld_bench.tasks import execute, find_task
+from neoworld_bench.tasks.model_plans import displaced_layout, plan_figures, plan_rows
+from neoworld_bench.tasks.outcome_feedback import refine_by_outcome
+from neoworld_bench.tasks.plan_asking import PlanAttempt, named_objects, plan_request
 
 from neoworld_mjx import cli
-from neoworld_mjx.bench.tasks import execute, find_task
-from neoworld_mjx.bench.tasks.model_plans import displaced_layout, plan_figures, plan_rows
-from neoworld_mjx.bench.tasks.outcome_feedback import refine_by_outcome
-from neoworld_mjx.bench.tasks.plan_asking import PlanAttempt, named_objects, plan_request
 from neoworld_mjx.config import CEMOptions, MLLMOptions
 from neoworld_mjx.errors import MissingAnswerError
 from neoworld_mjx.mllm import Panel

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from neoworld_bench.measures import canonical_points
+from neoworld_bench.measures.object_truth import canonical
+from neoworld_bench.objects.made_objects import object_files
+from neoworld_bench.objects.object_scores import score_figures, score_objects, stored_scores
+from neoworld_bench.objects.partnet import partnet_folders, partnet_object
+from neoworld_bench.tables.result_tables import write_tables
 
-from neoworld_mjx.bench.objects.made_objects import object_files
-from neoworld_mjx.bench.objects.object_scores import score_figures, score_objects, stored_scores
-from neoworld_mjx.bench.objects.partnet import partnet_folders, partnet_object
-from neoworld_mjx.bench.result_tables import write_tables
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import RunError, SpecError
-from neoworld_mjx.measure import canonical_points
-from neoworld_mjx.measure.truth import canonical
 
 TURN = f"{math.pi / 2} 0 {-math.pi / 2}"
 """As the data set writes it: from y up and the front at +z to z up and the front at -x."""

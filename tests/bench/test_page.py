@@ -3,12 +3,12 @@
 import json
 
 import pytest
+from neoworld_bench import suites
 from pydantic import ValidationError
 
 from benchmarks import page
 from benchmarks import suites as developer
 from neoworld_mjx import cli
-from neoworld_mjx.bench import suites
 
 NAMES = sorted(path.stem for path in page.FIGURES.iterdir() if path.stem != "page")
 

@@ -4,11 +4,9 @@ import json
 
 import numpy as np
 import pytest
-
-from neoworld_mjx import cli
-from neoworld_mjx.bench.photo_scenes import occluders, photo_scene, visible_shares
-from neoworld_mjx.bench.photo_semantics import semantic_rows
-from neoworld_mjx.bench.photos import (
+from neoworld_bench.fidelity.rendered_scenes import occluders, photo_scene, visible_shares
+from neoworld_bench.fidelity.semantic_ranking import semantic_rows
+from neoworld_bench.fidelity.step_errors import (
     MEASURES,
     STEPS,
     PhotoRow,
@@ -18,6 +16,8 @@ from neoworld_mjx.bench.photos import (
     photo_summary,
     searching_little,
 )
+
+from neoworld_mjx import cli
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import EngineError
 

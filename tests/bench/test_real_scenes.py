@@ -1,8 +1,8 @@
 """Scenes of photographs as the benchmark refines them."""
 
 import pytest
+from neoworld_bench.photographs.real_scenes import FOLDER, REAL, real_refinements
 
-from neoworld_mjx.bench.real_scenes import FOLDER, REAL, real_refinements
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics import model

@@ -4,11 +4,11 @@ runs.
 
 import numpy as np
 import pytest
+from neoworld_bench import refine_scenes
+from neoworld_bench.engines.table_scenes import noisy_layouts
+from neoworld_bench.methods.baselines import OneByOne, algorithm1
+from neoworld_bench.refine import refinements, summary
 
-from neoworld_mjx.bench import refine_scenes
-from neoworld_mjx.bench.baselines import OneByOne, algorithm1
-from neoworld_mjx.bench.refine import refinements, summary
-from neoworld_mjx.bench.scenes import noisy_layouts
 from neoworld_mjx.config import CEMOptions, RefineOptions, RolloutOptions
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.measure import measured, passes

@@ -1,12 +1,12 @@
 """Ablations as methods, and what is counted of the objects: P-Pen and what curves need."""
 
 import pytest
+from neoworld_bench.methods.part_depths import P_PEN_M, articulated, part_depth
+from neoworld_bench.methods.scene_methods import ABLATIONS, SEARCHES
+from neoworld_bench.methods.scene_objects import FAR, ObjectRow, object_rows
+from neoworld_bench.tables.scene_curves import CURVES, curve_records, curves_csv, curves_svg
+from neoworld_bench.tables.scene_summary import ratio_interval
 
-from neoworld_mjx.bench.dataset.part_depths import P_PEN_M, articulated, part_depth
-from neoworld_mjx.bench.dataset.scene_curves import CURVES, curve_records, curves_csv, curves_svg
-from neoworld_mjx.bench.dataset.scene_methods import ABLATIONS, SEARCHES
-from neoworld_mjx.bench.dataset.scene_objects import FAR, ObjectRow, object_rows
-from neoworld_mjx.bench.dataset.scene_summary import ratio_interval
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.measure import SceneMeasure
 from neoworld_mjx.spec import (

@@ -6,28 +6,28 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
+from neoworld_bench.dataset.declaration import ROOMS, declarations, read_declaration
+from neoworld_bench.dataset.make_dataset import rounded
+from neoworld_bench.dataset.settle_scene import failures
+from neoworld_bench.dataset.truth_scene import truth_scene
+from neoworld_bench.engines.table_scenes import crowded
+from neoworld_bench.fidelity.rendered_scenes import see
+from neoworld_bench.methods.layout_errors import displaced, layout_errors, tilt_deg
+from neoworld_bench.methods.scene_methods import METHODS, USUAL, OneForAll
+from neoworld_bench.methods.scene_runs import RESULTS, SceneRow, chosen_scenes, run_scenes
+from neoworld_bench.noise.initial_scenes import noise_number, true_tree
+from neoworld_bench.tables.scene_summary import BOUNDS, interval, summarise
+from neoworld_bench.tables.scene_table import latex, markdown, table_records
 
-from neoworld_mjx.bench.dataset.declaration import ROOMS, declarations, read_declaration
-from neoworld_mjx.bench.dataset.layout_errors import displaced, layout_errors, tilt_deg
-from neoworld_mjx.bench.dataset.make_dataset import rounded
-from neoworld_mjx.bench.dataset.scene_methods import METHODS, USUAL, OneForAll
-from neoworld_mjx.bench.dataset.scene_runs import RESULTS, SceneRow, chosen_scenes, run_scenes
-from neoworld_mjx.bench.dataset.scene_summary import BOUNDS, interval, summarise
-from neoworld_mjx.bench.dataset.scene_table import latex, markdown, table_records
-from neoworld_mjx.bench.dataset.settle_scene import failures
-from neoworld_mjx.bench.dataset.starts import noise_number, true_tree
-from neoworld_mjx.bench.dataset.truth_scene import truth_scene
-from neoworld_mjx.bench.photo_scenes import see
-from neoworld_mjx.bench.scenes import crowded
 from neoworld_mjx.compose.compose import compose
 from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.errors import RunError, SpecError
+from neoworld_mjx.io.parquet_files import write_rows
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.settling import moved
 from neoworld_mjx.physics.support import footprint
-from neoworld_mjx.reading.parquet_files import write_rows
 from neoworld_mjx.spec import bounds, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle, from_yaw, pose, quat_mul
 
@@ -70,7 +70,7 @@ def test_a_tent_without_one_board_falls():
     ],
 )
 def test_a_broken_declaration_is_named(tmp_path, change: tuple[str, str], message: str):
-    from neoworld_mjx.bench.dataset.declaration import SCENES
+    from neoworld_bench.dataset.declaration import SCENES
 
     path = tmp_path / "tents.yaml"
     path.write_text((SCENES / "tents.yaml").read_text().replace(*change, 1))

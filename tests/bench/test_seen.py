@@ -5,34 +5,34 @@ import json
 
 import numpy as np
 import pytest
-from PIL import Image
-
-from neoworld_mjx import cli
-from neoworld_mjx.bench.seen import joint_films, scene_judge
-from neoworld_mjx.bench.seen import picture_rows as comparing
-from neoworld_mjx.bench.seen.joint_films import (
+from neoworld_bench.judge import joint_films, scene_judge
+from neoworld_bench.judge import picture_rows as comparing
+from neoworld_bench.judge.joint_films import (
     JointedPair,
     joint_frames,
     motion_is_seen,
     object_pairs,
 )
-from neoworld_mjx.bench.seen.joint_hits import (
+from neoworld_bench.judge.joint_hits import (
     comparison_request,
     joint_hit_figures,
     joint_hit_rows,
 )
-from neoworld_mjx.bench.seen.made_scenes import made_scenes
-from neoworld_mjx.bench.seen.picture_rows import picture_figures, picture_rows
-from neoworld_mjx.bench.seen.scene_judge import (
+from neoworld_bench.judge.made_scenes import made_scenes
+from neoworld_bench.judge.picture_rows import picture_figures, picture_rows
+from neoworld_bench.judge.scene_judge import (
     SceneRating,
     judged_pictures,
     rating_figures,
     rating_request,
     rating_rows,
 )
+from neoworld_bench.measures.picture_similarity import PictureModels
+from PIL import Image
+
+from neoworld_mjx import cli
 from neoworld_mjx.config import MLLMOptions, ProgramOptions
 from neoworld_mjx.errors import ConfigError, MissingAnswerError, SpecError
-from neoworld_mjx.measure.picture_similarity import PictureModels
 from neoworld_mjx.mllm import Panel
 from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
 from neoworld_mjx.mllm.replay import Replay, Tape

@@ -2,18 +2,28 @@
 
 import numpy as np
 import pytest
-
-from neoworld_mjx.bench.dataset import joint_noise, parse_noise, starts
-from neoworld_mjx.bench.dataset.declaration import (
+from neoworld_bench.dataset.declaration import (
     ObjectDeclaration,
     declarations,
     program_of,
     template_of,
 )
-from neoworld_mjx.bench.dataset.environment_noise import with_other_supports
-from neoworld_mjx.bench.dataset.layout_errors import displaced, layout_errors, unmatched
-from neoworld_mjx.bench.dataset.noise_draft import Draft
-from neoworld_mjx.bench.dataset.parse_noise import (
+from neoworld_bench.dataset.truth_scene import built, truth_scene
+from neoworld_bench.fidelity.rendered_answers import ASIDE, DEPTH, LOG_ASPECT, LOG_SIZE, YAW
+from neoworld_bench.fidelity.rendered_scenes import see
+from neoworld_bench.measures.surface_measure import geometry_measure, surface_points
+from neoworld_bench.methods.layout_errors import displaced, layout_errors, unmatched
+from neoworld_bench.noise import initial_scenes as starts
+from neoworld_bench.noise import joint_noise, parse_noise
+from neoworld_bench.noise.environment_noise import with_other_supports
+from neoworld_bench.noise.initial_scenes import (
+    composed_start,
+    fitted_answer,
+    true_tree,
+    wrong_shapes,
+)
+from neoworld_bench.noise.noise_draft import Draft
+from neoworld_bench.noise.parse_noise import (
     NoiseLog,
     with_copy,
     with_other_carrier,
@@ -21,7 +31,7 @@ from neoworld_mjx.bench.dataset.parse_noise import (
     without,
     wrong_parse,
 )
-from neoworld_mjx.bench.dataset.program_noise import (
+from neoworld_bench.noise.program_noise import (
     EDGE,
     near_parameters,
     with_other_shape,
@@ -29,19 +39,10 @@ from neoworld_mjx.bench.dataset.program_noise import (
     without_part,
     wrong_program,
 )
-from neoworld_mjx.bench.dataset.share_noise import with_other_shares
-from neoworld_mjx.bench.dataset.split_noise import with_halves
-from neoworld_mjx.bench.dataset.starts import (
-    composed_start,
-    fitted_answer,
-    true_tree,
-    wrong_shapes,
-)
-from neoworld_mjx.bench.dataset.truth_scene import built, truth_scene
-from neoworld_mjx.bench.photo_answers import ASIDE, DEPTH, LOG_ASPECT, LOG_SIZE, YAW
-from neoworld_mjx.bench.photo_scenes import see
-from neoworld_mjx.measure.geometry import geometry_measure, surface_points
-from neoworld_mjx.parse.checks import check_tree
+from neoworld_bench.noise.share_noise import with_other_shares
+from neoworld_bench.noise.split_noise import with_halves
+
+from neoworld_mjx.fit.tree_checks import check_tree
 from neoworld_mjx.spec import ObjectSpec, SceneTree, bounds, inertial, part_bounds
 
 

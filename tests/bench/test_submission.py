@@ -6,15 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from neoworld_bench.dataset.declaration import declarations
+from neoworld_bench.dataset.truth_scene import truth_scene
+from neoworld_bench.fidelity.rendered_scenes import see
+from neoworld_bench.methods.layout_errors import displaced, layout_errors, unmatched
+from neoworld_bench.methods.scene_runs import known_rows, run_scenes
+from neoworld_bench.methods.submission import submission_name, submitted, submitted_starts
+from neoworld_bench.methods.validity import validity
+from neoworld_bench.noise.initial_scenes import true_tree
 
-from neoworld_mjx.bench.dataset.declaration import declarations
-from neoworld_mjx.bench.dataset.layout_errors import displaced, layout_errors, unmatched
-from neoworld_mjx.bench.dataset.scene_runs import known_rows, run_scenes
-from neoworld_mjx.bench.dataset.starts import true_tree
-from neoworld_mjx.bench.dataset.submission import submission_name, submitted, submitted_starts
-from neoworld_mjx.bench.dataset.truth_scene import truth_scene
-from neoworld_mjx.bench.dataset.validity import validity
-from neoworld_mjx.bench.photo_scenes import see
 from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export import export_scene

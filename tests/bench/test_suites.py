@@ -5,11 +5,11 @@ import re
 from pathlib import Path
 
 import pytest
+from neoworld_bench import suites
 
 from benchmarks import __main__ as developer
 from benchmarks import suites as developer_suites
 from neoworld_mjx import cli
-from neoworld_mjx.bench import suites
 
 
 @pytest.mark.parametrize("table", [suites.SUITES, developer_suites.SUITES])

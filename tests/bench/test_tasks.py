@@ -5,10 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
-
-from neoworld_mjx import cli
-from neoworld_mjx.bench.tasks import (
+from neoworld_bench.tasks import (
     TaskPlan,
     ToolMove,
     all_tasks,
@@ -17,12 +14,15 @@ from neoworld_mjx.bench.tasks import (
     task_names,
     wait,
 )
-from neoworld_mjx.bench.tasks.execution import moved
-from neoworld_mjx.bench.tasks.predicates import JointBetween, Leaning
-from neoworld_mjx.bench.tasks.task_checks import TaskRow, summarised
-from neoworld_mjx.bench.tasks.task_page import PAGE, page
-from neoworld_mjx.bench.tasks.task_scenes import put, scene_of, task_programs
-from neoworld_mjx.bench.tasks.world import World
+from neoworld_bench.tasks.execution import moved
+from neoworld_bench.tasks.predicates import JointBetween, Leaning
+from neoworld_bench.tasks.task_checks import TaskRow, summarised
+from neoworld_bench.tasks.task_page import PAGE, page
+from neoworld_bench.tasks.task_scenes import put, scene_of, task_programs
+from neoworld_bench.tasks.world import World
+from pydantic import ValidationError
+
+from neoworld_mjx import cli
 from neoworld_mjx.errors import ConfigError, SpecError
 from neoworld_mjx.program import build
 

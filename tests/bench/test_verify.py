@@ -5,9 +5,9 @@ import pytest
 
 from benchmarks.battery import OnCores, agreement, batteries, prepare
 from benchmarks.verify import FaultRow, ValidRow, summary, verify_matrix
+from neoworld_mjx.checks.verdict import Fault
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import ConfigError, EngineError
-from neoworld_mjx.verify import Fault
 from tests.support.injected_faults import KINDS
 from tests.support.valid_objects import FAMILIES, valid_objects
 

@@ -5,6 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from neoworld_bench.engines.penetration import KINDS, accuracy, random_pairs
+from neoworld_bench.engines.table_scenes import crowded, noisy_layouts, single
 from neoworld_kernels import (
     Colliders,
     PieceGroup,
@@ -16,8 +18,6 @@ from neoworld_kernels import (
 )
 from scipy.spatial.transform import Rotation
 
-from neoworld_mjx.bench.penetration import KINDS, accuracy, random_pairs
-from neoworld_mjx.bench.scenes import crowded, noisy_layouts, single
 from neoworld_mjx.physics.colliders import collect_colliders
 from neoworld_mjx.physics.layout import rotation
 from neoworld_mjx.physics.model import compile_scene

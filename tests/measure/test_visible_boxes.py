@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
+from neoworld_bench.fidelity.rendered_scenes import photo_scene
 
-from neoworld_mjx.bench.photo_scenes import photo_scene
 from neoworld_mjx.measure import box_iou, object_moves, shown_sides, visible_box_iou
 from neoworld_mjx.measure.boxes import iou_2d
 from neoworld_mjx.spec import Box, Box3D, Camera, SceneTree, TreeNode

@@ -4,11 +4,11 @@ import io
 
 import numpy as np
 import pytest
+from neoworld_bench.judge.joint_hits import FilmComparison
+from neoworld_bench.judge.scene_judge import SceneRating
 from PIL import Image
 from pydantic import create_model
 
-from neoworld_mjx.bench.seen.joint_hits import FilmComparison
-from neoworld_mjx.bench.seen.scene_judge import SceneRating
 from neoworld_mjx.errors import ModelError
 from neoworld_mjx.mllm import Picture
 from neoworld_mjx.parse.prompts import SceneCritique

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from neoworld_bench.engines.table_scenes import noisy_layouts
 
-from neoworld_mjx.bench.scenes import noisy_layouts
 from neoworld_mjx.config import load_config
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine

@@ -5,8 +5,8 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+from neoworld_bench.photographs.real_scenes import FOLDER
 
-from neoworld_mjx.bench.real_scenes import FOLDER
 from neoworld_mjx.physics.native import NativeEngine
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/simulate-with-mjx.md"

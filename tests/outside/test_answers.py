@@ -7,9 +7,9 @@ from typing import get_args, get_origin
 import pytest
 from pydantic import BaseModel
 
+from neoworld_mjx.io.names import file_name, identifier, is_name, plain_text
 from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
 from neoworld_mjx.mllm.requests import Reply, Usage
-from neoworld_mjx.names import file_name, identifier, is_name, plain_text
 from neoworld_mjx.parse.answer_bounds import BOUNDS
 from neoworld_mjx.parse.schema import SceneSeen, to_tree
 from neoworld_mjx.program.validate import shown

@@ -10,7 +10,7 @@ from neoworld_mjx.config import FileOptions
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export import import_mjcf, import_urdf
 from neoworld_mjx.export.load_mesh import load_mesh
-from neoworld_mjx.reading import bounded_by
+from neoworld_mjx.io import bounded_by
 
 BALL = '<geom size=".1"/>'
 MJCF = {

@@ -15,8 +15,7 @@ from pydantic import BaseModel
 
 from neoworld_mjx.config import FileOptions, load_config, read_yaml
 from neoworld_mjx.errors import ConfigError, PhotoError, RunError, SpecError
-from neoworld_mjx.parse.photo import load_photo
-from neoworld_mjx.reading import (
+from neoworld_mjx.io import (
     bounded_by,
     open_picture,
     read_arrays,
@@ -24,6 +23,7 @@ from neoworld_mjx.reading import (
     read_model,
     read_outside_text,
 )
+from neoworld_mjx.parse.photo import load_photo
 
 LIBRARY = Path(__file__).parents[2] / "neoworld_mjx"
 SMALL = FileOptions(max_text_mib=1, max_values=1000, max_depth=10, max_array_mib=1)
@@ -238,7 +238,7 @@ def test_no_file_is_read_beside_the_readers():
     # The pages of the documentation are written from files of the repository itself.
     for path in set(LIBRARY.rglob("*.py")) - {LIBRARY / "config" / "pages.py"}:
         for call, name in _calls(path):
-            assert name not in READERS, f"{path}:{call.lineno}: use neoworld_mjx.reading"
+            assert name not in READERS, f"{path}:{call.lineno}: use neoworld_mjx.io"
 
 
 def test_numbers_of_python_stay_bounded():

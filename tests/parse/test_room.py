@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from neoworld_mjx.parse.checks import check_tree
+from neoworld_mjx.fit.projection import expected_box
+from neoworld_mjx.fit.tree_checks import check_tree
 from neoworld_mjx.parse.photo import Photo
-from neoworld_mjx.parse.project import expected_box
 from neoworld_mjx.parse.prompts import listing
 from neoworld_mjx.parse.schema import SceneSeen, to_tree
 from neoworld_mjx.parse.support_colours import support_colours

@@ -7,9 +7,9 @@ import pytest
 from pydantic import ValidationError
 
 from neoworld_mjx.errors import SpecError
+from neoworld_mjx.fit.tree_checks import agreement, check_tree
 from neoworld_mjx.mllm import package_text
 from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
-from neoworld_mjx.parse.checks import agreement, check_tree
 from neoworld_mjx.parse.prompts import SceneCritique, listing, parse_request
 from neoworld_mjx.parse.schema import SceneSeen, TiltSeen, tilt_quat, to_tree
 from neoworld_mjx.spec import Camera, Cues

@@ -3,8 +3,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from neoworld_bench.engines.verdicts import motion
 
-from neoworld_mjx.bench.verdicts import motion
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics.derived import invweights
 from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus

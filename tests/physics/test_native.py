@@ -3,9 +3,9 @@
 import jax
 import numpy as np
 import pytest
+from neoworld_bench.engines.table_scenes import crowded, noisy_layouts
 from pydantic import ValidationError
 
-from neoworld_mjx.bench.scenes import crowded, noisy_layouts
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.physics import native
 from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus

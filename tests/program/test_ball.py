@@ -4,12 +4,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from neoworld_mjx.checks.object_tests import Battery
 from neoworld_mjx.export import export_object, import_urdf, read_mjcf, read_usd
 from neoworld_mjx.physics.mjcf import START, to_mjspec
 from neoworld_mjx.program import build
 from neoworld_mjx.spec import JointSpec, SceneObject, SceneSpec, inertial, link_poses, scale
 from neoworld_mjx.spec.pose import angle_between, from_axis_angle, quat_mul, rotate
-from neoworld_mjx.verify import Battery
 from neoworld_mjx.verify.repairs import repair
 
 LAMP = """

@@ -6,6 +6,7 @@ from importlib import resources
 import numpy as np
 import pytest
 
+from neoworld_mjx.checks.object_tests import Battery
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
 from neoworld_mjx.program.ask import instructions
@@ -13,7 +14,6 @@ from neoworld_mjx.program.blender.blender_availability import unavailable
 from neoworld_mjx.program.materials import MATERIALS
 from neoworld_mjx.program.stages import STAGES
 from neoworld_mjx.spec import bounds
-from neoworld_mjx.verify import Battery
 
 GUIDE = resources.files("neoworld_mjx.program").joinpath("blender_guide.md").read_text("utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", GUIDE, re.DOTALL)

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from neoworld_mjx.checks.object_tests import Battery
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
 from neoworld_mjx.program.materials import MATERIALS
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.spec import bounds, link_poses
-from neoworld_mjx.verify import Battery
 
 GUIDE = resources.files("neoworld_mjx.program").joinpath("guide.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", GUIDE, re.DOTALL)

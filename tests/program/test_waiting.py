@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from neoworld_mjx.checks.object_tests import Battery
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.program.views import opened_state
 from neoworld_mjx.spec import ObjectSpec
 from neoworld_mjx.spec.opening import prerequisite_state, with_prerequisites
-from neoworld_mjx.verify import Battery
 from neoworld_mjx.verify.key_frames import _of_joint
 
 OVEN = """

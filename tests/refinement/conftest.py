@@ -3,8 +3,8 @@
 import jax
 import jax.numpy as jnp
 import pytest
+from neoworld_bench.engines.table_scenes import crowded, noisy_layouts
 
-from neoworld_mjx.bench.scenes import crowded, noisy_layouts
 from neoworld_mjx.physics.model import compile_scene
 
 

@@ -4,8 +4,8 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from neoworld_bench.engines.table_scenes import crowded, noisy_layouts
 
-from neoworld_mjx.bench.scenes import crowded, noisy_layouts
 from neoworld_mjx.config import CEMOptions, RefineOptions, RolloutOptions
 from neoworld_mjx.physics.engine import unmoved
 from neoworld_mjx.physics.model import compile_scene

@@ -3,9 +3,9 @@
 import equinox as eqx
 import numpy as np
 import pytest
+from neoworld_bench.engines.table_scenes import TOP, block, standing, table
+from neoworld_bench.fidelity.rendered_scenes import see
 
-from neoworld_mjx.bench.photo_scenes import see
-from neoworld_mjx.bench.scenes import TOP, block, standing, table
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.physics.exact import snap_exactly

@@ -4,8 +4,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from neoworld_bench.fidelity.rendered_scenes import photo_scene
 
-from neoworld_mjx.bench.photo_scenes import photo_scene
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.scene_arrays import pad_scene

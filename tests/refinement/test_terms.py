@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from neoworld_bench.engines.table_scenes import crowded
 
-from neoworld_mjx.bench.scenes import crowded
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.physics.engine import RolloutStatus, unmoved

@@ -1,6 +1,7 @@
 """Small furniture that passes the battery; tests change one joint field of it."""
 
-from neoworld_mjx.bench.scenes import WOOD
+from neoworld_bench.engines.table_scenes import WOOD
+
 from neoworld_mjx.spec import Box, GeomSpec, JointSpec, ObjectSpec, PartSpec, recentred
 
 

@@ -10,6 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from neoworld_mjx.checks.joint_checks import on_edge
+from neoworld_mjx.checks.static_checks import part_bounds
+from neoworld_mjx.checks.verdict import Fault
 from neoworld_mjx.spec import (
     AuthoredInertia,
     Box,
@@ -22,9 +25,6 @@ from neoworld_mjx.spec import (
     recentred,
 )
 from neoworld_mjx.spec.kinematics import carried, with_joint
-from neoworld_mjx.verify.joint_checks import on_edge
-from neoworld_mjx.verify.static_checks import part_bounds
-from neoworld_mjx.verify.verdict import Fault
 
 Inject = Callable[[ObjectSpec, float], "ObjectSpec | None"]
 

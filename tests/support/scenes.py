@@ -1,11 +1,11 @@
-"""Small objects and scenes that tests share; larger ones are in `neoworld_mjx.bench.scenes`."""
+"""Small objects and scenes that tests share; larger ones: `neoworld_bench.engines`."""
 
 import functools
 import math
 
 import numpy as np
+from neoworld_bench.engines import table_scenes as bench_scenes
 
-from neoworld_mjx.bench import scenes as bench_scenes
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.spec import (
     CSG,

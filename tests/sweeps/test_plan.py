@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+from neoworld_bench.named_scenes import named
 
-from neoworld_mjx.bench.named import named
 from neoworld_mjx.commands.sweep_commands import photographed
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import ConfigError, SpecError

@@ -3,9 +3,9 @@ import sys
 import jax
 import numpy as np
 import pytest
+from neoworld_bench.engines.table_scenes import crowded, noisy_layouts
+from neoworld_bench.refine_scenes import START
 
-from neoworld_mjx.bench.refine_scenes import START
-from neoworld_mjx.bench.scenes import crowded, noisy_layouts
 from neoworld_mjx.compilations import compilations
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.layout import Layout

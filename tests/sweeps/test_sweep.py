@@ -3,9 +3,9 @@ import json
 import numpy as np
 import pytest
 import yaml
+from neoworld_bench.engines.table_scenes import crowded
 
 import neoworld_mjx
-from neoworld_mjx.bench.scenes import crowded
 from neoworld_mjx.errors import ConfigError, NeoWorldError, RunError
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.sweeps import Case, ablate, run, sweep

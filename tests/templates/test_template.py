@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from neoworld_mjx.checks.compile_checks import check
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.program.check import check
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.spec import bounds
 from neoworld_mjx.templates import read_template, template, templates

@@ -5,10 +5,12 @@ import io
 import pytest
 from PIL import Image
 
+from neoworld_mjx.checks.object_tests import Battery
+from neoworld_mjx.checks.verdict import Fault, Limit, judged
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import MissingAnswerError, ModelError
 from neoworld_mjx.mllm import Panel
-from neoworld_mjx.verify import Battery, Patch, Repaired, verification, verify_and_repair
+from neoworld_mjx.verify import Patch, Repaired, verification, verify_and_repair
 from neoworld_mjx.verify.critic import (
     Finding,
     MotionCritique,
@@ -19,7 +21,6 @@ from neoworld_mjx.verify.critic import (
 )
 from neoworld_mjx.verify.films import films
 from neoworld_mjx.verify.key_frames import questionable, strips
-from neoworld_mjx.verify.verdict import Fault, Limit, judged
 from tests.support import furniture as objects
 from tests.support.scripted_model import ScriptedModel
 

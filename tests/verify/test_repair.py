@@ -5,18 +5,12 @@ import json
 import pytest
 from pydantic import ValidationError
 
+from neoworld_mjx.checks.object_tests import Battery
+from neoworld_mjx.checks.verdict import Fault
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec import AuthoredInertia
-from neoworld_mjx.verify import (
-    Battery,
-    Fault,
-    Patch,
-    apply,
-    repair,
-    verification,
-    verify_and_repair,
-)
+from neoworld_mjx.verify import Patch, apply, repair, verification, verify_and_repair
 from tests.support import furniture as objects
 
 

@@ -5,10 +5,11 @@ import math
 
 import pytest
 
+from neoworld_mjx.checks.allowance import Allowance
+from neoworld_mjx.checks.object_tests import Battery
 from neoworld_mjx.config import Config, VerifyOptions
 from neoworld_mjx.pipeline.pictures import Pictures
 from neoworld_mjx.pipeline.steps import StepContext, verify_objects
-from neoworld_mjx.program.allowance import Allowance
 from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.spec import (
     Box,
@@ -26,7 +27,7 @@ from neoworld_mjx.spec import (
     bounds,
 )
 from neoworld_mjx.spec.pose import from_axis_angle
-from neoworld_mjx.verify import Battery, verify_and_repair
+from neoworld_mjx.verify import verify_and_repair
 from tests.support import furniture as objects
 
 CAMERA = Camera(width=640, height_px=480, fovy=0.8, height=1.0, pitch=0.6)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from neoworld_mjx.checks.verdict import Verdict
 from neoworld_mjx.config import Config, load_config
 from neoworld_mjx.errors import RunError
 from neoworld_mjx.refinement import pruning, rounds
 from neoworld_mjx.run_folder import RunFolder
-from neoworld_mjx.verify import Verdict
 from neoworld_mjx.view import convergence
 from neoworld_mjx.view.changes import changes
 from neoworld_mjx.view.charts import Series, bars, line_chart, nice_ticks

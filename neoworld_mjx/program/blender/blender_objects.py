@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
+from ...checks.signals import Signal
 from ...config import ProgramOptions
 from ...errors import choices
-from ...names import identifier
+from ...io.names import identifier
 from ..exception_signals import exception_signal, limit_signal
 from ..materials import MATERIALS
 from ..part import Joint, Part
 from ..placing import Shape
 from ..sdk_object import Object
 from ..session import LimitExceeded, Session, entered
-from ..signals import Signal
 from .blender_answer import BlenderJoint, BlenderMaterial, BlenderScene, BlenderShape
 from .blender_availability import require_blender
 from .blender_process import blender_answer, failure

@@ -6,12 +6,12 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from ...checks.signals import Signal
 from ...errors import ProgramError
-from ...files import MIB, read_bytes
-from ...names import printable
-from ...reading import read_model
+from ...io import read_model
+from ...io.files import MIB, read_bytes
+from ...io.names import printable
 from ..exception_signals import ENDLESS_HINT
-from ..signals import Signal
 from .blender_answer import BlenderScene
 from .blender_child import UNAVAILABLE
 from .blender_environment import blender_python

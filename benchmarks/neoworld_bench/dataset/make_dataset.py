@@ -1,0 +1,201 @@
+"""Write the data set: objects of all categories, and the scenes as a camera and a simulator see
+them.
+
+    DIR/dataset.json                        counts and the content hash
+    DIR/scenes.jpg                          the pictures of all scenes on one sheet
+    DIR/categories/NAME/program.py, spec.json
+    DIR/scenes/NAME/scene.json, scene.usda, objects/, tree.json, joints.json,
+                    picture.png, masks.png, depth.npz
+
+A folder that is written already, with the same content, is left alone, so a run goes on where it
+was stopped. The hash covers programs, objects, poses, cameras and tasks, with numbers rounded to
+six digits; pictures and what is read off them follow from these.
+"""
+
+import io
+import json
+import time
+from concurrent.futures import ProcessPoolExecutor
+from importlib import import_module
+from importlib.util import find_spec
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from neoworld_mjx.errors import RunError
+from neoworld_mjx.io import open_picture
+from neoworld_mjx.io.files import content_hash, write_atomic
+from neoworld_mjx.spec import ObjectSpec, SceneSpec
+from neoworld_mjx.templates import template, templates
+
+from ..noise.initial_scenes import photographed, true_tree
+from ..rows import log
+from .declaration import declaration, declarations
+from .truth_scene import built, truth_scene
+
+SUMMARY, DONE, SHEET = "dataset.json", "content.json", "scenes.jpg"
+THUMBNAIL, COLUMNS = (320, 240, 14), 5
+"""Width and height of a picture on the sheet and of its caption [px], and pictures in a row."""
+DIGITS = 6
+"""Significant digits of numbers in hashes: another machine's last bits do not count."""
+TASKS = "neoworld_bench.tasks"
+"""Module whose `task_names()` lists the tasks; without it there are none."""
+
+
+def make_dataset(out: Path, *, seed: int | None = None, workers: int = 1) -> dict[str, Any]:
+    """Write the data set into a folder.
+
+    Args:
+        out: the folder.
+        seed: draws one instance of each category; None takes every program's own parameters.
+        workers: processes.
+
+    Returns:
+        "categories", "joints" that move, "scenes", "tabletop", "tasks", "hash", "seconds".
+
+    Raises:
+        RunError: a file cannot be written.
+    """
+    began = time.perf_counter()
+    jobs = [("categories", name, str(out), seed) for name in templates()]
+    jobs += [("scenes", name, str(out), seed) for name in declarations()]
+    if workers > 1:
+        with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+            parts = list(pool.map(_write_part, jobs))
+    else:
+        parts = [_write_part(job) for job in jobs]
+    tasks = task_names()
+    summary = {
+        "categories": len(templates()),
+        "joints": sum(part["joints"] for part in parts if part["kind"] == "categories"),
+        "scenes": len(declarations()),
+        "tabletop": sum(d.tabletop for d in declarations().values()),
+        "tasks": len(tasks),
+        "hash": content_hash([[p["name"] + ":" + p["hash"] for p in parts], sorted(tasks)]),
+    }
+    _write(out / SUMMARY, json.dumps(summary | {"seed": seed}, indent=1) + "\n")
+    _write(out / SHEET, contact_sheet(out))
+    return summary | {"seconds": time.perf_counter() - began}
+
+
+def contact_sheet(out: Path) -> bytes:
+    """Return the pictures of a written data set's scenes on one sheet, as JPEG."""
+    names = list(declarations())
+    width, height, caption = THUMBNAIL
+    rows = -(-len(names) // COLUMNS)
+    sheet = Image.new("RGB", (COLUMNS * width, rows * (height + caption)), "white")
+    text = ImageDraw.Draw(sheet)
+    for k, name in enumerate(names):
+        x, y = (k % COLUMNS) * width, (k // COLUMNS) * (height + caption)
+        data = (out / "scenes" / name / "picture.png").read_bytes()
+        with open_picture(data, name, RunError) as picture:
+            sheet.paste(picture.resize((width, height)), (x, y + caption))
+        text.text((x + 3, y + 1), name, fill="black")
+    stream = io.BytesIO()
+    sheet.save(stream, "JPEG", quality=85)
+    return stream.getvalue()
+
+
+def task_names() -> list[str]:
+    """Return the names of the benchmark's tasks; none where the package has no tasks."""
+    if find_spec(TASKS) is None:
+        return []
+    return list(import_module(TASKS).task_names())
+
+
+def _write_part(job: tuple[str, str, str, int | None]) -> dict[str, Any]:
+    kind, name, out, seed = job
+    folder = Path(out) / kind / name
+    part = _category(name, seed) if kind == "categories" else _scene(name)
+    content = {"kind": kind, "name": name, "joints": part["joints"], "hash": part["hash"]}
+    text = json.dumps(content, indent=1) + "\n"
+    done = folder / DONE
+    if done.is_file() and done.read_text(encoding="utf-8") == text:
+        return content
+    for path, data in part["files"]().items():
+        _write(folder / path, data)
+    _write(done, text)
+    log.info(f"{kind}/{name}")
+    return content
+
+
+def _category(name: str, seed: int | None) -> dict[str, Any]:
+    chosen = template(name)
+    text = chosen.program({} if seed is None else chosen.draw(seed))
+    spec = built(text)
+    return {
+        "joints": sum(joint.type != "fixed" for joint in spec.joints),
+        "hash": content_hash([text, rounded(spec.model_dump(mode="json"))]),
+        "files": lambda: {"program.py": text, "spec.json": spec.model_dump_json(indent=1) + "\n"},
+    }
+
+
+def _scene(name: str) -> dict[str, Any]:
+    scene = truth_scene(declaration(name))
+    joints = sum(j.type != "fixed" for item in scene.objects for j in item.spec.joints)
+    return {
+        "joints": joints,
+        "hash": content_hash(rounded(scene.model_dump(mode="json"))),
+        "files": lambda: _scene_files(name),
+    }
+
+
+def _scene_files(name: str) -> dict[str, str | bytes]:
+    from neoworld_mjx.export.write_files import scene_files
+    from neoworld_mjx.render import render_scene, to_png
+
+    scene = photographed(declaration(name))
+    tree = true_tree(scene)
+    image = render_scene(scene)
+    depth = io.BytesIO()
+    np.savez_compressed(depth, depth_m=image.depth.astype(np.float32))
+    owners = (image.segmentation + 1).astype(np.uint8)
+    return {
+        **scene_files(scene),
+        "tree.json": tree.to_json(),
+        "joints.json": json.dumps(_joints(scene), indent=1) + "\n",
+        "masks.json": json.dumps(["", *image.names], indent=1) + "\n",
+        "picture.png": to_png(image),
+        "masks.png": to_png(owners),
+        "depth.npz": depth.getvalue(),
+    }
+
+
+def _joints(scene: SceneSpec) -> list[dict[str, Any]]:
+    return [
+        {
+            "object": item.name,
+            **joint.model_dump(mode="json"),
+            "value": item.joint_state.get(joint.name, 0.0),
+        }
+        for item in scene.objects
+        for joint in _moving(item.spec)
+    ]
+
+
+def _moving(spec: ObjectSpec) -> list[Any]:
+    return [joint for joint in spec.joints if joint.type != "fixed"]
+
+
+def rounded(value: Any) -> Any:
+    """Return a JSON value with its numbers rounded to DIGITS significant digits."""
+    if isinstance(value, float):
+        short = float(f"{value:.{DIGITS - 1}e}")
+        # What is nothing but rounding error of a computation is nothing.
+        return 0.0 if abs(short) < 1e-9 else short
+    if isinstance(value, dict):
+        return {key: rounded(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [rounded(inner) for inner in value]
+    return value
+
+
+def _write(path: Path, data: str | bytes) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, data)
+    except OSError as error:
+        raise RunError(f"cannot write {path}: {error.strerror}") from None

@@ -1,0 +1,1 @@
+"""Engine suites: speed, agreement and the scenes that they run on."""

@@ -1,0 +1,260 @@
+"""Whether every engine says the same about the same layouts; no clock runs here.
+
+(a) a candidate's model equals a recompiled scaled one, (b) `native` equals `mj_step` on it bit by
+bit, (c) motion equals that of the recompiled model as long as chaos allows, (d) verdicts are equal.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from neoworld_mjx.engines import ENGINES
+from neoworld_mjx.errors import EngineError, choices
+from neoworld_mjx.physics.engine import EarlyStop
+from neoworld_mjx.physics.layout import Layout, Poses
+from neoworld_mjx.physics.mjcf import to_mjspec
+from neoworld_mjx.physics.model import FREE, SceneModel, compile_scene
+from neoworld_mjx.physics.native import open_batch
+from neoworld_mjx.physics.simulate import open_engine
+
+from ..rows import Row
+from .agreement_scenes import AGREEMENT
+from .model_fields import SINGLE, field_errors, loose_fields
+from .table_scenes import noisy_layouts
+from .verdicts import compare, motion, naive_loop, started
+
+FIRST_STEP, FIRST_STEP_SHARE = 1e-6, 0.95
+"""Largest difference after one step [m] or [rad], and the share of layouts that must keep it."""
+NUDGE = 1e-13
+"""Far below what any contact can tell [m]."""
+BIT_STEPS, FALL_STEPS, FALL = 100, 100, 2.0
+"""Steps compared bit by bit, steps of the contact-free fall, and the room under each object [m]."""
+
+
+class ModelRow(Row):
+    """Checks (a) to (c) of one scene."""
+
+    scene: str
+    layouts: int
+    stable_share: float
+    field_error: float
+    """Largest relative difference of fields in double precision."""
+    field_error_single: float
+    """The same, of what MuJoCo keeps in single precision."""
+    loose_fields: list[str]
+    """Fields beyond 1e-9, or 1e-6 where single precision is all there is."""
+    bit_equal_share: float
+    """Share of layouts whose native trajectory is that of mj_step to the last bit."""
+    first_step_share: float
+    """Share of layouts within 1e-6 m of the recompiled model after one step."""
+    first_step_control: float
+    """The same of the recompiled model and itself, started 1e-13 m away: what chaos alone does."""
+    fall_error_m: float
+    """Largest difference from the recompiled model throughout a fall without contact."""
+    passed: bool
+    """Whether fields, bits and fall agree; `first_step_share` is checked over all scenes."""
+
+
+class VerdictRow(Row):
+    """Check (d) of one scene and engine."""
+
+    scene: str
+    engine: str
+    early_stop: bool
+    layouts: int
+    stable_share: float
+    near_bound: int
+    """Layouts that move 0.5 to 2 times a bound; not part of `agreement`."""
+    agreement: float | None
+    """Share of equal verdicts among the others."""
+    agreement_near_bound: float | None
+    wanted: float
+    passed: bool | None
+    """None where the engine cannot run."""
+    note: str = ""
+
+
+def agreement(
+    scenes: Sequence[str] = (),
+    engines: Sequence[str] = ("native",),
+    *,
+    layouts: int = 64,
+    seed: int = 0,
+) -> Iterator[ModelRow | VerdictRow]:
+    """Compare engines with MuJoCo on recompiled scenes, one row as soon as it is known.
+
+    Args:
+        scenes: names in `AGREEMENT`; none takes all six.
+        engines: of which verdicts are compared.
+        layouts: candidates of each scene.
+        seed: of the layouts.
+
+    Raises:
+        EngineError: there is no such scene.
+    """
+    for name in scenes or AGREEMENT:
+        if name not in AGREEMENT:
+            raise EngineError(f"scene: {choices(name, list(AGREEMENT))}")
+        make, noise = AGREEMENT[name]
+        scene = compile_scene(make())
+        drawn = noisy_layouts(scene, layouts, seed=seed, noise=noise)
+        poses = scene.place_exactly(drawn)
+        reference = naive_loop(scene, drawn, poses).motion
+        yield _models(name, scene, drawn, poses, float(np.mean(reference < 1)))
+        for engine in engines:
+            for rule in (None, EarlyStop()):
+                yield _verdicts(name, scene, poses, reference, engine, rule)
+
+
+def agreed(rows: Sequence[ModelRow | VerdictRow]) -> dict[str, Any]:
+    """Sum rows up: shares over all layouts, and whether everything that could run agrees.
+
+    Returns:
+        "passed", "first_step_share" with its control, and under "agreement" the share of equal
+        verdicts of each engine, with and without early stop.
+    """
+    models = [row for row in rows if isinstance(row, ModelRow)]
+    verdicts = [row for row in rows if isinstance(row, VerdictRow) and row.passed is not None]
+    mean = lambda values: float(np.mean(values)) if values else None
+    first = mean([row.first_step_share for row in models])
+    each = {}
+    for row in verdicts:
+        label = f"{row.engine}, early stop" if row.early_stop else row.engine
+        each.setdefault(label, []).append(row)
+    shares = {label: _share(rows_of) for label, rows_of in each.items()}
+    enough = all(shares[label] >= rows_of[0].wanted for label, rows_of in each.items())
+    return {
+        "passed": enough
+        and all(row.passed for row in models)
+        and (first is None or first >= FIRST_STEP_SHARE),
+        "first_step_share": first,
+        "first_step_control": mean([row.first_step_control for row in models]),
+        "agreement": shares,
+    }
+
+
+def _share(rows: Sequence[VerdictRow]) -> float:
+    counts = [row.layouts - row.near_bound for row in rows]
+    same = [(row.agreement or 0.0) * n for row, n in zip(rows, counts, strict=True)]
+    return float(sum(same) / max(sum(counts), 1))
+
+
+def _verdicts(
+    name: str,
+    scene: SceneModel,
+    poses: Poses,
+    reference: np.ndarray,
+    engine: str,
+    rule: EarlyStop | None,
+) -> VerdictRow:
+    wanted = ENGINES[engine].agreement
+    about = {"scene": name, "engine": engine, "early_stop": rule is not None, "wanted": wanted}
+    try:
+        moved = motion(scene, open_engine(engine).rollout(scene, poses, early_stop=rule))
+    except EngineError as error:
+        moved, note = None, str(error)
+    else:
+        note = ""
+    verdicts = compare(reference, reference if moved is None else moved)
+    share = None if moved is None else verdicts.share(near=False)
+    return VerdictRow(
+        **about,
+        layouts=len(reference),
+        stable_share=float(verdicts.stable.mean()),
+        near_bound=int(verdicts.near.sum()),
+        agreement=share,
+        agreement_near_bound=None if moved is None else verdicts.share(near=True),
+        passed=None if moved is None else share is not None and share >= wanted,
+        note=note,
+    )
+
+
+class _Differences(NamedTuple):
+    fields: dict[str, float]
+    bits: bool
+    first: float
+    control: float
+    fall: float
+
+
+def _models(name: str, scene: SceneModel, layouts: Layout, poses: Poses, stable: float) -> ModelRow:
+    batch = open_batch(scene, poses)
+    start = batch.bind("qpos").copy()
+    models = [batch.get_model(k) for k in range(batch.nsim)]
+    batch.step(nstep=BIT_STEPS)
+    each = []
+    for k, model in enumerate(models):
+        spec = to_mjspec(scene.apply(layouts, k, poses), timestep=model.opt.timestep)
+        again, data = started(spec)
+        each.append(_differences(model, start[k], batch.bind("qpos")[k], again, data))
+    errors = {n: max(d.fields[n] for d in each) for n in each[0].fields}
+    bits = float(np.mean([d.bits for d in each]))
+    within = lambda gaps: float(np.mean([gap <= FIRST_STEP for gap in gaps]))
+    fall, loose = max(d.fall for d in each), sorted(loose_fields(errors))
+    return ModelRow(
+        scene=name,
+        layouts=len(each),
+        stable_share=stable,
+        field_error=max(e for n, e in errors.items() if n not in SINGLE),
+        field_error_single=max(e for n, e in errors.items() if n in SINGLE),
+        loose_fields=loose,
+        bit_equal_share=bits,
+        first_step_share=within([d.first for d in each]),
+        first_step_control=within([d.control for d in each]),
+        fall_error_m=fall,
+        passed=not loose and bits == 1 and fall <= FIRST_STEP,
+    )
+
+
+def _differences(
+    model: mujoco.MjModel,
+    start: np.ndarray,
+    end: np.ndarray,
+    again: mujoco.MjModel,
+    fresh: mujoco.MjData,
+) -> _Differences:
+    """Hold a candidate's model against the recompiled one, and its native end against mj_step."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = start
+    mujoco.mj_step(model, data)
+    composed = fresh.qpos.copy()
+    mujoco.mj_step(again, fresh)
+    nudged = mujoco.MjData(again)
+    nudged.qpos[:] = composed + NUDGE
+    mujoco.mj_step(again, nudged)
+    first = float(np.abs(data.qpos - fresh.qpos).max())
+    mujoco.mj_step(model, data, nstep=BIT_STEPS - 1)
+    return _Differences(
+        fields=field_errors(model, again),
+        bits=bool(np.array_equal(data.qpos, end)),
+        first=first,
+        control=float(np.abs(nudged.qpos - fresh.qpos).max()),
+        fall=_fall(model, again, composed),
+    )
+
+
+def _fall(model: mujoco.MjModel, again: mujoco.MjModel, start: np.ndarray) -> float:
+    """Let both models fall with room under every object; return their largest difference.
+
+    Objects that are raised each to a height of its own fall side by side and meet nothing.
+
+    Raises:
+        EngineError: something touched; then this is no fall without contact.
+    """
+    high = start.copy()
+    for k, address in enumerate(model.jnt_qposadr[model.jnt_type == FREE]):
+        high[address + 2] += FALL * (k + 1)
+    both = []
+    for m in (model, again):
+        data = mujoco.MjData(m)
+        data.qpos[:] = high
+        path = np.empty((FALL_STEPS, m.nq))
+        for t in range(FALL_STEPS):
+            mujoco.mj_step(m, data)
+            path[t] = data.qpos
+            if data.ncon:
+                raise EngineError("objects raised for a fall without contact touch each other")
+        both.append(path)
+    return float(np.abs(both[0] - both[1]).max())

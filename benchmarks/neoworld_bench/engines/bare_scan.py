@@ -1,0 +1,34 @@
+"""The least that any JAX engine can do: `jax.vmap` over `mjx_step` in a scan, and nothing else."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+
+from neoworld_mjx.physics import mjx_engine
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.model import SceneModel
+
+
+def bare_scan(
+    scene: SceneModel, layouts: Layout, steps: int, chunk: int = mjx_engine.CHUNK
+) -> Callable[[], Any]:
+    """Prepare candidates as engine mjx does; return a call that steps them to the end.
+
+    Placing candidates and writing their model fields is done here, once, and costs the call
+    nothing; it returns coordinates [pop, 1, nq], in chunks.
+
+    Args:
+        scene: the compiled scene.
+        layouts: the candidates.
+        steps: of each candidate.
+        chunk: candidates simulated at once.
+    """
+    model = mjx_engine.on_device(scene)
+    pop = layouts.yaw.shape[0]
+    parts = []
+    for first in range(0, pop, chunk):
+        chunk_layouts = jax.tree.map(lambda leaf, at=first: leaf[at : at + chunk], layouts)
+        parts.append(mjx_engine.prepare(scene, scene.place(chunk_layouts))[:2])
+    jax.block_until_ready(parts)
+    return lambda: [mjx_engine.bare_scan(model, fields, qpos, 1, steps) for fields, qpos in parts]

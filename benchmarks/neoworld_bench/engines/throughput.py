@@ -1,0 +1,317 @@
+"""Candidates per second of each engine, beside the naive loop and a bare scan of MJX.
+
+Every row runs in a process of its own, so that its peak memory is its own and a row that exceeds
+its budget can be ended and reported as skipped. The row's verdicts are compared with those of the
+naive loop; a row that disagrees gets no rates.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import jax
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from neoworld_mjx.engines import ENGINES, EngineName
+from neoworld_mjx.errors import EngineError
+from neoworld_mjx.physics.engine import EarlyStop, Rollout, RolloutStatus
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.model import SceneModel, compile_scene
+from neoworld_mjx.physics.simulate import open_engine
+
+from ..machine import Others, peak_mib
+from ..rows import Row
+from .bare_scan import bare_scan
+from .table_scenes import COUNTS, crowded, noisy_layouts
+from .verdicts import Loop, compare, motion, naive_loop
+
+POPULATIONS = (64, 256, 1024, 4096, 16384)
+NAIVE_CANDIDATES = 128
+"""Candidates that the naive loop is timed on, and that verdicts are held against."""
+REPEATS = 5
+"""Rollouts that a steady rate is the median of; fewer, but one at least, when time is short."""
+SANE_AGREEMENT, SANE_FAILED = 0.9, 0.01
+"""A row whose verdicts agree less, or whose share of failed candidates is larger, has no rate."""
+_START_S = 30.0
+"""Time granted to a row's process to start and to compile the scene [s]."""
+
+
+class Task(BaseModel):
+    """The conditions of one row."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    engine: EngineName
+    objects: int = Field(ge=1)
+    population: int = Field(ge=1)
+    early_stop: bool = False
+    duration_s: float = 1.0
+    seed: int = 0
+    budget_s: float = 60.0
+
+
+class PhysicsRow(Row):
+    """A row of the table; None where a column does not apply or was not reached."""
+
+    engine: str
+    objects: int
+    population: int
+    steps: int
+    """Time steps of a candidate that runs to its end."""
+    early_stop: bool
+    candidates_per_s: float | None = None
+    naive_candidates_per_s: float | None = None
+    bare_scan_candidates_per_s: float | None = None
+    """Rate of `jax.vmap` over `mjx.step` alone, with the same batched fields; engine mjx only."""
+    core_ms: float | None = None
+    """Processor time of a candidate [ms], all threads together; engine native only. Unlike rates it
+    does not suffer from other processes."""
+    naive_core_ms: float | None = None
+    compile_s: float | None = None
+    """First rollout less a steady one: tracing, compiling, filling caches."""
+    first_s: float | None = None
+    steady_s: float | None = None
+    """Median of `repeats` rollouts."""
+    repeats: int = 0
+    steps_per_s: float | None = None
+    """Simulated steps, those of stopped candidates left out."""
+    mean_steps: float | None = None
+    single_thread_steps_per_s: float | None = None
+    """Rate of `mj_step` in the naive loop."""
+    peak_mib: float | None = None
+    """Largest resident memory of the row's process, imports included."""
+    device_peak_mib: float | None = None
+    others_cores: float | None = None
+    """Cores that other processes kept busy while this row was timed; rates suffer from them."""
+    verdict_agreement: float | None = None
+    """Agreement with the naive loop over `compared` layouts, including those near a bound."""
+    verdict_agreement_clear: float | None = None
+    """The same without the layouts that move 0.5 to 2 times a bound."""
+    compared: int = 0
+    stable_share: float | None = None
+    failed_share: float | None = None
+    status: str = "ok"
+    """ok, or `skipped:` or `invalid:` with the reason."""
+
+
+class Measured(BaseModel):
+    """Measurements of one row, as its process returns them."""
+
+    model_config = ConfigDict(extra="forbid", ser_json_inf_nan="strings")
+
+    first_s: float
+    steady_s: list[float]
+    core_s: list[float]
+    """Processor time of each steady rollout."""
+    bare_scan_s: list[float] = []
+    mean_steps: float
+    failed_share: float
+    stable_share: float
+    motion: list[float]
+    """Largest motion of the first candidates, in units of the bounds."""
+    peak_mib: float
+    device_peak_mib: float | None
+    others_cores: float | None
+
+
+def physics(
+    objects: Sequence[int] = COUNTS,
+    populations: Sequence[int] = (1024,),
+    engines: Sequence[str] = tuple(ENGINES),
+    *,
+    early_stop: Sequence[bool] = (False, True),
+    duration: float = 1.0,
+    budget: float = 60.0,
+    seed: int = 0,
+    apart: bool = True,
+) -> Iterator[PhysicsRow]:
+    """Measure engines, one row as soon as it is known.
+
+    Args:
+        objects: numbers of objects on the table.
+        populations: numbers of candidates.
+        engines: names of engines.
+        early_stop: whether candidates may stop early.
+        duration: simulated time [s].
+        budget: time that a row may take, and that the naive loop may take for a scene [s].
+        seed: of scenes and layouts.
+        apart: measure in processes of their own; otherwise here, without an end to a long row.
+    """
+    for count in objects:
+        scene = compile_scene(crowded(count, seed=seed))
+        pop = min(max(populations), NAIVE_CANDIDATES)
+        layouts = noisy_layouts(scene, pop, seed=seed)
+        poses = scene.place_exactly(layouts)
+        naive = naive_loop(scene, layouts, poses, duration=duration, budget=budget)
+        for engine in engines:
+            for population in populations:
+                for stop in early_stop:
+                    task = Task.model_validate(
+                        {
+                            "engine": engine,
+                            "objects": count,
+                            "population": population,
+                            "early_stop": stop,
+                            "duration_s": duration,
+                            "seed": seed,
+                            "budget_s": budget,
+                        }
+                    )
+                    yield _row(task, naive, apart=apart)
+
+
+def _row(task: Task, naive: Loop, *, apart: bool) -> PhysicsRow:
+    row = PhysicsRow(
+        engine=task.engine,
+        objects=task.objects,
+        population=task.population,
+        steps=naive.steps,
+        early_stop=task.early_stop,
+        naive_candidates_per_s=naive.candidates_per_s,
+        single_thread_steps_per_s=naive.steps_per_s,
+        naive_core_ms=1e3 * naive.cpu_s / len(naive.motion),
+    )
+    result = _in_a_process(task) if apart else measure(task)
+    if isinstance(result, str):
+        return row.model_copy(update={"status": result})
+    compared = min(len(naive.motion), task.population)
+    verdicts = compare(naive.motion[:compared], np.array(result.motion[:compared]))
+    checked = {
+        "verdict_agreement": float(verdicts.same.mean()),
+        "verdict_agreement_clear": verdicts.share(near=False),
+        "compared": compared,
+        "stable_share": result.stable_share,
+        "failed_share": result.failed_share,
+        "peak_mib": result.peak_mib,
+        "device_peak_mib": result.device_peak_mib,
+        "others_cores": result.others_cores,
+    }
+    clear = checked["verdict_agreement_clear"]
+    if result.failed_share > SANE_FAILED or (clear is not None and clear < SANE_AGREEMENT):
+        why = f"invalid: {result.failed_share:.1%} failed, verdicts agree in {clear or 0:.1%}"
+        return row.model_copy(update={**checked, "status": why})
+    if not result.steady_s:
+        late = {"first_s": result.first_s, "status": "skipped: budget"}
+        return row.model_copy(update={**checked, **late})
+    steady = float(np.median(result.steady_s))
+    bare = float(np.median(result.bare_scan_s)) if result.bare_scan_s else None
+    core = 1e3 * float(np.median(result.core_s)) / task.population
+    rates = {
+        "core_ms": core if task.engine == "native" else None,
+        "candidates_per_s": task.population / steady,
+        "bare_scan_candidates_per_s": None if bare is None else task.population / bare,
+        "compile_s": max(result.first_s - steady, 0.0),
+        "first_s": result.first_s,
+        "steady_s": steady,
+        "repeats": len(result.steady_s),
+        "steps_per_s": result.mean_steps * task.population / steady,
+        "mean_steps": result.mean_steps,
+    }
+    return row.model_copy(update={**checked, **rates})
+
+
+def _in_a_process(task: Task) -> Measured | str:
+    """Measure in a new process; return the reason when it is ended or fails."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "row.json"
+        command = [sys.executable, "-m", __name__, task.model_dump_json(), str(out)]
+        try:
+            process = subprocess.run(
+                command, capture_output=True, text=True, timeout=task.budget_s + _START_S
+            )
+        except subprocess.TimeoutExpired:
+            return "skipped: budget"
+        if not out.exists():
+            last = (process.stderr.strip().splitlines() or ["no message"])[-1]
+            return f"skipped: process ended with {process.returncode}: {last[:200]}"
+        result = json.loads(out.read_text(encoding="utf-8"))
+    return result if isinstance(result, str) else Measured.model_validate(result)
+
+
+def measure(task: Task) -> Measured | str:
+    """Time one engine on one population, in this process.
+
+    Returns:
+        Measurements, or the reason why the row was skipped.
+    """
+    start = time.perf_counter()
+    try:
+        engine = open_engine(task.engine)
+    except EngineError as error:
+        return f"skipped: {error}"
+    scene = compile_scene(crowded(task.objects, seed=task.seed))
+    layouts = jax.device_put(noisy_layouts(scene, task.population, seed=task.seed))
+    rule = EarlyStop() if task.early_stop else None
+
+    def once() -> Rollout:
+        poses = scene.place(layouts)
+        rollout = engine.rollout(scene, poses, duration=task.duration_s, early_stop=rule)
+        return jax.block_until_ready(rollout)
+
+    try:
+        t0 = time.perf_counter()
+        rollout = once()
+        first = time.perf_counter() - t0
+    except EngineError as error:
+        return f"skipped: {error}"
+    steady: list[float] = []
+    core: list[float] = []
+    others = Others()
+    remaining = lambda: task.budget_s - (time.perf_counter() - start)
+    while len(steady) < REPEATS and remaining() > (steady[-1] if steady else 0.0):
+        t0, c0 = time.perf_counter(), time.process_time()
+        rollout = once()
+        steady.append(time.perf_counter() - t0)
+        core.append(time.process_time() - c0)
+    disturbed = others.cores()
+    moved = motion(scene, rollout)
+    host, device = peak_mib()
+    bare = []
+    if task.engine == "mjx" and not task.early_stop:
+        bare = _time_bare(scene, layouts, rollout, task, remaining())
+    return Measured(
+        first_s=first,
+        steady_s=steady,
+        core_s=core,
+        bare_scan_s=bare,
+        mean_steps=float(np.mean(rollout.steps)),
+        failed_share=float(np.mean(np.asarray(rollout.status) == RolloutStatus.FAILED)),
+        stable_share=float(np.mean(moved < 1.0)),
+        motion=[float(x) for x in moved[:NAIVE_CANDIDATES]],
+        peak_mib=host,
+        device_peak_mib=device,
+        others_cores=disturbed,
+    )
+
+
+def _time_bare(
+    scene: SceneModel, layouts: Layout, rollout: Rollout, task: Task, left: float
+) -> list[float]:
+    """Time the bare scan as often as there is time for; not at all when a rollout took too long."""
+    ends = time.perf_counter() + left
+    steps = round(task.duration_s / scene.static.mjm.opt.timestep)
+    once = bare_scan(scene, layouts, steps)
+    jax.block_until_ready(once())
+    times: list[float] = []
+    while len(times) < REPEATS and time.perf_counter() + (times[-1] if times else 0.0) < ends:
+        t0 = time.perf_counter()
+        jax.block_until_ready(once())
+        times.append(time.perf_counter() - t0)
+    return times
+
+
+def main() -> None:
+    """Measure the task given as JSON and write the result to the file given."""
+    task = Task.model_validate_json(sys.argv[1])
+    result = measure(task)
+    text = json.dumps(result) if isinstance(result, str) else result.model_dump_json()
+    Path(sys.argv[2]).write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,160 @@
+"""Stable or not: verdicts of rollouts, and those of the obvious loop that they are held against."""
+
+import time
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float
+
+from neoworld_mjx.config import RewardOptions
+from neoworld_mjx.physics.engine import Rollout, RolloutStatus, record_steps
+from neoworld_mjx.physics.layout import Layout, Poses
+from neoworld_mjx.physics.mjcf import to_mjspec
+from neoworld_mjx.physics.model import FREE, SceneModel
+from neoworld_mjx.refinement.rewards import drifts
+from neoworld_mjx.spec.pose import angle_between
+
+_BOUNDS = RewardOptions()
+DISTANCE, ANGLE = _BOUNDS.drift_scale_m, float(np.radians(_BOUNDS.tilt_scale_deg))
+"""Bounds of stability [m], [rad]."""
+NEAR = (0.5, 2.0)
+"""Layouts whose motion lies between these multiples of a bound are counted apart: the same program
+on the same numbers, nudged by 1e-13, decides them either way."""
+
+
+def motion(scene: SceneModel, rollout: Rollout) -> Float[np.ndarray, " pop"]:
+    """Return each candidate's largest motion in units of the bounds; inf where it failed."""
+    far, turned = (np.asarray(x) for x in drifts(scene, rollout))
+    each = np.maximum(far / DISTANCE, turned / ANGLE)
+    most = np.where(np.asarray(scene.movable), each, 0.0).max(axis=1)
+    return np.where(np.asarray(rollout.status) == RolloutStatus.FAILED, np.inf, most)
+
+
+class Loop(NamedTuple):
+    """Results of the naive loop for the first candidates of a population."""
+
+    motion: Float[np.ndarray, " some"]
+    """Largest motion in units of the bounds."""
+    compile_s: Float[np.ndarray, " some"]
+    """Time that each candidate took to compile."""
+    step_s: Float[np.ndarray, " some"]
+    """Time that each took to simulate."""
+    cpu_s: float
+    """Processor time of compiling and simulating all of them."""
+    steps: int
+    """Simulated steps of one candidate."""
+
+    @property
+    def candidates_per_s(self) -> float:
+        """Rate of the loop, compiling included."""
+        return len(self.motion) / float(self.compile_s.sum() + self.step_s.sum())
+
+    @property
+    def steps_per_s(self) -> float:
+        """Rate of mj_step alone, on one thread."""
+        return len(self.motion) * self.steps / float(self.step_s.sum())
+
+
+def naive_loop(
+    scene: SceneModel,
+    layouts: Layout,
+    poses: Poses,
+    *,
+    duration: float = 1.0,
+    record_every: float = 0.1,
+    budget: float = float("inf"),
+) -> Loop:
+    """Compile each candidate's own model, step it to the end, and go on to the next; one thread.
+
+    The clock runs while MuJoCo compiles and steps. That the scaled description is ready in memory,
+    and that the verdict costs nothing, is granted to the loop.
+
+    Args:
+        scene: the compiled scene.
+        layouts: the candidates.
+        poses: where they stand, in double precision.
+        duration: simulated time [s].
+        record_every: time between the poses that a verdict is made of [s].
+        budget: seconds after which no further candidate is begun.
+    """
+    timestep = scene.static.mjm.opt.timestep
+    records, every = record_steps(timestep, duration, record_every)
+    moved: list[float] = []
+    compiling, stepping, cpu = [], [], 0.0
+    began = time.perf_counter()
+    for k in range(poses.scale.shape[0]):
+        if moved and time.perf_counter() - began > budget:
+            break
+        spec = to_mjspec(scene.apply(layouts, k, poses), timestep=timestep)
+        t0, c0 = time.perf_counter(), time.thread_time()
+        model, data = started(spec)
+        t1 = time.perf_counter()
+        path = _walk(model, data, records, every)
+        stepping.append(time.perf_counter() - t1)
+        cpu += time.thread_time() - c0
+        compiling.append(t1 - t0)
+        moved.append(_farthest(model, path))
+    return Loop(np.array(moved), np.array(compiling), np.array(stepping), cpu, records * every)
+
+
+def started(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Compile a description and put it into its start state."""
+    model = spec.compile()
+    # As in compile_scene: what diverges must not be put back to its start.
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    data = mujoco.MjData(model)
+    if model.nkey:
+        data.qpos[:] = model.key("start").qpos
+    return model, data
+
+
+def _walk(
+    model: mujoco.MjModel, data: mujoco.MjData, records: int, every: int
+) -> Float[np.ndarray, "record nq"]:
+    """Step a candidate to the end; return the coordinates at its start and at each record."""
+    path = np.empty((records + 1, model.nq))
+    path[0] = data.qpos
+    for t in range(records):
+        mujoco.mj_step(model, data, nstep=every)
+        path[t + 1] = data.qpos
+    return path
+
+
+def _farthest(model: mujoco.MjModel, path: np.ndarray) -> float:
+    """Return the largest motion along a path in units of the bounds; inf where it is not finite."""
+    free = model.jnt_qposadr[model.jnt_type == FREE]
+    if not np.isfinite(path).all():
+        return float("inf")
+    if not len(free):
+        return 0.0
+    seven = path[:, free[:, None] + np.arange(7)]
+    far = np.linalg.norm(seven[..., :3] - seven[:1, :, :3], axis=-1)
+    turned = angle_between(seven[:1, :, 3:], seven[..., 3:])
+    return float(max(far.max() / DISTANCE, turned.max() / ANGLE))
+
+
+class Compared(NamedTuple):
+    """Comparison of two verdicts on the same layouts."""
+
+    stable: Bool[np.ndarray, " pop"]
+    """Whether each layout is stable by the reference."""
+    near: Bool[np.ndarray, " pop"]
+    """Within `NEAR` of a bound by the reference."""
+    same: Bool[np.ndarray, " pop"]
+
+    def share(self, *, near: bool) -> float | None:
+        """Share of equal verdicts among the layouts near a bound, or among all others."""
+        chosen = self.near == near
+        return float(self.same[chosen].mean()) if chosen.any() else None
+
+
+def compare(reference: Float[np.ndarray, " pop"], ours: Float[np.ndarray, " pop"]) -> Compared:
+    """Compare verdicts by motion in units of the bounds.
+
+    A layout is near a bound by the reference's motion alone, so that an engine cannot excuse its
+    own errors.
+    """
+    near = (reference > NEAR[0]) & (reference < NEAR[1])
+    stable = reference < 1.0
+    return Compared(stable, near, stable == (ours < 1.0))

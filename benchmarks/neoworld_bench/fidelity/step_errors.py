@@ -1,0 +1,270 @@
+"""Error of every step from an answer to a refined scene, over forty scenes with exact truth.
+
+Answers are the truth disturbed as models' are, and programs are the true shapes, so no model is
+needed. The steps are those of a run: the answer, its fit, the scene composed from the fit with the
+built shapes, and the refined scene; beside them the scene composed from the answer as it is.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from neoworld_mjx.compose.compose import compose
+from neoworld_mjx.config import ComposeOptions, RefineOptions
+from neoworld_mjx.errors import EngineError
+from neoworld_mjx.fit.fit_tree import fit_tree
+from neoworld_mjx.fit.refit import refit_tree
+from neoworld_mjx.measure import SceneMeasure, measured, passes, shown_sides, visible_box_iou
+from neoworld_mjx.physics.exact import snap_exactly
+from neoworld_mjx.physics.simulate import open_engine
+from neoworld_mjx.refinement.scene_refinement import refine
+from neoworld_mjx.spec import Box3D, SceneSpec
+
+from ..refine_scenes import symmetry
+from ..rows import Row
+from .rendered_answers import disturbed_answer, exact_answer, upright_boxes
+from .rendered_scenes import HELD_OUT, TUNED_ON, photo_scene
+
+STEPS = ("answer", "as_answered", "fit", "composed", "refined")
+"""What errors are given of; `as_answered` is composed from the answer without any fit."""
+COMPARED = (
+    ("answer", "fit", "as_answered"),
+    ("fit", "composed", "as_answered"),
+    ("composed", "refined", "composed"),
+)
+"""Steps, each after the one that it starts from, and the scene in which unsound objects may move
+far."""
+MEASURES = ("position_mm", "layout_mm", "heading_deg", "size_percent")
+WORSE = {"position_mm": 20.0, "heading_deg": 3.0, "size_percent": 3.0}
+"""Growth of an object's error from which a step has made it worse."""
+QUICK = (0, 20)
+"""Scenes of a quick run, one of each part."""
+
+
+class PoseError(Row):
+    """How far an object is from the truth after a step."""
+
+    position_mm: float
+    """Distance of the middle of its foot, in the world of the camera."""
+    layout_mm: float
+    """The same but for what all objects are off by, as they are if the answer's camera is."""
+    heading_deg: float | None
+    """Up to its symmetry; None for what looks the same from all around."""
+    size_percent: float
+    """Of the mean edge."""
+
+
+class PhotoRow(Row):
+    """One object of one scene."""
+
+    scene: int
+    name: str
+    occluded: bool
+    unsound: dict[str, bool]
+    """Whether it overlapped another one, or did not hold still, in the scene composed from the
+    answer as it is, and in the composed one that the search starts at: then it may move far."""
+    valid: dict[str, bool]
+    """Whether its scene passes the final check, by step."""
+    box_iou: dict[str, float]
+    """Overlap of its visible box with the photograph's, by step."""
+    errors: dict[str, PoseError]
+    """By step."""
+
+
+def photo_rows(
+    scenes: Sequence[int] = (),
+    *,
+    search: bool = True,
+    seed: int = 0,
+    compose_options: ComposeOptions | None = None,
+    refine_options: RefineOptions | None = None,
+    engine: str = "native",
+) -> Iterator[PhotoRow]:
+    """Take answers through all steps, one row an object as soon as its scene is done.
+
+    Args:
+        scenes: numbers; none takes all forty.
+        search: whether to refine the composed scenes.
+        seed: of the searches.
+        compose_options: of composition; `refit` says whether it fits again.
+        refine_options: of the refinement and of the final check.
+        engine: that rolls candidates out.
+
+    Raises:
+        EngineError: there is no such scene, or the engine cannot run here.
+    """
+    check_numbers(scenes)
+    o, c = refine_options or RefineOptions(), compose_options or ComposeOptions()
+    runner = open_engine(engine) if search else None  # pyright: ignore[reportArgumentType]
+    for number in scenes or (*TUNED_ON, *HELD_OUT):
+        scene = photo_scene(number)
+        truth = exact_answer(scene)
+        shapes = {item.name: item.spec for item in scene.objects}
+        answer = disturbed_answer(truth, number)
+        fitted, _ = fit_tree(answer)
+        as_answered = compose(answer, shapes, c).scene
+        again = fitted
+        if c.refit:
+            again, _ = refit_tree(answer, shapes, shown_sides(as_answered))
+        stages = {
+            "as_answered": as_answered,
+            "composed": compose(again, shapes, c).scene,
+        }
+        if runner is not None:
+            stages["refined"] = refine(stages["composed"], o, seed=seed, engine=runner).scene
+        checks = {step: measured(snap_exactly(at), o) for step, at in stages.items()}
+        ious = {step: visible_box_iou(at) for step, at in stages.items()}
+        trees = {"answer": answer, "fit": fitted}
+        boxes = {step: {n.name: n.box3d for n in tree.nodes} for step, tree in trees.items()}
+        boxes |= {step: upright_boxes(at) for step, at in stages.items()}
+        unsound = {
+            step: _unsound(stages[step], checks[step], o) for step in ("as_answered", "composed")
+        }
+        right = {node.name: node.box3d for node in truth.nodes if not node.environment}
+        common = {step: _common_shift(of, right) for step, of in boxes.items()}
+        for item in scene.objects:
+            if item.environment:
+                continue
+            period = symmetry(item)
+            yield PhotoRow(
+                scene=number,
+                name=item.name,
+                occluded=item.occluded,
+                unsound={step: item.name in names for step, names in unsound.items()},
+                valid={step: passes(check, o) for step, check in checks.items()},
+                box_iou={step: round(of[item.name], 4) for step, of in ious.items()},
+                errors={
+                    step: _error(boxes[step][item.name], right[item.name], common[step], period)
+                    for step in STEPS
+                    if step in boxes
+                },
+            )
+
+
+def searching_little(options: RefineOptions) -> RefineOptions:
+    """Return options of a search that takes seconds."""
+    cem = {"population": min(48, options.cem.population), "iterations": 3}
+    return options.model_copy(update={"cem": options.cem.model_copy(update=cem)})
+
+
+def check_numbers(scenes: Sequence[int]) -> None:
+    """Check that scenes of these numbers exist.
+
+    Raises:
+        EngineError: one does not.
+    """
+    last = HELD_OUT[-1]
+    for number in scenes:
+        if not 0 <= number <= last:
+            raise EngineError(f"scenes: there is no scene {number}; scenes are 0 to {last}")
+
+
+def _common_shift(boxes: dict[str, Box3D], right: dict[str, Box3D]) -> Float[np.ndarray, " 3"]:
+    """Return the median over objects of how far their positions are off [m]."""
+    offs = [np.subtract(boxes[name].position, box.position) for name, box in right.items()]
+    return np.median(offs, axis=0)
+
+
+def _error(box: Box3D, right: Box3D, common: Float[np.ndarray, " 3"], period: float) -> PoseError:
+    off = np.subtract(box.position, right.position)
+    turn = math.remainder(box.yaw - right.yaw, period) if period > 0 else None
+    return PoseError(
+        position_mm=round(1e3 * float(np.linalg.norm(off)), 3),
+        layout_mm=round(1e3 * float(np.linalg.norm(off - common)), 3),
+        heading_deg=None if turn is None else round(abs(math.degrees(turn)), 3),
+        size_percent=round(100 * abs(float(np.mean(np.log(np.divide(box.size, right.size))))), 3),
+    )
+
+
+def _unsound(scene: SceneSpec, check: SceneMeasure, o: RefineOptions) -> set[str]:
+    """Return the objects of a scene that overlap others, or that do not hold still."""
+    names = {
+        name
+        for pair, depth in check.depths_m.items()
+        if depth > o.max_depth_m
+        for name in pair.split("|")
+    }
+    still = lambda n: check.drift_m[n] < o.max_drift_m and check.tilt_deg[n] < o.max_tilt_deg
+    names |= {name for name in check.drift_m if not still(name)}
+    # What is carried goes where its carrier goes.
+    for item in scene.objects:
+        if item.parent in names:
+            names.add(item.name)
+    return names - {item.name for item in scene.objects if item.environment}
+
+
+def photo_summary(rows: Sequence[PhotoRow]) -> dict[str, Any]:
+    """Sum rows up for each part: errors by step, and the objects that a step made worse."""
+    parts = {"tuned_on": TUNED_ON, "held_out": HELD_OUT}
+    return {
+        part: _figures(own)
+        for part, numbers in parts.items()
+        if (own := [row for row in rows if row.scene in numbers])
+    }
+
+
+def _figures(rows: Sequence[PhotoRow]) -> dict[str, Any]:
+    steps = [step for step in STEPS if step in rows[0].errors]
+    scenes = {row.scene: row for row in rows}.values()
+    return {
+        "scenes": len(scenes),
+        "objects": len(rows),
+        "steps": {step: _step_figures(rows, step) for step in steps},
+        "valid_scenes": {step: sum(s.valid[step] for s in scenes) for step in rows[0].valid},
+        "made_worse": {
+            after: [line for row in rows for line in _growths(row, before, after, excused)]
+            for before, after, excused in COMPARED
+            if after in steps
+        },
+    }
+
+
+def _step_figures(rows: Sequence[PhotoRow], step: str) -> dict[str, Any]:
+    figures: dict[str, Any] = {}
+    for name in MEASURES:
+        errors = {f"{r.scene}/{r.name}": getattr(r.errors[step], name) for r in rows}
+        errors = {key: error for key, error in errors.items() if error is not None}
+        if not errors:
+            continue
+        worst = max(errors, key=errors.__getitem__)
+        figures[name] = {
+            "median": float(np.median([*errors.values()])),
+            "worst": errors[worst],
+            "worst_object": worst,
+        }
+    if step in rows[0].box_iou:
+        figures["box_iou"] = float(np.mean([row.box_iou[step] for row in rows]))
+    return figures
+
+
+def _growths(row: PhotoRow, before: str, after: str, excused: str) -> Iterator[str]:
+    """Yield a line for each error that a step made worse; none for what was unsound."""
+    if row.unsound[excused]:
+        return
+    for name, bound in WORSE.items():
+        old, new = (getattr(row.errors[step], name) for step in (before, after))
+        if old is not None and new - old > bound:
+            yield f"{row.scene}/{row.name}: {name} {old:.1f} to {new:.1f}"
+
+
+def lines(summary: dict[str, Any]) -> Iterator[str]:
+    """Yield a summary as a table, one line a step, and the objects that were made worse."""
+    for part in ("tuned_on", "held_out"):
+        if part not in summary:
+            continue
+        own = summary[part]
+        yield f"{part}: {own['objects']} objects of {own['scenes']} scenes, median (worst)"
+        for step, figures in own["steps"].items():
+            cells = [
+                f"{unit} {of['median']:.2f} ({of['worst']:.1f})"
+                for name, unit in zip(MEASURES, ("mm", "mm in layout", "deg", "%"), strict=True)
+                if (of := figures.get(name))
+            ]
+            if "box_iou" in figures:
+                cells += [f"IoU {figures['box_iou']:.3f}", f"{own['valid_scenes'][step]} valid"]
+            yield f"  {step:12} " + ", ".join(cells)
+        for step, worse in own["made_worse"].items():
+            yield f"  {step}: {len(worse)} made worse" + "".join(f"\n    {x}" for x in worse)

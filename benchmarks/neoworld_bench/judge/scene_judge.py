@@ -1,0 +1,232 @@
+"""A model as judge of made scenes: completeness, layout and function from 1 to 7.
+
+One scene a request, by an absolute rubric, several times. An answer is valid only if all three
+scores are whole numbers from 1 to 7; a refusal or another answer is missing, and no score.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean, stdev
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from neoworld_mjx.errors import ConfigError, ModelError
+from neoworld_mjx.mllm import Answer, Panel, Picture, Request, package_text
+from neoworld_mjx.render import View, render_scene
+from neoworld_mjx.render.viewpoints import opened, subject_points
+from neoworld_mjx.spec import SceneSpec
+
+from ..rows import Row
+from .answer_file import AnswerFile, answers_to, save_pictures
+from .made_scenes import MadeScene
+from .paper_figures import of_scenes
+
+QUESTIONS = ("completeness", "layout", "function")
+NOTE = (
+    "NeoWorld-Pro as the paper reports it, of its own 30 scenes and by its own judge: completeness "
+    "6.20, layout 5.35, function 5.58"
+)
+SHOWN_PX = 640
+"""Longer side of the pictures that the judge sees [px]."""
+ASIDE_DEG, ABOVE_DEG = (-50.0, 50.0), 40.0
+"""Directions of the second view about the vertical, from the photograph's, and above the level."""
+LOOK_PX = 128
+"""Width of the pictures by which one of these is chosen [px]."""
+MOST_JOINTS = 40
+"""Joints that are listed."""
+
+
+class RatedQuestion(BaseModel):
+    """One question; the reason comes first, so that the score follows from it."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    reason: Annotated[str, Field(max_length=1000)]
+    score: Literal[1, 2, 3, 4, 5, 6, 7]
+
+    @field_validator("score", mode="before")
+    @classmethod
+    def _a_number(cls, value: Any) -> Any:
+        if isinstance(value, bool):
+            raise ValueError("a score is a number from 1 to 7, not true or false")
+        return value
+
+
+class SceneRating(BaseModel):
+    """The judge's answer about one scene."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    completeness: RatedQuestion
+    layout: RatedQuestion
+    function: RatedQuestion
+
+
+class RatingRow(Row):
+    """One judgement of a scene."""
+
+    folder: str
+    scene_number: int
+    repeat: int
+    """From 1."""
+    completeness: int | None
+    layout: int | None
+    function: int | None
+    model: str
+    why: str
+    """The reason of a missing answer."""
+
+
+@dataclass(frozen=True)
+class JudgedPictures:
+    """What the judge sees of a scene, by label."""
+
+    shown: Mapping[str, np.ndarray]
+
+    def for_request(self) -> list[Picture]:
+        """Return the pictures, the photograph first."""
+        return [Picture.of(label, rgb) for label, rgb in self.shown.items()]
+
+
+def judged_pictures(made: MadeScene, side: int = SHOWN_PX) -> JudgedPictures:
+    """Draw what the judge sees of a scene."""
+    photo, scene = made.whole(side)
+    height, width = photo.shape[:2]
+    half_open = opened(made.scene, 0.5)
+    view = _aside(made, half_open, width, height)
+    shown = {"photo": photo, "scene": scene, "aside": render_scene(made.scene, view).color}
+    if _moving(made.scene):
+        shown["open"] = render_scene(half_open, view).color
+    return JudgedPictures(shown)
+
+
+def _aside(made: MadeScene, half_open: SceneSpec, width: int, height: int) -> View:
+    """Return the view from the one of two sides from which more objects are seen."""
+    subjects = np.vstack([subject_points(made.scene), subject_points(half_open)])
+    backward = -made.camera.axes()[:, 2]
+    azimuth = float(np.arctan2(backward[1], backward[0]))
+    views = [
+        View.framing(
+            subjects,
+            width=width,
+            height=height,
+            azimuth=azimuth + np.radians(turn),
+            elevation=np.radians(ABOVE_DEG),
+            margin=1.05,
+        )
+        for turn in ASIDE_DEG
+    ]
+    small = (LOOK_PX, max(1, round(LOOK_PX * height / width)))
+    seen = []
+    for view in views:
+        look = view._replace(width=small[0], height=small[1])
+        owners = render_scene(made.scene, look, supersample=1).segmentation
+        items = made.scene.objects
+        seen.append(sum(not items[k].environment for k in np.unique(owners[owners >= 0])))
+    return views[int(np.argmax(seen))]
+
+
+def rating_request(
+    made: MadeScene, pictures: JudgedPictures, repeat: int, repeats: int
+) -> Request[SceneRating]:
+    """Return the request for one judgement; the repeats of a scene differ by their number."""
+    joints = _moving(made.scene)
+    listed = "\n".join(f"- {line}" for line in joints[:MOST_JOINTS]) or "- none"
+    more = f"\n- and {len(joints) - MOST_JOINTS} more" if len(joints) > MOST_JOINTS else ""
+    prompt = (
+        f"Joints that can move:\n{listed}{more}\n\nThis is judgement {repeat} of {repeats} of this "
+        "scene. The others are not known to you: judge it as if it were the only one."
+    )
+    system = package_text(__package__, "judge").removesuffix("\n")
+    name = f"judge:{made.name}:{repeat}"
+    return Request("critic", name, system, prompt, SceneRating, pictures.for_request())
+
+
+def rating_rows(
+    models: Panel,
+    scenes: Sequence[MadeScene],
+    *,
+    repeats: int = 3,
+    out: Path | None = None,
+) -> Iterator[RatingRow]:
+    """Yield the judgements of each scene, repeat by repeat.
+
+    Args:
+        models: the critic answers.
+        scenes: the scenes.
+        repeats: judgements of each.
+        out: folder for answers.json, with every answer as it came, and the pictures.
+
+    Raises:
+        ConfigError: `repeats` is out of range.
+        BudgetError: the cost cap is reached.
+        MissingAnswerError: a tape lacks an answer.
+        RunError: a file cannot be written.
+    """
+    if not 1 <= repeats <= 20:
+        raise ConfigError(f"--repeats takes 1 to 20, got {repeats}")
+    file = AnswerFile(out)
+    for made in scenes:
+        pictures = judged_pictures(made)
+        if out is not None:
+            save_pictures(out, made.numbered, pictures.for_request())
+        requests = [rating_request(made, pictures, k, repeats) for k in range(1, repeats + 1)]
+        for k, answer in enumerate(answers_to(models, requests), start=1):
+            file.add(requests[k - 1], answer)
+            yield _row(made, k, answer)
+
+
+def rating_figures(rows: Sequence[RatingRow]) -> dict[str, Any]:
+    """Return each question's mean over the n scenes with a valid answer, beside the paper's.
+
+    A scene's score is the mean of its valid answers. "sd_scenes" is the standard deviation of these
+    scores, "sd_repeats" the mean one of the answers about one scene; None where there is none.
+    """
+    by_scene: dict[int, list[RatingRow]] = {}
+    for row in rows:
+        if row.completeness is not None:
+            by_scene.setdefault(row.scene_number, []).append(row)
+    answers = sum(map(len, by_scene.values()))
+    means: dict[str, float | None] = {}
+    spread: dict[str, dict[str, float | None]] = {"sd_scenes": {}, "sd_repeats": {}}
+    for question in QUESTIONS:
+        scores = [[getattr(row, question) for row in own] for own in by_scene.values()]
+        own_means = [fmean(each) for each in scores]
+        repeated = [stdev(each) for each in scores if len(each) > 1]
+        means[question] = fmean(own_means) if own_means else None
+        spread["sd_scenes"][question] = stdev(own_means) if len(own_means) > 1 else None
+        spread["sd_repeats"][question] = fmean(repeated) if repeated else None
+    return {
+        "scenes": len({row.scene_number for row in rows}),
+        "n": len(by_scene),
+        "answers": answers,
+        "missing": len(rows) - answers,
+        **means,
+        **spread,
+        "paper": {"scenes": of_scenes("complete", "layout", "function"), "note": NOTE},
+    }
+
+
+def _row(made: MadeScene, repeat: int, answer: Answer[SceneRating] | ModelError) -> RatingRow:
+    if isinstance(answer, ModelError):
+        scores, model, why = dict.fromkeys(QUESTIONS), "", str(answer)
+    else:
+        rating = answer.value
+        scores = {question: getattr(rating, question).score for question in QUESTIONS}
+        model, why = answer.model, ""
+    return RatingRow(
+        folder=made.name, scene_number=made.number, repeat=repeat, **scores, model=model, why=why
+    )
+
+
+def _moving(scene: SceneSpec) -> list[str]:
+    """Describe the joints that can move, one a line."""
+    return [
+        f"{item.name}: {joint.child} ({joint.type})"
+        for item in scene.objects
+        for joint in item.spec.joints
+        if joint.type != "fixed"
+    ]

@@ -1,0 +1,31 @@
+"""Measures against ground truth, for the tables of the benchmark."""
+
+from .joint_measure import JointMeasure, JointPair, joint_measure, pooled
+from .object_truth import ObjectTruth, TrueJoint, canonical_points, read_truth, truth_of
+from .object_truth_mjcf import truth_of_mjcf
+from .parse_measure import ParseMeasure, parse_measure
+from .picture_similarity import PictureMeasure, PictureModels, picture_measure
+from .structural_similarity import ssim
+from .surface_measure import Closeness, GeometryMeasure, geometry_measure
+
+__all__ = [
+    "Closeness",
+    "GeometryMeasure",
+    "JointMeasure",
+    "JointPair",
+    "ObjectTruth",
+    "ParseMeasure",
+    "PictureMeasure",
+    "PictureModels",
+    "TrueJoint",
+    "canonical_points",
+    "geometry_measure",
+    "joint_measure",
+    "parse_measure",
+    "picture_measure",
+    "pooled",
+    "read_truth",
+    "ssim",
+    "truth_of",
+    "truth_of_mjcf",
+]

@@ -1,0 +1,287 @@
+"""Agreement of an object's joints with the truth: matched, missed and extra joints, and errors.
+
+Joints are matched by the parts that they move and their motion, never by name. Both objects are in
+the canonical frame (origin at the centre of the box's bottom, +x the front) and divided by their
+own diagonal, so that size does not matter. A missed joint is in no mean of axis, pivot or limits;
+every mean has its n, and the counts are given as well.
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from neoworld_mjx.spec import ObjectSpec, Spec
+
+from .object_truth import ObjectTruth, TrueJoint, canonical, diagonal, truth_of
+from .parse_measure import Mean
+
+GROWN = 0.02
+"""Share of the diagonal by which boxes are grown on each side before they are compared, so that
+thin fronts that stand a little apart still meet."""
+LEAST_AGREEMENT = 0.5
+"""Least overlap (geometric mean of the two better directions) of the boxes of matching parts."""
+PARALLEL_DEG = 5.0
+"""Axes at a smaller angle have the distance of parallel lines."""
+CORRECT_AXIS_DEG, CORRECT_PIVOT = 10.0, 0.1
+"""A joint within these, of the true type, counts as correct."""
+
+
+class JointPair(Spec):
+    """A true joint and the predicted one that was matched with it."""
+
+    true: str
+    predicted: str
+    true_type: str
+    predicted_type: str
+    agreement: float
+    """Overlap of the boxes that they move, 0 to 1."""
+    motion: float
+    """Similarity of their motions, 0 to 1."""
+    axis_deg: float | None
+    """Angle of the two lines, 0 to 90; None for ball joints."""
+    pivot: float | None
+    """Distance of the two lines over the diagonal; None unless both turn."""
+    limits: float | None
+    """Intersection over union of the ranges, as one direction of motion; None where one turns and
+    the other slides, or the truth gives no range."""
+
+    @property
+    def correct(self) -> bool:
+        """Whether type, axis and pivot are right."""
+        return (
+            self.true_type == self.predicted_type
+            and (self.axis_deg is None or self.axis_deg <= CORRECT_AXIS_DEG)
+            and (self.pivot is None or self.pivot <= CORRECT_PIVOT)
+        )
+
+
+class JointMeasure(Spec):
+    """Joints held against the truth, of one object or of several together."""
+
+    name: str
+    total: int
+    """True joints."""
+    predicted: int
+    hits: int
+    missed: tuple[str, ...]
+    extra: tuple[str, ...]
+    correct: int
+    """Hits of the true type, with the axis within 10 degrees and the pivot within a tenth of the
+    diagonal."""
+    miss: float | None
+    """1 - hits / total; None without true joints, as all shares of them."""
+    type_error: float | None
+    """Share of all true joints that were missed or got another type (the paper's)."""
+    type_error_hits: float | None
+    """Share of the hits that got another type."""
+    axis_deg: Mean
+    """Over hits whose both joints have an axis."""
+    pivot: Mean
+    """Over hits whose both joints turn about an axis."""
+    limits: Mean
+    """Over hits whose ranges can be compared."""
+    pairs: tuple[JointPair, ...]
+
+
+def joint_measure(predicted: ObjectSpec | ObjectTruth, truth: ObjectTruth) -> JointMeasure:
+    """Hold an object's joints against the true ones (paper Section 4, articulation).
+
+    Two joints may be one if the boxes of what they carry, grown by 2 % of the diagonal, meet in all
+    three directions and agree in the better two (the depth behind a front is not seen in a
+    picture). Among those the Hungarian assignment with the largest sum of overlap and likeness of
+    motion wins. Motion is alike by the cosine between the two fields of velocity over the true
+    joint's box, so it knows of type, axis and pivot at once.
+
+    Args:
+        predicted: the made object, or its joints in the form of a truth.
+        truth: the real ones.
+    """
+    own = truth_of(predicted) if isinstance(predicted, ObjectSpec) else predicted
+    ours, theirs = _normalised(own), _normalised(truth)
+    pairs = tuple(_pair(ours[j], theirs[i]) for i, j in _assigned(ours, theirs, LEAST_AGREEMENT))
+    matched, used = {p.true for p in pairs}, {p.predicted for p in pairs}
+    missed = tuple(joint.name for joint in theirs if joint.name not in matched)
+    extra = tuple(joint.name for joint in ours if joint.name not in used)
+    return _summed(truth.name, pairs, missed, extra)
+
+
+def joint_partners(predicted: ObjectSpec, truth: ObjectTruth) -> dict[str, str]:
+    """Return the made joint that is held against each true one, by name, however poorly they agree.
+
+    The assignment is that of `joint_measure` without its least overlap. True joints are left out
+    only where there are fewer made ones.
+    """
+    ours, theirs = _normalised(truth_of(predicted)), _normalised(truth)
+    return {theirs[i].name: ours[j].name for i, j in _assigned(ours, theirs, -1.0)}
+
+
+def pooled(measures: Sequence[JointMeasure], name: str = "all") -> JointMeasure:
+    """Take several objects' joints together: every joint counts once, not every object."""
+    return _summed(
+        name,
+        tuple(pair for measure in measures for pair in measure.pairs),
+        tuple(f"{m.name}.{joint}" for m in measures for joint in m.missed),
+        tuple(f"{m.name}.{joint}" for m in measures for joint in m.extra),
+    )
+
+
+def agree(a: TrueJoint, b: TrueJoint) -> float:
+    """Return the geometric mean of the two better overlaps of the carried boxes, 0 if apart."""
+    best = sorted(overlaps(a, b))
+    return math.sqrt(best[1] * best[2]) if best[0] > 0 else 0.0
+
+
+def alike(estimate: TrueJoint, true: TrueJoint) -> float:
+    """Return the cosine, without sign, of the velocities of the true box's corners, 0 to 1."""
+    if "ball" in (estimate.type, true.type):
+        return float(estimate.type == true.type)
+    corners = np.array(list(product(*zip(*true.moving_box, strict=True))))
+    estimated, expected = _velocities(estimate, corners), _velocities(true, corners)
+    size = math.sqrt(float((estimated**2).sum() * (expected**2).sum()))
+    return abs(float((estimated * expected).sum())) / size if size > 0 else 0.0
+
+
+def line_angle_deg(a: NDArray, b: NDArray) -> float:
+    """Return the angle [deg] of two lines by their directions [3], 0 to 90."""
+    sine = np.linalg.norm(np.cross(a, b))
+    return math.degrees(math.atan2(float(sine), abs(float(a @ b))))
+
+
+def line_distance(p: NDArray, a: NDArray, q: NDArray, b: NDArray, near: NDArray) -> float:
+    """Return the distance of the lines p + s a and q + t b.
+
+    Lines within 5 degrees of each other count as parallel: their distance is that of the second
+    line's point nearest to `near` from the first line. The exact one would be that of some far
+    crossing.
+    """
+    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+    if line_angle_deg(a, b) < PARALLEL_DEG:
+        point = q + b * float((near - q) @ b)
+        return float(np.linalg.norm(np.cross(point - p, a)))
+    normal = np.cross(a, b)
+    return abs(float((q - p) @ normal)) / float(np.linalg.norm(normal))
+
+
+def _assigned(
+    ours: Sequence[TrueJoint], theirs: Sequence[TrueJoint], least: float
+) -> list[tuple[int, int]]:
+    """Return the pairs (index of theirs, of ours) with the largest sum of overlap and motion."""
+    worth = np.zeros((len(theirs), len(ours)))
+    allowed = np.zeros(worth.shape, bool)
+    for i, true in enumerate(theirs):
+        for j, estimate in enumerate(ours):
+            agreement = agree(estimate, true)
+            if agreement >= least:
+                allowed[i, j] = True
+                worth[i, j] = (
+                    agreement + alike(estimate, true) + float(np.mean(overlaps(estimate, true)))
+                )
+    rows, columns = linear_sum_assignment(worth, maximize=True)
+    return [(i, j) for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if allowed[i, j]]
+
+
+def _normalised(truth: ObjectTruth) -> list[TrueJoint]:
+    """Return joints in the canonical frame, lengths over the diagonal."""
+    size = diagonal(truth)
+
+    def small(v: Sequence[float]) -> tuple[float, float, float]:
+        x, y, z = v
+        return x / size, y / size, z / size
+
+    joints = []
+    for joint in canonical(truth).joints:
+        limits = joint.limits
+        if limits is not None and joint.type == "prismatic":
+            limits = (limits[0] / size, limits[1] / size)
+        update = {
+            "pivot": small(joint.pivot),
+            "limits": limits,
+            "moving_box": (small(joint.moving_box[0]), small(joint.moving_box[1])),
+        }
+        joints.append(joint.model_copy(update=update))
+    return joints
+
+
+def overlaps(a: TrueJoint, b: TrueJoint) -> list[float]:
+    """Return the intersection over union of the grown boxes in each direction."""
+    low, high = np.array(a.moving_box[0]) - GROWN, np.array(a.moving_box[1]) + GROWN
+    low2, high2 = np.array(b.moving_box[0]) - GROWN, np.array(b.moving_box[1]) + GROWN
+    common = np.maximum(np.minimum(high, high2) - np.maximum(low, low2), 0.0)
+    return (common / (np.maximum(high, high2) - np.minimum(low, low2))).tolist()
+
+
+def _velocities(joint: TrueJoint, points: NDArray) -> NDArray:
+    axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+    if joint.type == "prismatic":
+        return np.tile(axis, (len(points), 1))
+    return np.cross(axis, points - np.array(joint.pivot))
+
+
+def _pair(estimate: TrueJoint, true: TrueJoint) -> JointPair:
+    a, b = np.array(estimate.axis), np.array(true.axis)
+    balls = "ball" in (estimate.type, true.type)
+    turn = not balls and "prismatic" not in (estimate.type, true.type)
+    middle = np.mean(np.array(true.moving_box), axis=0)
+    distance = line_distance(np.array(estimate.pivot), a, np.array(true.pivot), b, middle)
+    return JointPair(
+        true=true.name,
+        predicted=estimate.name,
+        true_type=true.type,
+        predicted_type=estimate.type,
+        agreement=agree(estimate, true),
+        motion=alike(estimate, true),
+        axis_deg=None if balls else line_angle_deg(a, b),
+        pivot=distance if turn else None,
+        limits=_range_overlap(estimate, true, flipped=float(a @ b) < 0),
+    )
+
+
+def _range_overlap(estimate: TrueJoint, true: TrueJoint, *, flipped: bool) -> float | None:
+    if "ball" in (estimate.type, true.type):
+        return None
+    if (estimate.type == "prismatic") != (true.type == "prismatic"):
+        return None
+    endless = [joint.type == "continuous" for joint in (estimate, true)]
+    if all(endless):
+        return 1.0
+    if any(endless):
+        limits = true.limits if endless[0] else estimate.limits
+        return None if limits is None else min(1.0, (limits[1] - limits[0]) / (2 * math.pi))
+    if estimate.limits is None or true.limits is None:
+        return None
+    low, high = (-estimate.limits[1], -estimate.limits[0]) if flipped else estimate.limits
+    common = min(high, true.limits[1]) - max(low, true.limits[0])
+    union = max(high, true.limits[1]) - min(low, true.limits[0])
+    return max(common, 0.0) / union if union > 0 else 1.0
+
+
+def _summed(
+    name: str, pairs: tuple[JointPair, ...], missed: tuple[str, ...], extra: tuple[str, ...]
+) -> JointMeasure:
+    hits, total = len(pairs), len(pairs) + len(missed)
+    wrong = sum(pair.true_type != pair.predicted_type for pair in pairs)
+    return JointMeasure(
+        name=name,
+        total=total,
+        predicted=hits + len(extra),
+        hits=hits,
+        missed=missed,
+        extra=extra,
+        correct=sum(pair.correct for pair in pairs),
+        miss=1 - hits / total if total else None,
+        type_error=(wrong + len(missed)) / total if total else None,
+        type_error_hits=wrong / hits if hits else None,
+        axis_deg=_mean([pair.axis_deg for pair in pairs]),
+        pivot=_mean([pair.pivot for pair in pairs]),
+        limits=_mean([pair.limits for pair in pairs]),
+        pairs=pairs,
+    )
+
+
+def _mean(values: Sequence[float | None]) -> Mean:
+    known = [value for value in values if value is not None]
+    return Mean(value=float(np.mean(known)) if known else None, n=len(known))

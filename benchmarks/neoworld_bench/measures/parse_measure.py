@@ -1,0 +1,270 @@
+"""Agreement of a parse with the truth: boxes, supports, sizes, depths and camera.
+
+Nodes are matched by their boxes alone, never by name or label. Each mean has the number of its
+values, and is None without any: no match is not a zero error.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from neoworld_mjx.measure.boxes import iou_2d, iou_3d, upright
+from neoworld_mjx.spec import Box3D, SceneTree, Spec, TreeNode
+
+MATCH_IOU = 0.25
+"""Least overlap of 2D boxes for which two nodes may match."""
+TIE = 0.02
+"""Pairs of objects whose true depths or sizes differ by less than this share have no order."""
+ROUND = 1.1
+"""Side ratio of a footprint under which its yaw is undefined."""
+
+
+class Mean(Spec):
+    """A mean and the number of its values."""
+
+    value: float | None
+    n: int
+
+
+class ParseMeasure(Spec):
+    """Comparison of a parse with the truth; objects are nodes that are no environment there."""
+
+    matched: dict[str, str]
+    """True node to parsed node, all nodes."""
+    missed: tuple[str, ...]
+    """True objects that no parsed node matches."""
+    extra: tuple[str, ...]
+    """Parsed objects that match no true node."""
+    iou_2d: Mean
+    """Over matched objects."""
+    iou_3d: Mean
+    """Over matched objects, in the world as parsed; boxes upright and turned by their yaw."""
+    iou_3d_scaled: Mean
+    """The same after scaling the parse about its camera by one factor, both cameras in one place; a
+    picture says nothing about that factor."""
+    scale: float | None
+    """Median of true over parsed depth."""
+    position_m: Mean
+    """Distance of box centres."""
+    size_log: Mean
+    """Mean absolute log ratio of edges, that is, of the sorted horizontal two and the height."""
+    yaw_deg: Mean
+    """Over matched objects whose true footprint is not about square."""
+    edge_precision: float | None
+    edge_recall: float | None
+    edge_f1: float | None
+    """F1 of support edges (carrier to child), without those of the world."""
+    edges_true: int
+    edges_parsed: int
+    relations: Mean
+    """Share of correct edges whose relation is correct as well."""
+    tree_distance: int
+    """Missed nodes, plus extra nodes, plus matched nodes whose carrier is another one."""
+    nodes_true: int
+    nodes_parsed: int
+    depth_order: Mean
+    """Share of pairs of matched objects in the true order of depth along the view."""
+    size_order: Mean
+    """Share of pairs of matched objects in the true order of size."""
+    size_ratio_log: Mean
+    """Mean absolute error of the log ratio of sizes over pairs of matched objects."""
+    occluded: Mean
+    """Share of matched objects whose flag is right."""
+    environment: Mean
+    """Share of matched nodes whose flag is right."""
+    parts: Mean
+    """Over matched objects with true movable parts: share of parts found, by type of motion."""
+    pitch_deg: float
+    """Parsed less true, as all of the camera."""
+    roll_deg: float
+    fovy_deg: float
+    height_m: float
+
+
+def parse_measure(parsed: SceneTree, truth: SceneTree) -> ParseMeasure:
+    """Hold a parse against the truth, both of the same picture."""
+    pairs = match(parsed, truth)
+    back = {guess: true for true, guess in pairs.items()}
+    objects = [
+        (parsed.node(pairs[true.name]), true)
+        for true in truth.nodes
+        if true.name in pairs and not true.environment
+    ]
+    factor = _scale(parsed, truth, objects)
+    missed_nodes = [node.name for node in truth.nodes if node.name not in pairs]
+    extra_nodes = [node.name for node in parsed.nodes if node.name not in back]
+    edges = _edges(parsed, truth, back)
+    hit = len(edges)
+    edges_true = sum(node.parent is not None for node in truth.nodes)
+    edges_parsed = sum(node.parent is not None for node in parsed.nodes)
+    precision = hit / edges_parsed if edges_parsed else None
+    recall = hit / edges_true if edges_true else None
+    total = edges_parsed + edges_true
+    camera, true_camera = parsed.camera, truth.camera
+    return ParseMeasure(
+        matched=pairs,
+        missed=tuple(name for name in missed_nodes if not truth.node(name).environment),
+        extra=tuple(name for name in extra_nodes if not parsed.node(name).environment),
+        iou_2d=_mean(iou_2d(guess.box2d, true.box2d) for guess, true in objects),
+        iou_3d=_mean(iou_3d(upright(guess), upright(true)) for guess, true in objects),
+        iou_3d_scaled=_mean(
+            iou_3d(_scaled(upright(guess), parsed, truth, factor), upright(true))
+            for guess, true in objects
+        ),
+        scale=factor,
+        position_m=_mean(
+            float(np.linalg.norm(_centre(guess) - _centre(true))) for guess, true in objects
+        ),
+        size_log=_mean(_size_error(guess, true) for guess, true in objects),
+        yaw_deg=_mean(
+            _turn(guess.box3d.yaw, true.box3d.yaw)
+            for guess, true in objects
+            if max(true.box3d.size[:2]) > ROUND * min(true.box3d.size[:2])
+        ),
+        edge_precision=precision,
+        edge_recall=recall,
+        edge_f1=2 * hit / total if total else None,
+        edges_true=edges_true,
+        edges_parsed=edges_parsed,
+        relations=_mean(float(guess.relation == true.relation) for guess, true in edges),
+        tree_distance=len(missed_nodes) + len(extra_nodes) + _elsewhere(parsed, truth, pairs),
+        nodes_true=len(truth.nodes),
+        nodes_parsed=len(parsed.nodes),
+        depth_order=_order([(_depth(parsed, a), _depth(truth, b)) for a, b in objects]),
+        size_order=_order([(_extent(a), _extent(b)) for a, b in objects]),
+        size_ratio_log=_mean(
+            abs(math.log(a * d / (b * c)))
+            for (a, c), (b, d) in combinations([(_extent(m), _extent(t)) for m, t in objects], 2)
+        ),
+        occluded=_mean(float(guess.occluded == true.occluded) for guess, true in objects),
+        environment=_mean(
+            float(parsed.node(guess).environment == truth.node(true).environment)
+            for true, guess in pairs.items()
+        ),
+        parts=_mean(
+            _parts_found(guess, true) for guess, true in objects if len(true.articulation) > 0
+        ),
+        pitch_deg=math.degrees(camera.pitch - true_camera.pitch),
+        roll_deg=math.degrees(camera.roll - true_camera.roll),
+        fovy_deg=math.degrees(camera.fovy - true_camera.fovy),
+        height_m=camera.height - true_camera.height,
+    )
+
+
+def match(parsed: SceneTree, truth: SceneTree) -> dict[str, str]:
+    """Match nodes by their boxes, true name to parsed name.
+
+    The assignment with the largest sum of 2D IoU plus half the 3D IoU wins (Hungarian method); only
+    pairs whose 2D boxes overlap by `MATCH_IOU` or more count. Where tables fill the picture, equal
+    environment flags decide between otherwise equal pairs.
+    """
+    worth = np.zeros((len(truth.nodes), len(parsed.nodes)))
+    for i, true in enumerate(truth.nodes):
+        for j, guess in enumerate(parsed.nodes):
+            flat = iou_2d(guess.box2d, true.box2d)
+            if flat >= MATCH_IOU:
+                same = 0.1 * (guess.environment == true.environment)
+                worth[i, j] = flat + 0.5 * iou_3d(upright(guess), upright(true)) + same
+    rows, columns = linear_sum_assignment(worth, maximize=True)
+    return {
+        truth.nodes[i].name: parsed.nodes[j].name
+        for i, j in zip(rows, columns, strict=True)
+        if worth[i, j] > 0
+    }
+
+
+def _edges(
+    parsed: SceneTree, truth: SceneTree, back: dict[str, str]
+) -> list[tuple[TreeNode, TreeNode]]:
+    """Return parsed and true children of the support edges that both trees have."""
+    edges = []
+    for guess in parsed.nodes:
+        if guess.parent is None or guess.name not in back or guess.parent not in back:
+            continue
+        true = truth.node(back[guess.name])
+        if true.parent == back[guess.parent]:
+            edges.append((guess, true))
+    return edges
+
+
+def _elsewhere(parsed: SceneTree, truth: SceneTree, pairs: dict[str, str]) -> int:
+    """Count matched nodes that hang elsewhere in the tree."""
+    count = 0
+    for true_name, mine_name in pairs.items():
+        true, guess = truth.node(true_name).parent, parsed.node(mine_name).parent
+        expected = None if true is None else pairs.get(true, "")
+        count += guess != expected
+    return count
+
+
+def _mean(values: Iterable[float]) -> Mean:
+    known = list(values)
+    return Mean(value=float(np.mean(known)) if known else None, n=len(known))
+
+
+def _order(values: Sequence[tuple[float, float]]) -> Mean:
+    """Return the share of pairs whose (parsed, true) values have one order; true ties are left
+    out.
+    """
+    return _mean(
+        float((guess - mine2) * (true - true2) > 0)
+        for (guess, true), (mine2, true2) in combinations(values, 2)
+        if abs(true - true2) > TIE * max(abs(true), abs(true2))
+    )
+
+
+def _centre(node: TreeNode) -> NDArray:
+    box = upright(node)
+    return np.array(box.position) + [0, 0, box.size[2] / 2]
+
+
+def _depth(tree: SceneTree, node: TreeNode) -> float:
+    return float(tree.camera.project(_centre(node))[1])
+
+
+def _extent(node: TreeNode) -> float:
+    """Return the side [m] of the cube of a node's volume."""
+    return float(np.prod(node.box3d.size) ** (1 / 3))
+
+
+def _size_error(guess: TreeNode, true: TreeNode) -> float:
+    def edges(box: Box3D) -> NDArray:
+        return np.log([*sorted(box.size[:2]), box.size[2]])
+
+    return float(np.abs(edges(upright(guess)) - edges(upright(true))).mean())
+
+
+def _turn(a: float, b: float) -> float:
+    return abs(math.degrees(math.remainder(a - b, 2 * math.pi)))
+
+
+def _parts_found(guess: TreeNode, true: TreeNode) -> float:
+    remaining = [state.type for state in guess.articulation]
+    matched = 0
+    for state in true.articulation:
+        if state.type in remaining:
+            remaining.remove(state.type)
+            matched += 1
+    return matched / len(true.articulation)
+
+
+def _scale(
+    parsed: SceneTree, truth: SceneTree, objects: list[tuple[TreeNode, TreeNode]]
+) -> float | None:
+    ratios = [
+        _depth(truth, true) / depth
+        for guess, true in objects
+        if (depth := _depth(parsed, guess)) > 1e-6
+    ]
+    return float(np.median(ratios)) if ratios else None
+
+
+def _scaled(box: Box3D, parsed: SceneTree, truth: SceneTree, factor: float | None) -> Box3D:
+    s = 1.0 if factor is None or factor <= 0 else factor
+    at = (np.array(box.position) - parsed.camera.position()) * s + truth.camera.position()
+    size = tuple((s * np.array(box.size)).tolist())
+    return Box3D(position=tuple(at.tolist()), size=size, yaw=box.yaw)

@@ -1,0 +1,108 @@
+"""Similarity of a rendered picture and the photograph: SSIM, LPIPS, CLIP, DINOv2, Uni3D.
+
+Models load from paths that the user gives. A measure without its model is None, and `why` says so.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from neoworld_mjx.spec import Spec
+
+from .image_encoders import ImageEncoder, LpipsModel
+from .onnx_files import OnnxModel
+from .point_clouds import Cloud, Uni3DModel
+from .structural_similarity import ssim
+
+PICTURE_MEASURES = ("ssim", "lpips", "clip", "dino", "uni3d")
+
+
+class PictureMeasure(Spec):
+    """Similarity of two pictures; all but LPIPS are 1 for equal ones."""
+
+    ssim: float | None = None
+    """Structural similarity, at most 1."""
+    lpips: float | None = None
+    """LPIPS distance, 0 for equal pictures."""
+    clip: float | None = None
+    """Cosine of CLIP's picture features."""
+    dino: float | None = None
+    """Cosine of DINOv2's features (CLS)."""
+    uni3d: float | None = None
+    """Cosine of Uni3D's features of the object's points and of the photograph."""
+    why: dict[str, str] = {}
+    """The reason of each measure that is None."""
+
+
+@dataclass(frozen=True)
+class PictureModels:
+    """The models that there are."""
+
+    lpips: LpipsModel | None = None
+    clip: ImageEncoder | None = None
+    dino: ImageEncoder | None = None
+    uni3d: Uni3DModel | None = None
+
+    @staticmethod
+    def load(
+        *,
+        lpips: Path | None = None,
+        clip: Path | None = None,
+        dino: Path | None = None,
+        uni3d: Path | None = None,
+    ) -> "PictureModels":
+        """Load the models whose paths are given.
+
+        Raises:
+            ConfigError: onnxruntime or a file is missing, or a file is no such model.
+        """
+        return PictureModels(
+            lpips=None if lpips is None else LpipsModel(lpips),
+            clip=None if clip is None else ImageEncoder(clip, "clip"),
+            dino=None if dino is None else ImageEncoder(dino, "dino"),
+            uni3d=None if uni3d is None else Uni3DModel(uni3d),
+        )
+
+    def described(self) -> dict[str, dict[str, str] | None]:
+        """Return file and digest of each model, by which figures can be told apart."""
+        models: dict[str, OnnxModel | None] = {
+            "lpips": self.lpips and self.lpips.model,
+            "clip": self.clip and self.clip.model,
+            "dino": self.dino and self.dino.model,
+            "uni3d": self.uni3d and self.uni3d.points,
+        }
+        return {name: model and model.described() for name, model in models.items()}
+
+
+def picture_measure(
+    photo: UInt8[np.ndarray, "h w 3"],
+    rendered: UInt8[np.ndarray, "_ _ 3"],
+    models: PictureModels,
+    cloud: Cloud | None = None,
+) -> PictureMeasure:
+    """Compare a rendered picture with the photograph.
+
+    Args:
+        photo: the photograph or a part of it.
+        rendered: the same view of what was made, in the same size.
+        models: those that there are.
+        cloud: points of the object that the pictures show, for Uni3D; None for whole scenes.
+
+    Raises:
+        PhotoError: the pictures differ in size or are too small.
+        ConfigError: a model cannot be run on them, or gives what is not finite.
+    """
+    clip, dino, lpips, uni3d = models.clip, models.dino, models.lpips, models.uni3d
+    values = {
+        "ssim": ssim(photo, rendered),
+        "lpips": lpips and lpips.distance(photo, rendered),
+        "clip": clip and float(clip.embed(photo) @ clip.embed(rendered)),
+        "dino": dino and float(dino.embed(photo) @ dino.embed(rendered)),
+        "uni3d": uni3d and (None if cloud is None else uni3d.similarity(cloud, photo)),
+    }
+    why = {name: f"no --{name} PATH" for name, value in values.items() if value is None}
+    if cloud is None:
+        why["uni3d"] = "taken of objects, not of scenes"
+    return PictureMeasure(**values, why=why)

@@ -1,0 +1,145 @@
+"""Uni3D: similarity of an object's coloured points and a picture.
+
+The point encoder and the picture's tower come in one folder as `points.onnx`, `image.onnx` and
+`preprocessor_config.json`. Points are put into groups here, as Uni3D's own code does before its
+encoder: centres by farthest points, and the nearest points of each.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from scipy.spatial import KDTree
+
+from neoworld_mjx.errors import ConfigError
+from neoworld_mjx.spec import ObjectSpec, link_poses
+
+from .image_encoders import ImageEncoder
+from .onnx_files import OnnxModel, unit
+from .surface_measure import SAMPLES, samples_of_each
+
+GROUPS, GROUP_SIZE = 512, 64
+"""Numbers of groups and of points of a group in the published evaluation, where the file leaves
+them open."""
+
+Cloud = Float[np.ndarray, "n 6"]
+"""Points [m] with +z up, and their colours in [0, 1]."""
+
+
+class Uni3DModel:
+    """Uni3D in two ONNX files.
+
+    Args:
+        folder: holds points.onnx, image.onnx and preprocessor_config.json.
+
+    Raises:
+        ConfigError: one is missing or has other inputs.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        if not (folder / "points.onnx").is_file():
+            raise ConfigError(
+                f"uni3d: {folder} holds no points.onnx; expected is a folder with points.onnx, "
+                "image.onnx and preprocessor_config.json"
+            )
+        self.points = OnnxModel(folder / "points.onnx", "uni3d")
+        advice = "expected is Uni3D's point encoder behind its grouping: center [1, groups, 3] and "
+        advice += "features [1, groups, points, 6]"
+        shapes = {"center": (1, None, 3), "features": (1, None, None, 6)}
+        self.points.check_inputs(shapes, advice)
+        features = next(port for port in self.points.inputs if port.name == "features")
+        self._groups = features.shape[1] or GROUPS
+        self._group_size = features.shape[2] or GROUP_SIZE
+        self.image = ImageEncoder(folder, "uni3d")
+
+    def similarity(self, cloud: Cloud, rgb: UInt8[np.ndarray, "h w 3"]) -> float:
+        """Return the cosine of an object's points and a picture.
+
+        Raises:
+            ConfigError: a model gives what is not finite, or the two give vectors of different
+                length.
+        """
+        a, b = self.embed(cloud), self.image.embed(rgb)
+        if a.shape != b.shape:
+            raise ConfigError(
+                f"uni3d: points.onnx gives {len(a)} numbers and image.onnx {len(b)}; expected is "
+                "the picture's tower that the point encoder was trained with"
+            )
+        return float(a @ b)
+
+    def embed(self, cloud: Cloud) -> Float[np.ndarray, " d"]:
+        """Return the features of points, of length 1."""
+        center, features = grouped(cloud, self._groups, self._group_size)
+        feed = {"center": center[None], "features": features[None]}
+        return unit(self.points.run(feed, self.points.outputs[0]).reshape(-1), self.points)
+
+
+def coloured_points(
+    spec: ObjectSpec,
+    joint_state: Mapping[str, float] | None = None,
+    *,
+    count: int = SAMPLES,
+    seed: int = 0,
+) -> Cloud:
+    """Sample the visible shapes of an object evenly by area, each in its material's colour.
+
+    Of an object that has none, as MJCF may leave them out, the colliders are taken. Patterns and
+    prints of materials are left out.
+
+    Args:
+        spec: the object.
+        joint_state: joint values [rad or m]; joints not named stand at 0.
+        count: number of points.
+        seed: of the points.
+    """
+    import trimesh
+
+    moved = link_poses(spec, dict(joint_state or {}))
+    geoms = [(part, geom) for part in spec.parts for geom in part.geoms]
+    shown = [(part, geom) for part, geom in geoms if geom.role != "collision"] or geoms
+    meshes, colours = [], []
+    for part, geom in shown:
+        vertices, faces = geom.shape.surface()
+        vertices = moved[part.name].then(geom.pose()).apply(vertices)
+        meshes.append(trimesh.Trimesh(vertices, faces, process=False))
+        colours.append(spec.material(geom.material).rgba[:3])
+    points = samples_of_each(meshes, count, seed)
+    rgb = np.repeat(np.array(colours), [len(each) for each in points], axis=0)
+    return np.column_stack([np.vstack(points), rgb])
+
+
+def grouped(
+    cloud: Cloud, groups: int, group_size: int
+) -> tuple[Float[np.ndarray, "g 3"], Float[np.ndarray, "g m 6"]]:
+    """Return the groups of points that Uni3D's encoder takes.
+
+    Points are centred, divided by the largest distance from the centre, and y and z exchanged, as
+    in its evaluation.
+
+    Args:
+        cloud: at least `groups` and `group_size` points.
+        groups: number of groups.
+        group_size: number of points of each.
+
+    Returns:
+        Centres [g, 3], and the points of each group from its centre, with their colours.
+    """
+    xyz = cloud[:, [0, 2, 1]] - cloud[:, [0, 2, 1]].mean(axis=0)
+    xyz = xyz / max(float(np.linalg.norm(xyz, axis=1).max()), 1e-6)
+    center = xyz[farthest_points(xyz, groups)]
+    _, nearest = KDTree(xyz).query(center, group_size)
+    nearest = np.asarray(nearest).reshape(groups, group_size)
+    features = np.concatenate([xyz[nearest] - center[:, None], cloud[nearest, 3:]], axis=-1)
+    return center, features
+
+
+def farthest_points(xyz: Float[np.ndarray, "n 3"], count: int) -> Int[np.ndarray, " count"]:
+    """Return the indices of points, each the farthest from those before it; the first is 0."""
+    chosen = np.zeros(count, int)
+    distance = np.full(len(xyz), np.inf)
+    for k in range(1, count):
+        offset = xyz - xyz[chosen[k - 1]]
+        distance = np.minimum(distance, np.einsum("ij,ij->i", offset, offset))
+        chosen[k] = int(np.argmax(distance))
+    return chosen

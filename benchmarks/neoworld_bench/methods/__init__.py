@@ -1,0 +1,1 @@
+"""Methods that turn an initial scene into a layout, run over scenes and initial scenes."""

@@ -1,0 +1,153 @@
+"""How far a scene's layout is from the truth, over the objects that may move."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from neoworld_mjx.physics.placed import BALL
+from neoworld_mjx.spec import SceneObject, SceneSpec, bounds, world_poses
+from neoworld_mjx.spec.pose import IDENTITY, Pose, conjugate, from_yaw, quat_mul, rotate, yaw_of
+
+from ..refine_scenes import symmetry
+
+MOST_TILT_DEG = 15.0
+MOST_HEIGHT, MOST_HEIGHT_M = 0.1, 0.01
+"""Bounds of `displaced`; answers' sizes alone move a middle by a few percent of its height."""
+LEAST_M = 1e-3
+"""Sides of boxes below it are no measure of scale."""
+Bounds = tuple[np.ndarray, np.ndarray]
+
+
+def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
+    """Compare a scene with the truth, over the objects that both have.
+
+    What all objects are off by alike, their median shift, is not counted: it is that of the
+    answer's camera, and no layout shows it.
+
+    Returns:
+        "xy_error_m", horizontal distance of the objects' middles; "yaw_error_deg", up to an
+        object's symmetry and without round ones; "scale_error", of the logarithm. Means over the
+        found objects that are no supports; what is missed or extra is for `unmatched` to count.
+    """
+    ends, starts = world_poses(scene), world_poses(truth)
+    items = [item for item in truth.objects if not item.static and item.name in ends]
+    turns, scales = [], []
+    for item in items:
+        other = scene.object(item.name)
+        scales.append(abs(math.log(_size(other) / _size(item))))
+        period = symmetry(item)
+        if period > 0:
+            turned = quat_mul(ends[item.name].quat, conjugate(starts[item.name].quat))
+            turns.append(abs(math.remainder(yaw_of(turned), period)))
+    offs = offsets(scene, truth, [item.name for item in items])
+    shift = offs - np.median(offs, axis=0)
+    return {
+        "xy_error_m": float(np.mean(np.linalg.norm(shift, axis=1))),
+        "yaw_error_deg": math.degrees(float(np.mean(turns))) if turns else 0.0,
+        "scale_error": float(np.mean(scales)),
+    }
+
+
+def offsets(
+    scene: SceneSpec, truth: SceneSpec, names: Sequence[str]
+) -> Float[np.ndarray, "object 2"]:
+    """Return how far the middles of objects are from the truth's, horizontally [m]."""
+    ends, starts = world_poses(scene), world_poses(truth)
+    middles = [
+        [_middle(s.object(name), at[name]) for name in names]
+        for s, at in ((scene, ends), (truth, starts))
+    ]
+    return (np.array(middles[0]) - np.array(middles[1])).reshape(-1, 3)[:, :2]
+
+
+def unmatched(scene: SceneSpec, truth: SceneSpec) -> tuple[list[str], list[str]]:
+    """Return the movable objects of the truth that a scene misses, and those that it has besides.
+
+    No search can put them right, so they count apart, in no error and in no verdict.
+    """
+    real, own = ([item for item in s.objects if not item.static] for s in (truth, scene))
+    names, known = {item.name for item in own}, {item.name for item in truth.objects}
+    missed = [item.name for item in real if item.name not in names]
+    return missed, [item.name for item in own if item.name not in known]
+
+
+def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
+    """Return the objects that a scene shows in another way than the truth: toppled or fallen down.
+
+    Whatever has come to rest is stable, a toppled book as well; this tells the two apart. An object
+    is displaced if it is tilted by MOST_TILT_DEG from the truth, see `tilt_deg`, or if its lowest
+    point and its middle are both higher or lower than they should be by MOST_HEIGHT of its diagonal
+    and MOST_HEIGHT_M. They should be where the truth has them on the object below: how large that
+    is and how it stands in the scene are no faults of what is on it. What a scene misses is not
+    displaced, see `unmatched`, nor is what the truth has on it: without the one below it no layout
+    shows it.
+    """
+    ends, starts = world_poses(scene), world_poses(truth)
+    names, without = [], {item.name for item in truth.objects if item.name not in ends}
+    for item in truth.objects:
+        if item.parent in without:
+            without.add(item.name)
+        if item.static or item.name in without:
+            continue
+        own, end, start = scene.object(item.name), ends[item.name], starts[item.name]
+        should = _heights(item, start)
+        if item.parent is not None:
+            below = item.parent
+            boxes = [bounds(s.object(below).spec) for s in (truth, scene)]
+            should = ends[below].apply(_carried(starts[below].inverse().apply(should), *boxes))
+        rises = np.abs(_heights(own, end) - should)[:, 2]
+        fallen = rises.min() > MOST_HEIGHT * _size(item) + MOST_HEIGHT_M
+        if fallen or tilt_deg(item, end, start) > MOST_TILT_DEG:
+            names.append(item.name)
+    return names
+
+
+def tilt_deg(item: SceneObject, end: Pose, start: Pose) -> float:
+    """Return the angle between the poses of an object, whatever its heading [deg].
+
+    It is that between the verticals as the object sees them, up to its symmetry: a pencil that
+    leans as much but to another side is turned, not tilted. A ball has no tilt.
+    """
+    if _is_ball(item):
+        return 0.0
+    up, true = (rotate(conjugate(at.quat), [0.0, 0.0, 1.0]) for at in (end, start))
+    period = symmetry(item.model_copy(update={"base_tilt": IDENTITY}))
+    if period == 0.0:
+        polar = [math.atan2(math.hypot(v[0], v[1]), v[2]) for v in (up, true)]
+        return math.degrees(abs(polar[0] - polar[1]))
+    turns = np.arange(0.0, 2 * math.pi - 1e-9, period)
+    cosines = [float(rotate(from_yaw(turn), up) @ true) for turn in turns]
+    return math.degrees(math.acos(min(1.0, max(cosines))))
+
+
+def _carried(
+    points: Float[np.ndarray, "n 3"], true: Bounds, own: Bounds
+) -> Float[np.ndarray, "n 3"]:
+    """Carry points over from one object's frame to another's, as boxes are to each other."""
+    true_size, own_size = (np.subtract(high, low) for low, high in (true, own))
+    ratio = own_size / np.maximum(true_size, LEAST_M)
+    return np.asarray(own[0]) + (points - np.asarray(true[0])) * ratio
+
+
+def _heights(item: SceneObject, at: Pose) -> Float[np.ndarray, "2 3"]:
+    """Return points at the height of an object's lowest point and of its middle."""
+    low, high = bounds(item.spec, item.joint_state, tuple(at.quat.tolist()))
+    middle = (low + high) / 2
+    return at.pos + np.array([[*middle[:2], low[2]], middle])
+
+
+def _middle(item: SceneObject, at: Pose) -> Float[np.ndarray, " 3"]:
+    low, high = bounds(item.spec, item.joint_state)
+    return at.apply((low + high) / 2)
+
+
+def _is_ball(item: SceneObject) -> bool:
+    sides = np.subtract(*bounds(item.spec)[::-1])
+    return symmetry(item) == 0 and float(np.ptp(sides)) < BALL * float(sides.max())
+
+
+def _size(item: SceneObject) -> float:
+    low, high = bounds(item.spec)
+    return float(np.linalg.norm(high - low))

@@ -1,0 +1,205 @@
+"""Methods that make a layout from a start: ours, its ablations and baselines, gravity, nothing."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from neoworld_mjx.config import RefineOptions, merged
+from neoworld_mjx.errors import SpecError, choices
+from neoworld_mjx.measure import SceneMeasure, measured
+from neoworld_mjx.physics.engine import EarlyStop, Engine, Rollout
+from neoworld_mjx.physics.exact import snap_exactly
+from neoworld_mjx.physics.layout import Poses
+from neoworld_mjx.physics.model import SceneModel
+from neoworld_mjx.physics.settling import at_rest
+from neoworld_mjx.refinement.choosing import DROPPED
+from neoworld_mjx.refinement.scene_refinement import compile_for_search, refine
+from neoworld_mjx.spec import SceneSpec
+
+from .baselines import algorithm1, with_budget
+
+
+@dataclass(frozen=True)
+class MethodResult:
+    """What a method made of a start."""
+
+    scene: SceneSpec
+    measure: SceneMeasure
+    seconds_to_result: float | None
+    """Until the first candidate that a search takes for valid was known; otherwise `seconds`."""
+    seconds: float | None
+    """Of the method; None where a submission does not say."""
+    rollouts: int = 0
+    accepted: bool | None = None
+    """A search's own verdict; None of what gives none."""
+
+
+def ours(o: RefineOptions) -> RefineOptions:
+    """Return the options as they are."""
+    return o
+
+
+def gradient(o: RefineOptions) -> RefineOptions:
+    """Return the options of gradient refinement alone: one iteration of two candidates."""
+    cem = {"population": 2, "first": 0, "iterations": 1, "prune": False}
+    return o.model_copy(update={"cem": o.cem.model_copy(update=cem), "settle": "never"})
+
+
+def changed(o: RefineOptions, change: dict[str, Any]) -> RefineOptions:
+    """Return options with some of them replaced, given as a tree."""
+    return RefineOptions.model_validate(merged(o.model_dump(mode="json"), change))
+
+
+ABLATIONS: dict[str, dict[str, Any]] = {
+    "without_s_sem": {"reward": {"w_sem": 0.0}},
+    "without_d_pen": {"reward": {"w_pen": 0.0}},
+    "without_d_drift": {"reward": {"w_drift": 0.0}},
+    "no_simulation": {"rollout": {"duration_s": 0.0}, "finalists": 1},
+}
+"""What each ablation changes of the refinement's options, as configs/ablations/refine.yaml does."""
+SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
+    "ours": ours,
+    "gradient": gradient,
+    "algorithm1": algorithm1,
+    **{name: partial(changed, change=change) for name, change in ABLATIONS.items()},
+}
+"""Methods that are a refinement with other options."""
+BUDGETED = ("random", "cma_es")
+"""Other optimizers, with as many rollouts as ours made from the same start."""
+METHODS = (
+    "open_loop",
+    "gravity",
+    *(name for name in SEARCHES if name != "ours"),
+    *BUDGETED,
+    "ours",
+)
+USUAL = ("ours", "open_loop", "gravity", "gradient", "no_simulation", "algorithm1")
+"""Methods that a run takes by default."""
+
+
+def outcome_of(
+    method: str,
+    composed: SceneSpec,
+    o: RefineOptions,
+    engine: Engine,
+    *,
+    seed: int = 0,
+    rollouts: int = 0,
+    warm: bool = True,
+) -> MethodResult:
+    """Run a method from a start.
+
+    Args:
+        method: of METHODS.
+        composed: where it starts.
+        o: options of the refinement and of the final check.
+        engine: that rolls candidates out.
+        seed: of searches.
+        rollouts: budget of BUDGETED.
+        warm: whether to search once for a single iteration, in which one candidate stands for all,
+            before the clock runs, so that its time is without compiling.
+    """
+    if method in ("open_loop", "gravity"):
+        began = time.perf_counter()
+        scene = snap_exactly(composed)
+        if method == "gravity":
+            scene = at_rest(scene, DROPPED)
+        spent = time.perf_counter() - began
+        return MethodResult(scene, measured(scene, o), spent, spent)
+    options = (
+        with_budget(o, method, max(rollouts, 1)) if method in BUDGETED else SEARCHES[method](o)
+    )
+    model = compile_for_search(composed, options)
+    if warm:
+        once = options.cem.model_copy(update={"iterations": 1})
+        quick = options.model_copy(update={"cem": once})
+        refine(model, quick, seed=seed, engine=OneForAll(engine))
+    began = time.perf_counter()
+    refined = refine(model, options, seed=seed, engine=engine)
+    spent = time.perf_counter() - began
+    to_valid = refined.seconds["to_valid"]
+    return MethodResult(
+        refined.scene,
+        refined.measure,
+        # A candidate of coarse rollouts that fails the final check is not valid; what is kept in
+        # its place is known at the end.
+        float(to_valid) if refined.passed and not np.isnan(to_valid) else spent,
+        spent,
+        refined.rollouts,
+        refined.passed,
+    )
+
+
+class OneForAll:
+    """An engine that simulates the first candidate and says the same of all others.
+
+    A search with it compiles what one with the engine itself does, and costs little else.
+    """
+
+    name = "one for all"
+
+    def __init__(self, engine: Engine) -> None:
+        """Simulate with an engine."""
+        self.engine = engine
+
+    def rollout(
+        self,
+        scene: SceneModel,
+        poses: Poses,
+        *,
+        duration: float = 1.0,
+        record_every: float = 0.1,
+        early_stop: EarlyStop | None = None,
+    ) -> Rollout:
+        """Simulate one candidate; see `Engine.rollout`."""
+        one = self.engine.rollout(
+            scene,
+            poses[:1],
+            duration=duration,
+            record_every=record_every,
+            early_stop=early_stop,
+        )
+        repeated = lambda x: np.repeat(np.asarray(x), len(poses.scale), axis=0)
+        every = jax.tree.map(repeated, one)
+        return eqx.tree_at(lambda r: (r.time, r.start), every, (one.time, poses))
+
+
+def outcomes_of(
+    methods: Sequence[str],
+    composed: SceneSpec,
+    o: RefineOptions,
+    engine: Engine,
+    *,
+    seed: int = 0,
+    warm: bool = True,
+) -> Iterator[tuple[str, MethodResult]]:
+    """Run methods from one start; see `outcome_of`.
+
+    Ours comes first, as BUDGETED get as many rollouts as it made; where it is not asked for, it
+    runs for its count alone.
+    """
+    rollouts = 0
+    for method in in_order(methods):
+        if method in BUDGETED and not rollouts:
+            rollouts = outcome_of("ours", composed, o, engine, seed=seed, warm=False).rollouts
+        result = outcome_of(method, composed, o, engine, seed=seed, rollouts=rollouts, warm=warm)
+        rollouts = result.rollouts if method == "ours" else rollouts
+        yield method, result
+
+
+def in_order(methods: Sequence[str]) -> list[str]:
+    """Sort methods as they are run: ours first, then as METHODS has them."""
+    return sorted(methods, key=lambda name: (name != "ours", METHODS.index(name)))
+
+
+def check_methods(methods: Sequence[str]) -> None:
+    """Raise a SpecError for a name that is no method."""
+    for method in methods:
+        if method not in METHODS:
+            raise SpecError(f"method: {choices(method, METHODS)}")

@@ -1,0 +1,145 @@
+"""Scenes that other methods made, read from a folder and scored as the rows of a method.
+
+    DIR/SCENE/scene.json | scene.xml | scene.usda | scene.usd | scene.usdc
+    DIR/SCENE/result.json            optional: {"seconds": 12.5}
+    DIR/SCENE/start_0/...            the same for each start, where a method begins at starts
+
+Names of objects are those of the truth, and their poses are in the truth's world. Files are a
+stranger's: they are read within bounds and nothing in them is run.
+"""
+
+from pathlib import Path
+
+from pydantic import Field
+
+from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.export.importing_scene import ImportedScene, import_file
+from neoworld_mjx.io import read_model
+from neoworld_mjx.io.names import identifier
+from neoworld_mjx.measure import measured
+from neoworld_mjx.spec import SceneSpec, Spec, read_scene
+
+from .layout_errors import unmatched
+from .scene_methods import MethodResult
+
+FILES = ("scene.json", "scene.xml", "scene.usda", "scene.usd", "scene.usdc")
+"""Names of a submitted scene; of several the first counts."""
+RESULT = "result.json"
+HELD = "held_"
+"""Before the name of an object that is fixed where the truth's is free to move."""
+
+
+class SubmittedResult(Spec):
+    """What a method says of its scene."""
+
+    seconds: float | None = Field(default=None, ge=0, allow_inf_nan=False)
+    """Time that the scene took."""
+
+
+def submission_name(folder: Path) -> str:
+    """Return the name under which a folder's rows stand in the tables."""
+    return f"submission:{identifier(folder.resolve().name, 'submission')}"
+
+
+def submitted_starts(folder: Path, scene: str, starts: int) -> tuple[int, ...]:
+    """Return the starts of which a folder has a scene: the first alone, or as many as are asked.
+
+    Raises:
+        SpecError: there is no scene, or there are scenes of starts but not of all.
+    """
+    if not folder.is_dir():
+        raise SpecError(f"submission: {folder} is no folder")
+    if scene_file(folder / scene) is not None:
+        return (0,)
+    if not (folder / scene / "start_0").is_dir():
+        raise SpecError(
+            f"submission: {folder / scene} has none of {', '.join(FILES)}, nor start_0 with one; "
+            "--scenes scores only the scenes that it names"
+        )
+    for start in range(starts):
+        if scene_file(_place(folder, scene, start)) is None:
+            raise SpecError(
+                f"submission: {folder / scene}/start_{start} has none of {', '.join(FILES)}; "
+                "--starts says how many there are"
+            )
+    return tuple(range(starts))
+
+
+def submitted(folder: Path, start: int, truth: SceneSpec, o: RefineOptions) -> MethodResult:
+    """Read and measure what a folder has for a start of a scene.
+
+    An object that the truth has free to move and the file fixed is missed, and its like in the
+    scene gets another name. Without a camera the scene has the truth's.
+
+    Args:
+        folder: of the submission.
+        start: number of the start.
+        truth: the scene's, as photographed; its name is the scene's folder.
+        o: options of the final check.
+
+    Raises:
+        SpecError: a file is broken or hostile, or holds none of the truth's objects.
+    """
+    place = _place(folder, truth.name, start)
+    file = scene_file(place)
+    if file is None:
+        raise SpecError(f"submission: {place} has none of {', '.join(FILES)}")
+    scene = _renamed(read_scene_file(file), truth)
+    if scene.camera is None:
+        scene = scene.model_copy(update={"camera": truth.camera})
+    movable = [item.name for item in truth.objects if not item.static]
+    if len(unmatched(scene, truth)[0]) == len(movable):
+        raise SpecError(
+            f"submission: {file} has no object of the scene that is free to move; the scene's are "
+            f"{', '.join(movable)}"
+        )
+    said = SubmittedResult()
+    if (place / RESULT).exists():
+        said = read_model(place / RESULT, SubmittedResult, SpecError, "a result")
+    return MethodResult(scene, measured(scene, o), said.seconds, said.seconds)
+
+
+def _place(folder: Path, scene: str, start: int) -> Path:
+    """Return the folder of a start, which is the scene's where that has a file of its own."""
+    own = folder / scene
+    return own if scene_file(own) is not None else own / f"start_{start}"
+
+
+def scene_file(folder: Path) -> Path | None:
+    """Return the file of a folder's scene, the first of FILES; None if there is none."""
+    return next((folder / name for name in FILES if (folder / name).exists()), None)
+
+
+def read_scene_file(file: Path) -> SceneSpec:
+    """Read a scene.json, MJCF or USD scene.
+
+    Raises:
+        SpecError: it cannot be read, or holds a single object.
+    """
+    if file.suffix == ".json":
+        return read_scene(file)
+    imported = import_file(file)
+    if not isinstance(imported, ImportedScene):
+        raise SpecError(f"submission: {file} holds one object, not a scene on its supports")
+    return imported.spec
+
+
+def _renamed(scene: SceneSpec, truth: SceneSpec) -> SceneSpec:
+    """Rename what is fixed here and free in the truth."""
+    free = {item.name for item in truth.objects if not item.static}
+    names = {
+        item.name: identifier(HELD + item.name, "object", {other.name for other in scene.objects})
+        for item in scene.objects
+        if item.static and item.name in free
+    }
+    objects = (
+        item.model_copy(
+            update={
+                "name": names.get(item.name, item.name),
+                "parent": names.get(item.parent or "", item.parent),
+            }
+        )
+        for item in scene.objects
+    )
+    return scene.model_copy(update={"objects": tuple(objects)}) if names else scene

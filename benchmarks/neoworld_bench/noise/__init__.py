@@ -1,0 +1,1 @@
+"""Errors of answers and programs, and the initial scenes that they lead to."""

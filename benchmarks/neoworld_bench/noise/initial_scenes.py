@@ -1,0 +1,163 @@
+"""Where methods start: the truth disturbed as answers are, fitted and composed as a run does it.
+
+Every start of every scene has noise of its own, with spreads and rates of measured answers: of the
+numbers of a parse (`photo_answers`, `environment_noise`), of its tree (`parse_noise`), of programs
+(`program_noise`, `joint_noise`). Sizes are what composition makes of the answer's boxes.
+"""
+
+import zlib
+from dataclasses import dataclass
+from typing import Literal
+
+from neoworld_mjx.compose.compose import compose
+from neoworld_mjx.config import ComposeOptions, ParseOptions
+from neoworld_mjx.fit.fit_tree import fit_tree
+from neoworld_mjx.fit.refit import refit_tree
+from neoworld_mjx.fit.tree_checks import SceneIssue, check_score, check_tree
+from neoworld_mjx.spec import ObjectSpec, SceneSpec, SceneTree
+
+from ..dataset.declaration import SceneDeclaration, declaration
+from ..dataset.truth_scene import truth_scene
+from ..fidelity.rendered_answers import disturbed_answer, exact_answer, with_boxes_redrawn
+from ..fidelity.rendered_scenes import see
+from .environment_noise import with_other_supports
+from .parse_noise import NoiseLog, refusals, wrong_parse
+from .program_noise import wrong_program
+
+NoiseLevel = Literal["exact", "layout", "parse", "programs", "all"]
+"""Noise of a start: none; the numbers of a parse; these and its tree; these and the programs;
+everything."""
+EVALUATION = 1
+"""Starts whose number is odd are the evaluation half: no default is tuned on them."""
+
+
+def photographed(declared: SceneDeclaration) -> SceneSpec:
+    """Return a declared scene with what its camera sees: visible boxes, depths, hidden flags."""
+    return see(truth_scene(declared), finer=2)
+
+
+def true_tree(scene: SceneSpec) -> SceneTree:
+    """Return the parse that says of a photographed scene what is true."""
+    return exact_answer(scene)
+
+
+def noise_number(name: str, seed: int, start: int) -> int:
+    """Return the number that seeds the noise of a start; no two starts share it."""
+    return zlib.crc32(f"{name}/{seed}/{start}".encode())
+
+
+def composed_start(
+    scene: SceneSpec,
+    tree: SceneTree,
+    number: int,
+    options: ComposeOptions | None = None,
+    *,
+    noise: NoiseLevel = "all",
+    log: NoiseLog | None = None,
+) -> SceneSpec:
+    """Compose a scene from a disturbed answer, as a run would.
+
+    Args:
+        scene: the truth, as photographed; where programs have noise, objects of a scene of the
+            benchmark.
+        tree: its exact answer.
+        number: of the noise. All levels of one number have the same noise in the answer's numbers.
+        options: of composition.
+        noise: its level.
+        log: to which the errors beside the numbers are added.
+    """
+    o, log = options or ComposeOptions(), log or NoiseLog()
+    shapes, programs = {item.name: item.spec for item in scene.objects}, NoiseLog()
+    if noise in ("programs", "all"):
+        shapes |= wrong_shapes(scene, number, programs)
+    fitted = tree
+    # A fit of what is exact would only move what is right, by up to some millimetres.
+    if noise != "exact":
+        wrong_tree = noise in ("parse", "all")
+        kept = fitted_answer(tree, number, shapes, wrong_tree=wrong_tree)
+        log.injected += kept.log.injected
+        log.refused += kept.log.refused
+        shapes |= kept.shapes
+        fitted = refit_tree(kept.tree, shapes)[0] if o.refit else kept.tree
+    log.injected += programs.injected
+    log.refused += programs.refused
+    return compose(fitted, shapes, o, name=scene.name).scene
+
+
+@dataclass(frozen=True)
+class FittedAnswer:
+    """An answer as a parse keeps it."""
+
+    tree: SceneTree
+    """Fitted."""
+    shapes: dict[str, ObjectSpec]
+    """Programs of the objects that it invents."""
+    log: NoiseLog
+    """Errors beside those of its numbers."""
+    issues: tuple[SceneIssue, ...]
+    """What the checks of a parse find in it."""
+
+    @property
+    def score(self) -> float:
+        """By which a parse takes the best of its answers."""
+        return check_score(self.tree, self.issues)
+
+
+def fitted_answer(
+    tree: SceneTree, number: int, shapes: dict[str, ObjectSpec], *, wrong_tree: bool
+) -> FittedAnswer:
+    """Answer as a parse does: what the checks refuse is answered once more, the best is kept.
+
+    Args:
+        tree: the exact answer.
+        number: of the noise.
+        shapes: programs of its objects.
+        wrong_tree: whether the tree has errors, too.
+    """
+    answer = with_other_supports(disturbed_answer(tree, number), tree, number)
+    attempts = [_attempt(answer, number, shapes, wrong_tree)]
+    known = refusals(check_tree(tree))
+    for _ in range(ParseOptions().critic_rounds):
+        last = attempts[-1]
+        refused = {name for name, _ in refusals(last.issues) - known}
+        # What it invents has no true box about which it could think again.
+        names = refused & {node.name for node in answer.nodes if not node.environment}
+        if not names:
+            break
+        answer = with_boxes_redrawn(answer, tree, names, number)
+        attempts.append(_attempt(answer, number, shapes, wrong_tree))
+    return max(attempts, key=lambda attempt: attempt.score)
+
+
+def _attempt(
+    answer: SceneTree, number: int, shapes: dict[str, ObjectSpec], wrong_tree: bool
+) -> FittedAnswer:
+    log, made = NoiseLog(), dict[str, ObjectSpec]()
+    if wrong_tree:
+        parsed = wrong_parse(answer, number, log, shapes)
+        answer, made = parsed.tree, parsed.shapes
+    fitted, _ = fit_tree(answer)
+    return FittedAnswer(fitted, made, log, check_tree(fitted))
+
+
+def wrong_shapes(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, ObjectSpec]:
+    """Return the movable objects of a scene as a programmer would make them.
+
+    Args:
+        scene: a scene of the benchmark, or some of its objects.
+        number: of the noise.
+        log: of the errors.
+    """
+    names = {item.name for item in scene.objects}
+    shapes = {}
+    for item in declaration(scene.name).movable():
+        if item.name in names:
+            links = (o.parent_link for o in scene.objects if o.parent == item.name)
+            carriers = frozenset(link for link in links if link is not None)
+            shapes[item.name] = wrong_program(item, number, carriers, log)
+    return shapes
+
+
+def is_evaluation(start: int) -> bool:
+    """Tell whether a start is of the evaluation half."""
+    return start % 2 == EVALUATION

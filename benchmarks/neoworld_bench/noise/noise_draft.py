@@ -1,0 +1,60 @@
+"""An object into which errors are put one by one, each of which passes the checks of programs."""
+
+from collections.abc import Callable
+
+import numpy as np
+from pydantic import ValidationError
+
+from neoworld_mjx.checks.allowance import Allowance
+from neoworld_mjx.checks.compile_checks import check
+from neoworld_mjx.checks.signals import has_errors
+from neoworld_mjx.config import ProgramOptions
+from neoworld_mjx.spec import ObjectSpec
+
+from .parse_noise import NoiseLog
+
+TRIES = 8
+"""Draws of an error, until one passes the checks."""
+Variant = Callable[[ObjectSpec, np.random.Generator], ObjectSpec | None]
+
+
+class Draft:
+    """An object into which errors are put one by one, each of which must pass the checks."""
+
+    def __init__(
+        self,
+        spec: ObjectSpec,
+        allowances: tuple[Allowance, ...],
+        rng: np.random.Generator,
+        log: NoiseLog,
+    ) -> None:
+        """Begin with an object and the overlaps that its program declares."""
+        self.spec, self.rng, self._allowances, self._log = spec, rng, allowances, log
+
+    def change(self, kind: str, variant: Variant, *, noted: bool = True) -> None:
+        """Put an error into the object.
+
+        Args:
+            kind: its name in the log.
+            variant: draws an object with the error; None where it has no place for it.
+            noted: whether it is logged where it succeeds, as every object has it otherwise.
+        """
+        for _ in range(TRIES):
+            try:
+                changed = variant(self.spec, self.rng)
+                if changed is None or changed == self.spec:
+                    return
+                changed = ObjectSpec.model_validate(changed.model_dump())
+            except ValidationError:
+                continue
+            if self._passes(changed):
+                self.spec = changed
+                if noted:
+                    self._log.injected.append(kind)
+                return
+        self._log.refused.append(kind)
+
+    def _passes(self, spec: ObjectSpec) -> bool:
+        parts = {part.name for part in spec.parts}
+        left = [a for a in self._allowances if {a.first, a.second} <= parts]
+        return not has_errors(check(spec, ProgramOptions(), None, left))

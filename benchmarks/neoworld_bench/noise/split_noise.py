@@ -1,0 +1,181 @@
+"""One object that a parse takes for two: a lower and an upper half, or one beside the other."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from neoworld_mjx.fit.projection import expected_box
+from neoworld_mjx.spec import (
+    Box,
+    Box2D,
+    Cylinder,
+    GeomSpec,
+    ObjectSpec,
+    SceneTree,
+    TreeNode,
+    bounds,
+)
+from neoworld_mjx.spec.extent import part_bounds, recentred
+from neoworld_mjx.spec.pose import IDENTITY, from_yaw, matrix, rotate
+
+SPLIT = 1 / (61 + 2)
+"""Rate by object of being taken for two: none of the 61 movable objects in the answers to four
+photographs is half of a thing; 1/(n + 2) is the mean of Laplace's rule. One support is a part of
+one: the writing tablet of a chair that is mostly out of the picture."""
+HALVES = ("_half_1", "_half_2")
+"""Ends of the names of the halves, behind that of the object."""
+LEAST = 0.25
+"""Least share of the object's side that a half has."""
+ON_GROUND = 0.05
+"""Height over the object's bottom, over its height, within which a half stands on what it did."""
+ALIGNED = 1e-6
+"""Largest deviation of a rotation matrix from one that exchanges axes."""
+
+Range = tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]
+
+
+def with_halves(
+    tree: SceneTree,
+    name: str,
+    rng: np.random.Generator,
+    shapes: Mapping[str, ObjectSpec],
+    made: dict[str, ObjectSpec],
+) -> Iterator[SceneTree]:
+    """Yield trees with two halves in an object's place, cut across one axis after another.
+
+    The object stands upright and carries nothing. Neither half is the object: it is missed, and
+    both are extra.
+
+    Args:
+        tree: an answer.
+        name: of the object.
+        rng: draws the order of the axes.
+        shapes: programs of the objects.
+        made: to which the halves' programs are added.
+    """
+    node, names = tree.node(name), [name + end for end in HALVES]
+    upright = node.relation in ("on", "in") and np.allclose(node.base_tilt, IDENTITY)
+    carries = any(other.parent == name for other in tree.nodes)
+    if not upright or carries or name not in shapes or name.endswith(HALVES):
+        return
+    for axis in rng.permutation(3).tolist():
+        halves = halves_of(shapes[name], axis)
+        if halves is None:
+            continue
+        nodes = [_half(tree, node, shapes[name], half) for half in halves]
+        if any(half is None for half in nodes):
+            continue
+        first, second = (
+            half.model_copy(update={"name": own})
+            for half, own in zip(nodes, names, strict=True)
+            if half is not None
+        )
+        if axis == 2:
+            second = second.model_copy(
+                update={"parent": names[0], "parent_link": None, "relation": "on"}
+            )
+        made |= {own: recentred(half) for own, half in zip(names, halves, strict=True)}
+        others = [_hidden_by(other, name, names) for other in tree.nodes if other.name != name]
+        yield SceneTree.model_validate({**dict(tree), "nodes": (*others, first, second)})
+
+
+def halves_of(spec: ObjectSpec, axis: int) -> tuple[ObjectSpec, ObjectSpec] | None:
+    """Cut an object of one part in two across an axis, near its middle.
+
+    It is cut between shapes, else through boxes and cylinders.
+
+    Returns:
+        The half below and the half above, in the object's frame; None where a shape that is in the
+        way cannot be cut, or a half would hang in the air.
+    """
+    part = spec.part(spec.root)
+    if spec.parts != (part,) or part.mass is not None:
+        return None
+    low, high = bounds(spec)
+    middle = (low[axis] + high[axis]) / 2
+    solid = [geom for geom in part.geoms if geom.role == "both"]
+    ends = [part_bounds(spec, part.model_copy(update={"geoms": (geom,)})) for geom in solid]
+    planes = sorted(
+        {float(end[axis]) for both in ends for end in both}, key=lambda c: abs(c - middle)
+    )
+    for plane in (*planes, middle):
+        share = (plane - low[axis]) / (high[axis] - low[axis])
+        if not LEAST < share < 1 - LEAST:
+            continue
+        cut = [_cut(geom, axis, plane, end) for geom, end in zip(solid, ends, strict=True)]
+        if any(pair is None for pair in cut):
+            continue
+        halves = []
+        for side in (0, 1):
+            own = tuple(geom for pair in cut if pair is not None for geom in (pair[side],) if geom)
+            if own:
+                parts = (part.model_copy(update={"geoms": own}),)
+                halves.append(spec.model_copy(update={"parts": parts, "sites": ()}))
+        limit = low[2] + ON_GROUND * (high[2] - low[2])
+        if len(halves) == 2 and (axis == 2 or all(bounds(h)[0][2] < limit for h in halves)):
+            return halves[0], halves[1]
+    return None
+
+
+def _cut(
+    geom: GeomSpec, axis: int, plane: float, ends: Range
+) -> tuple[GeomSpec | None, GeomSpec | None] | None:
+    """Return what of a shape is below and above a plane; None where it cannot be cut there."""
+    low, high = (float(end[axis]) for end in ends)
+    edge = 1e-6 * (high - low)
+    if high <= plane + edge:
+        return geom, None
+    if low >= plane - edge:
+        return None, geom
+    turn = matrix(geom.quat)
+    own = int(np.argmax(np.abs(turn[axis])))
+    shape = geom.shape
+    aligned = abs(abs(turn[axis, own]) - 1) < ALIGNED
+    if not aligned or not (isinstance(shape, Box) or (isinstance(shape, Cylinder) and own == 2)):
+        return None
+    halves = []
+    for a, b in ((low, plane), (plane, high)):
+        pos = np.array(geom.pos)
+        pos[axis] = (a + b) / 2
+        if isinstance(shape, Box):
+            size = list(shape.size)
+            size[own] = b - a
+            new = Box(size=(size[0], size[1], size[2]))
+        else:
+            new = Cylinder(radius=shape.radius, height=b - a)
+        halves.append(geom.model_copy(update={"shape": new, "pos": tuple(pos.tolist())}))
+    return halves[0], halves[1]
+
+
+def _half(tree: SceneTree, node: TreeNode, spec: ObjectSpec, half: ObjectSpec) -> TreeNode | None:
+    """Return a half's node: its share of the object's boxes; None where it is not seen."""
+    (low, high), (a, b) = bounds(spec), bounds(half)
+    size, share = np.array(node.box3d.size), 1 / (high - low)
+    step = ((a + b) / 2 - (low + high) / 2) * share * size
+    step[2] = (a[2] - low[2]) * share[2] * size[2]
+    at = np.array(node.box3d.position) + rotate(from_yaw(node.box3d.yaw), step)
+    own = (b - a) * share * size
+    box = node.box3d.model_copy(
+        update={"position": tuple(at.tolist()), "size": tuple(own.tolist())}
+    )
+    part = node.model_copy(update={"box3d": box})
+    whole, seen = expected_box(tree.camera, node), expected_box(tree.camera, part)
+    if whole is None or seen is None:
+        return None
+    # Where the whole is seen off from where it is expected, so is the half.
+    read = np.array(node.box2d.as_tuple())
+    ratio = (read[2:] - read[:2]) / (whole[2:] - whole[:2])
+    pixels = np.concatenate([read[:2] + (end - whole[:2]) * ratio for end in (seen[:2], seen[2:])])
+    if min(pixels[2:] - pixels[:2]) < 1:
+        return None
+    edges = dict(zip(("x0", "y0", "x1", "y1"), pixels.tolist(), strict=True))
+    return part.model_copy(update={"box2d": Box2D(**edges)})
+
+
+def _hidden_by(node: TreeNode, name: str, halves: list[str]) -> TreeNode:
+    """Return a node that names both halves where it named the object."""
+    if name not in node.occluded_by:
+        return node
+    others = [other for other in node.occluded_by if other != name]
+    return node.model_copy(update={"occluded_by": (*others, *halves)})

@@ -1,0 +1,226 @@
+"""Rows of made objects held against true ones, and what they come to together."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neoworld_mjx.config import ProgramOptions
+from neoworld_mjx.errors import SpecError, choices
+from neoworld_mjx.io import read_arrays
+from neoworld_mjx.spec import ObjectSpec
+from neoworld_mjx.verify.checking import object_of_file
+
+from ..measures import canonical_points, geometry_measure, joint_measure, read_truth
+from ..measures.object_truth import Front, ObjectTruth
+from ..measures.parse_measure import Mean
+from ..measures.surface_measure import SAMPLES
+from ..row_files import RowFile, stored_rows
+from ..rows import Row
+from .made_objects import object_files
+from .partnet import TrueObject, partnet_folders, partnet_object
+
+SCORES = "joints.parquet"
+SURFACE = ("chamfer_x10", "f_01", "f_05")
+"""Measures of surfaces after the fit."""
+
+
+class ObjectScoreRow(Row):
+    """One made object against the true one."""
+
+    object: str
+    category: str
+    total: int
+    """True joints."""
+    predicted: int
+    hits: int
+    correct: int
+    """Hits of the true type, with the axis within 10 degrees and the pivot within a tenth of the
+    diagonal."""
+    wrong_type: int
+    """Hits of another type."""
+    axis_deg: float | None
+    """Mean over axis_n hits; pivot and limits likewise."""
+    axis_n: int
+    pivot: float | None
+    pivot_n: int
+    limits: float | None
+    limits_n: int
+    chamfer_x10: float | None
+    """Of surfaces after the fit; None without samples of the true one, or without an object."""
+    f_01: float | None
+    f_05: float | None
+    raw_chamfer_x10: float | None
+    """Without the fit, for truths in metres; so is raw_f_05."""
+    raw_f_05: float | None
+    scale: float | None
+    """Factor of size of the fit."""
+    missed: str
+    """Names of the missed joints, with those of their parts."""
+    reason: str
+    """Why there is no object; empty if there is one. Its joints all count as missed."""
+
+
+def true_folder(path: Path) -> Mapping[str, Path]:
+    """Return the truth files of a folder by object, see `measure.truth`.
+
+    Raises:
+        SpecError: there are none.
+    """
+    files = {file.stem: file for file in sorted(path.glob("*.json"))}
+    if not files:
+        raise SpecError(f"{path} holds no truth: expected NAME.json, with NAME.npz where sampled")
+    return files
+
+
+def read_true(file: Path, front: Front, samples: int = SAMPLES) -> TrueObject:
+    """Read an object of PartNet-Mobility (a folder) or a truth file with the samples beside it.
+
+    Raises:
+        SpecError: a file cannot be read.
+    """
+    if file.is_dir():
+        return partnet_object(file, front=front, samples=samples)
+    truth, beside = read_truth(file), file.with_suffix(".npz")
+    if not beside.exists():
+        return TrueObject(truth, None)
+    arrays = read_arrays(beside, SpecError)
+    if "points" not in arrays or arrays["points"].ndim != 2 or arrays["points"].shape[1] != 3:
+        raise SpecError(f"{beside} must hold points [n, 3]")
+    return TrueObject(truth, canonical_points(arrays["points"], truth))
+
+
+def score_objects(
+    made: Path,
+    *,
+    partnet: Path | None = None,
+    truth: Path | None = None,
+    objects: Sequence[str] = (),
+    front: Front = "-x",
+    options: ProgramOptions | None = None,
+    out: Path | None = None,
+    samples: int = SAMPLES,
+) -> Iterator[ObjectScoreRow]:
+    """Yield a row for each true object that was made, or for all that are named.
+
+    Args:
+        made: folder of made objects, by the names of the true ones.
+        partnet: folder of PartNet-Mobility.
+        truth: folder of truth files instead.
+        objects: names of true objects; one that was not made is missed whole.
+        front: direction in which objects of PartNet-Mobility face.
+        options: of made programs.
+        out: folder of `joints.parquet`, in which rows replace those of the same objects.
+        samples: of each surface.
+
+    Raises:
+        SpecError: there is no truth, or none of a made object.
+    """
+    if (partnet is None) == (truth is None):
+        raise SpecError("name the truth: --partnet PATH, or --truth DIR")
+    files = object_files(made)
+    known = partnet_folders(partnet) if partnet is not None else true_folder(truth or Path())
+    for name in objects:
+        if name not in known:
+            raise SpecError(f"object: {choices(name, known)}")
+    names = list(objects) or [name for name in known if name in files]
+    if not names:
+        raise SpecError(
+            f"{made} has no object of {partnet or truth}: it has {', '.join(list(files)[:8])}, "
+            f"which has {', '.join(list(known)[:8])}"
+        )
+    kept = RowFile(None if out is None else out / SCORES, ObjectScoreRow, lambda row: row.object)
+    for name in names:
+        true = read_true(known[name], front, samples)
+        row = _scored(name, files.get(name), true, options or ProgramOptions(), samples)
+        kept.put([row], in_place_of=name)
+        yield row
+
+
+def _scored(
+    name: str, file: Path | None, true: TrueObject, options: ProgramOptions, samples: int
+) -> ObjectScoreRow:
+    spec, reason = None, "not made"
+    if file is not None:
+        try:
+            spec, reason = object_of_file(file, options), ""
+        except SpecError as error:
+            reason = str(error)[:300]
+    own = ObjectTruth(name=name, box=true.truth.box) if spec is None else spec
+    joints = joint_measure(own, true.truth)
+    parts = {joint.name: joint.child for joint in true.truth.joints}
+    return ObjectScoreRow(
+        object=name,
+        category=true.category,
+        total=joints.total,
+        predicted=joints.predicted,
+        hits=joints.hits,
+        correct=joints.correct,
+        wrong_type=sum(pair.true_type != pair.predicted_type for pair in joints.pairs),
+        axis_deg=joints.axis_deg.value,
+        axis_n=joints.axis_deg.n,
+        pivot=joints.pivot.value,
+        pivot_n=joints.pivot.n,
+        limits=joints.limits.value,
+        limits_n=joints.limits.n,
+        **_surface(spec, true, samples),
+        missed=", ".join(f"{joint} ({parts[joint]})" for joint in joints.missed),
+        reason=reason,
+    )
+
+
+def _surface(spec: ObjectSpec | None, true: TrueObject, samples: int) -> dict[str, float | None]:
+    if spec is None or true.points is None:
+        return dict.fromkeys((*SURFACE, "raw_chamfer_x10", "raw_f_05", "scale"))
+    found = geometry_measure(spec, true.points, samples=samples)
+    plain = found.unaligned
+    raw = {"raw_chamfer_x10": plain.chamfer_x10, "raw_f_05": plain.f_05, "scale": found.scale}
+    return {name: getattr(found.aligned, name) for name in SURFACE} | raw
+
+
+def score_figures(rows: Sequence[ObjectScoreRow]) -> dict[str, Any]:
+    """Return what objects come to together: every joint counts once, surfaces are means of objects.
+
+    Means have their n beside them; they are None over nothing.
+    """
+    total, hits = sum(row.total for row in rows), sum(row.hits for row in rows)
+    wrong = sum(row.wrong_type for row in rows)
+    share = lambda count, of: count / of if of else None
+    figures: dict[str, Any] = {
+        "objects": len(rows),
+        "not_made": sum(bool(row.reason) for row in rows),
+        "total": total,
+        "predicted": sum(row.predicted for row in rows),
+        "hits": hits,
+        "correct": sum(row.correct for row in rows),
+        "miss": share(total - hits, total),
+        "type_error": share(total - hits + wrong, total),
+        "type_error_hits": share(wrong, hits),
+    }
+    for name in ("axis", "pivot", "limits"):
+        column = "axis_deg" if name == "axis" else name
+        pairs = [(getattr(row, column), getattr(row, f"{name}_n")) for row in rows]
+        figures[column] = _mean([(value, n) for value, n in pairs if n]).model_dump()
+    for name in (*SURFACE, "raw_chamfer_x10", "raw_f_05", "scale"):
+        values = [getattr(row, name) for row in rows]
+        figures[name] = _mean([(value, 1) for value in values if value is not None]).model_dump()
+    return figures
+
+
+def _mean(values: Sequence[tuple[float, int]]) -> Mean:
+    n = sum(count for _, count in values)
+    if not n:
+        return Mean(value=None, n=0)
+    means, counts = zip(*values, strict=True)
+    return Mean(value=float(np.average(means, weights=counts)), n=n)
+
+
+def stored_scores(folder: Path) -> list[ObjectScoreRow]:
+    """Read the rows of a folder; none where it has no such file.
+
+    Raises:
+        RunError: they cannot be read.
+    """
+    file = folder / SCORES
+    return stored_rows(file, ObjectScoreRow) if file.exists() else []

@@ -1,0 +1,1 @@
+"""Composed scenes of five real photographs."""

@@ -1,0 +1,41 @@
+"""Tables of what a folder of results holds: scenes, joints, tasks."""
+
+from pathlib import Path
+from typing import Any
+
+from neoworld_mjx.errors import RunError
+from neoworld_mjx.io.files import write_atomic
+
+from ..methods.scene_runs import RESULTS
+from ..objects.joint_table import joint_table
+from ..objects.object_scores import SCORES, stored_scores
+from ..tasks.success_runs import SUCCESSES, known_successes
+from ..tasks.success_table import success_table
+from .scene_table import scene_tables
+
+
+def write_tables(folder: Path) -> dict[str, Any]:
+    """Write table.md, table.csv, table.tex, curves.csv and curves.svg of scenes, joints.md and the
+    like of objects, tasks.md and the like of tasks, beside the rows that a folder has.
+
+    Raises:
+        RunError: it has no rows, or a file cannot be written.
+    """
+    texts: dict[str, str] = {}
+    if (folder / RESULTS).exists():
+        texts |= scene_tables(folder)
+    if rows := stored_scores(folder):
+        texts |= joint_table(rows).files("joints")
+    if successes := known_successes(folder):
+        texts |= success_table(successes).files("tasks")
+    if not texts:
+        raise RunError(
+            f"{folder} has no rows yet, no {RESULTS}, {SCORES} or {SUCCESSES}; "
+            "`neoworld bench run` with scenes, joints or task-success and --out makes them"
+        )
+    for name, text in texts.items():
+        try:
+            write_atomic(folder / name, text)
+        except OSError as error:
+            raise RunError(f"cannot write {folder / name}: {error.strerror}") from None
+    return {"files": [str(folder / name) for name in texts]}

@@ -1,0 +1,137 @@
+"""Figures of methods over scenes and starts, and whether the data set is hard enough."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..methods.scene_runs import SceneRow
+
+BOUNDS = {"open_loop": 0.1, "gravity": 0.5, "gradient": 0.5, "no_simulation": 0.7}
+"""Highest share of starts that these may leave valid; above it the set is too easy."""
+DRAWS, LEVEL = 2000, 0.95
+"""Bootstrap draws, and the level of their interval."""
+MEASURES: dict[str, Callable[[SceneRow], float]] = {
+    "valid_rate": lambda r: r.valid,
+    "check_rate": lambda r: r.check_passed,
+    "accepted_rate": lambda r: bool(r.accepted),
+    "displaced": lambda r: r.displaced / r.found,
+    "missed": lambda r: r.missed / r.objects,
+    "extra": lambda r: r.extra / r.objects,
+    "s_pen": lambda r: r.s_pen,
+    "p_pen": lambda r: r.p_pen / r.articulated if r.articulated else 0.0,
+    "s_stab": lambda r: r.s_stab,
+    "o_stab": lambda r: r.o_stab,
+    "xy_error_m": lambda r: r.xy_error_m,
+    "yaw_error_deg": lambda r: r.yaw_error_deg,
+    "scale_error": lambda r: r.scale_error,
+    "box_iou": lambda r: r.box_iou,
+}
+"""Means over scenes and starts; rates are shares."""
+OF_OBJECTS: dict[str, Callable[[SceneRow], int]] = {
+    "accepted_rate": lambda r: r.accepted is not None,
+    "displaced": lambda r: r.found,
+    "missed": lambda r: r.objects,
+    "extra": lambda r: r.objects,
+    "o_stab": lambda r: r.found + r.extra,
+    "p_pen": lambda r: r.articulated,
+}
+"""Measures whose mean is over objects: those found, the truth's, all that the scene has, or those
+of them with joints."""
+
+
+def summarise(rows: Sequence[SceneRow]) -> dict[str, Any]:
+    """Sum rows up: all starts by method, the evaluation half apart, and the difficulty."""
+    return {
+        "scenes": len({row.scene for row in rows}),
+        "starts": len({row.start for row in rows}),
+        "methods": by_method(rows),
+        "evaluation": by_method([row for row in rows if row.evaluation]),
+        "difficulty": difficulty(rows),
+    }
+
+
+def by_method(rows: Sequence[SceneRow]) -> dict[str, Any]:
+    """Return the figures of each method."""
+    names = dict.fromkeys(row.method for row in rows)
+    return {name: figures([row for row in rows if row.method == name]) for name in names}
+
+
+def figures(rows: Sequence[SceneRow]) -> dict[str, Any]:
+    """Return the figures of rows of one method.
+
+    "objects" is the number of the truth's movable objects over all rows, "found" of those that
+    starts have, over which errors are means; O-Stab is over these and the extra ones, P-Pen over
+    "articulated". A mean over nothing is None.
+    "seconds_to_valid" is the median over the valid ones, None without any.
+    """
+    times = [row.seconds_to_valid for row in rows if row.seconds_to_valid is not None]
+    whole = [row.seconds for row in rows if row.seconds is not None]
+    return {
+        "n": len(rows),
+        "objects": sum(row.objects for row in rows),
+        "found": sum(row.found for row in rows),
+        "articulated": sum(row.articulated for row in rows),
+        **{name: interval(rows, name, draws=0)[0] for name in MEASURES},
+        "seconds_to_valid": float(np.median(times)) if times else None,
+        "seconds": float(np.median(whole)) if whole else None,
+    }
+
+
+def difficulty(rows: Sequence[SceneRow]) -> dict[str, Any]:
+    """Hold the easy methods against BOUNDS, and gravity's errors against ours."""
+    by = by_method(rows)
+    checks: dict[str, Any] = {
+        name: {"n": by[name]["n"], "valid_rate": by[name]["valid_rate"], "at_most": most}
+        | {"hard_enough": by[name]["valid_rate"] <= most}
+        for name, most in BOUNDS.items()
+        if name in by
+    }
+    if {"gravity", "ours"} <= set(by):
+        for error in ("xy_error_m", "yaw_error_deg"):
+            gravity, ours = by["gravity"][error], by["ours"][error]
+            checks[f"gravity_{error}"] = {
+                "gravity": gravity,
+                "ours": ours,
+                "hard_enough": gravity > ours,
+            }
+    return checks
+
+
+def interval(
+    rows: Sequence[SceneRow], measure: str, draws: int = DRAWS
+) -> tuple[float | None, float | None, float | None]:
+    """Return the mean and a bootstrap interval of one of MEASURES, drawing whole scenes.
+
+    Starts of one scene are alike, so scenes are what is drawn again. All are None where there is
+    nothing to take the mean over; draws without anything are left out.
+    """
+    of, weigh = MEASURES[measure], OF_OBJECTS.get(measure, lambda r: 1)
+    return ratio_interval([(row.scene, weigh(row) * of(row), weigh(row)) for row in rows], draws)
+
+
+def ratio_interval(
+    parts: Sequence[tuple[str, float, float]], draws: int = DRAWS
+) -> tuple[float | None, float | None, float | None]:
+    """Return sum over count of parts, and its bootstrap interval over the groups of parts.
+
+    Args:
+        parts: group, such as a scene, sum and count of each.
+        draws: of the bootstrap; 0 gives no interval.
+    """
+    totals: dict[str, list[float]] = {}
+    for group, amount, count in parts:
+        total = totals.setdefault(group, [0.0, 0.0])
+        total[0] += amount
+        total[1] += count
+    sums, counts = np.array([totals[group] for group in sorted(totals)]).reshape(-1, 2).T
+    if not counts.sum():
+        return None, None, None
+    mean = float(sums.sum() / counts.sum())
+    if not draws:
+        return mean, None, None
+    drawn = np.random.default_rng(0).integers(len(sums), size=(draws, len(sums)))
+    sums, counts = sums[drawn].sum(axis=1), counts[drawn].sum(axis=1)
+    means = sums[counts > 0] / counts[counts > 0]
+    low, high = np.quantile(means, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return mean, float(low), float(high)

@@ -1,0 +1,111 @@
+"""What the tasks share in which an object is picked up and put somewhere else."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from neoworld_mjx.spec import Quat, SceneSpec, Vec3
+from neoworld_mjx.spec.pose import IDENTITY
+
+from .plan_format import TaskPlan
+from .predicates import Located, Predicate
+from .reference import Grasp, pick_and_place
+from .task import Prepared
+from .task_scenes import goal_on, grown, in_other, size_of
+
+STILL = "at rest and let go: StackCube-v1 of ManiSkill"
+PLACED = f"{STILL}; own radius and height, which are less than half the object"
+INSERTED = (
+    "through an opening and supported: Section 4.4 of the paper; within the hole's radius and at "
+    "least 15 mm deep: PegInsertionSide-v1 of ManiSkill"
+)
+UPRIGHT = (0.0, math.radians(15.0))
+HEIGHT_M = 0.01
+"""How far from its height something placed may be [m]."""
+
+
+def placed(
+    scene: SceneSpec,
+    name: str,
+    on: str,
+    target: Vec3,
+    *,
+    radius: float | None = None,
+    tilt: tuple[float, float] = UPRIGHT,
+    touching: tuple[str, ...] | None = None,
+    heading: float = math.pi,
+    height: float = HEIGHT_M,
+) -> Located:
+    """Say that an object's foot is at a point of another's frame.
+
+    By default it is within a quarter of its narrower edge.
+    """
+    if radius is None:
+        radius = float(size_of(scene, name)[:2].min()) / 4
+    return Located(
+        object=name,
+        relative_to=on,
+        target=target,
+        radius=radius,
+        low=-height,
+        high=height,
+        tilt=tilt,
+        heading=heading,
+        touching=(on,) if touching is None else touching,
+        source=PLACED,
+    )
+
+
+def inserted(
+    name: str,
+    into: str,
+    opening: Vec3,
+    radius: float,
+    depth: float,
+    *,
+    deepest: float = 0.3,
+    tilt: tuple[float, float] = UPRIGHT,
+    heading: float = math.pi,
+) -> Located:
+    """Say that an object's foot is at least `depth` [m] below an opening of another."""
+    return Located(
+        object=name,
+        relative_to=into,
+        target=opening,
+        radius=radius,
+        low=-deepest,
+        high=-depth,
+        tilt=tilt,
+        heading=heading,
+        touching=(into,),
+        source=INSERTED,
+    )
+
+
+def carry(
+    scene: SceneSpec,
+    predicate: Predicate,
+    moved: str,
+    grasp: Grasp,
+    to: str,
+    at: Vec3,
+    *,
+    yaw: float = 0.0,
+    tilt: Quat = IDENTITY,
+    **ways: float,
+) -> Prepared:
+    """Plan to carry an object to a pose in another's frame; `ways` are those of pick_and_place."""
+
+    def plan(made: SceneSpec) -> TaskPlan:
+        goal = goal_on(made, to, in_other(scene, made, to, at), yaw=yaw, tilt=tilt)
+        return pick_and_place(made, moved, grasp_in(scene, made, moved, grasp), goal, **ways)
+
+    return Prepared(scene, predicate, plan)
+
+
+def grasp_in(truth: SceneSpec, scene: SceneSpec, name: str, grasp: Grasp) -> Grasp:
+    """Hold an object in another scene at the same share of its box."""
+    across = float(np.abs(grasp.closing) @ grown(truth, scene, name))
+    point = in_other(truth, scene, name, grasp.point)
+    return replace(grasp, point=point, width=grasp.width * across)

@@ -1,0 +1,157 @@
+"""Executing a plan in MuJoCo, and telling whether a predicate holds for a second."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from neoworld_mjx.spec import SceneSpec
+from neoworld_mjx.spec.pose import quat_mul, rotate
+
+from .plan_format import TaskPlan, ToolMove, rotation
+from .predicates import Predicate
+from .world import TIMESTEP, World, in_start_axes
+
+CONTROL_S = 0.01
+"""Time between new targets, and between states that are looked at [s]."""
+SETTLE_S = 1.0
+"""Time between the end of the plan and the second that counts [s]."""
+HOLD_S = 1.0
+"""How long a predicate must hold [s]: issue 15 of this project."""
+START_DEPTH_M = 0.001
+"""How deep the gripper may start in something [m]: the bound of S-Pen."""
+
+Watch = Callable[[World, float], None]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a plan, or of waiting."""
+
+    success: bool
+    reason: str
+    """Why not; empty with success."""
+    progress: float
+    """How near the end was to success, in [0, 1]."""
+    held: float
+    """Share of the states of the last second that fulfil the predicate."""
+    lag_m: float = 0.0
+    """Farthest that the tool stayed behind its target [m]."""
+    seconds: float = 0.0
+    """Simulated time [s]."""
+    drift_m: float = 0.0
+    """Farthest that an object was from its start, when waiting [m]."""
+
+
+def execute(
+    scene: SceneSpec,
+    plan: TaskPlan,
+    predicate: Predicate,
+    *,
+    watch: Watch | None = None,
+    visual: bool = False,
+) -> Outcome:
+    """Simulate a plan and ask the predicate of the last second.
+
+    Args:
+        scene: the scene in its composed state.
+        plan: what the gripper does; it then stays where it is.
+        predicate: what must hold in every state of the last HOLD_S.
+        watch: called with the world and the time [s] every CONTROL_S.
+        visual: whether the model that `watch` sees has smooth geoms, for pictures.
+
+    Returns:
+        The outcome; a plan that starts inside an object, or a simulation that diverges, fails.
+    """
+    world = World(scene, plan, visual=visual)
+    depth, where = world.depth_of_gripper()
+    if depth > START_DEPTH_M:
+        reason = f"the gripper starts {1000 * depth:.1f} mm deep in {where}"
+        return Outcome(False, reason, predicate.progress(world), 0.0)
+    lag = 0.0
+    for targets in _path(plan):
+        lag = max(lag, _follow(world, plan, targets))
+        if watch is not None:
+            watch(world, float(world.data.time))
+        if world.diverged():
+            return Outcome(False, "the simulation diverged", 0.0, 0.0, lag, world.data.time)
+    return _judge(world, predicate, SETTLE_S, lag, watch)
+
+
+def wait(scene: SceneSpec, predicate: Predicate, seconds: float = 2.0) -> Outcome:
+    """Simulate a scene without a gripper; ask the predicate of its last second."""
+    world = World(scene, None)
+    start = {item.name: world.pose(item.name).pos for item in scene.objects}
+    drift = 0.0
+
+    def watch(now: World, _: float) -> None:
+        nonlocal drift
+        moved = (np.linalg.norm(now.pose(name).pos - at) for name, at in start.items())
+        drift = max(drift, *(float(distance) for distance in moved))
+
+    outcome = _judge(world, predicate, max(0.0, seconds - HOLD_S), 0.0, watch)
+    return replace(outcome, drift_m=drift)
+
+
+def _judge(
+    world: World, predicate: Predicate, settle: float, lag: float, watch: Watch | None
+) -> Outcome:
+    substeps = round(CONTROL_S / TIMESTEP)
+    counts: list[bool] = []
+    for k in range(round((settle + HOLD_S) / CONTROL_S)):
+        mujoco.mj_step(world.model, world.data, substeps)
+        if world.diverged():
+            return Outcome(False, "the simulation diverged", 0.0, 0.0, lag, world.data.time)
+        if watch is not None:
+            watch(world, float(world.data.time))
+        if k >= round(settle / CONTROL_S):
+            counts.append(predicate.holds(world))
+    held = float(np.mean(counts))
+    success = held == 1.0
+    reason = "" if success else f"not so for the last second: {predicate.meaning()}"
+    progress = predicate.progress(world)
+    return Outcome(success, reason, progress, held, lag, float(world.data.time))
+
+
+def _path(plan: TaskPlan) -> list[tuple[NDArray, NDArray, float]]:
+    """List the targets: displacement [m], rotation since the start, opening [m]."""
+    path = []
+    at, turned, opening = np.array(plan.position), np.array([1.0, 0.0, 0.0, 0.0]), plan.opening
+    for move in plan.moves:
+        steps = max(1, round(move.seconds / CONTROL_S))
+        for k in range(1, steps + 1):
+            share = _eased(k / steps)
+            place, quat = moved(at, turned, move, share)
+            # Fingers close from the first moment of a move on: 0 is a force, not a place.
+            aim = 0.0 if move.opening == 0 else opening + share * (move.opening - opening)
+            path.append((place - np.array(plan.position), quat, aim))
+        at, turned = moved(at, turned, move, 1.0)
+        opening = move.opening
+    return path
+
+
+def moved(
+    at: NDArray, turned: NDArray, move: ToolMove, share: float = 1.0
+) -> tuple[NDArray, NDArray]:
+    """Return where a share of a move takes a point [m] and a rotation."""
+    turn = rotation(share * np.array(move.turn))
+    pivot = at if move.about is None else np.array(move.about)
+    place = pivot + rotate(turn, at - pivot) + share * np.array(move.displacement)
+    return place, quat_mul(turn, turned)
+
+
+def _eased(x: float) -> float:
+    """Begin and end at rest: 3 x^2 - 2 x^3."""
+    return x * x * (3 - 2 * x)
+
+
+def _follow(world: World, plan: TaskPlan, targets: tuple[NDArray, NDArray, float]) -> float:
+    displacement, turned, opening = targets
+    vector = np.zeros(3)
+    mujoco.mju_quat2Vel(vector, turned, 1.0)
+    world.command(displacement, in_start_axes(plan, vector), opening)
+    mujoco.mj_step(world.model, world.data, round(CONTROL_S / TIMESTEP))
+    goal = np.array(plan.position) + displacement
+    return float(np.linalg.norm(world.tool().pos - goal))

@@ -1,0 +1,234 @@
+"""Insertion: an object goes through an opening and is supported there."""
+
+import math
+from functools import partial
+
+from neoworld_mjx.templates.template import Value
+
+from .carrying_tasks import carry, inserted
+from .placing_tasks import LYING
+from .reference import Grasp, grasp_box
+from .task import ManipulationTask, Prepared
+from .task_scenes import put, scene_of
+
+RACK_FLOOR = 0.012
+
+
+def tube_into_rack(
+    column: int,
+    row: int,
+    *,
+    start: str,
+    across: float = 0.02,
+    finish: str = "pine",
+    yaw: float = 0.0,
+    columns: int = 5,
+    rows: int = 2,
+) -> Prepared:
+    """A test tube into a hole of a rack; it starts in a stand, lying, or in another hole."""
+    hole = across / 2 + 0.002
+    width = 0.016 + columns * max(0.04, 2.4 * hole)
+    depth = 0.05 * rows
+    rack: dict[str, Value] = {
+        "columns": columns,
+        "rows": rows,
+        "hole": hole,
+        "width": width,
+        "depth": depth,
+        "finish": finish,
+    }
+    tube: dict[str, Value] = {"depth": across, "width": across}
+    others = [put("tube_rack", (0.12, 0.0), yaw=yaw, values=rack)]
+    pitch = (width - 0.016) / columns
+    spot = lambda i, j: ((j + 0.5) * depth / rows - depth / 2, (i - (columns - 1) / 2) * pitch)
+    if start == "stand":
+        stand = {"columns": 1, "rows": 1, "width": 0.06, "depth": 0.05, "hole": hole}
+        others.append(put("tube_rack", (-0.15, -0.1), name="stand", values=stand))
+        others.append(put("test_tube", on="stand", z=RACK_FLOOR, values=tube))
+        grasp = Grasp((0.0, 0.0, 0.105), across)
+    elif start == "lying":
+        others.append(put("test_tube", (-0.25, -0.1), tilt=LYING, values=tube))
+        # From above as it lies; the fingers point at the tube's side once it stands.
+        grasp = Grasp((0.0, 0.0, 0.1), across - 0.0024, approach=(1.0, 0.0, 0.0))
+    else:
+        x, y = spot(0, 0)
+        others.append(put("test_tube", (x, y), on="tube_rack", z=RACK_FLOOR, values=tube))
+        grasp = Grasp((0.0, 0.0, 0.105), across, closing=(1.0, 0.0, 0.0))
+    x, y = spot(columns - 1, rows - 1) if start == "stand" and row else spot(1, 0)
+    others.append(
+        put("test_tube", (x, y), name="neighbour", on="tube_rack", z=RACK_FLOOR, values=tube)
+    )
+    scene = scene_of("tube_into_rack", *others)
+    x, y = spot(column, row)
+    goal = inserted("test_tube", "tube_rack", (x, y, 0.085), hole, 0.06)
+    return carry(
+        scene, goal, "test_tube", grasp, "tube_rack", (x, y, 0.014), hover=0.09, clear=0.16
+    )
+
+
+def peg_into_board(
+    *,
+    form: str,
+    across: float,
+    room: float,
+    yaw: float = 0.0,
+    hole: int = 0,
+    holes: int = 1,
+    lying: bool = False,
+    height: float = 0.1,
+    colour: str = "yellow",
+) -> Prepared:
+    """A peg into a hole of a board."""
+    across_peg: dict[str, Value] = {
+        "form": form,
+        "depth": across,
+        "width": across,
+        "height": height,
+        "colour": colour,
+    }
+    board: dict[str, Value] = {
+        "form": form,
+        "hole": across + room,
+        "columns": holes,
+        "width": 0.08 * holes,
+        "depth": 0.08,
+    }
+    tilt = LYING if lying else (1.0, 0.0, 0.0, 0.0)
+    scene = scene_of(
+        f"{form}_peg",
+        put("hole_board", (0.15, 0.05), yaw=yaw, values=board),
+        put("peg", (-0.15, -0.1), yaw=0.3 if lying else 0.2, tilt=tilt, values=across_peg),
+        put("toy_block", (0.0, 0.25), values={"form": "cylinder", "colour": "green"}),
+    )
+    at = (0.0, (hole - (holes - 1) / 2) * 0.08)
+    goal = inserted("peg", "hole_board", (*at, 0.05), (across + room) / 2, 0.025)
+    grasp = grasp_box(scene, "peg")
+    if lying:
+        grasp = Grasp((0.0, 0.0, height - 0.02), across, approach=(1.0, 0.0, 0.0))
+    return carry(scene, goal, "peg", grasp, "hole_board", (*at, 0.008), hover=0.06)
+
+
+def pencil_into_holder() -> Prepared:
+    """A pencil from a cup-sized block into the middle hole of a holder."""
+    scene = scene_of(
+        "pencil_into_holder",
+        put("hole_board", (0.15, 0.0), values={"hole": 0.016, "columns": 3, "width": 0.15}),
+        put("hole_board", (-0.15, 0.0), name="block", values={"hole": 0.0112}),
+        put("pencil", on="block", z=0.006, values={"colour": "red"}),
+    )
+    goal = inserted("pencil", "hole_board", (0.0, 0.0, 0.05), 0.008, 0.03)
+    grasp = Grasp((0.0, 0.0, 0.15), 0.01, slack=0.002)
+    return carry(scene, goal, "pencil", grasp, "hole_board", (0, 0, 0.008), hover=0.08, clear=0.12)
+
+
+def plug_into_socket(yaw: float, room: float) -> Prepared:
+    """A plug with two pins into a socket."""
+    scene = scene_of(
+        "plug_into_socket",
+        put("socket", (0.15, 0.05), yaw=yaw, fixed=True, values={"room": room}),
+        put("hole_board", (-0.15, 0.0), name="rest", values={"form": "slot", "hole": 0.036}),
+        put("plug", on="rest", z=0.03, yaw=0.0),
+    )
+    goal = inserted("plug", "socket", (0.0, 0.0, 0.04), 0.004, 0.015, heading=math.radians(10))
+    grasp = grasp_box(scene, "plug", depth=0.015)
+    return carry(scene, goal, "plug", grasp, "socket", (0.0, 0.0, 0.021), hover=0.05, drop=0.001)
+
+
+def domino_into_slot(yaw: float, room: float) -> Prepared:
+    """A domino that stands on the table, into a slot."""
+    board: dict[str, Value] = {"form": "slot", "hole": 0.04 + room, "slot": 0.012 + room}
+    scene = scene_of(
+        "domino_into_slot",
+        put("hole_board", (0.15, 0.1), yaw=yaw, values=board),
+        put("domino", (-0.2, -0.1), yaw=0.2),
+    )
+    goal = inserted("domino", "hole_board", (0, 0, 0.05), 0.01, 0.03)
+    grasp = grasp_box(scene, "domino")
+    return carry(scene, goal, "domino", grasp, "hole_board", (0, 0, 0.008), hover=0.07)
+
+
+_task = partial(ManipulationTask, kind="insertion")
+
+INSERTING = (
+    _task(
+        name="tube_into_rack",
+        instruction="Put the test tube from the stand into the hole at the front (+x) and right "
+        "(-y) of the rack.",
+        object="test_tube",
+        make=partial(tube_into_rack, 0, 1, start="stand"),
+    ),
+    _task(
+        name="wide_tube_into_rack",
+        instruction="Put the wide test tube from the stand into the middle hole of the rack.",
+        object="test_tube",
+        make=partial(
+            tube_into_rack, 2, 0, start="stand", across=0.028, finish="acrylic", yaw=0.3, rows=1
+        ),
+    ),
+    _task(
+        name="lying_tube_into_rack",
+        instruction="Pick up the test tube that lies on the table and stand it in the rack.",
+        object="test_tube",
+        make=partial(tube_into_rack, 3, 0, start="lying", rows=1, finish="white"),
+    ),
+    _task(
+        name="tube_to_another_hole",
+        instruction="Move the test tube at the end of the rack to the other end.",
+        object="test_tube",
+        make=partial(tube_into_rack, 4, 0, start="rack", rows=1),
+    ),
+    _task(
+        name="round_peg",
+        instruction="Put the yellow peg into the hole of the board.",
+        object="peg",
+        make=partial(peg_into_board, form="round", across=0.03, room=0.005),
+    ),
+    _task(
+        name="square_peg",
+        instruction="Put the blue square peg into the square hole.",
+        object="peg",
+        make=partial(
+            peg_into_board, form="square", across=0.03, room=0.005, yaw=0.5, colour="blue"
+        ),
+    ),
+    _task(
+        name="tight_peg",
+        instruction="Put the steel pin into the bore, which is 2 mm wider.",
+        object="peg",
+        make=partial(peg_into_board, form="round", across=0.02, room=0.002, colour="steel"),
+    ),
+    _task(
+        name="peg_into_last_hole",
+        instruction="Put the red peg into the last of the three holes, on the left.",
+        object="peg",
+        make=partial(
+            peg_into_board, form="round", across=0.025, room=0.005, hole=2, holes=3, colour="red"
+        ),
+    ),
+    _task(
+        name="lying_peg",
+        instruction="Pick up the peg that lies on the table and put it upright into the hole.",
+        object="peg",
+        make=partial(
+            peg_into_board, form="round", across=0.03, room=0.008, lying=True, height=0.14
+        ),
+    ),
+    _task(
+        name="pencil_into_holder",
+        instruction="Put the pencil into the middle hole of the holder.",
+        object="pencil",
+        make=pencil_into_holder,
+    ),
+    _task(
+        name="plug_into_socket",
+        instruction="Plug the plug into the socket.",
+        object="plug",
+        make=partial(plug_into_socket, 0.3, 0.004),
+    ),
+    _task(
+        name="domino_into_slot",
+        instruction="Put the domino upright into the slot.",
+        object="domino",
+        make=partial(domino_into_slot, -0.4, 0.006),
+    ),
+)

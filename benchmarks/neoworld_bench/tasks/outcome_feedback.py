@@ -1,0 +1,100 @@
+"""The outcome of a plan as feedback into the layout: the paper's image-to-policy, a small version.
+
+Section 4.4 of the paper: "We use this execution outcome as a feedback signal to iteratively refine
+the scene layout until the placement succeeds". How is not said. Here the Cross-Entropy Method of
+the scene refinement moves the objects that the task names; a candidate's reward is the progress of
+the plan carried out in it, 1 more if it succeeds, less the prior that holds layouts near where they
+were. Nothing but the outcome is asked, so a layout in which the plan succeeds may be found that is
+not the truth: the same plan in the true scene is the measure of that.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from neoworld_mjx.config import CEMOptions
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.refinement.cem import initial_sigma, open_cem
+from neoworld_mjx.spec import SceneSpec
+
+from .execution import Outcome, execute
+from .plan_asking import named_objects
+from .plan_format import TaskPlan
+from .predicates import Predicate
+
+PRIOR_WEIGHT = 0.02
+"""Loss of a layout whose numbers are one standard deviation off; progress is worth up to 1."""
+
+
+@dataclass(frozen=True)
+class FeedbackResult:
+    """The layout in which a plan goes farthest."""
+
+    scene: SceneSpec
+    outcome: Outcome
+    iterations: int
+    executions: int
+
+
+def refine_by_outcome(
+    scene: SceneSpec,
+    plan: TaskPlan,
+    predicate: Predicate,
+    *,
+    options: CEMOptions | None = None,
+    seed: int = 0,
+) -> FeedbackResult:
+    """Move the objects that a task names until a plan succeeds.
+
+    Args:
+        scene: the scene in which the plan fails.
+        plan: the plan, which stays.
+        predicate: what success is; the objects that it names are moved, but for the environment.
+        options: of the Cross-Entropy Method; by default 24 candidates and at most 6 iterations.
+        seed: of the draws.
+
+    Returns:
+        The first candidate that succeeds, else the best.
+    """
+    o = options or CEMOptions(population=24, iterations=6, elite_ratio=0.2, smoothing=0.2)
+    model = compile_scene(scene)
+    moves = np.array([name in named_objects(predicate) for name in model.names])
+    sigma = initial_sigma(model, o, moves)
+    cem = open_cem(model, o)
+    cem = replace(cem, params=replace(cem.params, sigma=sigma))
+    state, key = cem.init(), jax.random.key(seed)
+    best: tuple[float, SceneSpec, Outcome] | None = None
+    executions = 0
+    for iteration in range(1, o.iterations + 1):
+        key, now = jax.random.split(key)
+        layouts = cem.ask(now, state, o.population)
+        poses = model.place(layouts)
+        prior = _prior(layouts, sigma)
+        rewards = []
+        for k in range(o.population):
+            candidate = model.apply(layouts, k, poses)
+            outcome = execute(candidate, plan, predicate)
+            executions += 1
+            reward = outcome.progress + outcome.success - PRIOR_WEIGHT * float(prior[k])
+            rewards.append(reward)
+            if best is None or reward > best[0]:
+                best = (reward, candidate, outcome)
+            if outcome.success:
+                return FeedbackResult(candidate, outcome, iteration, executions)
+        state = cem.tell(state, layouts, jnp.asarray(rewards))
+    assert best is not None
+    return FeedbackResult(best[1], best[2], o.iterations, executions)
+
+
+def _prior(layouts: Layout, sigma: Layout) -> np.ndarray:
+    """Mean of the squared numbers of the moved objects, in standard deviations, shape [pop]."""
+    total, count = 0.0, 0
+    for leaf, spread in zip(jax.tree.leaves(layouts), jax.tree.leaves(sigma), strict=True):
+        moved = np.asarray(spread)[0] > 0
+        ratio = np.asarray(leaf)[:, moved] / np.asarray(spread)[:, moved]
+        total = total + np.sum(ratio.reshape(len(ratio), -1) ** 2, axis=1)
+        count += int(np.sum(moved))
+    return np.asarray(total) / max(count, 1)

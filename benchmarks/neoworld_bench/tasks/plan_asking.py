@@ -1,0 +1,165 @@
+"""A plan asked of a model, carried out, and asked again with what came of it (Section 4.4)."""
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from neoworld_mjx.mllm import Panel, Request, ask_or_record, package_text, revise
+from neoworld_mjx.spec import SceneSpec, bounds, joint_position, link_poses, world_poses
+from neoworld_mjx.spec.kinematics import welded
+from neoworld_mjx.spec.pose import rotate
+
+from .execution import Outcome, execute
+from .plan_format import TaskPlan
+from .predicates import Every, Located, Predicate
+from .task import ManipulationTask
+
+MOST_JOINTS = 12
+"""Joints of an object that are listed."""
+
+
+class PlannedTask(BaseModel):
+    """A model's answer: the reasons first, so that the plan follows from them."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    reasoning: Annotated[str, Field(max_length=2000)] = ""
+    plan: TaskPlan
+
+
+@dataclass(frozen=True)
+class PlanAttempt:
+    """A plan and what came of it."""
+
+    plan: TaskPlan
+    outcome: Outcome
+
+
+@dataclass(frozen=True)
+class AskedPlan:
+    """All plans that a model gave for a task."""
+
+    attempts: tuple[PlanAttempt, ...]
+    """In order; empty if no plan was given."""
+    fallbacks: tuple[tuple[str, str], ...]
+    """Requests that failed, with reasons."""
+
+    @property
+    def best(self) -> PlanAttempt | None:
+        """The first that succeeds, else that with the most progress."""
+        return max(
+            self.attempts, key=lambda a: (a.outcome.success, a.outcome.progress), default=None
+        )
+
+
+def plan_request(
+    task: ManipulationTask, scene: SceneSpec, earlier: Sequence[PlanAttempt] = ()
+) -> Request[PlannedTask]:
+    """Return the request for a plan.
+
+    Args:
+        task: gives the instruction; its truth is not told.
+        scene: the scene as it is known, such as a reconstruction.
+        earlier: plans that failed, which are told with their outcomes.
+    """
+    prompt = f"The scene:\n{scene_in_numbers(scene)}\n\nThe instruction: {task.instruction}"
+    for number, attempt in enumerate(earlier, start=1):
+        outcome = attempt.outcome
+        prompt += (
+            f"\n\nPlan {number} was {attempt.plan.model_dump_json()}\nIt failed: {outcome.reason}. "
+            f"The tool stayed up to {100 * outcome.lag_m:.0f} cm behind the plan."
+        )
+    if earlier:
+        prompt += "\n\nGive a better plan."
+    system = package_text(__package__, "planner").removesuffix("\n")
+    return Request("reasoner", f"plan:{task.name}", system, prompt, PlannedTask)
+
+
+def scene_in_numbers(scene: SceneSpec) -> str:
+    """List each object's pose and box in the world, and its joints, to the millimetre."""
+    lines = []
+    poses = world_poses(scene)
+    for item in scene.objects:
+        at = poses[item.name]
+        low, high = bounds(item.spec, item.joint_state)
+        edges, middle = high - low, at.apply((low + high) / 2)
+        axes = ", ".join(f"{name} {_vector(rotate(at.quat, row))}" for name, row in _axes())
+        carried = f", carried by {item.parent}" if item.parent else ""
+        still = ", cannot move" if item.static else ""
+        lines.append(
+            f"- {item.name} ({item.spec.label or item.spec.name}{carried}{still}): box of edges "
+            f"{_vector(edges)} along its axes {axes}; middle of the box {_vector(middle)}, origin "
+            f"{_vector(at.pos)}"
+        )
+        moved = link_poses(item.spec, item.joint_state)
+        group = welded(item.spec)
+        for joint in [j for j in item.spec.joints if j.type != "fixed"][:MOST_JOINTS]:
+            value = joint_position(item.spec, joint, item.joint_state)
+            base = at.then(moved[joint.parent])
+            now = "a ball" if isinstance(value, tuple) else f"now {value:.2f}"
+            limits = (
+                f", {joint.lower:.2f} to {joint.upper:.2f}" if joint.upper > joint.lower else ""
+            )
+            parts = [
+                part.name for part in item.spec.parts if group[part.name] == group[joint.child]
+            ]
+            lines.append(
+                f"  - joint {joint.name} ({joint.type}) of {' and '.join(parts)}: {now}{limits}; "
+                f"axis {_vector(rotate(base.quat, joint.axis))} through "
+                f"{_vector(base.apply(np.array(joint.pos)))}"
+            )
+    return "\n".join(lines)
+
+
+async def ask_for_plan(
+    models: Panel, task: ManipulationTask, scene: SceneSpec, *, rounds: int = 2
+) -> AskedPlan:
+    """Ask for a plan, carry it out in the scene, and ask again with the outcome while it fails.
+
+    Args:
+        models: the reasoner answers.
+        task: what is to be done.
+        scene: where the plans are carried out, such as a reconstruction.
+        rounds: most revisions.
+
+    Raises:
+        BudgetError: the cost cap is reached.
+        MissingAnswerError: a tape lacks the answer.
+    """
+    fallbacks: list[tuple[str, str]] = []
+
+    async def attempt(earlier: Sequence[PlanAttempt]) -> PlanAttempt | None:
+        request = plan_request(task, scene, earlier)
+        stage = f"{request.name} was not answered"
+        answer = await ask_or_record(models, request, stage, fallbacks)
+        if answer is None:
+            return None
+        outcome = await asyncio.to_thread(execute, scene, answer.plan, task.predicate)
+        return PlanAttempt(answer.plan, outcome)
+
+    first = await attempt(())
+    if first is None:
+        return AskedPlan((), tuple(fallbacks))
+    attempts = await revise(
+        first, rounds=rounds, accept=lambda a: a.outcome.success, next_attempt=attempt
+    )
+    return AskedPlan(tuple(attempts), tuple(fallbacks))
+
+
+def named_objects(predicate: Predicate) -> set[str]:
+    """Return the objects that a predicate names."""
+    leaves = predicate.of if isinstance(predicate, Every) else (predicate,)
+    others = {leaf.relative_to for leaf in leaves if isinstance(leaf, Located)}
+    return {leaf.object for leaf in leaves} | others
+
+
+def _axes() -> list[tuple[str, tuple[float, float, float]]]:
+    return [("x", (1.0, 0.0, 0.0)), ("y", (0.0, 1.0, 0.0)), ("z", (0.0, 0.0, 1.0))]
+
+
+def _vector(values: Sequence[float] | np.ndarray) -> str:
+    return "(" + ", ".join(f"{float(v) + 0.0:.3f}" for v in np.round(values, 3)) + ")"

@@ -1,0 +1,100 @@
+"""A task planned in a reconstruction, and carried out there and in the truth."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from neoworld_mjx.spec import SceneSpec
+
+from ..methods.layout_errors import offsets
+from .execution import Outcome, execute
+from .plan_format import TaskPlan
+from .predicates import Predicate
+from .task import ManipulationTask
+
+
+@dataclass(frozen=True)
+class PlannedThere:
+    """What came of planning in a reconstruction."""
+
+    on_truth: Outcome
+    """In the truth, by the plan less the shift that all objects share: the figure."""
+    in_scene: Outcome
+    """In the reconstruction itself."""
+    unaligned: Outcome
+    """In the truth, by the plan as it is."""
+    shift_m: float
+    """Length of the shift."""
+    object_error_m: float | None
+    """Horizontal distance of the object concerned from the truth, less the shift; None without."""
+    seconds: float
+    """Time of planning and the three executions [s]."""
+
+
+def planned_there(task: ManipulationTask, made: SceneSpec) -> PlannedThere:
+    """Plan a task in a reconstruction and carry the plan out; nothing that fails raises.
+
+    What all objects but supports are off by alike, their median shift, is that of the answer's
+    camera, and a robot is calibrated to its camera: the plan is moved back by it. Of two objects it
+    is the mean, which takes half of what they are off by against each other.
+
+    Args:
+        task: what is to be done.
+        made: a scene of the same objects, moved to where the task's scene is. Objects may be
+            missing, and the table shares the shift.
+    """
+    began = time.perf_counter()
+    there = {item.name for item in made.objects}
+    names = [item.name for item in task.scene.objects if not item.environment]
+    found = [name for name in names if name in there]
+    offs = offsets(made, task.scene, found)
+    shift = np.median(offs, axis=0) if found else np.zeros(2)
+    error = None
+    if task.object in found:
+        error = float(np.linalg.norm(offs[found.index(task.object)] - shift))
+    plan = _planned(task, made)
+    if isinstance(plan, TaskPlan):
+        back = (-float(shift[0]), -float(shift[1]), 0.0)
+        on_truth = execute(task.scene, plan.shifted(back), task.predicate)
+        unaligned = execute(task.scene, plan, task.predicate)
+        in_scene = _carried_out(task, made, plan)
+    else:
+        missing = [name for name in names if name not in there]
+        plan += f"; the scene has no {', '.join(missing)}" if missing else ""
+        on_truth = in_scene = unaligned = failed(f"no plan: {plan}")
+    return PlannedThere(
+        on_truth,
+        in_scene,
+        unaligned,
+        float(np.linalg.norm(shift)),
+        error,
+        time.perf_counter() - began,
+    )
+
+
+def _planned(task: ManipulationTask, made: SceneSpec) -> TaskPlan | str:
+    """Return the plan, or why there is none."""
+    try:
+        return task.plan_in(made)
+    except Exception as error:  # Whatever a reconstruction lacks, there is no plan for it.
+        return described(error)
+
+
+def _carried_out(task: ManipulationTask, made: SceneSpec, plan: TaskPlan) -> Outcome:
+    try:
+        condition: Predicate = task.predicate_in(made)
+        return execute(made, plan, condition)
+    except Exception as error:  # Such as an object that the predicate names and the scene lacks.
+        return failed(f"not carried out: {described(error)}")
+
+
+def failed(reason: str) -> Outcome:
+    """Return the outcome of what was not carried out."""
+    return Outcome(False, reason, 0.0, 0.0)
+
+
+def described(error: Exception) -> str:
+    """Say an exception in one line."""
+    lines = str(error).strip().splitlines()
+    return ": ".join([type(error).__name__, *(line.strip() for line in lines[:3])])

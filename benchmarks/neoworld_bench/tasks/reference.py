@@ -1,0 +1,369 @@
+"""Reference plans, computed from the truth: poses of objects, grasps, handles and joint axes."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neoworld_mjx.export.handles import MARGIN_M, frames
+from neoworld_mjx.spec import (
+    JointSpec,
+    ObjectSpec,
+    SceneSpec,
+    Vec3,
+    bounds,
+    joint_position,
+    link_poses,
+    pieces,
+    world_poses,
+)
+from neoworld_mjx.spec.convex import box_around
+from neoworld_mjx.spec.kinematics import welded
+from neoworld_mjx.spec.pose import Pose, conjugate, quat_mul, rotate
+
+from .plan_format import MAX_OPENING, TaskPlan, ToolMove, rotation
+
+SLACK_M = 0.004
+"""Room on either side of what is to be gripped [m]."""
+ABOVE_M = 0.05
+"""How far before the grasp the tool starts [m]."""
+TIP_M = 0.008
+"""How far the fingers reach beyond the middle of the pads [m]."""
+CARRY_M_S, LOWER_M_S = 0.25, 0.06
+"""Speeds with and without something below [m/s]."""
+FINGERS_M = 0.008
+"""Half the thickness of the two closed fingers [m]."""
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """Where the fingers hold an object, in its frame."""
+
+    point: Vec3
+    """Middle between the pads [m]."""
+    width: float
+    """Distance of the two held surfaces [m]."""
+    approach: Vec3 = (0.0, 0.0, -1.0)
+    closing: Vec3 = (0.0, 1.0, 0.0)
+    slack: float = SLACK_M
+    """Room on either side before the fingers close [m]."""
+
+
+def pick_and_place(
+    scene: SceneSpec,
+    name: str,
+    grasp: Grasp,
+    goal: Pose,
+    *,
+    clear: float = 0.12,
+    hover: float = 0.03,
+    drop: float = 0.002,
+    retreat: float = 0.08,
+) -> TaskPlan:
+    """Grip an object, lift it, carry it over its goal, lower it, let go and draw back.
+
+    Args:
+        scene: the scene in its composed state.
+        name: the object.
+        grasp: where to hold it.
+        goal: pose of the object in the world to let it go at, less `drop`.
+        clear: how far to lift it [m].
+        hover: how far above the goal the slow part of the way begins [m].
+        drop: how far above the goal to let go [m].
+        retreat: how far to draw the fingers back [m].
+    """
+    at = world_poses(scene)[name]
+    approach = rotate(at.quat, grasp.approach)
+    start = at.apply(np.array(grasp.point))
+    turn = rotation_vector(quat_mul(goal.quat, conjugate(at.quat)))
+    end = goal.apply(np.array(grasp.point)) + (0, 0, drop)
+    held = grasp.width
+    opened = min(held + 2 * grasp.slack, MAX_OPENING)
+    up = np.array([0.0, 0.0, max(clear, end[2] + hover - start[2])])
+    across = end + (0, 0, hover) - (start + up)
+    back = -retreat * rotate(rotation(turn), approach)
+    return TaskPlan(
+        position=_vec(start - ABOVE_M * approach),
+        approach=_vec(approach),
+        closing=_vec(rotate(at.quat, grasp.closing)),
+        opening=opened,
+        moves=(
+            _move(ABOVE_M * approach, opened, 1.0),
+            ToolMove(opening=0, seconds=0.5),
+            _move(up, 0, _pace(up, CARRY_M_S)),
+            _move(across, 0, _pace(across, CARRY_M_S, turn), turn=turn),
+            _move((0, 0, -hover), 0, max(0.5, hover / LOWER_M_S)),
+            ToolMove(opening=min(held + 2 * max(grasp.slack, SLACK_M), MAX_OPENING), seconds=0.5),
+            _move(back, min(held + 2 * max(grasp.slack, SLACK_M), MAX_OPENING), 0.6),
+        ),
+    )
+
+
+def push(
+    start: Sequence[float] | NDArray,
+    displacement: Sequence[float] | NDArray,
+    *,
+    approach: Vec3 = (0.0, 0.0, -1.0),
+    closing: Vec3 | None = None,
+    opening: float = 0.0,
+    speed: float = 0.1,
+    retreat: float = 0.0,
+) -> TaskPlan:
+    """Move closed fingers along a line, as in the paper: a start and one displacement.
+
+    Args:
+        start: the tool's start [m].
+        displacement: of the tool [m].
+        approach: direction of the fingers.
+        closing: direction of their closing; across the displacement by default.
+        opening: distance of the pads [m].
+        speed: mean speed [m/s].
+        retreat: how far to draw back in the end [m].
+    """
+    way = np.asarray(displacement, float)
+    if closing is None:
+        side = np.cross(approach, way)
+        closing = _vec(side if np.linalg.norm(side) > 1e-6 else (0.0, 1.0, 0.0))
+    moves = [_move(way, opening, _pace(way, speed))]
+    if retreat:
+        moves.append(_move(-retreat * way / np.linalg.norm(way), opening, 0.6))
+    return TaskPlan(
+        position=_vec(start),
+        approach=approach,
+        closing=closing,
+        opening=opening,
+        moves=tuple(moves),
+    )
+
+
+@dataclass(frozen=True)
+class Hold:
+    """A way to work a joint: gripping its handle, poking it, or pressing the fingers' side on it.
+
+    Directions are along the object's axes as the part stands, by name: +x, -y.
+    """
+
+    way: str
+    """grip, poke or side."""
+    approach: str
+    closing: str = "+y"
+    """Ignored by poke and side."""
+    geom: str = ""
+    """The geom to hold, where the object's own handle frame is not to be taken."""
+    spot: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where on the held box, in halves of its edges from its middle."""
+
+
+def work_joint(
+    scene: SceneSpec, name: str, joint: str, target: float, hold: Hold, *, seconds: float = 0.0
+) -> TaskPlan:
+    """Take a joint's handle along the joint's own path to a value.
+
+    Args:
+        scene: the scene in its composed state.
+        name: the object.
+        joint: the joint, which is no ball.
+        target: its value at the end [rad or m].
+        hold: how to hold the handle.
+        seconds: duration of the way; 0 takes an even pace.
+
+    Raises:
+        ValueError: the plan would leave its bounds, such as a handle wider than the fingers open.
+    """
+    item = scene.object(name)
+    moving = item.spec.joint(joint)
+    at = world_poses(scene)[name]
+    value = joint_position(item.spec, moving, item.joint_state)
+    if isinstance(value, tuple):
+        raise ValueError(f"joint {joint} is a ball")
+    moved = link_poses(item.spec, item.joint_state)
+    part, base = at.then(moved[moving.child]), at.then(moved[moving.parent])
+    middle, half = _held_box(item.spec, joint, hold.geom)
+    point = part.apply(middle + half * np.array(hold.spot))
+    axis, anchor = rotate(base.quat, moving.axis), base.apply(np.array(moving.pos))
+    change = target - value
+    approach = rotate(part.quat, _axis(hold.approach))
+    ahead = rotate(base.quat, (1.0, 0.0, 0.0))
+    way = _direction(moving, axis, anchor, point, ahead) * np.sign(change)
+    if hold.way == "grip":
+        closing = rotate(part.quat, _axis(hold.closing))
+        width = 2 * float(np.abs(_axis(hold.closing)) @ half)
+        opened = width + 2 * SLACK_M
+        first = [_move(ABOVE_M * approach, opened, 1.0), ToolMove(opening=0, seconds=0.5)]
+        start, grip = point - ABOVE_M * approach, 0.0
+    else:
+        local = rotate(conjugate(part.quat), way)
+        reach = float(np.abs(local) @ half) + 0.003
+        grip = opened = 0.0
+        if hold.way == "poke":
+            start = point - way * (reach + TIP_M)
+            approach = way
+            side = np.array([0.0, 0.0, 1.0]) if abs(way[2]) < 0.7 else np.array([0.0, 1.0, 0.0])
+            closing, first = np.cross(way, side), []
+        else:
+            start = point - way * (reach + FINGERS_M)
+            closing, first = way, [_move(ABOVE_M * approach, 0.0, 0.6)]
+            start = start - ABOVE_M * approach
+        change += math.copysign(0.004 / _arm(moving, axis, anchor, point), change)
+    move = _along(moving, axis, anchor, change, grip, point, seconds)
+    return TaskPlan(
+        position=_vec(start),
+        approach=_vec(approach),
+        closing=_vec(closing),
+        opening=opened,
+        moves=(*first, move),
+    )
+
+
+def holds(
+    scene: SceneSpec, name: str, joint: str, target: float
+) -> Iterator[tuple[Hold, TaskPlan]]:
+    """List the ways to work a joint that can be planned, simple ones first."""
+    names = ("-x", "-z", "+y", "-y", "+x", "+z")
+    ways = [Hold("poke", "+x")]
+    ways += [Hold("grip", a, c) for a in names for c in ("+y", "+z", "+x") if a[1] != c[1]]
+    ways += [Hold("side", a) for a in names]
+    geoms = ("", *_outermost(scene.object(name).spec, joint))
+    for way in ("poke", "grip", "side"):
+        for geom in geoms:
+            for hold in (replace(each, geom=geom) for each in ways if each.way == way):
+                try:
+                    yield hold, work_joint(scene, name, joint, target, hold)
+                except ValueError:
+                    continue
+
+
+def _held_box(spec: ObjectSpec, joint: str, geom: str) -> tuple[NDArray, NDArray]:
+    """Return the middle and half the edges of what is held, in the object's frame at rest [m]."""
+    if not geom:
+        handle = next(f for f in frames(spec) if f.joint == joint)
+        half = np.full(3, 0.006) if handle.half is None else np.array(handle.half)
+        # Frames widen what is held by MARGIN_M.
+        return np.array(handle.pos), half - np.where(half > MARGIN_M, MARGIN_M, 0.0)
+    low, high = _geom_boxes(spec, joint)[geom]
+    return (low + high) / 2, (high - low) / 2
+
+
+def _geom_boxes(spec: ObjectSpec, joint: str) -> dict[str, tuple[NDArray, NDArray]]:
+    group = welded(spec)
+    boxes: dict[str, tuple[NDArray, NDArray]] = {}
+    for part in spec.parts:
+        if group[part.name] != group[spec.joint(joint).child]:
+            continue
+        for geom, piece, at in pieces(part):
+            low, high = box_around(piece, at)
+            if geom.name in boxes:
+                low = np.minimum(low, boxes[geom.name][0])
+                high = np.maximum(high, boxes[geom.name][1])
+            boxes[geom.name] = (low, high)
+    return boxes
+
+
+def _outermost(spec: ObjectSpec, joint: str, most: int = 4) -> list[str]:
+    """List the geoms that fit between the fingers, those that a joint moves farthest first."""
+    moving = spec.joint(joint)
+    axis, anchor = np.array(moving.axis), np.array(moving.pos)
+    reach = {}
+    for name, (low, high) in _geom_boxes(spec, joint).items():
+        if np.sort(high - low)[0] > MAX_OPENING:
+            continue
+        middle = (low + high) / 2
+        arm = middle - anchor
+        far = np.linalg.norm(arm - (arm @ axis) * axis)
+        reach[name] = middle @ axis if moving.type == "prismatic" else float(far)
+    return sorted(reach, key=lambda name: -reach[name])[:most]
+
+
+def _along(
+    joint: JointSpec,
+    axis: NDArray,
+    anchor: NDArray,
+    change: float,
+    opening: float,
+    point: NDArray,
+    seconds: float,
+) -> ToolMove:
+    if joint.type == "prismatic":
+        way = change * axis
+        return _move(way, opening, seconds or _pace(way, 0.12))
+    length = abs(change) * _arm(joint, axis, anchor, point)
+    return ToolMove(
+        turn=_vec(change * axis),
+        about=_vec(anchor),
+        opening=opening,
+        seconds=seconds or min(6.0, max(1.0, length / 0.15, abs(change) / 0.8)),
+    )
+
+
+def _arm(joint: JointSpec, axis: NDArray, anchor: NDArray, point: NDArray) -> float:
+    """Return the metres that a point moves by unit of a joint."""
+    if joint.type == "prismatic":
+        return 1.0
+    arm = point - anchor
+    return max(0.005, float(np.linalg.norm(arm - (arm @ axis) * axis)))
+
+
+def _direction(
+    joint: JointSpec, axis: NDArray, anchor: NDArray, point: NDArray, ahead: NDArray
+) -> NDArray:
+    """Return the direction in which a joint moves a point: `ahead` if it is on the axis."""
+    if joint.type == "prismatic":
+        return axis
+    way = np.cross(axis, point - anchor)
+    length = float(np.linalg.norm(way))
+    return way / length if length > 1e-4 else ahead
+
+
+def grasp_box(
+    scene: SceneSpec, name: str, *, depth: float = 0.02, along: str | None = None
+) -> Grasp:
+    """Hold an object from above by its narrower sides.
+
+    Args:
+        scene: the scene.
+        name: an object that stands upright.
+        depth: how far below its top the middle of the pads is [m].
+        along: closing axis, "x" or "y"; the narrower one by default.
+    """
+    low, high = bounds(scene.object(name).spec)
+    edges = high - low
+    k = {"x": 0, "y": 1}[along] if along else int(np.argmin(edges[:2]))
+    closing = (1.0, 0.0, 0.0) if k == 0 else (0.0, 1.0, 0.0)
+    middle = (low + high) / 2
+    height = max(high[2] - depth, low[2] + TIP_M + 0.002)
+    return Grasp(
+        (float(middle[0]), float(middle[1]), float(height)), float(edges[k]), closing=closing
+    )
+
+
+def rotation_vector(quat: NDArray) -> Vec3:
+    """Return a rotation's vector [rad], at most pi long."""
+    q = quat if quat[0] >= 0 else -quat
+    sine = float(np.linalg.norm(q[1:]))
+    if sine < 1e-9:
+        return (0.0, 0.0, 0.0)
+    return _vec(2 * math.atan2(sine, float(q[0])) * q[1:] / sine)
+
+
+def _move(
+    displacement: Sequence[float] | NDArray, opening: float, seconds: float, turn: Vec3 = (0, 0, 0)
+) -> ToolMove:
+    return ToolMove(displacement=_vec(displacement), turn=turn, opening=opening, seconds=seconds)
+
+
+def _pace(way: NDArray, speed: float, turn: Vec3 = (0.0, 0.0, 0.0)) -> float:
+    return float(min(6.0, max(0.5, np.linalg.norm(way) / speed, float(np.linalg.norm(turn)) / 1.2)))
+
+
+def _axis(name: str) -> NDArray:
+    direction = np.zeros(3)
+    direction["xyz".index(name[1])] = 1.0 if name[0] == "+" else -1.0
+    return direction
+
+
+def _vec(values: Sequence[float] | NDArray) -> Vec3:
+    # A ten-thousandth of a millimetre: what is computed is the same on every machine.
+    x, y, z = (round(float(v), 7) + 0.0 for v in values)
+    return x, y, z

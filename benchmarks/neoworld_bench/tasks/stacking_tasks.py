@@ -1,0 +1,163 @@
+"""Stacking: an object is set on another that it could fall from."""
+
+import math
+from functools import partial
+
+from neoworld_mjx.templates.template import Value
+
+from .carrying_tasks import carry, placed
+from .predicates import Every
+from .reference import Grasp, grasp_box
+from .task import ManipulationTask, Prepared
+from .task_scenes import put, scene_of
+
+
+def block_on(
+    lower: tuple[float, float, float, str],
+    upper: tuple[float, float, float, str],
+    *,
+    yaw: float = 0.0,
+    turn: float = 0.0,
+    along: str | None = None,
+) -> Prepared:
+    """A block on another; each is its edges [m] and its form."""
+    scene = scene_of(
+        "block_on_block",
+        put("toy_block", (0.15, 0.05), name="lower", yaw=yaw, values=_sizes(lower, "blue")),
+        put("toy_block", (-0.12, -0.1), name="upper", yaw=0.3, values=_sizes(upper, "red")),
+        put("peg", (0.0, 0.22), values={"form": "square"}),
+    )
+    target = (0.0, 0.0, lower[2])
+    goal = placed(scene, "upper", "lower", target)
+    grasp = grasp_box(scene, "upper", depth=min(0.02, upper[2] / 2), along=along)
+    return carry(scene, goal, "upper", grasp, "lower", target, yaw=turn)
+
+
+def third_block(edge: float) -> Prepared:
+    """A third cube on a stack of two, which must stand after that too."""
+    sizes = (edge, edge, edge, "box")
+    first = put("toy_block", (0.12, 0.0), name="first", values=_sizes(sizes, "blue"))
+    second = put("toy_block", on="first", z=edge, name="second", values=_sizes(sizes, "green"))
+    third = put("toy_block", (-0.12, 0.1), name="third", yaw=-0.4, values=_sizes(sizes, "red"))
+    scene = scene_of("third_block", first, second, third)
+    target = (0.0, 0.0, edge)
+    goal = Every(
+        of=(
+            placed(scene, "third", "second", target),
+            placed(scene, "second", "first", target, touching=("first", "third")),
+        )
+    )
+    return carry(scene, goal, "third", grasp_box(scene, "third"), "second", target)
+
+
+def tray_on_tray() -> Prepared:
+    """An open tray on another, held by its wall."""
+    sizes: dict[str, Value] = {"depth": 0.12, "width": 0.16, "height": 0.05}
+    scene = scene_of(
+        "tray_on_tray",
+        put("tray", (0.15, 0.05), name="lower", values=sizes),
+        put("tray", (-0.15, -0.05), name="upper", values={**sizes, "finish": "walnut"}),
+    )
+    target = (0.0, 0.0, 0.05)
+    goal = placed(scene, "upper", "lower", target, radius=0.02)
+    grasp = Grasp((0.0, 0.077, 0.038), 0.006)
+    return carry(scene, goal, "upper", grasp, "lower", target)
+
+
+def ring_on_ring() -> Prepared:
+    """A disc on a disc of the same size."""
+    values: dict[str, Value] = {"depth": 0.07, "width": 0.07, "height": 0.025, "bore": 0.02}
+    scene = scene_of(
+        "ring_on_ring",
+        put("ring", (0.12, 0.1), name="lower", values=values),
+        put("ring", (-0.12, 0.0), name="upper", values=values | {"colour": "red"}),
+    )
+    target = (0.0, 0.0, 0.025)
+    goal = placed(scene, "upper", "lower", target)
+    grasp = grasp_box(scene, "upper", depth=0.012)
+    return carry(scene, goal, "upper", grasp, "lower", target)
+
+
+def bottle_on_block() -> Prepared:
+    """A bottle on a narrow block."""
+    scene = scene_of(
+        "bottle_on_block",
+        put("toy_block", (0.15, 0.0), values={"depth": 0.06, "width": 0.06, "colour": "wood"}),
+        put("bottle_plain", (-0.15, 0.1), values={"height": 0.18, "colour": "brown"}),
+    )
+    target = (0.0, 0.0, 0.05)
+    goal = placed(scene, "bottle_plain", "toy_block", target)
+    grasp = Grasp((0.0, 0.0, 0.165), 0.024)
+    return carry(scene, goal, "bottle_plain", grasp, "toy_block", target, clear=0.15)
+
+
+def _sizes(block: tuple[float, float, float, str], colour: str) -> dict[str, Value]:
+    depth, width, height, form = block
+    return {"depth": depth, "width": width, "height": height, "form": form, "colour": colour}
+
+
+_task = partial(ManipulationTask, kind="stacking")
+
+CUBE = (0.05, 0.05, 0.05, "box")
+STACKING = (
+    _task(
+        name="cube_on_cube",
+        instruction="Stack the red cube on the blue one.",
+        object="upper",
+        make=partial(block_on, CUBE, CUBE),
+    ),
+    _task(
+        name="small_on_large",
+        instruction="Stack the small red block on the large blue one.",
+        object="upper",
+        make=partial(block_on, (0.08, 0.08, 0.05, "box"), (0.03, 0.03, 0.04, "box"), yaw=0.4),
+    ),
+    _task(
+        name="cylinder_on_cube",
+        instruction="Stand the red cylinder on the blue cube.",
+        object="upper",
+        make=partial(block_on, CUBE, (0.045, 0.045, 0.06, "cylinder")),
+    ),
+    _task(
+        name="cube_on_cylinder",
+        instruction="Stack the red cube on the blue cylinder.",
+        object="upper",
+        make=partial(block_on, (0.05, 0.05, 0.07, "cylinder"), (0.04, 0.04, 0.04, "box")),
+    ),
+    _task(
+        name="brick_across_brick",
+        instruction="Lay the red brick crosswise on the blue one.",
+        object="upper",
+        make=partial(
+            block_on,
+            (0.15, 0.05, 0.04, "box"),
+            (0.15, 0.05, 0.04, "box"),
+            turn=math.pi / 2,
+            yaw=-0.2,
+        ),
+    ),
+    _task(
+        name="third_cube",
+        instruction="Stack the red cube on top of the two others.",
+        object="third",
+        make=partial(third_block, 0.045),
+    ),
+    _task(
+        name="tray_on_tray",
+        instruction="Stack the dark tray on the light one.",
+        object="upper",
+        make=tray_on_tray,
+    ),
+    _task(
+        name="disc_on_disc",
+        instruction="Stack the red disc on the green one.",
+        object="upper",
+        make=ring_on_ring,
+    ),
+    _task(
+        name="bottle_on_block",
+        instruction="Stand the bottle on the wooden block.",
+        object="bottle_plain",
+        make=bottle_on_block,
+    ),
+)

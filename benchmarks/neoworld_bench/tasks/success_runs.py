@@ -1,0 +1,250 @@
+"""Task success of methods: each task reconstructed from noisy starts, planned there, carried out.
+
+As the scene benchmark does it: the true scene is photographed, its answer disturbed and composed,
+and a method makes a layout of it. A row tells whether the plan made in this layout does the task
+in the truth.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from neoworld_mjx.config import ComposeOptions, RefineOptions
+from neoworld_mjx.io.files import content_hash
+from neoworld_mjx.physics.native import NativeEngine
+from neoworld_mjx.spec import SceneSpec
+
+from ..methods.scene_methods import MethodResult, check_methods, in_order, outcomes_of
+from ..methods.validity import validity
+from ..noise.initial_scenes import (
+    NoiseLevel,
+    composed_start,
+    is_evaluation,
+    noise_number,
+    true_tree,
+)
+from ..noise.parse_noise import NoiseLog
+from ..row_files import RowFile, check_level, made_by_jobs, sized, stored_rows
+from ..rows import Row, log
+from .catalogue import find_task
+from .reconstructed_plans import PlannedThere, described, failed, planned_there
+from .task import ManipulationTask
+from .task_photo import VIEW, TaskPhoto, photographed_task
+
+SUCCESSES = "tasks.parquet"
+
+
+class SuccessRow(Row):
+    """One method on one task from one start."""
+
+    task: str
+    kind: str
+    objects: int
+    """Objects of the truth without its table."""
+    noise: str
+    """Level of the start's noise."""
+    injected: str
+    """Kinds of errors that the start has beside its numbers, with commas; see `parse_noise`."""
+    missed: int
+    """Of them, those that the start does not have."""
+    start: int
+    seed: int
+    evaluation: bool
+    """Whether the start is of the evaluation half."""
+    method: str
+    on_truth: bool
+    """Whether the plan made in the result does the task in the truth: task success."""
+    in_scene: bool
+    """Whether it does it in the result."""
+    unaligned: bool
+    """Whether it does it in the truth without removing the shift that all objects share."""
+    reason: str
+    """Why not in the truth; empty if it does."""
+    scene_reason: str
+    """Why not in the result."""
+    progress: float
+    """How near the end in the truth was to success, in [0, 1]."""
+    valid: bool
+    """Whether the result passes the final check, and no object is displaced."""
+    shift_m: float
+    """Length of the shift that all objects share."""
+    object_error_m: float | None
+    """Horizontal distance of the object concerned from the truth, less the shift."""
+    seconds: float
+    """Time of the method, compiling included."""
+    executing_s: float
+    """Time of planning and of three executions."""
+    rollouts: int
+    fingerprint: str
+    """Hash of the task, the rule of its camera, the noise and the options."""
+
+
+@dataclass(frozen=True)
+class SuccessJob:
+    """The methods that are to be run on one task from one start."""
+
+    task: str
+    start: int
+    methods: tuple[str, ...]
+    seed: int
+    refine: RefineOptions
+    compose: ComposeOptions
+    noise: NoiseLevel
+    threads: int
+    fingerprint: str
+
+
+def run_successes(
+    tasks: Sequence[ManipulationTask],
+    methods: Sequence[str],
+    *,
+    starts: int,
+    seed: int,
+    refine: RefineOptions,
+    compose: ComposeOptions,
+    noise: NoiseLevel,
+    workers: int = 0,
+    out: Path | None = None,
+) -> list[SuccessRow]:
+    """Run methods on tasks; rows that are in the folder's file already are not run again.
+
+    Args:
+        tasks: what is to be done.
+        methods: of scene_methods.METHODS.
+        starts: number of starts of each task.
+        seed: of noise and searches.
+        refine: options of the search and of the final check.
+        compose: options of composition.
+        noise: level of the starts' noise.
+        workers: processes; 0 takes one for every two cores.
+        out: folder of `tasks.parquet`; None keeps nothing.
+
+    Raises:
+        RunError: the file cannot be read or written or has rows of another noise, or a process
+            died.
+    """
+    check_methods(methods)
+    kept = RowFile(None if out is None else out / SUCCESSES, SuccessRow, _key)
+    check_level(kept, noise)
+    prints = {task.name: _fingerprint(task, noise, refine, compose) for task in tasks}
+    known = [row for row in kept.rows if prints.get(row.task) == row.fingerprint]
+    done = {_key(row) for row in known}
+    workers, threads = sized(workers)
+    jobs = []
+    for start in range(starts):
+        for name, fingerprint in prints.items():
+            own = tuple(m for m in methods if (name, start, seed, m) not in done)
+            if own:
+                jobs.append(
+                    SuccessJob(name, start, own, seed, refine, compose, noise, threads, fingerprint)
+                )
+    for row in made_by_jobs(success_rows, jobs, workers):
+        log.info(_line(row))
+        kept.put([row], in_place_of=_key(row))
+    wanted = {(name, k, seed, m) for name in prints for k in range(starts) for m in methods}
+    rows = [r for r in kept.rows if _key(r) in wanted and r.fingerprint == prints[r.task]]
+    return sorted(rows, key=_key)
+
+
+def success_rows(job: SuccessJob) -> Iterator[SuccessRow]:
+    """Run the methods of a job, one row as soon as it is known; what raises is a failure."""
+    task = find_task(job.task)
+    left, errors = in_order(job.methods), NoiseLog()
+    row = partial(_row, job, task, errors)
+    try:
+        photo = photographed_task(task.scene)
+        number = noise_number(f"task/{job.task}", job.seed, job.start)
+        tree = true_tree(photo.scene)
+        composed = composed_start(
+            photo.scene, tree, number, job.compose, noise=job.noise, log=errors
+        )
+    except Exception as error:  # Of one task, which must not end the run of all others.
+        for method in left:
+            yield row(method, f"no start: {described(error)}")
+        return
+    engine = NativeEngine(threads=job.threads)
+    while left:
+        try:
+            for method, result in outcomes_of(
+                tuple(left), composed, job.refine, engine, seed=job.seed, warm=False
+            ):
+                left.remove(method)
+                yield row(method, (photo, composed, result))
+        except Exception as error:
+            yield row(left.pop(0), f"no layout: {described(error)}")
+
+
+def _row(
+    job: SuccessJob,
+    task: ManipulationTask,
+    errors: NoiseLog,
+    method: str,
+    made: tuple[TaskPhoto, SceneSpec, MethodResult] | str,
+) -> SuccessRow:
+    valid, missed, seconds, rollouts = False, 0, 0.0, 0
+    if isinstance(made, str):
+        nothing = failed(made)
+        there = PlannedThere(nothing, nothing, nothing, 0.0, None, 0.0)
+    else:
+        photo, given, result = made
+        scene = photo.back(result.scene)
+        there = planned_there(task, scene)
+        valid = validity(scene, result.measure, task.scene, job.refine, given=given).valid
+        missed = len(_things(task.scene) - _things(scene))
+        seconds, rollouts = result.seconds or 0.0, result.rollouts
+    return SuccessRow(
+        task=task.name,
+        kind=task.kind,
+        objects=len(_things(task.scene)),
+        noise=job.noise,
+        injected=", ".join(errors.injected),
+        missed=missed,
+        start=job.start,
+        seed=job.seed,
+        evaluation=is_evaluation(job.start),
+        method=method,
+        on_truth=there.on_truth.success,
+        in_scene=there.in_scene.success,
+        unaligned=there.unaligned.success,
+        reason=there.on_truth.reason,
+        scene_reason=there.in_scene.reason,
+        progress=there.on_truth.progress,
+        valid=valid,
+        shift_m=there.shift_m,
+        object_error_m=there.object_error_m,
+        seconds=seconds,
+        executing_s=there.seconds,
+        rollouts=rollouts,
+        fingerprint=job.fingerprint,
+    )
+
+
+def _things(scene: SceneSpec) -> set[str]:
+    return {item.name for item in scene.objects if not item.environment}
+
+
+def _fingerprint(
+    task: ManipulationTask, noise: NoiseLevel, refine: RefineOptions, compose: ComposeOptions
+) -> str:
+    parts = [task.scene, task.predicate, task.plan, refine, compose]
+    return content_hash([noise, VIEW, *(part.model_dump(mode="json") for part in parts)])[:16]
+
+
+def known_successes(folder: Path) -> list[SuccessRow]:
+    """Read the rows of a folder; none where it has no such file.
+
+    Raises:
+        RunError: they cannot be read.
+    """
+    file = folder / SUCCESSES
+    return stored_rows(file, SuccessRow) if file.exists() else []
+
+
+def _key(row: SuccessRow) -> tuple[str, int, int, str]:
+    return row.task, row.start, row.seed, row.method
+
+
+def _line(row: SuccessRow) -> str:
+    done = "done" if row.on_truth else f"not done ({row.reason})"
+    return f"{row.task} start {row.start} {row.method}: {done}, {row.seconds:.1f} s"

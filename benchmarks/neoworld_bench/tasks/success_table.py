@@ -1,0 +1,34 @@
+"""The paper's success of tasks, with ours above."""
+
+from collections.abc import Sequence
+
+from ..tables.text_tables import TextTable
+from .success_runs import SuccessRow
+from .success_summary import OF_THE_PAPER, PAPER, SHARES, success_interval
+
+NOTE = (
+    "Shares of tasks and starts in per cent, with 95% bootstrap intervals over tasks; on_truth is "
+    f"task success. Rows marked * are {OF_THE_PAPER}."
+)
+
+
+def success_table(rows: Sequence[SuccessRow]) -> TextTable:
+    """Return a row for each method, over all starts and over the evaluation half, and the paper's.
+
+    The paper's success is in the column that it is nearest to.
+    """
+    names = [name.removeprefix("success_") for name in SHARES]
+    lines = []
+    for starts, own in (("all", rows), ("evaluation", [row for row in rows if row.evaluation])):
+        for method in dict.fromkeys(row.method for row in own):
+            of = [row for row in own if row.method == method]
+            lines.append([method, starts, str(len(of)), *(_cell(of, share) for share in SHARES)])
+    for name, success in PAPER.items():
+        cells = [f"{100 * success:.2f}" if n == "success_in_scene" else "" for n in SHARES]
+        lines.append([f"{name}*", "", "", *cells])
+    return TextTable(NOTE, ["method", "starts", "n", *names], lines)
+
+
+def _cell(rows: Sequence[SuccessRow], share: str) -> str:
+    value, low, high = (end or 0.0 for end in success_interval(rows, share))
+    return f"{100 * value:.1f} ({100 * low:.1f} to {100 * high:.1f})"

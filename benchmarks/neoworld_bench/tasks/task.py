@@ -1,0 +1,133 @@
+"""A manipulation task: an instruction, a scene, what success is, and a reference plan."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from neoworld_mjx.spec import SceneSpec, bounds
+
+from .plan_format import TaskPlan
+from .predicates import Every, Located, Predicate
+from .task_scenes import in_other
+
+TaskKind = Literal[
+    "placement",
+    "insertion",
+    "stacking",
+    "pushing",
+    "opening",
+    "closing",
+    "turning",
+    "assembling",
+]
+
+
+Planner = Callable[[SceneSpec], TaskPlan]
+"""Plans in a scene of a task's objects, at whatever poses and sizes they have there."""
+
+
+class Prepared(NamedTuple):
+    """What a task is made of, computed from its programs."""
+
+    scene: SceneSpec
+    predicate: Predicate
+    planner: Planner
+    condition: Callable[[SceneSpec], Predicate] | None = None
+    """The predicate in another scene of the same objects, where places on the table come from
+    objects; None keeps what it says of each object's own frame."""
+
+
+@dataclass(frozen=True)
+class ManipulationTask:
+    """One task of the benchmark."""
+
+    name: str
+    kind: TaskKind
+    instruction: str
+    """In English, for a model or a person who sees the scene."""
+    object: str
+    """The object concerned: the one that the gripper works on."""
+    make: Callable[[], Prepared]
+
+    @cached_property
+    def prepared(self) -> Prepared:
+        """Scene, predicate and reference plan."""
+        return self.make()
+
+    @property
+    def scene(self) -> SceneSpec:
+        """The true scene."""
+        return self.prepared.scene
+
+    @property
+    def predicate(self) -> Predicate:
+        """What success is."""
+        return self.prepared.predicate
+
+    @cached_property
+    def plan(self) -> TaskPlan:
+        """The reference plan, from the truth."""
+        return self.plan_in(self.scene)
+
+    def plan_in(self, scene: SceneSpec) -> TaskPlan:
+        """Plan in a scene of the same objects, such as a reconstruction, and from nothing else.
+
+        Points of an object that the task names, such as where it is held, are taken at the same
+        share of its box.
+
+        Raises:
+            ValueError: the plan would leave its bounds, such as fingers that open too little.
+        """
+        return self.prepared.planner(scene)
+
+    def predicate_in(self, scene: SceneSpec) -> Predicate:
+        """Return what success is in a scene of the same objects, such as a reconstruction.
+
+        Targets lie at the same share of an object's box; bounds about them stay.
+        """
+        condition = self.prepared.condition
+        return (
+            _in_other(self.predicate, self.scene, scene) if condition is None else condition(scene)
+        )
+
+    def displaced(self, heading: float) -> SceneSpec:
+        """Move the object concerned by half its largest horizontal edge.
+
+        What carries it, but for the table, moves with it: a pencil that stands in a holder would
+        else stand in the holder's wall.
+
+        Args:
+            heading: direction in the table's frame [rad].
+        """
+        item = self.scene.object(self.object)
+        low, high = bounds(item.spec, item.joint_state, item.base_tilt)
+        step = float((high - low)[:2].max()) / 2
+        while item.parent is not None and not self.scene.object(item.parent).environment:
+            item = self.scene.object(item.parent)
+        xy = np.array(item.xy) + step * np.array([np.cos(heading), np.sin(heading)])
+        return self.with_object(item.name, xy=(float(xy[0]), float(xy[1])))
+
+    def with_object(self, name: str, **update: Any) -> SceneSpec:
+        """Return the scene with fields of one object replaced."""
+        objects = tuple(
+            item.model_copy(update=update) if item.name == name else item
+            for item in self.scene.objects
+        )
+        return self.scene.model_copy(update={"objects": objects})
+
+
+def _in_other(predicate: Predicate, truth: SceneSpec, scene: SceneSpec) -> Predicate:
+    if isinstance(predicate, Every):
+        parts = [_in_other(each, truth, scene) for each in predicate.of]
+        return predicate.model_copy(update={"of": tuple(parts)})
+    if not isinstance(predicate, Located):
+        return predicate
+    return predicate.model_copy(
+        update={
+            "point": in_other(truth, scene, predicate.object, predicate.point),
+            "target": in_other(truth, scene, predicate.relative_to, predicate.target),
+        }
+    )

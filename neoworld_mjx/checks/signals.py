@@ -1,0 +1,95 @@
+"""Signals: findings about a program, each with a code, a place, a number and a hint.
+
+A failing program gives signals, never an exception.
+"""
+
+import math
+from collections.abc import Iterable
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+Severity = Literal["error", "warning"]
+
+
+class Signal(BaseModel):
+    """One finding about a program or the object it makes."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    severity: Severity
+    """An error makes the object unusable; a warning does not."""
+    code: str
+    """Short stable name of the kind of finding, such as "overlap_at_rest"."""
+    message: str
+    part: str | None = None
+    joint: str | None = None
+    line: int | None = None
+    """Line of the program, counted from 1."""
+    column: int | None = None
+    value: float | None = None
+    """Measured value, in SI units."""
+    threshold: float | None = None
+    """Limit that the value is compared with."""
+    hint: str = ""
+    """Remedy, in words."""
+
+    @property
+    def identity(self) -> tuple[str, str | None, str | None, int | None, str]:
+        """Key that two signals of the same finding share, whatever their numbers."""
+        anchored = self.part is not None or self.joint is not None
+        line = None if anchored else self.line
+        return self.code, self.part, self.joint, line, "" if anchored else self.message
+
+    def phrase(self) -> str:
+        """Return the finding in one line."""
+        place = "" if self.line is None else f"line {self.line}: "
+        hint = f" -> {self.hint}" if self.hint else ""
+        return f"{self.severity} {self.code}: {place}{self.message}{self._measured()}{hint}"
+
+    def listing(self, file: str, text: str = "") -> str:
+        """Return the finding as terminals show it: file:line:column, the source line, the hint.
+
+        Args:
+            file: name of the program's file.
+            text: the program; empty leaves the source line out.
+        """
+        place = ":".join(str(part) for part in (file, self.line, self.column) if part is not None)
+        rows = [f"{place}: {self.severity} {self.code}: {self.message}{self._measured()}"]
+        source = text.splitlines()
+        if self.line is not None and 0 < self.line <= len(source):
+            rows.append(f"    {source[self.line - 1].strip()[:160]}")
+        if self.hint:
+            rows.append(f"    hint: {self.hint}")
+        return "\n".join(rows)
+
+    def _measured(self) -> str:
+        if self.value is None or self.threshold is None:
+            return ""
+        return f" [{self.value:.4g} against {self.threshold:.4g}]"
+
+
+def deduplicated(signals: Iterable[Signal]) -> tuple[Signal, ...]:
+    """Return the worst signal of each finding, errors first, else in the order given."""
+    worst: dict[tuple[object, ...], Signal] = {}
+    for signal in signals:
+        other = worst.get(signal.identity)
+        if other is None or (signal.severity == "error", abs(signal.value or 0)) > (
+            other.severity == "error",
+            abs(other.value or 0),
+        ):
+            worst[signal.identity] = signal
+    return tuple(sorted(worst.values(), key=lambda signal: signal.severity != "error"))
+
+
+def has_errors(signals: Iterable[Signal]) -> bool:
+    """Tell whether any signal is an error."""
+    return any(signal.severity == "error" for signal in signals)
+
+
+def in_radians(degrees: float) -> str:
+    """Say that angles are in radians, with the value that was probably meant."""
+    return (
+        f"angles are in radians: {degrees:g} degrees are {math.radians(degrees):.4g}, "
+        f"math.radians({degrees:g})"
+    )

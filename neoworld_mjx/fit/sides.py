@@ -1,0 +1,123 @@
+"""Which sides of a 2D box show the object's own edge, and which another thing's or the border's."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..measure import SidesShown
+from ..spec import SceneTree, TreeNode
+from .projection import outline_points, to_world
+
+SIDES = ("left", "top", "right", "bottom")
+EDGE = 0.01
+"""Boxes nearer to the picture's edge may be cut off by it; over the picture's longer side."""
+COVERED = 1 / 3
+"""Share of a side within the box of a named occluder from which on the side counts as hidden."""
+COVERED_UNNAMED = 0.6
+"""The same for a nearer thing that the answer does not name as an occluder."""
+OUT = 0.02
+"""Distance out of the picture, over its longer side, at which an extreme point is cut off."""
+
+
+def hidden_sides(
+    tree: SceneTree, node: TreeNode, shown: SidesShown | None = None
+) -> Bool[np.ndarray, "4"]:
+    """Return which sides of a 2D box (left, top, right, bottom) may not be the object's own edge.
+
+    A side is hidden if it lies at the picture's border, if the point of the 3D outline that would
+    make it lies out of the picture, or if something before the object covers much of it: an
+    occluder that the answer names, the container that it is in, or a nearer thing whose 2D box
+    overlaps. If it is marked hidden and nothing explains it, every side counts as hidden.
+
+    Args:
+        tree: the answer, or a fit of it.
+        node: whose sides.
+        shown: what the built shapes show where the answer puts them. Where the extreme point that
+            makes a side lies in the picture, it tells better than boxes do whether something is
+            before it; a side whose extreme point is out of the picture may be the object's own.
+    """
+    camera = tree.camera
+    edge = EDGE * max(camera.width, camera.height_px)
+    box = np.array(node.box2d.as_tuple())
+    frame = np.array([0.0, 0.0, camera.width, camera.height_px])
+    outward = np.array([-1.0, -1.0, 1.0, 1.0])
+    at_border = outward * (frame - box) <= edge
+    hidden = at_border.copy() if shown else at_border | _cut_points(tree, node, at_border)
+    if node.cues.cut_sides is not None:
+        # What the answer takes for the object's own outline may still end at the border.
+        return hidden | np.array([side in node.cues.cut_sides for side in SIDES])
+    if shown is not None:
+        covered = hidden | _covered_sides(tree, node, box, edge)
+        return at_border | np.where(shown.inside, ~shown.own, covered)
+    if node.occluded and not _hiders(node) and not at_border.any():
+        return np.ones(4, bool)
+    return hidden | _covered_sides(tree, node, box, edge)
+
+
+def _hiders(node: TreeNode) -> set[str]:
+    """Return the names of what the answer says is before an object."""
+    names = set(node.occluded_by)
+    if node.relation == "in" and node.parent is not None:
+        names.add(node.parent)
+    return names
+
+
+def _covered_sides(
+    tree: SceneTree, node: TreeNode, box: Float[np.ndarray, "4"], edge: float
+) -> Bool[np.ndarray, "4"]:
+    """Return which sides of a box the boxes of what may be before the object cover."""
+    names, hidden = _hiders(node), np.zeros(4, bool)
+    for other in tree.nodes:
+        if other.name == node.name:
+            continue
+        if other.name in names:
+            share = COVERED
+        elif _before(tree, other, node):
+            share = COVERED_UNNAMED
+        else:
+            continue
+        hidden |= _covered(box, np.array(other.box2d.as_tuple()), edge) >= share
+    return hidden
+
+
+def _cut_points(
+    tree: SceneTree, node: TreeNode, at_border: Bool[np.ndarray, "4"]
+) -> Bool[np.ndarray, "4"]:
+    """Return which sides of a cut object have their extreme point out of the picture."""
+    if not at_border.any():
+        return np.zeros(4, bool)
+    camera = tree.camera
+    points, _ = outline_points(node)
+    pixels, depth = camera.project(to_world(points, node.box3d, node.base_tilt))
+    if depth.min() <= 0:
+        return np.ones(4, bool)
+    size = np.array([camera.width, camera.height_px], float)
+    slack = OUT * size.max()
+    outside = ((pixels < -slack) | (pixels > size + slack)).any(axis=1)
+    low, high = pixels.argmin(axis=0), pixels.argmax(axis=0)
+    return outside[np.array([*low, *high])]
+
+
+def _before(tree: SceneTree, other: TreeNode, node: TreeNode) -> bool:
+    """Return whether a thing that neither carries the object nor stands on it is nearer."""
+    if other.environment or node.environment:
+        return False
+    if other.parent == node.name or node.parent == other.name:
+        return False
+    eye, axis = tree.camera.position(), tree.camera.axes()[:, 2]
+    far = (other.box3d.corners(other.base_tilt) - eye) @ axis
+    near = (node.box3d.corners(node.base_tilt) - eye) @ axis
+    return bool(far.mean() < near.mean())
+
+
+def _covered(
+    box: Float[np.ndarray, "4"], other: Float[np.ndarray, "4"], slack: float
+) -> Float[np.ndarray, "4"]:
+    """Return the share of each side of a box that lies in another box, grown by `slack`."""
+    grown = other + slack * np.array([-1.0, -1.0, 1.0, 1.0])
+    shares = np.zeros(4)
+    for side in range(4):
+        axis, along = side % 2, 1 - side % 2
+        shared = min(box[along + 2], grown[along + 2]) - max(box[along], grown[along])
+        if grown[axis] <= box[side] <= grown[axis + 2]:
+            shares[side] = max(shared, 0.0) / (box[along + 2] - box[along])
+    return shares

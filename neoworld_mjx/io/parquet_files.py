@@ -1,0 +1,88 @@
+"""Parquet files of results: rows of plain values, one column a name."""
+
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import arro3.io
+from arro3.core import Array, DataType, Table
+
+from ..errors import NeoWorldError
+from .bounds import bounds_of_files
+from .files import MIB, read_bytes, write_atomic
+
+_TYPES: dict[type, Any] = {
+    bool: DataType.bool(),
+    int: DataType.int64(),
+    float: DataType.float64(),
+    str: DataType.utf8(),
+}
+
+
+def write_rows(
+    path: Path,
+    rows: Sequence[Mapping[str, Any]],
+    kinds: Mapping[str, type],
+    error: type[NeoWorldError],
+) -> None:
+    """Write rows, replacing the file atomically.
+
+    Args:
+        path: of the file.
+        rows: values by column, of the column's type or None.
+        kinds: the columns in order, with their types: bool, int, float or str.
+        error: class of the error to raise.
+
+    Raises:
+        NeoWorldError: of the class `error`: the file cannot be written.
+    """
+    table = Table.from_pydict(
+        {
+            name: Array([row.get(name) for row in rows], type=_TYPES[kind])
+            for name, kind in kinds.items()
+        }
+    )
+    data = io.BytesIO()
+    arro3.io.write_parquet(table, data, compression="zstd(3)")
+    try:
+        write_atomic(path, data.getvalue())
+    except OSError as failure:
+        raise error(f"cannot write {path}: {failure.strerror}") from None
+
+
+def read_rows(
+    path: Path, needed: Sequence[str], error: type[NeoWorldError]
+) -> list[dict[str, Any]]:
+    """Read rows back.
+
+    Args:
+        path: of the file.
+        needed: columns without which it is of another kind.
+        error: class of the error to raise.
+
+    Raises:
+        NeoWorldError: of the class `error`: the file cannot be read, is no Parquet file, is
+            damaged, or lacks a column.
+    """
+    try:
+        data = read_bytes(path, bounds_of_files().max_text_mib * MIB)
+    except OSError as failure:
+        raise error(f"cannot read {path}: {failure.strerror}") from None
+    if data[:4] != b"PAR1" or data[-4:] != b"PAR1":
+        raise error(f"{path} is not a Parquet file")
+    try:
+        table = arro3.io.read_parquet(io.BytesIO(data)).read_all()
+        columns = [column.to_pylist() for column in table.columns]
+        names = list(table.column_names)
+        rows = [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
+    except (KeyboardInterrupt, SystemExit):
+        raise
+    except BaseException as failure:  # A panic of the reader is no Exception.
+        raise error(
+            f"{path} is damaged ({type(failure).__name__}); begin anew with --overwrite"
+        ) from None
+    lacking = set(needed) - set(names)
+    if lacking:
+        raise error(f"{path} has no column {sorted(lacking)[0]}; begin anew with --overwrite")
+    return rows

@@ -1,0 +1,37 @@
+"""One-line messages for pydantic's validation errors."""
+
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from ..errors import choices
+
+_UNSHOWN = ("headers", "base_url")
+"""Options whose wrong values are not shown, as they may hold keys."""
+
+
+def validation_message(error: ValidationError, model: type[BaseModel]) -> str:
+    """Return an error as one line that names each key, its value and the valid choices."""
+    lines = []
+    for item in error.errors():
+        where = ".".join(str(step) for step in item["loc"]) or "(root)"
+        if item["type"] == "extra_forbidden":
+            keys = _keys_at(model, item["loc"][:-1])
+            lines.append(f"unknown key {where}: {choices(str(item['loc'][-1]), keys)}")
+        elif any(name in item["loc"] for name in _UNSHOWN):
+            lines.append(f"{where}: {item['msg']}")
+        else:
+            shown = repr(item["input"])
+            shown = shown if len(shown) <= 80 else shown[:77] + "..."
+            lines.append(f"{where}: {item['msg']}, got {shown}")
+    return "; ".join(lines)
+
+
+def _keys_at(model: type[BaseModel], path: tuple[Any, ...]) -> list[str]:
+    for step in path:
+        field = model.model_fields.get(str(step))
+        inner = field.annotation if field is not None else None
+        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+            return []
+        model = inner
+    return sorted(model.model_fields)

@@ -1,0 +1,128 @@
+import math
+
+import numpy as np
+import pytest
+from neoworld_bench.measures import geometry_measure
+from neoworld_bench.measures.surface_measure import closeness, surface_points
+
+from neoworld_mjx.spec import Box, GeomSpec, Material, ObjectSpec, PartSpec, Sphere
+
+STEEL = Material(name="steel", density=7800)
+
+
+def thing(*geoms):
+    return ObjectSpec(name="thing", materials=(STEEL,), parts=(PartSpec(name="body", geoms=geoms),))
+
+
+def sphere(radius, at=(0, 0, 0), name="ball"):
+    return GeomSpec(name=name, shape=Sphere(radius=radius), pos=at, material="steel")
+
+
+def block(size, at=(0, 0, 0), name="block", **more):
+    return GeomSpec(name=name, shape=Box(size=size), pos=at, material="steel", **more)
+
+
+def turned(points, degrees):
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return points @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T
+
+
+def test_concentric_spheres_are_apart_by_the_difference_of_their_radii():
+    a = surface_points(thing(sphere(0.50)), 20_000)
+    b = surface_points(thing(sphere(0.52)), 20_000)
+    result = closeness(a, b)
+    # The nearest sample lies a little beside the nearest point.
+    assert result.chamfer_x10 == pytest.approx(10 * 0.02, rel=0.06)
+    assert result.f_01 == 0 and result.f_05 == pytest.approx(100)
+
+
+def test_parallel_planes():
+    """Samples on a lattice, one lattice straight above the other: every distance is the height."""
+    flat = np.stack(np.meshgrid(np.arange(30) / 10, np.arange(20) / 10, [0.0]), -1).reshape(-1, 3)
+    for height, f_01, f_05 in ((0.009, 100, 100), (0.03, 0, 100), (0.06, 0, 0)):
+        result = closeness(flat, flat + [0, 0, height])
+        assert result.chamfer_x10 == pytest.approx(10 * height)
+        assert result.f_01 == pytest.approx(f_01) and result.f_05 == pytest.approx(f_05)
+
+
+def test_f_is_the_harmonic_mean_of_both_ways():
+    """Half of one set is far away: precision 1/2, recall 1."""
+    near = np.random.default_rng(0).uniform(size=(100, 3))
+    result = closeness(np.vstack([near, near + 50]), near)
+    assert result.f_01 == pytest.approx(100 * 2 * 0.5 / 1.5)
+    swapped = closeness(near, np.vstack([near, near + 50]))
+    assert swapped.f_01 == pytest.approx(result.f_01)
+    assert swapped.chamfer_x10 == pytest.approx(result.chamfer_x10)
+
+
+def test_samples_are_even_by_area_and_repeatable():
+    spec = thing(block((0.2, 0.4, 0.8)))
+    points = surface_points(spec, 20_000, seed=3)
+    on_top = np.isclose(points[:, 2], 0.4).mean()
+    assert on_top == pytest.approx(0.08 / (2 * (0.08 + 0.16 + 0.32)), rel=0.05)
+    np.testing.assert_array_equal(points, surface_points(spec, 20_000, seed=3))
+    assert np.any(points != surface_points(spec, 20_000, seed=4))
+
+
+def test_only_what_is_seen_is_sampled():
+    spec = thing(
+        block((0.2, 0.2, 0.2)),
+        block((1, 1, 1), name="hull", role="collision"),
+        block((0.1, 0.1, 0.1), at=(0, 0, 0.5), name="dial", role="visual"),
+    )
+    points = surface_points(spec, 2000)
+    assert points[:, 0].max() == pytest.approx(0.1, abs=1e-3)
+    assert points[:, 2].max() == pytest.approx(0.55, abs=1e-3)
+
+
+def chair(at=(0, 0, 0)):
+    """A lopsided thing, so that no turn is as good as another."""
+    x, y, z = at
+    return thing(
+        block((0.4, 0.5, 0.05), (x, y, z + 0.4), "seat"),
+        block((0.04, 0.5, 0.5), (x - 0.18, y, z + 0.65), "back"),
+        block((0.05, 0.05, 0.4), (x + 0.1, y + 0.2, z + 0.2), "leg"),
+    )
+
+
+def test_an_object_against_itself():
+    spec = chair()
+    result = geometry_measure(spec, surface_points(spec, 10_000, seed=1))
+    assert result.unaligned.f_05 > 99.9 and result.unaligned.f_01 > 70
+    assert result.aligned.chamfer_x10 <= result.unaligned.chamfer_x10 * 1.02
+    assert abs(result.turn_deg) < 0.5 and result.scale == pytest.approx(1, abs=0.005)
+
+
+@pytest.mark.parametrize(("turn", "factor"), [(90, 1.0), (180, 1.5), (-83, 0.6)])
+def test_a_fit_undoes_turn_shift_and_size(turn, factor):
+    spec = chair()
+    true = turned(surface_points(spec, 3000, seed=1), turn) * factor + [0.3, -0.2, 0.1]
+    result = geometry_measure(spec, true, samples=3000)
+    same = geometry_measure(spec, surface_points(spec, 3000, seed=1), samples=3000)
+    assert result.turn_deg == pytest.approx(turn, abs=1)
+    assert result.scale == pytest.approx(factor, rel=0.01)
+    assert result.aligned.chamfer_x10 == pytest.approx(same.aligned.chamfer_x10, rel=0.1)
+    assert result.unaligned.chamfer_x10 > 3 * result.aligned.chamfer_x10
+
+
+def test_a_shifted_box_is_unaligned_by_its_shift():
+    """A cube of edge 1 shifted by d along x; what every point of one is off the other,
+    integrated.
+    """
+    d, count = 0.1, 20_000
+    a = surface_points(thing(block((1, 1, 1))), count)
+    result = geometry_measure(a, a + [d, 0, 0])
+    outside = d  # of the face that stands out
+    within = (1 - (1 - 2 * d) ** 3) / 6  # of the opposite one: d, or less near its edges
+    strips = 4 * d * d / 2  # of four sides: the part of width d beyond the other cube
+    expected = 10 * (outside + within + strips) / 6 / math.sqrt(3)
+    # Four sides of six lie in each other: there the nearest sample is half a spacing away.
+    noise = 10 * 4 / 6 * 0.5 * math.sqrt(6 / count) / math.sqrt(3)
+    assert expected < result.unaligned.chamfer_x10 < expected + noise
+    assert result.aligned.f_01 > 99
+
+
+def test_wrong_proportions_stay_wrong_after_the_fit():
+    built = surface_points(thing(block((0.4, 0.4, 1.0))), 3000)
+    true = surface_points(thing(block((0.4, 0.4, 0.5))), 3000)
+    assert geometry_measure(built, true).aligned.chamfer_x10 > 0.3

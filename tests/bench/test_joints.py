@@ -1,0 +1,285 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from neoworld_bench.measures import joint_measure, pooled, read_truth
+from neoworld_bench.measures.joint_measure import agree, alike, line_angle_deg, line_distance
+from neoworld_bench.measures.object_truth import (
+    ObjectTruth,
+    TrueJoint,
+    canonical,
+    truth_from,
+    truth_of,
+)
+
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.program import build
+
+BOX = ((-0.2, -0.3, 0.0), (0.2, 0.3, 0.8))
+SIZE = math.sqrt(0.4**2 + 0.6**2 + 0.8**2)
+DOOR = TrueJoint(
+    name="door",
+    type="revolute",
+    axis=(0, 0, 1),
+    pivot=(0.2, 0.3, 0),
+    limits=(0, 1.6),
+    moving_box=((0.18, -0.3, 0.0), (0.2, 0.3, 0.5)),
+)
+DRAWER = TrueJoint(
+    name="drawer",
+    type="prismatic",
+    axis=(1, 0, 0),
+    limits=(0, 0.3),
+    moving_box=((-0.15, -0.28, 0.55), (0.2, 0.28, 0.78)),
+)
+TRUTH = ObjectTruth(name="cabinet", box=BOX, joints=(DOOR, DRAWER))
+
+
+def cabinet(*joints, **update):
+    return TRUTH.model_copy(update={"joints": joints, **update})
+
+
+def changed(joint, **update):
+    return joint.model_copy(update=update)
+
+
+def test_the_truth_itself_is_without_error():
+    result = joint_measure(TRUTH, TRUTH)
+    assert (result.total, result.predicted, result.hits, result.correct) == (2, 2, 2, 2)
+    assert result.miss == result.type_error == result.type_error_hits == 0
+    assert (result.axis_deg.value, result.axis_deg.n) == (0, 2)
+    assert (result.pivot.value, result.pivot.n) == (0, 1), "a slide has no pivot"
+    assert (result.limits.value, result.limits.n) == (1, 2)
+
+
+def test_names_do_not_matter():
+    result = joint_measure(
+        cabinet(changed(DOOR, name="drawer"), changed(DRAWER, name="door")), TRUTH
+    )
+    assert {(p.true, p.predicted) for p in result.pairs} == {("door", "drawer"), ("drawer", "door")}
+    assert result.correct == 2
+
+
+def test_a_missed_joint_counts_as_a_type_error_over_all_and_is_in_no_mean():
+    result = joint_measure(cabinet(DOOR), TRUTH)
+    assert result.missed == ("drawer",) and result.extra == ()
+    assert result.miss == result.type_error == 0.5
+    assert result.type_error_hits == 0
+    assert result.axis_deg.n == 1, "the mean says that it knows of one joint only"
+
+
+def test_extra_joints_are_counted_and_no_error_of_the_others():
+    knob = changed(DOOR, name="knob", moving_box=((0.2, 0.0, 0.6), (0.22, 0.02, 0.62)))
+    result = joint_measure(cabinet(DOOR, DRAWER, knob), TRUTH)
+    assert result.extra == ("knob",) and result.hits == 2 and result.predicted == 3
+
+
+def test_nothing_predicted_and_nothing_true():
+    none = joint_measure(cabinet(), TRUTH)
+    assert (none.hits, none.miss, none.type_error) == (0, 1, 1)
+    assert none.type_error_hits is None and none.axis_deg.value is None and none.axis_deg.n == 0
+    empty = joint_measure(TRUTH, cabinet())
+    assert empty.miss is None and len(empty.extra) == 2
+
+
+def test_a_door_made_to_slide_is_a_hit_of_the_wrong_type():
+    slid = changed(DOOR, type="prismatic", axis=(0, 1, 0), limits=(0, 0.3))
+    result = joint_measure(cabinet(slid, DRAWER), TRUTH)
+    assert result.hits == 2 and result.correct == 1
+    assert result.type_error == result.type_error_hits == 0.5
+    assert result.axis_deg.n == 2 and result.axis_deg.value == pytest.approx(45)
+    assert result.pivot.n == 0 and result.limits.n == 1
+
+
+def test_a_hinge_on_the_other_side():
+    result = joint_measure(cabinet(changed(DOOR, pivot=(0.2, -0.3, 0.4)), DRAWER), TRUTH)
+    assert result.pivot.value == pytest.approx(0.6 / SIZE)
+    assert result.correct == 1 and result.axis_deg.value == 0
+
+
+def test_an_axis_that_points_the_other_way_is_the_same_line_with_its_range_turned():
+    same = changed(DOOR, axis=(0, 0, -1), limits=(-1.6, 0), pivot=(0.2, 0.3, 0.7))
+    against = changed(DOOR, axis=(0, 0, -1), limits=(0, 1.6))
+    assert joint_measure(cabinet(same), cabinet(DOOR)).limits.value == pytest.approx(1)
+    assert joint_measure(cabinet(against), cabinet(DOOR)).limits.value == 0
+    assert joint_measure(cabinet(against), cabinet(DOOR)).axis_deg.value == pytest.approx(0)
+
+
+@pytest.mark.parametrize(
+    ("made", "true", "overlap"),
+    [
+        ((0, 0.8), (0, 1.6), 0.5),
+        ((0, 1.6), (0.8, 2.4), 1 / 3),
+        ((0, 1), (1, 2), 0),
+        (None, (0, 1.6), None),
+    ],
+)
+def test_overlap_of_ranges(made, true, overlap):
+    pair = joint_measure(cabinet(changed(DOOR, limits=made)), cabinet(changed(DOOR, limits=true)))
+    assert pair.pairs[0].limits == (None if overlap is None else pytest.approx(overlap))
+
+
+def test_an_endless_joint_against_a_limited_one():
+    endless = changed(DOOR, type="continuous", limits=None)
+    pair = joint_measure(cabinet(endless), cabinet(DOOR)).pairs[0]
+    assert pair.limits == pytest.approx(1.6 / (2 * math.pi)) and not pair.correct
+    assert joint_measure(cabinet(endless), cabinet(endless)).limits.value == 1
+
+
+def test_size_frame_and_front_do_not_matter():
+    """Twice as large, shifted, its front along +y: the same joints."""
+    turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
+
+    def moved(p):
+        return tuple((2 * turn @ np.array(p) + [3, -4, 5]).tolist())
+
+    def box(b):
+        both = np.array([moved(b[0]), moved(b[1])])
+        return tuple(both.min(axis=0).tolist()), tuple(both.max(axis=0).tolist())
+
+    joints = tuple(
+        changed(
+            joint,
+            axis=tuple((turn @ np.array(joint.axis)).tolist()),
+            pivot=moved(joint.pivot),
+            limits=tuple(2 * v for v in joint.limits)
+            if joint.type == "prismatic"
+            else joint.limits,
+            moving_box=box(joint.moving_box),
+        )
+        for joint in TRUTH.joints
+    )
+    other = ObjectTruth(name="cabinet", front="+y", box=box(BOX), joints=joints)
+    result = joint_measure(other, TRUTH)
+    assert result.correct == 2 and result.limits.value == pytest.approx(1)
+    assert result.pivot.value == pytest.approx(0, abs=1e-9)
+    wrong = joint_measure(other.model_copy(update={"front": "+x"}), TRUTH)
+    assert wrong.correct < 2, "the front is not guessed"
+
+
+def test_canonical_frame():
+    result = canonical(ObjectTruth(name="a", front="-y", box=((1, 2, 3), (2, 5, 7))))
+    np.testing.assert_allclose(result.box, [(-1.5, -0.5, 0), (1.5, 0.5, 4)])
+
+
+def test_a_front_without_its_tray_is_the_same_drawer_but_a_knob_is_no_door():
+    front = changed(DRAWER, moving_box=((0.18, -0.28, 0.55), (0.2, 0.28, 0.78)))
+    assert joint_measure(cabinet(front), TRUTH).missed == ("door",)
+    knob = changed(DOOR, moving_box=((0.2, -0.28, 0.2), (0.23, -0.25, 0.23)))
+    assert joint_measure(cabinet(knob), cabinet(DOOR)).hits == 0
+    behind = changed(DOOR, moving_box=((-0.2, -0.3, 0.0), (-0.18, 0.3, 0.5)))
+    assert joint_measure(cabinet(behind), cabinet(DOOR)).hits == 0
+
+
+def test_each_of_four_drawers_finds_its_own():
+    def stack(order):
+        return [
+            changed(
+                DRAWER,
+                name=f"d{k}",
+                moving_box=((-0.1, -0.28, 0.2 * k), (0.2, 0.28, 0.2 * k + 0.19)),
+            )
+            for k in order
+        ]
+
+    result = joint_measure(cabinet(*stack([3, 1, 0, 2])), cabinet(*stack(range(4))))
+    assert [p.true == p.predicted for p in result.pairs] == [True] * 4
+
+
+def test_motion_decides_between_joints_that_carry_the_same():
+    """A part on a slide and a hinge in a row: both joints carry the same box."""
+    slide = changed(DOOR, name="slide", type="prismatic", axis=(1, 0, 0), limits=(0, 0.1))
+    result = joint_measure(cabinet(slide, DOOR), cabinet(DOOR, slide))
+    assert all(p.true == p.predicted and p.motion == pytest.approx(1) for p in result.pairs)
+
+
+def test_likeness_of_motion():
+    assert alike(DOOR, DOOR) == pytest.approx(1)
+    assert alike(changed(DOOR, axis=(0, 0, -3)), DOOR) == pytest.approx(1), "a sign says nothing"
+    assert alike(changed(DOOR, axis=(0, 1, 0)), DOOR) < 0.5
+    up = changed(DRAWER, axis=(0, 0, 1))
+    assert alike(up, DRAWER) == 0
+    ball = changed(DOOR, type="ball")
+    assert (alike(ball, ball), alike(ball, DOOR)) == (1, 0)
+
+
+def test_ball_joints_have_no_axis():
+    ball = changed(DOOR, type="ball", limits=None)
+    pair = joint_measure(cabinet(ball), cabinet(ball)).pairs[0]
+    assert pair.axis_deg is None and pair.pivot is None and pair.limits is None and pair.correct
+
+
+def test_lines():
+    x, y, z = np.eye(3)
+    assert line_angle_deg(x, -x) == 0 and line_angle_deg(x, y) == pytest.approx(90)
+    assert line_angle_deg(x, x + y) == pytest.approx(45)
+    assert line_distance(0 * x, x, 3 * z, y, 0 * x) == pytest.approx(3)
+    assert line_distance(0 * x, x, 3 * z + 9 * x, -x, 0 * x) == pytest.approx(3)
+    # About parallel: not the crossing far away counts, but the distance where the thing is.
+    slanted = z + 1e-3 * x
+    assert line_distance(0 * x, z, x, slanted, 0 * x) == pytest.approx(1, abs=0.01)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05), st.floats(0, 80), st.floats(-0.3, 0.3))
+def test_a_turned_and_shifted_axis_is_measured_as_such(dx, dy, tilt, along):
+    """The axis tilted about the line to it: angle is the tilt, distance the shift."""
+    a = math.radians(tilt)
+    built = changed(DOOR, axis=(0, math.sin(a), math.cos(a)), pivot=(0.2 + dx, 0.3, 0))
+    true = changed(DOOR, pivot=(0.2, 0.3, 0))
+    pair = joint_measure(cabinet(built), cabinet(true)).pairs[0]
+    assert pair.axis_deg == pytest.approx(tilt, abs=1e-4)
+    if tilt > 6:
+        assert pair.pivot == pytest.approx(abs(dx) / SIZE, abs=1e-9)
+    shifted = changed(DOOR, pivot=(0.2 + dx, 0.3 + dy, along))
+    pair = joint_measure(cabinet(shifted), cabinet(true)).pairs[0]
+    assert pair.pivot == pytest.approx(math.hypot(dx, dy) / SIZE, abs=1e-9)
+
+
+def test_pooling_counts_joints_not_objects():
+    one = joint_measure(TRUTH, TRUTH)
+    other = joint_measure(cabinet(), cabinet(DOOR, name="shelf"))
+    both = pooled([one, other])
+    assert (both.total, both.hits, both.predicted) == (3, 2, 2)
+    assert both.miss == pytest.approx(1 / 3) and both.missed == ("shelf.door",)
+    assert both.axis_deg.n == 2
+
+
+def test_a_made_object_is_read_with_all_that_hangs_on_a_joint():
+    built = build(
+        "from neoworld_mjx.program.sdk import Object, box, cylinder\n"
+        "o = Object('post')\n"
+        "base = o.part('base', material='steel')\n"
+        "base.add(box((0.2, 0.2, 0.1)), at=(0, 0, 0), by='bottom')\n"
+        "arm = o.part('arm', material='steel')\n"
+        "arm.add(box((0.1, 0.1, 0.2)), at=(0, 0, 0.1), by='bottom')\n"
+        "tip = o.part('tip', material='steel')\n"
+        "tip.add(box((0.05, 0.05, 0.2)), at=(0, 0, 0.3), by='bottom')\n"
+        "o.continuous('turn', base, arm, at=(0, 0, 0), axis=(0, 0, 1))\n"
+        "o.fixed('glue', arm, tip)\n"
+    )
+    spec = built.spec
+    assert spec is not None, built.signals
+    truth = truth_of(spec)
+    assert [joint.name for joint in truth.joints] == ["turn"], "fixed joints are none"
+    np.testing.assert_allclose(truth.joints[0].moving_box, [(-0.05, -0.05, 0.1), (0.05, 0.05, 0.5)])
+    assert truth.joints[0].limits is None
+    assert joint_measure(spec, truth).correct == 1
+    assert agree(truth.joints[0], truth.joints[0]) == pytest.approx(1)
+
+
+def test_reading(tmp_path):
+    path = tmp_path / "cabinet.json"
+    path.write_text(TRUTH.model_dump_json())
+    assert read_truth(path) == TRUTH
+    with pytest.raises(SpecError, match=r"joints\.0\.type"):
+        truth_from({"name": "a", "box": BOX, "joints": [{**DOOR.model_dump(), "type": "hinge"}]})
+    with pytest.raises(SpecError, match="axis must not be zero"):
+        truth_from({"name": "a", "box": BOX, "joints": [{**DOOR.model_dump(), "axis": (0, 0, 0)}]})
+    with pytest.raises(SpecError, match="low corner first"):
+        truth_from({"name": "a", "box": BOX[::-1]})
+    path.write_text("{")
+    with pytest.raises(SpecError, match=r"cabinet\.json"):
+        read_truth(path)

@@ -1,0 +1,84 @@
+"""Step 2's compile checks and Step 3's battery judge the same joint sweep alike."""
+
+from pathlib import Path
+
+import pytest
+
+from neoworld_mjx.checks.joint_checks import check_joints
+from neoworld_mjx.checks.overlap import overlap_signals
+from neoworld_mjx.checks.part_distances import Probe
+from neoworld_mjx.config import ProgramOptions, VerifyOptions
+from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.spec.kinematics import with_joint
+from tests.support.furniture import chest
+from tests.support.valid_objects import valid_object
+
+EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "objects").glob("*.py"))
+DEPTH = ProgramOptions().max_depth_m
+
+
+def depth_of_step_2(spec, allowances=()):
+    signals = overlap_signals(Probe(spec), ProgramOptions(), allowances)
+    return max((signal.value for signal in signals), default=0.0)
+
+
+def depth_of_step_3(spec, allowances=()):
+    checks = check_joints(spec, VerifyOptions(), allowances).checks
+    deep = [c for c in checks if c.outcome == "FAIL" and "depth" in c.name]
+    return max((check.value for check in deep), default=0.0)
+
+
+def limited(spec, **limits):
+    return with_joint(spec, spec.joints[0].model_copy(update=limits))
+
+
+def test_both_steps_have_the_same_thresholds():
+    one, other = ProgramOptions(), VerifyOptions()
+    for name in ("max_depth_m", "touch_gap_m", "sweep_steps", "sweep_combinations"):
+        assert getattr(one, name) == getattr(other, name)
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_examples_pass_both(path):
+    built = run(path.read_text(encoding="utf-8"))
+    assert built.spec is not None
+    assert depth_of_step_2(built.spec, built.allowances) == 0.0
+    assert depth_of_step_3(built.spec, built.allowances) == 0.0
+
+
+@pytest.mark.parametrize("family", ["cabinet", "chest", "box", "lever", "oven", "button"])
+@pytest.mark.parametrize("share", [0.0, -0.004, -0.3])
+def test_generated_objects_with_limits_past_rest_are_judged_alike(family, share):
+    spec = valid_object(family, 1)
+    joint = spec.joints[0]
+    spec = limited(spec, lower=joint.lower + share * (joint.upper - joint.lower))
+    one, other = depth_of_step_2(spec), depth_of_step_3(spec)
+    assert one == other
+    assert (one == 0.0) if share == 0.0 else True
+
+
+@pytest.mark.parametrize("beyond", [-1e-5, 1e-5])
+def test_a_drawer_is_judged_alike_on_either_side_of_the_threshold(beyond):
+    # 1 cm of air lies behind the tray.
+    spec = chest(lower=-(0.01 + DEPTH + beyond))
+    one, other = depth_of_step_2(spec), depth_of_step_3(spec)
+    assert one == other
+    assert (one > DEPTH) == (beyond > 0)
+
+
+def test_a_pair_that_collides_in_two_joints_fails_both():
+    spec = valid_object("chest", 1)
+    for joint in spec.joints:
+        spec = with_joint(spec, joint.model_copy(update={"lower": -0.2}))
+    failed = {c.joint for c in check_joints(spec, VerifyOptions()).checks if c.outcome == "FAIL"}
+    assert failed >= {joint.name for joint in spec.joints}
+
+
+def test_gaps_are_measured_at_rest_whatever_the_sweep_did():
+    spec = valid_object("chest", 1)
+    pushed = limited(spec, lower=-0.2)
+    gap = [
+        next(c.value for c in check_joints(each, VerifyOptions()).checks if c.name[:4] == "gap:")
+        for each in (spec, pushed)
+    ]
+    assert gap[0] == gap[1] > 0.0

@@ -1,0 +1,303 @@
+"""The battery on sound objects, and the lessons that others learned the hard way."""
+
+import math
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.checks.object_tests import VERSION, Battery
+from neoworld_mjx.checks.scenarios import PRESETS
+from neoworld_mjx.checks.verdict import Fault
+from neoworld_mjx.config import VerifyOptions
+from neoworld_mjx.spec import (
+    AuthoredInertia,
+    Box,
+    GeomSpec,
+    JointSpec,
+    Material,
+    PartSpec,
+    Sphere,
+    recentred,
+)
+from tests.support import scenes
+from tests.support.furniture import chest, cupboard, geom
+
+
+def verify(spec, **how):
+    return Battery(spec, **how).verdict
+
+
+def named(verdict, name):
+    return next(check for check in verdict.checks if check.name == name)
+
+
+def bad(verdict):
+    return [(c.name, c.value, c.threshold) for c in verdict.checks if c.outcome == "FAIL"]
+
+
+@pytest.mark.parametrize(
+    "make", [scenes.cup, scenes.saucer, scenes.table, scenes.spoon, cupboard, chest]
+)
+def test_sound_objects_pass(make):
+    verdict = verify(make())
+    assert verdict.passed, bad(verdict)
+    assert verdict.faults == ()
+    assert verdict.score == 0.0
+    assert verdict.battery == VERSION
+    assert len(verdict.checks) >= 20
+
+
+def test_a_mass_is_reported():
+    assert verify(
+        scenes.single("b", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
+    ).mass_kg == pytest.approx(0.6)
+
+
+def test_an_object_that_topples_fails_with_its_number():
+    thin = scenes.single(
+        "pin", (Box(size=(0.01, 0.01, 0.2)), (0, 0, 0.1)), (Sphere(radius=0.03), (0.03, 0, 0.2))
+    )
+    verdict = verify(thin)
+    tilt = named(verdict, "tilt")
+    assert (tilt.outcome, tilt.fault, tilt.threshold) == ("FAIL", Fault.TOPPLES, 5.0)
+    assert tilt.value > 45
+    assert tilt.time > 0
+    # The cause stands before the symptom: its weight falls beside its foot.
+    assert verdict.cause is Fault.OFF_BALANCE
+    assert named(verdict, "balance").value < 0
+
+
+def test_joints_move_with_and_without_gravity():
+    verdict = verify(cupboard(), fixed_base=True)
+    assert named(verdict, "drive:hinge").value > 0.9
+    assert named(verdict, "drive_loaded:hinge").value > 0.9
+    assert named(verdict, "rests").outcome == "SKIP"
+
+
+def test_a_sliding_joint_is_no_part_that_came_apart():
+    # At the end of its range the drawer is in the air before its carcass, as drawers are.
+    verdict = verify(chest())
+    assert verdict.passed, bad(verdict)
+    assert named(verdict, "gap:slide").outcome == "PASS"
+    assert named(verdict, "drive:slide").value > 0.9
+
+
+def test_what_hangs_in_the_air_beside_its_parent_is_detached():
+    spec = chest()
+    away = tuple(
+        p.model_copy(
+            update={"geoms": tuple(g.model_copy(update={"pos": (0.6, 0, 0.1)}) for g in p.geoms)}
+        )
+        if p.name == "drawer"
+        else p
+        for p in spec.parts
+    )
+    verdict = verify(spec.model_copy(update={"parts": away}))
+    assert verdict.cause is Fault.PART_DETACHED
+    assert named(verdict, "gap:slide").joint == "slide"
+
+
+def test_parent_and_child_penetration_is_seen_although_contacts_are_filtered():
+    deep = tuple(
+        p.model_copy(
+            update={
+                "geoms": tuple(g.model_copy(update={"pos": (-0.02, 0, 0.071)}) for g in p.geoms)
+            }
+        )
+        if p.name == "drawer"
+        else p
+        for p in chest().parts
+    )
+    verdict = verify(chest().model_copy(update={"parts": deep}), fixed_base=True)
+    assert verdict.cause is Fault.PARTS_OVERLAP
+    assert named(verdict, "part_depth:carcass:drawer").value == pytest.approx(0.02, abs=1e-3)
+
+
+def test_a_range_that_leads_into_the_carcass_is_seen_and_measured():
+    battery = Battery(cupboard(lower=-0.3))
+    check = named(battery.verdict, "depth:hinge")
+    assert (check.outcome, check.fault) == ("FAIL", Fault.LIMIT_INTO_PART)
+    assert check.at < -0.2
+    low, high = battery.joint_checks.free["hinge"]
+    # A door that hangs half a millimetre before its frame may swing in by 2.5 mrad, and 1 mm more.
+    assert -0.01 < low <= 0.0
+    assert high == pytest.approx(1.57)
+
+
+def test_a_door_that_opens_into_its_carcass_runs_into_it_at_once():
+    verdict = verify(cupboard(axis=(0, 0, -1)))
+    assert named(verdict, "depth:hinge").fault is Fault.JOINT_INTO_PART
+
+
+def test_a_reversed_axis_is_told_by_what_was_declared():
+    intent = {"type": "revolute", "opens": (1, 0, 0), "travel": 1.2}
+    assert verify(cupboard(intent=intent)).passed
+    verdict = verify(cupboard(intent=intent, axis=(0, 0, -1)))
+    assert verdict.cause is Fault.AXIS_REVERSED
+    verdict = verify(cupboard(intent=intent, upper=0.3))
+    assert verdict.cause is Fault.LIMITS_NARROW
+    verdict = verify(cupboard(intent={**intent, "type": "prismatic"}))
+    assert verdict.cause is Fault.JOINT_TYPE
+
+
+def test_damping_cannot_hide_a_fall():
+    """A thing that topples does so whatever its joints lose, and slow falls end tilted."""
+    spec = chest(damping=1e4, friction=100.0)
+    foot = geom("foot", (0.02, 0.02, 0.1), (0.15, 0, -0.05))
+    parts = tuple(
+        p.model_copy(update={"geoms": (*p.geoms, foot)}) if p.name == "carcass" else p
+        for p in spec.parts
+    )
+    verdict = verify(recentred(spec.model_copy(update={"parts": parts})))
+    assert named(verdict, "balance").outcome == "FAIL"
+    assert named(verdict, "tilt").outcome == "FAIL"
+    # Nor does the battery take over what the joint's damping makes of it: the joint is stuck.
+    assert named(verdict, "drive:slide").fault is Fault.JOINT_STUCK
+
+
+def test_impact_is_no_resting_penetration():
+    # Dropped from 2 cm a block presses well over a millimetre into soft ground, then stands.
+    options = VerifyOptions(high_drop_m=0.1)
+    battery = Battery(scenes.single("b", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0))), options)
+    trajectory = next(t for t in battery.trajectories if t.scenario.name == "fall_high")
+    assert trajectory.qpos[:, 2].min() < -0.001
+    assert named(battery.verdict, "resting_depth:fall_high").value < 1e-4
+
+
+def test_the_floor_does_not_mask_friction():
+    def on(friction):
+        slab = Material(name="wood", density=600, friction=friction)
+        spec = scenes.single("b", (Box(size=(0.2, 0.2, 0.04)), (0, 0, 0)), material=slab)
+        return named(verify(spec), "slide")
+
+    for friction in (0.2, 0.5, 1.0):
+        assert on(friction).value == pytest.approx(math.degrees(math.atan(friction)), abs=3.0)
+    assert on(0.01).fault is Fault.FRICTION_IMPLAUSIBLE
+    assert on(0.01).value < 5.0
+    assert on(6.0).fault is Fault.FRICTION_IMPLAUSIBLE
+
+
+def test_an_undamped_joint_and_a_stuck_one():
+    verdict = verify(cupboard(damping=0.0, friction=0.0))
+    assert named(verdict, "coast:hinge").value == pytest.approx(0.0, abs=0.01)
+    assert verdict.cause is Fault.JOINT_UNDAMPED
+    verdict = verify(cupboard(friction=500.0))
+    assert named(verdict, "drive:hinge").fault is Fault.JOINT_STUCK
+
+
+def test_an_error_of_the_tool_is_no_pass(monkeypatch):
+    from neoworld_mjx.checks import object_tests as battery
+
+    def fails(*_):
+        raise ValueError("no such thing")
+
+    monkeypatch.setattr(battery, "check_joints", fails)
+    verdict = verify(scenes.cup())
+    assert not verdict.passed
+    assert [c.hint for c in verdict.checks if c.outcome == "TOOL_FAILURE"] == ["no such thing"]
+    assert verdict.score >= 1.0
+
+
+def test_what_lies_is_dropped_as_it_lies():
+    pole = scenes.single("pole", (Box(size=(0.02, 0.03, 0.5)), (0, 0, 0.25)))
+    assert verify(pole).cause is not None
+    half = math.sqrt(0.5)
+    lying = verify(pole, tilt=(half, 0, half, 0))
+    assert lying.passed, bad(lying)
+
+
+def test_a_ball_that_a_tilt_sets_rolling_is_no_fault():
+    # A dent that is slightly off its middle keeps it moving, as it does an orange.
+    dent = (Sphere(radius=0.004), (0.039, 0, 0))
+    ball = scenes.single("ball", (Sphere(radius=0.04), (0, 0, 0)), dent)
+    verdict = verify(ball)
+    names = {check.name for check in verdict.checks}
+    assert Fault.RESTLESS not in verdict.faults
+    assert "resting_speed:fall" in names
+    assert "resting_speed:fall_tilted_x" not in names
+    assert named(verdict, "fall_tilted_x").outcome == "SKIP"
+
+
+def test_presets_name_runs_that_exist():
+    battery = Battery(chest())
+    names = {trajectory.scenario.name for trajectory in battery.trajectories}
+    for runs in PRESETS.values():
+        for run in runs:
+            assert run.replace("*", "carcass") in names
+    # All pushes of the standard scenario are on every part.
+    assert sum(name.startswith("push:drawer:") for name in names) == 7
+
+
+def test_the_same_object_gets_the_same_verdict_at_any_number_of_threads():
+    one, two = verify(cupboard(), threads=1), verify(cupboard(), threads=2)
+    assert one.to_json() == two.to_json()
+
+
+def test_an_impossible_inertia_is_told_and_the_rest_is_tried_without_it():
+    spec = cupboard()
+    for moments in ((-1e-3, 1e-3, 1e-3), (1e-9, 1e-9, 1e-9), (1e-3, 1e-3, 1e-1)):
+        spread = AuthoredInertia(pos=(0.16, 0, 0.25), moments=moments)
+        parts = tuple(
+            p.model_copy(update={"mass": 2.0, "inertia": spread}) if p.name == "door" else p
+            for p in spec.parts
+        )
+        verdict = verify(spec.model_copy(update={"parts": parts}))
+        assert verdict.cause is Fault.INERTIA_IMPOSSIBLE
+        assert named(verdict, "drive:hinge").outcome == "PASS"
+        assert np.isfinite(verdict.mass_kg)
+
+
+def tap():
+    """A tap whose handle turns about two axes by way of a link without geometry."""
+    bead = Material(name="helper", density=400)
+    spec = chest()
+    block = geom("block", (0.1, 0.1, 0.1), (0, 0, 0.05))
+    lever = geom("lever", (0.2, 0.02, 0.02), (0.1, 0, 0.115))
+    middle = GeomSpec(name="bead", shape=Sphere(radius=0.001), pos=(0, 0, 0.1), material="helper")
+    # What a link without shape states of mass and inertia cannot be held against the bead.
+    heavy = AuthoredInertia(pos=(0, 0, 0.1), moments=(1e-4, 1e-4, 1e-4), products=(0, 0, 0))
+    turns = {"type": "revolute", "pos": (0, 0, 0.1), "upper": 1.0, "friction": 0.05, "damping": 0.2}
+    return spec.model_copy(
+        update={
+            "materials": (*spec.materials, bead),
+            "parts": (
+                PartSpec(name="body", geoms=(block,)),
+                PartSpec(name="link", geoms=(middle,), mass=0.05, inertia=heavy),
+                PartSpec(name="handle", geoms=(lever,)),
+            ),
+            "joints": (
+                JointSpec.model_validate(
+                    {**turns, "name": "hot", "parent": "body", "child": "link", "axis": (0, 0, 1)}
+                ),
+                JointSpec.model_validate(
+                    {
+                        **turns,
+                        "name": "open",
+                        "parent": "link",
+                        "child": "handle",
+                        "axis": (0, -1, 0),
+                    }
+                ),
+            ),
+        }
+    )
+
+
+def test_a_link_without_shape_is_not_held_against_the_bead_that_stands_for_it():
+    battery = Battery(tap(), fixed_base=True)
+    assert battery.verdict.passed, bad(battery.verdict)
+    asked = {check.name for check in battery.verdict.checks}
+    assert "moments:link" in asked
+    assert not asked & {"spread:link", "centre:link", "mass:link", "gap:hot"}
+    # A hand pulls at the far end of all parts that a joint moves, not at the next link.
+    simulation = battery.simulation
+    arms = {moving.name: simulation.moment_arm(moving) for moving in simulation.joints}
+    assert arms["hot"] == pytest.approx(0.2, abs=0.01)
+
+
+def test_friction_does_not_drive_what_damping_stops_within_a_step():
+    stiff = cupboard(friction=1.0, damping=2.0)
+    switch = PartSpec(name="door", geoms=(geom("lever", (0.02, 0.06, 0.02), (0.16, 0.17, 0.25)),))
+    verdict = verify(stiff.model_copy(update={"parts": (stiff.parts[0], switch)}), fixed_base=True)
+    assert named(verdict, "coast:hinge").value > 0.5
+    assert not set(verdict.faults) & {Fault.LIMIT_SOFT, Fault.JOINT_UNDAMPED, Fault.RESTLESS}
