@@ -1,13 +1,14 @@
-"""Write docs/benchmarks.md from the measured figures in `benchmarks/figures`.
+"""Write docs/benchmarks.md and the pages of docs/benchmarks/ from `benchmarks/figures`.
 
     uv run python -m benchmarks.page
 
-A figure is a YAML file with the fields of `Figure`, or the JSON that `neoworld bench run SUITE
---json` or `python -m benchmarks SUITE --json` printed. `page.yaml` gives the introduction and the
-order.
+A figure is a YAML file with the fields of `Figure`, or the JSON printed by `neoworld bench run
+SUITE --json` or `python -m benchmarks SUITE --json`. `page.yaml` lists the pages, the figures of
+each, and the tables of the front page.
 """
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -16,42 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 ROOT = Path(__file__).parents[1]
 FIGURES = ROOT / "benchmarks" / "figures"
-PAGE = ROOT / "docs" / "benchmarks.md"
-HEAD = """# Benchmarks
-
-<!-- Written by `uv run python -m benchmarks.page` from benchmarks/figures; edit those files. -->
-
-    neoworld bench run physics --json > rows.json    # rollouts, beside the naive loop
-    neoworld bench run agreement --json              # the same verdicts from every engine?
-    neoworld bench run kernels --json                # the penetration term
-    neoworld bench make --out data --json            # the data set: categories and thirty scenes
-    neoworld bench run scenes --out results --json   # methods on thirty scenes, with a table
-    neoworld bench run joints --made M --partnet P --json   # joints and surfaces of objects
-    neoworld bench run pictures OUT --json           # made scenes against their photographs
-    neoworld bench run judge OUT --json              # the same by a model, from 1 to 7
-    neoworld bench run refine --json                 # refinement from noisy starts
-    neoworld bench run photos --json                 # errors of each step, forty scenes with truth
-    neoworld bench run photos --semantic --json      # how often S_sem prefers the truth
-    neoworld bench chart rows.json --out growth.svg  # cost over the number of objects
-
-In a clone, for developers of the package:
-
-    uv run python -m benchmarks programs --json      # hostile programs, mutants, build time
-    uv run python -m benchmarks inputs --json        # generated hostile inputs, each watched
-    uv run python -m benchmarks faults --json        # kills, full disks, lost providers
-    uv run python -m benchmarks composing --json     # composed scenes without refit or settling
-    uv run python -m benchmarks verify --json        # injected faults: detected, named, repaired
-    uv run python -m benchmarks battery --json       # simulations of many objects at once
-    uv run python -m benchmarks scoring --json       # scores by a slow server
-    uv run python -m benchmarks readers --json       # objects and a scene in foreign programs
-    uv run python -m benchmarks round-trips --json   # objects in MJCF, URDF and USD, and back
-
-`--seed` draws other scenes and layouts. Each figure below gives its command, device and
-number of repetitions (n). `benchmarks/airspeed` measures rollouts and kernels with [airspeed velocity](https://asv.readthedocs.io).
-
-## What is measured
-
-"""
+DOCS = ROOT / "docs"
+MARK = "<!-- Written by `uv run python -m benchmarks.page` from benchmarks/figures. -->"
 
 
 class Figure(BaseModel):
@@ -67,9 +34,9 @@ class Figure(BaseModel):
     n: str
     """Sizes and repetitions."""
     date: str
-    """Date on which the figures were written down."""
+    """Date on which the figures were recorded."""
     commit: str = ""
-    """Commit that was measured, as far as known."""
+    """Commit that was measured, or the last one before the measurement."""
     text: str = ""
     """Markdown before the table."""
     columns: list[str] = Field(default_factory=list)
@@ -78,24 +45,68 @@ class Figure(BaseModel):
     """Markdown after the table."""
 
 
-class Group(BaseModel):
-    """A section of the page."""
+class Page(BaseModel):
+    """A page of docs/benchmarks/."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    name: str
+    """Name of the file, without ending."""
     title: str
+    intro: str
     figures: list[str]
-    """Names of files, without ending."""
+    """Names of figures, without ending."""
 
 
-def page() -> str:
-    """Return the text of docs/benchmarks.md."""
-    layout = yaml.safe_load((FIGURES / "page.yaml").read_text(encoding="utf-8"))
-    parts = [HEAD + layout["intro"].strip()]
-    for group in map(Group.model_validate, layout["groups"]):
-        parts.append(f"## {group.title}")
-        parts += [markdown(read_figure(name)) for name in group.figures]
+class Contents(BaseModel):
+    """The front page and the pages behind it: `figures/page.yaml`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    intro: str
+    key: list[str]
+    """Figures whose tables stand on the front page."""
+    pages: list[Page]
+
+
+def pages() -> dict[Path, str]:
+    """Return the text of every page by its path in docs/."""
+    text = (FIGURES / "page.yaml").read_text(encoding="utf-8")
+    contents = Contents.model_validate(yaml.safe_load(text))
+    return {Path("benchmarks.md"): _front_page(contents)} | {
+        Path("benchmarks") / f"{page.name}.md": _page(page) for page in contents.pages
+    }
+
+
+def _front_page(contents: Contents) -> str:
+    parts = ["# Benchmarks", MARK, contents.intro.strip()]
+    for name in contents.key:
+        figure = read_figure(name)
+        home = next(page.name for page in contents.pages if name in page.figures)
+        parts += [
+            f"## {figure.title}",
+            f"{figure.device}. n: {figure.n}. "
+            f"[Conditions and notes](benchmarks/{home}.md#{anchor(figure.title)}).",
+            _table(figure),
+        ]
+    parts.append("## All figures")
+    lines = []
+    for page in contents.pages:
+        titles = "; ".join(read_figure(name).title for name in page.figures)
+        lines.append(f"- [{page.title}](benchmarks/{page.name}.md): {titles}.")
+    parts.append("\n".join(lines))
     return "\n\n".join(parts) + "\n"
+
+
+def _page(page: Page) -> str:
+    parts = [f"# {page.title}", MARK, page.intro.strip()]
+    parts += [markdown(read_figure(name)) for name in page.figures]
+    return "\n\n".join(parts) + "\n"
+
+
+def anchor(title: str) -> str:
+    """Return the anchor that MkDocs gives a heading."""
+    return re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", title).strip().lower())
 
 
 def read_figure(name: str) -> Figure:
@@ -136,17 +147,21 @@ def markdown(figure: Figure) -> str:
         f"`{figure.command}`",
         f"**Device:** {figure.device}" + (f"; {figure.software}" if figure.software else ""),
         f"**n:** {figure.n}",
-        f"**Written down:** {date}",
+        f"**Recorded:** {date}",
     ]
-    parts = [f"### {figure.title}", "  \n".join(conditions)]
+    parts = [f"## {figure.title}", "  \n".join(conditions)]
     if figure.text:
         parts.append(figure.text.strip())
     if figure.columns:
-        lines = [figure.columns, ["---"] * len(figure.columns), *figure.rows]
-        parts.append("\n".join(f"| {' | '.join(line)} |" for line in lines))
+        parts.append(_table(figure))
     if figure.notes:
         parts.append(figure.notes.strip())
     return "\n\n".join(parts)
+
+
+def _table(figure: Figure) -> str:
+    lines = [figure.columns, ["---"] * len(figure.columns), *figure.rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def _cell(value: object) -> str:
@@ -156,4 +171,6 @@ def _cell(value: object) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(), encoding="utf-8")
+    for path, text in pages().items():
+        (DOCS / path).parent.mkdir(exist_ok=True)
+        (DOCS / path).write_text(text, encoding="utf-8")

@@ -48,7 +48,7 @@ higher reward, those nearer to the photograph first; and the returned layout is 
 its supports before it is checked.
 
 The last column says what was measured, here and as in the paper. Rollouts and seconds are means of
-[ablations of the search](benchmarks.md#what-each-part-of-refinement-does), with all defaults and
+[ablations of the search](benchmarks/refinement.md#what-each-part-of-refinement-does), with all defaults and
 with this one option as in the paper. Composed scenes are those of `python -m benchmarks composing`.
 What has no effect there was not measured.
 
