@@ -23,7 +23,7 @@ from .io.names import printable
 from .progress import LOGGER
 
 if TYPE_CHECKING:
-    from .commands.base_command import Answer, Runnable
+    from .commands.base_command import CommandResult, Runnable
 
 REPORT = (
     "This is a fault of neoworld, not of your input. A run can go on with --resume. To report it, "
@@ -165,7 +165,7 @@ def _reserved_stdout() -> Iterator[Any]:
         os.close(kept)
 
 
-def _show(command: "Runnable", answer: "Answer") -> None:
+def _show(command: "Runnable", answer: "CommandResult") -> None:
     """Print an answer for people: in few lines, or with all details."""
     lines = None if command.verbose else command.lines(answer)
     if lines is None:
@@ -174,7 +174,7 @@ def _show(command: "Runnable", answer: "Answer") -> None:
         print(printable("\n".join(lines)))
 
 
-def _print(answer: "Answer", indent: str = "") -> None:
+def _print(answer: "CommandResult", indent: str = "") -> None:
     """Print an answer for people."""
     for key, value in answer.items():
         if isinstance(value, dict):
@@ -212,7 +212,7 @@ _TABLES = {
 """Lists that are shown as a table, and their columns; those that no row has are left out."""
 
 
-def _table(rows: "list[Answer]", columns: Sequence[str], indent: str) -> None:
+def _table(rows: "list[CommandResult]", columns: Sequence[str], indent: str) -> None:
     """Print rows in columns."""
     used = [name for name in columns if any(name in row for row in rows)]
     if not used:

@@ -20,7 +20,7 @@ compiled code takes. static: compiled code is another one, for the option's reas
 """
 
 
-class Departure(NamedTuple):
+class PaperDifference(NamedTuple):
     """Where a default departs from the paper."""
 
     value: Any
@@ -52,7 +52,7 @@ class Option(NamedTuple):
     """The valid names, where the option takes one of a few."""
     bounds: str
     """Such as ">= 0"; empty without."""
-    departure: Departure | None
+    difference: PaperDifference | None
     """Where the default departs from the paper; None where it does not, or the paper leaves it
     open."""
 
@@ -91,10 +91,10 @@ def _declared(
     *,
     unit: str = "",
     reason: str = "",
-    departure: Departure | None = None,
+    difference: PaperDifference | None = None,
     **bounds: Any,
 ) -> Any:
-    extra: dict[str, Any] = {"unit": unit, "kind": kind, "reason": reason, "departure": departure}
+    extra: dict[str, Any] = {"unit": unit, "kind": kind, "reason": reason, "difference": difference}
     return Field(default=default, description=meaning, json_schema_extra=extra, **bounds)
 
 
@@ -126,7 +126,7 @@ def list_options(group: Options | type[Options], at: str = "") -> Iterator[Optio
             reason=str(extra["reason"]),
             values=_names(field.annotation),
             bounds=", ".join(map(_bound, field.metadata)),
-            departure=extra["departure"],  # pyright: ignore[reportArgumentType]
+            difference=extra["difference"],  # pyright: ignore[reportArgumentType]
         )
 
 

@@ -4,7 +4,7 @@ import pytest
 import yaml
 
 from neoworld_mjx.config import Config, list_options, load_config
-from neoworld_mjx.config.pages import default_yaml, departures_page, options_page
+from neoworld_mjx.config.pages import default_yaml, differences_page, options_page
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 
@@ -27,7 +27,7 @@ def test_pages_of_options_are_what_the_declarations_give():
     assert (CONFIGS / "default.yaml").read_text() == default_yaml(), stale
     docs = CONFIGS.parent / "docs"
     assert (docs / "options.md").read_text() == options_page(), stale
-    assert (docs / "departures.md").read_text() == departures_page(CONFIGS.parent), stale
+    assert (docs / "differences-from-the-paper.md").read_text() == differences_page(CONFIGS.parent), stale
 
 
 def test_default_spells_out_every_option_with_its_default():
@@ -50,23 +50,23 @@ def test_an_option_says_what_it_means(option):
         assert value in option.meaning
 
 
-DEPARTURES = [option for option in list_options(Config) if option.departure is not None]
+DIFFERENCES = [option for option in list_options(Config) if option.difference is not None]
 
 
-@pytest.mark.parametrize("option", DEPARTURES, ids=lambda option: option.path)
+@pytest.mark.parametrize("option", DIFFERENCES, ids=lambda option: option.path)
 def test_paper_switches_a_departure_off(option):
     given = yaml.safe_load((CONFIGS / "paper.yaml").read_text())
     for step in option.path.split("."):
         assert step in given, f"configs/paper.yaml must set {option.path}"
         given = given[step]
-    assert given == option.departure.value != option.default
-    assert option.departure.reason.endswith(".")
+    assert given == option.difference.value != option.default
+    assert option.difference.reason.endswith(".")
 
 
 def test_departures_are_there():
-    groups = {option.path.split(".")[0] for option in DEPARTURES}
+    groups = {option.path.split(".")[0] for option in DIFFERENCES}
     assert groups == {"parse", "program", "verify", "compose", "refine"}
-    assert len(DEPARTURES) >= 20
+    assert len(DIFFERENCES) >= 20
 
 
 def test_paper_states_what_the_appendix_states():

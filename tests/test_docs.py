@@ -13,7 +13,7 @@ from neoworld_mjx import cli
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-GENERATED = {"benchmarks.md", "options.md", "departures.md"}
+GENERATED = {"benchmarks.md", "options.md", "differences-from-the-paper.md"}
 COMMAND = re.compile(
     r"^    (?:uv run )?(?:--extra \w+ )?(?:[A-Z]+=\S+ )?"
     r"((?:neoworld|python -m benchmarks) .*)",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Union
 
 from tyro.conf import Positional, subcommand
 
-from neoworld_mjx.commands.base_command import Answer, Command, ConfiguredCommand
+from neoworld_mjx.commands.base_command import Command, CommandResult, ConfiguredCommand
 from neoworld_mjx.commands.listing_lines import bench_lines
 from neoworld_mjx.errors import ConfigError
 
@@ -50,11 +50,11 @@ class BenchChartCommand(Command):
     core: bool = False
     """Draw processor time, which a busy machine does not change."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Draw the chart."""
-        from .run_suites import chart_answer
+        from .run_suites import chart_result
 
-        return chart_answer(self)
+        return chart_result(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,12 +70,12 @@ class BenchMakeCommand(Command):
     workers: int = 0
     """Processes; 0 takes all cores."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Write the data set."""
         check_numbers(self)
-        from .run_suites import make_answer
+        from .run_suites import make_result
 
-        return make_answer(self)
+        return make_result(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,11 +87,11 @@ class BenchTableCommand(Command):
     folder: Positional[Path]
     """Folder with results.parquet, joints.parquet or tasks.parquet."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Write the tables."""
-        from .run_suites import table_answer
+        from .run_suites import table_result
 
-        return table_answer(self)
+        return table_result(self)
 
 
 class SuiteCommand:
@@ -100,7 +100,7 @@ class SuiteCommand:
     suite: ClassVar[Suite]
     suite_name: ClassVar[str]
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Run the suite; its answer also has the suite, the command and the date, for figures."""
         from neoworld_mjx.cache import keep_compilations
 
@@ -201,10 +201,10 @@ class BenchCommand:
         """See Command."""
         return self.inner.verbose
 
-    def lines(self, answer: Answer) -> list[str]:
-        """Return the answer in few lines."""
-        return bench_lines(answer)
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return a short summary of the result."""
+        return bench_lines(result)
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Run the suite, or draw the chart."""
         return self.inner.run()

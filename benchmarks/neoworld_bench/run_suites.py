@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .bench_commands import BenchChartCommand, BenchMakeCommand, BenchTableCommand
 
 
-def physics_answer(o: suites.Physics) -> dict[str, Any]:
+def physics_result(o: suites.Physics) -> dict[str, Any]:
     """Time engines."""
     about = machine()
     rows = collect(
@@ -47,7 +47,7 @@ def physics_answer(o: suites.Physics) -> dict[str, Any]:
     return {"machine": about, "rows": plain(rows), "growth": _exponents(growth(rows))}
 
 
-def kernels_answer(o: suites.Kernels) -> dict[str, Any]:
+def kernels_result(o: suites.Kernels) -> dict[str, Any]:
     """Time penetration terms."""
     about = machine()
     rows = collect(
@@ -59,7 +59,7 @@ def kernels_answer(o: suites.Kernels) -> dict[str, Any]:
     return {"machine": about, "rows": plain(rows), "accuracy": pairs}
 
 
-def agreement_answer(o: suites.Agreement) -> dict[str, Any]:
+def agreement_result(o: suites.Agreement) -> dict[str, Any]:
     """Compare engines."""
     rows = collect(comparing.agreement(o.scene, o.engine, layouts=o.layouts, seed=o.seed))
     return {
@@ -70,7 +70,7 @@ def agreement_answer(o: suites.Agreement) -> dict[str, Any]:
     }
 
 
-def refine_answer(o: suites.Refine, config: Config) -> dict[str, Any]:
+def refine_result(o: suites.Refine, config: Config) -> dict[str, Any]:
     """Refine from noisy starts, with the configuration's options of refinement."""
     if o.real:
         from .photographs.real_scenes import real_refinements
@@ -92,7 +92,7 @@ def refine_answer(o: suites.Refine, config: Config) -> dict[str, Any]:
     return {**summary(rows), "machine": machine(), "rows": plain(rows)}
 
 
-def photos_answer(o: suites.Photos, config: Config) -> dict[str, Any]:
+def photos_result(o: suites.Photos, config: Config) -> dict[str, Any]:
     """Measure errors by step, or how often S_sem prefers the truth."""
     from .fidelity import semantic_ranking as photo_semantics
     from .fidelity import step_errors as photos
@@ -123,7 +123,7 @@ def photos_answer(o: suites.Photos, config: Config) -> dict[str, Any]:
     return answer
 
 
-def scenes_answer(o: suites.SceneSet, config: Config) -> dict[str, Any]:
+def scenes_result(o: suites.SceneSet, config: Config) -> dict[str, Any]:
     """Run methods on the scenes of the benchmark."""
     from .methods.scene_runs import chosen_scenes, run_scenes
     from .tables.scene_summary import summarise
@@ -143,21 +143,21 @@ def scenes_answer(o: suites.SceneSet, config: Config) -> dict[str, Any]:
     return {**summarise(rows), "machine": machine()}
 
 
-def make_answer(o: "BenchMakeCommand") -> dict[str, Any]:
+def make_result(o: "BenchMakeCommand") -> dict[str, Any]:
     """Write the data set."""
     from .dataset.make_dataset import make_dataset
 
     return make_dataset(o.out, seed=o.seed, workers=o.workers or os.cpu_count() or 1)
 
 
-def table_answer(o: "BenchTableCommand") -> dict[str, Any]:
+def table_result(o: "BenchTableCommand") -> dict[str, Any]:
     """Write the tables of a folder of results."""
     from .tables.result_tables import write_tables
 
     return write_tables(o.folder)
 
 
-def joints_answer(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
+def joints_result(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
     """Score made objects."""
     from .objects.joint_table import NOTE, PAPER
     from .objects.object_scores import score_figures, score_objects
@@ -179,7 +179,7 @@ def joints_answer(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
     return {**score_figures(rows), "paper": paper, "rows": plain(rows)}
 
 
-def tasks_answer(o: suites.Tasks) -> dict[str, Any]:
+def tasks_result(o: suites.Tasks) -> dict[str, Any]:
     """Check tasks on truth."""
     from .tasks.catalogue import all_tasks, find_task
     from .tasks.task_checks import check_tasks, summarised
@@ -191,7 +191,7 @@ def tasks_answer(o: suites.Tasks) -> dict[str, Any]:
     return {**summarised(rows), "machine": machine(), "rows": plain(rows)}
 
 
-def task_success_answer(o: suites.TaskSuccess, config: Config) -> dict[str, Any]:
+def task_success_result(o: suites.TaskSuccess, config: Config) -> dict[str, Any]:
     """Plan tasks in what methods make of starts, and carry the plans out."""
     from .tasks.catalogue import all_tasks, find_task
     from .tasks.success_runs import run_successes
@@ -211,7 +211,7 @@ def task_success_answer(o: suites.TaskSuccess, config: Config) -> dict[str, Any]
     return {**success_summary(rows), "machine": machine()}
 
 
-def plans_answer(o: suites.Plans, config: Config) -> dict[str, Any]:
+def plans_result(o: suites.Plans, config: Config) -> dict[str, Any]:
     """Ask a model for plans."""
     from neoworld_mjx.mllm import open_panel
 
@@ -240,7 +240,7 @@ def plans_answer(o: suites.Plans, config: Config) -> dict[str, Any]:
     return {**plan_figures(rows), "machine": machine(), "rows": plain(rows)}
 
 
-def chart_answer(o: "BenchChartCommand") -> dict[str, Any]:
+def chart_result(o: "BenchChartCommand") -> dict[str, Any]:
     """Draw the growth of cost from stored rows."""
     try:
         answer = json.loads(o.rows.read_text(encoding="utf-8"))

@@ -350,23 +350,23 @@ class JointVideos:
 
 
 SUITES = {
-    "scenes": Suite(SceneSet, "neoworld_bench.run_suites:scenes_answer", configured=True),
-    "physics": Suite(Physics, "neoworld_bench.run_suites:physics_answer"),
-    "kernels": Suite(Kernels, "neoworld_bench.run_suites:kernels_answer"),
-    "agreement": Suite(Agreement, "neoworld_bench.run_suites:agreement_answer"),
-    "refine": Suite(Refine, "neoworld_bench.run_suites:refine_answer", configured=True),
-    "joints": Suite(ObjectSuite, "neoworld_bench.run_suites:joints_answer", configured=True),
-    "tasks": Suite(Tasks, "neoworld_bench.run_suites:tasks_answer"),
+    "scenes": Suite(SceneSet, "neoworld_bench.run_suites:scenes_result", configured=True),
+    "physics": Suite(Physics, "neoworld_bench.run_suites:physics_result"),
+    "kernels": Suite(Kernels, "neoworld_bench.run_suites:kernels_result"),
+    "agreement": Suite(Agreement, "neoworld_bench.run_suites:agreement_result"),
+    "refine": Suite(Refine, "neoworld_bench.run_suites:refine_result", configured=True),
+    "joints": Suite(ObjectSuite, "neoworld_bench.run_suites:joints_result", configured=True),
+    "tasks": Suite(Tasks, "neoworld_bench.run_suites:tasks_result"),
     "task-success": Suite(
-        TaskSuccess, "neoworld_bench.run_suites:task_success_answer", configured=True
+        TaskSuccess, "neoworld_bench.run_suites:task_success_result", configured=True
     ),
-    "plans": Suite(Plans, "neoworld_bench.run_suites:plans_answer", configured=True),
-    "pictures": Suite(PictureSuite, "neoworld_bench.judge.judge_suites:pictures_answer"),
-    "judge": Suite(Judge, "neoworld_bench.judge.judge_suites:judge_answer", configured=True),
+    "plans": Suite(Plans, "neoworld_bench.run_suites:plans_result", configured=True),
+    "pictures": Suite(PictureSuite, "neoworld_bench.judge.judge_suites:pictures_result"),
+    "judge": Suite(Judge, "neoworld_bench.judge.judge_suites:judge_result", configured=True),
     "joint-videos": Suite(
-        JointVideos, "neoworld_bench.judge.judge_suites:joint_videos_answer", configured=True
+        JointVideos, "neoworld_bench.judge.judge_suites:joint_videos_result", configured=True
     ),
-    "photos": Suite(Photos, "neoworld_bench.run_suites:photos_answer", configured=True),
+    "photos": Suite(Photos, "neoworld_bench.run_suites:photos_result", configured=True),
 }
 """Suites that `neoworld bench run NAME` runs."""
 

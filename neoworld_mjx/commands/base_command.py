@@ -11,7 +11,7 @@ from ..errors import ConfigError
 if TYPE_CHECKING:
     from ..config import Config
 
-Answer = dict[str, Any]
+CommandResult = dict[str, Any]
 """A JSON object; its entry "passed" decides the exit code."""
 
 
@@ -34,11 +34,11 @@ class Runnable(Protocol):
         """Whether every detail is printed."""
         ...
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Do the work and return what is to be printed."""
         ...
 
-    def lines(self, answer: Answer) -> list[str] | None:
+    def lines(self, result: CommandResult) -> list[str] | None:
         """Return an answer in few lines, for people; None prints all of it."""
         ...
 
@@ -56,7 +56,7 @@ class Command:
     debug: bool = False
     """Show the traceback of an error."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Do the work and return what is to be printed.
 
         Raises:
@@ -64,7 +64,7 @@ class Command:
         """
         raise NotImplementedError
 
-    def lines(self, answer: Answer) -> list[str] | None:
+    def lines(self, result: CommandResult) -> list[str] | None:
         """Return an answer in few lines, for people; None, the default, prints all of it."""
         return None
 

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from typing import Literal, NamedTuple
 
 from ..errors import NeoWorldError
-from .base_command import Answer, Command
+from .base_command import Command, CommandResult
 from .listing_lines import doctor_lines
 
 _KEYS = ("ANTHROPIC_API_KEY", "OPENAI_API_KEY")
@@ -109,7 +109,7 @@ class DoctorCommand(Command):
     install: Literal["blender"] | None = None
     """Install this first: blender, in an environment of its own in the cache's folder."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Look at this machine."""
         if self.install == "blender":
             from ..program.blender.blender_availability import install_blender
@@ -142,9 +142,9 @@ class DoctorCommand(Command):
             "versions": versions(),
         }
 
-    def lines(self, answer: Answer) -> list[str]:
-        """Return the answer in few lines."""
-        return doctor_lines(answer)
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return a short summary of the result."""
+        return doctor_lines(result)
 
 
 def _engine(name: str) -> str:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from .base_command import Answer, Command
+from .base_command import Command, CommandResult
 from .listing_lines import example_lines
 
 
@@ -10,7 +10,7 @@ from .listing_lines import example_lines
 class ExamplesCommand(Command):
     """List the bundled photographs, which `neoworld reconstruct NAME --out DIR` takes."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Return name, photograph, numbers of objects and joints, licence and credit of each."""
         from ..pipeline.bundled_examples import bundled_examples
 
@@ -20,6 +20,6 @@ class ExamplesCommand(Command):
         ]
         return {"examples": examples}
 
-    def lines(self, answer: Answer) -> list[str]:
-        """Return the answer in few lines."""
-        return example_lines(answer)
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return a short summary of the result."""
+        return example_lines(result)

@@ -8,8 +8,8 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import RunError, SpecError
 from ..format_names import BEST, FORMATS, Format, Simulator
-from .answer_lines import export_lines
-from .base_command import Answer, ConfiguredCommand
+from .base_command import CommandResult, ConfiguredCommand
+from .result_lines import export_lines
 
 if TYPE_CHECKING:
     from ..spec import ObjectSpec, SceneSpec
@@ -36,7 +36,7 @@ class ExportCommand(ConfiguredCommand):
     overwrite: bool = False
     """Write into a folder that is not empty."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Write the files."""
         from ..export.formats import collider_error, lost, write_formats
         from ..io.files import write_inside
@@ -59,17 +59,17 @@ class ExportCommand(ConfiguredCommand):
         if self.photo and isinstance(described, SceneSpec):
             write_inside(self.out, "scene.json", described.to_json())
             files = sorted([*files, "scene.json"])
-        answer: Answer = {
+        result: CommandResult = {
             "target": str(self.target),
             "folder": str(self.out),
             "files": files,
             "lost": {kind: lost(described, kind) for kind in kinds},
         }
         if notes:
-            answer["notes"] = notes
+            result["notes"] = notes
         if mjx:
-            answer["collider_error_mm"] = round(1e3 * collider_error(described), 3)
-        return answer
+            result["collider_error_mm"] = round(1e3 * collider_error(described), 3)
+        return result
 
     def _printed(self, described: "SceneSpec | ObjectSpec") -> "SceneSpec":
         from ..export.photo_prints import printed
@@ -81,9 +81,9 @@ class ExportCommand(ConfiguredCommand):
             raise SpecError(f"--photo takes a run folder with its photo.png; {self.target} is none")
         return printed(described, load_photo(photo).rgb)
 
-    def lines(self, answer: Answer) -> list[str]:
-        """Return the answer in few lines."""
-        return export_lines(answer)
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return a short summary of the result."""
+        return export_lines(result)
 
     def _read(self) -> "tuple[SceneSpec | ObjectSpec, list[str]]":
         """Return what is to be written, and what was lost in reading it."""

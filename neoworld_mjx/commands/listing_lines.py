@@ -5,76 +5,76 @@ import textwrap
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from .answer_lines import DETAILS, count
-from .base_command import Answer
+from .base_command import CommandResult
+from .result_lines import DETAILS, count
 
 _LEAST_COLUMNS, _MOST_COLUMNS = 60, 110
 MOST_FACTS = 8
 
 
-def doctor_lines(answer: Answer) -> list[str]:
+def doctor_lines(result: CommandResult) -> list[str]:
     """Return what is here, then each missing thing with its cost and its remedy."""
-    if "installed" in answer:
-        return [f"installed: {answer['installed']} in {answer['folder']}"]
-    versions = answer["versions"]
-    engines = answer["engines"]
+    if "installed" in result:
+        return [f"installed: {result['installed']} in {result['folder']}"]
+    versions = result["versions"]
+    engines = result["engines"]
     ready = [name for name, state in engines.items() if state == "ready"]
     lacking = [name for name in engines if name not in ready]
     here = ", ".join(
         f"{name} {versions[name]}" for name in ("neoworld-mjx", "jax", "mujoco") if name in versions
     )
-    devices = ", ".join(answer["devices"])
+    devices = ", ".join(result["devices"])
     rows = [
-        f"here: {count(answer['cores'], 'core')}, {devices}; Python {versions['python']}, {here}",
+        f"here: {count(result['cores'], 'core')}, {devices}; Python {versions['python']}, {here}",
         f"engines: {', '.join(ready)}" + (f"; not here: {', '.join(lacking)}" if lacking else ""),
     ]
-    for need in answer["missing"]:
+    for need in result["missing"]:
         rows += [f"missing: {need['what']}: {need['costs']}", f"  mend: {need['mend']}"]
-    if not answer["missing"]:
+    if not result["missing"]:
         rows.append("nothing is missing")
     return [*rows, DETAILS]
 
 
-def template_lines(answer: Answer) -> list[str]:
+def template_lines(result: CommandResult) -> list[str]:
     """Return the names of all templates, or one with its parameters."""
-    if "templates" in answer:
-        names = answer["templates"]
+    if "templates" in result:
+        names = result["templates"]
         return [
             f"{count(len(names), 'template')}:",
             *_wrapped(names),
             "one of them: neoworld template NAME [--out x.py]; what each is: -v, or --json",
         ]
-    rows = [f"{answer['template']}: {answer['label']}"]
-    rows += _wrapped(_parameter(name, p) for name, p in answer["parameters"].items())
-    if "program" in answer:
-        rows += [f"program: {answer['program']}", f"next: neoworld view {answer['program']}"]
+    rows = [f"{result['template']}: {result['label']}"]
+    rows += _wrapped(_parameter(name, p) for name, p in result["parameters"].items())
+    if "program" in result:
+        rows += [f"program: {result['program']}", f"next: neoworld view {result['program']}"]
     else:
-        rows.append(f"its program: neoworld template {answer['template']} --out x.py")
+        rows.append(f"its program: neoworld template {result['template']} --out x.py")
     return rows
 
 
-def example_lines(answer: Answer) -> list[str]:
+def example_lines(result: CommandResult) -> list[str]:
     """Return one line for each photograph."""
     rows = [
         f"{each['name']}: {count(each['objects'], 'object')}, {count(each['joints'], 'joint')}; "
         f"{each['shows']} ({each['licence']})"
-        for each in answer["examples"]
+        for each in result["examples"]
     ]
     return [*rows, f"next: neoworld reconstruct NAME --out DIR; credits and files: {DETAILS[9:]}"]
 
 
-def bench_lines(answer: Answer) -> list[str]:
+def bench_lines(result: CommandResult) -> list[str]:
     """Return a benchmark's numbers without its rows."""
-    facts = list(_facts({k: v for k, v in answer.items() if k not in _HEAD}))
+    facts = list(_facts({k: v for k, v in result.items() if k not in _HEAD}))
     tables = [
-        f"{len(value)} {key}" for key, value in answer.items() if isinstance(value, list) and value
+        f"{len(value)} {key}" for key, value in result.items() if isinstance(value, list) and value
     ]
-    rows = [f"{answer['suite']}: {', '.join(tables) or 'done'}"] if "suite" in answer else []
+    rows = [f"{result['suite']}: {', '.join(tables) or 'done'}"] if "suite" in result else []
     rows += _wrapped(facts[:MOST_FACTS])
     if len(facts) > MOST_FACTS:
         rows.append(f"  and {len(facts) - MOST_FACTS} more numbers")
-    if "paper" in answer:
-        theirs = f"theirs: {answer['paper']['note']}"
+    if "paper" in result:
+        theirs = f"theirs: {result['paper']['note']}"
         rows += textwrap.wrap(theirs, _MOST_COLUMNS, initial_indent="  ", subsequent_indent="  ")
     return [*rows, DETAILS]
 
@@ -82,8 +82,8 @@ def bench_lines(answer: Answer) -> list[str]:
 _HEAD = ("suite", "command", "date", "machine", "models", "paper")
 
 
-def _facts(answer: Mapping[str, Any], prefix: str = "") -> Iterable[str]:
-    for key, value in answer.items():
+def _facts(result: Mapping[str, Any], prefix: str = "") -> Iterable[str]:
+    for key, value in result.items():
         if isinstance(value, Mapping):
             yield from _facts(value, f"{prefix}{key} ")
         elif isinstance(value, bool) or value is None:

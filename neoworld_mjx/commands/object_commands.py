@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 from tyro.conf import Positional
 
 from ..errors import RunError, SpecError
-from .answer_lines import build_lines, object_check_lines, scene_check_lines
-from .base_command import Answer, ConfiguredCommand
+from .base_command import CommandResult, ConfiguredCommand
+from .result_lines import build_lines, object_check_lines, scene_check_lines
 
 if TYPE_CHECKING:
     from ..program import Built
@@ -28,7 +28,7 @@ class CheckCommand(ConfiguredCommand):
     out: Path | None = None
     """With --repair: folder to write the repaired object into, in every format."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Measure the scene, or verify the object."""
         config = self.load_config()
         suffix = self.target.suffix.lower()
@@ -65,11 +65,11 @@ class CheckCommand(ConfiguredCommand):
             **measure.model_dump(),
         }
 
-    def lines(self, answer: Answer) -> list[str]:
-        """Return the answer in few lines."""
-        if "movable" in answer:
-            return scene_check_lines(answer)
-        return object_check_lines(answer, _listings(self.target, answer))
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return a short summary of the result."""
+        if "movable" in result:
+            return scene_check_lines(result)
+        return object_check_lines(result, _listings(self.target, result))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +85,7 @@ class BuildCommand(ConfiguredCommand):
     watch: bool = False
     """Build again whenever the program is saved, until Ctrl-C; each build prints a line."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Build the program and write its object in every format."""
         from ..program.watch import FAILED, watch, write_built, write_failed
         from ..verify.patch import overlay_path
@@ -107,26 +107,26 @@ class BuildCommand(ConfiguredCommand):
             return {"folder": str(out), "builds": builds}
         patched = build_patched(self.program, options)
         built = patched.built
-        answer: Answer = {"passed": built.ok, "signals": _signals(built)}
+        result: CommandResult = {"passed": built.ok, "signals": _signals(built)}
         if built.printed:
-            answer["printed"] = built.printed
+            result["printed"] = built.printed
         if built.spec is None or not built.ok:
             picture = write_failed(patched, out, options)
-            return answer | ({} if picture is None else {"picture": str(picture)})
+            return result | ({} if picture is None else {"picture": str(picture)})
         if patched.patch is not None:
-            answer["overlay"] = {
+            result["overlay"] = {
                 "changes": list(patched.patch.changes()),
                 "stale": list(patched.stale),
             }
         write_built(patched, out)
         (out / FAILED).unlink(missing_ok=True)
-        return {"object": built.spec.name, "folder": str(out), **answer}
+        return {"object": built.spec.name, "folder": str(out), **result}
 
-    def lines(self, answer: Answer) -> list[str]:
-        """Return the answer in few lines."""
-        return build_lines(answer, _listings(self.program, answer))
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return a short summary of the result."""
+        return build_lines(result, _listings(self.program, result))
 
-    def _convert(self) -> Answer:
+    def _convert(self) -> CommandResult:
         """Write the object of another program's file."""
         from ..program.watch import spec_files, write_files
         from ..verify.checking import import_object
@@ -147,13 +147,13 @@ def _signals(built: "Built") -> list[dict[str, Any]]:
     return [{"code": s.code, **s.model_dump(exclude_defaults=True)} for s in built.signals]
 
 
-def _listings(program: Path, answer: Answer) -> list[str]:
+def _listings(program: Path, result: CommandResult) -> list[str]:
     """Return what a program printed and its signals, as terminals show them."""
     from ..checks.signals import Signal
     from ..program.watch import listings
     from ..verify.patched import read_program
 
-    if "signals" not in answer:
+    if "signals" not in result:
         return []
-    signals = [Signal.model_validate(entry) for entry in answer["signals"]]
-    return listings(answer.get("printed", ""), signals, program, read_program(program))
+    signals = [Signal.model_validate(entry) for entry in result["signals"]]
+    return listings(result.get("printed", ""), signals, program, read_program(program))

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from tyro.conf import Positional, UseAppendAction
 
 from ..errors import RunError, SpecError
-from .answer_lines import file_lines
-from .base_command import Answer, ConfiguredCommand
+from .base_command import CommandResult, ConfiguredCommand
+from .result_lines import file_lines
 
 if TYPE_CHECKING:
     from ..render import View
@@ -49,12 +49,12 @@ class RenderCommand(ConfiguredCommand):
     frames: int = 36
     """Frames of the turntable."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Ray-cast the scene."""
         from ..io.files import write_atomic
         from ..render import render_scene, to_png
         from ..render.viewpoints import opened
-        from ..viewer.view_target import open_target
+        from ..view.pages.view_target import open_target
 
         config = self.load_config()
         options = config.render
@@ -78,9 +78,9 @@ class RenderCommand(ConfiguredCommand):
         frames = {"frames": self.frames} if self.turntable else {}
         return {"picture": str(out), "size": size, **frames}
 
-    def lines(self, answer: Answer) -> list[str]:
-        """Return the answer in few lines."""
-        return file_lines(answer)
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return a short summary of the result."""
+        return file_lines(result)
 
     def _film(
         self, scene: "SceneSpec", width: int, supersample: int

@@ -8,8 +8,8 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from ..engines import EngineChoice
 from ..step_names import Step
-from .answer_lines import file_lines, run_lines
-from .base_command import Answer, Command, ConfiguredCommand
+from .base_command import Command, CommandResult, ConfiguredCommand
+from .result_lines import file_lines, run_lines
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,7 @@ class ReconstructCommand(ConfiguredCommand):
     mailbox: Path | None = None
     """Folder of requests and answers, for the provider mailbox."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Run the five steps."""
         from ..cache import keep_compilations
         from ..pipeline import reconstruct
@@ -65,9 +65,9 @@ class ReconstructCommand(ConfiguredCommand):
         )
         return result.summary()
 
-    def lines(self, answer: Answer) -> list[str]:
-        """Return the answer in few lines."""
-        return run_lines(answer)
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return a short summary of the result."""
+        return run_lines(result)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +84,7 @@ class RefineCommand(ConfiguredCommand):
     seed: int | None = None
     """Seed of the search."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Refine and export."""
         from ..cache import keep_compilations
         from ..pipeline import refine_again
@@ -100,9 +100,9 @@ class RefineCommand(ConfiguredCommand):
             config = self.load_config({"refine.rollout.engine": self.engine, "seed": self.seed})
         return refine_again(self.folder, config, over).summary()
 
-    def lines(self, answer: Answer) -> list[str]:
-        """Return the answer in few lines."""
-        return run_lines(answer)
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return a short summary of the result."""
+        return run_lines(result)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,12 +112,12 @@ class ReportCommand(Command):
     folder: Positional[Path]
     """The run folder."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Write the report."""
-        from ..view.report import write_report
+        from ..view.report.run_report import write_report
 
         return {"report": str(write_report(self.folder))}
 
-    def lines(self, answer: Answer) -> list[str]:
-        """Return the answer in few lines."""
-        return file_lines(answer)
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return a short summary of the result."""
+        return file_lines(result)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from .answer_lines import sweep_lines
-from .base_command import Answer, Command
+from .base_command import Command, CommandResult
+from .result_lines import sweep_lines
 
 if TYPE_CHECKING:
     from ..sweeps.cases import Source
@@ -30,16 +30,16 @@ class PlanCommand(Command):
     overwrite: bool = False
     """Replace the runs in --out."""
 
-    def lines(self, answer: Answer) -> list[str]:
-        """Return the answer in few lines."""
-        return sweep_lines(answer)
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return a short summary of the result."""
+        return sweep_lines(result)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepCommand(PlanCommand):
     """Refine scenes with every combination of some options' values, with several seeds."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Run the sweep."""
         return _run_plan(self, ablation=False)
 
@@ -48,12 +48,12 @@ class SweepCommand(PlanCommand):
 class AblateCommand(PlanCommand):
     """Refine scenes with a base and named changes of it, and list their differences."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Run the ablation."""
         return _run_plan(self, ablation=True)
 
 
-def _run_plan(command: PlanCommand, *, ablation: bool) -> Answer:
+def _run_plan(command: PlanCommand, *, ablation: bool) -> CommandResult:
     from ..cache import keep_compilations
     from ..sweeps import ablate, answer, sweep
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from tyro.conf import Positional, UseAppendAction
 
 from ..errors import RunError, SpecError
-from .base_command import Answer, Command
+from .base_command import Command, CommandResult
 from .listing_lines import template_lines
 
 
@@ -25,7 +25,7 @@ class TemplateCommand(Command):
     set: UseAppendAction[tuple[str, ...]] = ()
     """A parameter as NAME=VALUE, such as --set drawers=4; may be repeated."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """List templates, or write a program."""
         from ..io.files import write_atomic
         from ..templates import template, templates
@@ -62,9 +62,9 @@ class TemplateCommand(Command):
             "parameters": parameters,
         }
 
-    def lines(self, answer: Answer) -> list[str]:
-        """Return the answer in few lines."""
-        return template_lines(answer)
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return a short summary of the result."""
+        return template_lines(result)
 
 
 def _number(text: str) -> float | str:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from ..errors import RunError
-from .base_command import Answer, ConfiguredCommand
+from .base_command import CommandResult, ConfiguredCommand
 
 _log = logging.getLogger(__name__)
 
@@ -23,7 +23,7 @@ class PageCommand(ConfiguredCommand):
     port: int | None = None
     """Port to listen on; by default 8080 or, where that is in use, any free one."""
 
-    def serve_until_interrupted(self, address: str) -> Answer:
+    def serve_until_interrupted(self, address: str) -> CommandResult:
         """Say where the page is, and wait for Ctrl-C."""
         _log.info("open %s in a browser; Ctrl-C ends it", address)
         try:
@@ -40,11 +40,11 @@ class ViewCommand(PageCommand):
     target: Positional[Path]
     """A run folder, a scene.json, an object's folder, a program (.py), a URDF or an MJCF file."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Serve the page."""
-        from ..viewer.local_server import address, close_server, open_server
-        from ..viewer.scene_viewer import SceneViewer
-        from ..viewer.view_target import open_target
+        from ..view.pages.local_server import address, close_server, open_server
+        from ..view.pages.scene_viewer import SceneViewer
+        from ..view.pages.view_target import open_target
 
         config = self.load_config()
         target = open_target(self.target, config)  # Report a wrong path before a port is taken.
@@ -67,11 +67,11 @@ class AnnotateCommand(PageCommand):
     start: Annotated[Literal["parse"] | None, arg(name="from")] = None
     """Begin with what the run in --out parsed or annotated, instead of an empty page."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Serve the page."""
         from ..pipeline.annotated import read_annotation
-        from ..viewer.annotator import Annotator, empty_annotation
-        from ..viewer.local_server import address, close_server, open_server
+        from ..view.pages.annotate_page import Annotator, empty_annotation
+        from ..view.pages.local_server import address, close_server, open_server
 
         config = self.load_config()
         annotation = empty_annotation(self.photo, config)

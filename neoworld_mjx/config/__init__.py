@@ -1,12 +1,12 @@
 """Every option of the package: declared once, validated, read from YAML.
 
 `python -m neoworld_mjx.config` writes `configs/default.yaml`, `docs/options.md` and
-`docs/departures.md` from the declarations.
+`docs/differences-from-the-paper.md` from the declarations.
 """
 
 from ..io.file_options import FileOptions
 from ..io.yaml_files import parse_yaml, read_yaml
-from ..options import Departure, Option, Options, list_options, option_values
+from ..options import Option, Options, PaperDifference, list_options, option_values
 from .model_options import MLLMOptions, Role, RoleOptions
 from .object_options import (
     ComposeOptions,
@@ -31,7 +31,7 @@ __all__ = [
     "CEMOptions",
     "ComposeOptions",
     "Config",
-    "Departure",
+    "PaperDifference",
     "DescentOptions",
     "FileOptions",
     "JointSweepOptions",

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from ..options import Departure, Options, option
+from ..options import Options, PaperDifference, option
 
 Language = Literal["sdk", "blender"]
 """Languages of object programs."""
@@ -26,7 +26,7 @@ class ParseOptions(Options):
         True,
         "Fit camera and 3D boxes to the 2D boxes by least squares, object by object, as far as the "
         "picture contradicts the answer.",
-        departure=Departure(
+        difference=PaperDifference(
             False,
             "A model judges sizes and distances less exactly than it draws boxes around things.",
             "layout error 12.3 and 20.3 mm, size 2.18 and 2.34 % (n = 20 rendered scenes held out)",
@@ -64,7 +64,7 @@ class ProgramOptions(JointSweepOptions):
         "one",
         "one: a whole program at once. three: a program for geometry, one for articulation on the "
         "accepted geometry, one for export, each with debug and critic rounds of its own.",
-        departure=Departure(
+        difference=PaperDifference(
             "three",
             "One request in place of three finds as much.",
             "27 and 27 of 29 joints hit, 42 and 79 calls (n = 12 objects)",
@@ -74,7 +74,7 @@ class ProgramOptions(JointSweepOptions):
         "sdk",
         "sdk: programs call the SDK. blender: they are written in Blender's Python, which needs "
         "`neoworld doctor --install blender` and runs confined in a process of its own.",
-        departure=Departure(
+        difference=PaperDifference(
             "blender",
             "The SDK needs nothing installed, and its shapes know their own convex pieces.",
             "the same 7 joints; 0.32 to 0.74 and 8.9 to 11.4 s a build on a loaded machine "
@@ -204,7 +204,7 @@ class VerifyOptions(JointSweepOptions):
     direct_repairs: bool = option(
         True,
         "Repair by what a failed check measures, before a model is asked.",
-        departure=Departure(
+        difference=PaperDifference(
             False,
             "A number that says what is wrong costs no call of a model.",
             "868 planted faults repaired without a call (n = 879)",
@@ -215,7 +215,7 @@ class VerifyOptions(JointSweepOptions):
         "auto: where a model answers, show the critic key frames of checks that failed or only "
         "just passed, and try the reasoner's edits of what failed. always: show it every object in "
         "the two standard scenarios besides; a tape must hold its answers. never: ask nobody.",
-        departure=Departure("always", "Calls about objects that plainly pass find nothing."),
+        difference=PaperDifference("always", "Calls about objects that plainly pass find nothing."),
     )
     films: Literal["questionable", "always", "never"] = option(
         "questionable",
@@ -231,7 +231,7 @@ class ComposeOptions(Options):
         True,
         "Before it, fit camera, positions, sizes and headings to the 2D boxes once more, by the "
         "built shapes. It acts only where `parse.fit` does.",
-        departure=Departure(
+        difference=PaperDifference(
             False,
             "Built shapes fill their boxes otherwise than the cuboids of the first fit.",
             "box IoU as composed 0.895 and 0.878 (n = 3 photographs)",
@@ -243,7 +243,7 @@ class ComposeOptions(Options):
         "simulation; put what stands in a container, or covers it as a lid does, into it instead "
         "of on its rim, and clear of its walls, and move what leans, at its tilt, up to what it "
         "leans on, or back out of it.",
-        departure=Departure(
+        difference=PaperDifference(
             False,
             "The search moves no tilts, and at its parsed tilt hardly anything rests.",
             "box IoU as composed 0.895 and 0.927, of coffee's spoon 0.62 and 0.91; two photographs "
@@ -254,7 +254,7 @@ class ComposeOptions(Options):
         True,
         "Raise the dry friction of joints that their weight would move from where the parse shows "
         "them.",
-        departure=Departure(
+        difference=PaperDifference(
             False,
             "What stands half open in a photograph is held; the search moves no joints.",
             "joints move by themselves beyond the final check's bounds in 0 and in 7 of 42 objects "

@@ -1,4 +1,4 @@
-"""Write the pages that list options: configs/default.yaml, docs/options.md, docs/departures.md."""
+"""Write the pages that list options: configs/default.yaml, docs/options.md, docs/differences-from-the-paper.md."""
 
 import textwrap
 from collections.abc import Iterator
@@ -64,8 +64,8 @@ _EFFECTS = ((1, "valid {}"), (5, "xy error {} mm"), (8, "{} rollouts"), (9, "sea
 """Columns of the ablations' figures that the page of departures shows."""
 
 
-def departures_page(root: Path) -> str:
-    """Return docs/departures.md: every option whose default departs from the paper.
+def differences_page(root: Path) -> str:
+    """Return docs/differences-from-the-paper.md: every option whose default departs from the paper.
 
     Args:
         root: a checkout of the repository, for the ablations' variants and figures.
@@ -75,9 +75,9 @@ def departures_page(root: Path) -> str:
         effects |= _ablated(_read(root / variants)["variants"], _read(root / figures))
     text = [_DEPARTURES_HEAD]
     for option in list_options(Config):
-        if option.departure is None:
+        if option.difference is None:
             continue
-        value, reason, effect = option.departure
+        value, reason, effect = option.difference
         effect = effect or effects.get((option.path, value), "")
         cells = [f"`{option.path}`", f"`{_shown(option.default)}`", f"`{_shown(value)}`"]
         text.append(f"| {' | '.join([*cells, reason, effect])} |\n")
@@ -120,7 +120,7 @@ def options_page() -> str:
 
 def write_pages(root: Path) -> None:
     """Write all pages into a checkout of the repository."""
-    (root / "docs" / "departures.md").write_text(departures_page(root), encoding="utf-8")
+    (root / "docs" / "differences-from-the-paper.md").write_text(differences_page(root), encoding="utf-8")
     (root / "configs" / "default.yaml").write_text(default_yaml(), encoding="utf-8")
     (root / "docs" / "options.md").write_text(options_page(), encoding="utf-8")
 

@@ -7,7 +7,7 @@ against the parameters that the search really compiles with.
 from typing import Literal
 
 from ..engines import ENGINES_HELP, EngineChoice
-from ..options import Departure, Options, option, static, traced
+from ..options import Options, PaperDifference, option, static, traced
 
 _PROGRAM, _SHAPE = "is another program", "shapes arrays"
 _EARLY_STOP = "ends rollouts early"
@@ -41,7 +41,7 @@ class CEMOptions(Options):
         "photograph's. 1 where `keep_sound` is false.",
         gt=0,
         le=1,
-        departure=Departure(
+        difference=PaperDifference(
             1.0,
             "An answer whose boxes agree is seldom off by more.",
             "heading after the search 1.90 and 2.29 deg, valid 20 and 18 of 20 rendered scenes "
@@ -52,7 +52,7 @@ class CEMOptions(Options):
         0.02,
         "Smallest standard deviation, as a fraction of the initial one.",
         ge=0,
-        departure=Departure(
+        difference=PaperDifference(
             0.0, "Elites that agree in one number would freeze it for the rest of the search."
         ),
     )
@@ -66,7 +66,7 @@ class CEMOptions(Options):
         _PROGRAM,
         True,
         "Always evaluate the mean itself as a candidate; at first that is the composed layout.",
-        departure=Departure(False, "What nothing is wrong with should be found at once."),
+        difference=PaperDifference(False, "What nothing is wrong with should be found at once."),
     )
     first: int = static(
         _SHAPE,
@@ -75,7 +75,7 @@ class CEMOptions(Options):
         "shows where the initial layout fails, and the optimizer learns nothing from it. 0 is "
         "`population`.",
         ge=0,
-        departure=Departure(
+        difference=PaperDifference(
             0,
             "It mostly shows where the layout fails, and fewer candidates tell that.",
         ),
@@ -86,7 +86,7 @@ class CEMOptions(Options):
         "Reward that elites are chosen by. scene: the scene's. object: for each object that of the "
         "terms that it takes part in. island: that of all objects that it may come to touch. auto: "
         "the scene's from the first valid candidate on, by object before.",
-        departure=Departure(
+        difference=PaperDifference(
             "scene",
             "While nothing is valid, each object learns from the candidates that are good for it.",
         ),
@@ -96,7 +96,7 @@ class CEMOptions(Options):
         "Do not roll out candidates that cannot become elites; changes no elite. Only with "
         "`normalisation: fixed`, with reward terms that all have a bound, and without scores by a "
         "model.",
-        departure=Departure(
+        difference=PaperDifference(
             False, "Candidates that cannot become elites need no rollout; the elites stay the same."
         ),
     )
@@ -105,7 +105,7 @@ class CEMOptions(Options):
         "best",
         "Whose gain ends the search. best: that of the best valid candidate so far. elites: that "
         "of the elites' mean absolute reward, as in Algorithm 1.",
-        departure=Departure("elites", "The result is the best candidate, not the elites."),
+        difference=PaperDifference("elites", "The result is the best candidate, not the elites."),
     )
     stop_gain: float = traced(
         0.005, "Stop when an iteration gains less absolute reward than this.", ge=0
@@ -118,7 +118,7 @@ class CEMOptions(Options):
         "those that the others may come to touch. What only disagrees with the photograph moves "
         "once the others are valid. Algorithm 1 moves all, and so do reward terms of "
         "your own, scores by a model and other optimizers.",
-        departure=Departure(
+        difference=PaperDifference(
             False, "What stands where the photograph shows it can only be moved away from there."
         ),
     )
@@ -133,7 +133,7 @@ class DescentOptions(Options):
         "Steps of the initial layout towards the photograph's boxes and out of penetration; 0 "
         "starts at the composed scene.",
         ge=0,
-        departure=Departure(
+        difference=PaperDifference(
             0, "Gradients of boxes and penetration show the way that draws have to find."
         ),
     )
@@ -142,7 +142,7 @@ class DescentOptions(Options):
         "needed",
         "Move candidates out of penetration: never, always, or in iterations before the first "
         "valid candidate (needed).",
-        departure=Departure(
+        difference=PaperDifference(
             "never", "Hardly any draw of a crowded scene is free of interpenetration by itself."
         ),
     )
@@ -168,7 +168,7 @@ class RewardOptions(Options):
         "Weight of the prior, the distance to the initial layout: the mean of (z / sigma)^2 over "
         "objects and their four numbers, sigma being the initial standard deviation.",
         ge=0,
-        departure=Departure(
+        difference=PaperDifference(
             0.0,
             "What physics leaves open would wander, and all shrink to overlap less.",
         ),
@@ -178,7 +178,7 @@ class RewardOptions(Options):
         "fixed",
         "Normalisation of D_pen and D_drift. iteration: over the candidates of the iteration. "
         "fixed: by the caps below.",
-        departure=Departure(
+        difference=PaperDifference(
             "iteration", "Rewards of iterations can be compared, and bounded before physics."
         ),
     )
@@ -198,7 +198,7 @@ class RewardOptions(Options):
         "objects settle when they are set down.",
         unit="drift scales",
         ge=0,
-        departure=Departure(
+        difference=PaperDifference(
             0.0,
             "Everything settles a little, which would cost valid candidates reward.",
         ),
@@ -254,7 +254,7 @@ class RolloutOptions(Options):
         True,
         "End a candidate's rollout once it has settled, lingers past the bounds of stability, or "
         "has drifted past the cap.",
-        departure=Departure(
+        difference=PaperDifference(
             False, "Most candidates rest or have failed long before the time is over."
         ),
     )
@@ -270,7 +270,7 @@ class SemanticOptions(Options):
         "geometric",
         "geometric: from the parsed boxes and depths, for every candidate. mllm: the critic scores "
         "a picture of the best candidates while physics runs; needs a photograph.",
-        departure=Departure(
+        difference=PaperDifference(
             "mllm",
             "A call for each candidate is slow and dear; geometry scores all for nothing.",
         ),
@@ -279,7 +279,7 @@ class SemanticOptions(Options):
         8,
         "Candidates of an iteration that the model scores; a surrogate scores the others.",
         ge=1,
-        departure=Departure(
+        difference=PaperDifference(
             256, "With scores by a model, it looks at the best candidates of an iteration alone."
         ),
     )
@@ -351,7 +351,7 @@ class RefineOptions(Options):
         "tenth of it and 1 cm above or below its place. They do so 64 at a time, "
         "those first that agree best with the photograph, until one is valid; once one has been "
         "valid, only the first 64 do, and the others are left out.",
-        departure=Departure(
+        difference=PaperDifference(
             "never",
             "What leans, lies in a cup or rolls rests at a tilt that no layout has; only gravity "
             "finds it.",
@@ -362,7 +362,7 @@ class RefineOptions(Options):
         16,
         "Number of the best candidates that may be tried in the final check.",
         ge=1,
-        departure=Departure(
+        difference=PaperDifference(
             1,
             "The best one by coarse rollouts may fail the finer check, and the next pass.",
         ),
@@ -373,5 +373,5 @@ class RefineOptions(Options):
         "stays valid and agrees as well with the photograph. 0 leaves it where the winner has it, "
         "and so do reward terms of your own, and scores by a model.",
         ge=0,
-        departure=Departure(0, "What is right where it was composed should not be moved."),
+        difference=PaperDifference(0, "What is right where it was composed should not be moved."),
     )

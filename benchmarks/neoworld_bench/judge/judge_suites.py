@@ -9,7 +9,7 @@ from .. import suites
 from ..rows import collect, log, plain
 
 
-def pictures_answer(o: suites.PictureSuite) -> dict[str, Any]:
+def pictures_result(o: suites.PictureSuite) -> dict[str, Any]:
     """Measure pictures."""
     from ..measures.picture_similarity import PictureModels
     from .picture_rows import picture_figures, picture_rows
@@ -24,7 +24,7 @@ def pictures_answer(o: suites.PictureSuite) -> dict[str, Any]:
     return {**picture_figures(rows), "models": models.described(), "rows": plain(rows)}
 
 
-def judge_answer(o: suites.Judge, config: Config) -> dict[str, Any]:
+def judge_result(o: suites.Judge, config: Config) -> dict[str, Any]:
     """Have scenes judged."""
     from .made_scenes import made_scenes
     from .scene_judge import rating_figures, rating_rows
@@ -35,7 +35,7 @@ def judge_answer(o: suites.Judge, config: Config) -> dict[str, Any]:
     return {**rating_figures(rows), "rows": plain(rows)}
 
 
-def joint_videos_answer(o: suites.JointVideos, config: Config) -> dict[str, Any]:
+def joint_videos_result(o: suites.JointVideos, config: Config) -> dict[str, Any]:
     """Have the motions of joints compared."""
     from .joint_films import object_pairs
     from .joint_hits import joint_hit_figures, joint_hit_rows

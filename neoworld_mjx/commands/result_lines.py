@@ -4,141 +4,141 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from ..io.names import printable
-from .base_command import Answer
+from .base_command import CommandResult
 
 DETAILS = "details: -v, or --json"
 MOST_REASONS = 3
 _UNITS = {"m": (1000.0, "mm"), "deg": (1.0, "degrees"), "rad": (180 / 3.141592653589793, "degrees")}
 
 
-def run_lines(answer: Answer) -> list[str]:
+def run_lines(result: CommandResult) -> list[str]:
     """Return the lines of a reconstruction or a refinement."""
-    passed, folder = answer.get("passed"), answer["folder"]
+    passed, folder = result.get("passed"), result["folder"]
     if passed is None:
-        head = f"not refined yet: {_listed(answer['objects'])} in {folder}"
+        head = f"not refined yet: {_listed(result['objects'])} in {folder}"
     elif passed:
         head = (
-            f"valid: {count(answer['movable'], 'movable object')} within "
-            f"{1000 * answer['max_drift_m']:.1f} mm and {answer['max_tilt_deg']:.1f} degrees in "
-            f"{answer['duration_s']:g} s of free fall, deepest overlap "
-            f"{1000 * answer['max_depth_m']:.2g} mm"
+            f"valid: {count(result['movable'], 'movable object')} within "
+            f"{1000 * result['max_drift_m']:.1f} mm and {result['max_tilt_deg']:.1f} degrees in "
+            f"{result['duration_s']:g} s of free fall, deepest overlap "
+            f"{1000 * result['max_depth_m']:.2g} mm"
         )
     else:
-        why = [entry["why"] for entry in answer["fallbacks"] if entry["step"] == "refine"]
-        head = f"not valid: {_reasons(why) or _worst(answer)}"
+        why = [entry["why"] for entry in result["fallbacks"] if entry["step"] == "refine"]
+        head = f"not valid: {_reasons(why) or _worst(result)}"
     rows = [head]
-    if answer.get("scene"):
-        rows.append(f"scene:  {answer['scene']}  ({count(answer['objects'], 'object')})")
-    rows.append(f"report: {answer['report']}")
-    agreement = answer.get("box_iou") or {}
+    if result.get("scene"):
+        rows.append(f"scene:  {result['scene']}  ({count(result['objects'], 'object')})")
+    rows.append(f"report: {result['report']}")
+    agreement = result.get("box_iou") or {}
     if agreement.get("refined") is not None:
         worst = agreement.get("worst") or {}
         low = f", worst {worst['name']} {worst['value']:.2f}" if worst.get("name") else ""
         rows.append(f"photo:  boxes agree by {agreement['refined']:.2f} (mean IoU{low})")
-    if answer["fallbacks"]:
-        said = [f"{e['step']}: {e['what']}: {e['why']}" for e in answer["fallbacks"]]
+    if result["fallbacks"]:
+        said = [f"{e['step']}: {e['what']}: {e['why']}" for e in result["fallbacks"]]
         rows.append(f"fallbacks: {_reasons(said)}")
-    rows.append(f"{_time(answer)}; {_cost(answer['mllm'])}; {DETAILS}")
+    rows.append(f"{_time(result)}; {_cost(result['mllm'])}; {DETAILS}")
     return rows
 
 
-def scene_check_lines(answer: Answer) -> list[str]:
+def scene_check_lines(result: CommandResult) -> list[str]:
     """Return the lines of the check of a scene."""
-    passed, checks = answer["passed"], answer["checks"]
+    passed, checks = result["passed"], result["checks"]
     failed = [check for check in checks if not check["passed"]]
     why = [
         f"{measure(check['value'], check['name'])} {_of(check)}"
         f"over {measure(check['threshold'], check['name'])} ({check['name']})"
         for check in failed
     ]
-    movable = count(answer["movable"], "movable object")
+    movable = count(result["movable"], "movable object")
     head = f"valid: {movable}, all {len(checks)} bounds hold"
     worst = max((c for c in checks if c["passed"]), key=_share, default=None)
-    rows = [head if passed else f"not valid: {_reasons(why)}", f"scene: {answer['target']}"]
+    rows = [head if passed else f"not valid: {_reasons(why)}", f"scene: {result['target']}"]
     if worst is not None and worst["value"]:
         rows.append(
             f"closest to its bound: {worst['name']} {measure(worst['value'], worst['name'])} "
             f"{_of(worst)}of {measure(worst['threshold'], worst['name'])}"
         )
-    rows += [f"note: {note}" for note in answer.get("notes", ())[:MOST_REASONS]]
+    rows += [f"note: {note}" for note in result.get("notes", ())[:MOST_REASONS]]
     return [*rows, DETAILS]
 
 
-def object_check_lines(answer: Answer, listings: Sequence[str] = ()) -> list[str]:
+def object_check_lines(result: CommandResult, listings: Sequence[str] = ()) -> list[str]:
     """Return the lines of the check of an object.
 
     Args:
-        answer: of `check`.
+        result: of `check`.
         listings: signals of its program, as terminals show them.
     """
     rows = list(listings)
-    if "object" not in answer:
-        return [*rows, f"not valid: {answer['target']} does not build"]
-    counts = answer["counts"]
+    if "object" not in result:
+        return [*rows, f"not valid: {result['target']} does not build"]
+    counts = result["counts"]
     ran = counts["PASS"] + counts["FAIL"] + counts["TOOL_FAILURE"]
-    bad = [check for check in answer["checks"] if check["outcome"] in ("FAIL", "TOOL_FAILURE")]
-    if answer["passed"]:
+    bad = [check for check in result["checks"] if check["outcome"] in ("FAIL", "TOOL_FAILURE")]
+    if result["passed"]:
         doubt = f", {counts['doubtful']} of them only just" if counts["doubtful"] else ""
-        rows.append(f"valid: {answer['object']} passes all {ran} checks{doubt}")
+        rows.append(f"valid: {result['object']} passes all {ran} checks{doubt}")
     else:
         why = "its program has errors" if not bad else f"{len(bad)} of {ran} checks fail"
-        likely = f", the likely cause is {answer['cause']}" if answer.get("cause") else ""
-        rows.append(f"not valid: {answer['object']}: {why}{likely}")
+        likely = f", the likely cause is {result['cause']}" if result.get("cause") else ""
+        rows.append(f"not valid: {result['object']}: {why}{likely}")
     for check in bad[:MOST_REASONS]:
         place = " ".join(str(check[k]) for k in ("part", "joint") if check.get(k))
         hint = f"; hint: {check['hint']}" if check.get("hint") else ""
         rows.append(f"  {check['scenario']} {check['name']} {place}: {_against(check)}{hint}")
     if len(bad) > MOST_REASONS:
         rows.append(f"  and {len(bad) - MOST_REASONS} more")
-    repair = answer.get("repair")
+    repair = result.get("repair")
     if repair is not None:
         rows.append(f"repair: {_reasons(repair['changes']) or 'nothing helped'}")
-    rows += [f"{key}: {answer[key]}" for key in ("patch", "folder") if key in answer]
-    rows.append(f"{answer['mass_kg']:.3g} kg; {answer['seconds']:.2f} s; {DETAILS}")
+    rows += [f"{key}: {result[key]}" for key in ("patch", "folder") if key in result]
+    rows.append(f"{result['mass_kg']:.3g} kg; {result['seconds']:.2f} s; {DETAILS}")
     return rows
 
 
-def build_lines(answer: Answer, listings: Sequence[str] = ()) -> list[str]:
+def build_lines(result: CommandResult, listings: Sequence[str] = ()) -> list[str]:
     """Return the lines of a build."""
     rows = list(listings)
-    if "builds" in answer:
-        return [f"builds: {answer['builds']}", f"folder: {answer['folder']}"]
-    if answer["passed"]:
-        rows.append(f"built: {answer['object']} in {answer['folder']}")
-        rows += [f"note: {note}" for note in answer.get("notes", ())[:MOST_REASONS]]
+    if "builds" in result:
+        return [f"builds: {result['builds']}", f"folder: {result['folder']}"]
+    if result["passed"]:
+        rows.append(f"built: {result['object']} in {result['folder']}")
+        rows += [f"note: {note}" for note in result.get("notes", ())[:MOST_REASONS]]
     else:
         rows.append("not built: see the errors above")
-    if "picture" in answer:
-        rows.append(f"picture: {answer['picture']}")
+    if "picture" in result:
+        rows.append(f"picture: {result['picture']}")
     return rows
 
 
-def export_lines(answer: Answer) -> list[str]:
+def export_lines(result: CommandResult) -> list[str]:
     """Return the lines of an export."""
-    rows = [f"written: {count(answer['files'], 'file')} in {answer['folder']}"]
-    for kind, lost in answer["lost"].items():
+    rows = [f"written: {count(result['files'], 'file')} in {result['folder']}"]
+    for kind, lost in result["lost"].items():
         if lost:
             rows.append(f"lost in {kind}: {_reasons(lost)}")
-    rows += [f"note: {note}" for note in answer.get("notes", ())[:MOST_REASONS]]
-    if "collider_error_mm" in answer:
-        rows.append(f"colliders differ by up to {answer['collider_error_mm']} mm")
+    rows += [f"note: {note}" for note in result.get("notes", ())[:MOST_REASONS]]
+    if "collider_error_mm" in result:
+        rows.append(f"colliders differ by up to {result['collider_error_mm']} mm")
     return [*rows, DETAILS]
 
 
-def sweep_lines(answer: Answer) -> list[str]:
+def sweep_lines(result: CommandResult) -> list[str]:
     """Return the lines of a sweep or an ablation."""
-    points = answer["points"]
+    points = result["points"]
     valid = sum(point.get("passed", 0) * point.get("n", 0) for point in points)
     best = max(points, key=lambda point: point.get("reward") or float("-inf"), default=None)
-    rows = [f"{count(answer['runs'], 'run')}, {valid:.0f} of them valid, in {answer['folder']}"]
+    rows = [f"{count(result['runs'], 'run')}, {valid:.0f} of them valid, in {result['folder']}"]
     if best is not None and best.get("reward") is not None:
         rows.append(f"best reward: {best['reward']:.4g} at {best['point']}")
-    rows.append(f"table: {answer['table']}")
-    if answer.get("figure"):
-        rows.append(f"figure: {answer['figure']}")
-    cost = f"; {_cost(answer['mllm'])}" if "mllm" in answer else ""
+    rows.append(f"table: {result['table']}")
+    if result.get("figure"):
+        rows.append(f"figure: {result['figure']}")
+    cost = f"; {_cost(result['mllm'])}" if "mllm" in result else ""
     rows.append(
-        f"{answer['seconds']:.1f} s, {answer['compile_s']:.1f} s of it compiling{cost}; {DETAILS}"
+        f"{result['seconds']:.1f} s, {result['compile_s']:.1f} s of it compiling{cost}; {DETAILS}"
     )
     return rows
 
@@ -157,9 +157,9 @@ def count(items: int | Sequence[object], what: str) -> str:
     return f"{number} {what}" + ("" if number == 1 else "s")
 
 
-def file_lines(answer: Answer) -> list[str]:
+def file_lines(result: CommandResult) -> list[str]:
     """Return the lines of a command that writes one file."""
-    return [f"{key}: {_flat(value)}" for key, value in answer.items()]
+    return [f"{key}: {_flat(value)}" for key, value in result.items()]
 
 
 def _flat(value: Any) -> str:
@@ -184,17 +184,17 @@ def _of(check: Mapping[str, Any]) -> str:
     return f"of {check['where']} " if check.get("where") else ""
 
 
-def _worst(answer: Answer) -> str:
+def _worst(result: CommandResult) -> str:
     """Say what is largest of a scene that fails for an unnamed reason."""
-    drift = max(answer.get("drift_m", {"?": 0.0}).items(), key=lambda item: item[1])
-    depth = 1000 * answer.get("max_depth_m", 0.0)
+    drift = max(result.get("drift_m", {"?": 0.0}).items(), key=lambda item: item[1])
+    depth = 1000 * result.get("max_depth_m", 0.0)
     return f"{drift[0]} drifts by {1000 * drift[1]:.1f} mm, deepest overlap {depth:.2g} mm"
 
 
-def _time(answer: Answer) -> str:
-    seconds = answer["seconds"]
+def _time(result: CommandResult) -> str:
+    seconds = result["seconds"]
     longest = sorted(seconds.items(), key=lambda item: -item[1])[:2]
-    waited = sum(answer["waiting"].values())
+    waited = sum(result["waiting"].values())
     parts = ", ".join(f"{name} {value:.1f}" for name, value in longest)
     waiting = f"; waited {waited:.1f} s for models" if waited >= 0.5 else ""
     return f"{sum(seconds.values()):.1f} s ({parts}){waiting}"
