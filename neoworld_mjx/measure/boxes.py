@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..spec import Box2D, Box3D, TreeNode
+from ..spec.outlines import polygon_area
 from ..spec.pose import ArrayLike
 
 
@@ -41,14 +42,6 @@ def support_footprint(node: TreeNode) -> NDArray:
     c, s = np.cos(box.yaw), np.sin(box.yaw)
     local = node.outline.corners() * np.array(box.size[:2])
     return local @ np.array([[c, s], [-s, c]]) + np.array(box.position[:2])
-
-
-def polygon_area(corners: NDArray) -> float:
-    """Return the area [m^2] of a polygon [n, 2] m, positive if its corners run anticlockwise."""
-    if len(corners) < 3:
-        return 0.0
-    x, y = corners[:, 0], corners[:, 1]
-    return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
 
 
 def shared_footprint(a: NDArray, b: NDArray) -> float:

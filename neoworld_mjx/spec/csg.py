@@ -1,112 +1,56 @@
-"""Constructive solid geometry: union, difference and intersection of shapes.
+"""Algorithm of constructive solid geometry: an exact convex decomposition, and a boolean surface.
 
-Colliders are an exact convex decomposition, made by cutting convex pieces along the planes of the
-others; so what a difference takes away is really open. Round operands count as polyhedra with
-`sectors` facets, whose corners lie on the true surface: colliders stay within
-r (1 - cos(pi / sectors)) of it. The visual surface comes from manifold3d,
-with finer facets.
+Colliders result from cutting convex pieces along the face planes of the others, so the material
+that a difference removes is really absent. Round operands count as polyhedra with `sectors` facets,
+whose corners lie on the true surface: colliders stay within r (1 - cos(pi / sectors)) of it. The
+visual surface comes from manifold3d, with finer facets. The shape itself is `shapes.CSG`.
 """
 
 import itertools
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field, field_validator, model_validator
 
-from .base import Length, Point3, Quat, Rotation, ScalableSpec, unit_vector
-from .base_shape import BaseShape, Sectors
 from .clip import Poly, poly, split
 from .convex import Kind, Piece, polytope
-from .dimensions import UNSCALED
-from .pose import IDENTITY, Pose, pose
-
-if TYPE_CHECKING:
-    from .shapes import Shape
+from .pose import Pose, pose
 
 Operation = Literal["union", "difference", "intersection"]
-MAX_PIECES, MAX_CUTS, MAX_DEPTH, MAX_TRIANGLES = 600, 4000, 6, 60_000
-MAX_BODIES = 64
+MAX_PIECES, MAX_CUTS, MAX_TRIANGLES, MAX_BODIES = 600, 4000, 60_000, 64
 BOX_TEST_COST = 0.02
-"""Cost of comparing two bounding boxes, over that of a cut."""
+"""Cost of comparing two bounding boxes, relative to a cut."""
 SLACK = 1e-6
-"""Thickness over the size of the operands below which a piece does not count."""
+"""Least thickness of a piece, relative to the size of the operands."""
 NEGLIGIBLE = 1e-9
-"""Volume over the cube of that size below which a piece is left out."""
+"""Least volume of a piece, relative to the cube of the size of the operands."""
 
 
-class Operand(ScalableSpec):
-    """A shape in its place."""
+@runtime_checkable
+class PlacedShape(Protocol):
+    """A shape with its pose; hashable, since results are cached."""
 
-    shape: "Shape"
-    pos: Point3 = (0.0, 0.0, 0.0)
-    quat: Rotation = IDENTITY
-
-    @field_validator("quat")
-    @classmethod
-    def _unit(cls, value: Quat) -> Quat:
-        return unit_vector(value, "quat")
+    @property
+    def shape(self) -> Any:
+        """The shape, a `BaseShape`."""
+        ...
 
     def pose(self) -> Pose:
-        """Return the operand's pose in the frame of the whole."""
-        return pose(self.pos, self.quat)
-
-
-class CSG(BaseShape):
-    """A solid made of others: all of them, the first without the rest, or what all share.
-
-    Operands are written at size 1; `factor` scales the whole, so that a scaled copy is cut up in
-    the very same way.
-    """
-
-    type: Literal["csg"] = "csg"
-    operation: Operation
-    operands: Annotated[tuple[Operand, ...], UNSCALED] = Field(min_length=2, max_length=64)
-    sectors: Sectors = 16
-    factor: Length = 1.0
-
-    @model_validator(mode="after")
-    def _solid(self) -> "CSG":
-        if _depth(self) > MAX_DEPTH:
-            raise ValueError(f"csg shapes may lie at most {MAX_DEPTH} deep in each other")
-        if not _cut(self.operation, self.operands, self.sectors):
-            raise ValueError(f"csg {self.operation} leaves nothing")
-        apart = _bodies(self.operation, self.operands)
-        if apart > 1:
-            raise ValueError(
-                f"csg {self.operation} falls into {apart} solids that do not hang together; make "
-                f"each a shape of its own"
-            )
-        return self
-
-    def build_pieces(self) -> list[Piece]:
-        """Return the pieces of the decomposition."""
-        pieces = _cut(self.operation, self.operands, self.sectors)
-        if self.factor == 1.0:
-            return list(pieces)
-        return [
-            Piece(
-                "mesh",
-                vertices=tuple(
-                    (x * self.factor, y * self.factor, z * self.factor) for x, y, z in p.vertices
-                ),
-            )
-            for p in pieces
-        ]
-
-    def build_surface(self) -> tuple[NDArray, NDArray]:
-        """Take the surface of manifold3d's boolean."""
-        vertices, faces = _skin(self.operation, self.operands)
-        return vertices * self.factor, faces.copy()
+        """Return the pose of the shape in the frame of the result."""
+        ...
 
 
 class _Convex(NamedTuple):
-    """A convex operand, or what is left of it."""
+    """A convex solid with its bounding box."""
 
     solid: Poly
     low: NDArray
     high: NDArray
+
+
+_Tool = tuple[_Convex, NDArray]
+"""A convex solid and its half-spaces [f, 4]."""
 
 
 class _Cutter:
@@ -116,62 +60,57 @@ class _Cutter:
         self.slack, self.negligible = SLACK * size, NEGLIGIBLE * size**3
         self.cuts_left = float(MAX_CUTS)
 
-    def subtract(self, solids: list[_Convex], tool: tuple[_Convex, NDArray]) -> list[_Convex]:
+    def subtract(self, solids: list[_Convex], tool: _Tool) -> list[_Convex]:
         """Return the parts of convex solids that lie outside a convex one."""
         body, half = tool
-        kept: list[_Convex] = []
+        result: list[_Convex] = []
         for one in solids:
             if self._apart(one, body):
-                kept.append(one)
+                result.append(one)
                 continue
-            rest: Poly | None = one.solid
-            outside: list[Poly] = []
-            for plane in half:
-                rest, beyond = self._split(rest, plane)
-                if beyond is not None:
-                    outside.append(beyond)
-                if rest is None:
-                    break
-            # What only came near stays whole.
-            left = [one.solid] if rest is None or self._is_negligible(rest) else outside
-            kept += [_convex(p) for p in left if not self._is_negligible(p)]
-            if len(kept) > MAX_PIECES:
-                raise ValueError(_TOO_MANY)
-        return kept
+            rest, outside = self._cut(one.solid, half)
+            # A solid that does not really overlap the tool stays whole.
+            parts = [one.solid] if rest is None or self._is_negligible(rest) else outside
+            result += [_convex(part) for part in parts if not self._is_negligible(part)]
+            _check_count(result)
+        return result
 
-    def common(self, solids: list[_Convex], tools: list[tuple[_Convex, NDArray]]) -> list[_Convex]:
+    def common(self, solids: list[_Convex], tools: list[_Tool]) -> list[_Convex]:
         """Return what convex solids share with any of several convex ones that do not overlap."""
-        kept: list[_Convex] = []
+        result: list[_Convex] = []
         for one in solids:
             for body, half in tools:
                 if self._apart(one, body):
                     continue
-                rest: Poly | None = one.solid
-                for plane in half:
-                    rest, _ = self._split(rest, plane)
-                    if rest is None:
-                        break
+                rest, _ = self._cut(one.solid, half)
                 if rest is not None and not self._is_negligible(rest):
-                    kept.append(_convex(rest))
-            if len(kept) > MAX_PIECES:
-                raise ValueError(_TOO_MANY)
-        return kept
+                    result.append(_convex(rest))
+            _check_count(result)
+        return result
 
-    def _split(self, solid: Poly | None, plane: NDArray) -> tuple[Poly | None, Poly | None]:
-        if solid is None:
-            return None, None
-        self.cuts_left -= 1 + len(solid.faces) / 32
-        if self.cuts_left < 0:
-            raise ValueError(_TOO_MANY)
-        return split(solid, plane, self.slack)
+    def _cut(self, solid: Poly, half: NDArray) -> tuple[Poly | None, list[Poly]]:
+        """Return the part of a solid inside all half-spaces, and the parts outside."""
+        rest: Poly | None = solid
+        outside: list[Poly] = []
+        for plane in half:
+            if rest is None:
+                break
+            self._spend(1 + len(rest.faces) / 32)
+            rest, beyond = split(rest, plane, self.slack)
+            if beyond is not None:
+                outside.append(beyond)
+        return rest, outside
 
     def _apart(self, one: _Convex, other: _Convex) -> bool:
-        self.cuts_left -= BOX_TEST_COST
-        if self.cuts_left < 0:
-            raise ValueError(_TOO_MANY)
+        self._spend(BOX_TEST_COST)
         return bool(
             np.any(one.low > other.high - self.slack) or np.any(other.low > one.high - self.slack)
         )
+
+    def _spend(self, cost: float) -> None:
+        self.cuts_left -= cost
+        if self.cuts_left < 0:
+            raise ValueError(_TOO_MANY)
 
     def _is_negligible(self, solid: Poly) -> bool:
         return len(solid.corners) < 4 or solid.volume() < self.negligible
@@ -183,16 +122,27 @@ _TOO_MANY = (
 )
 
 
+def _check_count(pieces: list[Any]) -> None:
+    if len(pieces) > MAX_PIECES:
+        raise ValueError(_TOO_MANY)
+
+
 def _convex(solid: Poly) -> _Convex:
     return _Convex(solid, solid.corners.min(axis=0), solid.corners.max(axis=0))
 
 
 @lru_cache(maxsize=256)
-def _cut(operation: Operation, operands: tuple[Operand, ...], sectors: int) -> tuple[Piece, ...]:
-    tools: list[list[tuple[_Convex, NDArray]]] = []
+def decomposed(
+    operation: Operation, operands: tuple[PlacedShape, ...], sectors: int
+) -> tuple[Piece, ...]:
+    """Return the convex pieces of a boolean of shapes; they do not overlap.
+
+    Raises:
+        ValueError: there would be more than MAX_PIECES, or more than MAX_CUTS cuts.
+    """
+    tools: list[list[_Tool]] = []
     for operand in operands:
-        tools.append(_tools(operand, sectors))
-        # Whatever is cut, every face of every tool is looked at.
+        tools.append(convex_operands(operand, sectors))
         if sum(len(half) for group in tools for _, half in group) > MAX_CUTS:
             raise ValueError(_TOO_MANY)
     points = np.vstack([body.solid.corners for group in tools for body, _ in group])
@@ -202,34 +152,29 @@ def _cut(operation: Operation, operands: tuple[Operand, ...], sectors: int) -> t
         if operation == "intersection":
             result = cutter.common(result, group)
             continue
-        fresh = [body for body, _ in group]
         if operation == "union":
-            # The later ones keep what the earlier ones have not: pieces never overlap.
-            taken = [(body, _half_spaces(body)) for body in result]
-            for tool in taken:
-                fresh = cutter.subtract(fresh, tool)
-            result = [*result, *fresh]
+            # Only the part of a later operand outside the earlier ones is added, so pieces never
+            # overlap.
+            added = [body for body, _ in group]
+            for body in result:
+                half = poly(polytope(body.solid.corners), pose())[1]
+                added = cutter.subtract(added, (body, half))
+            result = [*result, *added]
         else:
             for tool in group:
                 result = cutter.subtract(result, tool)
-        if len(result) > MAX_PIECES:
-            raise ValueError(_TOO_MANY)
+        _check_count(result)
     return tuple(polytope(one.solid.corners) for one in result)
 
 
-def _half_spaces(body: _Convex) -> NDArray:
-    return poly(polytope(body.solid.corners), pose())[1]
-
-
-def _tools(operand: Operand, sectors: int) -> list[tuple[_Convex, NDArray]]:
-    at = operand.pose()
+def convex_operands(operand: PlacedShape, sectors: int) -> list[_Tool]:
+    """Return an operand's convex pieces as polyhedra with their half-spaces [f, 4]."""
     pieces = operand.shape.pieces()
-    if len(pieces) > MAX_PIECES:
-        raise ValueError(_TOO_MANY)
+    _check_count(pieces)
     tools = []
     for piece in pieces:
         flat = piece if piece.kind in ("box", "mesh") else _flat(piece.kind, piece.size, sectors)
-        solid, half = poly(flat, at.then(pose(piece.pos, piece.quat)))
+        solid, half = poly(flat, operand.pose().then(pose(piece.pos, piece.quat)))
         tools.append((_convex(solid), half))
     return tools
 
@@ -241,7 +186,7 @@ def _flat(kind: Kind, size: tuple[float, ...], sectors: int) -> Piece:
 
 
 def faceted(piece: Piece, sectors: int) -> NDArray:
-    """Return corners on the surface of a round piece, in its own frame."""
+    """Return corners [n, 3] on the surface of a round piece, in its own frame [m]."""
     angle = 2 * np.pi * np.arange(sectors) / sectors
     ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sectors)])
     if piece.kind == "cylinder":
@@ -260,15 +205,19 @@ def faceted(piece: Piece, sectors: int) -> NDArray:
 
 
 @lru_cache(maxsize=256)
-def _skin(operation: Operation, operands: tuple[Operand, ...]) -> tuple[NDArray, NDArray]:
+def boolean_surface(
+    operation: Operation, operands: tuple[PlacedShape, ...]
+) -> tuple[NDArray, NDArray]:
+    """Return the vertices [v, 3] m and triangles [f, 3] of manifold3d's boolean."""
     mesh = _manifold(operation, operands).to_mesh64()
     vertices = np.array(mesh.vert_properties, float)[:, :3]
     return vertices, np.array(mesh.tri_verts, np.int64)
 
 
 @lru_cache(maxsize=256)
-def _bodies(operation: Operation, operands: tuple[Operand, ...]) -> int:
-    # A closed hole inside is a body of negative volume.
+def count_bodies(operation: Operation, operands: tuple[PlacedShape, ...]) -> int:
+    """Count the connected components of a boolean of shapes."""
+    # A closed cavity is a body of negative volume.
     bodies = _manifold(operation, operands).decompose()
     if len(bodies) < 2:
         return len(bodies)
@@ -285,7 +234,7 @@ def _bodies(operation: Operation, operands: tuple[Operand, ...]) -> int:
     return len(set(group))
 
 
-def _manifold(operation: Operation, operands: tuple[Operand, ...]) -> Any:
+def _manifold(operation: Operation, operands: tuple[PlacedShape, ...]) -> Any:
     import manifold3d
 
     kinds = manifold3d.OpType
@@ -303,9 +252,3 @@ def _manifold(operation: Operation, operands: tuple[Operand, ...]) -> Any:
         if solids[-1].status() != manifold3d.Error.NoError:
             raise ValueError(f"csg cannot take a {operand.shape.type}: {solids[-1].status()}")
     return manifold3d.Manifold.batch_boolean(solids, kind[operation])
-
-
-def _depth(shape: BaseModel) -> int:
-    if not isinstance(shape, CSG):
-        return 0
-    return 1 + max(_depth(operand.shape) for operand in shape.operands)

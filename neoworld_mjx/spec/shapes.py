@@ -1,20 +1,92 @@
-"""The shapes that parts are made of, each parametric and the sum of its convex pieces.
+"""The union of all shapes, and the shape that combines others.
 
-A shape's pieces do not overlap, so volume and inertia are sums over them, and they are the
-colliders as well: cavities stay open. Lengths are in metres; each class states its frame. A new
-shape is a class of `BaseShape` in a file of its own and an entry in `Shape`.
+The convex pieces of a shape do not overlap, so volume and inertia are sums over them; they are also
+the colliders, so cavities stay open. Lengths are in metres; each class states its frame. A new
+shape is a subclass of `BaseShape` in its own module and an entry in `Shape`.
 """
 
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import Field
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, Field, field_validator, model_validator
 
-from .csg import CSG, Operand
+from .base import Length, Point3, Quat, Rotation, ScalableSpec, unit_vector
+from .base_shape import BaseShape, Sectors
+from .convex import Piece
+from .csg import Operation, boolean_surface, count_bodies, decomposed
+from .dimensions import UNSCALED
 from .extruded import Extrusion, RoundedBox
 from .lathe import Lathe
 from .mesh import Mesh
+from .pose import IDENTITY, Pose, pose
 from .primitives import Box, Capsule, Cylinder, Ellipsoid, HollowBox, Prism, Sphere
 from .swept import Sweep
+
+MAX_DEPTH = 6
+"""Most CSG shapes nested in each other."""
+
+
+class Operand(ScalableSpec):
+    """A shape in its place."""
+
+    shape: "Shape"
+    pos: Point3 = (0.0, 0.0, 0.0)
+    quat: Rotation = IDENTITY
+
+    @field_validator("quat")
+    @classmethod
+    def _unit(cls, value: Quat) -> Quat:
+        return unit_vector(value, "quat")
+
+    def pose(self) -> Pose:
+        """Return the operand's pose in the frame of the whole."""
+        return pose(self.pos, self.quat)
+
+
+class CSG(BaseShape):
+    """A solid made of others: all of them, the first without the rest, or what all share.
+
+    Operands are written at size 1; `factor` scales the whole, so that a scaled copy is cut up in
+    the very same way.
+    """
+
+    type: Literal["csg"] = "csg"
+    operation: Operation
+    operands: Annotated[tuple[Operand, ...], UNSCALED] = Field(min_length=2, max_length=64)
+    sectors: Sectors = 16
+    factor: Length = 1.0
+
+    @model_validator(mode="after")
+    def _solid(self) -> "CSG":
+        if _depth(self) > MAX_DEPTH:
+            raise ValueError(f"csg shapes may lie at most {MAX_DEPTH} deep in each other")
+        if not decomposed(self.operation, self.operands, self.sectors):
+            raise ValueError(f"csg {self.operation} leaves nothing")
+        bodies = count_bodies(self.operation, self.operands)
+        if bodies > 1:
+            raise ValueError(
+                f"csg {self.operation} falls into {bodies} solids that do not hang together; make "
+                f"each a shape of its own"
+            )
+        return self
+
+    def build_pieces(self) -> list[Piece]:
+        """Return the pieces of the decomposition."""
+        pieces = decomposed(self.operation, self.operands, self.sectors)
+        f = self.factor
+        if f == 1.0:
+            return list(pieces)
+        return [
+            Piece("mesh", vertices=tuple((x * f, y * f, z * f) for x, y, z in piece.vertices))
+            for piece in pieces
+        ]
+
+    def build_surface(self) -> tuple[NDArray, NDArray]:
+        """Return the surface of manifold3d's boolean."""
+        vertices, faces = boolean_surface(self.operation, self.operands)
+        return vertices * self.factor, np.array(faces)
+
 
 Shape = Annotated[
     Box
@@ -36,20 +108,8 @@ Shape = Annotated[
 Operand.model_rebuild(_types_namespace={"Shape": Shape})
 CSG.model_rebuild(_types_namespace={"Operand": Operand})
 
-__all__ = [
-    "CSG",
-    "Box",
-    "Capsule",
-    "Cylinder",
-    "Ellipsoid",
-    "Extrusion",
-    "HollowBox",
-    "Lathe",
-    "Mesh",
-    "Operand",
-    "Prism",
-    "RoundedBox",
-    "Shape",
-    "Sphere",
-    "Sweep",
-]
+
+def _depth(shape: BaseModel) -> int:
+    if not isinstance(shape, CSG):
+        return 0
+    return 1 + max(_depth(operand.shape) for operand in shape.operands)

@@ -8,7 +8,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from neoworld_mjx.spec import CSG, Box, Cylinder, HollowBox, Lathe, Operand, Shape, Sphere
 from neoworld_mjx.spec.convex import mass_properties, planes
-from neoworld_mjx.spec.csg import _tools
+from neoworld_mjx.spec.csg import convex_operands
 from neoworld_mjx.spec.triangles import corner_normals
 
 LYING = (1.0, 1.0, 0.0, 0.0)
@@ -68,7 +68,7 @@ def test_pieces_have_the_volume_of_manifolds_boolean(name: str):
     for operand in shape.operands:
         hulls = [
             manifold3d.Manifold.hull_points(np.ascontiguousarray(body.solid.corners))
-            for body, _ in _tools(operand, shape.sectors)
+            for body, _ in convex_operands(operand, shape.sectors)
         ]
         meshes.append(manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add))
     kinds = {"union": "Add", "difference": "Subtract", "intersection": "Intersect"}
