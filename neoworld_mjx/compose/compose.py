@@ -21,11 +21,10 @@ from ..spec import (
     SceneTree,
     TreeNode,
     bounds,
-    scale,
-    scaled_state,
     support_frame,
 )
-from ..spec.opening import matching_joint, parsed_state
+from ..spec.fit_to_box import BoxFit, fit_to_box
+from ..spec.opening import matching_joint
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
 from .inside import covers, entrance
 from .joint_friction import held
@@ -79,9 +78,12 @@ def compose(
     placed: dict[str, SceneObject] = {}
     scales: dict[str, float] = {}
     for node in tree.top_down():
-        state = _joint_state(node, objects[node.name], notes)
-        spec, scales[node.name], residual = rescaled(objects[node.name], node, state)
-        state = scaled_state(spec, state, scales[node.name])
+        fit = fit_to_box(objects[node.name], node)
+        notes += _unmatched_notes(node, fit)
+        spec, state = fit.scaled()
+        scales[node.name] = fit.factor
+        # An isotropic factor leaves this deviation of each edge from the parsed one.
+        residual = tuple((fit.factor / fit.ratio - 1.0).tolist())
         placed[node.name] = _place(node, tree, placed, spec, state, residual, notes)
         if options.settle:
             placed[node.name] = _settled(node, tree, placed, notes)
@@ -120,39 +122,15 @@ def snap(scene: SceneSpec, gap: float = 1e-4) -> SceneSpec:
     return scene.model_copy(update={"objects": tuple(objects)})
 
 
-def rescaled(
-    spec: ObjectSpec, node: TreeNode, state: dict[str, float]
-) -> tuple[ObjectSpec, float, tuple[float, float, float]]:
-    """Scale an object isotropically to its parsed box.
-
-    The factor is the geometric mean of the three ratios, which is the least-squares fit in log
-    space; what an isotropic factor cannot fit is returned per axis.
-
-    Args:
-        spec: the object as programmed.
-        node: its node in the tree.
-        state: how its joints stand, at the programmed size.
-
-    Returns:
-        The scaled object, the factor, and size over parsed size minus 1 along x, y, z.
-    """
-    low, high = bounds(spec, state)
-    ratio = np.array(node.box3d.size) / (high - low)
-    factor = float(np.exp(np.mean(np.log(ratio))))
-    residual = factor / ratio - 1.0
-    return scale(spec, factor), factor, tuple(residual.tolist())
-
-
-def _joint_state(node: TreeNode, spec: ObjectSpec, notes: list[str]) -> dict[str, float]:
-    state, left = parsed_state(spec, node)
-    names = ", ".join(j.name for j in spec.joints) or "none"
-    for part in left:
-        if part.opening > 0:
-            notes.append(
-                f"{node.name}: the parse shows {part.part} open by {part.opening:.0%}, but no "
-                f"joint of the program fits it (joints: {names}); composition left it closed"
-            )
-    return state
+def _unmatched_notes(node: TreeNode, fit: BoxFit) -> list[str]:
+    """Return a note for every part that is open in the photo and that no joint matches."""
+    names = ", ".join(joint.name for joint in fit.spec.joints) or "none"
+    return [
+        f"{node.name}: the parse shows {part.part} open by {part.opening:.0%}, but no "
+        f"joint of the program fits it (joints: {names}); composition left it closed"
+        for part in fit.unmatched
+        if part.opening > 0
+    ]
 
 
 def _place(

@@ -8,7 +8,14 @@ from PIL import Image
 
 from ..errors import ExportError
 from ..render.tiles import tile_png
-from ..spec import ObjectSpec, SceneObject, SceneSpec, link_poses, world_poses
+from ..spec import (
+    ObjectSpec,
+    SceneObject,
+    SceneSpec,
+    link_poses,
+    single_object_scene,
+    world_poses,
+)
 from ..spec.finish import finish
 from ..spec.pose import Pose, matrix
 from ..spec.triangles import corner_normals
@@ -23,7 +30,7 @@ def glb_bytes(scene: SceneSpec | ObjectSpec) -> bytes:
     import trimesh
 
     if isinstance(scene, ObjectSpec):
-        scene = SceneSpec(name=scene.name, objects=(SceneObject(name=scene.name, spec=scene),))
+        scene = single_object_scene(scene)
     # Names of objects have no hyphens, so these are free.
     base = f"{scene.name}-scene"
     result = trimesh.Scene(base_frame=base)

@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from ..measure import SidesShown
 from ..render import visible_surface
-from ..spec import ObjectSpec, SceneTree, TreeNode, bounds
-from ..spec.opening import parsed_state
+from ..spec import ObjectSpec, SceneTree, TreeNode
+from ..spec.fit_to_box import fit_to_box
 from .fit_tree import FitReport, fit_tree
 from .supports_by_picture import other_carriers, with_carriers
 from .wireframe import Wireframe, edges_of, hull_wireframe
@@ -53,11 +53,8 @@ def surface_of(spec: ObjectSpec, node: TreeNode) -> Wireframe:
 
     The object is scaled to the box as composition does it, and its joints are as parsed.
     """
-    state, _ = parsed_state(spec, node)
-    low, high = bounds(spec, state)
-    factor = float(np.exp(np.mean(np.log(np.array(node.box3d.size) / (high - low)))))
-    middle = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
-    vertices, triangles = visible_surface(spec, state)
-    points: Float[np.ndarray, "_ 3"] = factor * (vertices - middle)
+    fit = fit_to_box(spec, node)
+    vertices, triangles = visible_surface(spec, fit.state)
+    points: Float[np.ndarray, "_ 3"] = fit.factor * (vertices - fit.bottom_center)
     hull = hull_wireframe(points)
     return hull._replace(edges=edges_of(triangles)) if len(triangles) else hull

@@ -17,8 +17,8 @@ from scipy.optimize import least_squares
 
 from ..measure.boxes import footprint, polygon_area, shared_footprint, support_footprint, upright
 from ..physics.support import column, posed_pieces
-from ..spec import ObjectSpec, SceneObject, SceneTree, TreeNode, bounds, scale, scaled_state
-from ..spec.opening import parsed_state
+from ..spec import ObjectSpec, SceneObject, SceneTree, TreeNode
+from ..spec.fit_to_box import fit_to_box
 from ..spec.pose import from_yaw, matrix, pose, rotate
 from ..spec.tree import Relation
 from .fit_problem import CAMERA, FitProblem
@@ -152,16 +152,10 @@ class _Solid:
     """An object's collision shapes, scaled to its parsed box, as vertical columns in the world."""
 
     def __init__(self, node: TreeNode, spec: ObjectSpec) -> None:
-        state, _ = parsed_state(spec, node)
-        low, high = bounds(spec, state)
-        factor = float(np.exp(np.mean(np.log(np.array(node.box3d.size) / (high - low)))))
-        middle = factor * np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
-        item = SceneObject(
-            name=node.name,
-            spec=scale(spec, factor),
-            base_tilt=node.base_tilt,
-            joint_state=scaled_state(spec, state, factor),
-        )
+        fit = fit_to_box(spec, node)
+        middle = fit.factor * fit.bottom_center
+        scaled, state = fit.scaled()
+        item = SceneObject(name=node.name, spec=scaled, base_tilt=node.base_tilt, joint_state=state)
         x, y, z = node.box3d.position
         to = pose((x, y, 0.0), from_yaw(node.box3d.yaw)).then(pose(-rotate(node.base_tilt, middle)))
         self.pieces = [(piece, to.then(at)) for piece, at in posed_pieces(item)]

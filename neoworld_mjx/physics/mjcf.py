@@ -30,6 +30,7 @@ from ..spec import (
     is_too_light,
     joint_motion,
     joint_position,
+    single_object_scene,
     world_poses,
 )
 from ..spec.convex import Piece
@@ -76,7 +77,7 @@ def to_mjspec(
         A specification without files; the same input gives the same XML to the byte.
     """
     if isinstance(scene, ObjectSpec):
-        scene = SceneSpec(name=scene.name, objects=(SceneObject(name=scene.name, spec=scene),))
+        scene = single_object_scene(scene)
     model = mujoco.MjSpec()
     model.modelname = scene.name
     model.compiler.degree = False

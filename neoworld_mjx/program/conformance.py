@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ..checks.signals import Signal
-from ..spec import ObjectSpec, TreeNode, bounds
-from ..spec.opening import parsed_state
+from ..spec import ObjectSpec, TreeNode
+from ..spec.fit_to_box import fit_to_box
 
 PROPORTION_WARNS, PROPORTION_FAILS = 0.08, 0.25
 """Relative deviation of an edge from the parsed one, after the best uniform scale."""
@@ -19,10 +19,9 @@ SIZE_WARNS, SIZE_FAILS = 0.15, 1.0
 def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
     """Yield the differences between an object and its node of the parse."""
     # The parsed box contains parts that are open in the photo, so the object is opened, too.
-    state, _ = parsed_state(spec, node)
-    low, high = bounds(spec, state)
-    size, parsed_size = high - low, np.array(node.box3d.size)
-    factor = float(np.exp(np.mean(np.log(parsed_size / size))))
+    to_box = fit_to_box(spec, node)
+    size, parsed_size = to_box.high - to_box.low, np.array(node.box3d.size)
+    factor = to_box.factor
     edges = size * factor / parsed_size - 1
     worst = int(np.argmax(np.abs(edges)))
     if abs(edges[worst]) > PROPORTION_WARNS:

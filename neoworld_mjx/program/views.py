@@ -14,13 +14,11 @@ from ..spec import (
     Camera,
     ObjectSpec,
     SceneObject,
-    SceneSpec,
     TreeNode,
-    bounds,
-    scale,
-    scaled_state,
+    single_object_scene,
 )
-from ..spec.opening import parsed_state, with_prerequisites
+from ..spec.fit_to_box import fit_to_box
+from ..spec.opening import with_prerequisites
 from ..spec.pose import conjugate, from_yaw, quat_mul, rotate
 
 WIDTH, HEIGHT = 448, 384
@@ -141,7 +139,7 @@ def draw_in_place(
     view = View.through(camera, (x0, y0, x1, y1), WIDTH)
 
     def drawn() -> bytes:
-        image = render(SceneSpec(name=obj.name, objects=(obj,)), view)
+        image = render(single_object_scene(obj), view)
         canvas = np.array(image.color)
         if (x0, y0, x1, y1) != tuple(frame.round(1).tolist()):
             scale = view.width / (x1 - x0)
@@ -161,11 +159,9 @@ def _placed(spec: ObjectSpec, node: TreeNode) -> tuple[SceneObject, NDArray]:
 
     The vertices are in the world.
     """
-    state, _ = parsed_state(spec, node)
-    low, high = bounds(spec, state)
-    factor = float(np.exp(np.mean(np.log(np.array(node.box3d.size) / (high - low)))))
-    scaled, state = scale(spec, factor), scaled_state(spec, state, factor)
-    low, high = low * factor, high * factor
+    fit = fit_to_box(spec, node)
+    scaled, state = fit.scaled()
+    low, high = fit.low * fit.factor, fit.high * fit.factor
     offset = np.array([-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]])
     vertices = visible_vertices(scaled, state)
     lowest = rotate(node.base_tilt, vertices + offset)[:, 2].min()

@@ -7,7 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from ..spec import Camera, ObjectSpec, SceneObject, SceneSpec, bounds, link_poses, world_poses
+from ..spec import (
+    Camera,
+    ObjectSpec,
+    SceneObject,
+    SceneSpec,
+    bounds,
+    link_poses,
+    single_object_scene,
+    world_poses,
+)
 from .rendering import RenderedImage, render
 from .view import View
 
@@ -68,8 +77,9 @@ def render_object(
     if camera is None:
         points = visible_vertices(spec, obj.joint_state)
         camera = View.framing(points, width=width, height=height)
-    scene = SceneSpec(name=spec.name, objects=(obj,))
-    return render(scene, camera, width=width, height=height, supersample=supersample)
+    return render(
+        single_object_scene(obj), camera, width=width, height=height, supersample=supersample
+    )
 
 
 def visible_vertices(spec: ObjectSpec, joint_state: Mapping[str, float] | None = None) -> NDArray:

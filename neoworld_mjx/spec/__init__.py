@@ -16,7 +16,15 @@ from .mass import Inertial, inertial, is_too_light
 from .object import AuthoredInertia, GeomSpec, Material, ObjectSpec, PartSpec, Role, Site
 from .room import SupportOutline, SupportSurface
 from .scale import scale, scaled_state
-from .scene import SceneObject, SceneSpec, read_scene, rearranged, support_frame, world_poses
+from .scene import (
+    SceneObject,
+    SceneSpec,
+    read_scene,
+    rearranged,
+    single_object_scene,
+    support_frame,
+    world_poses,
+)
 from .shapes import (
     CSG,
     Box,
@@ -99,6 +107,7 @@ __all__ = [
     "recentred",
     "scale",
     "scaled_state",
+    "single_object_scene",
     "support_frame",
     "translated",
     "world_poses",

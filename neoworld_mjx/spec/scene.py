@@ -135,6 +135,12 @@ class SceneSpec(Spec):
         return f"{content},\n{derived}\n"
 
 
+def single_object_scene(item: SceneObject | ObjectSpec) -> SceneSpec:
+    """Return a scene that holds one object and has its name; an ObjectSpec stands at the origin."""
+    placed = SceneObject(name=item.name, spec=item) if isinstance(item, ObjectSpec) else item
+    return SceneSpec(name=item.name, objects=(placed,))
+
+
 def read_scene(path: Path) -> SceneSpec:
     """Read the scene of a run folder, or a scene.json.
 

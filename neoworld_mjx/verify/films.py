@@ -6,7 +6,7 @@ from ..checks.object_tests import Battery
 from ..checks.simulation import Trajectory
 from ..render.animation import encode_animation
 from ..render.flat_rendering import render_plain
-from ..spec import SceneSpec
+from ..spec import single_object_scene
 from .key_frames import posed_at, standard_runs, view_of_all
 
 WIDTH, HEIGHT = 240, 200
@@ -26,6 +26,6 @@ def _film(battery: Battery, run: Trajectory) -> bytes:
     steps = np.linspace(0, len(run.time) - 1, FRAMES).astype(int)
     poses = [posed_at(battery, run, int(k)) for k in steps]
     view = view_of_all(poses, WIDTH, HEIGHT)
-    frames = [render_plain(SceneSpec(name=each.name, objects=(each,)), view) for each in poses]
+    frames = [render_plain(single_object_scene(each), view) for each in poses]
     pause_ms = max(20, round(1000 * float(run.time[-1] - run.time[0]) / (FRAMES - 1)))
     return encode_animation(frames, pause_ms)

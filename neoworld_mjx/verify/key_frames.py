@@ -13,7 +13,7 @@ from ..checks.verdict import Check, Verdict
 from ..program.views import DescribedPicture
 from ..render import View, render_scene, to_png
 from ..render.scene_images import visible_vertices
-from ..spec import SceneObject, SceneSpec
+from ..spec import SceneObject, single_object_scene
 from ..spec.opening import prerequisite_state
 
 WIDTH, HEIGHT, BAND = 220, 200, 16
@@ -163,7 +163,7 @@ def _drawn(poses: list[SceneObject], titles: list[str]) -> bytes:
     sheet = Image.new("RGB", (WIDTH * len(poses), HEIGHT + BAND), "white")
     draw = ImageDraw.Draw(sheet)
     for k, (posed, title) in enumerate(zip(poses, titles, strict=True)):
-        scene = SceneSpec(name=posed.name, objects=(posed,))
+        scene = single_object_scene(posed)
         shot = to_png(render_scene(scene, view, width=WIDTH, height=HEIGHT, supersample=1))
         sheet.paste(Image.open(io.BytesIO(shot), formats=["PNG"]).convert("RGB"), (k * WIDTH, BAND))
         draw.text((k * WIDTH + 3, 2), title, fill="black")
