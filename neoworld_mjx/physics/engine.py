@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from .array_types import AnyArray
 from .layout import Poses
 from .model import SceneModel
 from .scene_arrays import SceneArrays
-from .support import Either
 
 
 class RolloutStatus(enum.IntEnum):
@@ -73,20 +73,20 @@ class EarlyStop(eqx.Module):
 class Rollout(eqx.Module):
     """Motion of every object and joint of every candidate; movable bases move, others do not."""
 
-    time: Float[Either, " time"]
+    time: Float[AnyArray, " time"]
     """Times of the records [s], without the start."""
-    pos: Float[Either, "pop time object 3"]
+    pos: Float[AnyArray, "pop time object 3"]
     """Object origins in the world [m]."""
-    quat: Float[Either, "pop time object 4"]
+    quat: Float[AnyArray, "pop time object 4"]
     """Rotations, w first."""
-    joint_shift: Float[Either, "pop time joint"]
+    joint_shift: Float[AnyArray, "pop time joint"]
     """Distance of each joint from its position at the start: [rad] for hinges and, as the angle of
     rotation, for balls; [m] for slides. Joints as in `StaticScene.joints`."""
-    status: Int[Either, " pop"]
+    status: Int[AnyArray, " pop"]
     """RolloutStatus of each candidate."""
     start: Poses
     """Where the candidates' objects were placed."""
-    steps: Int[Either, " pop"]
+    steps: Int[AnyArray, " pop"]
     """Steps that were simulated."""
 
 

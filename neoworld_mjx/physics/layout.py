@@ -11,7 +11,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..spec import SceneObject, SceneSpec, bounds
 from ..spec.pose import pose, quat_mul, yaw_of
-from .support import NOTHING, Either, Support, height_above, link_frame, nothing, support
+from .array_types import AnyArray
+from .support import NOTHING, Support, height_above, link_frame, nothing, support
 
 SNAPPED = 8192
 """Objects of all candidates that are snapped at once; each takes about 30 KB meanwhile."""
@@ -23,11 +24,11 @@ class Layout(eqx.Module):
     Zero is the composed scene. Applied in the order scale, yaw, translation, in parent frames.
     """
 
-    xy: Float[Either, "pop object 2"]
+    xy: Float[AnyArray, "pop object 2"]
     """Offset in the parent's frame [m]."""
-    yaw: Float[Either, "pop object"]
+    yaw: Float[AnyArray, "pop object"]
     """Offset of the yaw [rad]."""
-    log_scale: Float[Either, "pop object"]
+    log_scale: Float[AnyArray, "pop object"]
     """Log of the isotropic scale factor."""
 
     @classmethod
@@ -45,13 +46,13 @@ class Layout(eqx.Module):
 class Poses(eqx.Module):
     """World poses of all objects of the candidates, by `SceneModel.place`."""
 
-    pos: Float[Either, "pop object 3"]
+    pos: Float[AnyArray, "pop object 3"]
     """Origins [m]."""
-    quat: Float[Either, "pop object 4"]
+    quat: Float[AnyArray, "pop object 4"]
     """Rotations, tilt included, w first."""
-    scale: Float[Either, "pop object"]
+    scale: Float[AnyArray, "pop object"]
     """Isotropic scale factors."""
-    height: Float[Either, "pop object"]
+    height: Float[AnyArray, "pop object"]
     """Snapped height above the support frame's origin [m]; the `z` of a SceneObject."""
 
     def __getitem__(self, index: object) -> "Poses":
@@ -66,21 +67,21 @@ class Arrangement(NamedTuple):
     `SceneArrays` they are on the device in single precision.
     """
 
-    xy: Float[Either, "object 2"]
-    z: Float[Either, " object"]
-    yaw: Float[Either, " object"]
-    tilt: Float[Either, "object 4"]
-    frame_pos: Float[Either, "object 3"]
+    xy: Float[AnyArray, "object 2"]
+    z: Float[AnyArray, " object"]
+    yaw: Float[AnyArray, " object"]
+    tilt: Float[AnyArray, "object 4"]
+    frame_pos: Float[AnyArray, "object 3"]
     """Origin of the object's support frame in its parent's yaw frame, at the parent's size 1."""
-    frame_yaw: Float[Either, " object"]
-    parent: Int[Either, " object"]
+    frame_yaw: Float[AnyArray, " object"]
+    parent: Int[AnyArray, " object"]
     """Index of the parent; -1 for the world."""
-    ancestors: Float[Either, "object object"]
+    ancestors: Float[AnyArray, "object object"]
     """1 at [i, j] where j carries i, directly or not, or is i itself; else 0."""
-    snapped: Bool[Either, " object"]
+    snapped: Bool[AnyArray, " object"]
     support: Support
     """Stacked over objects."""
-    gap: Float[Either, ""]
+    gap: Float[AnyArray, ""]
     """Clearance left under a snapped object [m]."""
 
 
@@ -117,7 +118,7 @@ def arrange(scene: SceneSpec, *, reach: float = 1 / 3, gap: float = 1e-4) -> Arr
         ancestors=_ancestors(parent),
         snapped=np.array(snapped),
         support=jax.tree.map(lambda *rows: np.stack(rows), *tables),
-        gap=np.float64(gap),
+        gap=np.array(gap),
     )
 
 
@@ -176,7 +177,7 @@ def _map_candidates(one: Callable[..., Any], *candidates: Any) -> Any:
 
 
 def compose_poses(
-    arrangement: Arrangement, layouts: Layout, height: Float[Either, "pop object"], xp: Any = jnp
+    arrangement: Arrangement, layouts: Layout, height: Float[AnyArray, "pop object"], xp: Any = jnp
 ) -> Poses:
     """Chain support frames: an object is where the steps of all that carry it lead.
 
@@ -224,7 +225,7 @@ def _turn(yaw: Any, v: Any, xp: Any) -> Any:
     return xp.stack([x, y, xp.broadcast_to(v[..., 2], x.shape)], axis=-1)
 
 
-def rotation(quat: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3 3"]:
+def rotation(quat: Float[AnyArray, "*batch 4"]) -> Float[Array, "*batch 3 3"]:
     """Turn unit quaternions into rotation matrices."""
     w, x, y, z = jnp.moveaxis(quat, -1, 0)
     rows = [

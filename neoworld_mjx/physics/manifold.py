@@ -10,12 +10,13 @@ is one pass without branches, for `jax.vmap`. Of 1 464 random pairs that overlap
 is missed; an ellipsoid beside an edge may touch it some millimetres early.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .array_types import AnyArray
 from .solids import Solids
 
 POINTS = 4
@@ -77,12 +78,12 @@ def manifold(one: PosedSolid, two: PosedSolid, ellipsoids: bool = True) -> Manif
     return _spread(pos, jnp.where(gap < 0, depth, -1.0), weight, normal)
 
 
-def _dot(a: Array, b: Array) -> Array:
+def _dot(a: AnyArray, b: AnyArray) -> Any:
     # Neither a matrix product, which may be TF32, nor a reduction, which fuses with less.
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
 
 
-def _world(p: PosedSolid, x: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+def _world(p: PosedSolid, x: Float[AnyArray, "*n 3"]) -> Float[Array, "*n 3"]:
     """Take points of a solid's frame at scale 1 to the world."""
     return p.pos + _dot(p.rot, x[..., None, :]) * p.scale
 

@@ -14,8 +14,9 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
+from .array_types import AnyArray
 from .engine import EarlyStop, Rollout, RolloutStatus, record_steps
-from .layout import Either, Poses
+from .layout import Poses
 from .model import MESH, SceneModel, StaticScene
 from .model_fields import mesh_object, model_fields, owner_scale
 from .recorder import Recorder, in_chunks
@@ -129,7 +130,7 @@ def open_batch(
 def model_ring(
     scene: SceneModel,
     fields: dict[str, np.ndarray],
-    scale: Either,
+    scale: AnyArray,
     ring: list[mujoco.MjModel] | None = None,
 ) -> list[mujoco.MjModel]:
     """Write each candidate into its own copy of the scene's model, meshes included.

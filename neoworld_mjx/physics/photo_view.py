@@ -7,8 +7,8 @@ from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 
 from ..spec import Camera, ObjectSpec, SceneSpec, world_poses
+from .array_types import AnyArray
 from .sampling import surface_samples
-from .support import Either
 
 SAMPLES = 256
 """Surface samples that give the 2D box of an object without a parsed one."""
@@ -23,28 +23,28 @@ SIDE_GAP = 0.03
 class PhotoView(NamedTuple):
     """The photograph's camera, boxes and depths, by object."""
 
-    axes: Float[Either, "3 3"]
+    axes: Float[AnyArray, "3 3"]
     """Columns are the camera's right, down and forward axes in the world."""
-    position: Float[Either, " 3"]
+    position: Float[AnyArray, " 3"]
     """[m]"""
-    focal: Float[Either, ""]
+    focal: Float[AnyArray, ""]
     """[px]"""
-    half_size: Float[Either, " 2"]
+    half_size: Float[AnyArray, " 2"]
     """Half the picture's width and height [px]."""
-    boxes: Float[Either, "object 4"]
+    boxes: Float[AnyArray, "object 4"]
     """2D boxes: left, top, right, bottom from the middle of the picture [px]."""
-    parsed: Bool[Either, " object"]
+    parsed: Bool[AnyArray, " object"]
     """Whether a box was parsed, so that it is of what is visible; others are of whole objects."""
-    sides: Bool[Either, "object 4"]
+    sides: Bool[AnyArray, "object 4"]
     """Sides of boxes where the object itself ends: not cut by the picture's border, and not where
     a nearer object's box hides the rest of one that is partly hidden."""
-    depth: Float[Either, " object"]
+    depth: Float[AnyArray, " object"]
     """Distance along the view [m]."""
-    judged: Bool[Either, " object"]
+    judged: Bool[AnyArray, " object"]
     """True for objects that count, which are all but environment supports."""
-    whole: Bool[Either, " object"]
+    whole: Bool[AnyArray, " object"]
     """True for objects of which the photograph shows all."""
-    hides: Bool[Either, " object"]
+    hides: Bool[AnyArray, " object"]
     """True for objects that hide what is behind them; one of glass alone does not."""
 
 
@@ -74,7 +74,7 @@ def photo_view(spec: SceneSpec) -> PhotoView:
     return PhotoView(
         axes=camera.axes(),
         position=camera.position(),
-        focal=np.float64(camera.focal),
+        focal=np.array(camera.focal),
         half_size=middle[:2],
         boxes=boxes,
         parsed=np.array(parsed),

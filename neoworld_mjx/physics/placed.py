@@ -16,9 +16,9 @@ from jaxtyping import Array, Float
 from neoworld_kernels import pair_depth
 
 from ..traces import kept
+from .array_types import AnyArray
 from .layout import Layout, Poses, rotation
 from .scene_arrays import SceneArrays
-from .support import Either
 from .visibility import Visible, as_parsed, unhidden, visibility
 
 CHUNK = 16
@@ -31,10 +31,10 @@ class Placed(eqx.Module):
     """Candidates where their layouts put them."""
 
     poses: Poses
-    depth: Float[Either, "pop object object"]
+    depth: Float[AnyArray, "pop object object"]
     """Of `pair_depths` [m]."""
     visible: Visible
-    settled: Float[Either, "pop object"]
+    settled: Float[AnyArray, "pop object"]
     """How far each object has come to rest from where its layout put it, in units of the bounds of
     `settled_by`; 0 where nothing settled."""
 
@@ -54,7 +54,8 @@ def pair_depths(scene: SceneArrays, poses: Poses) -> Float[Array, "pop object ob
     Measured on the canonical colliders at the placed poses; zero between environment supports.
     """
     turn = rotation(poses.quat)
-    depth = pair_depth(poses.pos, turn, poses.scale, scene.samples, scene.colliders)
+    pos, scale, samples = map(jnp.asarray, (poses.pos, poses.scale, scene.samples))
+    depth = pair_depth(pos, turn, scale, samples, scene.colliders)
     return jnp.where(scene.pair_mask, depth, 0.0)
 
 
@@ -71,7 +72,7 @@ def _look(scene: SceneArrays, poses: Poses) -> tuple[Float[Array, "pop object ob
 
 def looked_at(
     scene: SceneArrays, poses: Poses
-) -> tuple[Float[Either, "pop object object"], Visible]:
+) -> tuple[Float[AnyArray, "pop object object"], Visible]:
     """Measure depths and what the camera sees of candidates; may be vmapped."""
     return _kept_look(scene, poses)
 
@@ -114,7 +115,7 @@ def come_to_rest(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
 
 def settled_by(
     scene: SceneArrays, start: Poses, end: Poses, xp: Any = jnp
-) -> Float[Either, "pop object"]:
+) -> Float[AnyArray, "pop object"]:
     """Return how far objects have settled, in units of UP, SIDEWAYS and DOWN; 1 is at a bound.
 
     Beyond it an object lies where the photograph does not show it: it has toppled or fallen off. A

@@ -13,9 +13,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from neoworld_kernels import SPARE, Colliders, PieceGroup
 
+from .array_types import AnyArray
 from .layout import Arrangement, Layout, Poses, heights, place
 from .photo_view import PhotoView
-from .support import Either, nothing
+from .support import nothing
 
 FAR = 1e4
 """How far below the scene padded objects lie [m]."""
@@ -29,29 +30,29 @@ class SceneArrays(eqx.Module):
 
     arrangement: Arrangement
     """What placing depends on, in single precision."""
-    samples: Float[Either, "object sample 3"]
+    samples: Float[AnyArray, "object sample 3"]
     """Surface points in object frames [m]."""
-    outline: Float[Either, "object point 3"]
+    outline: Float[AnyArray, "object point 3"]
     """Points of each object's convex hull that reach farthest in directions all around [m]."""
-    round: Bool[Either, " object"]
+    round: Bool[AnyArray, " object"]
     """Objects that look the same however they are turned about their frame's z axis."""
     colliders: Colliders
     """Canonical colliders in object frames."""
     photo: PhotoView
     """Camera, boxes and depths of the photograph."""
-    optimised: Bool[Either, " object"]
+    optimised: Bool[AnyArray, " object"]
     """Objects that the search moves: all but environment supports."""
-    movable: Bool[Either, " object"]
+    movable: Bool[AnyArray, " object"]
     """Objects whose base is free."""
-    diagonal: Float[Either, " object"]
+    diagonal: Float[AnyArray, " object"]
     """Horizontal bounding-box diagonal [m]."""
-    corners: Float[Either, "object 8 3"]
+    corners: Float[AnyArray, "object 8 3"]
     """Corners of each object's box in its frame, as posed [m]."""
-    pair_mask: Bool[Either, "object object"]
+    pair_mask: Bool[AnyArray, "object object"]
     """Pairs that can penetrate by a layout's fault: not both environment supports."""
-    joint_object: Int[Either, " joint"]
+    joint_object: Int[AnyArray, " joint"]
     """Object of each joint, free bases left out."""
-    joint_slides: Bool[Either, " joint"]
+    joint_slides: Bool[AnyArray, " joint"]
     """Whether each joint slides, so that its shift is in m and not in rad."""
 
     @property

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from ..errors import EngineError
-from .support import Either
+from .array_types import AnyArray
 
 CORNERS, SIDES = 8, 12
 """Corners of the ring that stands for a cylinder's edge where contacts are placed, and faces of its
@@ -29,28 +29,28 @@ class Solids(NamedTuple):
     sphere is a point and radii, a cylinder a segment and a disc.
     """
 
-    vert: Float[Either, "*solid vert 3"]
+    vert: Float[AnyArray, "*solid vert 3"]
     """Corners; rows repeat the first one where there are fewer."""
-    edge: Float[Either, "*solid edge 2 3"]
+    edge: Float[AnyArray, "*solid edge 2 3"]
     """Ends of the edges that contacts are looked for along."""
-    plane: Float[Either, "*solid face 4"]
+    plane: Float[AnyArray, "*solid face 4"]
     """Outward normals and offsets of the faces; a normal of zero stands for no face."""
-    disc: Float[Either, "*solid"]
+    disc: Float[AnyArray, "*solid"]
     """Radius of a cylinder; its edges and planes may be turned about its axis."""
-    radii: Float[Either, "*solid 3"]
+    radii: Float[AnyArray, "*solid 3"]
     """Semi-axes of what a sphere, a capsule or an ellipsoid adds around its core."""
-    core: Float[Either, "*solid 2 3"]
+    core: Float[AnyArray, "*solid 2 3"]
     """Ends of the segment in the middle: a cylinder's or capsule's axis, or twice the centre."""
 
 
 class GeomPairs(NamedTuple):
     """Pairs of geoms that may touch, and the contact parameters that MuJoCo gives them."""
 
-    first: Int[Either, " pair"]
-    second: Int[Either, " pair"]
-    friction: Float[Either, "pair 5"]
-    solref: Float[Either, "pair 2"]
-    solimp: Float[Either, "pair 5"]
+    first: Int[AnyArray, " pair"]
+    second: Int[AnyArray, " pair"]
+    friction: Float[AnyArray, "pair 5"]
+    solref: Float[AnyArray, "pair 2"]
+    solimp: Float[AnyArray, "pair 5"]
 
 
 def geom_solids(m: mujoco.MjModel) -> Solids:
@@ -149,7 +149,7 @@ def _point() -> Solids:
         vert=zero,
         edge=np.zeros((1, 2, 3)),
         plane=np.zeros((1, 4)),
-        disc=np.float64(0.0),
+        disc=np.zeros(()),
         radii=np.zeros(3),
         core=np.zeros((2, 3)),
     )
@@ -166,7 +166,7 @@ def _cylinder(radius: float, half: float) -> Solids:
         vert=np.stack([-up, up]),
         edge=np.concatenate([around(low), around(high), np.stack([low, high], axis=1)]),
         plane=np.concatenate([np.column_stack([out(SIDES), np.full(SIDES, radius)]), caps]),
-        disc=np.float64(radius),
+        disc=np.array(radius),
         radii=np.zeros(3),
         core=np.stack([-up, up]),
     )
@@ -199,7 +199,7 @@ def _polytope(points: NDArray) -> Solids:
         vert=points[used],
         edge=points[np.array(edges)],
         plane=np.column_stack([stacked[:, :3], offset]),
-        disc=np.float64(0.0),
+        disc=np.zeros(()),
         radii=np.zeros(3),
         core=np.stack([centre, centre]),
     )

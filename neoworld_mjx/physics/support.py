@@ -5,7 +5,7 @@ upper side of its support are functions of two coordinates that can be tabulated
 as points, the support as a grid of heights. Snapping a population is then a gather and a maximum.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..spec import SceneObject, SceneSpec, Shape, link_poses
 from ..spec.convex import Piece, planes
 from ..spec.pose import Pose, conjugate, from_yaw, pose, rotate, yaw_of
+from .array_types import AnyArray
 
 GRID = 160
 """Cells along each side of a support's height grid."""
@@ -35,23 +36,19 @@ NOTHING = -1e3
 """Height [m] where a support has no surface."""
 
 
-Either = Any
-"""JAX arrays, or NumPy arrays on the host."""
-
-
 class Support(NamedTuple):
     """The surface under one object, at the support's size 1 and in its support frame.
 
     A row of the stacked tables has the same fields with a leading [object] axis.
     """
 
-    heights: Float[Either, "GRID GRID"]
+    heights: Float[AnyArray, "GRID GRID"]
     """Upper surface [m] at grid points, x first; NOTHING where there is none."""
-    origin: Float[Either, " 2"]
+    origin: Float[AnyArray, " 2"]
     """Grid point (0, 0) [m]."""
-    cell: Float[Either, ""]
+    cell: Float[AnyArray, ""]
     """Spacing of grid points [m]."""
-    foot: Float[Either, "FOOT 3"]
+    foot: Float[AnyArray, "FOOT 3"]
     """The child's underside in its own tilted frame [m]; unused rows lie at +inf height."""
 
 
@@ -294,7 +291,10 @@ def nothing() -> Support:
     foot = np.zeros((FOOT, 3), np.float32)
     foot[:, 2] = np.inf
     return Support(
-        np.full((GRID, GRID), NOTHING, np.float32), np.zeros(2, np.float32), np.float32(1), foot
+        np.full((GRID, GRID), NOTHING, np.float32),
+        np.zeros(2, np.float32),
+        np.ones((), np.float32),
+        foot,
     )
 
 

@@ -23,6 +23,7 @@ from neoworld_kernels.first_hits import (
     round_rows,
 )
 
+from .array_types import AnyArray
 from .layout import Poses, rotation
 from .photo_view import PhotoView
 from .scene_arrays import SceneArrays
@@ -89,7 +90,7 @@ def outlines(scene: SceneArrays, poses: Poses) -> Outlines:
     turn = dot([axis[:, None] for axis in v.axes], [turn[..., None, i, :] for i in range(3)])
     shift = dot(v.axes, [gap[..., None, i] for i in range(3)])
 
-    def project(points: Array) -> tuple[Array, Array, Array]:
+    def project(points: AnyArray) -> tuple[Array, Array, Array]:
         apart = [points[..., j] for j in range(3)]
         x, y, z = (
             dot([turn[..., None, k, j] for j in range(3)], apart) + shift[..., None, k]
@@ -151,7 +152,7 @@ def _prepared(scene: SceneArrays, poses: Poses) -> _Prepared:
     rot = jnp.stack([dot(axis, [turn[..., i, :] for i in range(3)]) for axis in v.axes.T], axis=2)
     pos = jnp.stack([dot(axis, [gap[..., i] for i in range(3)]) for axis in v.axes.T], axis=2)
     placed = ObjectPoses(
-        jnp.transpose(pos, (1, 2, 0)), jnp.transpose(rot, (1, 2, 3, 0)), poses.scale.T
+        jnp.transpose(pos, (1, 2, 0)), jnp.transpose(rot, (1, 2, 3, 0)), jnp.asarray(poses.scale).T
     )
     families = [rows(scene.colliders) for rows in (flat_rows, round_rows)]
     boxes = [picture_boxes(placed, f.owner, f.pos, f.rot, f.extent) for f in families]
@@ -197,7 +198,7 @@ def _visible(scene: SceneArrays, poses: Poses, seen: Outlines) -> Visible:
     low, high = jnp.tile(border[:2], 2)[:, None], jnp.tile(border[2:], 2)[:, None]
     least = _least_inverse_depth(prepared, scene.count)
     grid = jnp.asarray(_grid())
-    order, number = true_indices(scene.photo.judged)
+    order, number = true_indices(jnp.asarray(scene.photo.judged))
     pop = poses.scale.shape[0]
     start = (
         jnp.zeros((scene.count, 4, pop)),

@@ -15,9 +15,9 @@ from jaxtyping import Array, Bool, Float, Int, Integer
 
 from ..config import RefineOptions
 from ..errors import ConfigError
+from ..physics.array_types import AnyArray
 from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays, on_device
-from ..physics.support import Either
 from ..traces import kept
 from .cem import elite_count, elite_rows, initial_sigma
 from .credit import assigned_credit, contact_components
@@ -148,7 +148,7 @@ def ask(
     scene: SceneArrays,
     problem: Problem,
     state: SearchState,
-    seed: Integer[Either, ""],
+    seed: Integer[AnyArray, ""],
     population: int,
 ) -> Layout:
     """Draw the population of an iteration; `seed` is the run's."""
@@ -161,7 +161,7 @@ def propose(
     scene: SceneArrays,
     problem: Problem,
     state: SearchState,
-    seed: Integer[Either, ""],
+    seed: Integer[AnyArray, ""],
     population: int,
     projection: tuple[int, float, int] | None,
 ) -> Layout:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from ..config import CEMOptions
+from ..physics.array_types import AnyArray
 from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays, on_device
 
@@ -64,10 +65,10 @@ class CEM(eqx.Module):
         self,
         state: CEMState,
         layouts: Layout,
-        reward: Float[Array, " pop"],
+        reward: Float[AnyArray, " pop"],
         *,
-        absolute: Float[Array, " pop"] | None = None,
-        credit: Float[Array, "pop object"] | None = None,
+        absolute: Float[AnyArray, " pop"] | None = None,
+        credit: Float[AnyArray, "pop object"] | None = None,
     ) -> CEMState:
         """Fit the Gaussian to the top-K candidates.
 
@@ -124,7 +125,9 @@ def elite_count(elite_ratio: float, population: int) -> int:
     return max(1, round(elite_ratio * population))
 
 
-def elite_rows(reward: Float[Array, " pop"], elites: int) -> tuple[Array, Float[Array, " elite"]]:
+def elite_rows(
+    reward: Float[AnyArray, " pop"], elites: int
+) -> tuple[Array, Float[Array, " elite"]]:
     """Return the best candidates in order, and a weight of 0 for those that are not finite."""
     reward = jnp.where(jnp.isfinite(reward), reward, -jnp.inf)
     # A stable sort, so that equal rewards are taken in the order of the population.

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Key
 
 from ..config import CEMOptions
 from ..errors import EngineError
+from ..physics.array_types import AnyArray
 from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays
 from .cem import initial_sigma
@@ -50,10 +51,10 @@ class CMAES(eqx.Module):
         self,
         state: tuple[Layout, Any],
         layouts: Layout,
-        reward: Float[Array, " pop"],
+        reward: Float[AnyArray, " pop"],
         *,
-        absolute: Float[Array, " pop"] | None = None,
-        credit: Float[Array, "pop object"] | None = None,
+        absolute: Float[AnyArray, " pop"] | None = None,
+        credit: Float[AnyArray, "pop object"] | None = None,
     ) -> tuple[Layout, Any]:
         """Adapt mean, step size and covariance to the absolute rewards, which never saturate."""
         del credit

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..config import CEMOptions
+from ..physics.array_types import AnyArray
 from ..physics.layout import Layout, compose_poses
 from ..physics.scene_arrays import SceneArrays
 
@@ -48,8 +49,8 @@ def contact_components(
 
 
 def assigned_credit(
-    credit: Float[Array, "pop object"],
-    reward: Float[Array, " pop"],
+    credit: Float[AnyArray, "pop object"],
+    reward: Float[AnyArray, " pop"],
     components: Float[Array, "object object"],
     by_object: bool | Bool[Array, ""] = True,
 ) -> Float[Array, "pop object"]:

@@ -343,14 +343,20 @@ def _finalists(round_: Round, o: RefineOptions) -> Round:
     """Keep the candidates of an iteration that may be among the best `finalists` of all."""
     host: Round = jax.tree.map(np.asarray, round_)
     scores = host.scores
-    best = best_first(scores.valid, scores.fidelity, scores.absolute)[: o.finalists]
+    order = best_first(*map(np.asarray, (scores.valid, scores.fidelity, scores.absolute)))
+    best = order[: o.finalists]
     # Sorted, as equal ones are taken in the order of the population.
     return jax.tree.map(lambda x: x[np.sort(best)], host)
 
 
 def _summary(scores: Scores) -> dict[str, Any]:
     host: Scores = jax.tree.map(np.asarray, scores)
-    values = {"absolute": host.absolute, "valid": host.valid, "status": host.status, **host.terms}
+    values: dict[str, Any] = {
+        "absolute": host.absolute,
+        "valid": host.valid,
+        "status": host.status,
+        **host.terms,
+    }
     return iteration_summary(values, list(host.terms))
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -13,12 +13,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..config import RefineOptions
 from ..errors import ConfigError, choices
+from ..physics.array_types import AnyArray
 from ..physics.engine import Rollout, RolloutStatus, record_steps, unmoved
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
 from ..physics.placed import Placed, placed
 from ..physics.scene_arrays import SceneArrays
-from ..physics.support import Either
 from ..physics.visibility import Visible, as_parsed
 from .rewards import (
     Drift,
@@ -114,7 +114,7 @@ def open_objective(
     options: RefineOptions,
     origin: Layout | None = None,
     terms: Sequence[Term] = (),
-    share: Float[Either, " object"] | None = None,
+    share: Float[AnyArray, " object"] | None = None,
 ) -> Objective:
     """Build the objective from options.
 
@@ -252,41 +252,41 @@ class Placement(eqx.Module):
     """Candidates where their layouts put them, and what is known of them before physics."""
 
     poses: Poses
-    depth: Float[Either, "pop object object"]
+    depth: Float[AnyArray, "pop object object"]
     """Of `pair_depths` [m]."""
     visible: Visible
     """What the camera sees."""
     values: dict[str, TermValue]
     """Of the terms that do not depend on physics."""
-    bound: Float[Either, " pop"]
+    bound: Float[AnyArray, " pop"]
     """Upper bound of the reward under `fixed` normalisation; -inf where it is not finite."""
-    box_error: Float[Either, "pop object"]
+    box_error: Float[AnyArray, "pop object"]
     """How far each object's box is off the photograph's, in units of the noise; see `semantic`."""
-    settled: Float[Either, "pop object"]
+    settled: Float[AnyArray, "pop object"]
     """Of `Placed`."""
 
 
 class Scores(eqx.Module):
     """What an iteration's candidates are judged by."""
 
-    terms: dict[str, Float[Either, " pop"]]
+    terms: Mapping[str, Float[AnyArray, " pop"]]
     """Every term's value by name; NaN for terms of candidates that were not rolled out."""
-    valid: Bool[Either, " pop"]
+    valid: Bool[AnyArray, " pop"]
     """No pair deeper than max_depth, no object past the stability bounds."""
-    status: Int[Either, " pop"]
+    status: Int[AnyArray, " pop"]
     """RolloutStatus; FAILED also where a term is not finite."""
-    reward: Float[Either, " pop"]
+    reward: Float[AnyArray, " pop"]
     """As Algorithm 1 ranks; -inf for failed and pruned candidates."""
-    absolute: Float[Either, " pop"]
+    absolute: Float[AnyArray, " pop"]
     """With fixed scales, comparable between iterations; -inf for failed and pruned candidates."""
-    fidelity: Float[Either, " pop"]
+    fidelity: Float[AnyArray, " pop"]
     """The absolute reward without D_pen and D_drift, which a valid candidate holds by its bounds,
     but less for how far it has settled; -inf for failed and pruned candidates."""
-    drift: Float[Either, "pop object"]
+    drift: Float[AnyArray, "pop object"]
     """Each object's largest drift in units of the stability bounds; NaN where pruned."""
-    depth: Float[Either, "pop object"]
+    depth: Float[AnyArray, "pop object"]
     """Each object's deepest pair [m]; NaN where pruned."""
-    credit: Float[Either, "pop object"] | None
+    credit: Float[AnyArray, "pop object"] | None
     """The reward by objects, with fixed normalisation; None where a term has no such share."""
 
 
@@ -389,7 +389,7 @@ def evaluate(
     )
 
 
-def contribution(term: Term, value: Array, alive: Array, normalisation: str) -> Array:
+def contribution(term: Term, value: AnyArray, alive: Array, normalisation: str) -> Array:
     """Return what a term adds to the reward: its weight times its normalised value.
 
     `fixed` is min(value / cap, 1). `iteration` maps the term's range over this iteration's
@@ -413,7 +413,7 @@ def contribution(term: Term, value: Array, alive: Array, normalisation: str) -> 
     return term.weight * unit
 
 
-def absolute_contribution(term: Term, value: Float[Array, " pop"]) -> Float[Array, " pop"]:
+def absolute_contribution(term: Term, value: Float[AnyArray, " pop"]) -> Float[AnyArray, " pop"]:
     """Return what a term adds to the absolute reward, which compares iterations.
 
     value / (value + scale) never saturates: half the weight is lost at the scale. A term without a

@@ -7,6 +7,7 @@ import equinox as eqx
 from jaxtyping import Array, Float, Key
 
 from ..config import CEMOptions
+from ..physics.array_types import AnyArray
 from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays
 from .cem import CEM, draw, initial_sigma, open_cem
@@ -35,10 +36,10 @@ class Optimizer(Protocol):
         self,
         state: Any,
         layouts: Layout,
-        reward: Float[Array, " pop"],
+        reward: Float[AnyArray, " pop"],
         *,
-        absolute: Float[Array, " pop"] | None = None,
-        credit: Float[Array, "pop object"] | None = None,
+        absolute: Float[AnyArray, " pop"] | None = None,
+        credit: Float[AnyArray, "pop object"] | None = None,
     ) -> Any:
         """Return the state after a population was evaluated.
 
@@ -68,7 +69,7 @@ class RandomSearch(eqx.Module):
         """Draw a population; `key` is consumed."""
         return draw(key, state, self.sigma, population)
 
-    def tell(self, state: Layout, layouts: Layout, reward: Array, **_: Any) -> Layout:
+    def tell(self, state: Layout, layouts: Layout, reward: AnyArray, **_: Any) -> Layout:
         """Learn nothing."""
         return state
 

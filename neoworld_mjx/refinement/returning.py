@@ -19,13 +19,13 @@ from jaxtyping import Bool
 
 from ..config import RefineOptions
 from ..measure import SceneMeasure, measured, passes, seen_box_iou
+from ..physics.array_types import AnyArray
 from ..physics.exact import snap_exactly
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..physics.placed import CHUNK, at_rest_in_chunks, placed_in_chunks
 from ..physics.scene_arrays import SceneArrays, pad_objects, pad_scene
 from ..physics.settling import at_rest
-from ..physics.support import Either
 from ..physics.visibility import Visible
 from ..spec import SceneSpec
 from .choosing import Chosen, choose, moved_away, world_pose
@@ -301,7 +301,7 @@ def _mixed(
 ) -> Layout:
     """Move parts of a group's layout by a share of the way back to the start."""
 
-    def mix(a: Either, b: Either) -> np.ndarray:
+    def mix(a: AnyArray, b: AnyArray) -> np.ndarray:
         a, b = np.asarray(a), np.asarray(b)
         mask = group.reshape(1, -1, *[1] * (a.ndim - 2))
         return np.where(mask, (1 - share) * a + share * b, a).astype(a.dtype)

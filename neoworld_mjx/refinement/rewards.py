@@ -16,12 +16,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..errors import ConfigError
+from ..physics.array_types import AnyArray
 from ..physics.engine import Rollout
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..physics.placed import pair_depths
 from ..physics.scene_arrays import SceneArrays
-from ..physics.support import Either
 from ..physics.visibility import Visible, visibility
 from ..spec.pose import angle_between
 from .semantic import semantic_score
@@ -34,11 +34,11 @@ __all__ = ["Term", "TermValue", "d_drift", "d_pen", "drifts", "s_sem"]
 class TermValue(eqx.Module):
     """A term's value of every candidate, with what a plain array does not say."""
 
-    value: Float[Either, " pop"]
+    value: Float[AnyArray, " pop"]
     """What the history keeps."""
-    charged: Float[Either, " pop"]
+    charged: Float[AnyArray, " pop"]
     """What enters the reward: the value without the part that costs nothing."""
-    by_object: Float[Either, "pop object"] | None = None
+    by_object: Float[AnyArray, "pop object"] | None = None
     """The same of each object, for credit assignment; None where it cannot be told."""
 
 
@@ -91,26 +91,26 @@ class Term(eqx.Module):
 class MeasuredRollout(Rollout):
     """A rollout beside what is known of its start, which terms share."""
 
-    depth: Float[Either, "pop object object"]
+    depth: Float[AnyArray, "pop object object"]
     """Of `pair_depths`, at the placed poses [m]."""
     visible: Visible
     """What the camera sees of the placed candidates."""
-    settled: Float[Either, "pop object"]
+    settled: Float[AnyArray, "pop object"]
     """Of `Placed`."""
 
 
 def measured_rollout(
     rollout: Rollout,
-    depth: Float[Either, "pop object object"],
+    depth: Float[AnyArray, "pop object object"],
     visible: Visible,
-    settled: Float[Either, "pop object"],
+    settled: Float[AnyArray, "pop object"],
 ) -> MeasuredRollout:
     """Put what is known of the placed candidates beside their rollout; see `Placed`."""
     fields = {name: getattr(rollout, name) for name in Rollout.__dataclass_fields__}
     return MeasuredRollout(**fields, depth=depth, visible=visible, settled=settled)
 
 
-def deeper(depth: Float[Array, "pop object object"]) -> Float[Array, "pop object object"]:
+def deeper(depth: Float[AnyArray, "pop object object"]) -> Float[Array, "pop object object"]:
     """Take the deeper of a pair's two directions."""
     return jnp.maximum(depth, jnp.swapaxes(depth, 1, 2))
 
@@ -178,7 +178,7 @@ class Prior(eqx.Module):
     """Deviations of xy (over each object's diagonal), yaw [rad] and log scale."""
     origin: Layout | None = None
     """The initial layout, pop axis of length 1; None is the composed scene."""
-    share: Float[Array, " object"] | None = None
+    share: Float[AnyArray, " object"] | None = None
     """Of the deviations of yaw and log scale, by object; None is 1."""
 
     def __call__(self, scene: SceneArrays, layouts: Layout, rollout: Rollout | None) -> TermValue:

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..physics.array_types import AnyArray
 from ..physics.layout import Poses
 from ..physics.scene_arrays import SceneArrays
-from ..physics.support import Either
 from ..physics.visibility import Outlines, Visible, outlines
 
 NOISE = 0.02
@@ -112,7 +112,7 @@ def _score(error: Array, tolerance: float) -> Array:
     return jnp.clip(1.0 - rounded / (np.hypot(tolerance, NOISE) - NOISE), 0.0, 1.0)
 
 
-def reprojection_error(scene: SceneArrays, poses: Poses) -> Float[Array, " pop"]:
+def reprojection_error(scene: SceneArrays, poses: Poses) -> Float[AnyArray, " pop"]:
     """Return the squared distance of projected boxes from the photograph's, in units of its noise.
 
     Differentiable; beyond three units it grows linearly (Huber), as a parsed box may be plainly
@@ -121,7 +121,7 @@ def reprojection_error(scene: SceneArrays, poses: Poses) -> Float[Array, " pop"]
     return boxes_off(scene, outlines(scene, poses))
 
 
-def boxes_off(scene: SceneArrays, shown: Outlines, xp: Any = jnp) -> Float[Either, " pop"]:
+def boxes_off(scene: SceneArrays, shown: Outlines, xp: Any = jnp) -> Float[AnyArray, " pop"]:
     """Return `reprojection_error` of known outlines; `xp` is `numpy` on the host."""
     off = xp.abs(_box_sides(scene, shown, xp))
     huber = xp.where(off < 3.0, off**2 / 2, 3.0 * (off - 1.5))
@@ -137,7 +137,9 @@ def box_error(scene: SceneArrays, shown: Outlines) -> Float[Array, "pop object"]
     return jnp.max(jnp.abs(_box_sides(scene, shown)), axis=-1)
 
 
-def _box_sides(scene: SceneArrays, shown: Outlines, xp: Any = jnp) -> Float[Either, "pop object 4"]:
+def _box_sides(
+    scene: SceneArrays, shown: Outlines, xp: Any = jnp
+) -> Float[AnyArray, "pop object 4"]:
     v = scene.photo
     boxes, sides, judged = (xp.asarray(x) for x in (v.boxes, v.sides, v.judged))
     off = xp.asarray(shown.boxes) - boxes
