@@ -10,9 +10,10 @@ from neoworld_bench.machine import machine
 
 from benchmarks.suites import Frames
 from neoworld_mjx.config import Config
-from neoworld_mjx.viewer.local_server import address, close_server, open_server
-from neoworld_mjx.viewer.scene_viewer import SceneViewer
-from neoworld_mjx.viewer.view_target import open_target
+from neoworld_mjx.pipeline import rebuild, search_again
+from neoworld_mjx.view.pages.local_server import address, close_server, open_server
+from neoworld_mjx.view.pages.scene_viewer import SceneViewer
+from neoworld_mjx.view.pages.view_target import open_target
 from tests.support.browser import Page, opened
 
 COUNT = """() => { window.frames_at = []; const next = t => { window.frames_at.push(t);
@@ -25,7 +26,9 @@ def answer(options: Frames) -> dict[str, Any]:
     target = open_target(options.scene, Config())
     server = open_server("frames", port=0)
     try:
-        SceneViewer(server, options.scene, target, Config())
+        SceneViewer(
+            *(server, options.scene, target, Config()), rebuild=rebuild, search_again=search_again
+        )
         served_s = time.perf_counter() - begun
         rows = [_visit(address(server), options.seconds) for _ in range(options.visits)]
     finally:

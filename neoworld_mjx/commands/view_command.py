@@ -42,6 +42,7 @@ class ViewCommand(PageCommand):
 
     def run(self) -> CommandResult:
         """Serve the page."""
+        from ..pipeline import rebuild, search_again
         from ..view.pages.local_server import address, close_server, open_server
         from ..view.pages.scene_viewer import SceneViewer
         from ..view.pages.view_target import open_target
@@ -50,7 +51,9 @@ class ViewCommand(PageCommand):
         target = open_target(self.target, config)  # Report a wrong path before a port is taken.
         server = open_server(f"neoworld: {target.title}", host=self.host, port=self.port)
         try:
-            SceneViewer(server, self.target, target, config)
+            SceneViewer(
+                *(server, self.target, target, config), rebuild=rebuild, search_again=search_again
+            )
             return self.serve_until_interrupted(address(server))
         finally:
             close_server(server)
@@ -69,7 +72,9 @@ class AnnotateCommand(PageCommand):
 
     def run(self) -> CommandResult:
         """Serve the page."""
-        from ..pipeline.annotated import read_annotation
+        from ..annotation.annotation import Annotation
+        from ..pipeline.annotated import read_annotation, write_annotated
+        from ..run_folder import Result
         from ..view.pages.annotate_page import Annotator, empty_annotation
         from ..view.pages.local_server import address, close_server, open_server
 
@@ -91,9 +96,13 @@ class AnnotateCommand(PageCommand):
                 f"{self.out} is not empty: correct its run with --from parse, or name "
                 "another folder"
             )
+
+        def write(annotation: Annotation, simulate: bool) -> Result:
+            return write_annotated(self.photo, self.out, annotation, config, simulate=simulate)
+
         server = open_server(f"annotate {self.photo.name}", host=self.host, port=self.port)
         try:
-            Annotator(server, self.photo, self.out, annotation, config)
+            Annotator(server, self.photo, self.out, annotation, config, write)
             return self.serve_until_interrupted(address(server))
         finally:
             close_server(server)

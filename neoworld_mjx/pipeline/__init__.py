@@ -6,12 +6,13 @@ Names are resolved on first use: what only reads or draws a run loads no simulat
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from ..run_folder import Result
+
 if TYPE_CHECKING:
     from .edited import rebuild, search_again
-    from .reconstruction import Result, reconstruct, refine_again
+    from .reconstruction import reconstruct, refine_again
 
 _HOMES = {
-    "Result": "reconstruction",
     "rebuild": "edited",
     "reconstruct": "reconstruction",
     "refine_again": "reconstruction",

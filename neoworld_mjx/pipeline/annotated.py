@@ -3,6 +3,14 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+from ..annotation.annotation import (
+    KEPT,
+    MODEL,
+    Annotation,
+    annotated_tree,
+    opened_annotation,
+    program_of,
+)
 from ..config import Config
 from ..errors import ProgramError, RunError, SpecError
 from ..io import bounded_by, read_model
@@ -14,11 +22,10 @@ from ..program import build
 from ..program.attempt import ProgramAttempt, Programmed
 from ..program.supports import support_program
 from ..render import to_png
-from ..run_folder import RunFolder
+from ..run_folder import Result, RunFolder
 from ..spec import SceneTree, TreeNode
-from .annotation import KEPT, MODEL, Annotation, annotated_tree, opened_annotation, program_of
 from .program_inputs import program_inputs
-from .reconstruction import Result, finish, steps_from
+from .reconstruction import finish, steps_from
 from .steps import ANNOTATION, ANSWERED, TREE
 
 Files = dict[str, str]

@@ -9,8 +9,8 @@ from ..io import bounded_by, read_object
 from ..io.files import write_atomic
 from ..program import Built, build
 from ..program.attempt import ProgramAttempt, Programmed
-from ..run_folder import RunFolder, read_run
-from .reconstruction import Result, earlier_options, models_of_run, steps_from
+from ..run_folder import Result, RunFolder, read_run
+from .reconstruction import earlier_options, models_of_run, steps_from
 
 
 def search_again(folder: Path, patch: LayoutPatch) -> Result:

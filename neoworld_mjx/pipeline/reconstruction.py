@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,61 +11,9 @@ from ..errors import ConfigError, RunError
 from ..io import bounded_by
 from ..mllm import Panel, open_panel
 from ..parse.photo import Photo, load_photo
-from ..run_folder import STEPS, RunFolder, read_run
+from ..run_folder import STEPS, Result, RunFolder, read_run
 from .pictures import Pictures
 from .steps import ANSWERS, COMPOSED, STEP_FUNCTIONS, StepContext, read_tree, write_metrics
-
-
-@dataclass(frozen=True)
-class Result:
-    """The outcome of a run."""
-
-    folder: Path
-    until: str | None
-    """The step after which the run was to stop; None for a whole run."""
-    metrics: dict[str, Any]
-    seconds: dict[str, float]
-    """Seconds by step."""
-    waiting: dict[str, float]
-    """Those of them in which a model was asked and had not answered."""
-    fallbacks: list[dict[str, str]]
-    notes: list[dict[str, str]]
-    """Far moves by the fit and the search."""
-    objects: list[str]
-    passed: bool | None
-    """Whether the refined scene is stable and free of penetration; None before refinement."""
-    cost: dict[str, Any] = field(default_factory=dict)
-
-    def summary(self) -> dict[str, Any]:
-        """Return the JSON object that `neoworld reconstruct --json` prints."""
-        exported = self.passed is not None and self.until is None
-        return {
-            "scene": str(self.folder / "scene.xml") if exported else None,
-            "folder": str(self.folder),
-            "report": str(self.folder / "report.html"),
-            "objects": self.objects,
-            **{key: value for key, value in self.metrics.items() if key != "objects"},
-            "passed": self.passed,
-            "seconds": self.seconds,
-            "waiting": self.waiting,
-            "fallbacks": self.fallbacks,
-            "notes": self.notes,
-            "mllm": self.cost,
-        }
-
-    def __repr__(self) -> str:
-        """Return three lines: the folder, the objects, and how the scene came out."""
-        outcome = {None: "not refined", True: "passed", False: "failed its checks"}[self.passed]
-        numbers = [
-            f"{name} {self.metrics[name]:.2g}"
-            for name in ("max_depth_m", "max_drift_m", "max_tilt_deg")
-            if self.metrics.get(name) is not None
-        ]
-        return (
-            f"Result({str(self.folder)!r}: {outcome} in {sum(self.seconds.values()):.1f} s\n"
-            f"  objects: {', '.join(self.objects)}\n"
-            f"  {', '.join(numbers) or 'no metrics'}, {len(self.fallbacks)} fallbacks)"
-        )
 
 
 def reconstruct(
@@ -336,7 +283,7 @@ def _other_photo(out: Path, photo: Photo) -> str:
 
 def finish(run: RunFolder, until: str | None) -> Result:
     """Mark the run as finished, write its report and return its result."""
-    from ..view.report import write_report
+    from ..view.report.run_report import write_report
 
     run.finish(until)
     write_metrics(run)

@@ -183,8 +183,7 @@ def _verify_object(context: StepContext, node: TreeNode, tree: SceneTree) -> Non
         home.mkdir(parents=True)
         (home / "verify.json").write_text(result.to_json(), encoding="utf-8")
         verdict = result.verdict
-        questionable = not verdict.passed or bool(verdict.doubtful)
-        if options.films == "always" or (options.films == "questionable" and questionable):
+        if options.films == "always" or (options.films == "questionable" and verdict.questionable):
             battery = Battery(
                 result.applied(object_),
                 options,

@@ -2,6 +2,7 @@
 
 from .open_folder import STEPS, RunFolder
 from .run_json import FORMAT, read_run, versions
+from .run_result import Result
 from .staging import refuse_links
 
-__all__ = ["FORMAT", "STEPS", "RunFolder", "read_run", "refuse_links", "versions"]
+__all__ = ["FORMAT", "STEPS", "Result", "RunFolder", "read_run", "refuse_links", "versions"]

@@ -1,1 +1,1 @@
-"""A run folder, looked at."""
+"""Views of a run: the static report, and the browser pages of `view` and `annotate`."""

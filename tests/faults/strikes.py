@@ -288,9 +288,11 @@ def strike(seed: int, home: Path, expected: dict[str, bytes], aim: Aim) -> Struc
 
 def _warm() -> None:
     """Import what runs need, once, before they are forked; nothing may start a thread."""
-    for name in ("parse", "program.synthesise", "verify", "compose", "measure", "render"):
-        import_module(f"neoworld_mjx.{name}")
-    for name in ("parse.refit", "view.report", "program.monty_sandbox", "verify.simulation"):
+    names = (
+        *("parse", "program.synthesise", "program.monty_sandbox", "verify", "checks.simulation"),
+        *("compose", "measure", "render", "fit.refit", "view.report.run_report"),
+    )
+    for name in names:
         import_module(f"neoworld_mjx.{name}")
 
 

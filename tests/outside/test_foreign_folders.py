@@ -13,7 +13,7 @@ from neoworld_mjx.errors import ConfigError, NeoWorldError, RunError
 from neoworld_mjx.io.files import write_atomic, write_inside
 from neoworld_mjx.pipeline import refine_again
 from neoworld_mjx.run_folder import FORMAT, RunFolder, read_run
-from neoworld_mjx.view.report import write_report
+from neoworld_mjx.view.report.run_report import write_report
 
 
 @pytest.fixture

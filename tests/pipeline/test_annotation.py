@@ -5,11 +5,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from neoworld_mjx.errors import RunError, SpecError
-from neoworld_mjx.parse.photo import load_photo
-from neoworld_mjx.pipeline import reconstruct
-from neoworld_mjx.pipeline.annotated import ANNOTATION, read_annotation, write_annotated
-from neoworld_mjx.pipeline.annotation import (
+from neoworld_mjx.annotation.annotation import (
     GROUND,
     KEPT,
     MODEL,
@@ -21,6 +17,10 @@ from neoworld_mjx.pipeline.annotation import (
     placed_box,
     program_of,
 )
+from neoworld_mjx.errors import RunError, SpecError
+from neoworld_mjx.parse.photo import load_photo
+from neoworld_mjx.pipeline import reconstruct
+from neoworld_mjx.pipeline.annotated import ANNOTATION, read_annotation, write_annotated
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.spec import Box2D, Box3D, Camera, bounds
 from tests.support.annotations import coffee

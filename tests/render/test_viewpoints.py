@@ -7,7 +7,7 @@ from PIL import Image
 from neoworld_mjx import cli
 from neoworld_mjx.render.viewpoints import around, opened, subject_points
 from neoworld_mjx.templates import template
-from neoworld_mjx.view.film_strips import SHARES, fall, film_strips
+from neoworld_mjx.view.report.film_strips import SHARES, fall, film_strips
 from tests.support import scenes
 
 
@@ -45,7 +45,7 @@ def test_every_view_of_a_turntable_shows_all_from_one_distance():
 
 def test_joints_stand_open_by_a_share_of_their_range(tmp_path):
     from neoworld_mjx.config import Config
-    from neoworld_mjx.viewer.view_target import open_target
+    from neoworld_mjx.view.pages.view_target import open_target
 
     (tmp_path / "chest.py").write_text(template("drawer_cabinet").program())
     (cabinet,) = opened(open_target(tmp_path / "chest.py", Config()).after, 0.5).objects

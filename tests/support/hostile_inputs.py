@@ -141,7 +141,7 @@ def _program(draw: random.Random, home: Path) -> None:
 def _run_folder(draw: random.Random, home: Path) -> None:
     from neoworld_mjx.run_folder import RunFolder
     from neoworld_mjx.spec import read_scene
-    from neoworld_mjx.view.report import write_report
+    from neoworld_mjx.view.report.run_report import write_report
 
     out = home / "out"
     with RunFolder(out, Config()) as run:
@@ -295,7 +295,7 @@ def _mesh(draw: random.Random, home: Path) -> None:
 
 def _picture(draw: random.Random, home: Path) -> None:
     from neoworld_mjx.parse.photo import load_photo
-    from neoworld_mjx.view.page import picture
+    from neoworld_mjx.view.report.page import picture
 
     suffix = draw.choice(["png", "jpg", "webp", "tif", "bmp", "gif", "ppm", "tga", "ico", "jp2"])
     path = home / f"a.{suffix}"

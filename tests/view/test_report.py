@@ -12,10 +12,10 @@ from neoworld_mjx.config import Config, load_config
 from neoworld_mjx.errors import RunError
 from neoworld_mjx.refinement import pruning, rounds
 from neoworld_mjx.run_folder import RunFolder
-from neoworld_mjx.view import convergence
-from neoworld_mjx.view.changes import changes
-from neoworld_mjx.view.charts import Series, bars, line_chart, nice_ticks
-from neoworld_mjx.view.report import write_report
+from neoworld_mjx.view.report import convergence
+from neoworld_mjx.view.report.changes import changes
+from neoworld_mjx.view.report.charts import Series, bars, line_chart, nice_ticks
+from neoworld_mjx.view.report.run_report import write_report
 from tests.support import scenes
 
 EVIL = '<script>alert("x")</script><img src=http://evil/a.png>'

@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx.spec import SceneObject, SceneSpec
-from neoworld_mjx.view import scene_3d
-from neoworld_mjx.view.page import document
+from neoworld_mjx.view.report import scene_3d
+from neoworld_mjx.view.report.page import document
 from tests.support import scenes
 from tests.support.browser import changed, opened
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.measure import measured, passes
+from neoworld_mjx.pipeline.annotated import write_annotated
 from neoworld_mjx.spec import read_scene
 from tests.support.annotations import CUP, FOVY_DEG, HEIGHT_M, PITCH_DEG, SAUCER
 from tests.support.browser import Page, changed, opened
@@ -18,14 +19,17 @@ CHOICES = {"kind": "Kind", "material": "Material", "parent": "Stands on"}
 
 
 def test_a_photograph_becomes_a_stable_scene_by_clicks_alone(photo, quick_config, tmp_path):
-    from neoworld_mjx.viewer.annotator import Annotator, empty_annotation
-    from neoworld_mjx.viewer.local_server import address, close_server, open_server
+    from neoworld_mjx.view.pages.annotate_page import Annotator, empty_annotation
+    from neoworld_mjx.view.pages.local_server import address, close_server, open_server
 
     out = tmp_path / "out"
     server = open_server("test", port=0)
     try:
         annotator = Annotator(
-            server, photo, out, empty_annotation(photo, quick_config), quick_config
+            *(server, photo, out, empty_annotation(photo, quick_config), quick_config),
+            lambda annotation, simulate: write_annotated(
+                photo, out, annotation, quick_config, simulate=simulate
+            ),
         )
         with opened(address(server)) as page:
             page.waits_for("Looks down, deg")
@@ -63,8 +67,8 @@ def test_a_photograph_becomes_a_stable_scene_by_clicks_alone(photo, quick_config
 
 
 def test_lines_that_are_clicked_give_the_camera(photo, quick_config, tmp_path):
-    from neoworld_mjx.viewer.annotator import Annotator, empty_annotation
-    from neoworld_mjx.viewer.local_server import address, close_server, open_server
+    from neoworld_mjx.view.pages.annotate_page import Annotator, empty_annotation
+    from neoworld_mjx.view.pages.local_server import address, close_server, open_server
 
     start = empty_annotation(photo, quick_config)
     change = {"pitch": 0.7, "roll": 0.05, "fovy": 0.9, "height": 0.6}
@@ -77,7 +81,8 @@ def test_lines_that_are_clicked_give_the_camera(photo, quick_config, tmp_path):
     assert (pixels > 20).all() and (pixels < PHOTO_SIZE - 20).all()
     server = open_server("test", port=0)
     try:
-        annotator = Annotator(server, photo, tmp_path / "out", start, quick_config)
+        out = tmp_path / "out"
+        annotator = Annotator(server, photo, out, start, quick_config, _refuse)
         with opened(address(server)) as page:
             page.click("Show lines on the ground")
             page.waits_for("0 of 8 points")
@@ -93,6 +98,10 @@ def test_lines_that_are_clicked_give_the_camera(photo, quick_config, tmp_path):
     for field in ("pitch", "roll", "fovy"):
         assert abs(np.degrees(getattr(found, field) - getattr(true, field))) < 1.5, field
     assert found.height == start.camera.height
+
+
+def _refuse(annotation, simulate):
+    raise AssertionError("this test saves nothing")
 
 
 def _describe(page: Page, obj, **fields: str) -> None:

@@ -6,11 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from neoworld_mjx.annotation.annotation import GROUND, KEPT, annotated_tree, opened_annotation
+from neoworld_mjx.annotation.edits import object_of, with_box, with_change, without
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.pipeline.annotation import GROUND, KEPT, annotated_tree, opened_annotation
 from neoworld_mjx.spec import Box2D
-from neoworld_mjx.viewer.annotation_drawing import pixel_of
-from neoworld_mjx.viewer.annotation_edits import object_of, with_box, with_change, without
+from neoworld_mjx.view.pages.annotation_drawing import pixel_of
 from tests.support.annotations import coffee
 
 
@@ -58,19 +58,24 @@ def test_a_place_of_the_window_is_a_pixel_of_the_photograph():
     assert np.allclose(pixel_of(view, camera, (1.0, 1.0)), (600, 400))
 
 
+def _refuse(annotation, simulate):
+    raise AssertionError("this test saves nothing")
+
+
 @pytest.fixture
 def opened_page(photo, quick_config):
     """Open annotations on pages, and stop their servers after the test."""
     pytest.importorskip("viser", reason="the extra viewer is not installed")
-    from neoworld_mjx.viewer.annotator import Annotator, empty_annotation
-    from neoworld_mjx.viewer.local_server import close_server, open_server
+    from neoworld_mjx.view.pages.annotate_page import Annotator, empty_annotation
+    from neoworld_mjx.view.pages.local_server import close_server, open_server
 
     servers = []
 
     def opened(annotation=None):
         servers.append(open_server("test", port=0))
         begin = annotation or empty_annotation(photo, quick_config)
-        return Annotator(servers[-1], photo, photo.parent / "no_run", begin, quick_config)
+        out = photo.parent / "no_run"
+        return Annotator(servers[-1], photo, out, begin, quick_config, _refuse)
 
     yield opened
     for server in servers:

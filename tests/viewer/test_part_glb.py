@@ -11,10 +11,10 @@ from neoworld_mjx.render.appearance import linear
 from neoworld_mjx.render.part_meshes import simplified, visible_meshes, visible_triangles
 from neoworld_mjx.spec.shapes import Cylinder
 from neoworld_mjx.spec.triangles import enclosed_volume
-from neoworld_mjx.viewer import part_glb as module
-from neoworld_mjx.viewer.part_glb import Detail, detail_of, part_glb
-from neoworld_mjx.viewer.scene_page import ScenePage
-from neoworld_mjx.viewer.view_target import alone
+from neoworld_mjx.view.pages import part_glb as module
+from neoworld_mjx.view.pages.part_glb import Detail, detail_of, part_glb
+from neoworld_mjx.view.pages.scene_nodes import ScenePage
+from neoworld_mjx.view.pages.view_target import alone
 
 UPRIGHT = np.array([1.0, 0, 0, 0])
 
@@ -103,7 +103,7 @@ def test_a_surface_that_is_not_closed_is_kept():
 
 def test_see_through_copies_take_the_place_of_the_surfaces(aquarium_like):
     pytest.importorskip("viser", reason="the extra viewer is not installed")
-    from neoworld_mjx.viewer.local_server import close_server, open_server
+    from neoworld_mjx.view.pages.local_server import close_server, open_server
 
     server = open_server("test", port=0)
     try:

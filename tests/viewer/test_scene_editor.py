@@ -12,10 +12,10 @@ from neoworld_mjx.render.part_meshes import creased, piece_meshes, visible_meshe
 from neoworld_mjx.spec import world_poses
 from neoworld_mjx.spec.pose import from_yaw, yaw_of
 from neoworld_mjx.templates import template
-from neoworld_mjx.viewer.free_fall import FreeFall
-from neoworld_mjx.viewer.scene_editor import SceneEditor, sliding_keys
-from neoworld_mjx.viewer.scene_page import part_poses
-from neoworld_mjx.viewer.view_target import alone, open_target
+from neoworld_mjx.view.pages.free_fall import FreeFall
+from neoworld_mjx.view.pages.scene_editor import SceneEditor, sliding_keys
+from neoworld_mjx.view.pages.scene_nodes import part_poses
+from neoworld_mjx.view.pages.view_target import alone, open_target
 from tests.support import scenes
 
 
@@ -102,7 +102,7 @@ def test_meshes_cover_the_object_and_keep_sharp_edges(cabinet):
 def test_what_cannot_be_viewed_is_one_clear_error(kind, tmp_path):
     config = Config()
     if kind == "busy port":
-        local = pytest.importorskip("neoworld_mjx.viewer.local_server")
+        local = pytest.importorskip("neoworld_mjx.view.pages.local_server")
         import socket
 
         pytest.importorskip("viser")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.config import Config
-from neoworld_mjx.pipeline import rebuild
+from neoworld_mjx.pipeline import rebuild, search_again
 from neoworld_mjx.spec import read_scene
 from neoworld_mjx.templates import template
 from tests.support.browser import changed, opened
@@ -21,16 +21,20 @@ CANVAS = 560
 @pytest.fixture
 def served():
     """Serve targets, and stop the servers after the test."""
-    from neoworld_mjx.viewer.local_server import address, close_server, open_server
-    from neoworld_mjx.viewer.scene_viewer import SceneViewer
-    from neoworld_mjx.viewer.view_target import open_target
+    from neoworld_mjx.view.pages.local_server import address, close_server, open_server
+    from neoworld_mjx.view.pages.scene_viewer import SceneViewer
+    from neoworld_mjx.view.pages.view_target import open_target
 
     servers = []
 
     def serve(path):
         server = open_server("test", port=0)
         servers.append(server)
-        viewer = SceneViewer(server, path, open_target(path, Config()), Config())
+        viewer = SceneViewer(
+            *(server, path, open_target(path, Config()), Config()),
+            rebuild=rebuild,
+            search_again=search_again,
+        )
         return viewer, server, address(server)
 
     yield serve

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..spec import Camera
+from ...spec import Camera
 from .annotation_drawing import draw_marks, pixel_of
 
 ENDS = 8

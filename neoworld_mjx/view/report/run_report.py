@@ -10,11 +10,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..config import Config
-from ..errors import NeoWorldError, RunError
-from ..io.files import write_atomic
-from ..run_folder import STEPS, read_run, refuse_links
-from ..spec import read_scene
+from ...config import Config
+from ...errors import NeoWorldError, RunError
+from ...io.files import write_atomic
+from ...run_folder import STEPS, read_run, refuse_links
+from ...spec import read_scene
 from . import charts
 from .changes import TITLE, changes
 from .convergence import convergence

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import RunError
-from ..io import read_arrays
+from ...errors import RunError
+from ...io import read_arrays
 from . import charts
 from .charts import Band, Series
 from .page import Html, missing, section, table

@@ -5,8 +5,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..compose.layout_patch import LayoutPatch, ObjectPlacement
-from ..spec import (
+from ...compose.layout_patch import LayoutPatch, ObjectPlacement
+from ...spec import (
     Box2D,
     JointSpec,
     SceneObject,
@@ -15,7 +15,7 @@ from ..spec import (
     support_frame,
     world_poses,
 )
-from ..spec.pose import Pose, from_yaw, pose, yaw_of
+from ...spec.pose import Pose, from_yaw, pose, yaw_of
 
 FREE_RANGE = math.pi
 """Range of a slider of a joint without limits, either way [rad]."""
@@ -61,7 +61,7 @@ class SceneEditor:
 
     def snap(self) -> None:
         """Set every object down on what is under it."""
-        from ..compose.compose import snap
+        from ...compose.compose import snap
 
         self.scene = snap(self.scene)
 

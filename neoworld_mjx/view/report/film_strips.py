@@ -6,10 +6,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks.simulation import without_warnings
-from ..render import View, render
-from ..render.rendering import compile_posed
-from ..spec import SceneSpec, read_scene
+from ...checks.simulation import without_warnings
+from ...render import View, render
+from ...render.rendering import compile_posed
+from ...spec import SceneSpec, read_scene
 from .page import Html, embedded, missing, section
 
 TITLE = "Free fall"

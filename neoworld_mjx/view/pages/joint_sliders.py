@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from ..spec import SceneSpec
+from ...spec import SceneSpec
 from .scene_editor import joint_range, sliding_keys
 
 Moved = Callable[[str, str, float], None]

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..render.part_meshes import PartMesh, piece_meshes, visible_meshes
-from ..spec import Camera, SceneSpec, link_poses, world_poses
-from ..spec.pose import Pose, from_matrix
+from ...render.part_meshes import PartMesh, piece_meshes, visible_meshes
+from ...spec import Camera, SceneSpec, link_poses, world_poses
+from ...spec.pose import Pose, from_matrix
 from .part_glb import detail_of, part_glb
 
 NEAR_M = 0.06

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from ..config import Config
-from ..errors import PhotoError, RunError, SpecError
-from ..io import read_arrays
-from ..parse.photo import load_photo
-from ..run_folder import refuse_links
-from ..spec import ObjectSpec, SceneObject, SceneSpec, read_scene
+from ...config import Config
+from ...errors import PhotoError, RunError, SpecError
+from ...io import read_arrays
+from ...parse.photo import load_photo
+from ...run_folder import refuse_links
+from ...spec import ObjectSpec, SceneObject, SceneSpec, read_scene
 
 OBJECT_FILES = (".urdf", ".xml", ".mjcf")
 """Suffixes of files that contain an object."""
@@ -86,7 +86,7 @@ def open_target(path: Path, config: Config) -> ViewTarget:
         )
     of_spec = path.name in ("spec.json", "verified.json")
     if of_spec or path.suffix == ".py" or path.suffix.lower() in OBJECT_FILES:
-        from ..verify.checking import object_of_file
+        from ...verify.checking import object_of_file
 
         spec = object_of_file(path, config.program)
         program = path if path.suffix == ".py" else None

@@ -7,7 +7,7 @@ from contextlib import redirect_stdout
 from functools import partial
 from typing import Any
 
-from ..errors import RunError
+from ...errors import RunError
 
 LOCAL = "127.0.0.1"
 PORT = 8080

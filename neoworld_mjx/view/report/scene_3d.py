@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..render.part_meshes import PartMesh, visible_meshes
-from ..render.scene_images import visible_vertices
-from ..spec import JointSpec, SceneObject, SceneSpec, world_poses
-from ..spec.kinematics import joint_keys
-from ..spec.pose import Pose, matrix
-from ..spec.triangles import corner_normals
+from ...render.part_meshes import PartMesh, visible_meshes
+from ...render.scene_images import visible_vertices
+from ...spec import JointSpec, SceneObject, SceneSpec, world_poses
+from ...spec.kinematics import joint_keys
+from ...spec.pose import Pose, matrix
+from ...spec.triangles import corner_normals
 from .page import Html, missing, section
 
 TITLE = "In three dimensions"
@@ -33,7 +33,7 @@ _STEPS, _NORMAL = 65535, 127
 @cache
 def script() -> str:
     """Return the script of the page."""
-    return resources.files("neoworld_mjx.view").joinpath("scene_3d.js").read_text("utf-8")
+    return resources.files(__package__).joinpath("scene_3d.js").read_text("utf-8")
 
 
 def script_hash() -> str:

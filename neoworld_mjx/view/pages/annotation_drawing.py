@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..render.part_meshes import RGB
-from ..spec import Box2D, Camera
-from ..spec.pose import from_matrix
-from .scene_page import NEAR_M
+from ...render.part_meshes import RGB
+from ...spec import Box2D, Camera
+from ...spec.pose import from_matrix
+from .scene_nodes import NEAR_M
 
 if TYPE_CHECKING:
-    from ..pipeline.annotation import Annotation
+    from ...annotation.annotation import Annotation
 
 CHOSEN, OTHER, SOLID, GRID = (255, 210, 60), (90, 170, 255), (120, 230, 140), (255, 255, 255)
 FAR, FARTHEST_M = 40.0, 800.0
@@ -66,7 +66,7 @@ def draw_boxes(server: Any, annotation: "Annotation", chosen: str) -> str:
     Raises:
         SpecError: the boxes give no scene; those in the picture are drawn.
     """
-    from ..pipeline.annotation import annotated_tree
+    from ...annotation.annotation import annotated_tree
 
     with server.atomic():
         hide_boxes(server)

@@ -8,24 +8,23 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from ..config import Config
-from ..errors import SpecError
-from ..fit.vanishing_points import camera_of_lines
-from ..io.names import is_name
-from ..parse.photo import load_photo
-from ..pipeline import Result
-from ..pipeline.annotated import write_annotated
-from ..pipeline.annotation import GROUND, KEPT, MODEL, PLAIN, AnnotatedObject, Annotation
-from ..program.materials import MATERIALS
-from ..spec import Box2D, Camera, PartState, read_scene
-from ..templates import templates
+from ...annotation.annotation import GROUND, KEPT, MODEL, PLAIN, AnnotatedObject, Annotation
+from ...annotation.edits import object_of, with_box, with_change, without
+from ...config import Config
+from ...errors import SpecError
+from ...fit.vanishing_points import camera_of_lines
+from ...io.names import is_name
+from ...parse.photo import load_photo
+from ...program.materials import MATERIALS
+from ...run_folder import Result
+from ...spec import Box2D, Camera, PartState, read_scene
+from ...templates import templates
 from .annotation_drawing import draw_boxes, draw_grid, draw_photo
-from .annotation_edits import object_of, with_box, with_change, without
 from .line_picker import LinePicker
-from .page_log import Tell, work
-from .page_text import told
+from .page_html import told
+from .page_jobs import Tell, work
 from .rectangle_picker import RectanglePicker
-from .scene_page import ScenePage, look_through
+from .scene_nodes import ScenePage, look_through
 from .view_target import shown_picture
 
 FOVY_DEG, PITCH_DEG, HEIGHT_M = 45.0, 35.0, 0.6
@@ -59,7 +58,15 @@ class Annotator:
     many threads, and what is being typed must never be overwritten by what was there before.
     """
 
-    def __init__(self, server: Any, photo: Path, out: Path, annotation: Annotation, config: Config):
+    def __init__(
+        self,
+        server: Any,
+        photo: Path,
+        out: Path,
+        annotation: Annotation,
+        config: Config,
+        write: Callable[[Annotation, bool], Result],
+    ):
         """Put a photograph with its annotation on the page.
 
         Args:
@@ -68,7 +75,9 @@ class Annotator:
             out: the run folder to write.
             annotation: what is known already.
             config: options of the run.
+            write: writes an annotation into the run folder; if its flag is set, also simulates.
         """
+        self._write_annotated = write
         self._server, self._photo, self._out, self._config = server, photo, out, config
         self.annotation = annotation
         self._picture = shown_picture(load_photo(photo, config.parse.max_side_px).rgb)
@@ -325,10 +334,7 @@ class Annotator:
             tell("at work ...")
             with self._editing:
                 annotation = self.annotation
-            result = write_annotated(
-                self._photo, self._out, annotation, self._config, simulate=simulate
-            )
-            self._show(result)
+            self._show(self._write_annotated(annotation, simulate))
 
         work(self._busy, self._log, job)
 

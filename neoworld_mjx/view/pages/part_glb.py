@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..render.appearance import linear
-from ..render.part_meshes import PartMesh, visible_meshes, visible_triangles
-from ..spec import ObjectSpec, PartSpec, SceneSpec
-from ..spec.pose import rotate
+from ...render.appearance import linear
+from ...render.part_meshes import PartMesh, visible_meshes, visible_triangles
+from ...spec import ObjectSpec, PartSpec, SceneSpec
+from ...spec.pose import rotate
 
 LIT_TRIANGLES = 20_000
 """Most triangles of a scene that is drawn with all of them, and lit by the browser."""

@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from ..errors import NeoWorldError, SpecError
-from ..io import read_model
-from ..parse.crops import crops
-from ..parse.photo import load_photo
-from ..program import Built
-from ..spec import SceneObject, SceneTree, bounds, inertial
-from ..view.changes import moves_of
-from ..view.page import Html, table, text
-from ..view.tables import outcome_mark, read_json, with_unit
-from .page_text import framed, told
+from ...errors import NeoWorldError, SpecError
+from ...io import read_model
+from ...parse.crops import crops
+from ...parse.photo import load_photo
+from ...program import Built
+from ...spec import SceneObject, SceneTree, bounds, inertial
+from ..report.changes import moves_of
+from ..report.page import Html, table, text
+from ..report.tables import outcome_mark, read_json, with_unit
+from .page_html import framed, told
 from .view_target import ViewTarget
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from ..errors import RunError
-from ..io import bounds_of_files, open_picture
-from ..io.files import MIB, read_bytes
+from ...errors import RunError
+from ...io import file_bounds, open_image
+from ...io.files import MIB, read_bytes
 
 _MAX_PX = 1280
 _SMALL_BYTES = 300_000
@@ -196,8 +196,8 @@ def cut_out(
         height: in pixels, at most; a smaller part stays as it is.
     """
     try:
-        raw = read_bytes(path, bounds_of_files().max_picture_mib * MIB)
-        with open_picture(raw, path.name, RunError) as image:
+        raw = read_bytes(path, file_bounds().max_picture_mib * MIB)
+        with open_image(raw, path.name, RunError) as image:
             image.load()
             x0, y0, x1, y1 = (
                 round(min(max(share, 0.0), 1.0) * size)
@@ -213,8 +213,8 @@ def cut_out(
 def film_strip(path: Path, name: str, frames: int = 5) -> Html:
     """Embed some frames of an animation side by side; nothing where there is no such file."""
     try:
-        raw = read_bytes(path, bounds_of_files().max_picture_mib * MIB)
-        with open_picture(raw, path.name, RunError) as image:
+        raw = read_bytes(path, file_bounds().max_picture_mib * MIB)
+        with open_image(raw, path.name, RunError) as image:
             count = getattr(image, "n_frames", 1)
             shown = []
             for k in np.linspace(0, count - 1, min(frames, count)).astype(int):
@@ -237,8 +237,8 @@ def embedded(pixels: NDArray, caption: str) -> Html:
 
 
 def _data_uri(path: Path) -> str:
-    raw = read_bytes(path, bounds_of_files().max_picture_mib * MIB)
-    with open_picture(raw, path.name, RunError) as image:
+    raw = read_bytes(path, file_bounds().max_picture_mib * MIB)
+    with open_image(raw, path.name, RunError) as image:
         image.load()
         kind = (image.format or "").lower()
         if kind != "png" or len(raw) > _SMALL_BYTES:

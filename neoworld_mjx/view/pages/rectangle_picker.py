@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from ..spec import Box2D, Camera
+from ...spec import Box2D, Camera
 from .annotation_drawing import pixel_of
-from .scene_page import look_through
+from .scene_nodes import look_through
 
 LEAST_PX = 2.0
 """Shortest edge of a box."""

@@ -4,9 +4,9 @@ import math
 from pathlib import Path
 from typing import Any
 
-from ..errors import RunError
-from ..io import read_object
-from ..run_folder import STEPS
+from ...errors import RunError
+from ...io import read_object
+from ...run_folder import STEPS
 from .page import Html, film_strip, missing, picture, section, table, verdict
 
 PARSED = "pictures/parse.png"

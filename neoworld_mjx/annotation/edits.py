@@ -5,8 +5,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..errors import SpecError
-from ..pipeline.annotation import GROUND, AnnotatedObject, Annotation
 from ..spec import Box2D
+from .annotation import GROUND, AnnotatedObject, Annotation
 
 
 def object_of(annotation: Annotation, name: str) -> AnnotatedObject | None:

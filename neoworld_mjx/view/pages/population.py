@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import NeoWorldError, RunError
-from ..render.part_meshes import visible_meshes
-from ..spec import SceneSpec
-from ..view.convergence import best_candidates, over_finite, term_histories
+from ...errors import NeoWorldError, RunError
+from ...render.part_meshes import visible_meshes
+from ...spec import SceneSpec
+from ..report.convergence import best_candidates, over_finite, term_histories
 
 GHOSTS = 24
 """Most candidates shown at once: the best of them."""
@@ -45,9 +45,9 @@ def show_ghosts(server: Any, scene: SceneSpec, history: History, iteration: int)
     """
     import jax
 
-    from ..compose.compose import snap
-    from ..physics.layout import Layout, arrange, compose_poses
-    from ..physics.scene_arrays import snapped_heights
+    from ...compose.compose import snap
+    from ...physics.layout import Layout, arrange, compose_poses
+    from ...physics.scene_arrays import snapped_heights
 
     names = [obj.name for obj in scene.objects]
     if [str(name) for name in history.get("object_names", names)] != names:

@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..physics.mjcf import START, body_name, to_mjspec
-from ..spec import JointSpec, SceneSpec
-from ..spec.pose import Pose, rotate
-from .scene_page import PartPoses
+from ...physics.mjcf import START, body_name, to_mjspec
+from ...spec import JointSpec, SceneSpec
+from ...spec.pose import Pose, rotate
+from .scene_nodes import PartPoses
 
 TIMESTEP_S = 0.004
 FRAME_S = 1 / 30

@@ -4,8 +4,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from ..measure import object_moves
-from ..spec import read_scene
+from ...measure import object_moves
+from ...spec import read_scene
 from .page import Html, missing, section, table
 from .tables import read_json
 

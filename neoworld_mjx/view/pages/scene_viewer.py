@@ -3,28 +3,30 @@
 import logging
 import math
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..compose.layout_patch import LayoutPatch, read_layout_patch
-from ..config import Config
-from ..errors import NeoWorldError
-from ..io.files import write_atomic
-from ..spec import Box2D
+from ...compose.layout_patch import LayoutPatch, read_layout_patch
+from ...config import Config
+from ...errors import NeoWorldError
+from ...io.files import write_atomic
+from ...run_folder import Result
+from ...spec import Box2D
 from .annotation_drawing import CHOSEN, draw_box, hide_boxes
 from .joint_sliders import JointSliders
-from .page_log import Tell, work
-from .page_text import told
+from .page_html import told
+from .page_jobs import Tell, work
 from .population import Ghosts, term_chart
 from .rectangle_picker import RectanglePicker
 from .scene_editor import SceneEditor
-from .scene_page import ScenePage, bounds_of, look_at, look_through, part_poses
+from .scene_nodes import ScenePage, bounds_of, look_at, look_through, part_poses
 from .view_target import ViewTarget, open_target
 
 if TYPE_CHECKING:
-    from ..pipeline import Result
+    from ...program import Built
     from .free_fall import FreeFall
 
 _log = logging.getLogger(__name__)
@@ -35,7 +37,16 @@ SEARCH = "Search again from here"
 class SceneViewer:
     """One target on the page of a server."""
 
-    def __init__(self, server: Any, path: Path, target: ViewTarget, config: Config):
+    def __init__(
+        self,
+        server: Any,
+        path: Path,
+        target: ViewTarget,
+        config: Config,
+        *,
+        rebuild: Callable[[Path, str, str], "tuple[Built, Result | None]"],
+        search_again: Callable[[Path, LayoutPatch], Result],
+    ):
         """Put a target on the page.
 
         Args:
@@ -43,7 +54,10 @@ class SceneViewer:
             path: of what is shown, to read it again after a change.
             target: what is there.
             config: options of programs, and of the search of a scene without a run.
+            rebuild: builds an object's program in a run folder, and repeats the later steps.
+            search_again: composes a run's scene with a layout patch, and refines it.
         """
+        self._rebuild_object, self._search_again = rebuild, search_again
         self._server, self._path, self._config = server, path, config
         self._busy, self._drawing = threading.Lock(), threading.Lock()
         self._target = target
@@ -273,7 +287,7 @@ class SceneViewer:
 
     def pick(self, name: str) -> None:
         """Show what is known of an object."""
-        from ..verify.patched import read_program
+        from ...verify.patched import read_program
         from .object_facts import crop_of, facts
 
         if name not in {obj.name for obj in self._editor.scene.objects}:
@@ -358,8 +372,7 @@ class SceneViewer:
         work(self._busy, self._signals, self._build_again)
 
     def _build_again(self, tell: Tell) -> None:
-        from ..pipeline import rebuild
-        from ..program import build
+        from ...program import build
         from .object_facts import signals_of
 
         name, text = self._picked, self._text.value
@@ -368,7 +381,7 @@ class SceneViewer:
             return
         tell("building ...")
         if self._target.run is not None:
-            built, result = rebuild(self._target.run, name, text)
+            built, result = self._rebuild_object(self._target.run, name, text)
             self._reload(result)
         else:
             built = build(text, self._config.program)
@@ -392,12 +405,11 @@ class SceneViewer:
         work(self._busy, self._log, self._search_on)
 
     def _search_on(self, tell: Tell) -> None:
-        from ..pipeline import search_again
-        from ..refinement import refine
+        from ...refinement import refine
 
         tell("searching ...")
         if self._target.run is not None:
-            self._reload(search_again(self._target.run, self._editor.patch))
+            self._reload(self._search_again(self._target.run, self._editor.patch))
             return
         self._editor.snap()
         options, seed = self._config.refine, self._config.seed
@@ -414,15 +426,14 @@ class SceneViewer:
         work(self._busy, self._log, self._without_patch)
 
     def _without_patch(self, tell: Tell) -> None:
-        from ..pipeline import search_again
 
         had, self._editor.patch = self._editor.patch, LayoutPatch()
         if self._target.run is not None and had.objects:
-            self._reload(search_again(self._target.run, LayoutPatch()))
+            self._reload(self._search_again(self._target.run, LayoutPatch()))
         else:
             self._load()
 
-    def _reload(self, result: "Result | None") -> None:
+    def _reload(self, result: Result | None) -> None:
         if result is not None:
             self._target = open_target(self._path, self._config)
             self._load()

@@ -5,8 +5,8 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from ..errors import NeoWorldError
-from .page_text import told
+from ...errors import NeoWorldError
+from .page_html import told
 
 Tell = Callable[[str], None]
 """Shows one line of text on the page."""

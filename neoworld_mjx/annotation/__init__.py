@@ -1,0 +1,1 @@
+"""Annotation of a photograph by a person, and the scene tree and programs that it defines."""

@@ -1,0 +1,57 @@
+"""Result of a run: the scene's metrics, the time of each step and the fallbacks."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Result:
+    """The outcome of a run."""
+
+    folder: Path
+    until: str | None
+    """The step after which the run was to stop; None for a whole run."""
+    metrics: dict[str, Any]
+    seconds: dict[str, float]
+    """Seconds by step."""
+    waiting: dict[str, float]
+    """Those of them in which a model was asked and had not answered."""
+    fallbacks: list[dict[str, str]]
+    notes: list[dict[str, str]]
+    """Far moves by the fit and the search."""
+    objects: list[str]
+    passed: bool | None
+    """Whether the refined scene is stable and free of penetration; None before refinement."""
+    cost: dict[str, Any] = field(default_factory=dict)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the JSON object that `neoworld reconstruct --json` prints."""
+        exported = self.passed is not None and self.until is None
+        return {
+            "scene": str(self.folder / "scene.xml") if exported else None,
+            "folder": str(self.folder),
+            "report": str(self.folder / "report.html"),
+            "objects": self.objects,
+            **{key: value for key, value in self.metrics.items() if key != "objects"},
+            "passed": self.passed,
+            "seconds": self.seconds,
+            "waiting": self.waiting,
+            "fallbacks": self.fallbacks,
+            "notes": self.notes,
+            "mllm": self.cost,
+        }
+
+    def __repr__(self) -> str:
+        """Return three lines: the folder, the objects, and how the scene came out."""
+        outcome = {None: "not refined", True: "passed", False: "failed its checks"}[self.passed]
+        numbers = [
+            f"{name} {self.metrics[name]:.2g}"
+            for name in ("max_depth_m", "max_drift_m", "max_tilt_deg")
+            if self.metrics.get(name) is not None
+        ]
+        return (
+            f"Result({str(self.folder)!r}: {outcome} in {sum(self.seconds.values()):.1f} s\n"
+            f"  objects: {', '.join(self.objects)}\n"
+            f"  {', '.join(numbers) or 'no metrics'}, {len(self.fallbacks)} fallbacks)"
+        )
