@@ -26,8 +26,8 @@ from .io.files import MIB, read_bytes, write_atomic
 _ROOMS = ("config", "measure", "physics", "refinement", "spec")
 SOURCES = (*(f"neoworld_mjx/{room}" for room in _ROOMS), "neoworld_kernels")
 """Packages that programs are traced from, with those whose constants they may hold."""
-LIBRARIES = ("jax", "jaxlib", "equinox", "optax", "numpy")
-MOST, MAX_BYTES = 64, 64 * MIB
+TRACED_LIBRARIES = ("jax", "jaxlib", "equinox", "optax", "numpy")
+MOST_PROGRAMS, MAX_BYTES = 64, 64 * MIB
 """Programs that are kept, of more the oldest are removed; and the largest that is read."""
 _Program = Callable[..., Any]
 
@@ -107,7 +107,7 @@ def _keep(path: Path, exported: jax.export.Exported) -> None:
     with contextlib.suppress(OSError, ImportError):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(path, bytes(exported.serialize()))
-        for old in sorted(path.parent.glob("*.bin"), key=os.path.getmtime)[:-MOST]:
+        for old in sorted(path.parent.glob("*.bin"), key=os.path.getmtime)[:-MOST_PROGRAMS]:
             old.unlink(missing_ok=True)
 
 
@@ -119,7 +119,7 @@ def _fingerprint(name: str) -> str:
 def _sources() -> str:
     """Return the hash of the sources and versions that programs depend on."""
     digest = hashlib.sha256()
-    for library in LIBRARIES:
+    for library in TRACED_LIBRARIES:
         digest.update(f"{library} {importlib.metadata.version(library)} ".encode())
     for place in SOURCES:
         package = place.split("/")[0]

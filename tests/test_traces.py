@@ -61,7 +61,7 @@ def test_within_another_trace_and_without_a_folder_nothing_is_kept(counted, monk
 
 def test_only_the_newest_traces_stay(counted, monkeypatch):
     _, folder, new, _ = counted
-    monkeypatch.setattr(traces, "MOST", 2)
+    monkeypatch.setattr(traces, "MOST_PROGRAMS", 2)
     for n in (1, 2, 3):
         new()({"a": np.ones(n, np.float32), "b": np.float32(2)})
     assert len(list(folder.glob("*.bin"))) == 2

@@ -32,7 +32,7 @@ UNROLL = 4
 """Planes that one pass over a block's samples looks at."""
 PAIRS = 32
 """Pairs of objects whose gradients are computed at once."""
-ROUND = ("box", "capsule", "cylinder", "ellipsoid")
+SIZE_KINDS = ("box", "capsule", "cylinder", "ellipsoid")
 """Kinds that sizes define; the others are polytopes, repeated or not."""
 
 Index = Int[Array, "object object pop"]
@@ -52,7 +52,7 @@ class Pieces(NamedTuple):
     all: PieceGroup
     """Without planes."""
     code: Int[Array, " round"]
-    """Index in ROUND of each of the first."""
+    """Index in SIZE_KINDS of each of the first."""
     planes: Float[Array, "flat face 4"]
     times: Float[Array, " flat"]
     """How often each of the rest is repeated about its frame's z axis; 1 is not at all."""
@@ -111,12 +111,12 @@ def join_pieces(colliders: Colliders) -> Pieces:
     fill = lambda g: jnp.broadcast_to(spare, (len(g.owner), most - g.planes.shape[1], 4))
     planes = jnp.concatenate([jnp.concatenate([g.planes, fill(g)], axis=1) for g in flat])
     join = lambda leaf: jnp.concatenate([getattr(group, leaf) for group in colliders])
-    counts = [len(getattr(colliders, kind).owner) for kind in ROUND]
+    counts = [len(getattr(colliders, kind).owner) for kind in SIZE_KINDS]
     return Pieces(
         all=PieceGroup(
             join("owner"), join("pos"), join("rot"), join("size"), planes[:, :0], join("extent")
         ),
-        code=jnp.asarray(np.repeat(np.arange(len(ROUND), dtype=np.int32), counts)),
+        code=jnp.asarray(np.repeat(np.arange(len(SIZE_KINDS), dtype=np.int32), counts)),
         planes=planes,
         times=jnp.concatenate(
             [jnp.ones(len(colliders.polytope.owner)), colliders.sector.size[:, 0]]
@@ -258,11 +258,11 @@ def _deeper(
 def _by_size(pieces: Pieces, piece: Array) -> DepthOf:
     size, code = pieces.all.size[piece], pieces.code[piece]
     # Sizes of other kinds may be zero, by which ellipsoids divide.
-    safe = jnp.where(code == ROUND.index("ellipsoid"), size, 1.0)
+    safe = jnp.where(code == SIZE_KINDS.index("ellipsoid"), size, 1.0)
 
     def depth(local: list[Array]) -> Array:
         value = jnp.zeros_like(local[0])
-        for c, kind in enumerate(ROUND):
+        for c, kind in enumerate(SIZE_KINDS):
             sizes = list(safe if kind == "ellipsoid" else size)
             own = finished(kind, depths(kind, [local], sizes, lambda f, k: f, 0)[0], sizes)
             value = jnp.where(code == c, own, value)
@@ -384,7 +384,7 @@ def _depth_at(
     d = jnp.sum(two * d[:, None], axis=0) / placed.scale[j]
     local = jnp.sum(rot * d[:, None], axis=0)
     far = jnp.zeros_like(local[0])
-    for c, kind in enumerate(ROUND if cut else ()):
+    for c, kind in enumerate(SIZE_KINDS if cut else ()):
         # Sizes of other kinds may be zero, by which gradients would not be numbers.
         sizes = jnp.where(code == c, size, 1.0)
         group = PieceGroup(code, pos, rot, sizes, code, code)

@@ -22,7 +22,7 @@ __all__ = ["PairDepthTuning", "choose", "pair_depth", "pair_depth_culled", "pair
 
 Impl = Literal["auto", "jnp", "culled", "pallas"]
 
-MEASURED = json.loads((Path(__file__).parent / "penetration_measured.json").read_text())
+KERNEL_TIMES = json.loads((Path(__file__).parent / "penetration_measured.json").read_text())
 """Measured sizes at which the kernel is faster than plain XLA; see the file."""
 
 
@@ -136,7 +136,7 @@ def pair_depth(
 def choose(
     pop: int, objects: int, samples: int, colliders: Colliders
 ) -> Literal["jnp", "culled", "pallas"]:
-    """Pick the fastest implementation on JAX's default device, by `MEASURED`.
+    """Pick the fastest implementation on JAX's default device, by `KERNEL_TIMES`.
 
     CPUs take `culled`, which is slower for a single candidate only, by a millisecond; GPUs that
     were not measured take plain XLA.
@@ -152,7 +152,7 @@ def choose(
     device = _device()
     if device.platform == "cpu":
         return "culled"
-    times = MEASURED["devices"].get(device.device_kind) if device.platform == "gpu" else None
+    times = KERNEL_TIMES["devices"].get(device.device_kind) if device.platform == "gpu" else None
     least = None if times is None else times["pallas_from"]
     return "pallas" if least is not None and work >= least else "jnp"
 

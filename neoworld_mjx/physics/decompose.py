@@ -20,10 +20,10 @@ CLOSED, OPEN = (0.02, 96), (0.08, 16)
 """Remaining concavity over the mesh's size, and most pieces: of closed meshes, and of others, which
 are wrapped first; finer pieces of those would cost a minute and still be too thick."""
 MAX_CORNERS = 48
-VERSION = "3"
-THINNEST_M = 0.002
+CACHE_VERSION = "3"
+SHEET_M = 0.002
 """Thickness given to flat sheets, which have no volume otherwise."""
-CONVEX = 0.97
+CONVEX_SHARE = 0.97
 """Share of its hull's volume above which a mesh counts as convex."""
 
 
@@ -46,7 +46,7 @@ def convex_pieces(vertices: NDArray, faces: NDArray) -> list[NDArray]:
     if flat(vertices) or is_convex(vertices, faces) or not installed():
         return whole
     key = hashlib.sha256()
-    for value in (f"{VERSION}:{CLOSED}:{OPEN}:{MAX_CORNERS}", vertices, faces):
+    for value in (f"{CACHE_VERSION}:{CLOSED}:{OPEN}:{MAX_CORNERS}", vertices, faces):
         key.update(value.encode() if isinstance(value, str) else value.tobytes())
     kept = cache_folder() / "coacd" / f"{key.hexdigest()}.npz"
     try:
@@ -67,9 +67,7 @@ def _is_piece(points: NDArray) -> bool:
 def flat(vertices: NDArray) -> bool:
     """Tell whether a mesh is a sheet, which has no inside to be split."""
     spread = np.linalg.svd(vertices - vertices.mean(axis=0), full_matrices=False)
-    return (
-        float(np.ptp((vertices - vertices.mean(axis=0)) @ spread[2].T, axis=0).min()) < THINNEST_M
-    )
+    return float(np.ptp((vertices - vertices.mean(axis=0)) @ spread[2].T, axis=0).min()) < SHEET_M
 
 
 def is_convex(vertices: NDArray, faces: NDArray) -> bool:
@@ -78,7 +76,7 @@ def is_convex(vertices: NDArray, faces: NDArray) -> bool:
     if not mesh.is_watertight:
         return False
     full = volume_of_hull(vertices)
-    return full > 0 and abs(float(mesh.volume)) > CONVEX * full
+    return full > 0 and abs(float(mesh.volume)) > CONVEX_SHARE * full
 
 
 def _merged(vertices: NDArray, faces: NDArray) -> Any:
@@ -107,13 +105,13 @@ def hull_points(vertices: NDArray) -> NDArray:
     centre = points.mean(axis=0)
     axes = np.linalg.svd(points - centre, full_matrices=False)[2]
     local = (points - centre) @ axes.T
-    thin = np.ptp(local, axis=0) < THINNEST_M
+    thin = np.ptp(local, axis=0) < SHEET_M
     if thin.any():
         shift = np.array(np.meshgrid(*[(-1, 1) if t else (0,) for t in thin])).reshape(3, -1).T
         flat = np.where(thin, 0.0, local)
         # Many points of a sheet are in its inside; its outline is enough.
         flat = flat[_furthest(flat)]
-        local = (flat[:, None] + shift[None] * THINNEST_M / 2).reshape(-1, 3)
+        local = (flat[:, None] + shift[None] * SHEET_M / 2).reshape(-1, 3)
         return np.unique(local @ axes + centre, axis=0)
     return points[_furthest(points)]
 

@@ -16,12 +16,12 @@ import numpy as np
 
 from ..cache import cache_folder
 
-FILE = "engine-costs.json"
-STEPS = 250
+COST_FILE = "engine-costs.json"
+COST_STEPS = 250
 """Seconds are those of so many steps; other lengths count in proportion."""
-WEIGHT = 0.3
+NEW_WEIGHT = 0.3
 """Of a new measurement beside the one that a table holds."""
-SIZES = 32
+MOST_SIZES = 32
 """Most numbers of candidates that a table holds."""
 
 
@@ -48,7 +48,7 @@ class EngineCost:
         table = self.tables.get(scenes) or dict(self.prior)
         sizes = sorted(table)
         predicted = float(np.interp(candidates, sizes, [table[size] for size in sizes]))
-        predicted *= max(candidates / sizes[-1], 1.0) * steps / STEPS
+        predicted *= max(candidates / sizes[-1], 1.0) * steps / COST_STEPS
         return predicted + (0.0 if started else self.start_s)
 
     def add(
@@ -62,13 +62,15 @@ class EngineCost:
         if not started:
             later = self.predict(scenes, candidates, steps, started=True)
             change = max(seconds - later, 0.0) - self.start_s
-            self.start_s += WEIGHT * change if scenes in self.tables else min(WEIGHT * change, 0.0)
+            self.start_s += (
+                NEW_WEIGHT * change if scenes in self.tables else min(NEW_WEIGHT * change, 0.0)
+            )
             return
         table = self.tables.setdefault(scenes, {})
-        new = seconds * STEPS / steps
+        new = seconds * COST_STEPS / steps
         known = table.get(candidates, new)
-        if candidates in table or len(table) < SIZES:
-            table[candidates] = known + WEIGHT * (new - known)
+        if candidates in table or len(table) < MOST_SIZES:
+            table[candidates] = known + NEW_WEIGHT * (new - known)
 
 
 def scene_class(objects: int, pieces: int, *, early_stop: bool) -> str:
@@ -96,7 +98,7 @@ def read_costs(machine: str, cores: int) -> dict[str, EngineCost]:
         with contextlib.suppress(AttributeError, TypeError, ValueError, KeyError):
             start = float(row["start_s"])
             tables = {
-                str(scenes): {int(n): float(s) for n, s in list(table.items())[:SIZES]}
+                str(scenes): {int(n): float(s) for n, s in list(table.items())[:MOST_SIZES]}
                 for scenes, table in row["tables"].items()
             }
             numbers = [start, *(s for table in tables.values() for s in table.values())]
@@ -110,8 +112,8 @@ def read_costs(machine: str, cores: int) -> dict[str, EngineCost]:
 def write_costs(machine: str, costs: dict[str, EngineCost]) -> None:
     """Keep a machine's costs; where the folder cannot be written, they are measured again."""
     row = {name: {"start_s": cost.start_s, "tables": cost.tables} for name, cost in costs.items()}
-    path = cache_folder() / FILE
-    part = path.with_name(f"{FILE}.{os.getpid()}")
+    path = cache_folder() / COST_FILE
+    part = path.with_name(f"{COST_FILE}.{os.getpid()}")
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         part.write_text(json.dumps({**_kept(), machine: row}, indent=1), encoding="utf-8")
@@ -120,7 +122,7 @@ def write_costs(machine: str, costs: dict[str, EngineCost]) -> None:
 
 def _kept() -> dict[str, object]:
     try:
-        kept = json.loads((cache_folder() / FILE).read_text(encoding="utf-8"))
+        kept = json.loads((cache_folder() / COST_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return {}
     return kept if isinstance(kept, dict) else {}

@@ -12,9 +12,9 @@ from jaxtyping import Array, Bool, Float, Int
 from ..spec import SceneObject, SceneSpec, bounds
 from ..spec.pose import pose, quat_mul, yaw_of
 from .array_types import AnyArray
-from .support import NOTHING, Support, height_above, link_frame, nothing, support
+from .support import NO_SURFACE, Support, height_above, link_frame, nothing, support
 
-SNAPPED = 8192
+SNAPPED_AT_ONCE = 8192
 """Objects of all candidates that are snapped at once; each takes about 30 KB meanwhile."""
 
 
@@ -161,15 +161,15 @@ def heights(arrangement: Arrangement, layouts: Layout) -> Float[Array, "pop obje
     touch = _map_candidates(
         lambda *candidate: over_objects(tables, *candidate), xy, yaw, size, carrier
     )
-    resting = jnp.asarray(a.snapped) & (touch > NOTHING / 2)
+    resting = jnp.asarray(a.snapped) & (touch > NO_SURFACE / 2)
     composed = jnp.asarray(a.z, jnp.float32) * carrier
     return jnp.where(resting, touch + jnp.asarray(a.gap, jnp.float32), composed)
 
 
 def _map_candidates(one: Callable[..., Any], *candidates: Any) -> Any:
-    """Map a function over candidates [pop, object, ...], about `SNAPPED` objects at once."""
+    """Map a function over candidates [pop, object, ...], about `SNAPPED_AT_ONCE` objects at once."""
     pop, objects = candidates[0].shape[:2]
-    parts = -(-pop * objects // SNAPPED)
+    parts = -(-pop * objects // SNAPPED_AT_ONCE)
     if parts <= 1:
         return jax.vmap(one)(*candidates)
     # Equal parts: a remainder would be compiled by itself.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-SIDES = 12
+PRISM_SIDES = 12
 """Of the prism that stands for a cylinder."""
 
 _CYLINDER, _ELLIPSOID = (
@@ -35,14 +35,16 @@ def polyhedron(kind: int, size: NDArray) -> NDArray:
     """Return the corners [n, 3] of the polyhedron that replaces a MuJoCo cylinder or ellipsoid."""
     if kind == _ELLIPSOID:
         return _ball()[0] * size
-    turn = 2 * np.pi * np.arange(SIDES) / SIDES
+    turn = 2 * np.pi * np.arange(PRISM_SIDES) / PRISM_SIDES
     ring = size[0] * _prism_factor() * np.column_stack([np.cos(turn), np.sin(turn)])
-    return np.vstack([np.column_stack([ring, np.full(SIDES, z)]) for z in (-size[1], size[1])])
+    return np.vstack(
+        [np.column_stack([ring, np.full(PRISM_SIDES, z)]) for z in (-size[1], size[1])]
+    )
 
 
 def _prism_factor() -> float:
     # Corners as far outside of the circle as edges are inside of it.
-    return 2 / (1 + np.cos(np.pi / SIDES))
+    return 2 / (1 + np.cos(np.pi / PRISM_SIDES))
 
 
 def _ball() -> tuple[NDArray, float]:

@@ -19,9 +19,9 @@ from jaxtyping import Array, Float
 from .array_types import AnyArray
 from .solids import Solids
 
-POINTS = 4
+PAIR_CONTACTS = 4
 """Contacts of a pair of solids."""
-TOLERANCE = 1e-5
+FACE_TOLERANCE_M = 1e-5
 """How far outside of a face a point may lie and still touch [m], so that edges that lie on each
 other do."""
 ASCENTS = 4
@@ -226,7 +226,7 @@ def _clipped(
     start, stop = (_dot(ends[:, k, None, :], faces) - offset for k in (0, 1))
     change = start - stop
     at = start / jnp.where(jnp.abs(change) > 1e-12, change, 1.0)
-    before, leaves = start > TOLERANCE, stop > TOLERANCE
+    before, leaves = start > FACE_TOLERANCE_M, stop > FACE_TOLERANCE_M
     # What never enters does so after its end.
     first = jnp.max(jnp.where(before, jnp.where(leaves, 2.0, at), 0.0), axis=1)
     last = jnp.min(jnp.where(~before & leaves, at, 1.0), axis=1)
@@ -269,7 +269,7 @@ def _spread(
     chosen = jnp.argmax(depth)
     apart = jnp.full(depth.shape, jnp.inf)
     rows, dist = [pos[chosen]], [-depth[chosen]]
-    for _ in range(POINTS - 1):
+    for _ in range(PAIR_CONTACTS - 1):
         away = flat - flat[chosen]
         apart = jnp.minimum(apart, _dot(away, away))
         chosen = jnp.argmax(apart * weight)

@@ -31,7 +31,7 @@ from .mjx_model import (
 from .model import SceneModel, StaticScene
 from .recorder import DIVERGED, Recorder, in_chunks, read_states, record_times
 
-CHUNK = 8192
+MJX_CHUNK = 8192
 """Most candidates simulated at once."""
 
 MEMORY_SHARE, CPU_MEMORY = 0.4, 1 << 30
@@ -148,7 +148,7 @@ class MjxEngine:
         stats = (device.memory_stats() or {}) if device.platform != "cpu" else {}
         budget = int(MEMORY_SHARE * stats.get("bytes_limit", CPU_MEMORY / MEMORY_SHARE)) * count
         fit = max(64, 1 << (max(budget // max(each, 1), 1).bit_length() - 1))
-        chunk = min(pop, CHUNK, fit)
+        chunk = min(pop, MJX_CHUNK, fit)
         return -(-chunk // count) * count
 
     def _spread(self, tree: Any, axis: str | None = "pop") -> Any:

@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..errors import EngineError
 from .derived import invweights
 from .layout import Layout, Poses
-from .manifold import POINTS, PosedSolid, manifolds
+from .manifold import PAIR_CONTACTS, PosedSolid, manifolds
 from .mjx_solver import solve
 from .model import SceneModel
 from .model_fields import model_fields
@@ -32,17 +32,17 @@ with contextlib.redirect_stdout(io.StringIO()):
     from mujoco import mjx
     from mujoco.mjx._src import constraint, math
 
-ITERATIONS = 5
+NEWTON_ITERATIONS = 5
 """Iterations of Newton's method a step, from the last step's accelerations. From none, where things
 overlap deeply, 8 find the minimum to rounding; over the steps of a rollout 5 gave 8's verdicts.
 """
-NEAR = 0.002
+NEAR_GAP_M = 0.002
 """Gap [m] up to which pairs of geoms of the composed scene count as near."""
-LOOKUP = 5
+LOOKUP_STEPS = 5
 """Steps between two look-ups of near geoms."""
-SPARE = 8
+SPARE_PAIRS = 8
 """Pairs of geoms looked at besides half as many again as are near in the composed scene."""
-CONTACTS, FEWEST = 8, 32
+CONTACTS_PER_BODY, FEWEST_CONTACTS = 8, 32
 """Contacts kept for each movable body, and at least; the deepest ones."""
 
 MODEL_FIELDS = (
@@ -112,7 +112,7 @@ def put_compiled(mjm: mujoco.MjModel, start: Float[np.ndarray, " nq"]) -> MjxMod
         raise EngineError(
             f"engine mjx cannot carry this scene: {error}; take --engine native"
         ) from None
-    near = 3 * _near_at_start(mjm, start, pairs) // 2 + SPARE
+    near = 3 * _near_at_start(mjm, start, pairs) // 2 + SPARE_PAIRS
     near = near if near < 3 * len(pairs.first) // 4 else len(pairs.first)
     movable = int(np.sum(mjm.body_weldid[1:] == np.arange(1, mjm.nbody)))
     return MjxModel(
@@ -121,7 +121,7 @@ def put_compiled(mjm: mujoco.MjModel, start: Float[np.ndarray, " nq"]) -> MjxMod
         pairs=jax.tree.map(jnp.asarray, pairs),
         rbound=jnp.asarray(mjm.geom_rbound, jnp.float32),
         near=near,
-        contacts=min(POINTS * near, max(CONTACTS * movable, FEWEST)),
+        contacts=min(PAIR_CONTACTS * near, max(CONTACTS_PER_BODY * movable, FEWEST_CONTACTS)),
         ellipsoids=bool(np.any(np.ptp(solids.radii, axis=1) > 0)),
     )
 
@@ -135,7 +135,7 @@ def _near_at_start(mjm: mujoco.MjModel, start: np.ndarray, pairs: GeomPairs) -> 
     gap = box_gaps(
         data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3), mjm.geom_aabb.reshape(-1, 6), pairs
     )
-    return int(np.sum(np.asarray(gap) < NEAR))
+    return int(np.sum(np.asarray(gap) < NEAR_GAP_M))
 
 
 def candidate_fields(scene: SceneModel, poses: Poses) -> tuple[Fields, Float[Array, "pop nq"]]:
@@ -219,7 +219,7 @@ def mjx_step(model: MjxModel, data: mjx.Data, nstep: int = 1) -> mjx.Data:
         model: of one candidate.
         data: its state.
         nstep: how many time steps. Which geoms are near each other is looked up in the first one
-            and in every `LOOKUP`-th after it.
+            and in every `LOOKUP_STEPS`-th after it.
     """
 
     def once(k: Any, carry: tuple[mjx.Data, Array]) -> tuple[mjx.Data, Array]:
@@ -227,7 +227,9 @@ def mjx_step(model: MjxModel, data: mjx.Data, nstep: int = 1) -> mjx.Data:
         d = mjx.kinematics(model.mjx, d)
         # The condition is the same for all candidates, so that it stays one under vmap.
         look = lambda: nearest_pairs(model, d)
-        nearest = jax.lax.cond(k % LOOKUP == 0, look, lambda: nearest) if nstep > 1 else look()
+        nearest = (
+            jax.lax.cond(k % LOOKUP_STEPS == 0, look, lambda: nearest) if nstep > 1 else look()
+        )
         return _dynamics(model, d, nearest), nearest
 
     # Ampere and later GPUs multiply single-precision matrices in TF32 unless told not to.
@@ -248,7 +250,7 @@ def _dynamics(model: MjxModel, d: mjx.Data, nearest: Int[Array, " near"]) -> mjx
     for stage in (mjx.make_constraint, mjx.fwd_velocity, mjx.fwd_actuation, mjx.fwd_acceleration):
         d = stage(m, d)
     constrained = bool(cast(Any, d)._impl.efc_J.size)
-    d = solve(d, ITERATIONS) if constrained else d.replace(qacc=d.qacc_smooth)
+    d = solve(d, NEWTON_ITERATIONS) if constrained else d.replace(qacc=d.qacc_smooth)
     return mjx.implicit(m, _after_solver(d))
 
 
@@ -316,7 +318,7 @@ def collide(model: MjxModel, d: mjx.Data, nearest: Int[Array, " near"]) -> mjx.D
 
     contacts = manifolds(placed(a), placed(b), model.ellipsoids)
     dist, which = jax.lax.top_k(-contacts.dist.reshape(-1), model.contacts)
-    pair = which // POINTS
+    pair = which // PAIR_CONTACTS
     geom = jnp.stack([a[pair], b[pair]], axis=1)
     contact = cast(Any, d)._impl.contact.replace(
         dist=-dist,

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 MjxState = Any
 """An `mjx.Data` of MJX's implementation in JAX; `mjx_model` imports MJX, which prints."""
-FARTHEST = 100.0
+LONGEST_STEP = 100.0
 """Longest step, in Newton steps, at which a breakpoint is looked for."""
 
 
@@ -128,7 +128,7 @@ def exact_step(
     """
     change = stiffness * way
     at = (ends - excess) / jnp.where(jnp.abs(change) > 1e-20, change, jnp.inf)
-    at = jnp.where((at > 0) & (at < FARTHEST), at, 0.0).reshape(-1)
+    at = jnp.where((at > 0) & (at < LONGEST_STEP), at, 0.0).reshape(-1)
     # Behind the last breakpoint the slope is a straight line, which two points tell.
     last = jnp.max(at)
     at = jnp.append(at, last + 1.0)

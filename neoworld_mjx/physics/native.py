@@ -21,9 +21,9 @@ from .model import MESH, SceneModel, StaticScene
 from .model_fields import mesh_object, model_fields, owner_scale
 from .recorder import Recorder, in_chunks
 
-CHUNK = 1024
+NATIVE_CHUNK = 1024
 """Most candidates simulated at once."""
-SLEEPING = 256
+SLEEPING_CHUNK = 256
 """The same where objects may sleep, for which MuJoCo keeps the data of each candidate."""
 RING_BYTES = 128 << 20
 """Memory that the copies of a model with meshes may take; it bounds the chunk, and is kept for the
@@ -68,7 +68,7 @@ class NativeEngine:
                 _simulate(batch, recorder, records)
             return recorder.rollout()
 
-        size = min(_chunk(scene), SLEEPING if sleeps else CHUNK)
+        size = min(_chunk(scene), SLEEPING_CHUNK if sleeps else NATIVE_CHUNK)
         rollout = in_chunks(scene.static, poses, size, records, every, run)
         _rings[scene.static] = ring
         return rollout
@@ -80,8 +80,8 @@ _rings: "weakref.WeakKeyDictionary[StaticScene, list[mujoco.MjModel]]" = weakref
 
 def _chunk(scene: SceneModel) -> int:
     if not has_meshes(scene):
-        return CHUNK
-    return min(CHUNK, max(32, RING_BYTES // int(mujoco.mj_sizeModel(scene.static.mjm))))
+        return NATIVE_CHUNK
+    return min(NATIVE_CHUNK, max(32, RING_BYTES // int(mujoco.mj_sizeModel(scene.static.mjm))))
 
 
 def has_meshes(scene: SceneModel) -> bool:

@@ -11,15 +11,15 @@ from ..spec.convex import Piece
 from ..spec.pose import matrix
 from .support import posed_pieces
 
-DIRECTIONS = 256
+HULL_DIRECTIONS = 256
 """Directions, evenly all around, in which an object's farthest points are kept."""
-ROUND = 0.04
+ROUND_SHARE = 0.04
 """Largest difference in reach about the axis, as a share of the reach, of a round object; polygons
 of twelve corners or more count as round."""
 
 
 def extreme_points(item: SceneObject) -> Float[np.ndarray, "direction 3"]:
-    """Return the points in the object's frame at scale 1 [m] that reach farthest in DIRECTIONS.
+    """Return the points in the object's frame at scale 1 [m] that reach farthest in HULL_DIRECTIONS.
 
     A smooth object's box in a picture is short of the true one by half a percent at most.
     """
@@ -36,13 +36,13 @@ def is_round(item: SceneObject) -> bool:
     directions = np.concatenate(ways)
     reach = np.sum(_farthest(item, directions) * directions, axis=1).reshape(len(ways), -1)
     widest = np.hypot(*_farthest(item, directions)[:, :2].T).max()
-    return bool(np.ptp(reach, axis=1).max() < ROUND * widest)
+    return bool(np.ptp(reach, axis=1).max() < ROUND_SHARE * widest)
 
 
 @functools.cache
 def _directions() -> NDArray:
-    k = np.arange(DIRECTIONS) + 0.5
-    z, turn = 1 - 2 * k / DIRECTIONS, np.pi * (1 + 5**0.5) * k
+    k = np.arange(HULL_DIRECTIONS) + 0.5
+    z, turn = 1 - 2 * k / HULL_DIRECTIONS, np.pi * (1 + 5**0.5) * k
     r = np.sqrt(1 - z * z)
     return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
 

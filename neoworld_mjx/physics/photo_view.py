@@ -10,7 +10,7 @@ from ..spec import Camera, ObjectSpec, SceneSpec, world_poses
 from .array_types import AnyArray
 from .sampling import surface_samples
 
-SAMPLES = 256
+BOX_SAMPLES = 256
 """Surface samples that give the 2D box of an object without a parsed one."""
 
 
@@ -57,7 +57,7 @@ def photo_view(spec: SceneSpec) -> PhotoView:
     for item in spec.objects:
         box, distance = item.box2d and item.box2d.as_tuple(), item.depth
         if box is None or distance is None:
-            points = np.asarray(surface_samples(item, SAMPLES), float)
+            points = np.asarray(surface_samples(item, BOX_SAMPLES), float)
             pixels, distances = camera.project(poses[item.name].apply(points))
             box = [*pixels.min(axis=0), *pixels.max(axis=0)] if box is None else box
             distance = distances.mean() if distance is None else distance

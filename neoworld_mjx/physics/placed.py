@@ -21,7 +21,7 @@ from .layout import Layout, Poses, rotation
 from .scene_arrays import SceneArrays
 from .visibility import Visible, as_parsed, unhidden, visibility
 
-CHUNK = 16
+CPU_CHUNK = 16
 """Candidates that are looked at at once on CPUs, where more at once gain nothing, and a single one
 costs as much as all."""
 Out = TypeVar("Out")
@@ -39,12 +39,12 @@ class Placed(eqx.Module):
     `settled_by`; 0 where nothing settled."""
 
 
-BALL = 0.03
+BALL_EXTENT = 0.03
 """Difference of a ball's extents, over the largest."""
 UP, SIDEWAYS, DOWN = float(np.radians(15.0)), 0.25, (0.1, 0.01)
 """Bounds of settling: of the tilt [rad]; of the horizontal shift, over the object's size; of the
 change of height, over its size, and beyond that [m]."""
-LEAST = 1e-6
+LEAST_SIZE_M = 1e-6
 """Least size of an object [m]."""
 
 
@@ -130,8 +130,8 @@ def settled_by(
     corners = xp.asarray(scene.corners)
     box = xp.max(corners, axis=1) - xp.min(corners, axis=1)
     # What is padded has no size.
-    size = xp.maximum(xp.linalg.norm(box, axis=-1) * start.scale, LEAST)
-    ball = xp.asarray(scene.round) & (xp.ptp(box, axis=-1) < BALL * xp.max(box, axis=-1))
+    size = xp.maximum(xp.linalg.norm(box, axis=-1) * start.scale, LEAST_SIZE_M)
+    ball = xp.asarray(scene.round) & (xp.ptp(box, axis=-1) < BALL_EXTENT * xp.max(box, axis=-1))
     up, now = (_own_up(quat, xp) for quat in (start.quat, end.quat))
     leans = xp.arctan2(xp.linalg.norm(xp.cross(up, now), axis=-1), xp.sum(up * now, axis=-1))
     tilt = xp.where(ball, 0.0, leans)
@@ -154,7 +154,7 @@ def poses_in_chunks(scene: SceneArrays, layouts: Layout, number: int | None = No
 
 
 def placed_in_chunks(scene: SceneArrays, layouts: Layout, number: int | None = None) -> Placed:
-    """Do what `placed` does in chunks of CHUNK, so that one program serves all populations.
+    """Do what `placed` does in chunks of CPU_CHUNK, so that one program serves all populations.
 
     Args:
         scene: the scene's arrays.
@@ -186,9 +186,9 @@ def _in_chunks(
     pop = jax.tree.leaves(of)[0].shape[0]
     used = pop if number is None else number
     parts: list[Out] = []
-    for first in range(0, used, CHUNK):
+    for first in range(0, used, CPU_CHUNK):
         # The last chunk is filled up with its first candidate.
-        rows = np.arange(first, first + CHUNK)
+        rows = np.arange(first, first + CPU_CHUNK)
         rows = np.where(rows < used, rows, first)
         parts.append(look(scene, jax.tree.map(lambda x, rows=rows: np.asarray(x)[rows], of)))
     rows = np.where(np.arange(pop) < used, np.arange(pop), 0)

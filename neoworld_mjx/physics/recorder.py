@@ -16,7 +16,7 @@ DIVERGED = 1e10
 """Coordinates beyond this are a failure, as in MuJoCo (mjMAXVAL)."""
 SIMULATED = ("pos", "quat", "joint_shift", "status", "steps")
 """What of a rollout a simulation makes."""
-LINGER = 0.15
+LINGER_SHARE = 0.15
 """Share of the bounds of stability within which an object is said to linger."""
 
 
@@ -144,7 +144,7 @@ class Recorder:
         rule, rows = self.rule, self.active
         assert rule is not None
         moved = _Motion.between(self._anchor[rows], base)
-        left = moved.beyond(LINGER * rule.distance, LINGER * rule.angle)
+        left = moved.beyond(LINGER_SHARE * rule.distance, LINGER_SHARE * rule.angle)
         self._anchor[rows[left]] = base[left]
         self._since[rows[left]] = self.steps[rows[left]]
         time = (self.steps[rows] - self._since[rows]) * float(self.static.mjm.opt.timestep)

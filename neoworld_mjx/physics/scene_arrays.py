@@ -18,7 +18,7 @@ from .layout import Arrangement, Layout, Poses, heights, place
 from .photo_view import PhotoView
 from .support import nothing
 
-FAR = 1e4
+PADDING_DEPTH_M = 1e4
 """How far below the scene padded objects lie [m]."""
 
 
@@ -84,7 +84,7 @@ class Bucket(NamedTuple):
     sector: int
 
 
-SMALLEST = Bucket(16, 16, 64, 64, 16, 32, 16, 128, 32)
+SMALLEST_BUCKET = Bucket(16, 16, 64, 64, 16, 32, 16, 128, 32)
 """A table with what stands on it; other buckets are this one doubled, faces by themselves."""
 
 
@@ -98,9 +98,9 @@ def bucket_of(scene: SceneArrays) -> Bucket:
         **{kind: len(group.owner) for kind, group in groups.items()},
     )
     times = lambda n, smallest: 1 << max(0, -(-n // smallest) - 1).bit_length()
-    faces = SMALLEST.faces * times(need.faces, SMALLEST.faces)
-    factor = max(times(*of) for of in zip(need._replace(faces=1), SMALLEST, strict=True))
-    return Bucket(*(n * factor for n in SMALLEST))._replace(faces=faces)
+    faces = SMALLEST_BUCKET.faces * times(need.faces, SMALLEST_BUCKET.faces)
+    factor = max(times(*of) for of in zip(need._replace(faces=1), SMALLEST_BUCKET, strict=True))
+    return Bucket(*(n * factor for n in SMALLEST_BUCKET))._replace(faces=faces)
 
 
 def pad_scene(scene: SceneArrays, bucket: Bucket | None = None) -> SceneArrays:
@@ -147,7 +147,7 @@ def pad_arrangement(a: Arrangement, objects: int) -> Arrangement:
     ancestors[:count, :count] = a.ancestors
     return Arrangement(
         xy=pad_axis(a.xy, objects),
-        z=pad_axis(a.z, objects, -FAR),
+        z=pad_axis(a.z, objects, -PADDING_DEPTH_M),
         yaw=pad_axis(a.yaw, objects),
         tilt=pad_axis(a.tilt, objects, np.array([1.0, 0.0, 0.0, 0.0])),
         frame_pos=pad_axis(a.frame_pos, objects),
@@ -162,7 +162,7 @@ def pad_arrangement(a: Arrangement, objects: int) -> Arrangement:
 
 def object_bucket(count: int) -> int:
     """Return the length of the object axis that `count` objects are padded to."""
-    return SMALLEST.objects << (-(-count // SMALLEST.objects) - 1).bit_length()
+    return SMALLEST_BUCKET.objects << (-(-count // SMALLEST_BUCKET.objects) - 1).bit_length()
 
 
 def pad_objects(tree: Any, objects: int) -> Any:
@@ -199,7 +199,7 @@ def _pad_pieces(group: PieceGroup, pieces: int, faces: int, owner: int) -> Piece
         empty[0, 3] = -1.0
     rows = {
         "owner": pad_axis(group.owner, pieces, owner),
-        "pos": pad_axis(group.pos, pieces, np.array([0.0, 0.0, FAR])),
+        "pos": pad_axis(group.pos, pieces, np.array([0.0, 0.0, PADDING_DEPTH_M])),
         "rot": pad_axis(group.rot, pieces, np.eye(3)),
         # Ellipsoids are divided by their sizes, circles by how often a sector is repeated.
         "size": pad_axis(group.size, pieces, np.array([1.0, 1e-6, 1e-6])),

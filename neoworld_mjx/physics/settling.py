@@ -33,7 +33,9 @@ COARSER = 2
 """Time steps of populations that sink are longer by this factor: nothing is fast."""
 LEVEL_DEG = 0.3
 """Tilt below which an object counts as upright."""
-SINKING = EarlyStop(distance=0.0067, angle=0.058, drift=1e3, tilt=1e3, linger=0.12, anywhere=True)
+SETTLING_STOP = EarlyStop(
+    distance=0.0067, angle=0.058, drift=1e3, tilt=1e3, linger=0.12, anywhere=True
+)
 """Candidates end at rest, however far they have moved: what stays within 1 mm and half a degree may
 quiver."""
 
@@ -54,7 +56,11 @@ def settle(scene: SceneModel, poses: Poses, engine: Engine, duration: float) -> 
     """
     rollout = jax.device_get(
         engine.rollout(
-            with_drag(scene), poses, duration=duration, record_every=duration, early_stop=SINKING
+            with_drag(scene),
+            poses,
+            duration=duration,
+            record_every=duration,
+            early_stop=SETTLING_STOP,
         )
     )
     lost = np.isin(rollout.status, (int(RolloutStatus.FAILED), int(RolloutStatus.TRUNCATED)))

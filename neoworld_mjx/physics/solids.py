@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull
 from ..errors import EngineError
 from .array_types import AnyArray
 
-CORNERS, SIDES = 8, 12
+RIM_CORNERS, WALL_FACES = 8, 12
 """Corners of the ring that stands for a cylinder's edge where contacts are placed, and faces of its
 wall; one of each points at what touches it.
 """
@@ -159,13 +159,15 @@ def _cylinder(radius: float, half: float) -> Solids:
     turn = lambda n: 2 * np.pi * np.arange(n) / n
     out = lambda n: np.column_stack([np.cos(turn(n)), np.sin(turn(n)), np.zeros(n)])
     up = np.array([0.0, 0.0, half])
-    low, high = radius * out(CORNERS) - up, radius * out(CORNERS) + up
+    low, high = radius * out(RIM_CORNERS) - up, radius * out(RIM_CORNERS) + up
     around = lambda ring: np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
     caps = np.array([[0.0, 0.0, -1.0, half], [0.0, 0.0, 1.0, half]])
     return Solids(
         vert=np.stack([-up, up]),
         edge=np.concatenate([around(low), around(high), np.stack([low, high], axis=1)]),
-        plane=np.concatenate([np.column_stack([out(SIDES), np.full(SIDES, radius)]), caps]),
+        plane=np.concatenate(
+            [np.column_stack([out(WALL_FACES), np.full(WALL_FACES, radius)]), caps]
+        ),
         disc=np.array(radius),
         radii=np.zeros(3),
         core=np.stack([-up, up]),

@@ -19,20 +19,20 @@ from .array_types import AnyArray
 
 GRID = 160
 """Cells along each side of a support's height grid."""
-FOOT = 192
+UNDERSIDE_POINTS = 192
 """Points that stand for a child's underside."""
-SHARE = 0.8
+LEVEL_SHARE = 0.8
 """Most of the underside's points that are of one level of height, if there are others."""
-WALL = 0.02
+WALL_M = 0.02
 """How far [m] a wall reaches above an object that stands beside it, such as a book in a shelf."""
 LEANING_DEG = 5.0
 """Tilt from which on an object in its parent leans there."""
-SOLE = 0.005
+SOLE_M = 0.005
 """How far [m] the floor reaches above the lowest point of what leans in its parent: it stands on an
 edge, and the wall beside that is no floor."""
-EDGE = 1e-6
+LINE_MARGIN_M = 1e-6
 """How far beside a piece [m] lines are still held against it."""
-NOTHING = -1e3
+NO_SURFACE = -1e3
 """Height [m] where a support has no surface."""
 
 
@@ -43,12 +43,12 @@ class Support(NamedTuple):
     """
 
     heights: Float[AnyArray, "GRID GRID"]
-    """Upper surface [m] at grid points, x first; NOTHING where there is none."""
+    """Upper surface [m] at grid points, x first; NO_SURFACE where there is none."""
     origin: Float[AnyArray, " 2"]
     """Grid point (0, 0) [m]."""
     cell: Float[AnyArray, ""]
     """Spacing of grid points [m]."""
-    foot: Float[AnyArray, "FOOT 3"]
+    foot: Float[AnyArray, "UNDERSIDE_POINTS 3"]
     """The child's underside in its own tilted frame [m]; unused rows lie at +inf height."""
 
 
@@ -98,7 +98,10 @@ def column(piece: Piece, at: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
     if piece.kind in ("box", "mesh"):
         # Few lines of a grid meet a small piece.
         spots = _corners(piece, at)[:, :2]
-        near = np.all((xy >= spots.min(axis=0) - EDGE) & (xy <= spots.max(axis=0) + EDGE), axis=1)
+        near = np.all(
+            (xy >= spots.min(axis=0) - LINE_MARGIN_M) & (xy <= spots.max(axis=0) + LINE_MARGIN_M),
+            axis=1,
+        )
         low, high = np.full(len(xy), np.inf), np.full(len(xy), -np.inf)
         if near.any():
             low[near], high[near] = _meet(piece, at, xy[near])
@@ -152,7 +155,7 @@ def _through_ball(o: NDArray, d: NDArray) -> tuple[NDArray, NDArray]:
 
 
 def footprint(item: SceneObject) -> NDArray:
-    """Sample an object's underside in its tilted frame: points [FOOT, 3] m, padded at +inf."""
+    """Sample an object's underside in its tilted frame: points [UNDERSIDE_POINTS, 3] m, padded at +inf."""
     pieces = posed_pieces(item)
     corners = [_corners(piece, at) for piece, at in pieces]
     spots = np.vstack(corners)
@@ -165,13 +168,13 @@ def footprint(item: SceneObject) -> NDArray:
     points = np.column_stack([xy, z])[np.isfinite(z)]
     if item.relation == "in" and _leans(item):
         # It stands on its lowest edge; the rest touches the wall.
-        points = points[points[:, 2] <= points[:, 2].min() + SOLE]
-    if len(points) > FOOT:
+        points = points[points[:, 2] <= points[:, 2].min() + SOLE_M]
+    if len(points) > UNDERSIDE_POINTS:
         # The lowest points matter most, but a wide flat foot must stay covered, and the rim of a
         # lid be seen beside its plug: take the hull of each low level first, then spread the rest.
         level = np.round((points[:, 2] - points[:, 2].min()) / (1e-4 + np.ptp(points[:, 2]) / 8))
-        points = points[_spread(points[:, :2], level)[:FOOT]]
-    pad = np.full((FOOT - len(points), 3), np.inf)
+        points = points[_spread(points[:, :2], level)[:UNDERSIDE_POINTS]]
+    pad = np.full((UNDERSIDE_POINTS - len(points), 3), np.inf)
     pad[:, :2] = 0.0
     return np.vstack([points, pad])
 
@@ -200,19 +203,19 @@ def _corners(piece: Piece, at: Pose) -> NDArray:
 def _spread(xy: NDArray, level: NDArray) -> NDArray:
     """Order points so that low ones come first and each prefix covers its level evenly.
 
-    No level has more than SHARE of the first FOOT while others wait.
+    No level has more than LEVEL_SHARE of the first UNDERSIDE_POINTS while others wait.
     """
     first: list[int] = []
     later: list[int] = []
-    most = int(SHARE * FOOT)
+    most = int(LEVEL_SHARE * UNDERSIDE_POINTS)
     for value in np.unique(level):
         rest = np.flatnonzero(level == value)
         gap = np.linalg.norm(xy[rest] - xy[rest].mean(axis=0), axis=1)
-        for k in range(min(len(rest), FOOT)):
+        for k in range(min(len(rest), UNDERSIDE_POINTS)):
             point = int(np.argmax(gap))
             (first if k < most else later).append(int(rest[point]))
             gap = np.minimum(gap, np.linalg.norm(xy[rest] - xy[rest[point]], axis=1))
-        if len(first) >= FOOT:
+        if len(first) >= UNDERSIDE_POINTS:
             break
     return np.array(first + later)
 
@@ -224,8 +227,8 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     such as a can on a lower shelf, the highest surface below pieces that leave it room. Of the two
     the one nearer to the composed height is taken. An object inside its parent is never lifted onto
     a wall, and enters walls instead, where D_pen has a gradient that leads out. A wall is what
-    reaches above the middle of the composed object with relation "in", by WALL above the top of
-    another, and by SOLE above the lowest point of one that leans in its parent on a floor.
+    reaches above the middle of the composed object with relation "in", by WALL_M above the top of
+    another, and by SOLE_M above the lowest point of one that leans in its parent on a floor.
 
     Args:
         scene: the composed scene.
@@ -247,22 +250,22 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
 
     top = max(float(_corners(piece, at)[:, 2].max()) for piece, at in posed_pieces(item))
     middle = item.z + (own[:, 2].min() + top) / 2
-    outside = np.max(high, axis=0, initial=NOTHING)
+    outside = np.max(high, axis=0, initial=NO_SURFACE)
     under = low < middle
     # A wall does not hide the floor on which it stands.
-    wall = middle if item.relation == "in" else item.z + top + WALL
+    wall = middle if item.relation == "in" else item.z + top + WALL_M
     floor = under & (high <= wall)
     if item.relation == "in" and _leans(item):
-        sole = under & (high <= item.z + own[:, 2].min() + SOLE)
+        sole = under & (high <= item.z + own[:, 2].min() + SOLE_M)
         floor = sole if sole.any() else floor
-    inside = np.max(np.where(floor, high, NOTHING), axis=0, initial=NOTHING)
+    inside = np.max(np.where(floor, high, NO_SURFACE), axis=0, initial=NO_SURFACE)
     ceiling = np.min(np.where(under, np.inf, low), axis=0, initial=np.inf)
 
     turned = rotate(from_yaw(item.yaw), own)
     spots = np.clip(np.round((turned[:, :2] + item.xy - origin) / cell), 0, GRID - 1).astype(int)
     cells = spots[:, 0] * GRID + spots[:, 1]
     z_out, z_in = (float(np.max(h[cells] - own[:, 2])) for h in (outside, inside))
-    fits = z_in > NOTHING / 2 and np.min(ceiling[cells]) > z_in + top - 1e-3
+    fits = z_in > NO_SURFACE / 2 and np.min(ceiling[cells]) > z_in + top - 1e-3
     lower = fits and abs(z_in - item.z) <= abs(z_out - item.z)
     heights = inside if lower or item.relation == "in" else outside
     return Support(
@@ -288,10 +291,10 @@ def link_frame(parent: SceneObject, link: str | None) -> Pose:
 
 def nothing() -> Support:
     """Return the table of an object that stands on nothing."""
-    foot = np.zeros((FOOT, 3), np.float32)
+    foot = np.zeros((UNDERSIDE_POINTS, 3), np.float32)
     foot[:, 2] = np.inf
     return Support(
-        np.full((GRID, GRID), NOTHING, np.float32),
+        np.full((GRID, GRID), NO_SURFACE, np.float32),
         np.zeros(2, np.float32),
         np.ones((), np.float32),
         foot,
@@ -315,7 +318,7 @@ def height_above(
         parent_size: scale of the support.
 
     Returns:
-        Height [m] in the support frame; below NOTHING / 2 when no point of the underside is above
+        Height [m] in the support frame; below NO_SURFACE / 2 when no point of the underside is above
         the support.
     """
     c, s = jnp.cos(yaw), jnp.sin(yaw)
@@ -330,14 +333,18 @@ def height_above(
     highest = jnp.maximum(jnp.maximum(a, b), jnp.maximum(c, d))
     nearest = jnp.where(v > 0.5, jnp.where(u > 0.5, d, c), jnp.where(u > 0.5, b, a))
     surface = jnp.where(highest - lowest < 2.0 * table.cell, blended, nearest)
-    surface = jnp.where(within & between, surface, NOTHING)
+    surface = jnp.where(within & between, surface, NO_SURFACE)
     gap = surface * parent_size - table.foot[:, 2] * size
-    return jnp.max(jnp.where(jnp.isfinite(gap) & (surface > NOTHING / 2), gap, NOTHING))
+    return jnp.max(jnp.where(jnp.isfinite(gap) & (surface > NO_SURFACE / 2), gap, NO_SURFACE))
 
 
 def _cell(
-    table: Support, axis: int, at: Float[Array, " FOOT"]
-) -> tuple[Int[Array, " FOOT"], Float[Array, " FOOT"], Bool[Array, " FOOT"]]:
+    table: Support, axis: int, at: Float[Array, " UNDERSIDE_POINTS"]
+) -> tuple[
+    Int[Array, " UNDERSIDE_POINTS"],
+    Float[Array, " UNDERSIDE_POINTS"],
+    Bool[Array, " UNDERSIDE_POINTS"],
+]:
     """Find coordinates [m] on a side of the grid: cell, place in it from 0 to 1, whether inside."""
     grid = (at - table.origin[axis]) / table.cell
     low = jnp.clip(jnp.floor(grid), 0, GRID - 2).astype(jnp.int32)
@@ -345,9 +352,9 @@ def _cell(
 
 
 __all__ = [
-    "FOOT",
+    "UNDERSIDE_POINTS",
     "GRID",
-    "NOTHING",
+    "NO_SURFACE",
     "Support",
     "column",
     "footprint",

@@ -28,14 +28,14 @@ from .layout import Poses, rotation
 from .photo_view import PhotoView
 from .scene_arrays import SceneArrays
 
-TILE, TILES = 8, 3
+WINDOW_TILE, WINDOW_TILES = 8, 3
 """Cells along a tile, and tiles along a window of an object."""
 GOLDEN = 0.618034
 """Cells are looked at off their middle by multiples of this, so that an edge along the grid is met
 at many places within a cell."""
 INSET = 0.01
 """How far inside an object's extreme points it is looked for, as a share of its box."""
-DEEPEST = 1e-3
+LEAST_DEPTH_M = 1e-3
 """Least depth [m] of a point that is projected."""
 
 
@@ -96,7 +96,7 @@ def outlines(scene: SceneArrays, poses: Poses) -> Outlines:
             dot([turn[..., None, k, j] for j in range(3)], apart) + shift[..., None, k]
             for k in range(3)
         )
-        z = jnp.maximum(z, DEEPEST)
+        z = jnp.maximum(z, LEAST_DEPTH_M)
         return x / z * v.focal, y / z * v.focal, z
 
     x, y, _ = project(scene.outline)
@@ -171,11 +171,15 @@ def _near(prepared: _Prepared, window: Float[Array, "4 pop"], behind: Any) -> li
 
 def _grid() -> Float[np.ndarray, "2 tile cell"]:
     """Return where cells of a window are looked at, from 0 to 1, in tiles."""
-    n = TILE * TILES
+    n = WINDOW_TILE * WINDOW_TILES
     row, column = np.mgrid[:n, :n]
     x = (column + (0.5 + GOLDEN * row) % 1) / n
     y = (row + (0.5 + GOLDEN * column) % 1) / n
-    tiles = lambda v: v.reshape(TILES, TILE, TILES, TILE).swapaxes(1, 2).reshape(TILES**2, -1)
+    tiles = lambda v: (
+        v.reshape(WINDOW_TILES, WINDOW_TILE, WINDOW_TILES, WINDOW_TILE)
+        .swapaxes(1, 2)
+        .reshape(WINDOW_TILES**2, -1)
+    )
     return np.stack([tiles(x), tiles(y)]).astype(np.float32)
 
 
@@ -216,7 +220,7 @@ def _visible(scene: SceneArrays, poses: Poses, seen: Outlines) -> Visible:
         inward = middle[k] - extremes[k]
         length = jnp.maximum(jnp.max(jnp.abs(inward) / jnp.maximum(size, 1e-6), axis=1), 1e-6)
         inner = extremes[k] + inward * jnp.minimum(INSET / length, 1.0)[:, None]
-        ends = jnp.repeat(inner, TILE * TILE // 4, axis=0)
+        ends = jnp.repeat(inner, WINDOW_TILE * WINDOW_TILE // 4, axis=0)
         x, y = (
             jnp.concatenate([grid[a][..., None] * span[a] + window[a], ends[None, :, a]])
             for a in range(2)
@@ -240,9 +244,9 @@ def _visible(scene: SceneArrays, poses: Poses, seen: Outlines) -> Visible:
         ]
         (x0, x1), (y0, y1) = extent(x), extent(y)
         sampled = jnp.stack([x0, y0, x1, y1])
-        cell = jnp.tile(span, (2, 1)) / (TILE * TILES)
+        cell = jnp.tile(span, (2, 1)) / (WINDOW_TILE * WINDOW_TILES)
         in_picture = (full[k] >= low) & (full[k] <= high)
-        tips = slice(None, None, TILE * TILE // 4)
+        tips = slice(None, None, WINDOW_TILE * WINDOW_TILE // 4)
         tip_shown, tip_own = shown[-1][tips], own[-1][tips]
         # A thin tip may be missed by its ray; then the cells beside it decide.
         by_cells = ~tip_own & (jnp.abs(sampled - full[k]) < 1.5 * cell)
@@ -271,7 +275,7 @@ def _least_inverse_depth(prepared: _Prepared, count: int) -> Float[Array, "objec
         at = rows.pos
         far = jnp.sqrt(jnp.sum(at**2, axis=1)) + reach
         depth = placed.pos[rows.owner, 2] + far[:, None] * placed.scale[rows.owner]
-        inverse = jnp.where(rows.used[:, None], 1.0 / jnp.maximum(depth, DEEPEST), jnp.inf)
+        inverse = jnp.where(rows.used[:, None], 1.0 / jnp.maximum(depth, LEAST_DEPTH_M), jnp.inf)
         least = least.at[rows.owner].min(inverse)
     return least
 
@@ -286,14 +290,18 @@ def raster(
     Args:
         scene: the scene's arrays.
         poses: where the candidates' objects are placed.
-        columns: cells across the picture, a multiple of TILE.
-        rows: cells down the picture, a multiple of TILE.
+        columns: cells across the picture, a multiple of WINDOW_TILE.
+        rows: cells down the picture, a multiple of WINDOW_TILE.
     """
     prepared = _prepared(scene, poses)
     half = scene.photo.half_size / scene.photo.focal
     pop = poses.scale.shape[0]
     row, column = np.mgrid[:rows, :columns]
-    fold = lambda v: v.reshape(rows // TILE, TILE, -1, TILE).swapaxes(1, 2).reshape(-1, TILE**2)
+    fold = lambda v: (
+        v.reshape(rows // WINDOW_TILE, WINDOW_TILE, -1, WINDOW_TILE)
+        .swapaxes(1, 2)
+        .reshape(-1, WINDOW_TILE**2)
+    )
     at = lambda v, number, k: jnp.repeat(
         ((fold(v) + 0.5) / number * 2 - 1)[..., None] * half[k], pop, axis=-1
     )
@@ -306,7 +314,7 @@ def raster(
     owner = jnp.where(nearest > 0, jnp.argmax(hits, axis=0).astype(jnp.int32), -1)
     unfold = lambda v: (
         jnp.moveaxis(v, -1, 0)
-        .reshape(pop, rows // TILE, columns // TILE, TILE, TILE)
+        .reshape(pop, rows // WINDOW_TILE, columns // WINDOW_TILE, WINDOW_TILE, WINDOW_TILE)
         .swapaxes(2, 3)
         .reshape(pop, rows, columns)
     )

@@ -29,7 +29,7 @@ from .recorder import SIMULATED, Recorder, in_chunks
 if TYPE_CHECKING:
     from .warp_worlds import Worlds
 
-WORLDS = 8192
+WARP_CHUNK = 8192
 """Most candidates simulated at once."""
 
 GROWTHS = 3
@@ -38,7 +38,7 @@ GROWTHS = 3
 BUCKETS = 8
 """Worlds are launched in eighths of a power of two, so that few graphs are captured."""
 
-BEYOND = np.iinfo(int).max
+FILLER = np.iinfo(int).max
 """In the place of a candidate, a world that fills a bucket up."""
 
 _NOT_FIELDS = ("qpos", "site_pos")
@@ -130,8 +130,8 @@ class WarpEngine:
     def _chunk_size(self, scene: SceneModel, poses: Poses) -> int:
         fine = poses[~unplaceable(poses)]
         if scene.static.mjm.nv == 0 or not len(fine.scale):
-            return WORLDS
-        return min(WORLDS, self.worlds(scene, 1, fine).room())
+            return WARP_CHUNK
+        return min(WARP_CHUNK, self.worlds(scene, 1, fine).room())
 
     def _chunk(
         self,
@@ -189,7 +189,7 @@ def _advance(
     bucket = max(1, len(start) // BUCKETS)
     launched = -(-pop // bucket) * bucket
     worlds.load(fields, start[:launched])
-    rows = np.concatenate([np.arange(pop), np.full(launched - pop, BEYOND)])
+    rows = np.concatenate([np.arange(pop), np.full(launched - pop, FILLER)])
     for time in range(records):
         worlds.step(recorder.every)
         qpos, qvel, qacc, overflow = worlds.read(moving=recorder.rule is not None)
@@ -219,7 +219,7 @@ def _advance(
             keep = np.flatnonzero(running)
             keep = np.concatenate([keep, keep[fill]])
             worlds.compact(active[keep], qpos[keep], qvel[keep], qacc[keep], scrub=failed)
-            rows = np.concatenate([recorder.active, np.full(len(fill), BEYOND)])
+            rows = np.concatenate([recorder.active, np.full(len(fill), FILLER)])
     return truncated, False
 
 

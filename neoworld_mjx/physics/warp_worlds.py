@@ -23,10 +23,10 @@ from .native import open_batch
 PROBED, PROBE_STEPS, PROBE_EVERY = 24, 75, 5
 """Candidates and steps that contacts are counted over before a scene's first rollout."""
 
-MEMORY_SHARE = 0.4
+WORLDS_MEMORY_SHARE = 0.4
 """Of a device's free memory, how much one scene's worlds may take."""
 
-ITERATIONS = 100
+WARP_ITERATIONS = 100
 """Most iterations of the constraint solver. All worlds wait for the slowest."""
 
 
@@ -88,7 +88,7 @@ class Worlds:
         mjm = copy.copy(static.mjm)
         # Warp never resets a diverged world, and does not know the flag that says so.
         mjm.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        mjm.opt.iterations = min(mjm.opt.iterations, ITERATIONS)
+        mjm.opt.iterations = min(mjm.opt.iterations, WARP_ITERATIONS)
         # In MuJoCo Warp this flag means that two boxes meet as in C MuJoCo, by their own algorithm.
         mjm.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
         self.count = n = capacity.worlds
@@ -190,7 +190,7 @@ class Worlds:
             return 1 << 16
         each = sum(_bytes(x) for x in (self.model, self.data)) / max(self.capacity.worlds, 1)
         free = self.device.free_memory + each * self.capacity.worlds
-        fit = int(MEMORY_SHARE * free / (2 * each))
+        fit = int(WORLDS_MEMORY_SHARE * free / (2 * each))
         return max(64, 1 << (fit.bit_length() - 1))
 
     def _own_meshes(self) -> None:

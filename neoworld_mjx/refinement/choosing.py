@@ -17,7 +17,7 @@ from ..spec.pose import pose
 from .rounds import Round, ranked
 from .soundness import failing
 
-RESTING = ((True, 0.5), (False, 1.0), (True, 0.5))
+COARSE_REST_PHASES = ((True, 0.5), (False, 1.0), (True, 0.5))
 """What an object that has come to rest in a coarse rollout does until the exact check; see
 `at_rest`."""
 DROPPED = ((False, 3.0),)
@@ -149,7 +149,7 @@ def finished(model: SceneModel, round_: Round, k: int) -> tuple[SceneSpec, tuple
     pos, quat = (np.asarray(x)[k].astype(float) for x in (round_.poses.pos, round_.poses.quat))
     movable = np.flatnonzero(np.asarray(model.movable))
     ends = {model.names[n]: pose(pos[n], quat[n] / np.linalg.norm(quat[n])) for n in movable}
-    rest = at_rest(moved(scene, ends), RESTING, sleeps=True)
+    rest = at_rest(moved(scene, ends), COARSE_REST_PHASES, sleeps=True)
     return rest, moved_away(model, scene, rest, np.asarray(round_.layouts.log_scale)[k])
 
 

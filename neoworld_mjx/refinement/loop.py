@@ -47,8 +47,8 @@ from .rounds import Round, best_first
 from .scorer import SemanticScorer
 from .search_run import SearchResult, SearchRun, bounded, population_at, prunes
 from .soundness import (
-    RESTING,
     ROOM,
+    SETTLED_AT_ONCE,
     disagreeing,
     doubt,
     never_held,
@@ -336,7 +336,7 @@ def _rests(r: SearchResult, population: int) -> int:
     """Return how many candidates come to rest at once: all where none may be left out."""
     if not r.settles:
         return 0
-    return min(RESTING, population) if bounded(r.run.options, r.problem) else population
+    return min(SETTLED_AT_ONCE, population) if bounded(r.run.options, r.problem) else population
 
 
 def _finalists(round_: Round, o: RefineOptions) -> Round:

@@ -36,7 +36,7 @@ from .rewards import (
 )
 from .semantic import box_error
 
-TRIED = 5
+EXTRA_CANDIDATES = 5
 """Candidates beyond the number of objects on which a user's term is tried, for distinct shapes."""
 
 
@@ -219,7 +219,7 @@ def try_terms(scene: SceneModel, objective: Objective, options: RefineOptions) -
     own = [term for term in objective.terms if term.name not in TERMS]
     if not own:
         return
-    pop = len(scene.names) + TRIED
+    pop = len(scene.names) + EXTRA_CANDIDATES
     layouts = Layout.zero(pop, len(scene.names))
     r = options.rollout
     timestep = float(scene.static.mjm.opt.timestep)

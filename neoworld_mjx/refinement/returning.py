@@ -23,7 +23,7 @@ from ..physics.array_types import AnyArray
 from ..physics.exact import snap_exactly
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
-from ..physics.placed import CHUNK, at_rest_in_chunks, placed_in_chunks
+from ..physics.placed import CPU_CHUNK, at_rest_in_chunks, placed_in_chunks
 from ..physics.scene_arrays import SceneArrays, pad_objects, pad_scene
 from ..physics.settling import at_rest
 from ..physics.visibility import Visible
@@ -42,7 +42,7 @@ HEADING, SIZE = ("yaw",), ("log_scale",)
 """Parts of it that are also returned by themselves."""
 SHARES = {WHOLE: (1.0, 0.5), HEADING: (1.0, 0.5, 0.25), SIZE: (1.0,)}
 """Shares of the way back that are tried with an object alone."""
-SINKING = ((True, 1.0), (False, 1.0), (True, 0.5))
+RETURN_PHASES = ((True, 1.0), (False, 1.0), (True, 0.5))
 """How a returned layout comes to rest; see `at_rest`."""
 NOISE = 0.03
 """Loss of an object's visible-box IoU that the noise of a parsed box explains."""
@@ -197,7 +197,7 @@ def _checked(
 ) -> tuple[SceneSpec, SceneMeasure] | None:
     """Return a layout's scene and its check if it passes one in which what rests sleeps."""
     placed = model.apply(layout, 0)
-    scene = at_rest(placed, SINKING, sleeps=True) if rests else snap_exactly(placed)
+    scene = at_rest(placed, RETURN_PHASES, sleeps=True) if rests else snap_exactly(placed)
     measure = measured(scene, o, sleeps=True)
     if not passes(measure, o):
         return None
@@ -262,15 +262,15 @@ def _ahead(
     layout: Layout,
     start: Layout,
 ) -> list[_Try]:
-    """Return the next tries, those with halves of groups too; at most CHUNK."""
+    """Return the next tries, those with halves of groups too; at most CPU_CHUNK."""
     queue, tries = list(groups), dict[_Try, None]()
-    while queue and len(tries) < CHUNK:
+    while queue and len(tries) < CPU_CHUNK:
         mask, parts = queue.pop(0)
         group = mask & _moved(layout, start, parts)
         tries |= dict.fromkeys(_tries(group, parts))
         if group.sum() > 1:
             queue += [(half, parts) for half in _halves(group)]
-    return list(tries)[:CHUNK]
+    return list(tries)[:CPU_CHUNK]
 
 
 def _tries(group: Bool[np.ndarray, " object"], parts: tuple[str, ...]) -> list[_Try]:

@@ -33,12 +33,12 @@ SURE = 2.0
 faulty one."""
 UNSETTLED = 1
 """Iterations without a valid candidate after which candidates come to rest."""
-RESTING = 64
+SETTLED_AT_ONCE = 64
 """Candidates that come to rest at once, those first that agree best with the photograph; no more do
 so in an iteration once one is valid. Most elites were among them on photographs."""
 ROOM = 2
 """Iterations without a valid candidate after which more objects may move."""
-TRIED = 64
+LEAST_ROLLED_OUT = 64
 """Candidates in all of which an object must fall for the search to be without hope."""
 FARTHER = 4.0
 """Of the initial deviation of x and y, for objects that fell in every candidate."""
@@ -223,4 +223,4 @@ def never_held(
     """
     rolled = np.concatenate(drifts)
     rolled = rolled[np.isfinite(rolled).all(axis=1)]
-    return np.all(rolled > FALLS, axis=0) if len(rolled) >= TRIED else None
+    return np.all(rolled > FALLS, axis=0) if len(rolled) >= LEAST_ROLLED_OUT else None

@@ -18,12 +18,12 @@ from .convex import Kind, Piece, polytope
 from .pose import Pose, pose
 
 Operation = Literal["union", "difference", "intersection"]
-MAX_PIECES, MAX_CUTS, MAX_TRIANGLES, MAX_BODIES = 600, 4000, 60_000, 64
+MAX_PIECES, MAX_CUTS, MAX_OPERAND_TRIANGLES, MAX_BODIES = 600, 4000, 60_000, 64
 BOX_TEST_COST = 0.02
 """Cost of comparing two bounding boxes, relative to a cut."""
 SLACK = 1e-6
 """Least thickness of a piece, relative to the size of the operands."""
-NEGLIGIBLE = 1e-9
+LEAST_VOLUME = 1e-9
 """Least volume of a piece, relative to the cube of the size of the operands."""
 
 
@@ -57,7 +57,7 @@ class _Cutter:
     """Cuts convex solids; counts the cuts and drops negligible remains."""
 
     def __init__(self, size: float) -> None:
-        self.slack, self.negligible = SLACK * size, NEGLIGIBLE * size**3
+        self.slack, self.negligible = SLACK * size, LEAST_VOLUME * size**3
         self.cuts_left = float(MAX_CUTS)
 
     def subtract(self, solids: list[_Convex], tool: _Tool) -> list[_Convex]:
@@ -243,8 +243,8 @@ def _manifold(operation: Operation, operands: tuple[PlacedShape, ...]) -> Any:
     for operand in operands:
         vertices, faces = operand.shape.surface()
         count += len(faces)
-        if count > MAX_TRIANGLES:
-            raise ValueError(f"csg operands have over {MAX_TRIANGLES} triangles: use fewer")
+        if count > MAX_OPERAND_TRIANGLES:
+            raise ValueError(f"csg operands have over {MAX_OPERAND_TRIANGLES} triangles: use fewer")
         mesh = manifold3d.Mesh64(
             np.ascontiguousarray(operand.pose().apply(vertices)), faces.astype(np.uint64)
         )

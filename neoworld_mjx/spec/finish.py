@@ -32,7 +32,7 @@ _PATTERNS: dict[str, PatternKind] = {
     "stone": "speckles", "marble": "veins", "brick": "bricks",
     "fabric": "weave", "cloth": "weave", "upholstery": "weave", "stainless_steel": "brushed",
 }  # fmt: skip
-UNKNOWN = 0.5
+UNKNOWN_ROUGHNESS = 0.5
 """Roughness of a material whose name says nothing."""
 _WHOLE = 4
 """Letters from which on a name may be a part of a word at its beginning or end: hardwood."""
@@ -56,7 +56,7 @@ def finish(material: Material) -> Finish:
     longest name that fits decides.
     """
     made_of = _made_of(material.name.lower())
-    metallic, roughness = 0.0, UNKNOWN
+    metallic, roughness = 0.0, UNKNOWN_ROUGHNESS
     if made_of in _METALS:
         metallic, roughness = 1.0, _METALS[made_of]
     elif made_of is not None:

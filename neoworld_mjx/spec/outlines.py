@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from .triangles import CHUNK
+from .triangles import DISTANCE_CHUNK
 
 LID_POINTS = 17
 """Points of a hull's edge at which its distance to what it spans is taken."""
@@ -34,8 +34,8 @@ def edges_distance(p: NDArray, a: NDArray, b: NDArray) -> NDArray:
     edge = b - a
     length = np.maximum(np.sum(edge * edge, axis=1), 1e-300)
     best = np.full(len(p), np.inf)
-    for i in range(0, len(p), max(1, CHUNK // len(a))):
-        own = slice(i, i + max(1, CHUNK // len(a)))
+    for i in range(0, len(p), max(1, DISTANCE_CHUNK // len(a))):
+        own = slice(i, i + max(1, DISTANCE_CHUNK // len(a)))
         from_a = p[own, None] - a
         t = np.clip(np.sum(from_a * edge, axis=2) / length, 0.0, 1.0)
         gap = from_a - t[..., None] * edge

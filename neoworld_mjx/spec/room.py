@@ -18,10 +18,10 @@ LEAST_AREA = 0.05
 """Least area of a polygon, over that of its box."""
 LEAST_EDGE = 0.005
 """Least length of an edge, in units of the box."""
-REACH = 0.02
+OUTLINE_SLACK = 0.02
 """How far a polygon may stay within its box, or reach beyond it, in units of the box."""
 
-Coordinate = Annotated[float, Field(ge=-0.5 - REACH, le=0.5 + REACH)]
+Coordinate = Annotated[float, Field(ge=-0.5 - OUTLINE_SLACK, le=0.5 + OUTLINE_SLACK)]
 
 
 class SupportOutline(Spec):
@@ -62,7 +62,7 @@ class SupportOutline(Spec):
                 f"outline encloses {abs(polygon_area(p)):.3f} of its box, needs {LEAST_AREA:g}"
             )
         low, high = p.min(axis=0), p.max(axis=0)
-        if np.abs(low + 0.5).max() > REACH or np.abs(high - 0.5).max() > REACH:
+        if np.abs(low + 0.5).max() > OUTLINE_SLACK or np.abs(high - 0.5).max() > OUTLINE_SLACK:
             raise ValueError(
                 f"outline reaches x {low[0]:g} .. {high[0]:g} and y {low[1]:g} .. {high[1]:g}; "
                 "both must reach from -0.5 to 0.5, as size is the length and width of the outline"

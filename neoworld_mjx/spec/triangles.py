@@ -11,7 +11,7 @@ BALL_SECTORS, RINGS = 32, 16
 """Facets around a ball, and from pole to pole; exports alone show them, and want small files."""
 CREASE = math.radians(40.0)
 """Faces that meet at a smaller angle [rad] are shaded as one smooth surface."""
-CHUNK = 400_000
+DISTANCE_CHUNK = 400_000
 """Points times triangles (or edges) that are worked on at once."""
 
 
@@ -120,7 +120,7 @@ def revolved(chain: NDArray, sectors: int, *, closed: bool = False) -> tuple[NDA
 def distance_to_triangles(p: NDArray, vertices: NDArray, faces: NDArray) -> NDArray:
     """Return the distances [n] m of points [n, 3] to a closed mesh, negative inside."""
     corners = vertices[faces]
-    step = max(1, CHUNK // len(faces))
+    step = max(1, DISTANCE_CHUNK // len(faces))
     distances = np.empty(len(p))
     for i in range(0, len(p), step):
         own = p[i : i + step, None]

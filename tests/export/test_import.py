@@ -131,7 +131,7 @@ def test_flat_sheets_get_a_thickness(tmp_path):
         urdf("<link name='s'><visual><geometry><mesh filename='s.obj'/></geometry></visual></link>")
     )
     low, high = bounds(import_urdf(path).spec)
-    np.testing.assert_allclose(high - low, [1, 1, decompose.THINNEST_M], atol=1e-6)
+    np.testing.assert_allclose(high - low, [1, 1, decompose.SHEET_M], atol=1e-6)
 
 
 def test_impossible_inertias_are_imported_for_the_checks(tmp_path):

@@ -236,9 +236,9 @@ def test_the_fastest_is_chosen_by_device_and_size(mixed, monkeypatch):
     monkeypatch.setattr(jax, "devices", lambda _: [Device()])
     assert choose(10**6) == "jnp", "a GPU that was not measured"
     least = {"pallas_from": 8 * 7 * 50 * pieces}
-    monkeypatch.setitem(penetration_depth.MEASURED["devices"], "Measured", least)
+    monkeypatch.setitem(penetration_depth.KERNEL_TIMES["devices"], "Measured", least)
     assert [choose(7), choose(8)] == ["jnp", "pallas"]
-    monkeypatch.setitem(penetration_depth.MEASURED["devices"], "Measured", {"pallas_from": None})
+    monkeypatch.setitem(penetration_depth.KERNEL_TIMES["devices"], "Measured", {"pallas_from": None})
     assert choose(10**6) == "jnp"
     Device.platform = "tpu"
     assert choose(10**6) == "jnp"

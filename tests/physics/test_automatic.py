@@ -130,7 +130,7 @@ def test_what_a_machine_compiles_once_is_no_cost_of_starting():
     + ['{"m": {"who": {"start_s": 1, "tables": {}}}}'],
 )
 def test_a_broken_file_counts_for_nothing(tmp_path, text):
-    (tmp_path / engine_costs.FILE).write_text(text)
+    (tmp_path / engine_costs.COST_FILE).write_text(text)
     assert read_costs("m", 2) == prior_costs(2)
 
 
@@ -141,7 +141,7 @@ def test_machines_are_kept_apart(tmp_path):
     write_costs("two", prior_costs(2))
     assert read_costs("one", 2) == costs
     assert read_costs("two", 2) == prior_costs(2)
-    assert set(json.loads((tmp_path / engine_costs.FILE).read_text())) == {"one", "two"}
+    assert set(json.loads((tmp_path / engine_costs.COST_FILE).read_text())) == {"one", "two"}
 
 
 def test_a_folder_that_cannot_be_written_costs_nothing(monkeypatch, tmp_path):

@@ -49,7 +49,7 @@ def test_native_is_bit_equal_to_mj_step_on_each_candidates_model():
 def test_native_does_not_depend_on_threads_or_chunks(blocks, monkeypatch):
     layouts = random_layout(blocks, 7, spread=0.2)
     one = NativeEngine(threads=1).rollout(blocks, blocks.place(layouts), duration=0.2)
-    monkeypatch.setattr("neoworld_mjx.physics.native.CHUNK", 3)
+    monkeypatch.setattr("neoworld_mjx.physics.native.NATIVE_CHUNK", 3)
     two = NativeEngine(threads=2).rollout(blocks, blocks.place(layouts), duration=0.2)
     assert all(
         np.array_equal(a, b)

@@ -77,7 +77,7 @@ def test_penetration_is_differentiable_through_placing(blocks):
 def test_many_candidates_are_placed_in_batches_alike(blocks, monkeypatch):
     layouts = random_layout(blocks, 7)
     whole = blocks.place_exactly(layouts)
-    monkeypatch.setattr("neoworld_mjx.physics.layout.SNAPPED", 8)
+    monkeypatch.setattr("neoworld_mjx.physics.layout.SNAPPED_AT_ONCE", 8)
     jax.clear_caches()
     assert np.allclose(blocks.place_exactly(layouts).height, whole.height, atol=1e-6)
 

@@ -64,7 +64,7 @@ def test_models_written_anew_equal_fresh_copies(monkeypatch):
     assert len(native._rings[scene.static]) == 6
     again = NativeEngine().rollout(scene, scene.place(second), duration=0.1)
     native._rings.clear()
-    monkeypatch.setattr(native, "CHUNK", 3)
+    monkeypatch.setattr(native, "NATIVE_CHUNK", 3)
     fresh = NativeEngine().rollout(scene, scene.place(second), duration=0.1)
     assert len(native._rings[scene.static]) == 3
     for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(fresh), strict=True):

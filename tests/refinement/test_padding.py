@@ -8,7 +8,13 @@ from jax import monitoring
 from neoworld_mjx.config import RefineOptions, load_config
 from neoworld_mjx.physics import model
 from neoworld_mjx.physics.model import compile_scene
-from neoworld_mjx.physics.scene_arrays import SMALLEST, Bucket, bucket_of, pad_objects, pad_scene
+from neoworld_mjx.physics.scene_arrays import (
+    SMALLEST_BUCKET,
+    Bucket,
+    bucket_of,
+    pad_objects,
+    pad_scene,
+)
 from neoworld_mjx.physics.simulate import rollout
 from neoworld_mjx.refinement import refine
 from neoworld_mjx.refinement.batching import pad_rollout
@@ -29,9 +35,9 @@ def own(tree, scene):
 
 
 def test_a_bucket_is_the_smallest_doubled(scene):
-    assert bucket_of(scene) == SMALLEST
-    wide = bucket_of(pad_scene(scene, Bucket(*(2 * n for n in SMALLEST))))
-    assert wide == Bucket(*(2 * n for n in SMALLEST))
+    assert bucket_of(scene) == SMALLEST_BUCKET
+    wide = bucket_of(pad_scene(scene, Bucket(*(2 * n for n in SMALLEST_BUCKET))))
+    assert wide == Bucket(*(2 * n for n in SMALLEST_BUCKET))
 
 
 def test_a_padded_layout_applies_as_its_own(scene):
@@ -39,7 +45,7 @@ def test_a_padded_layout_applies_as_its_own(scene):
     layouts = open_cem(scene, RefineOptions().cem)
     layouts = layouts.ask(jax.random.key(3), layouts.init(), 2)
     poses = scene.place(layouts)
-    for wide in (SMALLEST.objects, 4 * SMALLEST.objects):
+    for wide in (SMALLEST_BUCKET.objects, 4 * SMALLEST_BUCKET.objects):
         padded = pad_objects(layouts, wide)
         assert scene.apply(padded, 1) == scene.apply(layouts, 1)
         assert scene.apply(padded, 1, pad_objects(poses, wide)) == scene.apply(layouts, 1, poses)

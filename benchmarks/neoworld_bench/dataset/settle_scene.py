@@ -20,13 +20,13 @@ from neoworld_mjx.spec import SceneObject, SceneSpec
 from .declaration import ObjectDeclaration, SceneDeclaration, read_declaration
 from .truth_scene import truth_scene
 
-SINKING = ((True, 3.0), (False, 2.0), (True, 1.0))
+GROUND_TRUTH_PHASES = ((True, 3.0), (False, 2.0), (True, 1.0))
 """Sink into place, move freely, and come to rest; see `at_rest`."""
 
 
 def settled(declared: SceneDeclaration) -> tuple[SceneDeclaration, SceneSpec]:
     """Return a declaration with the poses at which everything rests, and its scene."""
-    scene = at_rest(truth_scene(declared), SINKING)
+    scene = at_rest(truth_scene(declared), GROUND_TRUTH_PHASES)
     objects = [_posed(item, scene.object(item.name)) for item in declared.objects]
     resting = declared.model_copy(update={"objects": tuple(objects)})
     return resting, truth_scene(resting)

@@ -11,7 +11,7 @@ from neoworld_mjx.physics.model import SceneModel
 
 
 def bare_scan(
-    scene: SceneModel, layouts: Layout, steps: int, chunk: int = mjx_engine.CHUNK
+    scene: SceneModel, layouts: Layout, steps: int, chunk: int = mjx_engine.MJX_CHUNK
 ) -> Callable[[], Any]:
     """Prepare candidates as engine mjx does; return a call that steps them to the end.
 

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from neoworld_mjx.physics.placed import BALL
+from neoworld_mjx.physics.placed import BALL_EXTENT
 from neoworld_mjx.spec import SceneObject, SceneSpec, bounds, world_poses
 from neoworld_mjx.spec.pose import IDENTITY, Pose, conjugate, from_yaw, quat_mul, rotate, yaw_of
 
-from ..refine_scenes import symmetry
+from ..measures.symmetry import symmetry
 
 MOST_TILT_DEG = 15.0
 MOST_HEIGHT, MOST_HEIGHT_M = 0.1, 0.01
@@ -145,7 +145,7 @@ def _middle(item: SceneObject, at: Pose) -> Float[np.ndarray, " 3"]:
 
 def _is_ball(item: SceneObject) -> bool:
     sides = np.subtract(*bounds(item.spec)[::-1])
-    return symmetry(item) == 0 and float(np.ptp(sides)) < BALL * float(sides.max())
+    return symmetry(item) == 0 and float(np.ptp(sides)) < BALL_EXTENT * float(sides.max())
 
 
 def _size(item: SceneObject) -> float:
