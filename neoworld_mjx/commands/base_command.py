@@ -85,7 +85,7 @@ class ConfiguredCommand(Command):
             flags: values by path of the option; None is a flag that was not given.
         """
         from ..config import load_config, parse_yaml
-        from ..io import keep_bounds
+        from ..io import set_file_bounds
 
         overrides: dict[str, Any] = {}
         for setting in self.set:
@@ -100,7 +100,7 @@ class ConfiguredCommand(Command):
             if value is not None:
                 _put(overrides, key, value)
         config = load_config(self.config, overrides)
-        keep_bounds(config.files)
+        set_file_bounds(config.files)
         return config
 
 

@@ -11,7 +11,7 @@ from .base_command import CommandResult, ConfiguredCommand
 from .result_lines import build_lines, object_check_lines, scene_check_lines
 
 if TYPE_CHECKING:
-    from ..program import Built
+    from ..program import BuildResult
     from ..spec import SceneSpec
 
 
@@ -143,7 +143,7 @@ class BuildCommand(ConfiguredCommand):
         }
 
 
-def _signals(built: "Built") -> list[dict[str, Any]]:
+def _signals(built: "BuildResult") -> list[dict[str, Any]]:
     return [{"code": s.code, **s.model_dump(exclude_defaults=True)} for s in built.signals]
 
 

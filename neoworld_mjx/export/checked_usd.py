@@ -11,7 +11,7 @@ from pathlib import Path
 from pxr import Sdf, Tf, Usd
 
 from ..errors import SpecError
-from ..io import bounds_of_files
+from ..io import file_bounds
 from ..io.files import MIB, read_bytes
 from ..io.names import printable
 
@@ -61,7 +61,7 @@ def open_usd(path: Path) -> Usd.Stage:
         SpecError: it is no USD file, is too large, names a layer that is not there or lies outside
             its folder, or USD takes too long or breaks down on it.
     """
-    seconds = bounds_of_files().timeout_s
+    seconds = file_bounds().timeout_s
     _check_file(path)
     try:
         done = subprocess.run(
@@ -126,7 +126,7 @@ def _check_file(path: Path) -> None:
     if path.suffix.lower() not in SUFFIXES:
         raise SpecError(f"{path}: USD files end in {', '.join(SUFFIXES)}")
     try:
-        head = read_bytes(path, bounds_of_files().max_mesh_mib * MIB)[:8]
+        head = read_bytes(path, file_bounds().max_mesh_mib * MIB)[:8]
     except OSError as error:
         raise SpecError(f"cannot read {path}: {error.strerror}") from None
     if not head.startswith((b"#usda", b"#sdf", b"PXR-USDC", b"PK")):

@@ -8,7 +8,7 @@ from math import inf
 from pathlib import Path
 
 from ..errors import SpecError
-from ..io import bounds_of_files
+from ..io import file_bounds
 from ..io.files import MIB, read_bytes
 
 MAX_ELEMENTS = 200_000
@@ -35,7 +35,7 @@ def read_xml(path: Path) -> ET.Element:
         SpecError: it cannot be read, is cut off, declares entities, is nested absurdly deep, or
             holds a number that is none.
     """
-    bounds = bounds_of_files()
+    bounds = file_bounds()
     try:
         data = read_bytes(path, bounds.max_text_mib * MIB)
     except OSError as error:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
-from ..io import bounds_of_files
+from ..io import file_bounds
 from ..io.files import MIB, read_bytes
 from ..spec.mesh import MAX_VERTICES
 from .checked_xml import inside
@@ -67,7 +67,7 @@ def load_mesh(path: Path) -> tuple[NDArray, NDArray]:
 
 def _data(path: Path) -> bytes:
     try:
-        return read_bytes(path, bounds_of_files().max_mesh_mib * MIB)
+        return read_bytes(path, file_bounds().max_mesh_mib * MIB)
     except OSError as error:
         raise SpecError(f"cannot read {path}: {error.strerror}") from None
 
@@ -95,7 +95,7 @@ def _check_accessors(path: Path, data: bytes) -> None:
     try:
         accessors = json.loads(text).get("accessors", [])
         counts = [accessor["count"] for accessor in accessors]
-        most = bounds_of_files().max_mesh_mib * MIB
+        most = file_bounds().max_mesh_mib * MIB
         fits = all(isinstance(n, int) and 0 <= n <= most for n in counts) and sum(counts) <= most
     except (ValueError, AttributeError, KeyError, TypeError, RecursionError):
         raise SpecError(f"{path} is no glTF: its JSON cannot be read") from None

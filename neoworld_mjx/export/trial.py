@@ -9,7 +9,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from ..errors import SpecError
-from ..io import bounds_of_files
+from ..io import file_bounds
 from ..io.files import MIB
 
 RISKY = {"flexcomp", "composite", "replicate", "user", "size", "hfield", "texture", "skin", "flex"}
@@ -45,7 +45,7 @@ def try_mjcf(path: Path, roots: list[ET.Element]) -> None:
         for element in root.iter()
     ):
         return
-    seconds = bounds_of_files().timeout_s
+    seconds = file_bounds().timeout_s
     try:
         done = subprocess.run(
             [sys.executable, "-c", _CODE, str(path), str(_MEMORY)],

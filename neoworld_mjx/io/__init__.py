@@ -1,24 +1,24 @@
-"""Readers of files from outside: regular files within bounds, one message if they do not fit.
+"""Bounded readers of untrusted files, atomic writes, and names that are safe in paths and markup.
 
-There is one for each kind: JSON, text, arrays and pictures here, YAML in `config`, XML and meshes
-in `export`; all open files by `neoworld_mjx.io.files.read_bytes`.
+Each kind of file has one reader: text, JSON, YAML, Parquet, arrays and images here; XML and meshes
+in `export`. All of them open files by `files.read_bytes`, keep to the bounds of `FileOptions`, and
+report a file that they cannot read in a single message.
 """
 
 from .array_files import read_arrays
-from .bounds import bounded_by, bounds_of_files, keep_bounds
-from .json_files import read_json, read_model, read_object
-from .picture_files import PICTURE_FORMATS, open_picture
-from .text_files import read_outside_text
+from .file_options import bounded_by, file_bounds, set_file_bounds
+from .image_files import IMAGE_FORMATS, open_image
+from .json_files import read_json, read_model, read_object, read_outside_text
 
 __all__ = [
-    "PICTURE_FORMATS",
+    "IMAGE_FORMATS",
     "bounded_by",
-    "bounds_of_files",
-    "keep_bounds",
-    "open_picture",
+    "file_bounds",
+    "open_image",
     "read_arrays",
     "read_json",
     "read_model",
     "read_object",
     "read_outside_text",
+    "set_file_bounds",
 ]

@@ -1,32 +1,70 @@
-"""Bounds of the files that come from outside."""
+"""Bounds of untrusted files, and the bounds that are active in the current context."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 
 from ..options import Options, option
 
 
 class FileOptions(Options):
-    """Bounds of the files that are read: a file beyond them is refused by one message."""
+    """Bounds of input files; a file that exceeds one is rejected with an error message."""
 
     max_text_mib: int = option(
-        64, "Largest file of text: JSON, tapes, XML, programs.", unit="MiB", ge=1, le=1024
+        64,
+        "Maximum size of a text file: JSON, tape, XML or program.",
+        unit="MiB",
+        ge=1,
+        le=1024,
     )
-    max_values: int = option(4_000_000, "Most values in a JSON file.", ge=1000, le=100_000_000)
-    max_depth: int = option(100, "Deepest nesting of JSON, YAML and XML.", ge=10, le=180)
-    max_yaml_kib: int = option(256, "Largest YAML file.", unit="KiB", ge=1, le=4096)
+    max_values: int = option(
+        4_000_000, "Maximum number of values in a JSON file.", ge=1000, le=100_000_000
+    )
+    max_depth: int = option(100, "Maximum nesting depth of JSON, YAML and XML.", ge=10, le=180)
+    max_yaml_kib: int = option(256, "Maximum size of a YAML file.", unit="KiB", ge=1, le=4096)
     max_array_mib: int = option(
-        256, "Most memory of the arrays in an .npz file.", unit="MiB", ge=1, le=16384
+        256,
+        "Maximum memory of the arrays in an .npz file.",
+        unit="MiB",
+        ge=1,
+        le=16384,
     )
     timeout_s: float = option(
         8.0,
-        "Time for another library to read a file that could make it work for hours.",
+        "Time limit for a third-party library to read a file that could occupy it for hours.",
         unit="s",
         gt=0,
     )
-    max_mesh_mib: int = option(64, "Largest mesh file.", unit="MiB", ge=1, le=1024)
-    max_picture_mib: int = option(512, "Largest picture file.", unit="MiB", ge=1, le=4096)
+    max_mesh_mib: int = option(64, "Maximum size of a mesh file.", unit="MiB", ge=1, le=1024)
+    max_picture_mib: int = option(512, "Maximum size of an image file.", unit="MiB", ge=1, le=4096)
     max_picture_mpx: int = option(
         134,
-        "Most pixels of a picture; the largest common phone pictures have 108 megapixels.",
+        "Maximum number of pixels of an image; common phone cameras reach 108 megapixels.",
         unit="MP",
         ge=1,
         le=1000,
     )
+
+
+_DEFAULTS = FileOptions()
+_active: ContextVar[FileOptions] = ContextVar("file_bounds", default=_DEFAULTS)
+
+
+def file_bounds() -> FileOptions:
+    """Return the active bounds: those of the run, or the defaults."""
+    return _active.get()
+
+
+def set_file_bounds(options: FileOptions) -> None:
+    """Activate bounds in the current context, as the command line does."""
+    _active.set(options)
+
+
+@contextmanager
+def bounded_by(options: FileOptions) -> Iterator[None]:
+    """Activate bounds for the duration of a block."""
+    token = _active.set(options)
+    try:
+        yield
+    finally:
+        _active.reset(token)

@@ -1,9 +1,9 @@
-"""Files read and written without trust in the folder that they lie in, and hashes of contents.
+"""Reads and writes of files in untrusted folders, and hashes of contents.
 
-A file is read only if it is a regular one and no larger than allowed: never a pipe or a device.
-It is written under a new name and then renamed, so that no reader and no kill ever finds half of
-one, and through folders opened one by one without following links, so that nothing outside of the
-folder is touched.
+Only regular files within a size limit are read, never pipes or devices. A file is written under a
+temporary name and then renamed, so that a reader or a killed process never leaves a partial file.
+Its parent folders are opened one by one without following symbolic links, so that a write never
+leaves the folder.
 """
 
 import errno
@@ -20,9 +20,11 @@ from pathlib import Path, PurePosixPath
 
 from pydantic import BaseModel
 
+from ..errors import NeoWorldError
+
 MIB = 1 << 20
 PART = re.compile(r"^\.(?P<name>.+)\.[0-9a-f]{16}\.part$")
-"""Name of a file while it is written."""
+"""Temporary name of a file that is being written."""
 _CHUNK = MIB
 _MAX_ENTRIES = 200_000
 _AS_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
@@ -32,25 +34,26 @@ def read_bytes(path: Path, max_bytes: int) -> bytes:
     """Read a regular file.
 
     Args:
-        path: the file; it may be a link to one.
-        max_bytes: largest size that is read.
+        path: the file, or a symbolic link to it.
+        max_bytes: maximum size.
 
     Raises:
-        OSError: it cannot be read, is no regular file or is larger; `strerror` says what to do.
+        OSError: the file cannot be read, is no regular file, or is larger; `strerror` describes the
+            problem.
     """
     with _opened(path) as handle:
         size = os.fstat(handle).st_size
         if size <= max_bytes:
-            chunks, left = [], max_bytes + 1
-            while left and (chunk := os.read(handle, min(left, max(size, 4096)))):
+            chunks, remaining = [], max_bytes + 1
+            while remaining and (chunk := os.read(handle, min(remaining, max(size, 4096)))):
                 chunks.append(chunk)
-                left -= len(chunk)
-            if left:
+                remaining -= len(chunk)
+            if remaining:
                 return b"".join(chunks)
         size = max(size, max_bytes + 1)
         raise OSError(
             errno.EFBIG,
-            f"it has {size / MIB:.3g} MiB and at most {max_bytes / MIB:g} are read",
+            f"it has {size / MIB:.3g} MiB; the limit is {max_bytes / MIB:g} MiB",
             str(path),
         )
 
@@ -59,7 +62,7 @@ def read_text(path: Path, max_bytes: int) -> str:
     """Read a regular file of UTF-8 text; see `read_bytes`.
 
     Raises:
-        OSError: as `read_bytes`; also if it holds no UTF-8 text.
+        OSError: as in `read_bytes`, or if the file is not UTF-8.
     """
     try:
         return read_bytes(path, max_bytes).decode("utf-8")
@@ -68,26 +71,38 @@ def read_text(path: Path, max_bytes: int) -> str:
 
 
 def write_atomic(path: Path, data: str | bytes) -> None:
-    """Write a file so that a reader finds the old or the new content, whenever this is killed.
+    """Write a file atomically: a reader sees the old or the new content, even after a crash.
 
-    A link of that name is replaced, not followed; its folder may be a link.
+    An existing symbolic link at the path is replaced, not followed; the folder may be a link.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     write_inside(path.parent, path.name, data)
 
 
+def write_output(path: Path, data: str | bytes, error: type[NeoWorldError]) -> None:
+    """Write a file as `write_atomic` does, raising a user-facing error.
+
+    Raises:
+        NeoWorldError: of the class `error`: the file cannot be written.
+    """
+    try:
+        write_atomic(path, data)
+    except OSError as problem:
+        raise error(f"cannot write {path}: {problem.strerror}") from None
+
+
 def write_inside(folder: Path, name: str, data: str | bytes) -> None:
-    """Write a file of a folder as `write_atomic` does, and the folders between them.
+    """Write a file below a folder as `write_atomic` does, creating missing subfolders.
 
     Args:
         folder: an existing folder.
-        name: path in it, with "/".
+        name: relative path, with "/".
         data: the content.
 
     Raises:
-        OSError: it cannot be written, or its path leads out of the folder or over a link.
+        OSError: the file cannot be written, or its path leads out of the folder or through a link.
     """
     with open_parent(folder, name, create=True) as (parent, last):
         part = f".{last}.{secrets.token_hex(8)}.part"
@@ -107,48 +122,49 @@ def write_inside(folder: Path, name: str, data: str | bytes) -> None:
 
 @contextmanager
 def open_parent(folder: Path, name: str, *, create: bool = False) -> Iterator[tuple[int, str]]:
-    """Open the folder that holds a file of another folder, without following links below that.
+    """Open the parent folder of a file below a folder, without following links.
 
     Args:
         folder: an existing folder.
-        name: path of the file in it, with "/"; the file need not exist.
-        create: whether to make missing folders.
+        name: relative path of the file, with "/"; the file need not exist.
+        create: True to create missing subfolders.
 
     Yields:
-        The open folder's descriptor and the file's last name.
+        Descriptor of the parent folder, and the file's base name.
 
     Raises:
-        OSError: the path leads out of the folder, over a link or over a file; a folder is missing.
+        OSError: the path leads out of the folder, or through a link or a file, or a subfolder is
+            missing.
     """
     if not stays_inside(name):
         raise OSError(errno.EINVAL, "its path leads out of the folder", str(folder / name))
     *heads, last = PurePosixPath(name).parts
-    at = os.open(folder, _AS_FOLDER)
+    parent = os.open(folder, _AS_FOLDER)
     try:
         for head in heads:
             if create:
                 with suppress(FileExistsError):
-                    os.mkdir(head, dir_fd=at)
+                    os.mkdir(head, dir_fd=parent)
             try:
-                below = os.open(head, _AS_FOLDER | os.O_NOFOLLOW, dir_fd=at)
+                child = os.open(head, _AS_FOLDER | os.O_NOFOLLOW, dir_fd=parent)
             except OSError as error:
                 if error.errno in (errno.ELOOP, errno.ENOTDIR):
                     error.strerror = f"{head} in its path is a link or a file"
                 error.filename = str(folder / name)
                 raise
-            os.close(at)
-            at = below
-        yield at, last
+            os.close(parent)
+            parent = child
+        yield parent, last
     except OSError as error:
         if not isinstance(error.filename, str) or not os.path.isabs(error.filename):
             error.filename, error.filename2 = str(folder / name), None
         raise
     finally:
-        os.close(at)
+        os.close(parent)
 
 
 def stays_inside(name: str) -> bool:
-    """Tell whether a path with "/", as a file gives it, can only mean something in its folder."""
+    """Return True if a relative path with "/", from an untrusted file, stays below its folder."""
     parts = name.split("/")
     return not (set(parts) & {"", ".", ".."} or "\0" in name or "\\" in name)
 
@@ -157,36 +173,36 @@ def irregular_entry(folder: Path) -> tuple[str, str] | None:
     """Return the first entry below a folder that is neither file nor folder, and its kind.
 
     Returns:
-        Its path in the folder and "a link", "a pipe or device" or "too many files"; None if all
+        Relative path of the entry, and a phrase for its kind, such as "a link"; None if all entries
         are files and folders.
 
     Raises:
         OSError: a folder cannot be read.
     """
-    waiting, count = [""], 0
-    while waiting:
-        at = waiting.pop()
-        with os.scandir(folder / at) as entries:
+    pending, count = [""], 0
+    while pending:
+        prefix = pending.pop()
+        with os.scandir(folder / prefix) as entries:
             for entry in sorted(entries, key=lambda entry: entry.name):
-                name = f"{at}/{entry.name}" if at else entry.name
+                name = f"{prefix}/{entry.name}" if prefix else entry.name
                 count += 1
                 if entry.is_symlink():
                     return name, "a link"
                 if count > _MAX_ENTRIES:
                     return name, f"one of more than {_MAX_ENTRIES} files"
                 if entry.is_dir(follow_symlinks=False):
-                    waiting.append(name)
+                    pending.append(name)
                 elif not entry.is_file(follow_symlinks=False):
                     return name, "a pipe or device"
     return None
 
 
 def content_hash(value: object) -> str:
-    """Return the SHA-256 of a file's or folder's contents, of bytes, of a model or a JSON value.
+    """Return the SHA-256 of a file, a folder, bytes, a pydantic model or a JSON value.
 
     Raises:
         FileNotFoundError: a path is missing.
-        OSError: a path cannot be read, or is no regular file.
+        OSError: a file cannot be read, or is no regular file.
     """
     digest = hashlib.sha256()
     if isinstance(value, Path) and value.is_dir():
@@ -215,7 +231,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def disk_full(path: Path) -> bool:
-    """Tell whether the disk under a path has less than 64 KiB left."""
+    """Return True if the disk of a path has less than 64 KiB left."""
     try:
         return shutil.disk_usage(path).free < 65536
     except OSError:
@@ -224,14 +240,14 @@ def disk_full(path: Path) -> bool:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[int]:
-    # Without O_NONBLOCK the call would wait for whoever writes into a pipe.
+    # Without O_NONBLOCK, opening a pipe blocks until a writer appears.
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         mode = os.fstat(handle).st_mode
         if stat.S_ISDIR(mode):
             raise IsADirectoryError(errno.EISDIR, "it is a folder; name a file", str(path))
         if not stat.S_ISREG(mode):
-            raise OSError(errno.EINVAL, "it is no regular file but a pipe or device", str(path))
+            raise OSError(errno.EINVAL, "it is a pipe or device, not a regular file", str(path))
         yield handle
     finally:
         os.close(handle)

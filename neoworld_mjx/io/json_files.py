@@ -1,4 +1,4 @@
-"""JSON files from outside."""
+"""Readers of untrusted text and JSON files."""
 
 import json
 import re
@@ -8,39 +8,53 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from ..errors import NeoWorldError
-from .bounds import bounds_of_files
-from .text_files import read_outside_text
+from .file_options import file_bounds
+from .files import MIB, read_text
 from .validation_message import validation_message
 
 T = TypeVar("T", bound=BaseModel)
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
-_SHOWN = 1000
+_MAX_MESSAGE = 1000
 
 
-def read_json(path: Path, error: type[NeoWorldError], kind: str = "") -> Any:
-    """Read a JSON value.
+def read_outside_text(path: Path, error: type[NeoWorldError], kind: str = "") -> str:
+    """Read a text file.
 
     Args:
         path: the file.
         error: class of the error to raise.
-        kind: of the file, for messages, such as "tape".
+        kind: kind of file for messages, such as "tape".
 
     Raises:
-        NeoWorldError: of the class `error`: the file cannot be read, is no JSON, or is larger,
-            deeper or longer than `files` of the configuration allows.
+        NeoWorldError: of the class `error`: the file is missing, no regular file, too large, or
+            not UTF-8.
     """
-    text = _checked(path, error, kind)
     try:
-        value = json.loads(text, parse_constant=_refuse)
+        return read_text(Path(path), file_bounds().max_text_mib * MIB)
+    except OSError as problem:
+        raise error(f"cannot read {kind}{' ' * bool(kind)}{path}: {problem.strerror}") from None
+
+
+def read_json(path: Path, error: type[NeoWorldError], kind: str = "") -> Any:
+    """Read a JSON value; arguments as in `read_outside_text`.
+
+    Raises:
+        NeoWorldError: of the class `error`: the file cannot be read, is not JSON, or exceeds the
+            size, depth or number of values that `files` of the configuration allows.
+    """
+    text = _checked_text(path, error, kind)
+    try:
+        value = json.loads(text, parse_constant=_reject_constant)
         if _SURROGATE.search(text):
             json.dumps(value, ensure_ascii=False).encode()
     except RecursionError:
         raise error(_too_deep(path)) from None
     except UnicodeEncodeError:
-        raise error(f"{path} holds half a character: write it anew as UTF-8") from None
+        raise error(f"{path} holds an unpaired surrogate: save it again as UTF-8") from None
     except ValueError as problem:
-        raise error(f"{path} is no JSON: {problem}; get or write the file again") from None
-    _check_depth(value, path, error)
+        raise error(f"{path} is not JSON: {problem}; replace or regenerate the file") from None
+    if _depth_exceeds(value, file_bounds().max_depth):
+        raise error(_too_deep(path))
     return value
 
 
@@ -53,54 +67,57 @@ def read_object(path: Path, error: type[NeoWorldError], kind: str = "") -> dict[
 
 
 def read_model(path: Path, schema: type[T], error: type[NeoWorldError], kind: str) -> T:
-    """Read a JSON file that a pydantic model describes.
+    """Read a JSON file and validate it with a pydantic model.
 
     Args:
         path: the file.
         schema: the model.
         error: class of the error to raise.
-        kind: of the file, for messages, such as "a tape".
+        kind: kind of file for messages, with its article, such as "a tape".
 
     Raises:
-        NeoWorldError: of the class `error`, as `read_json`; also if the schema does not fit.
+        NeoWorldError: of the class `error`, as in `read_json`, or if the value does not match the
+            schema.
     """
-    text = _checked(path, error, "")
+    text = _checked_text(path, error, "")
     try:
         return schema.model_validate_json(text)
     except ValidationError as problem:
-        why = validation_message(problem, schema)
-        why = why if len(why) <= _SHOWN else why[:_SHOWN] + " ..."
-        raise error(f"{path} is not {kind}: {why}") from None
+        reason = validation_message(problem, schema)
+        reason = reason if len(reason) <= _MAX_MESSAGE else reason[:_MAX_MESSAGE] + " ..."
+        raise error(f"{path} is not {kind}: {reason}") from None
     except RecursionError:
         raise error(_too_deep(path)) from None
 
 
-def _checked(path: Path, error: type[NeoWorldError], kind: str) -> str:
-    """Return the text of a file that has not too many values."""
+def _checked_text(path: Path, error: type[NeoWorldError], kind: str) -> str:
+    """Return the text of a JSON file whose number of values is within bounds."""
     text = read_outside_text(path, error, kind)
-    most = bounds_of_files().max_values
-    if sum(map(text.count, ",[{")) > most:
-        raise error(f"{path} holds over {most} values; if you trust it, raise files.max_values")
+    limit = file_bounds().max_values
+    if sum(map(text.count, ",[{")) > limit:
+        raise error(f"{path} holds over {limit} values; if you trust it, raise files.max_values")
     return text
 
 
-def _check_depth(value: Any, path: Path, error: type[NeoWorldError]) -> None:
-    level, depth = [value], 0
-    while level:
-        depth += 1
-        if depth > bounds_of_files().max_depth + 1:
-            raise error(_too_deep(path))
-        below = []
-        for each in level:
-            children = each.values() if isinstance(each, dict) else each
-            if isinstance(each, dict | list):
-                below += [child for child in children if isinstance(child, dict | list)]
-        level = below
+def _depth_exceeds(value: Any, limit: int) -> bool:
+    """Return True if containers are nested more than `limit` levels below the top one."""
+    level = [value]
+    for _ in range(limit + 1):
+        children = [
+            child
+            for container in level
+            if isinstance(container, dict | list)
+            for child in (container.values() if isinstance(container, dict) else container)
+        ]
+        level = [child for child in children if isinstance(child, dict | list)]
+        if not level:
+            return False
+    return True
 
 
 def _too_deep(path: Path) -> str:
-    return f"{path} is nested over {bounds_of_files().max_depth} levels deep, which is not read"
+    return f"{path} is nested over {file_bounds().max_depth} levels deep"
 
 
-def _refuse(constant: str) -> Any:
-    raise ValueError(f"{constant} is no number of JSON")
+def _reject_constant(constant: str) -> Any:
+    raise ValueError(f"{constant} is not a JSON number")

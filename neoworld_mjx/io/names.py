@@ -1,4 +1,4 @@
-"""Names and texts from models and strangers, before they become paths, markup or identifiers."""
+"""Conversion of untrusted names and texts into safe identifiers, file names and lines."""
 
 import re
 import unicodedata
@@ -8,22 +8,22 @@ MAX_NAME = 48
 NAME_RULE = f"letters, digits and underscores, a letter first, at most {MAX_NAME}"
 _NAME = re.compile(rf"[A-Za-z][A-Za-z0-9_]{{0,{MAX_NAME - 1}}}")
 _HIDDEN = {"Cc", "Cf", "Co", "Cs"}
-"""Categories of control and formatting characters, such as those that turn the reading direction,
-of private ones and of halves of characters."""
+"""Unicode categories of control and formatting characters (such as those that change the reading
+direction), private characters and surrogates."""
 
 
 def is_name(text: str) -> bool:
-    """Tell whether a text can stand as an identifier, a file and an element of every format."""
+    """Return True if a text is an identifier, file name and element name valid in every format."""
     return _NAME.fullmatch(text) is not None
 
 
 def identifier(text: str, kind: str, taken: Container[str] = ()) -> str:
-    """Return a name, see `is_name`, that resembles a text.
+    """Return a valid name (see `is_name`) that resembles a text.
 
     Args:
         text: any text.
-        kind: a name that stands for an empty one; its first letter is put before digits.
-        taken: names that others have.
+        kind: name to use for an empty text; its first letter is the prefix of a leading digit.
+        taken: names that are already in use.
     """
     plain = re.sub(r"[^A-Za-z0-9_]", "_", text[:MAX_NAME])[: MAX_NAME - 4] or kind
     if not plain[0].isalpha():
@@ -35,21 +35,20 @@ def identifier(text: str, kind: str, taken: Container[str] = ()) -> str:
     return name
 
 
-def file_name(text: str, most: int = 60) -> str:
-    """Return a file's name that resembles a text; empty if nothing of it can stay."""
-    return re.sub(r"[^A-Za-z0-9._]+", "-", text[: 4 * most]).strip("-.")[:most].rstrip("-.")
+def file_name(text: str, length: int = 60) -> str:
+    """Return a file name of at most `length` characters that resembles a text; it may be empty."""
+    return re.sub(r"[^A-Za-z0-9._]+", "-", text[: 4 * length]).strip("-.")[:length].rstrip("-.")
 
 
-def plain_text(text: str, most: int) -> str:
-    """Return a text in one line of at most `most` characters, without hidden characters."""
-    kept = (" " if c.isspace() else c for c in text[: 4 * most])
-    shown = "".join(c for c in kept if unicodedata.category(c) not in _HIDDEN)
-    line = " ".join(shown.split())
-    return line if len(line) <= most else line[: most - 1] + "…"
+def plain_text(text: str, length: int) -> str:
+    """Return a text as one line of at most `length` characters, without hidden characters."""
+    spaced = (" " if c.isspace() else c for c in text[: 4 * length])
+    line = " ".join("".join(c for c in spaced if unicodedata.category(c) not in _HIDDEN).split())
+    return line if len(line) <= length else line[: length - 1] + "…"
 
 
 def printable(text: str) -> str:
-    """Return a text for a terminal: hidden characters but line breaks and tabs as escapes."""
+    """Escape hidden characters except line breaks and tabs, which makes a text terminal-safe."""
     if text.isprintable():
         return text
     return "".join(

@@ -1,4 +1,4 @@
-"""Parquet files of results: rows of plain values, one column a name."""
+"""Reader and writer of Parquet files of plain rows."""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -9,8 +9,8 @@ import arro3.io
 from arro3.core import Array, DataType, Table
 
 from ..errors import NeoWorldError
-from .bounds import bounds_of_files
-from .files import MIB, read_bytes, write_atomic
+from .file_options import file_bounds
+from .files import MIB, read_bytes, write_output
 
 _TYPES: dict[type, Any] = {
     bool: DataType.bool(),
@@ -29,7 +29,7 @@ def write_rows(
     """Write rows, replacing the file atomically.
 
     Args:
-        path: of the file.
+        path: the file.
         rows: values by column, of the column's type or None.
         kinds: the columns in order, with their types: bool, int, float or str.
         error: class of the error to raise.
@@ -45,20 +45,17 @@ def write_rows(
     )
     data = io.BytesIO()
     arro3.io.write_parquet(table, data, compression="zstd(3)")
-    try:
-        write_atomic(path, data.getvalue())
-    except OSError as failure:
-        raise error(f"cannot write {path}: {failure.strerror}") from None
+    write_output(path, data.getvalue(), error)
 
 
 def read_rows(
-    path: Path, needed: Sequence[str], error: type[NeoWorldError]
+    path: Path, required: Sequence[str], error: type[NeoWorldError]
 ) -> list[dict[str, Any]]:
-    """Read rows back.
+    """Read rows.
 
     Args:
-        path: of the file.
-        needed: columns without which it is of another kind.
+        path: the file.
+        required: columns that the file must have.
         error: class of the error to raise.
 
     Raises:
@@ -66,7 +63,7 @@ def read_rows(
             damaged, or lacks a column.
     """
     try:
-        data = read_bytes(path, bounds_of_files().max_text_mib * MIB)
+        data = read_bytes(path, file_bounds().max_text_mib * MIB)
     except OSError as failure:
         raise error(f"cannot read {path}: {failure.strerror}") from None
     if data[:4] != b"PAR1" or data[-4:] != b"PAR1":
@@ -78,11 +75,11 @@ def read_rows(
         rows = [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
     except (KeyboardInterrupt, SystemExit):
         raise
-    except BaseException as failure:  # A panic of the reader is no Exception.
+    except BaseException as failure:  # A panic of the Rust reader is not an Exception.
         raise error(
-            f"{path} is damaged ({type(failure).__name__}); begin anew with --overwrite"
+            f"{path} is damaged ({type(failure).__name__}); start over with --overwrite"
         ) from None
-    lacking = set(needed) - set(names)
-    if lacking:
-        raise error(f"{path} has no column {sorted(lacking)[0]}; begin anew with --overwrite")
+    missing = sorted(set(required) - set(names))
+    if missing:
+        raise error(f"{path} has no column {missing[0]}; start over with --overwrite")
     return rows

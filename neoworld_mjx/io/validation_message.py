@@ -6,19 +6,19 @@ from pydantic import BaseModel, ValidationError
 
 from ..errors import choices
 
-_UNSHOWN = ("headers", "base_url")
-"""Options whose wrong values are not shown, as they may hold keys."""
+_SECRET = ("headers", "base_url")
+"""Options whose invalid values are not shown because they may hold keys."""
 
 
 def validation_message(error: ValidationError, model: type[BaseModel]) -> str:
-    """Return an error as one line that names each key, its value and the valid choices."""
+    """Format a validation error as one line with each key, its value and the valid choices."""
     lines = []
     for item in error.errors():
         where = ".".join(str(step) for step in item["loc"]) or "(root)"
         if item["type"] == "extra_forbidden":
             keys = _keys_at(model, item["loc"][:-1])
             lines.append(f"unknown key {where}: {choices(str(item['loc'][-1]), keys)}")
-        elif any(name in item["loc"] for name in _UNSHOWN):
+        elif any(name in item["loc"] for name in _SECRET):
             lines.append(f"{where}: {item['msg']}")
         else:
             shown = repr(item["input"])

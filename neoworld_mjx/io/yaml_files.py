@@ -1,4 +1,4 @@
-"""YAML from outside: bounded in size and depth, without aliases."""
+"""Reader of untrusted YAML, bounded in size and depth, without aliases."""
 
 from pathlib import Path
 from typing import Any
@@ -12,10 +12,10 @@ from .files import read_text
 _KIB = 1024
 
 
-class _Bounded(yaml.SafeLoader):
-    """A loader of plain values that ends at too deep a nesting and at aliases.
+class _BoundedLoader(yaml.SafeLoader):
+    """Loader of plain values that rejects deep nesting and aliases.
 
-    An alias stands for a whole tree, so a few lines of them stand for more than any memory.
+    Aliases of aliases expand exponentially: a few lines can exhaust memory.
     """
 
     max_depth = FileOptions().max_depth
@@ -28,7 +28,7 @@ class _Bounded(yaml.SafeLoader):
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("it holds an alias (*name): write the values out")
+            raise yaml.YAMLError("it holds an alias (*name): write out the values")
         self._depth += 1
         if self._depth > self.max_depth:
             raise yaml.YAMLError(f"it is nested over {self.max_depth} levels deep")
@@ -41,10 +41,10 @@ def parse_yaml(text: str) -> Any:
     """Return the value of a YAML text.
 
     Raises:
-        ValueError: it is no YAML of plain values, nested too deep, or holds aliases.
+        ValueError: the text is not YAML of plain values, is nested too deep, or holds aliases.
     """
     try:
-        return _Bounded(text).get_single_data()
+        return _BoundedLoader(text).get_single_data()
     except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
         raise ValueError(str(error)) from None
 
@@ -54,11 +54,11 @@ def read_yaml(path: Path, kind: str) -> Any:
 
     Args:
         path: the file.
-        kind: of the file, for messages, such as "config".
+        kind: kind of file for messages, such as "config".
 
     Raises:
-        ConfigError: it cannot be read, is larger than `files.max_yaml_kib` allows, or is no YAML of
-            plain values.
+        ConfigError: the file cannot be read, is larger than the default of `files.max_yaml_kib`, or
+            is not YAML of plain values.
     """
     try:
         return parse_yaml(read_text(Path(path), FileOptions().max_yaml_kib * _KIB))

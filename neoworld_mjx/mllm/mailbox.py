@@ -27,7 +27,7 @@ from pydantic import BaseModel
 
 from ..config import RoleOptions
 from ..errors import ModelError
-from ..io import bounds_of_files, read_model
+from ..io import file_bounds, read_model
 from ..io.files import MIB, read_bytes, write_atomic
 from ..io.names import file_name
 from .answers import InvalidAnswer, is_json, read_answer
@@ -151,7 +151,7 @@ class Mailbox:
             if stamp != last_stamp:
                 last_stamp, since = stamp, now
             if stamp is not None:
-                most = bounds_of_files().max_text_mib * MIB
+                most = file_bounds().max_text_mib * MIB
                 text = read_bytes(path, most).decode("utf-8", errors="replace")
                 whole = is_json(text)
                 try:

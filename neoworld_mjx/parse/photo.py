@@ -17,7 +17,7 @@ from jaxtyping import UInt8
 from PIL import Image, ImageOps
 
 from ..errors import PhotoError
-from ..io import bounds_of_files, open_picture
+from ..io import file_bounds, open_image
 from ..io.files import MIB, read_bytes
 from .enlarge import enlarged
 
@@ -51,7 +51,7 @@ def load_photo(path: Path, max_side_px: int = 1568, min_side_px: int = 1) -> Pho
     """Read a photograph; of an animation or several pages, the first image.
 
     Args:
-        path: the file, in one of `reading.PICTURE_FORMATS`.
+        path: the file, in one of `reading.IMAGE_FORMATS`.
         max_side_px: largest length of the shown picture's longer side, in pixels.
         min_side_px: length that a shorter picture's longer side is enlarged to at least, by a
             whole factor that keeps it within `max_side_px`.
@@ -88,7 +88,7 @@ def _read(path: Path) -> bytes:
             raise PhotoError(f"{path} is a folder; give the file of one photograph")
         if not path.exists():
             raise PhotoError(f"{path}: no such file; check the path of the photograph")
-        return read_bytes(path, bounds_of_files().max_picture_mib * MIB)
+        return read_bytes(path, file_bounds().max_picture_mib * MIB)
     except OSError as error:
         raise PhotoError(
             f"cannot read {path}: {error.strerror}; give the file of one photograph"
@@ -97,7 +97,7 @@ def _read(path: Path) -> bytes:
 
 def _decode(path: Path, data: bytes) -> Image.Image:
     """Return the picture upright, in mode RGB, at full size."""
-    with open_picture(data, str(path), PhotoError) as image:
+    with open_image(data, str(path), PhotoError) as image:
         width, height = image.size
         if min(image.size) < MIN_SIDE_PX:
             raise PhotoError(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..errors import SpecError
-from ..io.picture_files import open_picture
+from ..io.image_files import open_image
 from ..spec import Material
 from ..spec.photo_print import PhotoPrint
 
@@ -110,7 +110,7 @@ def _decoded(text: str, mode: str) -> NDArray:
         data = base64.b64decode(text, validate=True)
     except ValueError:
         raise SpecError("the picture of a print is no base64") from None
-    with open_picture(data, "the picture of a print", SpecError, ("PNG",)) as image:
+    with open_image(data, "the picture of a print", SpecError, ("PNG",)) as image:
         if mode == "RGB":
             return np.asarray(image.convert("RGB"))
         if image.mode not in ("I;16", "I"):

@@ -155,7 +155,7 @@ def test_pictures_that_are_none_are_refused():
         read_print(PhotoPrint(image="AAAA", depth="AAAA", **flat))
     with pytest.raises(ValueError, match="finite"):
         PhotoPrint(image="AAAA", depth="AAAA", **{**good, "far": float("inf")})
-    with pytest.raises(SpecError, match="no picture"):
+    with pytest.raises(SpecError, match="not an image"):
         read_print(PhotoPrint(image="AAAA", depth="AAAA", **good))
 
 

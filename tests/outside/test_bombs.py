@@ -80,7 +80,7 @@ def test_xml_that_is_no_regular_file(tmp_path, suffix, kind):
         os.mkfifo(path)
     else:
         path.symlink_to("/dev/zero")
-    with pytest.raises(SpecError, match="no regular file but a pipe or device"):
+    with pytest.raises(SpecError, match="a pipe or device, not a regular file"):
         (import_urdf if suffix == "urdf" else import_mjcf)(path)
 
 

@@ -17,7 +17,7 @@ from neoworld_mjx.config import FileOptions, load_config, read_yaml
 from neoworld_mjx.errors import ConfigError, PhotoError, RunError, SpecError
 from neoworld_mjx.io import (
     bounded_by,
-    open_picture,
+    open_image,
     read_arrays,
     read_json,
     read_model,
@@ -66,7 +66,7 @@ def test_large_files_are_refused_unread(tmp_path):
     path = tmp_path / "large.json"
     with path.open("wb") as file:
         file.truncate(1 << 40)
-    with pytest.raises(SpecError, match=r"large\.json: it has 1.05e\+06 MiB and at most 64"):
+    with pytest.raises(SpecError, match=r"large\.json: it has 1.05e\+06 MiB; the limit is 64 MiB"):
         read_json(path, SpecError)
 
 
@@ -76,11 +76,11 @@ def test_large_files_are_refused_unread(tmp_path):
         ("[" * 400 + "]" * 400, "nested over 10 levels deep"),
         ('{"a":' * 20 + "1" + "}" * 20, "nested over 10 levels deep"),
         ("[" + "0," * 2000 + "0]", "over 1000 values.*files.max_values"),
-        ('"\\ud800"', "half a character"),
-        ("NaN", "no JSON: NaN"),
-        ("[1,", "no JSON"),
-        ("9" * 5000, "no JSON"),
-        ("", "no JSON"),
+        ('"\\ud800"', "unpaired surrogate"),
+        ("NaN", "not JSON: NaN"),
+        ("[1,", "not JSON"),
+        ("9" * 5000, "not JSON"),
+        ("", "not JSON"),
     ],
 )
 def test_json_that_is_none_or_too_much(tmp_path, text, said):
@@ -115,7 +115,7 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (BOMB, r"holds an alias \(\*name\): write the values out"),
+        (BOMB, r"holds an alias \(\*name\): write out the values"),
         ("a: &a {seed: 1}\n<<: *a\n", "holds an alias"),
         ("a: &a\n  - *a\n", "holds an alias"),
         ("[" * 100_000, "nested over 100 levels"),
@@ -140,7 +140,7 @@ def test_yaml_that_is_none_or_too_much(tmp_path, text, said):
 def test_yaml_that_is_too_large(tmp_path):
     path = tmp_path / "a.yaml"
     path.write_text("seed: 1\n" + "#" * 300_000)
-    with pytest.raises(ConfigError, match=r"a\.yaml: it has .* MiB and at most 0\.25 are read"):
+    with pytest.raises(ConfigError, match=r"a\.yaml: it has .* MiB ; the limit is 0\.25 MiB"):
         load_config(path)
 
 
@@ -160,14 +160,14 @@ def _header(shape: tuple[int, ...], kind: str = "<f8") -> bytes:
 @pytest.mark.parametrize(
     ("data", "said"),
     [
-        (_npz(_header((10**13,))), "claims 80000000000000 bytes"),
-        (_npz(_header((2, 2)), bytes(16)), "claims 32 bytes and has 16"),
-        (_npz(_header((-1,))), "has the shape|claims"),
+        (_npz(_header((10**13,))), "declares 80000000000000 bytes"),
+        (_npz(_header((2, 2)), bytes(16)), "declares 32 bytes but has 16"),
+        (_npz(_header((-1,))), "invalid shape|declares"),
         (_npz(_header((1,), "|O"), bytes(8)), "Python objects"),
-        (_npz(b"x" * 80), "no arrays that can be read"),
+        (_npz(b"x" * 80), "no readable arrays"),
         (_npz(_header((2**20,)), bytes(2**23)), "unpacks to 8 MiB.*files.max_array_mib"),
-        (b"no zip", "no arrays that can be read"),
-        (b"PK\x03\x04" + bytes(100), "no arrays that can be read"),
+        (b"no zip", "no readable arrays"),
+        (b"PK\x03\x04" + bytes(100), "no readable arrays"),
     ],
 )
 def test_arrays_that_are_none_or_too_much(tmp_path, data, said):
@@ -201,11 +201,11 @@ def test_pictures_of_other_formats_reach_no_other_program(tmp_path, monkeypatch)
         raise AssertionError("Ghostscript was started")
 
     monkeypatch.setattr("PIL.EpsImagePlugin.Ghostscript", started)
-    with pytest.raises(RunError, match=r"photo\.png is no picture that can be read"):
-        with open_picture(EPS, "photo.png", RunError) as image:
+    with pytest.raises(RunError, match=r"photo\.png is not an image in a supported format"):
+        with open_image(EPS, "photo.png", RunError) as image:
             image.load()
     (tmp_path / "photo.png").write_bytes(EPS)
-    with pytest.raises(PhotoError, match="no picture"):
+    with pytest.raises(PhotoError, match="not an image"):
         load_photo(tmp_path / "photo.png")
 
 
@@ -214,7 +214,7 @@ def test_pictures_of_too_many_pixels_are_refused_by_their_header():
     Image.new("1", (2000, 2000)).save(data, "PNG")
     with bounded_by(FileOptions(max_picture_mpx=1)):
         with pytest.raises(PhotoError, match=r"a\.png: 2000 x 2000 pixels, 4 megapixels"):
-            with open_picture(data.getvalue(), "a.png", PhotoError):
+            with open_image(data.getvalue(), "a.png", PhotoError):
                 pass
 
 

@@ -26,15 +26,15 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from neoworld_mjx.errors import RunError
-from neoworld_mjx.io import open_picture
+from neoworld_mjx.io import open_image
 from neoworld_mjx.io.files import content_hash, write_atomic
 from neoworld_mjx.spec import ObjectSpec, SceneSpec
 from neoworld_mjx.templates import template, templates
 
-from ..noise.initial_scenes import photographed, true_tree
+from ..fidelity.rendered_answers import exact_answer
 from ..rows import log
 from .declaration import declaration, declarations
-from .truth_scene import built, truth_scene
+from .truth_scene import built, photographed, truth_scene
 
 SUMMARY, DONE, SHEET = "dataset.json", "content.json", "scenes.jpg"
 THUMBNAIL, COLUMNS = (320, 240, 14), 5
@@ -91,7 +91,7 @@ def contact_sheet(out: Path) -> bytes:
     for k, name in enumerate(names):
         x, y = (k % COLUMNS) * width, (k // COLUMNS) * (height + caption)
         data = (out / "scenes" / name / "picture.png").read_bytes()
-        with open_picture(data, name, RunError) as picture:
+        with open_image(data, name, RunError) as picture:
             sheet.paste(picture.resize((width, height)), (x, y + caption))
         text.text((x + 3, y + 1), name, fill="black")
     stream = io.BytesIO()
@@ -148,7 +148,7 @@ def _scene_files(name: str) -> dict[str, str | bytes]:
     from neoworld_mjx.render import render_scene, to_png
 
     scene = photographed(declaration(name))
-    tree = true_tree(scene)
+    tree = exact_answer(scene)
     image = render_scene(scene)
     depth = io.BytesIO()
     np.savez_compressed(depth, depth_m=image.depth.astype(np.float32))

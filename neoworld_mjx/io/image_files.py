@@ -1,0 +1,80 @@
+"""Reader of untrusted image files; formats and sizes are checked before a pixel is decoded."""
+
+import io
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from PIL import Image
+
+from ..errors import NeoWorldError
+from .file_options import file_bounds
+
+IMAGE_FORMATS = (
+    *("PNG", "JPEG", "MPO", "WEBP", "TIFF", "BMP", "GIF"),
+    *("AVIF", "JPEG2000", "PPM", "TGA", "ICO"),
+)
+"""Accepted formats. Pillow decodes all of them itself; EPS, for example, starts Ghostscript."""
+
+
+@contextmanager
+def open_image(
+    data: bytes, name: str, error: type[NeoWorldError], formats: tuple[str, ...] = IMAGE_FORMATS
+) -> Iterator[Image.Image]:
+    """Open an image; of an animation or a multi-page file, the first frame.
+
+    Args:
+        data: contents of the file.
+        name: name of the file for messages.
+        error: class of the error to raise.
+        formats: formats to try.
+
+    Yields:
+        The image, its pixels not yet decoded.
+
+    Raises:
+        NeoWorldError: of the class `error`: the data is no image of these formats, has too many
+            pixels, or is damaged, which may only show when the image is used.
+    """
+    limit = file_bounds().max_picture_mpx
+    try:
+        with warnings.catch_warnings():
+            # Pillow warns about large images; the bound below decides.
+            warnings.simplefilter("ignore")
+            with _identified(data, formats) as image:
+                width, height = image.size
+                if width * height > limit * 1_000_000:
+                    size = f"{width} x {height} pixels, {width * height / 1e6:.0f}"
+                    raise error(_too_large(name, size, limit))
+                yield image
+    except NeoWorldError:
+        raise
+    except Image.UnidentifiedImageError:
+        raise error(
+            f"{name} is not an image in a supported format; save it as PNG or JPEG"
+        ) from None
+    except Image.DecompressionBombError:
+        raise error(_too_large(name, "over 179", limit)) from None
+    except MemoryError:
+        raise error(f"{name} does not fit into memory; save a smaller copy") from None
+    except Exception as problem:
+        # Decoders raise nearly anything on damaged data: OSError, SyntaxError, struct.error, ...
+        raise error(
+            f"{name} is damaged or truncated ({problem}); get the file again, or save it as PNG"
+        ) from None
+
+
+def _identified(data: bytes, formats: tuple[str, ...]) -> Image.Image:
+    """Open an image, loading the plug-ins of rare formats only if no common format matches."""
+    for load in (Image.preinit, Image.init):
+        load()
+        known = [name for name in formats if name in Image.OPEN]
+        try:
+            return Image.open(io.BytesIO(data), formats=known)
+        except Image.UnidentifiedImageError:
+            continue
+    raise Image.UnidentifiedImageError
+
+
+def _too_large(name: str, megapixels: str, limit: int) -> str:
+    return f"{name}: {megapixels} megapixels; the limit is {limit}; save a smaller copy"
