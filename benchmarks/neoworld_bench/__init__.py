@@ -1,4 +1,23 @@
-"""Benchmarks: how fast populations are rolled out, and whether every engine says the same.
+"""The benchmark of neoworld_mjx: scenes, tasks, measures and the suites of `neoworld bench`.
 
-`physics` and `kernels` time, `agreement` compares; `scenes` makes what they run on.
+Scenes, one set for each purpose:
+
+- `engines.table_scenes`: generated tables, for the speed and agreement of engines.
+- `dataset`: thirty scenes with ground truth, for methods and ablations.
+- `fidelity`: forty rendered scenes, for the errors of each step.
+- `photographs`: five scenes reconstructed from real photographs, for the time of the search.
+
+Packages that run on them:
+
+- `measures`: comparisons with ground truth: joints, surfaces, parses, images.
+- `noise`: errors of responses and programs with measured rates; initial scenes made with them.
+- `methods`: the search, its ablations and baselines, run on the thirty scenes; submissions.
+- `objects`: reconstructed objects compared with PartNet-Mobility or ground-truth files.
+- `judge`: rendered images compared with photographs, and a model as judge.
+- `tasks`: 84 manipulation tasks, plans and their execution, task success.
+- `engines`: timings of rollouts and kernels, agreement of engines with MuJoCo.
+- `tables`: result tables in Markdown, CSV and LaTeX.
+
+`suites` lists the suites of `neoworld bench run`, `run_suites` runs them. neoworld_mjx imports this
+package only by name, for the `bench` command and the named scenes of sweeps.
 """

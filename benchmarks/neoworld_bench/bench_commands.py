@@ -1,8 +1,9 @@
-"""The command bench: suites of the tables in `bench.suites` and `benchmarks.suites`, and charts."""
+"""The `bench` command: run suites, write the data set, tables and charts."""
 
 import dataclasses
 import datetime
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,14 +18,14 @@ from neoworld_mjx.errors import ConfigError
 from .suites import DEVELOPER_SUITES, SUITES, Suite
 
 MAY_BE_ZERO = ("delay_s", "directions", "failing", "pairs", "rounds", "scenes")
-"""Numbers of suites that may be zero, beside those that are by default."""
+"""Options that may be zero although their default is not."""
 
 
 def check_numbers(options: Any) -> None:
-    """Check the numbers among a command's options: counts and durations are positive.
+    """Check that counts and durations among a command's options are positive and finite.
 
     Raises:
-        ConfigError: one is too small, or not finite.
+        ConfigError: a number is out of range.
     """
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)
@@ -41,46 +42,48 @@ def check_numbers(options: Any) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class BenchChartCommand(Command):
-    """Draw the growth of cost from the JSON that `bench run physics` printed."""
+    """Draw the growth of cost from the JSON that `bench run physics` prints."""
 
     rows: Positional[Path]
-    """File with what `bench run physics --json` printed."""
+    """File with the output of `bench run physics --json`."""
     out: Path
     """SVG file to write."""
     core: bool = False
-    """Draw processor time, which a busy machine does not change."""
+    """Draw processor time, which other processes do not change."""
 
     def run(self) -> CommandResult:
         """Draw the chart."""
-        from .run_suites import chart_result
+        from .engines.growth import growth, growth_json, read_rows, write_chart
 
-        return chart_result(self)
+        curves = growth(read_rows(self.rows), core=self.core)
+        write_chart(self.out, curves, core=self.core)
+        return {"chart": str(self.out), "growth": growth_json(curves)}
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchMakeCommand(Command):
-    """Write the benchmark's data set: objects of all categories, and the scenes with pictures,
+    """Write the benchmark's data set: objects of all categories, and the scenes with images,
     masks, depth, boxes, trees and joints.
     """
 
     out: Path
-    """Folder to write; what is there already and the same is left alone."""
+    """Folder to write; existing folders with the same content are not written again."""
     seed: int | None = None
-    """Draw one instance of each category; by default programs have their own parameters."""
+    """Draw one instance of each category; by default programs keep their default parameters."""
     workers: int = 0
-    """Processes; 0 takes all cores."""
+    """Processes; 0 starts one for each core."""
 
     def run(self) -> CommandResult:
         """Write the data set."""
         check_numbers(self)
-        from .run_suites import make_result
+        from .dataset.make_dataset import make_dataset
 
-        return make_result(self)
+        return make_dataset(self.out, seed=self.seed, workers=self.workers or os.cpu_count() or 1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchTableCommand(Command):
-    """Write tables of what `bench run` of scenes, joints and task-success measured with --out, in
+    """Write tables of the results of `bench run` scenes, joints and task-success with --out, in
     Markdown, CSV and LaTeX: table.*, joints.* and tasks.*, and curves over thresholds of scenes.
     """
 
@@ -89,37 +92,37 @@ class BenchTableCommand(Command):
 
     def run(self) -> CommandResult:
         """Write the tables."""
-        from .run_suites import table_result
+        from .tables.result_tables import write_tables
 
-        return table_result(self)
+        return write_tables(self.folder)
 
 
 class SuiteCommand:
-    """Runs a benchmark suite; `suite_commands` adds the suite's options."""
+    """Command that runs a suite; `suite_commands` adds the suite's options."""
 
     suite: ClassVar[Suite]
     suite_name: ClassVar[str]
 
     def run(self) -> CommandResult:
-        """Run the suite; its answer also has the suite, the command and the date, for figures."""
+        """Run the suite, and add its name, the command and the date to the result."""
         from neoworld_mjx.cache import keep_compilations
 
         check_numbers(self)
         keep_compilations()
         function = self.suite.load()
         configured = isinstance(self, ConfiguredCommand)
-        answer = function(self, self.load_config()) if configured else function(self)
+        result = function(self, self.load_config()) if configured else function(self)
         in_package = self.suite.function.startswith("neoworld_bench.")
         program = "neoworld bench run" if in_package else "python -m benchmarks"
         return {
             "suite": self.suite_name,
             "command": " ".join([program, self.suite_name, *self._changed_options()]),
             "date": datetime.date.today().isoformat(),
-            **answer,
+            **result,
         }
 
     def _changed_options(self) -> Iterator[str]:
-        """Spell the options out that differ from their defaults, --json last."""
+        """Yield the words of the options that differ from their defaults, --json last."""
         fields = dataclasses.fields(self)  # pyright: ignore[reportArgumentType]
         for field in sorted(fields, key=lambda field: field.name == "json"):
             value = getattr(self, field.name)
@@ -132,7 +135,7 @@ class SuiteCommand:
 
 
 def suite_commands(suites: Mapping[str, Suite]) -> Any:
-    """Return the union of the commands that run the suites of a table, for tyro."""
+    """Return the union of the commands of a table of suites, for tyro."""
     commands = []
     for name, suite in suites.items():
         bases = (SuiteCommand, suite.options, ConfiguredCommand if suite.configured else Command)
@@ -162,7 +165,7 @@ class BenchRunCommand:
 
 @dataclass(frozen=True, kw_only=True)
 class BenchCommand:
-    """Make the benchmark, and measure methods, engines and refinement on it."""
+    """Run benchmarks of methods, engines and models, and write their data set and tables."""
 
     task: (
         Annotated[BenchRunCommand, subcommand("run")]
@@ -173,8 +176,8 @@ class BenchCommand:
 
     @staticmethod
     def refusal(args: Sequence[str]) -> str | None:
-        """Explain a suite that this command does not have; None leaves arguments to the parser."""
-        if args[:1] != ["run"] or (args[1:2] and args[1] not in DEVELOPER_SUITES) or not args[1:2]:
+        """Return how to run a developer suite; None leaves the arguments to the parser."""
+        if len(args) < 2 or args[0] != "run" or args[1] not in DEVELOPER_SUITES:
             return None
         return (
             f"the suite {args[1]} needs a clone of the repository; there, run: "
@@ -183,22 +186,22 @@ class BenchCommand:
 
     @property
     def inner(self) -> Any:
-        """The command at the end of the nested ones."""
+        """Innermost command."""
         return self.task.suite if isinstance(self.task, BenchRunCommand) else self.task
 
     @property
     def json(self) -> bool:
-        """See Command."""
+        """See `Command`."""
         return self.inner.json
 
     @property
     def quiet(self) -> bool:
-        """See Command."""
+        """See `Command`."""
         return self.inner.quiet
 
     @property
     def verbose(self) -> bool:
-        """See Command."""
+        """See `Command`."""
         return self.inner.verbose
 
     def lines(self, result: CommandResult) -> list[str]:
@@ -206,5 +209,5 @@ class BenchCommand:
         return bench_lines(result)
 
     def run(self) -> CommandResult:
-        """Run the suite, or draw the chart."""
+        """Run the innermost command."""
         return self.inner.run()

@@ -1,6 +1,7 @@
-"""Named scenes of sweeps and ablations: `bench:tower`, `crowded:10`, `photo:coffee`."""
+"""Named scenes of sweeps and ablations: `bench:desk_laptop`, `crowded:10`, `photo:coffee`."""
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 
@@ -9,50 +10,58 @@ from neoworld_mjx.measure import visible_box_iou
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import SceneModel
 from neoworld_mjx.pipeline.bundled_examples import bundled_examples
-from neoworld_mjx.spec import read_scene
+from neoworld_mjx.spec import SceneSpec, read_scene
 from neoworld_mjx.sweeps.cases import Case, Source
 
-from .engines.table_scenes import crowded
+from .dataset.declaration import declaration
+from .dataset.truth_scene import photographed
+from .engines.table_scenes import Noise, crowded, noisy_layouts
+from .fidelity.rendered_answers import exact_answer
+from .methods.layout_errors import layout_errors
+from .noise.initial_scenes import composed_start, noise_number
 from .photographs.real_scenes import FOLDER
-from .refine_scenes import LARGE, SCENES, errors, photographed, start
+
+CROWDED_NOISE = Noise(xy=0.08, yaw=np.radians(20.0), log_scale=0.12)
+"""Noise of the initial layouts of crowded scenes."""
 
 
 def bench_case(name: str) -> Case:
-    """Return a scene of the refine suite with its initial layouts and its errors.
+    """Return the first initial scene of one of the thirty scenes, with noise `all`.
 
     Raises:
         SpecError: there is no such scene.
     """
-    every = SCENES | LARGE
-    if name not in every:
-        raise SpecError(f"scene bench:{name}: {choices(name, every)}")
-    return Case(f"bench:{name}", photographed(name), start=start, errors=errors)
+    try:
+        truth = photographed(declaration(name))
+    except SpecError as error:
+        raise SpecError(f"scene bench:{name}: {error}") from None
+    composed = composed_start(truth, exact_answer(truth), noise_number(name, seed=0, start=0))
+    return Case(f"bench:{name}", composed, errors=partial(_layout_errors, truth))
 
 
 def crowded_case(objects: str) -> Case:
-    """Return a table with a number of objects.
+    """Return a table with a number of objects, and noisy initial layouts by seed.
 
     Raises:
         SpecError: the number is not from 1 to 100.
     """
     if not objects.isdecimal() or not 1 <= int(objects) <= 100:
         raise SpecError(f"scene crowded:{objects}: name a number of objects from 1 to 100")
-    return Case(f"crowded:{objects}", crowded(int(objects)), start=start)
+    return Case(f"crowded:{objects}", crowded(int(objects)), start=_crowded_start)
 
 
 def photo_case(name: str) -> Case:
     """Return the composed scene of a bundled example, with its photograph.
 
     Raises:
-        SpecError: no such example has one.
+        SpecError: there is no such scene.
     """
     examples = bundled_examples()
-    composed = {each: FOLDER / f"{each}.json" for each in examples}
-    known = [each for each, path in composed.items() if path.is_file()]
+    known = [each for each in examples if (FOLDER / f"{each}.json").is_file()]
     if name not in known:
         raise SpecError(f"scene photo:{name}: {choices(name, known)}")
-    photo = examples[name].photo
-    return Case(f"photo:{name}", read_scene(composed[name]), errors=_box_iou, photo=photo)
+    scene = read_scene(FOLDER / f"{name}.json")
+    return Case(f"photo:{name}", scene, errors=_box_iou, photo=examples[name].photo)
 
 
 SOURCES: Mapping[str, Source] = {
@@ -61,6 +70,19 @@ SOURCES: Mapping[str, Source] = {
     "photo": photo_case,
 }
 """Functions from a name to a scene, by the kind before the colon."""
+
+
+def _crowded_start(scene: SceneModel, seed: int) -> Layout:
+    return noisy_layouts(scene, 1, seed=100 + seed, noise=CROWDED_NOISE)
+
+
+def _layout_errors(truth: SceneSpec, model: SceneModel, layout: Layout) -> dict[str, float]:
+    errors = layout_errors(model.apply(layout, 0), truth)
+    return {
+        "xy_m": errors["xy_error_m"],
+        "yaw_deg": errors["yaw_error_deg"],
+        "scale": errors["scale_error"],
+    }
 
 
 def _box_iou(model: SceneModel, layout: Layout) -> dict[str, float]:

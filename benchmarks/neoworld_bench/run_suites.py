@@ -1,105 +1,76 @@
-"""The suites of `neoworld bench`: each takes its options, logs rows as they come, and returns
-JSON.
-"""
+"""Functions that run the suites of `neoworld bench run`: options in, a JSON object out."""
 
-import json
-import math
-import os
-from collections.abc import Iterable
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import jax
-from pydantic import ValidationError
+from typing import Any
 
 from neoworld_mjx.config import Config
 from neoworld_mjx.errors import ConfigError
-from neoworld_mjx.io.files import write_atomic
+from neoworld_mjx.mllm import Panel, open_panel
 
 from . import suites
-from .engines import agreement as comparing
-from .engines.growth import Growth, growth, growth_svg
-from .engines.kernel_times import dispatch, kernels
-from .engines.penetration import accuracy, random_pairs
-from .engines.throughput import PhysicsRow, physics
 from .machine import machine
 from .rows import collect, log, plain
 
-if TYPE_CHECKING:
-    from .bench_commands import BenchChartCommand, BenchMakeCommand, BenchTableCommand
 
-
-def physics_result(o: suites.Physics) -> dict[str, Any]:
+def run_physics(o: suites.Physics) -> dict[str, Any]:
     """Time engines."""
-    about = machine()
-    rows = collect(
-        physics(
-            o.objects,
-            o.population,
-            o.engine,
-            duration=o.duration,
-            budget=o.budget,
-            seed=o.seed,
-        )
+    from .engines.growth import growth, growth_json, write_chart
+    from .engines.throughput import physics
+
+    described = machine()
+    times = physics(
+        o.objects, o.population, o.engine, duration=o.duration, budget=o.budget, seed=o.seed
     )
+    rows = collect(times)
+    curves = growth(rows)
     if o.chart is not None:
-        _write(o.chart, growth_svg(growth(rows)))
-    return {"machine": about, "rows": plain(rows), "growth": _exponents(growth(rows))}
+        write_chart(o.chart, curves)
+    return {"machine": described, "rows": plain(rows), "growth": growth_json(curves)}
 
 
-def kernels_result(o: suites.Kernels) -> dict[str, Any]:
-    """Time penetration terms."""
-    about = machine()
+def run_kernels(o: suites.Kernels) -> dict[str, Any]:
+    """Time the implementations of the penetration term."""
+    from .engines.kernel_times import kernels, update_dispatch_table
+    from .engines.penetration import accuracy, random_pairs
+
+    described = machine()
     rows = collect(
         kernels(o.objects, o.population, samples=o.samples, seed=o.seed, budget=o.budget)
     )
     if o.table is not None:
-        _enter(o.table, dispatch(rows))
+        update_dispatch_table(o.table, rows)
     pairs = plain(collect(accuracy(random_pairs(o.pairs, seed=o.seed)))) if o.pairs else []
-    return {"machine": about, "rows": plain(rows), "accuracy": pairs}
+    return {"machine": described, "rows": plain(rows), "accuracy": pairs}
 
 
-def agreement_result(o: suites.Agreement) -> dict[str, Any]:
-    """Compare engines."""
-    rows = collect(comparing.agreement(o.scene, o.engine, layouts=o.layouts, seed=o.seed))
+def run_agreement(o: suites.Agreement) -> dict[str, Any]:
+    """Compare engines with MuJoCo."""
+    from .engines.agreement import ModelRow, VerdictRow, agreed, agreement
+
+    rows = collect(agreement(o.scene, o.engine, layouts=o.layouts, seed=o.seed))
     return {
-        **comparing.agreed(rows),
+        **agreed(rows),
         "machine": machine(),
-        "models": plain([row for row in rows if isinstance(row, comparing.ModelRow)]),
-        "verdicts": plain([row for row in rows if isinstance(row, comparing.VerdictRow)]),
+        "models": plain([row for row in rows if isinstance(row, ModelRow)]),
+        "verdicts": plain([row for row in rows if isinstance(row, VerdictRow)]),
     }
 
 
-def refine_result(o: suites.Refine, config: Config) -> dict[str, Any]:
-    """Refine from noisy starts, with the configuration's options of refinement."""
-    if o.real:
-        from .photographs.real_scenes import real_refinements
+def run_refine(o: suites.Refine, config: Config) -> dict[str, Any]:
+    """Time the search on the scenes of photographs."""
+    from .photographs.real_scenes import real_refinements
 
-        real = real_refinements(o.scene, seed=o.seed, options=config.refine, engine=o.engine)
-        return {"machine": machine(), "scenes": plain(collect(real))}
-    from .refine import refinements, summary
-
-    rows = collect(
-        refinements(
-            o.scene,
-            seeds=o.seeds,
-            baseline_seeds=o.baseline_seeds,
-            baselines=o.baseline,
-            options=config.refine,
-            engine=o.engine,
-        )
-    )
-    return {**summary(rows), "machine": machine(), "rows": plain(rows)}
+    rows = real_refinements(o.scene, seed=o.seed, options=config.refine, engine=o.engine)
+    return {"machine": machine(), "scenes": plain(collect(rows))}
 
 
-def photos_result(o: suites.Photos, config: Config) -> dict[str, Any]:
-    """Measure errors by step, or how often S_sem prefers the truth."""
-    from .fidelity import semantic_ranking as photo_semantics
-    from .fidelity import step_errors as photos
+def run_photos(o: suites.Photos, config: Config) -> dict[str, Any]:
+    """Measure each step's errors, or how often S_sem prefers the ground truth."""
+    from .fidelity.semantic_ranking import semantic_rows
+    from .fidelity.step_errors import QUICK, lines, photo_rows, photo_summary, searching_little
 
-    scenes = o.scenes or (photos.QUICK if o.quick else ())
+    scenes = o.scenes or (QUICK if o.quick else ())
     if o.semantic:
-        rows = collect(photo_semantics.semantic_rows(scenes, draws=o.draws))
+        rows = collect(semantic_rows(scenes, draws=o.draws))
         lower = [row.lower for row in rows]
         return {
             "lower_mean": sum(lower) / len(lower),
@@ -107,29 +78,29 @@ def photos_result(o: suites.Photos, config: Config) -> dict[str, Any]:
             "machine": machine(),
             "rows": plain(rows),
         }
-    measured = collect(
-        photos.photo_rows(
+    rows = collect(
+        photo_rows(
             scenes,
             search=not o.no_search,
             seed=o.seed,
             compose_options=config.compose,
-            refine_options=photos.searching_little(config.refine) if o.quick else config.refine,
+            refine_options=searching_little(config.refine) if o.quick else config.refine,
             engine=o.engine,
         )
     )
-    answer = {**photos.photo_summary(measured), "machine": machine(), "rows": plain(measured)}
-    for line in photos.lines(answer):
+    summary = photo_summary(rows)
+    for line in lines(summary):
         log.info(line)
-    return answer
+    return {**summary, "machine": machine(), "rows": plain(rows)}
 
 
-def scenes_result(o: suites.SceneSet, config: Config) -> dict[str, Any]:
-    """Run methods on the scenes of the benchmark."""
-    from .methods.scene_runs import chosen_scenes, run_scenes
+def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
+    """Run methods on the thirty scenes."""
+    from .methods import scene_runs
     from .tables.scene_summary import summarise
 
-    rows = run_scenes(
-        chosen_scenes(o.scenes),
+    rows = scene_runs.run_scenes(
+        scene_runs.chosen_scenes(o.scenes),
         o.method,
         starts=o.starts,
         seed=o.seed,
@@ -143,24 +114,10 @@ def scenes_result(o: suites.SceneSet, config: Config) -> dict[str, Any]:
     return {**summarise(rows), "machine": machine()}
 
 
-def make_result(o: "BenchMakeCommand") -> dict[str, Any]:
-    """Write the data set."""
-    from .dataset.make_dataset import make_dataset
-
-    return make_dataset(o.out, seed=o.seed, workers=o.workers or os.cpu_count() or 1)
-
-
-def table_result(o: "BenchTableCommand") -> dict[str, Any]:
-    """Write the tables of a folder of results."""
-    from .tables.result_tables import write_tables
-
-    return write_tables(o.folder)
-
-
-def joints_result(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
-    """Score made objects."""
-    from .objects.joint_table import NOTE, PAPER
+def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
+    """Score reconstructed objects."""
     from .objects.object_scores import score_figures, score_objects
+    from .tables.joint_table import NOTE, PAPER
 
     if o.made is None:
         raise ConfigError("joints needs --made DIR, the objects, and --partnet PATH or --truth DIR")
@@ -179,26 +136,25 @@ def joints_result(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
     return {**score_figures(rows), "paper": paper, "rows": plain(rows)}
 
 
-def tasks_result(o: suites.Tasks) -> dict[str, Any]:
-    """Check tasks on truth."""
-    from .tasks.catalogue import all_tasks, find_task
+def run_tasks(o: suites.Tasks) -> dict[str, Any]:
+    """Check tasks on the ground truth."""
+    from .tasks.catalogue import find_tasks
     from .tasks.task_checks import check_tasks, summarised
 
     if not 0 <= o.directions <= 64:
         raise ConfigError(f"--directions takes 0 to 64, got {o.directions}")
-    tasks = [find_task(name) for name in o.task] or list(all_tasks())
-    rows = collect(check_tasks(tasks, o.directions))
+    rows = collect(check_tasks(find_tasks(o.task), o.directions))
     return {**summarised(rows), "machine": machine(), "rows": plain(rows)}
 
 
-def task_success_result(o: suites.TaskSuccess, config: Config) -> dict[str, Any]:
-    """Plan tasks in what methods make of starts, and carry the plans out."""
-    from .tasks.catalogue import all_tasks, find_task
+def run_task_success(o: suites.TaskSuccess, config: Config) -> dict[str, Any]:
+    """Plan tasks in reconstructed scenes, and execute the plans."""
+    from .tasks.catalogue import find_tasks
     from .tasks.success_runs import run_successes
     from .tasks.success_summary import success_summary
 
     rows = run_successes(
-        [find_task(name) for name in o.task] or list(all_tasks()),
+        find_tasks(o.task),
         o.method,
         starts=o.starts,
         seed=o.seed,
@@ -211,22 +167,17 @@ def task_success_result(o: suites.TaskSuccess, config: Config) -> dict[str, Any]
     return {**success_summary(rows), "machine": machine()}
 
 
-def plans_result(o: suites.Plans, config: Config) -> dict[str, Any]:
-    """Ask a model for plans."""
-    from neoworld_mjx.mllm import open_panel
-
-    from .tasks.catalogue import all_tasks, find_task
+def run_plans(o: suites.Plans, config: Config) -> dict[str, Any]:
+    """Request plans from a model, and execute them."""
+    from .tasks.catalogue import find_tasks
     from .tasks.model_plans import plan_figures, plan_rows
 
     if not 0 <= o.offset <= 1 or not 0 <= o.rounds <= 20:
         raise ConfigError(
             f"--offset takes 0 to 1 m and --rounds 0 to 20, got {o.offset:g} and {o.rounds}"
         )
-    tasks = [find_task(name) for name in o.task] or list(all_tasks())
-    tapes = () if o.tape is None else (o.tape,)
-    with open_panel(
-        config.mllm, o.provider, tapes=tapes, mailbox=o.mailbox, record=o.record
-    ) as models:
+    tasks = find_tasks(o.task)
+    with _panel(o, config) as models:
         rows = collect(
             plan_rows(
                 models,
@@ -240,44 +191,43 @@ def plans_result(o: suites.Plans, config: Config) -> dict[str, Any]:
     return {**plan_figures(rows), "machine": machine(), "rows": plain(rows)}
 
 
-def chart_result(o: "BenchChartCommand") -> dict[str, Any]:
-    """Draw the growth of cost from stored rows."""
-    try:
-        answer = json.loads(o.rows.read_text(encoding="utf-8"))
-        rows = [PhysicsRow.model_validate(row) for row in answer["rows"]]
-    except OSError as error:
-        raise ConfigError(f"cannot read {o.rows}: {error.strerror}") from None
-    except (ValueError, KeyError, TypeError, ValidationError):
-        raise ConfigError(f"{o.rows} is not what bench run physics --json prints") from None
-    curves = growth(rows, core=o.core)
-    _write(o.out, growth_svg(curves, core=o.core))
-    return {"chart": str(o.out), "growth": _exponents(curves)}
+def run_pictures(o: suites.PictureSuite) -> dict[str, Any]:
+    """Compare rendered images with photographs."""
+    from .judge.picture_rows import picture_figures, picture_rows
+    from .measures.picture_similarity import PictureModels
+
+    models = PictureModels.load(clip=o.clip, dino=o.dino, lpips=o.lpips, uni3d=o.uni3d)
+    rows = []
+    for row in picture_rows(
+        o.folders, models, side=o.size, objects=not o.no_objects, data=o.data, out=o.out
+    ):
+        rows.append(row)
+        log.info(row.line())
+    return {**picture_figures(rows), "models": models.described(), "rows": plain(rows)}
 
 
-def _exponents(curves: Iterable[Growth]) -> list[dict[str, Any]]:
-    return [
-        {
-            "label": g.label,
-            "objects": g.objects,
-            "cost_ms": g.cost_ms,
-            "exponent": None if math.isnan(g.exponent) else g.exponent,
-        }
-        for g in curves
-    ]
+def run_judge(o: suites.Judge, config: Config) -> dict[str, Any]:
+    """Let a model judge scenes."""
+    from .judge.made_scenes import made_scenes
+    from .judge.scene_judge import rating_figures, rating_rows
+
+    scenes = made_scenes(o.folders, o.data)
+    with _panel(o, config) as models:
+        rows = collect(rating_rows(models, scenes, repeats=o.repeats, out=o.out))
+    return {**rating_figures(rows), "rows": plain(rows)}
 
 
-def _enter(path: Path, entry: dict[str, Any]) -> None:
-    """Add or replace this device's entry in a table of measured devices."""
-    try:
-        table = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"devices": {}}
-        table["devices"][jax.devices()[0].device_kind] = entry
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ConfigError(f"{path} is no table of measured devices: {error}") from None
-    _write(path, json.dumps(table, indent=1) + "\n")
+def run_joint_videos(o: suites.JointVideos, config: Config) -> dict[str, Any]:
+    """Let a model compare the motions of joints."""
+    from .judge.joint_films import object_pairs
+    from .judge.joint_hits import joint_hit_figures, joint_hit_rows
+
+    pairs = object_pairs(o.made, o.truth, config.program, front=o.front)
+    with _panel(o, config) as models:
+        rows = collect(joint_hit_rows(models, pairs, repeats=o.repeats, out=o.out))
+    return {**joint_hit_figures(rows, pairs), "rows": plain(rows)}
 
 
-def _write(path: Path, text: str) -> None:
-    try:
-        write_atomic(path, text.encode())
-    except OSError as error:
-        raise ConfigError(f"cannot write {path}: {error.strerror}") from None
+def _panel(o: suites.ModelRequests, config: Config) -> Panel:
+    tapes = () if o.tape is None else (o.tape,)
+    return open_panel(config.mllm, o.provider, tapes=tapes, mailbox=o.mailbox, record=o.record)

@@ -1,7 +1,7 @@
-"""The table of benchmark suites: the options of each, and the function that runs it.
+"""Benchmark suites: the options of each, and the function that runs it.
 
-A suite is a module with a function from options to a JSON object, and a row of `SUITES`. Nothing
-heavy is imported here, so that `--help` is quick; the function is imported when it is called.
+A suite is a function from options to a JSON object, and a row of `SUITES`. The function is imported
+when it is called, so that `--help` stays fast.
 """
 
 from collections.abc import Callable
@@ -27,22 +27,23 @@ MethodName = Literal[
     "random",
     "cma_es",
 ]
-"""Methods that make a layout from a start: `dataset.scene_methods.METHODS`."""
+"""Methods of `methods.scene_methods.METHODS`."""
 NoiseName = Literal["exact", "layout", "parse", "programs", "all"]
-"""Levels of noise of starts: `dataset.starts.NoiseLevel`."""
+"""Noise levels of `noise.initial_scenes.NoiseLevel`."""
+FrontName = Literal["+x", "-x", "+y", "-y"]
 
 
 class Suite(NamedTuple):
     """A row of a table of suites."""
 
     options: type
-    """Dataclass of its options; its docstring is the help of the command."""
+    """Dataclass of its options; its docstring is the help text of the command."""
     function: str
-    """`package.module:function`, called with the options, and with the configuration if it takes
-    one.
+    """`package.module:function`, called with the options, and with the configuration if
+    `configured`.
     """
     configured: bool = False
-    """Whether it takes `--config` and `--set`."""
+    """True if the suite takes `--config` and `--set`."""
 
     def load(self) -> Callable[..., dict[str, Any]]:
         """Import the function."""
@@ -51,23 +52,59 @@ class Suite(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
+class NoisyRuns:
+    """Options of suites that run methods from noisy initial scenes."""
+
+    starts: int = 2
+    """Initial scenes of each scene or task; those with odd numbers are the evaluation half."""
+    seed: int = 0
+    """Seed of the noise and the searches."""
+    workers: int = 0
+    """Processes; 0 starts one for every two cores."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelRequests:
+    """Options of suites that send requests to a model."""
+
+    provider: str = "auto"
+    """Source of the responses: auto, anthropic, openai, mailbox or replay."""
+    tape: Path | None = None
+    """Tape to replay."""
+    mailbox: Path | None = None
+    """Folder of the mailbox."""
+    record: Path | None = None
+    """Tape to record the responses on."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneFolders:
+    """Options of suites that compare scenes with photographs."""
+
+    folders: Positional[tuple[Path, ...]] = ()
+    """Run folders, folders written by `neoworld bench make`, or submissions (with --data)."""
+    data: Path | None = None
+    """Data set that contains the photographs of a submission."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Physics:
-    """Time rollouts of noisy layouts, beside the naive loop and a bare scan of MJX."""
+    """Time rollouts of noisy layouts, compared with the naive loop and a bare MJX scan."""
 
     objects: tuple[int, ...] = (3, 6, 10, 20, 40)
     """Numbers of objects on the table."""
     population: tuple[int, ...] = (1024,)
     """Numbers of candidates."""
     engine: tuple[EngineName, ...] = tuple(ENGINES)
-    """Engines; one that cannot run here is a row that says why."""
+    """Engines; the row of an engine that cannot run here gives the reason."""
     duration: float = 1.0
     """Simulated time [s], in steps of 4 ms."""
     budget: float = 60.0
-    """Time that a row may take [s]; one that needs longer is skipped."""
+    """Time limit of a row [s]; a row that needs longer is skipped."""
     seed: int = 0
     """Seed of scenes and layouts."""
     chart: Path | None = None
-    """SVG file to draw the growth of cost into."""
+    """SVG file for a chart of the growth of cost."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +118,7 @@ class Kernels:
     samples: int = 256
     """Surface samples of each object."""
     budget: float = 60.0
-    """Time that the calls of a row may take [s]."""
+    """Time limit of the calls of a row [s]."""
     seed: int = 0
     """Seed of scenes and layouts."""
     pairs: int = 10_000
@@ -89,7 +126,7 @@ class Kernels:
     none.
     """
     table: Path | None = None
-    """JSON file of measured devices to enter this one into: what `pair_depth` chooses by."""
+    """JSON file of measured devices to add this device to; `pair_depth` reads it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +134,7 @@ class Agreement:
     """Compare engines with MuJoCo on recompiled scenes: fields, bits, first steps, verdicts."""
 
     scene: tuple[str, ...] = ()
-    """Scenes, of stack, cluttered, cabinet, container, leaning and mixed; none takes all six."""
+    """Scenes: stack, cluttered, cabinet, container, leaning, mixed; all six by default."""
     engine: tuple[EngineName, ...] = ("native",)
     """Engines whose verdicts are compared."""
     layouts: int = 64
@@ -108,44 +145,30 @@ class Agreement:
 
 @dataclass(frozen=True, kw_only=True)
 class Refine:
-    """Refine scenes with known truth from noisy starts, beside Algorithm 1, random search and
-    CMA-ES.
-    """
+    """Time the search on the composed scenes of five photographs."""
 
     scene: tuple[str, ...] = ()
-    """Names of scenes; none takes all twelve. crowd_20 and crowd_40 are there too."""
-    real: bool = False
-    """Refine the composed scenes of five photographs instead, which have no known truth."""
+    """Names of scenes; all by default."""
     seed: int = 0
-    """Seed of the searches with `--real`."""
-    seeds: int = 5
-    """Starts of each scene."""
-    baseline_seeds: int = 1
-    """Starts of each scene for the baselines; Algorithm 1 takes half a minute each."""
-    baseline: tuple[Literal["algorithm1", "random", "cma_es"], ...] = (
-        "algorithm1",
-        "random",
-        "cma_es",
-    )
-    """Baselines to run; none with `--baseline` and nothing after it."""
+    """Seed of the searches."""
     engine: EngineChoice = "native"
     """Engine that rolls candidates out."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Photos:
-    """Take disturbed answers to forty scenes with known truth through fit, composition and search,
-    and tell each step's errors and the objects that it made worse; needs no model.
+    """Run fit, composition and search on noisy responses to forty rendered scenes, and report each
+    step's errors and the objects that it made worse; needs no model.
     """
 
     scenes: tuple[int, ...] = ()
-    """Numbers of scenes; none takes all: 0 to 19 are tuned on, 20 to 39 held out."""
+    """Numbers of scenes, all by default: 0 to 19 are tuned on, 20 to 39 held out."""
     quick: bool = False
-    """Take two scenes, and search little."""
+    """Run two scenes with a small search."""
     no_search: bool = False
-    """Whether to refine; half a minute a scene on two cores."""
+    """Skip the search, which takes half a minute per scene on two cores."""
     semantic: bool = False
-    """Tell instead how often S_sem scores the truth, seen without noise, higher than displacements
+    """Report instead how often S_sem scores the noise-free ground truth higher than displacements
     of one object by 1 to 5 cm."""
     draws: int = 200
     """Displacements of each scene with `--semantic`."""
@@ -156,15 +179,13 @@ class Photos:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneSet:
-    """Run methods on the thirty scenes of the benchmark, each start with noise of its own, beside
-    gravity alone, gradient refinement alone, the search without simulation and Algorithm 1.
+class SceneSet(NoisyRuns):
+    """Run methods on the thirty scenes of the benchmark, each from its own noisy initial scenes:
+    the search, gravity alone, gradient refinement alone, no simulation, Algorithm 1.
     """
 
     scenes: tuple[str, ...] = ()
-    """Names of scenes, or one number of scenes; none takes all."""
-    starts: int = 2
-    """Starts of each scene; those with odd numbers are the evaluation half."""
+    """Names of scenes, or a single number of scenes; all by default."""
     method: tuple[MethodName, ...] = (
         "ours",
         "open_loop",
@@ -173,41 +194,39 @@ class SceneSet:
         "no_simulation",
         "algorithm1",
     )
-    """Methods; random and cma_es make as many rollouts as ours, without_... leave a term of the
-    reward out, as the paper's ablations do.
+    """Methods. random and cma_es get as many rollouts as ours; without_... omits a term of the
+    reward, as the paper's ablations do.
     """
     noise: NoiseName = "all"
-    """Noise of the starts: none; positions, sizes, headings, camera and 2D boxes; these and wrong
-    objects, carriers and openings; these and wrong shapes and joints; everything."""
-    seed: int = 0
-    """Seed of noise and searches."""
-    workers: int = 0
-    """Processes; 0 takes one for every two cores."""
+    """Noise of the initial scenes. exact: none; layout: positions, sizes, headings, camera and 2D
+    boxes; parse: also wrong objects, parents and openings; programs: layout, and wrong shapes and
+    joints; all: everything."""
     out: Path | None = None
-    """Folder of results.parquet; rows that are there already are not run again."""
+    """Folder of results.parquet; rows that it already contains are not run again."""
     submission: Path | None = None
-    """Folder of another method's scenes to score in place of running methods: SCENE/scene.json,
+    """Folder of another method's scenes to score instead of running methods: SCENE/scene.json,
     scene.xml or scene.usda (docs/benchmark-scenes.md).
     """
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectSuite:
-    """Hold joints and surfaces of made objects against those of PartNet-Mobility, which lies where
-    you have it, or against truth files; beside them the paper's 245 joints.
+    """Compare joints and surfaces of reconstructed objects with those of your copy of
+    PartNet-Mobility or with ground-truth files, alongside the paper's 245 joints.
     """
 
     made: Path | None = None
-    """Folder of made objects by the names of the true ones: NAME.py, .urdf, .xml or .usda, or NAME/
-    with program.py, spec.json or object.urdf.
+    """Folder of objects named like the ground-truth objects: NAME.py, .urdf, .xml or .usda, or
+    NAME/ with program.py, spec.json or object.urdf.
     """
     partnet: Path | None = None
     """Folder of PartNet-Mobility: ID/mobility.urdf with its meshes."""
     truth: Path | None = None
-    """Folder of truth files instead: NAME.json, with NAME.npz where surfaces are sampled."""
+    """Folder of ground-truth files instead: NAME.json, with NAME.npz if surfaces are sampled."""
     object: tuple[str, ...] = ()
-    """True objects; those that are not made are missed. None takes all that are made."""
-    front: Literal["+x", "-x", "+y", "-y"] = "-x"
+    """Ground-truth objects; those without a reconstruction count as missed. By default all that
+    have one."""
+    front: FrontName = "-x"
     """Direction in which objects of PartNet-Mobility face in their URDF."""
     out: Path | None = None
     """Folder of joints.parquet; rows replace those of the same objects."""
@@ -215,158 +234,119 @@ class ObjectSuite:
 
 @dataclass(frozen=True, kw_only=True)
 class Tasks:
-    """Check the manipulation tasks on truth: reference plans succeed, nothing is true without a
-    plan, and plans fail when the object concerned is elsewhere.
+    """Check the manipulation tasks on the ground truth: reference plans succeed, no task succeeds
+    without a plan, and plans fail if the object concerned is elsewhere.
     """
 
     task: tuple[str, ...] = ()
-    """Names of tasks; none takes all."""
+    """Names of tasks; all by default."""
     directions: int = 4
     """Directions in which the object concerned is displaced by half its size; 0 for none."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class TaskSuccess:
-    """Photograph each manipulation task, let methods make a layout of a disturbed answer, plan the
-    task in it, and carry the plan out there and in the truth: task success.
+class TaskSuccess(NoisyRuns):
+    """Photograph each manipulation task, let methods reconstruct it from a noisy response, plan the
+    task there, and execute the plan there and in the ground truth: task success.
     """
 
     task: tuple[str, ...] = ()
-    """Names of tasks; none takes all 84."""
-    starts: int = 2
-    """Starts of each task; those with odd numbers are the evaluation half."""
+    """Names of tasks; all 84 by default."""
     method: tuple[MethodName, ...] = ("ours", "open_loop", "gravity", "gradient", "no_simulation")
     """Methods, as in `bench run scenes`."""
     noise: Literal["exact", "layout", "parse"] = "parse"
-    """Noise of the starts: none; positions, sizes, headings, camera and 2D boxes; these and wrong
-    objects, carriers and openings. Programs have the true shapes.
+    """Noise of the initial scenes, as in `bench run scenes`. Programs have the ground-truth shapes.
     """
-    seed: int = 0
-    """Seed of noise and searches."""
-    workers: int = 0
-    """Processes; 0 takes one for every two cores."""
     out: Path | None = None
-    """Folder of tasks.parquet; rows that are there already are not run again."""
+    """Folder of tasks.parquet; rows that it already contains are not run again."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plans:
-    """Ask a model for plans of the manipulation tasks, and carry them out; what fails is told back,
-    and may then refine the layout, as in Section 4.4 of the paper.
+class Plans(ModelRequests):
+    """Request plans of the manipulation tasks from a model, and execute them; failures are fed
+    back, and can refine the layout, as in Section 4.4 of the paper.
     """
 
     task: tuple[str, ...] = ()
-    """Names of tasks; none takes all."""
-    provider: str = "auto"
-    """Who answers: auto, anthropic, openai, mailbox or replay."""
-    tape: Path | None = None
-    """Tape to replay."""
-    mailbox: Path | None = None
-    """Folder of the mailbox."""
-    record: Path | None = None
-    """Tape to record the answers on."""
+    """Names of tasks; all by default."""
     rounds: int = 2
-    """Most revisions of a plan."""
+    """Maximum number of revisions of a plan."""
     offset: float = 0.0
-    """How far the named objects are moved in the scene that is told [m]."""
+    """Displacement of the named objects in the scene that the model sees [m]."""
     feedback: bool = False
-    """Whether a plan that fails refines the layout that it was made for."""
+    """Let a plan that fails refine the layout that it was made for."""
     seed: int = 0
-    """Seed of the offsets and the refinement."""
+    """Seed of the displacements and the refinement."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class PictureSuite:
-    """Hold pictures of made scenes against the photographs: SSIM, and LPIPS, CLIP, DINOv2 and Uni3D
-    where their models are given.
+class PictureSuite(SceneFolders):
+    """Compare rendered images of scenes with the photographs: SSIM, and LPIPS, CLIP, DINOv2 and
+    Uni3D if their models are given.
     """
 
-    folders: Positional[tuple[Path, ...]] = ()
-    """Run folders, folders that `neoworld bench make` wrote, or submissions (with --data)."""
-    data: Path | None = None
-    """The data set whose photographs the scenes of a submission were made from."""
     clip: Path | None = None
     """CLIP: a folder with onnx/vision_model.onnx and preprocessor_config.json."""
     dino: Path | None = None
     """DINOv2: a folder with onnx/model.onnx and preprocessor_config.json."""
     lpips: Path | None = None
-    """LPIPS: an ONNX file that takes two pictures."""
+    """LPIPS: an ONNX file with two image inputs."""
     uni3d: Path | None = None
     """Uni3D: a folder with points.onnx, image.onnx and preprocessor_config.json."""
     size: int = 512
-    """Longer side of a scene's pictures, at most the photograph's [px]; an object's have 256."""
+    """Longer side of a scene's images, at most the photograph's [px]; an object's have 256."""
     no_objects: bool = False
-    """Measure whole scenes alone."""
+    """Measure whole scenes only."""
     out: Path | None = None
-    """Folder to write the compared pictures into, the photograph left."""
+    """Folder for the compared images, the photograph on the left."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judge:
-    """Show made scenes to a model, which scores completeness, layout and function from 1 to 7."""
+class Judge(SceneFolders, ModelRequests):
+    """Let a model score completeness, layout and function of scenes from 1 to 7."""
 
-    folders: Positional[tuple[Path, ...]] = ()
-    """Run folders, folders that `neoworld bench make` wrote, or submissions (with --data)."""
-    data: Path | None = None
-    """The data set whose photographs the scenes of a submission were made from."""
     repeats: int = 3
     """Judgements of each scene."""
     out: Path | None = None
-    """Folder for answers.json with every answer as it came, and the pictures."""
-    provider: str = "auto"
-    """Who answers: auto, anthropic, openai, mailbox or replay."""
-    tape: Path | None = None
-    """Tape to replay."""
-    mailbox: Path | None = None
-    """Folder of the mailbox."""
-    record: Path | None = None
-    """Tape to record the answers on."""
+    """Folder for answers.json with every response, and the images."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointVideos:
-    """Show a model each true joint's motion beside a made one's, and count those that it says are
-    the same, as the paper decides hits; beside it, hits by geometry.
+class JointVideos(ModelRequests):
+    """Show a model the motion of each ground-truth joint next to a reconstructed joint, and count
+    those that it calls the same, as the paper decides hits; also count hits by geometry.
     """
 
     made: Path | None = None
-    """Made object: a program, spec.json, URDF, MJCF or USD, or a folder of them by name."""
+    """Reconstructed object: a program, spec.json, URDF, MJCF or USD, or a folder of them by name.
+    """
     truth: Path | None = None
-    """True object, or a folder of them with the same names."""
-    front: Literal["+x", "-x", "+y", "-y"] = "+x"
-    """Direction in the true objects' frame in which their fronts face."""
+    """Ground-truth object, or a folder of them with the same names."""
+    front: FrontName = "+x"
+    """Direction in the ground-truth objects' frame in which their fronts face."""
     repeats: int = 1
-    """Answers about each joint; more than half of them decide."""
+    """Responses about each joint; the majority decides."""
     out: Path | None = None
-    """Folder for answers.json with every answer as it came, and the pictures."""
-    provider: str = "auto"
-    """Who answers: auto, anthropic, openai, mailbox or replay."""
-    tape: Path | None = None
-    """Tape to replay."""
-    mailbox: Path | None = None
-    """Folder of the mailbox."""
-    record: Path | None = None
-    """Tape to record the answers on."""
+    """Folder for answers.json with every response, and the film strips."""
 
 
 SUITES = {
-    "scenes": Suite(SceneSet, "neoworld_bench.run_suites:scenes_result", configured=True),
-    "physics": Suite(Physics, "neoworld_bench.run_suites:physics_result"),
-    "kernels": Suite(Kernels, "neoworld_bench.run_suites:kernels_result"),
-    "agreement": Suite(Agreement, "neoworld_bench.run_suites:agreement_result"),
-    "refine": Suite(Refine, "neoworld_bench.run_suites:refine_result", configured=True),
-    "joints": Suite(ObjectSuite, "neoworld_bench.run_suites:joints_result", configured=True),
-    "tasks": Suite(Tasks, "neoworld_bench.run_suites:tasks_result"),
-    "task-success": Suite(
-        TaskSuccess, "neoworld_bench.run_suites:task_success_result", configured=True
-    ),
-    "plans": Suite(Plans, "neoworld_bench.run_suites:plans_result", configured=True),
-    "pictures": Suite(PictureSuite, "neoworld_bench.judge.judge_suites:pictures_result"),
-    "judge": Suite(Judge, "neoworld_bench.judge.judge_suites:judge_result", configured=True),
-    "joint-videos": Suite(
-        JointVideos, "neoworld_bench.judge.judge_suites:joint_videos_result", configured=True
-    ),
-    "photos": Suite(Photos, "neoworld_bench.run_suites:photos_result", configured=True),
+    name: Suite(options, f"neoworld_bench.run_suites:run_{name.replace('-', '_')}", configured)
+    for name, options, configured in (
+        ("scenes", SceneSet, True),
+        ("physics", Physics, False),
+        ("kernels", Kernels, False),
+        ("agreement", Agreement, False),
+        ("refine", Refine, True),
+        ("joints", ObjectSuite, True),
+        ("tasks", Tasks, False),
+        ("task-success", TaskSuccess, True),
+        ("plans", Plans, True),
+        ("pictures", PictureSuite, False),
+        ("judge", Judge, True),
+        ("joint-videos", JointVideos, True),
+        ("photos", Photos, True),
+    )
 }
 """Suites that `neoworld bench run NAME` runs."""
 
@@ -374,4 +354,4 @@ DEVELOPER_SUITES = (
     *("battery", "composing", "costs", "decisions", "faults", "frames", "inputs", "programs"),
     *("readers", "round-trips", "scoring", "templates", "verify"),
 )
-"""Suites that `python -m benchmarks NAME` runs from a clone."""
+"""Suites that `python -m benchmarks NAME` runs from a clone of the repository."""

@@ -23,7 +23,14 @@ def test_the_pages_are_those_that_the_figures_give():
 @pytest.mark.parametrize("name", NAMES)
 def test_every_figure_is_on_the_page_with_device_and_n(name):
     figure = page.read_figure(name)
-    assert sum(f"## {figure.title}\n" in text for path, text in page.pages().items() if path.parent.name) == 1
+    assert (
+        sum(
+            f"## {figure.title}\n" in text
+            for path, text in page.pages().items()
+            if path.parent.name
+        )
+        == 1
+    )
     assert figure.device and figure.n and figure.command
     assert figure.suite is None or figure.suite in {*suites.SUITES, *developer.SUITES}
     assert all(len(row) == len(figure.columns) for row in figure.rows)

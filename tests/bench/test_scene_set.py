@@ -15,7 +15,7 @@ from neoworld_bench.fidelity.rendered_scenes import see
 from neoworld_bench.methods.layout_errors import displaced, layout_errors, tilt_deg
 from neoworld_bench.methods.scene_methods import METHODS, USUAL, OneForAll
 from neoworld_bench.methods.scene_runs import RESULTS, SceneRow, chosen_scenes, run_scenes
-from neoworld_bench.noise.initial_scenes import noise_number, true_tree
+from neoworld_bench.noise.initial_scenes import noise_number
 from neoworld_bench.tables.scene_summary import BOUNDS, interval, summarise
 from neoworld_bench.tables.scene_table import latex, markdown, table_records
 
@@ -94,7 +94,7 @@ def test_unknown_scenes_and_programs_are_named(tmp_path):
 def test_a_perfect_answer_composes_to_the_truth():
     # An open drawer with something inside: joints and carriers must be answered, too.
     scene = see(truth_scene(declarations()["desk_drawers"]))
-    tree = true_tree(scene)
+    tree = exact_answer(scene)
     shapes = {item.name: item.spec for item in scene.objects}
     composed = compose(tree, shapes).scene
     errors = layout_errors(composed, scene)

@@ -9,7 +9,14 @@ from neoworld_bench.dataset.declaration import (
     template_of,
 )
 from neoworld_bench.dataset.truth_scene import built, truth_scene
-from neoworld_bench.fidelity.rendered_answers import ASIDE, DEPTH, LOG_ASPECT, LOG_SIZE, YAW
+from neoworld_bench.fidelity.rendered_answers import (
+    ASIDE,
+    DEPTH,
+    LOG_ASPECT,
+    LOG_SIZE,
+    YAW,
+    exact_answer,
+)
 from neoworld_bench.fidelity.rendered_scenes import see
 from neoworld_bench.measures.surface_measure import geometry_measure, surface_points
 from neoworld_bench.methods.layout_errors import displaced, layout_errors, unmatched
@@ -19,7 +26,6 @@ from neoworld_bench.noise.environment_noise import with_other_supports
 from neoworld_bench.noise.initial_scenes import (
     composed_start,
     fitted_answer,
-    true_tree,
     wrong_shapes,
 )
 from neoworld_bench.noise.noise_draft import Draft
@@ -72,7 +78,7 @@ def desk():
 
 @pytest.fixture(scope="module")
 def answer(desk) -> SceneTree:
-    return true_tree(desk)
+    return exact_answer(desk)
 
 
 def rng() -> np.random.Generator:
@@ -223,7 +229,7 @@ def test_a_misjudged_view_keeps_the_layout(answer, monkeypatch):
 
 
 def test_supports_are_off_as_objects_are_and_tops_stay():
-    tree = true_tree(see(truth_scene(declarations()["shelf_boxes"])))
+    tree = exact_answer(see(truth_scene(declarations()["shelf_boxes"])))
     moved = [with_other_supports(tree, tree, number) for number in range(200)]
     assert all(answer.nodes != tree.nodes for answer in moved)
     assert moved[3] == with_other_supports(tree, tree, 3)
@@ -385,7 +391,7 @@ def test_a_start_with_all_noise_composes(desk):
     names = ("table", "chest", "dice", "carton", "tin", "cup")
     few = desk.model_copy(update={"objects": tuple(desk.object(name) for name in names)})
     log = NoiseLog()
-    start = composed_start(few, true_tree(few), 0, noise="all", log=log)
+    start = composed_start(few, exact_answer(few), 0, noise="all", log=log)
     missed, extra = unmatched(start, few)
     split = log.injected.count("split")
     assert len(missed) == log.injected.count("missed") + split
@@ -397,7 +403,7 @@ def test_a_start_with_all_noise_composes(desk):
 def test_what_the_checks_refuse_is_answered_once_more(desk, monkeypatch):
     names = ("table", "carton", "tin")
     few = desk.model_copy(update={"objects": tuple(desk.object(name) for name in names)})
-    tree = true_tree(few)
+    tree = exact_answer(few)
     box = tree.node("tin").box3d
     beside = box.model_copy(update={"position": (*box.position[:2], box.position[2] + 2.0)})
     nodes = tuple(

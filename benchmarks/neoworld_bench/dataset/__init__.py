@@ -1,1 +1,1 @@
-"""The benchmark's data set: scenes declared by programs and poses, and the methods run on them."""
+"""Thirty scenes with ground truth, declared by programs and poses."""

@@ -19,6 +19,7 @@ from neoworld_mjx.spec import (
     scaled_state,
 )
 
+from ..fidelity.rendered_scenes import see
 from .declaration import ObjectDeclaration, SceneDeclaration, SupportDeclaration, program_of
 
 
@@ -36,6 +37,13 @@ def truth_scene(declared: SceneDeclaration) -> SceneSpec:
         )
     except ValidationError as error:
         raise SpecError(f"scene {declared.name}: {error.errors()[0]['msg']}") from None
+
+
+def photographed(declared: SceneDeclaration) -> SceneSpec:
+    """Return the scene of a declaration with the visible boxes, depths and occlusion flags that
+    its camera sees.
+    """
+    return see(truth_scene(declared), finer=2)
 
 
 @functools.lru_cache(maxsize=1024)

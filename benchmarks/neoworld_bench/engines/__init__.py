@@ -1,1 +1,1 @@
-"""Engine suites: speed, agreement and the scenes that they run on."""
+"""Timings and agreement of engines, and the generated scenes that they run on."""

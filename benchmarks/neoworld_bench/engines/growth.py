@@ -1,11 +1,17 @@
 """Growth of cost with the number of objects: exponents, and a chart of them as a file."""
 
+import json
 import math
 from collections.abc import Iterable, Sequence
 from html import escape
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from pydantic import ValidationError
+
+from neoworld_mjx.errors import ConfigError
+from neoworld_mjx.io.files import write_atomic
 
 from .throughput import PhysicsRow
 
@@ -45,6 +51,40 @@ def growth(rows: Iterable[PhysicsRow], *, core: bool = False) -> list[Growth]:
         Growth(label, sorted(costs), [costs[n] for n in sorted(costs)], _exponent(costs))
         for label, costs in sorted(best.items())
     ]
+
+
+def growth_json(curves: Iterable[Growth]) -> list[dict[str, Any]]:
+    """Return curves as JSON; an undefined exponent is None."""
+    return [
+        g._asdict() | {"exponent": None if math.isnan(g.exponent) else g.exponent} for g in curves
+    ]
+
+
+def read_rows(file: Path) -> list[PhysicsRow]:
+    """Read the rows of the output of `bench run physics --json`.
+
+    Raises:
+        ConfigError: the file cannot be read, or has no such rows.
+    """
+    try:
+        result = json.loads(file.read_text(encoding="utf-8"))
+        return [PhysicsRow.model_validate(row) for row in result["rows"]]
+    except OSError as error:
+        raise ConfigError(f"cannot read {file}: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError, ValidationError):
+        raise ConfigError(f"{file} is not what bench run physics --json prints") from None
+
+
+def write_chart(file: Path, curves: Sequence[Growth], *, core: bool = False) -> None:
+    """Write the chart of curves as an SVG file; see `growth_svg`.
+
+    Raises:
+        ConfigError: the file cannot be written.
+    """
+    try:
+        write_atomic(file, growth_svg(curves, core=core).encode())
+    except OSError as error:
+        raise ConfigError(f"cannot write {file}: {error.strerror}") from None
 
 
 def _costs(row: PhysicsRow) -> list[tuple[str, float | None]]:

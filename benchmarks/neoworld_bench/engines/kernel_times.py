@@ -4,8 +4,10 @@ One row for each implementation; one that cannot run on this device says why.
 """
 
 import functools
+import json
 import time
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -14,7 +16,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from neoworld_kernels import Colliders, pair_depth, pair_depth_culled, pair_depth_reference
 
-from neoworld_mjx.errors import EngineError
+from neoworld_mjx.errors import ConfigError, EngineError
+from neoworld_mjx.io.files import write_atomic
 from neoworld_mjx.physics.layout import Poses, rotation
 from neoworld_mjx.physics.model import SceneModel, compile_scene
 
@@ -89,6 +92,25 @@ def dispatch(rows: Sequence[KernelRow]) -> dict[str, Any]:
     slower = [row["work"] for row in both if row["pallas_ms"] >= row["jnp_ms"]]
     faster = [row["work"] for row in both if row["work"] > max(slower, default=0)]
     return {"pallas_from": min(faster) if faster else None, "jax": jax.__version__, "rows": both}
+
+
+def update_dispatch_table(file: Path, rows: Sequence[KernelRow]) -> None:
+    """Add or replace this device's entry in a JSON table of measured devices.
+
+    Raises:
+        ConfigError: the file is not such a table, or cannot be written.
+        EngineError: see `dispatch`.
+    """
+    entry = dispatch(rows)
+    try:
+        table = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {"devices": {}}
+        table["devices"][jax.devices()[0].device_kind] = entry
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{file} is no table of measured devices: {error}") from None
+    try:
+        write_atomic(file, (json.dumps(table, indent=1) + "\n").encode())
+    except OSError as error:
+        raise ConfigError(f"cannot write {file}: {error.strerror}") from None
 
 
 def kernels(

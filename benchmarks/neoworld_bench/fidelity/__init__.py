@@ -1,1 +1,1 @@
-"""Forty rendered scenes with exact truth, and the error of each step on them."""
+"""Forty rendered scenes with ground truth, and the error of each step on them."""

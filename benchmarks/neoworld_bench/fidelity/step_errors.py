@@ -23,7 +23,7 @@ from neoworld_mjx.physics.simulate import open_engine
 from neoworld_mjx.refinement.scene_refinement import refine
 from neoworld_mjx.spec import Box3D, SceneSpec
 
-from ..refine_scenes import symmetry
+from ..measures.symmetry import symmetry
 from ..rows import Row
 from .rendered_answers import disturbed_answer, exact_answer, upright_boxes
 from .rendered_scenes import HELD_OUT, TUNED_ON, photo_scene

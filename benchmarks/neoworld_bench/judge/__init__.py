@@ -1,1 +1,1 @@
-"""Benchmarks by looking: pictures of made scenes against photographs, and a model as judge."""
+"""Rendered images compared with photographs, and a model as judge."""

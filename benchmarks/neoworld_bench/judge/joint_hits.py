@@ -17,7 +17,7 @@ from ..measures import pooled
 from ..rows import Row
 from .answer_file import AnswerFile, answers_to, save_pictures
 from .joint_films import JointedPair
-from .paper_figures import PAPER_JOINTS
+from ..paper_figures import PAPER_JOINTS
 
 MOST_LABEL = 80
 """Characters of an object's label that are told."""

@@ -18,7 +18,7 @@ from ..measures.picture_similarity import (
 from ..measures.point_clouds import Cloud, coloured_points
 from ..rows import Row
 from .made_scenes import MadeScene, Rgb, made_scenes
-from .paper_figures import PAPER_OBJECTS, of_scenes
+from ..paper_figures import PAPER_OBJECTS, of_scenes
 
 NOTE = (
     "NeoWorld-Pro as the paper reports it, of its own 30 scenes: clip 0.9128, dino 0.7855; of its "

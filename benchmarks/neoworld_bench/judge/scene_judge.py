@@ -22,7 +22,7 @@ from neoworld_mjx.spec import SceneSpec
 from ..rows import Row
 from .answer_file import AnswerFile, answers_to, save_pictures
 from .made_scenes import MadeScene
-from .paper_figures import of_scenes
+from ..paper_figures import of_scenes
 
 QUESTIONS = ("completeness", "layout", "function")
 NOTE = (

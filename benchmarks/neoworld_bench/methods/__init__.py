@@ -1,1 +1,1 @@
-"""Methods that turn an initial scene into a layout, run over scenes and initial scenes."""
+"""Methods that turn an initial scene into a layout, and their scores on the thirty scenes."""

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from neoworld_mjx.checks.joint_sweep import sweep_joints, sweep_together
 from neoworld_mjx.checks.part_distances import Probe
-from neoworld_mjx.checks.static_checks import helper
+from neoworld_mjx.checks.static_checks import is_placeholder
 from neoworld_mjx.config import JointSweepOptions
 from neoworld_mjx.spec import ObjectSpec
 
@@ -31,7 +31,7 @@ def part_depth(spec: ObjectSpec, options: JointSweepOptions | None = None) -> fl
         options: how finely ranges are swept.
     """
     o = options or JointSweepOptions()
-    bare = [part.name for part in spec.parts if helper(part)]
+    bare = [part.name for part in spec.parts if is_placeholder(part)]
     free = o.model_copy(update={"max_depth_m": _DEEPEST_M})
     sweep = sweep_joints(Probe(spec), free, ignored=bare)
     overlaps = [*sweep.at_rest.values()]

@@ -14,13 +14,13 @@ from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.spec import SceneSpec
 
 from ..dataset.declaration import declaration, declarations
+from ..dataset.truth_scene import photographed
+from ..fidelity.rendered_answers import exact_answer
 from ..noise.initial_scenes import (
     NoiseLevel,
     composed_start,
     is_evaluation,
     noise_number,
-    photographed,
-    true_tree,
 )
 from ..noise.parse_noise import NoiseLog
 from ..row_files import RowFile, check_level, made_by_jobs, sized, stored_rows
@@ -233,7 +233,7 @@ def _outcomes(
         return
     number = noise_number(task.scene, task.seed, task.start)
     composed = composed_start(
-        truth, true_tree(truth), number, task.compose, noise=task.noise, log=log_of_noise
+        truth, exact_answer(truth), number, task.compose, noise=task.noise, log=log_of_noise
     )
     engine = NativeEngine(threads=task.threads)
     for method, result in outcomes_of(task.methods, composed, task.refine, engine, seed=task.seed):

@@ -1,1 +1,1 @@
-"""Errors of answers and programs, and the initial scenes that they lead to."""
+"""Errors of responses and programs, and the initial scenes that result from them."""

@@ -16,10 +16,8 @@ from neoworld_mjx.fit.refit import refit_tree
 from neoworld_mjx.fit.tree_checks import SceneIssue, check_score, check_tree
 from neoworld_mjx.spec import ObjectSpec, SceneSpec, SceneTree
 
-from ..dataset.declaration import SceneDeclaration, declaration
-from ..dataset.truth_scene import truth_scene
-from ..fidelity.rendered_answers import disturbed_answer, exact_answer, with_boxes_redrawn
-from ..fidelity.rendered_scenes import see
+from ..dataset.declaration import declaration
+from ..fidelity.rendered_answers import disturbed_answer, with_boxes_redrawn
 from .environment_noise import with_other_supports
 from .parse_noise import NoiseLog, refusals, wrong_parse
 from .program_noise import wrong_program
@@ -29,16 +27,6 @@ NoiseLevel = Literal["exact", "layout", "parse", "programs", "all"]
 everything."""
 EVALUATION = 1
 """Starts whose number is odd are the evaluation half: no default is tuned on them."""
-
-
-def photographed(declared: SceneDeclaration) -> SceneSpec:
-    """Return a declared scene with what its camera sees: visible boxes, depths, hidden flags."""
-    return see(truth_scene(declared), finer=2)
-
-
-def true_tree(scene: SceneSpec) -> SceneTree:
-    """Return the parse that says of a photographed scene what is true."""
-    return exact_answer(scene)
 
 
 def noise_number(name: str, seed: int, start: int) -> int:

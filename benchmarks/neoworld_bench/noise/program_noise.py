@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
-from neoworld_mjx.program.make import build
-from neoworld_mjx.program.sandbox import Built
+from neoworld_mjx.program.sandbox import build
+from neoworld_mjx.program.sandbox import BuildResult
 from neoworld_mjx.spec import (
     Box,
     Capsule,
@@ -78,7 +78,7 @@ def wrong_program(
 
 def _drawn(
     template: Template, given: dict[str, Value], rng: np.random.Generator, log: NoiseLog
-) -> Built:
+) -> BuildResult:
     """Run the program with parameters near the true ones; the true ones where none passes."""
     for _ in range(TRIES):
         values = near_parameters(template, given, rng)

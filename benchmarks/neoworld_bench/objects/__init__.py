@@ -1,1 +1,1 @@
-"""Made objects held against true ones: joints and surfaces."""
+"""Reconstructed objects compared with ground truth: joints and surfaces."""

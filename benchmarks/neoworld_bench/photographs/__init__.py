@@ -1,1 +1,1 @@
-"""Composed scenes of five real photographs."""
+"""Composed scenes of five photographs, and the time of their search."""

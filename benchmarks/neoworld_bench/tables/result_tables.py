@@ -7,10 +7,10 @@ from neoworld_mjx.errors import RunError
 from neoworld_mjx.io.files import write_atomic
 
 from ..methods.scene_runs import RESULTS
-from ..objects.joint_table import joint_table
+from .joint_table import joint_table
 from ..objects.object_scores import SCORES, stored_scores
 from ..tasks.success_runs import SUCCESSES, known_successes
-from ..tasks.success_table import success_table
+from .success_table import success_table
 from .scene_table import scene_tables
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from neoworld_mjx.render.plots import plot_svg
 
+from ..bootstrap import ratio_interval
 from ..methods.scene_objects import ObjectRow
-from .scene_summary import ratio_interval
 
 
 class Curve(NamedTuple):

@@ -5,12 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from ..bootstrap import DRAWS, ratio_interval
 from ..methods.scene_runs import SceneRow
 
 BOUNDS = {"open_loop": 0.1, "gravity": 0.5, "gradient": 0.5, "no_simulation": 0.7}
 """Highest share of starts that these may leave valid; above it the set is too easy."""
-DRAWS, LEVEL = 2000, 0.95
-"""Bootstrap draws, and the level of their interval."""
 MEASURES: dict[str, Callable[[SceneRow], float]] = {
     "valid_rate": lambda r: r.valid,
     "check_rate": lambda r: r.check_passed,
@@ -108,30 +107,3 @@ def interval(
     """
     of, weigh = MEASURES[measure], OF_OBJECTS.get(measure, lambda r: 1)
     return ratio_interval([(row.scene, weigh(row) * of(row), weigh(row)) for row in rows], draws)
-
-
-def ratio_interval(
-    parts: Sequence[tuple[str, float, float]], draws: int = DRAWS
-) -> tuple[float | None, float | None, float | None]:
-    """Return sum over count of parts, and its bootstrap interval over the groups of parts.
-
-    Args:
-        parts: group, such as a scene, sum and count of each.
-        draws: of the bootstrap; 0 gives no interval.
-    """
-    totals: dict[str, list[float]] = {}
-    for group, amount, count in parts:
-        total = totals.setdefault(group, [0.0, 0.0])
-        total[0] += amount
-        total[1] += count
-    sums, counts = np.array([totals[group] for group in sorted(totals)]).reshape(-1, 2).T
-    if not counts.sum():
-        return None, None, None
-    mean = float(sums.sum() / counts.sum())
-    if not draws:
-        return mean, None, None
-    drawn = np.random.default_rng(0).integers(len(sums), size=(draws, len(sums)))
-    sums, counts = sums[drawn].sum(axis=1), counts[drawn].sum(axis=1)
-    means = sums[counts > 0] / counts[counts > 0]
-    low, high = np.quantile(means, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return mean, float(low), float(high)

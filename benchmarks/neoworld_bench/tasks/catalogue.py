@@ -1,4 +1,6 @@
-"""The table of the tasks."""
+"""Catalogue of the manipulation tasks."""
+
+from collections.abc import Sequence
 
 from neoworld_mjx.errors import ConfigError, choices
 
@@ -12,12 +14,12 @@ from .task import ManipulationTask
 
 
 def all_tasks() -> tuple[ManipulationTask, ...]:
-    """List the 84 tasks, the number of the paper; nothing is built yet."""
+    """Return the 84 tasks, as many as the paper has; their scenes are built on first use."""
     return (*PLACING, *INSERTING, *STACKING, *PUSHING, *JOINTS, *ASSEMBLING)
 
 
 def task_names() -> tuple[str, ...]:
-    """List the names of the tasks."""
+    """Return the names of the tasks."""
     return tuple(task.name for task in all_tasks())
 
 
@@ -25,9 +27,18 @@ def find_task(name: str) -> ManipulationTask:
     """Return a task by name.
 
     Raises:
-        ConfigError: there is none of the name.
+        ConfigError: there is no such task.
     """
     by_name = {task.name: task for task in all_tasks()}
     if name not in by_name:
         raise ConfigError(f"task: {choices(name, by_name)}")
     return by_name[name]
+
+
+def find_tasks(names: Sequence[str]) -> list[ManipulationTask]:
+    """Return tasks by name, all of them for no names.
+
+    Raises:
+        ConfigError: there is no task of a name.
+    """
+    return [find_task(name) for name in names] or list(all_tasks())

@@ -15,6 +15,7 @@ from neoworld_mjx.io.files import content_hash
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.spec import SceneSpec
 
+from ..fidelity.rendered_answers import exact_answer
 from ..methods.scene_methods import MethodResult, check_methods, in_order, outcomes_of
 from ..methods.validity import validity
 from ..noise.initial_scenes import (
@@ -22,7 +23,6 @@ from ..noise.initial_scenes import (
     composed_start,
     is_evaluation,
     noise_number,
-    true_tree,
 )
 from ..noise.parse_noise import NoiseLog
 from ..row_files import RowFile, check_level, made_by_jobs, sized, stored_rows
@@ -155,7 +155,7 @@ def success_rows(job: SuccessJob) -> Iterator[SuccessRow]:
     try:
         photo = photographed_task(task.scene)
         number = noise_number(f"task/{job.task}", job.seed, job.start)
-        tree = true_tree(photo.scene)
+        tree = exact_answer(photo.scene)
         composed = composed_start(
             photo.scene, tree, number, job.compose, noise=job.noise, log=errors
         )

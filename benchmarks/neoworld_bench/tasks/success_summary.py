@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..tables.scene_summary import ratio_interval
+from ..bootstrap import ratio_interval
 from .success_runs import SuccessRow
 
 SHARES: dict[str, Callable[[SuccessRow], bool]] = {

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
-from ..judge.paper_figures import PAPER_JOINTS, PAPER_SURFACES
-from ..tables.text_tables import TextTable
-from .object_scores import ObjectScoreRow, score_figures
+from ..paper_figures import PAPER_JOINTS, PAPER_SURFACES
+from .text_tables import TextTable
+from ..objects.object_scores import ObjectScoreRow, score_figures
 
 PAPER = {name: PAPER_JOINTS[name] | PAPER_SURFACES[name] for name in PAPER_JOINTS}
 NOTE = (

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from ..tables.text_tables import TextTable
-from .success_runs import SuccessRow
-from .success_summary import OF_THE_PAPER, PAPER, SHARES, success_interval
+from .text_tables import TextTable
+from ..tasks.success_runs import SuccessRow
+from ..tasks.success_summary import OF_THE_PAPER, PAPER, SHARES, success_interval
 
 NOTE = (
     "Shares of tasks and starts in per cent, with 95% bootstrap intervals over tasks; on_truth is "

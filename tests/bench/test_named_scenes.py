@@ -1,0 +1,68 @@
+"""Named scenes of sweeps: bench:NAME, crowded:N and photo:NAME."""
+
+from pathlib import Path
+
+import pytest
+from neoworld_bench.named_scenes import SOURCES
+
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.model import compile_scene
+from neoworld_mjx.sweeps.cases import case
+from neoworld_mjx.sweeps.plan import Ablation, Plan, points, read
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+PLANS = sorted(CONFIGS.glob("*/*.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("bench:dominos", "scene bench:dominos: .*did you mean 'dominoes'"),
+        ("crowded:many", "number of objects from 1 to 100"),
+        ("photo:cofee", "did you mean 'coffee'"),
+        ("bensh:dominoes", "did you mean 'bench'"),
+        ("nowhere", "nor is it one of bench:NAME, crowded:NAME, photo:NAME"),
+    ],
+)
+def test_unknown_names_are_refused(name, message):
+    with pytest.raises(SpecError, match=message):
+        case(name, SOURCES)
+
+
+def test_a_bench_scene_is_an_initial_scene_with_errors_against_the_ground_truth():
+    result = case("bench:shelf_boxes", SOURCES)
+    model = compile_scene(result.scene)
+    errors = result.errors(model, Layout.zero(1, len(model.names)))
+    assert result.scene.camera is not None and result.start is None
+    assert set(errors) == {"xy_m", "yaw_deg", "scale"} and errors["xy_m"] > 1e-3
+
+
+def test_crowded_scenes_start_from_a_noisy_layout_for_each_seed():
+    result = case("crowded:2", SOURCES)
+    model = compile_scene(result.scene)
+    first, second = (result.start(model, seed) for seed in (0, 1))
+    assert abs(first.xy[0, 1:]).max() > 0 and (first.xy != second.xy).any()
+
+
+def test_photographs_have_their_picture_and_box_overlap():
+    result = case("photo:coffee", SOURCES)
+    model = compile_scene(result.scene)
+    assert result.photo is not None and result.photo.name == "coffee.png"
+    assert 0 < result.errors(model, Layout.zero(1, len(model.names)))["box_iou"] <= 1
+
+
+@pytest.mark.parametrize("path", PLANS, ids=lambda path: path.name)
+def test_plans_of_the_repository_name_existing_scenes(path):
+    plan = read(path, Ablation if path.parent.name == "ablations" else Plan)
+    assert len(points(plan)) > 1
+    for name in plan.scenes:
+        kind, colon, inner = name.partition(":")
+        if not colon:
+            assert (CONFIGS.parent / name).is_file()
+        elif kind == "bench":
+            assert (
+                CONFIGS.parent / f"benchmarks/neoworld_bench/dataset/scenes/{inner}.yaml"
+            ).is_file()
+        else:
+            assert case(name, SOURCES).name == name
