@@ -19,9 +19,9 @@ def spend(panel, tokens):
 
 def test_a_second_command_goes_on_with_the_ledger(tmp_path):
     for times in (1, 2):
-        with RunFolder(tmp_path / "run", Config(), resume=True) as run:
+        with RunFolder(tmp_path / "run", Config(), "resume") as run:
             panel = Panel(ScriptedModel())
-            with reconstruction._booked(run, panel):
+            with reconstruction.recorded_costs(run, panel):
                 spend(panel, 1000)
         booked = json.loads((tmp_path / "run" / "run.json").read_text())["mllm"]
         assert (booked["calls"], booked["tokens"]["input"]) == (times, 1000 * times)
@@ -30,7 +30,7 @@ def test_a_second_command_goes_on_with_the_ledger(tmp_path):
 def test_what_was_spent_is_kept_where_a_step_fails(tmp_path):
     with RunFolder(tmp_path / "run", Config()) as run:
         panel = Panel(ScriptedModel())
-        with pytest.raises(RunError, match="in between"), reconstruction._booked(run, panel):
+        with pytest.raises(RunError, match="in between"), reconstruction.recorded_costs(run, panel):
             spend(panel, 10)
             raise RunError("in between")
         assert run.data["mllm"]["calls"] == 1
@@ -40,7 +40,7 @@ def test_a_damaged_ledger_is_named(tmp_path):
     with RunFolder(tmp_path / "run", Config()) as run:
         run.record("mllm", by_role_and_model=3)
         with pytest.raises(RunError, match=r"run\.json: the costs under mllm are damaged"):
-            with reconstruction._booked(run, Panel(ScriptedModel())):
+            with reconstruction.recorded_costs(run, Panel(ScriptedModel())):
                 pass
 
 

@@ -16,10 +16,10 @@ from neoworld_mjx.errors import RunError
 from neoworld_mjx.run_folder import RunFolder, read_run
 
 
-def _two_steps(out, config=None, *, text="tree", ran=None, **options):
+def _two_steps(out, mode="new", *, text="tree", step=None):
     """A small pipeline: compose upper-cases what parse wrote."""
-    ran = [] if ran is None else ran
-    with RunFolder(out, config or Config(), **options) as run:
+    ran = []
+    with RunFolder(out, Config(), mode, step=step) as run:
         with run.step("parse", {"text": text}) as stage:
             if stage is not None:
                 ran.append("parse")
@@ -49,17 +49,17 @@ def test_a_run_leaves_its_files_and_what_repeats_it(tmp_path):
 def test_resume_skips_what_has_not_changed_and_redoes_what_has(tmp_path):
     out = tmp_path / "out"
     assert _two_steps(out) == ["parse", "compose"]
-    assert _two_steps(out, resume=True) == []
-    assert _two_steps(out, resume=True, text="bush") == ["parse", "compose"]
+    assert _two_steps(out, "resume") == []
+    assert _two_steps(out, "resume", text="bush") == ["parse", "compose"]
     (out / "objects" / "scene.txt").unlink()
-    assert _two_steps(out, resume=True, text="bush") == ["compose"]
+    assert _two_steps(out, "resume", text="bush") == ["compose"]
 
 
 def test_a_step_that_writes_the_same_again_does_not_wake_the_next(tmp_path):
     out = tmp_path / "out"
     _two_steps(out)
     (out / "tree.json").unlink()
-    assert _two_steps(out, resume=True) == ["parse"]
+    assert _two_steps(out, "resume") == ["parse"]
 
 
 def test_a_damaged_output_is_made_again_and_the_changed_file_kept(tmp_path):
@@ -67,7 +67,7 @@ def test_a_damaged_output_is_made_again_and_the_changed_file_kept(tmp_path):
     _two_steps(out)
     for edit in ("mine", "mine too"):
         (out / "tree.json").write_text(edit)
-        assert _two_steps(out, resume=True) == ["parse"]
+        assert _two_steps(out, "resume") == ["parse"]
     assert (out / "tree.json").read_text() == "tree"
     assert (out / "replaced" / "tree.json").read_text() == "mine"
     assert (out / "replaced" / "tree.json.old").read_text() == "mine too"
@@ -77,19 +77,19 @@ def test_from_keeps_edits_before_the_step_and_so_does_a_later_resume(tmp_path):
     out = tmp_path / "out"
     _two_steps(out)
     (out / "tree.json").write_text("edited")
-    assert _two_steps(out, start="compose") == ["compose"]
+    assert _two_steps(out, "redo", step="compose") == ["compose"]
     assert (out / "objects" / "scene.txt").read_text() == "editededited"
     assert read_run(out)["steps"]["parse"]["edited"] == ["tree.json"]
-    assert _two_steps(out, resume=True) == []
+    assert _two_steps(out, "resume") == []
 
 
 def test_from_redoes_the_step_and_all_after_it(tmp_path):
     out = tmp_path / "out"
     _two_steps(out)
-    with RunFolder(out, Config(), start="compose"):
+    with RunFolder(out, Config(), "redo", step="compose"):
         assert (out / "tree.json").exists()
         assert not (out / "objects").exists()
-    assert _two_steps(out, start="parse") == ["parse", "compose"]
+    assert _two_steps(out, "redo", step="parse") == ["parse", "compose"]
 
 
 def test_an_existing_run_is_not_touched_unasked(tmp_path):
@@ -115,17 +115,17 @@ def test_overwrite_deletes_what_the_run_wrote_and_nothing_else(tmp_path):
     out = tmp_path / "out"
     _two_steps(out)
     (out / "notes.txt").write_text("mine")
-    with RunFolder(out, Config(), overwrite=True):
+    with RunFolder(out, Config(), "overwrite"):
         assert not (out / "tree.json").exists()
         assert not (out / "objects").exists()
     assert (out / "notes.txt").read_text() == "mine"
-    assert _two_steps(out, overwrite=True) == ["parse", "compose"]
+    assert _two_steps(out, "overwrite") == ["parse", "compose"]
 
 
 def test_what_a_finished_run_no_longer_has_is_deleted(tmp_path):
     out = tmp_path / "out"
     for names in (["cup", "spoon"], ["cup"]):
-        with RunFolder(out, Config(), resume=True) as run:
+        with RunFolder(out, Config(), "resume") as run:
             for name in names:
                 with run.step(f"program/{name}", {"name": name}) as stage:
                     if stage is not None:
@@ -138,7 +138,7 @@ def test_what_a_finished_run_no_longer_has_is_deleted(tmp_path):
 def test_a_step_done_again_drops_the_files_it_no_longer_writes(tmp_path):
     out = tmp_path / "out"
     for name in ("a", "b"):
-        with RunFolder(out, Config(), resume=True) as run:
+        with RunFolder(out, Config(), "resume") as run:
             with run.step("export", {"name": name}) as stage:
                 assert stage is not None
                 (stage / name).write_text(name)
@@ -159,7 +159,7 @@ def test_folders_that_are_refused_are_left_as_they_are(tmp_path, what):
         (out / ("photos.txt" if what == "foreign" else "run.json")).write_text("{}")
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(RunError) as caught:
-        RunFolder(out, Config(), resume=True)
+        RunFolder(out, Config(), "resume")
     assert str(out if what != "below a file" else out.parent) in str(caught.value)
     assert [p for p in sorted(tmp_path.rglob("*")) if p.name != ".lock"] == before
 
@@ -172,8 +172,8 @@ def test_a_folder_that_cannot_be_made_is_one_message():
 def test_a_second_run_in_the_same_folder_is_refused_until_the_first_ends(tmp_path):
     with RunFolder(tmp_path / "out", Config()):
         with pytest.raises(RunError, match=f"in use by another run .process {os.getpid()}"):
-            RunFolder(tmp_path / "out", Config(), resume=True)
-    with RunFolder(tmp_path / "out", Config(), resume=True):
+            RunFolder(tmp_path / "out", Config(), "resume")
+    with RunFolder(tmp_path / "out", Config(), "resume"):
         pass
 
 
@@ -187,7 +187,7 @@ def test_a_failed_step_leaves_no_file_and_says_failed(tmp_path):
     assert sorted(p.name for p in out.iterdir()) == [".lock", "run.json", "run.log"]
     assert read_run(out)["status"] == "failed"
     assert read_run(out)["steps"] == {}
-    assert _two_steps(out, resume=True) == ["parse", "compose"]
+    assert _two_steps(out, "resume") == ["parse", "compose"]
 
 
 def test_a_missing_input_names_the_file(tmp_path):
@@ -199,7 +199,7 @@ def test_a_missing_input_names_the_file(tmp_path):
 
 def test_misspelt_steps_name_the_choices(tmp_path):
     with pytest.raises(RunError, match="did you mean 'refine'"):
-        RunFolder(tmp_path / "out", Config(), start="refin")
+        RunFolder(tmp_path / "out", Config(), "redo", step="refin")
     with RunFolder(tmp_path / "out", Config()) as run:
         with pytest.raises(RunError, match="valid are: parse"), run.step("pars", {}):
             pass
@@ -213,7 +213,7 @@ def test_fallbacks_belong_to_their_step_and_go_when_it_is_done_again(tmp_path):
                 run.fallback(step, "native", "no GPU")
                 run.fallback(step, "native", "no GPU")
     assert len(read_run(out)["fallbacks"]) == 2
-    with RunFolder(out, Config(), start="refine") as run:
+    with RunFolder(out, Config(), "redo", step="refine") as run:
         with run.step("parse", {}), run.step("refine", {}):
             pass
     assert read_run(out)["fallbacks"] == [{"step": "parse", "what": "native", "why": "no GPU"}]
@@ -258,7 +258,7 @@ def test_a_clock_that_is_set_back_leaves_a_run_that_goes_on(tmp_path, monkeypatc
         with run.step("parse", {}):
             pass
         monkeypatch.undo()
-    with RunFolder(tmp_path / "out", Config(), resume=True) as again:
+    with RunFolder(tmp_path / "out", Config(), "resume") as again:
         assert again.seconds() == {"parse": 0.0}
 
 
@@ -285,7 +285,7 @@ def test_a_full_disk_is_one_message_and_the_run_goes_on_after(tmp_path, monkeypa
         with run.step("parse", {}):
             fails()
     monkeypatch.undo()
-    assert _two_steps(out, resume=True) == ["parse", "compose"]
+    assert _two_steps(out, "resume") == ["parse", "compose"]
 
 
 def test_a_really_full_disk(tmp_path):
@@ -305,7 +305,7 @@ def test_a_really_full_disk(tmp_path):
             (stage / "tree.json").write_text("x" * 1_000_000)
         assert read_run(disk / "out")["status"] == "failed"
         assert not (disk / "out" / "tree.json").exists()
-        assert _two_steps(disk / "out", resume=True) == ["parse", "compose"]
+        assert _two_steps(disk / "out", "resume") == ["parse", "compose"]
     finally:
         subprocess.run(["umount", disk], check=True)
 
@@ -316,7 +316,7 @@ from pathlib import Path
 from neoworld_mjx.config import Config
 from neoworld_mjx.run_folder import RunFolder
 out = Path(sys.argv[1])
-with RunFolder(out, Config(), resume=True) as run:
+with RunFolder(out, Config(), "resume") as run:
     print("begun", flush=True)
     before = b""
     for step in ("parse", "program/a", "program/b", "compose", "export"):

@@ -181,8 +181,8 @@ def test_a_run_keeps_its_log_and_how_it_ended(tmp_path):
     assert not logging.getLogger("neoworld_mjx").handlers or all(
         type(each).__name__ != "RunLog" for each in logging.getLogger("neoworld_mjx").handlers
     )
-    with RunFolder(out, Config(), resume=True):
+    with RunFolder(out, Config(), "resume"):
         pass
     assert "run: failed: no such thing" in (out / "run.log").read_text()
-    with RunFolder(out, Config(), overwrite=True):
+    with RunFolder(out, Config(), "overwrite"):
         pass

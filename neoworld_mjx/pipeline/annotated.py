@@ -19,13 +19,13 @@ from ..parse.draw import draw_parse
 from ..parse.photo import load_photo
 from ..parse.support_colours import support_colours
 from ..program import build
-from ..program.attempt import ProgramAttempt, Programmed
+from ..program.attempt import ProgramAttempt, SynthesisResult
 from ..program.supports import support_program
 from ..render import to_png
 from ..run_folder import Result, RunFolder
 from ..spec import SceneTree, TreeNode
 from .program_inputs import program_inputs
-from .reconstruction import finish, steps_from
+from .reconstruction import finish, run_steps
 from .steps import ANNOTATION, ANSWERED, TREE
 
 Files = dict[str, str]
@@ -91,7 +91,7 @@ def write_annotated(
                 if text is not None:
                     texts[node.name] = _built(node, text, "annotation", config)
         again = (out / "run.json").is_file()
-        with RunFolder(out, config, start="parse" if again else None) as run:
+        with RunFolder(out, config, "redo" if again else "new", step="parse") as run:
             run.record("photo", name=photo.name, sha256=picture.sha256)
             with run.step("parse", {"photo": picture.sha256, "options": config.parse}) as step:
                 assert step is not None
@@ -109,7 +109,8 @@ def write_annotated(
             _write_programs(run, texts, inputs)
             left = [name for name, obj in by_name.items() if obj.kind == MODEL]
             if simulate and not left:
-                return steps_from(run, "verify", config, None)
+                run_steps(run, config, None, first="verify")
+                return finish(run, None)
             return finish(run, "program" if not left else "parse")
 
 
@@ -133,7 +134,7 @@ def _built(node: TreeNode, text: str, stage: str, config: Config) -> Files:
         reasons = "; ".join(signal.phrase() for signal in built.signals[:3])
         raise ProgramError(f"object {node.name}: {reasons}")
     attempt = ProgramAttempt(stage, text, built)
-    programmed = Programmed(
+    programmed = SynthesisResult(
         *(built.spec, {"program": text}, built.signals, attempt.score, (attempt,), ()),
         allowances=built.allowances,
     )

@@ -7,10 +7,10 @@ from ..config import Config
 from ..errors import RunError
 from ..io import bounded_by, read_object
 from ..io.files import write_atomic
-from ..program import Built, build
-from ..program.attempt import ProgramAttempt, Programmed
+from ..program import BuildResult, build
+from ..program.attempt import ProgramAttempt, SynthesisResult
 from ..run_folder import Result, RunFolder, read_run
-from .reconstruction import earlier_options, models_of_run, steps_from
+from .reconstruction import earlier_options, finish, models_of_run, run_steps
 
 
 def search_again(folder: Path, patch: LayoutPatch) -> Result:
@@ -29,12 +29,13 @@ def search_again(folder: Path, patch: LayoutPatch) -> Result:
     config = _options(folder)
     with bounded_by(config.files):
         models = models_of_run(folder, config, read_run(folder), critic=False)
-        with RunFolder(folder, config, resume=True, edited="verify") as run:
+        with RunFolder(folder, config, "edited", step="verify") as run:
             write_layout_patch(folder, patch)
-            return steps_from(run, "compose", config, models)
+            run_steps(run, config, models, first="compose")
+            return finish(run, None)
 
 
-def rebuild(folder: Path, name: str, text: str) -> tuple[Built, Result | None]:
+def rebuild(folder: Path, name: str, text: str) -> tuple[BuildResult, Result | None]:
     """Build another program of an object and, if that gives one, do the steps after it again.
 
     Args:
@@ -61,10 +62,10 @@ def rebuild(folder: Path, name: str, text: str) -> tuple[Built, Result | None]:
             return built, None
         models = models_of_run(folder, config, earlier, critic=True)
         attempt = ProgramAttempt("edited", text, built)
-        with RunFolder(folder, config, resume=True, edited="program") as run:
+        with RunFolder(folder, config, "edited", step="program") as run:
             path = home / "program.json"
             size = read_object(path, RunError).get("size") if path.is_file() else None
-            programmed = Programmed(
+            programmed = SynthesisResult(
                 *(built.spec, {"program": text}, built.signals, attempt.score, (attempt,), ()),
                 allowances=built.allowances,
                 size=None if size is None else (size[0], size[1], size[2]),
@@ -76,7 +77,8 @@ def rebuild(folder: Path, name: str, text: str) -> tuple[Built, Result | None]:
             ):
                 write_atomic(home / file, content)
             run.accept_edits(step)
-            return built, steps_from(run, "verify", config, models)
+            run_steps(run, config, models, first="verify")
+            return built, finish(run, None)
 
 
 def _options(folder: Path, *, verifies: bool = False) -> Config:

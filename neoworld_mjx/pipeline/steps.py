@@ -155,7 +155,7 @@ def verify_objects(context: StepContext) -> None:
 
 
 def _verify_object(context: StepContext, node: TreeNode, tree: SceneTree) -> None:
-    from ..checks.object_tests import Battery
+    from ..checks.object_tests import run_object_tests
     from ..compose.resting_pose import on_level, pose_without_scene
     from ..verify import verify_and_repair, write_overlay
     from ..verify.films import films
@@ -184,14 +184,14 @@ def _verify_object(context: StepContext, node: TreeNode, tree: SceneTree) -> Non
         (home / "verify.json").write_text(result.to_json(), encoding="utf-8")
         verdict = result.verdict
         if options.films == "always" or (options.films == "questionable" and verdict.questionable):
-            battery = Battery(
+            tests = run_object_tests(
                 result.applied(object_),
                 options,
                 fixed_base=fixed_base,
                 tilt=tilt,
                 allowed=_read_allowances(program),
             )
-            for kind, film in films(battery).items():
+            for kind, film in films(tests).items():
                 (home / f"{kind}.gif").write_bytes(film)
         if not result.patch.empty:
             write_overlay(home / "program.py", result.patch)

@@ -1,8 +1,8 @@
 """A run folder: written step by step and atomically, locked, resumable by content hashes."""
 
-from .open_folder import STEPS, RunFolder
+from .open_folder import STEPS, Mode, RunFolder
 from .run_json import FORMAT, read_run, versions
 from .run_result import Result
 from .staging import refuse_links
 
-__all__ = ["FORMAT", "STEPS", "Result", "RunFolder", "read_run", "refuse_links", "versions"]
+__all__ = ["FORMAT", "STEPS", "Mode", "Result", "RunFolder", "read_run", "refuse_links", "versions"]

@@ -1,10 +1,10 @@
-"""An open run folder: does each step once, in staging, and records what it read and wrote.
+"""An open run folder: runs each step once and records hashes of its inputs and outputs.
 
-A step writes into a staging folder; when it has finished, its files are flushed, moved into place
-and its record goes into run.json: a hash of what it read and one of each file it wrote. A process
-killed at any moment leaves either the record, and then all files, or no record, and then the step
-is done again. Only run.json, run.log and report.html carry times; every other file is a function of
-the photograph, the options and the models' answers.
+A step writes into a staging folder. When it finishes, its files are flushed and moved into place,
+and its record is added to run.json: a hash of every input and of every file it wrote. A process
+killed at any moment leaves either the record and all files, or no record, in which case the step
+runs again. Only run.json, run.log and report.html contain times; every other file is a function of the
+photograph, the options and the models' responses.
 """
 
 import contextlib
@@ -14,7 +14,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from ..config import Config
 from ..errors import NeoWorldError, RunError, choices
@@ -36,6 +36,9 @@ from .staging import (
 
 _log = logging.getLogger(__name__)
 
+Mode = Literal["new", "resume", "edited", "redo", "overwrite"]
+"""Treatment of an earlier run in the folder, see `RunFolder`."""
+
 
 class Moment(NamedTuple):
     """A moment of a run."""
@@ -43,7 +46,7 @@ class Moment(NamedTuple):
     clock: float
     """`time.perf_counter()` [s]."""
     waited: float
-    """Seconds until then in which models were asked and had not answered."""
+    """Time spent waiting for models until then [s]."""
 
 
 class RunFolder:
@@ -51,69 +54,61 @@ class RunFolder:
 
     Attributes:
         path: the folder.
-        data: what run.json holds; `save` writes it.
-        waited: returns the seconds so far in which models were asked and had not answered; who
-            asks models sets it.
+        data: contents of run.json; `save` writes it.
+        waited: returns the time spent waiting for models so far [s]; set by the code that opens
+            the models.
     """
 
     waited: Callable[[], float]
 
     def __init__(
-        self,
-        path: Path,
-        config: Config,
-        *,
-        resume: bool = False,
-        start: str | None = None,
-        overwrite: bool = False,
-        edited: str | None = None,
-    ):
-        """Create the folder, or go on in one.
+        self, path: Path, config: Config, mode: Mode = "new", *, step: str | None = None
+    ) -> None:
+        """Create the folder, or continue the run in it.
 
         Args:
             path: the folder; it may exist if it is empty or a run.
-            config: the options of the run.
-            resume: keep finished steps of an earlier run whose inputs have not changed.
-            start: delete what this step of an earlier run and all after it wrote, to do them
-                again; the steps before it are kept as their files are, so edits by hand count.
-            overwrite: delete what an earlier run wrote (and only that) and begin anew.
-            edited: with `resume`: this step and those before it are not done again, whatever was
-                edited in their files; those after it are done where what they read has changed.
+            config: options of the run.
+            mode: treatment of an earlier run in the folder:
+
+                - "new": refuse it, unless it finished no step;
+                - "resume": keep finished steps whose inputs and files have not changed;
+                - "edited": resume, but keep `step` and all earlier steps with any edits by hand;
+                - "redo": delete the files of `step` and of all later steps, and keep the earlier
+                  steps with any edits by hand;
+                - "overwrite": delete the files of all steps.
+            step: name of a step; required by "edited" and "redo".
 
         Raises:
-            RunError: the path is a file, cannot be written, holds something else or a run that may
-                not be touched, or is in use.
+            RunError: the path is a file, is not writable, holds other files or a run that must not
+                be modified, or is in use.
         """
-        if start is not None and start not in STEPS:
-            raise RunError(f"no such step: {choices(start, STEPS)}")
         self.path = Path(path)
         self.waited = lambda: 0.0
         self._visited: set[str] = set()
-        self._kept = STEPS[: STEPS.index(start)] if start else ()
-        if edited is not None:
-            self._kept = STEPS[: STEPS.index(edited) + 1]
+        self._accepted = _accepted_steps(mode, step)
         if self.path.exists() and not self.path.is_dir():
-            raise RunError(f"{path} is a file; name a folder that does not exist yet, or a run")
+            raise RunError(f"{path} is a file; name a run folder or a folder that does not exist")
         with disk_errors(self.path, anywhere=True):
             check_claimable(self.path)
-            if start is not None and not (self.path / "run.json").exists():
-                raise RunError(f"{path} holds no run to begin from {start}; leave --from out")
+            if mode == "redo" and not (self.path / "run.json").exists():
+                raise RunError(f"{path} contains no run to redo from {step}; omit --from")
             self.path.mkdir(parents=True, exist_ok=True)
             self._lock = lock_folder(self.path)
         try:
             with disk_errors(self.path):
-                self._begin(config, resume or start is not None, start, overwrite)
+                self._open(config, mode)
                 self._run_log = RunLog(self.path)
         except BaseException:
             self._lock.close()
             raise
 
     def __enter__(self) -> "RunFolder":
-        """Return the folder itself."""
+        """Return this folder."""
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        """Record how the run ended and unlock."""
+        """Record the outcome of the run and unlock the folder."""
         shutil.rmtree(self.path / STAGING, ignore_errors=True)
         try:
             if error is None:
@@ -125,14 +120,14 @@ class RunFolder:
             expected = isinstance(error, NeoWorldError)
             self.data["error"] = str(error) if expected else type(error).__name__
             self._run_log.note(logging.ERROR, f"run: {self.data['status']}: {self.data['error']}")
-            with contextlib.suppress(RunError):  # The first error is the one to report.
+            with contextlib.suppress(RunError):  # Report the first error.
                 self.save()
         finally:
             self._run_log.close()
             self._lock.close()
 
     def finished(self, name: str, inputs: Mapping[str, object]) -> bool:
-        """Tell whether `step` would keep this step as it is, without beginning it."""
+        """Return True if `step` would keep this step, without starting it."""
         self._visited.add(name)
         return self._keeps(name, self._hashes(name, inputs))
 
@@ -140,17 +135,17 @@ class RunFolder:
     def step(
         self, name: str, inputs: Mapping[str, object], *, begun: Moment | None = None
     ) -> Iterator[Path | None]:
-        """Do a step of the run, unless it is finished: `with run.step(...) as out: if out: ...`.
+        """Run a step unless it is finished: `with run.step(...) as out: if out: ...`.
 
         Args:
-            name: one of `STEPS`, or such a name and a part, as in "program/cup".
-            inputs: everything that decides what the step writes: paths stand for the contents of
-                that file or folder, pydantic models and JSON values for themselves.
-            begun: when its work began, by `now`, if before this call.
+            name: one of `STEPS`, or a step and a part of it, as in "program/cup".
+            inputs: everything that determines the files the step writes: paths (the contents of
+                the file or folder are hashed), pydantic models and JSON values.
+            begun: start of the step's work, from `now`, if it is before this call.
 
         Yields:
-            An empty folder that stands for the run folder, to write the step's files into; None if
-            the step is finished and its files are there. An error inside leaves no trace of it.
+            An empty staging folder for the step's files, which are moved to the same relative paths
+            in the run folder; None if the step is finished. An error in the block discards them.
 
         Raises:
             RunError: an input is missing, or the disk is full or not writable.
@@ -168,11 +163,11 @@ class RunFolder:
         with disk_errors(self.path):
             shutil.rmtree(staged, ignore_errors=True)
             staged.mkdir(parents=True)
-            report(f"{name}: begun", **_shown_step(name, name))
+            report(f"{name}: begun", **_status(name, name))
             yield staged
             outputs = move_in(staged, self.path)
             delete_files(self.path, set(old_outputs) - set(outputs))
-        # A clock that was set back must not make a run.json that cannot be read again.
+        # If the clock is set back, negative times would make run.json invalid.
         seconds, waiting = (
             max(end - start, 0.0) for end, start in zip(self.now(), begun, strict=True)
         )
@@ -183,19 +178,19 @@ class RunFolder:
             "outputs": outputs,
         }
         self.save()
-        report(f"{name}: done in {seconds:.1f} s", **_shown_step(name, _step_of(name)))
+        report(f"{name}: done in {seconds:.1f} s", **_status(name, _step_of(name)))
 
     def fallback(self, step: str, what: str, why: str) -> None:
-        """Record that a step had to do something lesser than requested."""
-        if self._listed("fallbacks", step, what, why):
+        """Record that a step did less than requested."""
+        if self._add_entry("fallbacks", step, what, why):
             _log.warning("%s: fell back to %s: %s", step, what, why)
 
     def note(self, step: str, what: str, why: str) -> None:
-        """Record what a person should know of a step that did as requested, such as a far move."""
-        if self._listed("notes", step, what, why):
+        """Record a noteworthy result of a step that did as requested, such as a large move."""
+        if self._add_entry("notes", step, what, why):
             report(f"{step}: {what}: {why}")
 
-    def _listed(self, kind: str, step: str, what: str, why: str) -> bool:
+    def _add_entry(self, kind: str, step: str, what: str, why: str) -> bool:
         """Add an entry to a list of run.json; return whether it is new."""
         entry = {"step": step, "what": what, "why": why}
         new = entry not in self.data[kind]
@@ -204,19 +199,19 @@ class RunFolder:
         return new
 
     def record(self, section: str, **values: Any) -> None:
-        """Put numbers, texts, lists and mappings into a section of run.json, such as "metrics"."""
+        """Update a section of run.json, such as "metrics"."""
         self.data.setdefault(section, {}).update(strict_json(values))
 
     def now(self) -> Moment:
-        """Return this moment."""
+        """Return the current moment."""
         return Moment(time.perf_counter(), self.waited())
 
     def seconds(self) -> dict[str, float]:
-        """Return the seconds each step took when it was last done; parts are added up."""
+        """Return the duration of each step's last execution, summed over its parts [s]."""
         return self._by_step("seconds")
 
     def waiting(self) -> dict[str, float]:
-        """Return how many of a step's seconds passed while a model was asked; parts are added."""
+        """Return the time that each step waited for models, summed over its parts [s]."""
         return self._by_step("waiting_s")
 
     def _by_step(self, key: str) -> dict[str, float]:
@@ -227,14 +222,14 @@ class RunFolder:
         return total
 
     def finish(self, until: str | None = None) -> None:
-        """Mark the run as finished, or as stopped after a step.
+        """Mark the run as finished, or as stopped after step `until`.
 
-        A finished run deletes the files of steps that it did not visit, such as those of an object
-        that is no longer in the tree.
+        A finished run deletes the files of steps that it did not visit, for example those of an
+        object that is no longer in the tree.
         """
         if until is None:
             for name in sorted(set(self.data["steps"]) - self._visited):
-                if _step_of(name) not in self._kept:
+                if _step_of(name) not in self._accepted:
                     delete_files(self.path, self._forget(name))
         self.data["status"] = "finished" if until is None else f"stopped after {until}"
         self.save()
@@ -245,22 +240,24 @@ class RunFolder:
             text = json.dumps(self.data, indent=1, allow_nan=False) + "\n"
             write_atomic(self.path / "run.json", text)
 
-    def _begin(self, config: Config, resume: bool, start: str | None, overwrite: bool) -> None:
+    def _open(self, config: Config, mode: Mode) -> None:
+        """Read the earlier run, delete the steps that the mode does not keep, and save run.json."""
         self.data = {"steps": {}, "fallbacks": []}
         if (self.path / "run.json").exists():
             self.data = read_run(self.path)
-            # A run that never finished a step has nothing to lose but the record of its cost.
-            resume = resume or not (overwrite or self.data["steps"])
-            if not (resume or overwrite):
+            if mode == "new" and self.data["steps"]:
                 raise RunError(
-                    f"{self.path} holds a run ({self.data['status']}): go on with --resume, do "
-                    "part of it again with --from STEP, replace it with --overwrite, or name "
-                    "another folder"
+                    f"{self.path} contains a run ({self.data['status']}): continue it with "
+                    "--resume, redo part of it with --from STEP, replace it with --overwrite, or "
+                    "name another folder"
                 )
-        for name in [*self.data["steps"]]:
-            if _step_of(name) not in self._kept if start is not None else overwrite and not resume:
-                delete_files(self.path, self._forget(name))
-        if not resume:
+            if mode == "new":  # The run finished no step: continue it, to keep its costs.
+                mode = "resume"
+        if mode in ("redo", "overwrite"):
+            for name in [*self.data["steps"]]:
+                if _step_of(name) not in self._accepted:
+                    delete_files(self.path, self._forget(name))
+        if mode in ("new", "overwrite"):
             for name in ("report.html", RUN_LOG):
                 (self.path / name).unlink(missing_ok=True)
             self.data = {"steps": {}, "fallbacks": []}
@@ -269,22 +266,22 @@ class RunFolder:
         self.save()
 
     def _keeps(self, name: str, hashes: dict[str, str]) -> bool:
-        """Tell whether a step is finished and unchanged; steps before `start` may be edited."""
+        """Return True if a step is finished and unchanged, or accepted with its edits."""
         entry = self.data["steps"].get(name)
         if entry is None or not all((self.path / p).is_file() for p in entry["outputs"]):
             return False
-        if _step_of(name) in self._kept:
+        if _step_of(name) in self._accepted:
             if entry["inputs"] != hashes:
-                _log.warning("%s: kept although what it reads has changed", name)
+                _log.warning("%s: kept although its inputs have changed", name)
             self.accept_edits(name)
             entry["inputs"] = hashes
         elif entry["inputs"] != hashes or self._edited(entry):
             return False
-        report(f"{name}: kept as it is", **_shown_step(name, _step_of(name)))
+        report(f"{name}: kept", **_status(name, _step_of(name)))
         return True
 
     def accept_edits(self, name: str) -> None:
-        """Record a step's edited files as its own, so that a later --resume takes them too."""
+        """Record a step's edited files as its outputs, so that a later --resume keeps them."""
         entry = self.data["steps"][name]
         edited = self._edited(entry)
         if edited:
@@ -292,11 +289,11 @@ class RunFolder:
             entry["edited"] = sorted({*entry.get("edited", []), *edited})
 
     def edited_by_hand(self, name: str) -> tuple[str, ...]:
-        """Return the files of a finished step that were edited after it wrote them."""
+        """Return the accepted files of a finished step that were edited after it wrote them."""
         return tuple(self.data["steps"].get(name, {}).get("edited", ()))
 
     def _edited(self, entry: dict[str, Any]) -> list[str]:
-        """Return a step's files whose contents are not those that it wrote."""
+        """Return the step's files whose contents have changed since it wrote them."""
         return [
             name
             for name, written in entry["outputs"].items()
@@ -304,7 +301,7 @@ class RunFolder:
         ]
 
     def _forget(self, name: str) -> list[str]:
-        """Drop a step's record and return its files; set those aside that were edited by hand."""
+        """Delete a step's record and return its files; set aside those that were edited."""
         for kind in ("fallbacks", "notes"):
             self.data[kind] = [entry for entry in self.data.get(kind, []) if entry["step"] != name]
         entry = self.data["steps"].pop(name, None)
@@ -313,7 +310,7 @@ class RunFolder:
         with disk_errors(self.path):
             for path in self._edited(entry):
                 aside = set_aside(self.path, path)
-                _log.warning("%s was changed after step %s wrote it: now %s", path, name, aside)
+                _log.warning("%s was edited after step %s wrote it: moved to %s", path, name, aside)
         self.save()
         return list(entry["outputs"])
 
@@ -323,16 +320,26 @@ class RunFolder:
         except FileNotFoundError as error:
             raise RunError(
                 f"step {name} needs {error.filename}, which is missing; "
-                "do the step that makes it again with --from STEP"
+                "repeat the step that writes it with --from STEP"
             ) from None
         except OSError as error:
             raise RunError(f"step {name} cannot read {error.filename}: {error.strerror}") from None
+
+
+def _accepted_steps(mode: Mode, step: str | None) -> tuple[str, ...]:
+    """Return the steps whose files are kept even if they were edited or their inputs changed."""
+    if mode not in ("edited", "redo"):
+        return ()
+    if step not in STEPS:
+        raise RunError(f"no such step: {choices(str(step), STEPS)}")
+    index = STEPS.index(step)
+    return STEPS[: index + 1] if mode == "edited" else STEPS[:index]
 
 
 def _step_of(name: str) -> str:
     return name.split("/", maxsplit=1)[0]
 
 
-def _shown_step(name: str, shown: str) -> dict[str, str]:
-    """Return the fact of the status line; pictures are drawn beside other work, and are not it."""
+def _status(name: str, shown: str) -> dict[str, str]:
+    """Return the step for the status line; none for pictures, which a thread draws meanwhile."""
     return {} if name.endswith("/picture") else {"step": shown}

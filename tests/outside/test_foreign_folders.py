@@ -4,7 +4,6 @@ import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -48,13 +47,12 @@ def _run(out: Path, **changes: object) -> Path:
 @pytest.mark.parametrize(
     "name", ["../outside/precious.txt", "{outside}/precious.txt", "a/../../outside/precious.txt"]
 )
-@pytest.mark.parametrize("how", ["resume", "start", "overwrite"])
-def test_outputs_outside_of_the_folder_are_refused(tmp_path, outside, name, how):
+@pytest.mark.parametrize("mode", ["resume", "redo", "overwrite"])
+def test_outputs_outside_of_the_folder_are_refused(tmp_path, outside, name, mode):
     step = {"inputs": {}, "outputs": {name.format(outside=outside): "0" * 64}}
     out = _run(tmp_path / "out", steps={"parse": step})
-    begun: dict[str, Any] = {"start": "parse"} if how == "start" else {how: True}
     with pytest.raises(RunError, match=r"run\.json is damaged.*leads out of the folder"):
-        with RunFolder(out, Config(), **begun) as run:
+        with RunFolder(out, Config(), mode, step="parse") as run:
             with run.step("parse", {"new": "input"}):
                 pass
 
@@ -70,8 +68,8 @@ def test_links_in_a_folder_are_refused(tmp_path, outside, name):
     link.unlink(missing_ok=True)
     link.symlink_to(outside / ("photos" if name in (".staging", "pictures") else "precious.txt"))
     for act in (
-        lambda: RunFolder(out, Config(), resume=True).__exit__(None, None, None),
-        lambda: RunFolder(out, Config(), overwrite=True).__exit__(None, None, None),
+        lambda: RunFolder(out, Config(), "resume").__exit__(None, None, None),
+        lambda: RunFolder(out, Config(), "overwrite").__exit__(None, None, None),
         lambda: write_report(out),
     ):
         with pytest.raises(RunError, match=f"holds {name!r}, which is a link; a run folder"):
@@ -106,7 +104,7 @@ def test_a_lock_that_another_folder_shares_is_not_written(tmp_path, outside):
     (out / ".lock").unlink()
     os.link(outside / "precious.txt", out / ".lock")
     with pytest.raises(RunError, match="it is no file of its own"):
-        RunFolder(out, Config(), resume=True)
+        RunFolder(out, Config(), "resume")
 
 
 def test_writing_follows_no_link(tmp_path, outside):
@@ -167,7 +165,7 @@ DAMAGED = {
 @pytest.mark.parametrize("key", DAMAGED)
 def test_a_damaged_run_is_one_message(tmp_path, key):
     out = _run(tmp_path / "out", **{key: DAMAGED[key]})
-    for act in (lambda: write_report(out), lambda: RunFolder(out, Config(), resume=True)):
+    for act in (lambda: write_report(out), lambda: RunFolder(out, Config(), "resume")):
         with pytest.raises(RunError, match=rf"run\.json is damaged: {key}"):
             act()
 

@@ -115,15 +115,15 @@ def mutated_bytes(draw: random.Random, data: bytes) -> bytes:
 
 
 def _answer(draw: random.Random, home: Path) -> None:
-    from neoworld_mjx.parse.schema import SceneSeen, to_tree
-    from neoworld_mjx.program.ask import ProgramAnswer
+    from neoworld_mjx.parse.schema import ParsedScene, to_tree
+    from neoworld_mjx.program.ask import ProgramResponse
 
     data = mutated_json(draw, answers.desk())
     text = json.dumps(data)
     text = mutated_text(draw, text) if draw.random() < 0.3 else text
     if draw.random() < 0.2:
-        read_answer(text, ProgramAnswer)
-    tree = to_tree(read_answer(text, SceneSeen), answers.photo())
+        read_answer(text, ProgramResponse)
+    tree = to_tree(read_answer(text, ParsedScene), answers.photo())
     (home / "tree.json").write_text(tree.to_json(), encoding="utf-8")
 
 
@@ -186,10 +186,10 @@ def _run_folder(draw: random.Random, home: Path) -> None:
         raise errors[0]
 
 
-def _again(out: Path, how: str) -> None:
+def _again(out: Path, mode: Any) -> None:
     from neoworld_mjx.run_folder import RunFolder
 
-    with RunFolder(out, Config(), resume=how == "resume", overwrite=how == "overwrite") as run:
+    with RunFolder(out, Config(), mode) as run:
         with run.step("parse", {"a": 2}) as stage:
             assert stage is not None
             (stage / "tree.json").write_text("{}", encoding="utf-8")

@@ -149,7 +149,7 @@ def test_the_page_loads_nothing_from_the_network(finished):
 
 
 def test_failed_numbers_are_shown_as_failed(finished):
-    with RunFolder(finished, Config(), resume=True) as run:
+    with RunFolder(finished, Config(), "resume") as run:
         run.record("metrics", s_pen=1, max_depth_m=0.005, s_stab=False, max_drift_m=float("nan"))
     html = write_report(finished).read_text()
     assert 'class="value bad">5.00 mm' in html
@@ -158,7 +158,7 @@ def test_failed_numbers_are_shown_as_failed(finished):
 
 
 def test_objects_that_fail_are_named_at_the_head_and_their_rows_are_open(finished):
-    with RunFolder(finished, Config(), resume=True) as run:
+    with RunFolder(finished, Config(), "resume") as run:
         run.record("metrics", passed=False, drift_m={"cup": 0.0004, "jar": 0.05})
         run.record("metrics", depths_m={"jar|cup": 0.004})
         run.data["status"] = "finished"
@@ -177,7 +177,7 @@ def test_a_row_shows_photograph_and_render_in_one_frame(finished):
     (finished / "tree.json").write_text(json.dumps(tree | {"nodes": [jar]}))
     (finished / "pictures").mkdir(exist_ok=True)
     Image.new("RGB", (120, 80), "red").save(finished / "pictures" / "after.png")
-    with RunFolder(finished, Config(), resume=True) as run:
+    with RunFolder(finished, Config(), "resume") as run:
         ious = {"parsed": 0.9, "composed": 0.8, "refined": 0.85}
         run.record("metrics", passed=True, box_iou=ious | {"objects": {"jar": ious}})
         run.data["status"] = "finished"
@@ -244,7 +244,7 @@ def test_text_from_models_is_escaped(finished):
             }
         )
     )
-    with RunFolder(finished, Config(), resume=True) as run:
+    with RunFolder(finished, Config(), "resume") as run:
         run.fallback(EVIL, EVIL, EVIL)
         run.record("mllm", provider=EVIL, by_role_and_model=[{"model": EVIL}])
         run.record("device", engine=EVIL)
