@@ -22,7 +22,7 @@ from neoworld_mjx.config import load_config
 from neoworld_mjx.errors import NeoWorldError, ProgramError
 from neoworld_mjx.mllm import PROVIDERS, Picture, open_panel
 from neoworld_mjx.parse.photo import load_photo
-from neoworld_mjx.program.synthesise import Programmed, synthesise
+from neoworld_mjx.program.synthesise import SynthesisResult, synthesise
 from neoworld_mjx.program.views import draw
 from neoworld_mjx.spec import Box2D, Box3D, Camera, PartState, TreeNode
 
@@ -58,7 +58,7 @@ def moving(text: str) -> PartState:
     return PartState.model_validate({"part": part, "type": kind or "revolute"})
 
 
-def program(args: argparse.Namespace) -> Programmed:
+def program(args: argparse.Namespace) -> SynthesisResult:
     """Ask for the program and write what came of it."""
     config = load_config(args.config, {"provider": args.provider})
     photo = load_photo(args.picture, config.parse.max_side_px)

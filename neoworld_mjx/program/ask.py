@@ -21,41 +21,40 @@ from .subject import (
 # these very ones.
 
 
-class ProgramAnswer(BaseModel):
-    """The programmer's answer."""
+class ProgramResponse(BaseModel):
+    """The programmer's response."""
 
-    model_config = ConfigDict(extra="forbid", title="Written")
+    model_config = ConfigDict(extra="forbid", title="Program")
 
     program: str = Field(description="The whole program, plain Python text, without code fences.")
-    notes: str = Field(default="", description="What was guessed or could not be seen, briefly.")
+    notes: str = Field(default="", description="Briefly: what you guessed or could not see.")
     removed: list[str] = Field(
         default=[],
-        description="Names of parts and joints of the earlier program that this one leaves out on "
-        "purpose; else empty.",
+        description="Names of the earlier program's parts and joints that this one leaves out on "
+        "purpose; empty if there are none.",
     )
     box: Edges | None = Field(
         default=None,
         description="null if the measured box can be right. Only if it contradicts the crop, or "
-        "such things never have that size: the size (x, y, z) in metres that the thing has; the "
-        "program fills that box instead.",
+        "such objects never have that size: the object's size (x, y, z) in metres; the program "
+        "fills that box instead.",
     )
 
 
 _ASK = """Write the program of this object.
 
 name: {name}
-what it is: {label}
-described as: {description}
+label: {label}
+description: {description}
 measured box{opened}: {x:.3f} m (x, front to back) by {y:.3f} m (y) by {z:.3f} m (z, up)
 moving parts seen: {moving}
 {view}{posed}{seen}
-The picture "crop" is cut out of the photo around the object; \
-grey frames in it mark neighbours, which are
-no part of it.
+The picture "crop" is cut out of the photo around the object; grey frames in it mark neighbouring
+objects, which do not belong to it.
 """
-_TILTED = "In the photo {way}. Box and axes are those of the thing as it stands: draw it upright.\n"
-_HIDDEN = "In the crop it is {note}: complete it as such things are."
-_WHOLE = "It is seen whole, without anything in front of it."
+_TILTED = "In the photo {way}. Box and axes are those of the upright object: draw it upright.\n"
+_HIDDEN = "In the crop it is {note}: complete it as such objects usually are."
+_WHOLE = "All of it is visible, with nothing in front of it."
 _MEND = """{ask}
 This is the program so far:
 
@@ -67,9 +66,8 @@ This is the program so far:
 
 {findings}
 
-Write the whole program again, mended. Keep every part and joint that was right. \
-If you leave one out on
-purpose, name it in `removed`.
+Write the whole program again, repaired. Keep every part and joint that was right. If you leave
+one out on purpose, name it in `removed`.
 """
 _STAGE = """{ask}
 {accepted}
@@ -89,7 +87,7 @@ def program_request(
     file: str = "program",
     before: Mapping[str, str] | None = None,
     language: Language = "sdk",
-) -> Request[ProgramAnswer]:
+) -> Request[ProgramResponse]:
     """Return the request for an object's first program.
 
     Args:
@@ -110,7 +108,7 @@ def repair_request(
     file: str = "program",
     before: Mapping[str, str] | None = None,
     language: Language = "sdk",
-) -> Request[ProgramAnswer]:
+) -> Request[ProgramResponse]:
     """Return the request for a program without the signals of the last one.
 
     Args:
@@ -131,8 +129,8 @@ def repair_request(
     repaired = known - {signal.identity for signal in signals}
     if repaired:
         codes = sorted({str(identity[0]) for identity in repaired})
-        lines.append(f"- (mended since the program before: {', '.join(codes)})")
-    heading = "It was run and checked. Mend this:"
+        lines.append(f"- (repaired since the last program: {', '.join(codes)})")
+    heading = "It was run and checked. Repair this:"
     ask = _ask(subject, file, before)
     name, prompt = _named(file, "debug", subject), _mend(ask, program, heading, lines)
     return _request(name, subject, file, prompt, language)
@@ -145,7 +143,7 @@ def revise_request(
     file: str = "program",
     before: Mapping[str, str] | None = None,
     language: Language = "sdk",
-) -> Request[ProgramAnswer]:
+) -> Request[ProgramResponse]:
     """Return the request for a program without the critics' faults; see `repair_request`."""
     lines = [
         f"- {fault.part}: {fault.what} -> {fault.change}"
@@ -153,8 +151,10 @@ def revise_request(
         for fault in critique.faults
     ]
     if any(corrected_box(critique) for critique in critiques):
-        lines.append("- object: the measured box was wrong; it is corrected above -> fill that one")
-    heading = "It runs. Drawn and held beside the photo, it differs:"
+        lines.append(
+            "- object: the measured box was wrong; it is corrected above -> fill the corrected box"
+        )
+    heading = "It runs. Rendered and compared with the photo, it differs:"
     ask = _ask(subject, file, before)
     name, prompt = _named(file, "revise", subject), _mend(ask, program, heading, lines)
     return _request(name, subject, file, prompt, language)
@@ -169,10 +169,10 @@ def instructions(file: str, language: Language = "sdk") -> str:
 
 def _request(
     name: str, subject: Subject, file: str, prompt: str, language: Language
-) -> Request[ProgramAnswer]:
+) -> Request[ProgramResponse]:
     pictures: list[Picture] = [subject.crop]
     system = instructions(file, language)
-    return Request("programmer", name, system, prompt, ProgramAnswer, pictures)
+    return Request("programmer", name, system, prompt, ProgramResponse, pictures)
 
 
 def _named(file: str, stage: str, subject: Subject) -> str:

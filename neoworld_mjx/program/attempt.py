@@ -8,7 +8,7 @@ from ..checks.allowance import Allowance
 from ..checks.signals import Signal
 from ..spec import ObjectSpec
 from .critique import Critique, marks
-from .sandbox import Built
+from .sandbox import BuildResult
 
 Size = tuple[float, float, float]
 UNJUDGED = 5.0
@@ -36,7 +36,7 @@ class ProgramAttempt:
     stage: str
     """Its origin: "program", "debug" or "revise", or "support" for one that no model wrote."""
     text: str
-    built: Built
+    built: BuildResult
     notes: str = ""
     critiques: Mapping[str, Critique] = field(default_factory=dict)
     """By critic: geometry, articulation, export."""
@@ -87,7 +87,7 @@ class ProgramAttempt:
 
 
 @dataclass(frozen=True)
-class Programmed:
+class SynthesisResult:
     """The result of a synthesis."""
 
     spec: ObjectSpec | None

@@ -1,4 +1,4 @@
-"""Compare an object with its parsed node, and a revised program with the one before it."""
+"""Comparison of an object with its parsed node, and of a revised program with its predecessor."""
 
 import ast
 from collections import Counter
@@ -9,24 +9,24 @@ import numpy as np
 from ..checks.signals import Signal
 from ..spec import ObjectSpec, TreeNode
 from ..spec.fit_to_box import fit_to_box
+from .exception_signals import error_signal
 
 PROPORTION_WARNS, PROPORTION_FAILS = 0.08, 0.25
 """Relative deviation of an edge from the parsed one, after the best uniform scale."""
 SIZE_WARNS, SIZE_FAILS = 0.15, 1.0
 """Relative deviation of the uniform scale; composition scales the object, walls included."""
+_OF_SIZE = ("proportions", "wrong_size")
 
 
 def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
-    """Yield the differences between an object and its node of the parse."""
-    # The parsed box contains parts that are open in the photo, so the object is opened, too.
+    """Yield the differences between an object and its parsed node."""
+    # The parsed box includes parts that are open in the photo, so they are opened here, too.
     to_box = fit_to_box(spec, node)
-    size, parsed_size = to_box.high - to_box.low, np.array(node.box3d.size)
-    factor = to_box.factor
+    size, parsed_size, factor = to_box.high - to_box.low, np.array(node.box3d.size), to_box.factor
     edges = size * factor / parsed_size - 1
     worst = int(np.argmax(np.abs(edges)))
     if abs(edges[worst]) > PROPORTION_WARNS:
-        shown = " x ".join(f"{v:.3f}" for v in size)
-        parsed = " x ".join(f"{v:.3f}" for v in parsed_size)
+        shown, parsed = (" x ".join(f"{v:.3f}" for v in each) for each in (size, parsed_size))
         yield Signal(
             severity="error" if abs(edges[worst]) > PROPORTION_FAILS else "warning",
             code="proportions",
@@ -37,10 +37,10 @@ def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
             threshold=PROPORTION_WARNS,
             hint="fill the given box in all three directions; is the front at +x?",
         )
-    off = max(factor, 1 / factor) - 1
-    if off > SIZE_WARNS:
+    deviation = max(factor, 1 / factor) - 1
+    if deviation > SIZE_WARNS:
         yield Signal(
-            severity="error" if off > SIZE_FAILS else "warning",
+            severity="error" if deviation > SIZE_FAILS else "warning",
             code="wrong_size",
             message=f"the object is {1 / factor:.3g} times as large as the box in the photo",
             value=1 / factor,
@@ -51,15 +51,34 @@ def fit(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
     for kind, count in Counter(_motion(part.type) for part in node.articulation).items():
         if counts[kind] < count:
             names = [part.part for part in node.articulation if _motion(part.type) == kind]
-            yield Signal(
-                severity="error",
-                code="missing_joint",
-                message=f"the photo shows {count} {kind} parts ({', '.join(names)}), "
+            yield error_signal(
+                "missing_joint",
+                f"the photo shows {count} {kind} parts ({', '.join(names)}), "
                 f"the program has {counts[kind]}",
                 value=counts[kind],
                 threshold=count,
                 hint="make each a part of that name, with its joint",
             )
+
+
+def fit_geometry(spec: ObjectSpec, node: TreeNode) -> Iterator[Signal]:
+    """Yield the differences between parts without joints and their parsed node.
+
+    A box that was measured with parts open is not compared, as these have no joints yet.
+    """
+    opened = any(part.opening for part in node.articulation)
+    skipped = ("missing_joint", *(_OF_SIZE if opened else ()))
+    yield from (signal for signal in fit(spec, node) if signal.code not in skipped)
+    if len(spec.parts) - 1 < len(node.articulation):
+        names = ", ".join(part.part for part in node.articulation)
+        yield error_signal(
+            "missing_part",
+            f"the photo shows moving parts ({names}), the program makes "
+            f"{len(spec.parts)} part{'s' * (len(spec.parts) != 1)} in all",
+            value=len(spec.parts),
+            threshold=len(node.articulation) + 1,
+            hint="make each moving part a part of that name, beside what it moves against",
+        )
 
 
 def _motion(joint_type: str) -> str:
@@ -73,14 +92,9 @@ def _opened(node: TreeNode) -> str:
 
 
 def losses(before: ObjectSpec, after: ObjectSpec, removed: Sequence[str]) -> Iterator[Signal]:
-    """Yield parts and joints that a revision dropped without listing them as removed.
+    """Yield parts and joints that a revised program lost and that `removed` does not mention.
 
-    A renamed part or joint is not lost: a kind counts only where its number went down.
-
-    Args:
-        before: the object of the earlier program.
-        after: the object of the revised program.
-        removed: sentences of the answer about what it removed on purpose.
+    A renamed part or joint counts as kept.
     """
     kinds = [("part", [p.name for p in before.parts], [p.name for p in after.parts])]
     for kind in ("revolute", "continuous", "prismatic"):
@@ -93,32 +107,29 @@ def losses(before: ObjectSpec, after: ObjectSpec, removed: Sequence[str]) -> Ite
         missing = [name for name in old if name not in new]
         unexplained = [name for name in missing if name not in mentioned]
         if unexplained and len(old) - len(new) > len(missing) - len(unexplained):
-            yield Signal(
-                severity="error",
-                code="lost",
-                message=f"the earlier program had {kind} {', '.join(unexplained)}, "
-                "this one has not",
+            yield error_signal(
+                "lost",
+                f"the earlier program had {kind} {', '.join(unexplained)}, this one has not",
                 value=len(new),
                 threshold=len(old),
                 hint="put it back, or name it in `removed` if it was wrong",
             )
 
 
-def lost_checks(before: str, after: str, removed: Sequence[str]) -> Iterator[Signal]:
-    """Yield a signal when a program dropped `assert` statements without saying so."""
-    old, new = _asserts(before), _asserts(after)
+def lost_asserts(before: str, after: str, removed: Sequence[str]) -> Iterator[Signal]:
+    """Yield an error if a revised program has fewer asserts and `removed` does not mention it."""
+    old, new = _assert_count(before), _assert_count(after)
     if new < old and not any("assert" in entry for entry in removed):
-        yield Signal(
-            severity="error",
-            code="lost",
-            message=f"the earlier program had {old} assert statements, this one has {new}",
+        yield error_signal(
+            "lost",
+            f"the earlier program had {old} assert statements, this one has {new}",
             value=new,
             threshold=old,
             hint="put them back, or say `assert` in `removed` if they were wrong",
         )
 
 
-def _asserts(program: str) -> int:
+def _assert_count(program: str) -> int:
     try:
         return sum(isinstance(node, ast.Assert) for node in ast.walk(ast.parse(program)))
     except (SyntaxError, ValueError, RecursionError):

@@ -22,7 +22,7 @@ _WEIGHTS = {"geometry": 0.5, "articulation": 0.3, "colour": 0.2, "masses": 0.1, 
 
 
 class ProgramFault(BaseModel):
-    """One difference between the made object and the photographed one."""
+    """One difference between the built object and the photographed one."""
 
     model_config = ConfigDict(extra="forbid", title="Fault")
 
@@ -32,7 +32,7 @@ class ProgramFault(BaseModel):
 
 
 class GeometryCritique(BaseModel):
-    """The critic's answer about geometry."""
+    """The critic's verdict on geometry."""
 
     model_config = ConfigDict(extra="forbid", title="GeometryVerdict")
 
@@ -42,13 +42,13 @@ class GeometryCritique(BaseModel):
     verdict: Decision
     box: Edges | None = Field(
         default=None,
-        description="null if the measured box can be right; else the size (x, y, z) in metres that "
-        "the thing should have. It counts with the verdict revise.",
+        description="null if the measured box can be right; otherwise the size (x, y, z) in metres "
+        "that the object should have. It counts only with the verdict revise.",
     )
 
 
 class ArticulationCritique(BaseModel):
-    """The critic's answer about articulation."""
+    """The critic's verdict on articulation."""
 
     model_config = ConfigDict(extra="forbid", title="ArticulationVerdict")
 
@@ -58,7 +58,7 @@ class ArticulationCritique(BaseModel):
 
 
 class ExportCritique(BaseModel):
-    """The critic's answer about the exported object."""
+    """The critic's verdict on the exported object."""
 
     model_config = ConfigDict(extra="forbid", title="ExportVerdict")
 
@@ -77,15 +77,16 @@ CRITIQUES: dict[str, type[Critique]] = {
 }
 """The schema of each critic's answer."""
 
-_JUDGE = """The real thing: {label}. {description}
+_JUDGE = """The real object: {label}. {description}
 Moving parts seen in the photo: {moving}.
 {posed}
 {made}
 Judge it.
 """
 _GEOMETRY = """The box measured in the photo is {measured} m.
-The made one measures {size} m (front to back, across, up). Its parts: {parts}."""
-_ARTICULATION = """The made one measures {size} m (front to back, across, up). Its parts: {parts}.
+The built object measures {size} m (front to back, across, up). Its parts: {parts}."""
+_ARTICULATION = """\
+The built object measures {size} m (front to back, across, up). Its parts: {parts}.
 Its joints:
 {joints}"""
 _EXPORT = """The URDF, read back, measures {size} m (front to back, across, up).

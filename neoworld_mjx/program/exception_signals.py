@@ -1,4 +1,6 @@
-"""Turn exceptions of programs into signals."""
+"""Error signals of programs, and their conversion from exceptions."""
+
+from typing import Any
 
 from ..checks.signals import Signal
 from .session import LimitExceeded, Session
@@ -27,20 +29,23 @@ _CODES: dict[type[BaseException], tuple[str, str]] = {
 }
 
 
+def error_signal(code: str, message: str, **details: Any) -> Signal:
+    """Return a signal of severity error; `details` are further fields of `Signal`."""
+    return Signal(severity="error", code=code, message=message, **details)
+
+
 def exception_signal(
     error: BaseException, line: int | None = None, column: int | None = None
 ) -> Signal:
-    """Turn an exception that a program raised into a signal."""
+    """Return the signal of an exception that a program raised."""
     code, hint = next(
         (entry for kind, entry in _CODES.items() if isinstance(error, kind)), ("runtime", "")
     )
     message = f"{type(error).__name__}: {error}"[:600]
-    return Signal(severity="error", code=code, message=message, line=line, column=column, hint=hint)
+    return error_signal(code, message, line=line, column=column, hint=hint)
 
 
 def limit_signal(exceeded: LimitExceeded, session: Session) -> Signal:
-    """Turn a used-up limit into a signal."""
+    """Return the signal of an exceeded limit."""
     hint = "use fewer or simpler shapes"
-    return Signal(
-        severity="error", code=exceeded.code, message=str(exceeded), line=session.line, hint=hint
-    )
+    return error_signal(exceeded.code, str(exceeded), line=session.line, hint=hint)

@@ -1,4 +1,4 @@
-"""Run a program by CPython in this process, without isolation; the limits of the SDK hold."""
+"""Execution of a program by CPython in this process, without isolation."""
 
 import contextlib
 import io
@@ -6,49 +6,37 @@ import traceback
 
 from ..checks.signals import Signal
 from ..config import ProgramOptions
-from .exception_signals import exception_signal, limit_signal
+from .exception_signals import error_signal, exception_signal, limit_signal
 from .session import LimitExceeded, Session, entered
 
 
 def run_in_process(
     text: str, session: Session, options: ProgramOptions
 ) -> tuple[str, list[Signal]]:
-    """Run a program in this process, with all that Python can do.
+    """Run a program in this process and return its printed text and its errors.
 
-    Args:
-        text: the program.
-        session: collects the objects that the program makes, and counts what it uses.
-        options: the limits; those on the program's time, memory and recursion do not hold here.
-
-    Returns:
-        Printed text, and errors.
+    The SDK's limits in `session` apply; those on time, memory and recursion do not.
     """
     session.filename = "<program.py>"
-    printed = io.StringIO()
+    output = io.StringIO()
     try:
         code = compile(text, session.filename, "exec", dont_inherit=True)
-        with contextlib.redirect_stdout(printed), entered(session):
+        with contextlib.redirect_stdout(output), entered(session):
             exec(code, {"__name__": "__main__", "__file__": "program.py"})
     except SyntaxError as error:
-        problem = Signal(
-            severity="error",
-            code="syntax",
-            message=str(error.msg),
-            line=error.lineno,
-            column=error.offset,
-        )
-        return printed.getvalue(), [problem]
+        signal = error_signal("syntax", str(error.msg), line=error.lineno, column=error.offset)
+        return output.getvalue(), [signal]
     except (Exception, SystemExit) as error:
-        return printed.getvalue(), [_signal(error, session)]
+        return output.getvalue(), [_signal(error, session)]
     if session.exceeded is not None:
-        return printed.getvalue(), [limit_signal(session.exceeded, session)]
-    return printed.getvalue()[: options.max_output_bytes], []
+        return output.getvalue(), [limit_signal(session.exceeded, session)]
+    return output.getvalue()[: options.max_output_bytes], []
 
 
 def _signal(error: BaseException, session: Session) -> Signal:
     frames = traceback.extract_tb(error.__traceback__)
-    own = [frame.lineno for frame in frames if frame.filename == session.filename]
-    line = own[-1] if own else None
+    lines = [frame.lineno for frame in frames if frame.filename == session.filename]
+    line = lines[-1] if lines else None
     if isinstance(error, LimitExceeded):
         return limit_signal(error, session).model_copy(update={"line": line})
     return exception_signal(error, line)

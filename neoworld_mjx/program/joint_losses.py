@@ -1,4 +1,4 @@
-"""Default damping and dry friction of joints, from the mass that they carry."""
+"""Default damping and dry friction of joints, from the mass of the child part."""
 
 import math
 
@@ -9,19 +9,18 @@ GRAVITY = 9.81
 SETTLING_S = 0.4
 """Time constant with which a joint loses its speed."""
 TURNING_FRICTION, SLIDING_FRICTION = 0.02, 0.1
-"""Dry friction over weight times lever, and over weight."""
+"""Dry friction over weight times moment arm, and over weight."""
 
 
 def default_losses(joint: JointSpec, child: Inertial) -> tuple[float, float]:
-    """Return damping and dry friction for a joint that moves: N s/m and N, or N m s/rad and N m.
+    """Return damping and dry friction of a joint that is not fixed.
 
-    Args:
-        joint: the joint, not fixed.
-        child: mass and inertia of the part that it carries.
+    Units are N s/m and N for a prismatic joint, N m s/rad and N m for others. `child` holds mass
+    and inertia of the part that the joint moves.
     """
     inertia = inertia_about(joint, child)
     if joint.type == "prismatic":
         return inertia / SETTLING_S, SLIDING_FRICTION * child.mass * GRAVITY
-    # The radius of gyration is the lever, so that a balanced knob holds still too.
-    lever = math.sqrt(inertia / child.mass)
-    return inertia / SETTLING_S, TURNING_FRICTION * child.mass * GRAVITY * lever
+    # The radius of gyration is the moment arm, so that a balanced knob has friction too.
+    arm = math.sqrt(inertia / child.mass)
+    return inertia / SETTLING_S, TURNING_FRICTION * child.mass * GRAVITY * arm

@@ -1,23 +1,25 @@
-"""Run a program's text and return an object or signals; nothing that a program does raises.
+"""Execution of a program's text, and the checks of its object; no program makes them raise.
 
 Programs call the SDK. `monty`, the default, runs them in a sandbox; `cpython` runs them in this
-process, without any isolation, for your own programs only. The same text gives the same object, to
-the byte. With `program.language: blender` a program that imports bpy runs in Blender (`blender/`).
+process without isolation, for your own programs only. The same text gives the same object, to the
+byte. With `program.language: blender` a program that imports bpy runs in Blender (`blender/`).
 """
 
 import re
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import import_module
 
 from ..checks.allowance import Allowance
+from ..checks.compile_checks import check
 from ..checks.signals import Signal, deduplicated, has_errors
 from ..config import ProgramOptions
 from ..spec import ObjectSpec
 from .assemble import assemble
 from .blender.blender_availability import require_blender
 from .blender.blender_objects import run_blender
+from .exception_signals import error_signal
 from .in_process import run_in_process
 from .monty_sandbox import Starved, run_sandboxed
 from .session import Session
@@ -26,11 +28,11 @@ _BPY = re.compile(r"^[ \t]*(import|from)[ \t]+bpy\b", re.MULTILINE)
 
 
 @dataclass(frozen=True)
-class Built:
+class BuildResult:
     """Result of running a program."""
 
     spec: ObjectSpec | None
-    """The object; None where a signal is an error of the program."""
+    """The object; None if the program failed."""
     signals: tuple[Signal, ...] = ()
     printed: str = ""
     lines: dict[str, int] = field(default_factory=dict)
@@ -41,20 +43,40 @@ class Built:
 
     @property
     def ok(self) -> bool:
-        """Whether there is an object without errors."""
+        """True if there is an object without errors."""
         return self.spec is not None and not has_errors(self.signals)
 
 
-def run(text: str, options: ProgramOptions | None = None, *, loose: bool = False) -> Built:
-    """Run a program and assemble its object.
+def build(text: str, options: ProgramOptions | None = None) -> BuildResult:
+    """Run a program and check its object; `ok` of the result is True if it passes every check.
+
+    Raises:
+        ProgramError: the program needs Blender, which is not installed or cannot be confined.
+    """
+    options = options or ProgramOptions()
+    result = run(text, options)
+    if result.spec is None:
+        return result
+    start = time.monotonic()
+    try:
+        signals = check(result.spec, options, result.lines, result.allowances)
+    except Exception as error:  # A check that fails becomes a signal, too.
+        message = f"a check failed: {type(error).__name__}: {error}"[:500]
+        signals = (error_signal("internal", message),)
+    seconds = result.seconds + time.monotonic() - start
+    return replace(result, signals=deduplicated((*result.signals, *signals)), seconds=seconds)
+
+
+def run(text: str, options: ProgramOptions | None = None, *, loose: bool = False) -> BuildResult:
+    """Run a program and assemble its object, without checks of the object.
 
     Args:
         text: the program.
         options: the sandbox and its limits.
-        loose: whether parts have no joints yet; they are then fastened to the first.
+        loose: True if the parts have no joints yet; each is then fixed to the first.
 
     Raises:
-        ProgramError: the program is for Blender, which is not installed or cannot be confined here.
+        ProgramError: the program needs Blender, which is not installed or cannot be confined.
     """
     options = options or ProgramOptions()
     _load_shapes()
@@ -63,48 +85,52 @@ def run(text: str, options: ProgramOptions | None = None, *, loose: bool = False
         require_blender()
     start = time.monotonic()
     session = _session(options)
-    printed, problems = "", _check_text(text, options)
+    printed, errors = "", _check_text(text, options)
     spec: ObjectSpec | None = None
-    if not problems:
+    if not errors:
         try:
             if in_blender:
-                printed, problems = run_blender(text, session, options)
+                printed, errors = run_blender(text, session, options)
             elif options.sandbox == "cpython":
-                printed, problems = run_in_process(text, session, options)
+                printed, errors = run_in_process(text, session, options)
             else:
-                patient = False
-                try:
-                    printed, problems = run_sandboxed(text, session, options)
-                except Starved:
-                    patient = True
-                # Virtual machines charge a thread for pauses, too: one slow run is no proof.
-                if patient or _out_of_time(session):
-                    session = _session(options)
-                    printed, problems = run_sandboxed(text, session, options, patient=patient)
-            if not has_errors(problems):
+                session, printed, errors = _run_in_worker(text, session, options)
+            if not has_errors(errors):
                 spec, structure = assemble(session.objects, loose=loose)
-                problems = [*problems, *structure]
+                errors = [*errors, *structure]
         except Exception as error:  # Any failure becomes a signal here.
-            problems = [
-                Signal(
-                    severity="error",
-                    code="internal",
-                    message=f"{type(error).__name__}: {error}"[:500],
-                    hint="this is a fault of the SDK, not of the program",
-                )
-            ]
+            message = f"{type(error).__name__}: {error}"[:500]
+            hint = "this is a fault of the SDK, not of the program"
+            errors = [error_signal("internal", message, hint=hint)]
     lines: dict[str, int] = {}
     for obj in session.objects[:1]:
         lines |= {f"part:{part.name}": part._line for part in obj._parts if part._line}
         lines |= {f"joint:{joint.name}": joint._line for joint in obj._joints if joint._line}
-    return Built(
-        None if has_errors(problems) else spec,
-        deduplicated((*problems, *session.warnings)),
+    return BuildResult(
+        None if has_errors(errors) else spec,
+        deduplicated((*errors, *session.warnings)),
         printed,
         lines,
         tuple(session.objects[0]._allowances) if session.objects else (),
         time.monotonic() - start,
     )
+
+
+def _run_in_worker(
+    text: str, session: Session, options: ProgramOptions
+) -> tuple[Session, str, list[Signal]]:
+    """Run a program in the Monty sandbox, a second time if the first ran out of time."""
+    patient = False
+    try:
+        printed, errors = run_sandboxed(text, session, options)
+    except Starved:
+        printed, errors, patient = "", [], True
+    timed_out = session.exceeded is not None and session.exceeded.code == "timeout"
+    # Virtual machines count pauses as a thread's time, so one slow run proves nothing.
+    if patient or timed_out:
+        session = _session(options)
+        printed, errors = run_sandboxed(text, session, options, patient=patient)
+    return session, printed, errors
 
 
 def _session(options: ProgramOptions) -> Session:
@@ -116,39 +142,27 @@ def _session(options: ProgramOptions) -> Session:
     )
 
 
-def _out_of_time(session: Session) -> bool:
-    """Return whether the program's shapes used up its processor time."""
-    return session.exceeded is not None and session.exceeded.code == "timeout"
-
-
 @cache
 def _load_shapes() -> None:
-    """Import the packages that shapes need, so that no program's time limit pays for it."""
+    """Import the packages that shapes need, so that no program's time limit includes it."""
     for name in ("scipy.spatial", "manifold3d"):
         import_module(name)
 
 
 def _check_text(text: str, options: ProgramOptions) -> list[Signal]:
     """Return the error of a text that no sandbox can run."""
-    size = len(text.encode("utf-8", "replace"))
-    if size > options.max_text_bytes:
-        return [
-            Signal(
-                severity="error",
-                code="too_long",
-                message="the program's text is too long",
-                value=size,
-                threshold=options.max_text_bytes,
-            )
-        ]
+    size, most = len(text.encode("utf-8", "replace")), options.max_text_bytes
+    if size > most:
+        message = "the program's text is too long"
+        return [error_signal("too_long", message, value=size, threshold=most)]
     if "\0" in text:
-        return [Signal(severity="error", code="syntax", message="the text holds a NUL character")]
+        return [error_signal("syntax", "the text holds a NUL character")]
     try:
         text.encode()
     except UnicodeEncodeError:
-        return [Signal(severity="error", code="syntax", message="the text is not valid Unicode")]
+        return [error_signal("syntax", "the text is not valid Unicode")]
     if options.language == "sdk" and _BPY.search(text):
         message = "the program imports bpy: it is one for Blender, and program.language is sdk"
         hint = "call the SDK, or set program.language=blender"
-        return [Signal(severity="error", code="import", message=message, hint=hint)]
+        return [error_signal("import", message, hint=hint)]
     return []

@@ -1,7 +1,7 @@
-"""The programs that a programmer writes for an object, in order, and how each is built.
+"""Stages of program synthesis: the programs that the programmer writes in turn, and their builds.
 
-`one`: a whole program. `three`, the paper's: geometry; articulation, which goes on where the
-accepted geometry ends; export, which goes on after that. Their texts joined are one program.
+`one`: a whole program. `three`, the paper's: geometry; articulation, which continues the accepted
+geometry; export, which continues that. Their texts joined are one program.
 """
 
 import tempfile
@@ -10,46 +10,57 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from ..checks.compile_checks import loose_shapes, too_intricate, with_line
+from ..checks.overlap import rest_overlap_signals
+from ..checks.part_distances import OutOfTime, Probe
+from ..checks.plausibility import plausibility
 from ..checks.signals import Signal, deduplicated
 from ..config import ProgramOptions
 from ..errors import NeoWorldError
 from ..export import export_object, import_urdf
 from ..spec import ObjectSpec, TreeNode, inertial
 from .attempt import joined
-from .geometry_check import check_geometry
-from .make import build
-from .sandbox import Built, run
+from .exception_signals import error_signal
+from .sandbox import BuildResult, build, run
 
 LEAST_MASS_RATIO = 0.99
-"""Least ratio of a part's mass before and after the URDF."""
+"""Least ratio between a part's masses before and after the round trip through URDF."""
 
 
 class Stage(NamedTuple):
-    """One program that the programmer is asked for."""
+    """A program that the programmer writes."""
 
     file: str
-    """Its name, and that of its text without ".py"."""
+    """Name of the stage, and of its program's file without ".py"."""
     critics: tuple[str, ...]
-    build: Callable[[str, ProgramOptions], Built]
-    """Builds the texts up to and with this one, joined, and checks what they make."""
+    build: Callable[[str, ProgramOptions], BuildResult]
+    """Builds and checks the joined texts up to this stage."""
 
 
-def build_geometry(text: str, options: ProgramOptions) -> Built:
-    """Build parts without joints, each fastened to the first, and check shapes and room."""
+def build_geometry(text: str, options: ProgramOptions) -> BuildResult:
+    """Build parts without joints, and check shapes, overlaps at rest, sizes and masses."""
     built = run(text, options, loose=True)
     if built.spec is None:
         return built
-    findings = check_geometry(built.spec, options, built.lines)
-    return replace(built, signals=deduplicated((*built.signals, *findings)))
+    signals = list(plausibility(built.spec))
+    try:
+        probe = Probe(built.spec, options.check_timeout_s)
+        # The articulation program decides what a part is attached to.
+        signals += [s for s in loose_shapes(probe, options) if s.code != "detached_part"]
+        signals += rest_overlap_signals(probe, options)
+    except OutOfTime:
+        signals.append(too_intricate(options))
+    located = deduplicated(with_line(signal, built.lines) for signal in signals)
+    return replace(built, signals=deduplicated((*built.signals, *located)))
 
 
-def build_export(text: str, options: ProgramOptions) -> Built:
-    """Build the whole object, write its URDF with meshes, read that back and compare."""
+def build_export(text: str, options: ProgramOptions) -> BuildResult:
+    """Build and check the whole object, and compare it with its URDF as read back."""
     built = build(text, options)
     if built.spec is None:
         return built
-    _, findings = through_urdf(built.spec)
-    return replace(built, signals=deduplicated((*built.signals, *findings)))
+    _, signals = urdf_round_trip(built.spec)
+    return replace(built, signals=deduplicated((*built.signals, *signals)))
 
 
 STAGES: dict[Literal["one", "three"], tuple[Stage, ...]] = {
@@ -60,17 +71,17 @@ STAGES: dict[Literal["one", "three"], tuple[Stage, ...]] = {
         Stage("export", ("export",), build_export),
     ),
 }
-"""By the value of `program.stages`."""
+"""Stages by the value of `program.stages`."""
 NOTHING_MOVES = "# The object is one part: nothing of it moves against anything.\n"
-"""The articulation program of an object of one part, which no model is asked for."""
+"""Articulation program of an object with one part, written without a model."""
 
 
-def needs_asking(stage: Stage, spec: ObjectSpec, node: TreeNode) -> bool:
-    """Tell whether a stage's program is up to a model, given what the stages before made."""
+def needs_model(stage: Stage, spec: ObjectSpec, node: TreeNode) -> bool:
+    """Return True if a model must write the stage's program for the object built so far."""
     return stage.file != "articulation" or len(spec.parts) > 1 or bool(node.articulation)
 
 
-def through_urdf(spec: ObjectSpec) -> tuple[ObjectSpec | None, list[Signal]]:
+def urdf_round_trip(spec: ObjectSpec) -> tuple[ObjectSpec | None, list[Signal]]:
     """Write an object as URDF and read it back.
 
     Returns:
@@ -82,41 +93,33 @@ def through_urdf(spec: ObjectSpec) -> tuple[ObjectSpec | None, list[Signal]]:
             export_object(spec, Path(folder))
             read = import_urdf(Path(folder) / "object.urdf").spec
     except NeoWorldError as error:
-        return None, [_differs(f"the object's URDF cannot be read back: {error}")]
+        return None, [error_signal("export", f"the object's URDF cannot be read back: {error}")]
     signals = []
-    back = {part.name: inertial(read, part).mass for part in read.parts}
+    masses = {part.name: inertial(read, part).mass for part in read.parts}
     for part in spec.parts:
         name = spec.name if part.name == spec.root else part.name
         mass = inertial(spec, part).mass
-        if name not in back:
-            signals.append(_differs(f"the URDF read back has no link {name!r}"))
-        elif not LEAST_MASS_RATIO * mass <= back[name] <= mass / LEAST_MASS_RATIO:
-            message = f"link {name!r} weighs {back[name]:.4g} kg in the URDF"
-            signals.append(_differs(message, back[name], mass))
-    return read, [*signals, *_joint_differences(spec, read)]
-
-
-def _joint_differences(spec: ObjectSpec, read: ObjectSpec) -> list[Signal]:
-    back = {joint.name: joint for joint in read.joints}
-    signals = []
+        if name not in masses:
+            signals.append(error_signal("export", f"the URDF read back has no link {name!r}"))
+        elif not LEAST_MASS_RATIO * mass <= masses[name] <= mass / LEAST_MASS_RATIO:
+            message = f"link {name!r} weighs {masses[name]:.4g} kg in the URDF"
+            signals.append(error_signal("export", message, value=masses[name], threshold=mass))
+    joints = {joint.name: joint for joint in read.joints}
     for joint in spec.joints:
-        other = back.get(joint.name)
+        other = joints.get(joint.name)
         if other is None or other.type != joint.type:
-            signals.append(_differs(f"the URDF read back has no {joint.type} joint {joint.name!r}"))
+            message = f"the URDF read back has no {joint.type} joint {joint.name!r}"
+            signals.append(error_signal("export", message))
         elif abs(other.lower - joint.lower) + abs(other.upper - joint.upper) > 1e-3:
             message = f"joint {joint.name!r} has other limits in the URDF"
-            signals.append(_differs(message, other.upper, joint.upper))
-    return signals
+            signals.append(
+                error_signal("export", message, value=other.upper, threshold=joint.upper)
+            )
+    return read, signals
 
 
-def _differs(message: str, value: float | None = None, threshold: float | None = None) -> Signal:
-    return Signal(
-        severity="error", code="export", message=message, value=value, threshold=threshold
-    )
-
-
-def in_own_lines(signals: tuple[Signal, ...], before: Mapping[str, str]) -> tuple[Signal, ...]:
-    """Return signals with the lines of a stage's own text in place of the joined texts'.
+def in_stage_lines(signals: tuple[Signal, ...], before: Mapping[str, str]) -> tuple[Signal, ...]:
+    """Return signals with lines counted in the stage's own text instead of the joined text.
 
     A signal of a line in an accepted text loses its line and names that text instead.
     """

@@ -21,13 +21,12 @@ from ..checks.signals import Signal, deduplicated, has_errors
 from ..config import ProgramOptions
 from ..mllm import Model, Picture, Request, ask_or_record, package_text, revise
 from ..spec import Camera, TreeNode
-from .ask import ProgramAnswer, instructions, program_request, repair_request, revise_request
-from .attempt import ProgramAttempt, Programmed, Size, joined
-from .conformance import fit, losses, lost_checks
+from .ask import ProgramResponse, instructions, program_request, repair_request, revise_request
+from .attempt import ProgramAttempt, Size, SynthesisResult, joined
+from .conformance import fit, fit_geometry, losses, lost_asserts
 from .critique import Critique, accepts, corrected_box, critic_request
-from .geometry_check import fit_geometry
-from .sandbox import Built, run
-from .stages import NOTHING_MOVES, STAGES, Stage, in_own_lines, needs_asking, through_urdf
+from .sandbox import BuildResult, run
+from .stages import NOTHING_MOVES, STAGES, Stage, in_stage_lines, needs_model, urdf_round_trip
 from .subject import Subject
 from .supports import support_program
 from .views import draw, draw_exported, draw_in_place
@@ -66,7 +65,7 @@ async def synthesise(
     *,
     camera: Camera | None = None,
     colour: tuple[float, float, float] | None = None,
-) -> Programmed:
+) -> SynthesisResult:
     """Ask models for the program of an object, from its crop.
 
     A support of the environment that is no furniture gets a simple program from its box, without a
@@ -155,7 +154,7 @@ class _Synthesis:
         self.stage, self.accepted = stage, accepted
         if accepted is not None:
             assert accepted.built.spec is not None
-            if not needs_asking(stage, accepted.built.spec, self.subject.node):
+            if not needs_model(stage, accepted.built.spec, self.subject.node):
                 before = accepted.texts
                 return replace(accepted, text=NOTHING_MOVES, before=before, file=stage.file)
         request = program_request(self.subject, stage.file, self._before, self.options.language)
@@ -171,7 +170,7 @@ class _Synthesis:
         return max(own, key=lambda attempt: attempt.rank)
 
     async def debugged(
-        self, stage: str, answer: ProgramAnswer, before: ProgramAttempt | None
+        self, stage: str, answer: ProgramResponse, before: ProgramAttempt | None
     ) -> ProgramAttempt:
         """Build a program, send its errors back for bounded rounds, and return the best attempt."""
 
@@ -224,14 +223,14 @@ class _Synthesis:
         self.attempts[self.attempts.index(attempt)] = criticised
         return criticised
 
-    def result(self, best: ProgramAttempt) -> Programmed:
+    def result(self, best: ProgramAttempt) -> SynthesisResult:
         """Return the result with the best attempt; its remaining errors become a fallback."""
         errors = [signal for signal in best.built.signals if signal.severity == "error"]
         if best.built.spec is not None and errors:
             reasons = "; ".join(signal.phrase() for signal in errors[:4])
             name = self.subject.node.name
             self.fallbacks.append((f"{name}: kept with {len(errors)} errors", reasons))
-        return Programmed(
+        return SynthesisResult(
             best.built.spec,
             best.texts,
             best.built.signals,
@@ -274,7 +273,7 @@ class _Synthesis:
                     continue
                 pictures += opened
             if name == "export":
-                read, _ = through_urdf(spec)
+                read, _ = urdf_round_trip(spec)
                 if read is None:
                     continue
                 pictures = [self.subject.crop, *draw_exported(spec, read, node, camera)]
@@ -282,7 +281,7 @@ class _Synthesis:
         return requests
 
     async def _checked(
-        self, stage: str, answer: ProgramAnswer, before: ProgramAttempt | None
+        self, stage: str, answer: ProgramResponse, before: ProgramAttempt | None
     ) -> ProgramAttempt:
         """Build a program and check it against its subject and the attempt before."""
         program = unfenced(answer.program)
@@ -291,7 +290,7 @@ class _Synthesis:
         attempt = ProgramAttempt(
             stage,
             program,
-            Built(None),
+            BuildResult(None),
             answer.notes,
             critiques={} if self.accepted is None else self.accepted.critiques,
             before=self._before,
@@ -299,13 +298,13 @@ class _Synthesis:
         )
         whole = joined(attempt.texts)
         built = await asyncio.to_thread(self.stage.build, whole, self.options)
-        built = replace(built, signals=in_own_lines(built.signals, self._before))
+        built = replace(built, signals=in_stage_lines(built.signals, self._before))
         if built.spec is not None:
             compare = fit_geometry if self.stage.file == "geometry" else fit
             signals: list[Signal] = [*built.signals, *compare(built.spec, self.subject.node)]
             if before is not None and before.built.spec is not None:
                 signals += losses(before.built.spec, built.spec, answer.removed)
-                signals += lost_checks(before.text, program, answer.removed)
+                signals += lost_asserts(before.text, program, answer.removed)
             built = replace(built, signals=deduplicated(signals))
         attempt = replace(attempt, built=built, size=self.size)
         self.attempts.append(attempt)

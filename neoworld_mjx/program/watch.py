@@ -13,7 +13,7 @@ from ..export import object_files
 from ..render import render_object, to_png
 from ..spec import ObjectSpec
 from .failed_picture import FAILED, failed_picture
-from .sandbox import Built
+from .sandbox import BuildResult
 from .views import opened_state
 
 log = logging.getLogger(__name__)
@@ -29,7 +29,7 @@ class BuiltProgram:
     """A program's text and the result of building it."""
 
     text: str
-    built: Built
+    built: BuildResult
     beside: Mapping[str, str] = field(default_factory=dict)
     """Further files that go with the program, by name."""
     notes: tuple[str, ...] = ()

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from neoworld_mjx.checks.object_tests import Battery
+from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.export import export_object, import_urdf, read_mjcf, read_usd
 from neoworld_mjx.physics.mjcf import START, to_mjspec
 from neoworld_mjx.program import build
@@ -130,15 +130,15 @@ def test_our_urdf_gives_the_ball_again(lamp, tmp_path):
 
 
 def test_the_battery_swings_it(lamp):
-    assert Battery(lamp).verdict.passed
+    assert run_object_tests(lamp).verdict.passed
     far = lamp.joints[0].model_copy(update={"upper": 2.5})
     spec = lamp.model_copy(update={"joints": (far,)})
-    battery = Battery(spec)
-    check = next(c for c in battery.verdict.checks if c.name == "depth:neck")
+    tests = run_object_tests(spec)
+    check = next(c for c in tests.verdict.checks if c.name == "depth:neck")
     assert check.outcome == "FAIL" and check.value > 0.001
-    low, high = battery.joint_checks.free["neck"]
+    low, high = tests.joint_checks.free["neck"]
     assert low == 0.0 and 0.3 < high < 2.5
-    mended = repair(spec, Battery, first=battery)
+    mended = repair(spec, run_object_tests, first=tests)
     assert mended.after.passed and mended.spec.joints[0].upper == pytest.approx(high)
 
 

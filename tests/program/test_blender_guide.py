@@ -6,7 +6,7 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from neoworld_mjx.checks.object_tests import Battery
+from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
 from neoworld_mjx.program.ask import instructions
@@ -30,7 +30,7 @@ def test_every_block_of_the_blender_guide_builds_and_behaves(text):
         pytest.skip(why)
     built = build(text, ProgramOptions(language="blender"))
     assert built.ok and built.signals == ()
-    verdict = Battery(built.spec).verdict
+    verdict = run_object_tests(built.spec).verdict
     assert verdict.passed, [(c.name, c.value) for c in verdict.checks if c.outcome == "FAIL"]
     given = GIVEN.search(text)
     if given is not None:

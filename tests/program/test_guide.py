@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from neoworld_mjx.checks.object_tests import Battery
+from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
 from neoworld_mjx.program.materials import MATERIALS
@@ -34,7 +34,7 @@ def test_every_block_builds_cleanly_and_alike(text: str):
 def test_every_block_behaves(text: str):
     spec = build(text).spec
     assert spec is not None
-    verdict = Battery(spec).verdict
+    verdict = run_object_tests(spec).verdict
     assert verdict.passed, [(c.name, c.value) for c in verdict.checks if c.outcome == "FAIL"]
 
 

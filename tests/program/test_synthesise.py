@@ -11,8 +11,8 @@ from neoworld_mjx.errors import MissingAnswerError, ModelError
 from neoworld_mjx.mllm import Picture
 from neoworld_mjx.program import build, stages, views
 from neoworld_mjx.program import synthesise as module
-from neoworld_mjx.program.ask import ProgramAnswer, program_request
-from neoworld_mjx.program.attempt import Programmed
+from neoworld_mjx.program.ask import ProgramResponse, program_request
+from neoworld_mjx.program.attempt import SynthesisResult
 from neoworld_mjx.program.critique import (
     ArticulationCritique,
     ExportCritique,
@@ -97,8 +97,8 @@ def crop() -> bytes:
     return stream.getvalue()
 
 
-def written(text: str, *removed: str) -> ProgramAnswer:
-    return ProgramAnswer(program=text, removed=list(removed))
+def written(text: str, *removed: str) -> ProgramResponse:
+    return ProgramResponse(program=text, removed=list(removed))
 
 
 FAULT = ProgramFault(part="door", what="too thin", change="make it 3 cm thick")
@@ -124,7 +124,7 @@ def verdict(geometry: float, accept: bool = False) -> list[Any]:
 
 def synthesised(
     script: ScriptedModel, options: ProgramOptions = OPTIONS, **more: Any
-) -> Programmed:
+) -> SynthesisResult:
     camera = Camera(width=640, height_px=480, fovy=0.8, height=1.2, pitch=0.4)
     return asyncio.run(module.synthesise(node(**more), crop(), script, options, camera=camera))
 

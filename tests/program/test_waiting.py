@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.checks.object_tests import Battery
+from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
 from neoworld_mjx.program.sandbox import run
@@ -163,12 +163,12 @@ def test_a_follower_does_not_wait():
 @pytest.mark.parametrize("hinge", ["bottom", "top", "left"])
 def test_the_battery_tries_the_tray_with_its_flap_held_open(hinge: str):
     spec = spec_of(oven(hinge=hinge, opens="1.57" if hinge == "left" else "1.5"))
-    battery = Battery(spec)
-    assert battery.verdict.passed, [c for c in battery.verdict.checks if c.outcome == "FAIL"]
-    assert battery.simulation is not None
-    flap, tray = (battery.simulation.address(name)[0] for name in ("flap_hinge", "slide"))
+    tests = run_object_tests(spec)
+    assert tests.verdict.passed, [c for c in tests.verdict.checks if c.outcome == "FAIL"]
+    assert tests.simulation is not None
+    flap, tray = (tests.simulation.address(name)[0] for name in ("flap_hinge", "slide"))
     seen = 0
-    for trajectory in battery.trajectories:
+    for trajectory in tests.trajectories:
         if trajectory.scenario.joint == "slide":
             seen += 1
             # A flap hung above would fall on the tray, were it not held.
@@ -181,7 +181,7 @@ def test_the_battery_tries_the_tray_with_its_flap_held_open(hinge: str):
 def test_without_the_word_the_battery_refuses_it():
     spec = spec_of(oven())
     joints = tuple(j.model_copy(update={"after": ()}) for j in spec.joints)
-    verdict = Battery(spec.model_copy(update={"joints": joints})).verdict
+    verdict = run_object_tests(spec.model_copy(update={"joints": joints})).verdict
     bad = {c.name for c in verdict.checks if c.outcome == "FAIL"}
     assert "depth:slide" in bad
 
@@ -223,7 +223,7 @@ def test_doors_and_drawers_say_which_way_they_open():
 
 
 def test_key_frames_show_what_stands_open():
-    battery = Battery(spec_of(oven()))
-    check = next(c for c in battery.verdict.checks if c.name == "depth:slide")
-    shown = _of_joint(battery, check.model_copy(update={"at": 0.25}), "depth").shows
+    tests = run_object_tests(spec_of(oven()))
+    check = next(c for c in tests.verdict.checks if c.name == "depth:slide")
+    shown = _of_joint(tests, check.model_copy(update={"at": 0.25}), "depth").shows
     assert "'flap_hinge': 1.5" in shown and "'slide': 0.25" in shown
