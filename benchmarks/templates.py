@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 from benchmarks.suites import Templates
 from neoworld_mjx.checks.compile_checks import check
-from neoworld_mjx.checks.object_tests import Battery
+from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.program.views import opened_state
 from neoworld_mjx.render import View, render_object, visible_vertices
@@ -81,7 +81,7 @@ def _instance(task: tuple[str, int | None]) -> TemplateRow:
     if (np.abs(high - low - wanted) > np.maximum(0.003, 0.02 * wanted)).any():
         failed.append(f"box: {np.round(high - low, 4).tolist()} in place of {wanted.tolist()}")
     began = time.perf_counter()
-    verdict = Battery(spec, allowed=built.allowances, threads=1).verdict
+    verdict = run_object_tests(spec, allowed=built.allowances, threads=1).verdict
     failed += [
         f"{c.scenario} {c.name}: {c.value} over {c.threshold} {c.unit} {c.joint or c.part or ''}"
         for c in verdict.checks

@@ -18,7 +18,7 @@ from neoworld_bench.rows import collect
 from pydantic import BaseModel
 
 from benchmarks.suites import Verify
-from neoworld_mjx.checks.object_tests import Battery
+from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.errors import ConfigError, choices
 from neoworld_mjx.spec import ObjectSpec
 from neoworld_mjx.verify.repairs import repair
@@ -109,7 +109,7 @@ def _sent(task: tuple[ObjectSpec, Kind, float, bool]) -> tuple[str, str, float, 
 
 def _sound(spec: ObjectSpec) -> ValidRow:
     start = time.perf_counter()
-    verdict = Battery(spec).verdict
+    verdict = run_object_tests(spec).verdict
     return ValidRow(
         object=spec.name,
         joints=sum(joint.type != "fixed" for joint in spec.joints),
@@ -126,7 +126,7 @@ def _fault(text: str, name: str, magnitude: float, with_repair: bool) -> FaultRo
     broken = kind.inject(spec, magnitude)
     if broken is None:
         return None
-    run = lambda spec: Battery(spec, threads=1)
+    run = lambda spec: run_object_tests(spec, threads=1)
     first = run(broken)
     verdict = first.verdict
     row = FaultRow(

@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from neoworld_mjx.checks.object_tests import Battery
+from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.config import Language, ProgramOptions
 from neoworld_mjx.mllm.provider import bundled_tapes
 from neoworld_mjx.mllm.replay import Tape
 from neoworld_mjx.program import build
-from neoworld_mjx.program.ask import ProgramAnswer, instructions
+from neoworld_mjx.program.ask import ProgramResponse, instructions
 from neoworld_mjx.program.attempt import joined
 from neoworld_mjx.program.views import opened_state
 from neoworld_mjx.render import render_object
@@ -44,7 +44,7 @@ def from_tape(photo: str, name: str, language: Language) -> str:
         answers = [entry for entry in tape.answers.values() if entry.name == f"{stage}:{name}"]
         for entry in answers:
             if ("Blender" in entry.model) == (language == "blender"):
-                texts[stage] = ProgramAnswer.model_validate_json(entry.text).program
+                texts[stage] = ProgramResponse.model_validate_json(entry.text).program
     if "geometry" in texts:
         texts.pop("program", None)
     return joined(texts)
@@ -92,7 +92,7 @@ def main(out: Path) -> None:
             edges = " x ".join(f"{v:.3f}" for v in high - low)
             mass = sum(inertial(spec, part).mass for part in spec.parts)
             pieces = sum(len(geom.shape.pieces()) for part in spec.parts for geom in part.geoms)
-            verdict = "valid" if built.ok and Battery(spec).verdict.passed else "not valid"
+            verdict = "valid" if built.ok and run_object_tests(spec).verdict.passed else "not valid"
             took = statistics.median(seconds)
             cells.append(f"{edges}, {mass:.3g} kg, {pieces} pieces, {took:.2f} s, {verdict}")
             specs.append(spec)

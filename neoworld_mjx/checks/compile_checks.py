@@ -42,7 +42,7 @@ def check(
     Args:
         spec: the object.
         options: thresholds and the number of positions of the joint sweep.
-        lines: the program's line of each part and joint, as in `Built.lines`.
+        lines: the program's line of each part and joint, as in `BuildResult.lines`.
         allowances: overlaps that the program declares.
 
     Returns:

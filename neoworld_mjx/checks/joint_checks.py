@@ -25,7 +25,7 @@ from .joint_sweep import (
 )
 from .part_distances import Probe, line_box_distance
 from .scenarios import SINGLE
-from .static_checks import helper
+from .static_checks import is_placeholder
 from .verdict import Check, Fault, Limit, judged, skipped
 
 AT_ONCE = 0.25
@@ -58,7 +58,7 @@ def check_joints(
         allowances: overlaps that its program declares.
     """
     probe = Probe(spec)
-    helpers = [part.name for part in spec.parts if helper(part)]
+    helpers = [part.name for part in spec.parts if is_placeholder(part)]
     sweep = sweep_joints(probe, options, allowances, ignored=helpers)
     result = JointChecks()
     _at_rest(sweep, result, options)
@@ -91,7 +91,10 @@ def _at_rest(sweep: JointSweep, result: JointChecks, options: VerifyOptions) -> 
         elif pair in sweep.reasons:
             check = judged("static", name, depth, limit, part=second)
             # The program declares this depth, so a depth close to it is not doubtful.
-            update = {"doubtful": False, "evidence": f"{evidence}, granted: {sweep.reasons[pair]}"}
+            update = {
+                "borderline": False,
+                "evidence": f"{evidence}, granted: {sweep.reasons[pair]}",
+            }
             result.checks.append(check.model_copy(update=update))
         elif depth > worst:
             worst, between = depth, evidence
@@ -211,7 +214,9 @@ def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
     reach = 20 * slack
     limit = Limit(threshold=slack, unit="m", fault=Fault.PART_DETACHED)
     for joint in probe.spec.joints:
-        if helper(probe.spec.part(joint.child)) or helper(probe.spec.part(joint.parent)):
+        if is_placeholder(probe.spec.part(joint.child)) or is_placeholder(
+            probe.spec.part(joint.parent)
+        ):
             continue
         parent_pieces, child_pieces = (
             probe.of_part(probe.names.index(name)) for name in (joint.parent, joint.child)
@@ -231,7 +236,7 @@ def _pivot(probe: Probe, joint: JointSpec, options: VerifyOptions) -> Check:
     size = float(np.linalg.norm(high - low))
     point, axis = np.array(joint.pos), np.array(joint.axis)
     off = line_box_distance(point, axis, low, high)
-    if not helper(probe.spec.part(joint.parent)):
+    if not is_placeholder(probe.spec.part(joint.parent)):
         # A hinge has a size of its own, so the parent may end short of the axis: half counts.
         off = max(
             off, line_box_distance(point, axis, *probe.extent(probe.names.index(joint.parent))) / 2

@@ -1,11 +1,13 @@
-"""Dynamic checks of an object: each compares one number of one scenario with its limit."""
+"""Dynamic checks of an object: each compares one measurement of one scenario with its limit."""
 
-from collections.abc import Iterable
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..config import VerifyOptions
 from ..spec.pose import angle_between, tilt_between
 from .scenarios import STEEPEST_DEG, STILL_S, TILT_FROM_S, slope_at
 from .simulation import G, Simulation, Trajectory
@@ -19,193 +21,166 @@ JOINT_SPEED = 0.03
 STIRRED = 0.02
 """Share of its range by which a joint may move without forces."""
 BEGINS_M = 0.001
-"""Movement on a slope that counts as sliding."""
+"""Displacement on a slope that counts as sliding."""
 COASTED_S = 0.5
 """Time after which the loss of speed of a coasting joint is measured."""
 SHORT_M, SHORT_RAD = 0.08, 0.6
-"""Shortest ranges, of a sliding and a turning joint, that overshoot is taken relative to."""
+"""Smallest ranges, of a sliding and a turning joint, that overshoot is relative to."""
 ROUND = 0.01
 """Width of the support polygon, over the object's size, below which its bottom is round."""
 
 
-def checks_of(simulation: Simulation, trajectories: Iterable[Trajectory]) -> list[Check]:
-    """Return the checks of all trajectories of an object."""
-    by_kind: dict[str, list[Trajectory]] = {}
+def check_motion(simulation: Simulation, trajectories: Iterable[Trajectory]) -> Iterator[Check]:
+    """Yield the checks of all trajectories of an object."""
+    by_kind: dict[str, list[Trajectory]] = defaultdict(list)
     for trajectory in trajectories:
-        by_kind.setdefault(trajectory.scenario.kind, []).append(trajectory)
-    if by_kind.get("free_fall"):
-        checks = falls(simulation, by_kind["free_fall"])
+        by_kind[trajectory.scenario.kind].append(trajectory)
+    if by_kind["free_fall"]:
+        yield from _falls(simulation, by_kind["free_fall"])
     else:
-        checks = [skipped("free_fall", "rests", "base is fixed")]
-    checks += pushes(simulation, by_kind.get("force_perturbation", []))
-    checks += [slid(simulation, run) for run in by_kind.get("tilt_until_slide", [])]
-    for trajectory in by_kind.get("joint_release", []):
-        checks += released(simulation, trajectory)
-    checks += [driven(simulation, run) for run in by_kind.get("joint_drive", [])]
-    return checks
+        yield skipped("free_fall", "rests", "base is fixed")
+    yield from _pushes(simulation, by_kind["force_perturbation"])
+    for kind, checks_of in (
+        ("tilt_until_slide", _slope),
+        ("joint_release", _release),
+        ("joint_drive", _drive),
+    ):
+        for trajectory in by_kind[kind]:
+            if trajectory.diverged:
+                yield _diverged(trajectory)
+            else:
+                yield from checks_of(simulation, trajectory)
 
 
-def falls(simulation: Simulation, trajectories: list[Trajectory]) -> list[Check]:
-    """Check that the object balances, and that falls leave it upright, in place, and at rest."""
-    o = simulation.options
+def _falls(simulation: Simulation, trajectories: Sequence[Trajectory]) -> Iterator[Check]:
+    """Check that the object balances, and that falls leave it upright, in place and at rest."""
+    o, size = simulation.options, float(np.linalg.norm(simulation.size))
     width, margin = support_polygon(simulation)
     if margin < 0:
-        # Pieces that reach the floor before it leans too far support it as well.
+        # Pieces that reach the floor before the object leans too far support it as well.
         lean = float(np.tan(np.radians(o.max_tilt_deg)) * np.linalg.norm(simulation.size[:2]) / 2)
         wider = support_polygon(simulation, lean)
         if wider[1] > margin:
             width, margin = wider
-    size = float(np.linalg.norm(simulation.size))
     rolls = width < ROUND * size and margin > -ROUND * size
     if rolls:
-        checks = [skipped("free_fall", "balance", "it is round below, or stands on points")]
+        yield skipped("free_fall", "balance", "its bottom is round, or it stands on points")
     else:
         # The best margin is that of the middle of the support polygon.
-        limit = Limit(threshold=0.0, unit="m", fault=Fault.OFF_BALANCE, least=True, best=width / 2)
-        checks = [judged("free_fall", "balance", margin, limit)]
-    upright = Limit(threshold=o.max_tilt_deg, unit="deg", fault=Fault.TOPPLES)
-    in_place = Limit(threshold=o.max_drift_m, unit="m", fault=Fault.DRIFTS)
-    on_floor = Limit(
-        threshold=o.drop_height_m + max(o.max_depth_m, 0.01 * size),
-        unit="m",
-        fault=Fault.SINKS_IN,
-        best=o.drop_height_m,
-    )
+        limit = Limit(0.0, "m", Fault.OFF_BALANCE, least=True, best=width / 2)
+        yield judged("free_fall", "balance", margin, limit)
+    upright = Limit(o.max_tilt_deg, "deg", Fault.TOPPLES)
+    in_place = Limit(o.max_drift_m, "m", Fault.DRIFTS)
+    drop = o.drop_height_m
+    on_floor = Limit(drop + max(o.max_depth_m, 0.01 * size), "m", Fault.SINKS_IN, best=drop)
     for trajectory in trajectories:
-        if trajectory.broke:
-            checks.append(diverged(trajectory))
+        if trajectory.diverged:
+            yield _diverged(trajectory)
             continue
         name, qpos = trajectory.scenario.name, trajectory.qpos
-        # A tilt sets a round thing rolling, and nothing on a level floor stops it.
+        # A tilted drop makes a round object roll, and nothing on a level floor stops it.
         tilted = name not in ("fall", "fall_high")
         if not (rolls and tilted):
-            checks.append(still(simulation, trajectory, name))
-        checks += quiet(simulation, trajectory, name)
+            speeds = np.linalg.norm(_settled(o, trajectory.qvel)[:, :3], axis=1)
+            limit = Limit(o.max_rest_speed, "m/s", Fault.RESTLESS)
+            yield _check(trajectory, f"resting_speed:{name}", speeds.min(), limit)
+        yield from _free_run(simulation, trajectory, name)
         if name == "fall":
             drift = np.linalg.norm(qpos[:, :2] - qpos[0, :2], axis=1)
             tilt = np.degrees(angle_between(qpos[:, 3:7], qpos[0, 3:7]))
-            checks += [
-                _largest(trajectory, "drift", drift, in_place),
-                _largest(trajectory, "tilt", tilt, upright),
-                _check(trajectory, "fall", qpos[0, 2] - qpos[-1, 2], on_floor),
-            ]
+            yield _largest(trajectory, "drift", drift, in_place)
+            yield _largest(trajectory, "tilt", tilt, upright)
+            yield _check(trajectory, "fall", qpos[0, 2] - qpos[-1, 2], on_floor)
         elif tilted and rolls:
-            checks.append(skipped("free_fall", name, "it is round below: a tilt rolls it"))
+            yield skipped("free_fall", name, "its bottom is round, so it rolls when tilted")
         elif tilted:
             lean = np.degrees(tilt_between(simulation.tilt, qpos[-1:, 3:7])[0])
-            checks.append(_check(trajectory, name, lean, upright))
-    return checks
+            yield _check(trajectory, name, lean, upright)
 
 
-def pushes(simulation: Simulation, trajectories: list[Trajectory]) -> list[Check]:
-    """Check that pushed objects neither diverge, nor sink in, nor gain energy after the push.
-
-    The result has one check of each name for each part, the worst over all pushes.
-    """
+def _pushes(simulation: Simulation, trajectories: Iterable[Trajectory]) -> Iterable[Check]:
+    """Return the checks of pushed objects, per part and name the worst over all pushes."""
     worst: dict[tuple[str | None, str], Check] = {}
-    rank = lambda c: (c.outcome == "FAIL", c.value if c.value is not None else np.inf)
+
+    def rank(check: Check) -> tuple[bool, float]:
+        return check.outcome == "FAIL", np.inf if check.value is None else check.value
+
     for trajectory in trajectories:
         part = trajectory.scenario.part
-        checks = [diverged(trajectory)]
-        if not trajectory.broke:
-            checks = quiet(simulation, trajectory, f"push:{part}")
+        checks = [_diverged(trajectory)]
+        if not trajectory.diverged:
+            checks = list(_free_run(simulation, trajectory, f"push:{part}"))
         for check in checks:
-            previous = worst.get((part, check.name))
-            if previous is None or rank(check) > rank(previous):
+            previous = worst.setdefault((part, check.name), check)
+            if rank(check) > rank(previous):
                 worst[part, check.name] = check
-    return list(worst.values())
+    return worst.values()
 
 
-def quiet(simulation: Simulation, trajectory: Trajectory, name: str) -> list[Check]:
-    """Check the resting depth, gain of energy and overshoot of joint limits of a free run."""
+def _free_run(simulation: Simulation, trajectory: Trajectory, name: str) -> Iterator[Check]:
+    """Check the resting depth, the gain of energy and the overshoot of joint limits of a run."""
     o, pushed = simulation.options, trajectory.scenario.part
-    limit = Limit(threshold=o.max_depth_m, unit="m", fault=Fault.SINKS_IN)
-    depth, part = resting_depth(simulation, trajectory)
-    checks = [_check(trajectory, f"resting_depth:{name}", depth, limit, part=part)]
-    # Over the largest extent: over a plate's height, the energy of soft contacts would be large.
+    depth, part = _resting_depth(simulation, trajectory)
+    limit = Limit(o.max_depth_m, "m", Fault.SINKS_IN)
+    yield _check(trajectory, f"resting_depth:{name}", depth, limit, part=part)
+    # Relative to the largest extent: relative to a plate's height, the energy of soft contacts
+    # would be large.
     weight = simulation.mass * G * float(simulation.size.max())
-    # A push adds energy; after it nothing may.
+    # A push adds energy; nothing may add energy after it.
     after = 0 if pushed is None else round(o.push_duration_s / o.timestep_s) + 1
     energy = trajectory.energy[after:]
     gain = float(np.max(energy - energy[0])) / weight if len(energy) else 0.0
-    limit = Limit(threshold=o.max_energy_gain, unit="", fault=Fault.GAINS_ENERGY)
-    checks.append(_check(trajectory, f"energy_gain:{name}", gain, limit, part=pushed))
-    excess, joint, time = overshoot(simulation, trajectory)
-    limit = Limit(threshold=o.max_overshoot, unit="of its range", fault=Fault.LIMIT_SOFT)
-    name = f"limit_overshoot:{name}"
-    checks.append(_check(trajectory, name, excess, limit, joint=joint, time=time))
-    return checks
+    limit = Limit(o.max_energy_gain, "", Fault.GAINS_ENERGY)
+    yield _check(trajectory, f"energy_gain:{name}", gain, limit, part=pushed)
+    yield _overshoot(simulation, trajectory, f"limit_overshoot:{name}")
 
 
-def still(simulation: Simulation, trajectory: Trajectory, name: str) -> Check:
-    """Check that the object has come to rest at the end of a run."""
-    o = simulation.options
-    last = trajectory.qvel[-max(1, round(SETTLED_S / o.timestep_s)) :, :3]
-    speed = float(np.linalg.norm(last, axis=1).min())
-    limit = Limit(threshold=o.max_rest_speed, unit="m/s", fault=Fault.RESTLESS)
-    return _check(trajectory, f"resting_speed:{name}", speed, limit)
-
-
-def released(simulation: Simulation, trajectory: Trajectory) -> list[Check]:
+def _release(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
     """Check that a released joint settles, stays still without forces, or loses its speed."""
     scenario, o = trajectory.scenario, simulation.options
-    if trajectory.broke:
-        return [diverged(trajectory)]
-    moving = simulation.joint_of(scenario)
-    at, dof = simulation.address(moving.name)
-    child, joint, span = moving.child, moving.name, moving.high - moving.low
-    alone = scenario.name.startswith(("still:", "coast:"))
-    if alone and moving.sprung:
-        return [skipped("joint_release", scenario.name, "a spring moves it", joint)]
-    if scenario.name.startswith("still:"):
-        movement = float(np.abs(trajectory.qpos[:, at] - trajectory.qpos[0, at]).max()) / span
-        limit = Limit(threshold=STIRRED, unit="of its range", fault=Fault.JOINT_MOVES_ITSELF)
-        return [_check(trajectory, scenario.name, movement, limit, part=child, joint=joint)]
-    if scenario.name.startswith("coast:"):
+    name, joint = scenario.name, simulation.joint_of(scenario)
+    position, dof = simulation.address(joint.name)
+    span = joint.high - joint.low
+    names = {"part": joint.child, "joint": joint.name}
+    kind = name.partition(":")[0]
+    if kind != "release" and joint.sprung:
+        yield skipped("joint_release", name, "a spring moves it", joint.name)
+    elif kind == "still":
+        q = trajectory.qpos[:, position]
+        limit = Limit(STIRRED, "of its range", Fault.JOINT_MOVES_ITSELF)
+        yield _check(trajectory, name, float(np.abs(q - q[0]).max()) / span, limit, **names)
+    elif kind == "coast":
         step = min(round(COASTED_S / o.timestep_s), len(trajectory.time) - 1)
-        loss = 1.0 - abs(float(trajectory.qvel[step, dof])) / abs(scenario.speeds[joint])
-        limit = Limit(threshold=o.min_loss, unit="of it", fault=Fault.JOINT_UNDAMPED, least=True)
-        return [
-            _check(trajectory, scenario.name, loss, limit, part=child, joint=joint, time=COASTED_S)
-        ]
-    checks = []
-    if span < 2 * np.pi - 1e-6:
-        last = np.abs(trajectory.qvel[-max(1, round(SETTLED_S / o.timestep_s)) :, dof])
-        speed = float(last.max()) * simulation.moment_arm(moving)
-        limit = Limit(threshold=JOINT_SPEED, unit="m/s", fault=Fault.RESTLESS)
-        checks.append(_check(trajectory, scenario.name, speed, limit, part=child, joint=joint))
-    excess, joint, time = overshoot(simulation, trajectory)
-    limit = Limit(threshold=o.max_overshoot, unit="of its range", fault=Fault.LIMIT_SOFT)
-    name = f"overshoot:{scenario.name}"
-    return [*checks, _check(trajectory, name, excess, limit, joint=joint, time=time)]
+        loss = 1.0 - abs(float(trajectory.qvel[step, dof])) / abs(scenario.speeds[joint.name])
+        limit = Limit(o.min_loss, "of it", Fault.JOINT_UNDAMPED, least=True)
+        yield _check(trajectory, name, loss, limit, **names, time=COASTED_S)
+    else:
+        if span < 2 * np.pi - 1e-6:
+            fastest = float(np.abs(_settled(o, trajectory.qvel)[:, dof]).max())
+            limit = Limit(JOINT_SPEED, "m/s", Fault.RESTLESS)
+            speed = fastest * simulation.moment_arm(joint)
+            yield _check(trajectory, name, speed, limit, **names)
+        yield _overshoot(simulation, trajectory, f"overshoot:{name}")
 
 
-def driven(simulation: Simulation, trajectory: Trajectory) -> Check:
-    """Check the share of its range that a driven joint reaches."""
-    if trajectory.broke:
-        return diverged(trajectory)
-    moving = simulation.joint_of(trajectory.scenario)
-    at, _ = simulation.address(moving.name)
-    reached = float(np.ptp(trajectory.qpos[:, at])) / (moving.high - moving.low)
-    limit = Limit(
-        threshold=simulation.options.min_mobility,
-        unit="of its range",
-        fault=Fault.JOINT_STUCK,
-        least=True,
-        best=1.0,
-    )
-    name = trajectory.scenario.name
-    return _check(trajectory, name, reached, limit, part=moving.child, joint=moving.name)
+def _drive(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
+    """Check the share of its range that a driven joint covers."""
+    scenario = trajectory.scenario
+    joint = simulation.joint_of(scenario)
+    q = trajectory.qpos[:, simulation.address(joint.name)[0]]
+    covered = float(np.ptp(q)) / (joint.high - joint.low)
+    least = simulation.options.min_mobility
+    limit = Limit(least, "of its range", Fault.JOINT_STUCK, least=True, best=1.0)
+    yield _check(trajectory, scenario.name, covered, limit, part=joint.child, joint=joint.name)
 
 
-def slid(simulation: Simulation, trajectory: Trajectory) -> Check:
+def _slope(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
     """Check the slope at which an object begins to slide, unless it topples or rolls before."""
     o, qpos = simulation.options, trajectory.qpos
-    if trajectory.broke:
-        return diverged(trajectory)
     kind, name = "tilt_until_slide", "slide"
     if on_wheels(simulation):
-        return skipped(kind, name, "it stands on wheels")
+        yield skipped(kind, name, "it stands on wheels")
+        return
     begin = round(STILL_S / o.timestep_s)
     sliding = np.linalg.norm(qpos[:, :2] - qpos[begin, :2], axis=1) > BEGINS_M
     leaning = np.degrees(angle_between(qpos[:, 3:7], qpos[begin, 3:7])) > 1.0
@@ -213,30 +188,32 @@ def slid(simulation: Simulation, trajectory: Trajectory) -> Check:
     first = int(np.argmax(sliding)) if sliding.any() else len(slope) - 1
     if leaning[: first + 1].any():
         degrees = slope[int(np.argmax(leaning))]
-        return skipped(kind, name, f"it topples or rolls at {degrees:.0f} degrees")
+        yield skipped(kind, name, f"it topples or rolls at {degrees:.0f} degrees")
+        return
     # The ground keeps tilting while the object slides this far: x = g rate t^3 / 6.
     rate = np.radians(STEEPEST_DEG) / (o.duration_s - TILT_FROM_S)
     delay = (6 * BEGINS_M / (G * rate)) ** (1 / 3)
     angle = max(float(slope[first]) - float(np.degrees(rate * delay)), 0.0)
     shallow = angle < o.min_slide_deg
-    limit = Limit(
-        threshold=o.min_slide_deg if shallow else o.max_slide_deg,
-        unit="deg",
-        fault=Fault.FRICTION_IMPLAUSIBLE,
-        least=shallow,
-    )
-    return _check(trajectory, name, angle, limit, time=trajectory.time[first])
+    threshold = o.min_slide_deg if shallow else o.max_slide_deg
+    limit = Limit(threshold, "deg", Fault.FRICTION_IMPLAUSIBLE, least=shallow)
+    yield _check(trajectory, name, angle, limit, time=trajectory.time[first])
 
 
-def diverged(trajectory: Trajectory) -> Check:
+def _diverged(trajectory: Trajectory) -> Check:
     """Return the failed check of a simulation that diverged."""
     scenario, time = trajectory.scenario, trajectory.time[-1] if len(trajectory.time) else 0.0
-    limit = Limit(threshold=0.0, unit="", fault=Fault.DIVERGES)
+    limit = Limit(0.0, "", Fault.DIVERGES)
     name, part, joint = f"finite:{scenario.name}", scenario.part, scenario.joint
     return _check(trajectory, name, float("nan"), limit, part=part, joint=joint, time=time)
 
 
-def resting_depth(simulation: Simulation, trajectory: Trajectory) -> tuple[float, str | None]:
+def _settled(options: VerifyOptions, values: NDArray) -> NDArray:
+    """Return the values [t, ...] of the last steps of a run, over which the object is at rest."""
+    return values[-max(1, round(SETTLED_S / options.timestep_s)) :]
+
+
+def _resting_depth(simulation: Simulation, trajectory: Trajectory) -> tuple[float, str | None]:
     """Return the deepest contact [m] at the end of a run, and its part; None without contact."""
     model, data = simulation.model, simulation.data
     data.qpos[:], data.qvel[:] = trajectory.qpos[-1], 0.0
@@ -249,25 +226,24 @@ def resting_depth(simulation: Simulation, trajectory: Trajectory) -> tuple[float
     return depth, body.split("-", 1)[-1] if "-" in body else simulation.spec.root
 
 
-def overshoot(simulation: Simulation, trajectory: Trajectory) -> tuple[float, str | None, float]:
-    """Return the largest excess over a joint's limits, over its range, the joint, and its time [s].
-
-    Ranges shorter than `SHORT_M` or `SHORT_RAD` count as that long.
-    """
+def _overshoot(simulation: Simulation, trajectory: Trajectory, name: str) -> Check:
+    """Check the largest excess over a joint's limits, relative to the joint's range."""
     model = simulation.model
+    limit = Limit(simulation.options.max_overshoot, "of its range", Fault.LIMIT_SOFT)
     single = model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)
     limited = np.flatnonzero(model.jnt_limited.astype(bool) & single)
     if not len(limited):
-        return 0.0, None, 0.0
+        return _check(trajectory, name, 0.0, limit)
     q = trajectory.qpos[:, model.jnt_qposadr[limited]]
     low, high = model.jnt_range[limited].T
-    # Limits are soft: in a short range a millimetre must not count more than in a usual one.
+    # Limits are soft: a millimetre must not count more in a short range than in a usual one.
     sliding = model.jnt_type[limited] == int(mujoco.mjtJoint.mjJNT_SLIDE)
     span = np.maximum(high - low, np.where(sliding, SHORT_M, SHORT_RAD))
-    over = np.maximum(low - q, q - high) / span
-    step, joint = np.unravel_index(int(np.argmax(over)), over.shape)
-    name = model.joint(int(limited[joint])).name.split("-", 1)[-1]
-    return max(float(over[step, joint]), 0.0), name, float(trajectory.time[step])
+    excess = np.maximum(low - q, q - high) / span
+    step, index = np.unravel_index(int(np.argmax(excess)), excess.shape)
+    joint = model.joint(int(limited[index])).name.split("-", 1)[-1]
+    value, time = max(float(excess[step, index]), 0.0), float(trajectory.time[step])
+    return _check(trajectory, name, value, limit, joint=joint, time=time)
 
 
 def _check(

@@ -5,7 +5,7 @@ runs all scenarios of an object in one batch. `PRESETS` names the paper's two st
 (Section 3.2, Step 3).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -27,9 +27,11 @@ DIRECTIONS = {
     "+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1),
     "-z": (0, 0, -1),
 }  # fmt: skip
-
-
-_DRIVES: tuple[tuple[str, World], ...] = (("drive", "weightless"), ("drive_loaded", "held"))
+PRESETS: dict[str, tuple[str, ...]] = {
+    "free_fall": ("fall",),
+    "force_perturbation": tuple(f"push:*:{name}" for name in (*DIRECTIONS, "twist")),
+}
+"""The paper's standard scenarios: names of the scenarios that each consists of; * is any part."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ class Scenario:
     joints: dict[str, float] = field(default_factory=dict)
     """Initial joint positions [rad or m]."""
     propped: frozenset[str] = frozenset()
-    """Joints that are held at their initial positions, such as the door of a rack that moves."""
+    """Joints held at their initial positions, such as the door of a cabinet whose rack moves."""
     speeds: dict[str, float] = field(default_factory=dict)
     """Initial joint velocities [rad/s or m/s]."""
     part: str | None = None
@@ -62,8 +64,8 @@ class Scenario:
 
 
 @dataclass(frozen=True)
-class Moving:
-    """A joint with one value that follows no other, as scenarios need it."""
+class SingleJoint:
+    """A joint with one value that follows no other joint."""
 
     name: str
     child: str
@@ -71,117 +73,88 @@ class Moving:
     high: float
     """Limits `low` and `high` [rad or m]; one turn for a continuous joint."""
     sprung: bool = False
+    """True if it has stiffness."""
     opened: dict[str, float] = field(default_factory=dict)
-    """Open positions of the joints that it waits for [rad or m]."""
-
-    @property
-    def middle(self) -> float:
-        """Middle of its range [rad or m]."""
-        return (self.low + self.high) / 2
+    """Open positions of the joints that must open before it moves [rad or m]."""
 
 
 def list_scenarios(
-    parts: list[str], joints: list[Moving], options: VerifyOptions, *, fixed_base: bool
+    parts: list[str], joints: list[SingleJoint], options: VerifyOptions, *, fixed_base: bool
 ) -> list[Scenario]:
     """List all scenarios of an object.
 
     Args:
         parts: one part of each group that moves together, the root first.
         joints: joints that follow no other.
-        options: heights, impulses.
-        fixed_base: whether the base is fixed; then the scenarios are those of its joints.
+        options: heights and impulses.
+        fixed_base: True if the base is fixed; then only the scenarios of the joints are listed.
     """
-    scenarios = [] if fixed_base else [*falls(options), *pushes(parts, options), slope()]
+    slope = Scenario("tilt_until_slide", "slope", "gripping", height=1e-4, slope=True)
+    scenarios = [] if fixed_base else [*_falls(options), *_pushes(parts, options), slope]
     for joint in joints:
-        scenarios += releases(joint)
-        scenarios += drives(joint)
+        scenarios += [*_releases(joint), *_drives(joint)]
     return scenarios
 
 
-def falls(options: VerifyOptions) -> list[Scenario]:
+def _falls(options: VerifyOptions) -> list[Scenario]:
     """Return free falls: from a small height, from a greater one, and tilted about x and y."""
-    lean = np.radians(options.drop_tilt_deg)
+    lean = float(np.radians(options.drop_tilt_deg))
     low, high = options.drop_height_m, options.high_drop_m
     return [
         Scenario("free_fall", "fall", "free", height=low),
         Scenario("free_fall", "fall_high", "free", height=high),
-        Scenario("free_fall", "fall_tilted_x", "free", height=low, tilt=(float(lean), 0.0)),
-        Scenario("free_fall", "fall_tilted_y", "free", height=low, tilt=(0.0, float(lean))),
+        Scenario("free_fall", "fall_tilted_x", "free", height=low, tilt=(lean, 0.0)),
+        Scenario("free_fall", "fall_tilted_y", "free", height=low, tilt=(0.0, lean)),
     ]
 
 
-def pushes(parts: list[str], options: VerifyOptions) -> list[Scenario]:
+def _pushes(parts: list[str], options: VerifyOptions) -> list[Scenario]:
     """Return force perturbations: pushes in six directions and a twist on each part."""
     speed = options.impulse_ns_per_kg
     scenarios = []
     for part in parts:
-        for name, direction in DIRECTIONS.items():
-            x, y, z = (speed * d for d in direction)
-            scenarios.append(
-                Scenario(
-                    "force_perturbation", f"push:{part}:{name}", "free", height=1e-4, part=part,
-                    impulse=(x, y, z),
-                )
-            )  # fmt: skip
-        name = f"push:{part}:twist"
-        scenarios.append(
-            Scenario("force_perturbation", name, "free", height=1e-4, part=part, twist=3 * speed)
-        )
+        push = Scenario("force_perturbation", f"push:{part}:", "free", height=1e-4, part=part)
+        for name, (x, y, z) in DIRECTIONS.items():
+            impulse = (speed * x, speed * y, speed * z)
+            scenarios.append(replace(push, name=push.name + name, impulse=impulse))
+        scenarios.append(replace(push, name=f"{push.name}twist", twist=3 * speed))
     return scenarios
 
 
-def releases(joint: Moving) -> list[Scenario]:
+def _releases(joint: SingleJoint) -> list[Scenario]:
     """Return releases of a joint: at both limits and the middle, weightless, and coasting."""
-    scenarios = [
+    middle = (joint.low + joint.high) / 2
+    # Without losses the coasting joint reaches the end of its range in one second.
+    speed = (joint.high - joint.low) / 2
+    runs: list[tuple[str, World, float, dict[str, float]]] = [
+        (f"release:{joint.name}:low", "held", joint.low, {}),
+        (f"release:{joint.name}:middle", "held", middle, {}),
+        (f"release:{joint.name}:high", "held", joint.high, {}),
+        (f"still:{joint.name}", "weightless", middle, {}),
+        (f"coast:{joint.name}", "weightless", middle, {joint.name: speed}),
+    ]
+    return [
         Scenario(
-            "joint_release", f"release:{joint.name}:{where}", "held", joint=joint.name,
-            joints={**joint.opened, joint.name: value}, propped=frozenset(joint.opened),
+            "joint_release", name, world, joint=joint.name, speeds=speeds,
+            joints={**joint.opened, joint.name: position}, propped=frozenset(joint.opened),
         )
-        for where, value in (("low", joint.low), ("middle", joint.middle), ("high", joint.high))
+        for name, world, position, speeds in runs
     ]  # fmt: skip
-    middle = {**joint.opened, joint.name: joint.middle}
-    propped = frozenset(joint.opened)
-    scenarios.append(
-        Scenario(
-            "joint_release", f"still:{joint.name}", "weightless", joints=middle, joint=joint.name,
-            propped=propped,
-        )
-    )  # fmt: skip
-    # Without losses it would reach the end of its range in one second.
-    speed = {joint.name: (joint.high - joint.low) / 2}
-    scenarios.append(
-        Scenario(
-            "joint_release", f"coast:{joint.name}", "weightless", joints=middle, speeds=speed,
-            joint=joint.name, propped=propped,
-        )
-    )  # fmt: skip
-    return scenarios
 
 
-def drives(joint: Moving) -> list[Scenario]:
-    """Return drives of a joint up its range and down again, with and without gravity."""
+def _drives(joint: SingleJoint) -> list[Scenario]:
+    """Return drives of a joint up its range and down again, without and with gravity."""
+    worlds: dict[str, World] = {"drive": "weightless", "drive_loaded": "held"}
     return [
         Scenario(
             "joint_drive", f"{name}:{joint.name}", world, joint=joint.name, driven=True,
             joints={**joint.opened, joint.name: joint.low}, propped=frozenset(joint.opened),
         )
-        for name, world in _DRIVES
+        for name, world in worlds.items()
     ]  # fmt: skip
 
 
-def slope() -> Scenario:
-    """Return the scenario in which the ground tilts until the object slides."""
-    return Scenario("tilt_until_slide", "slope", "gripping", height=1e-4, slope=True)
-
-
 def slope_at(time: NDArray, duration: float) -> NDArray:
-    """Return the angle of the ground [t] rad at times [t] s of a run that takes `duration` s."""
+    """Return the angle of the ground [t] rad at times [t] s of a run of length `duration` [s]."""
     share = np.clip((time - TILT_FROM_S) / (duration - TILT_FROM_S), 0.0, 1.0)
     return np.radians(STEEPEST_DEG) * share
-
-
-PRESETS: dict[str, tuple[str, ...]] = {
-    "free_fall": ("fall",),
-    "force_perturbation": tuple(f"push:*:{name}" for name in (*DIRECTIONS, "twist")),
-}
-"""The paper's standard scenarios: names of the scenarios that each consists of; * is any part."""

@@ -1,12 +1,13 @@
-"""Simulate an object: one model for all of its scenarios, rolled out as one batch.
+"""Simulation of an object: all of its scenarios are rolled out as one batch.
 
-The models of a batch differ in the values of their fields alone, so an object can be free, held or
-weightless: a large armature holds its base. The floor has no friction; MuJoCo takes the larger
-friction of two geoms, here the object's.
+The models of a batch differ only in the values of their fields, so the same object can be free,
+held or weightless: a large armature holds its base. The floor has no friction; MuJoCo takes the
+larger friction of two geoms, here the object's.
 """
 
 import contextlib
 import copy
+import itertools
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,13 +23,13 @@ from ..spec import JointSpec, ObjectSpec, Quat, bounds, joint_value, part_bounds
 from ..spec.kinematics import welded
 from ..spec.opening import prerequisite_state
 from ..spec.pose import IDENTITY, from_axis_angle, quat_mul
-from .scenarios import SINGLE, STILL_S, Moving, Scenario, World, slope_at
+from .scenarios import SINGLE, STILL_S, Scenario, SingleJoint, World, slope_at
 
-FLOOR = "floor_of_the_trial"
+FLOOR = "test_floor"
 HOLDING_MASS = 1e6
-"""Effective mass of a held base or joint, over its own."""
+"""Effective mass of a held base or joint, relative to its own."""
 CONTROL_BYTES = 64 << 20
-"""Largest memory for the forces of a batch; further scenarios are rolled out after it."""
+"""Memory limit for the forces of a batch; the remaining scenarios go to the next batch."""
 G = 9.81
 FORCES = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED) | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
 _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
@@ -46,9 +47,8 @@ class Trajectory:
     qvel: NDArray
     """[t, nv]"""
     energy: NDArray
-    """[t] J."""
-    broke: bool
-    """Whether the simulation diverged."""
+    """[t] J"""
+    diverged: bool
 
 
 class Simulation:
@@ -57,7 +57,7 @@ class Simulation:
     Args:
         spec: the object.
         options: time step and duration.
-        tilt: its resting orientation, to which scenarios add their tilt.
+        tilt: its resting orientation; scenarios add their tilt to it.
         joint_state: positions [rad or m] of joints that a scenario does not set.
     """
 
@@ -77,8 +77,8 @@ class Simulation:
             mjspec.add_sensor(name=kind.name, type=kind)
         free = mjspec.compile()
         free.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        # Soft dry friction creeps, so that a stuck joint would seem to move. Where damping stops a
-        # joint within a step, however, stiff friction would drive it.
+        # Soft dry friction creeps, so a stuck joint would appear to move. But where damping stops a
+        # joint within one step, stiff friction would drive it.
         damping = free.dof_damping.reshape(free.nv, -1)[:, 0]
         free.dof_solimp[options.timestep_s * damping < free.dof_M0, :2] = 0.9999
         self._propped: dict[tuple[World, frozenset[str]], mujoco.MjModel] = {}
@@ -89,37 +89,35 @@ class Simulation:
         low, high = bounds(spec, self.state, tilt)
         self.size = high - low
         self.models = self._worlds(free)
-        self.joints = [self._moving(j) for j in spec.joints if j.type in SINGLE and not j.mimic]
+        self.joints = [
+            _single_joint(spec, joint)
+            for joint in spec.joints
+            if joint.type in SINGLE and not joint.mimic
+        ]
         group = welded(spec)
-        self.groups = [p.name for p, _ in spec.ordered if group[p.name] == p.name]
+        self.groups = [part.name for part, _ in spec.ordered if group[part.name] == part.name]
 
     def _worlds(self, free: mujoco.MjModel) -> dict[World, mujoco.MjModel]:
-        """Return copies of the model of the free object for each world."""
+        """Return the model of each world, given that of the free object."""
         held = copy.copy(free)
         held.geom_contype[self.floor] = held.geom_conaffinity[self.floor] = 0
         heavy = np.repeat([1.0, float(self.size @ self.size)], 3) * self.mass * HOLDING_MASS
         held.dof_armature[:6] = heavy
         mujoco.mj_setConst(held, mujoco.MjData(held))
-        # At MuJoCo's default tolerance a part of a few grams on so heavy a base would jitter.
+        # At MuJoCo's default tolerance, a part of a few grams on such a heavy base would jitter.
         held.opt.tolerance = 1e-15
         weightless = copy.copy(held)
         weightless.opt.gravity[:] = 0.0
-        # By default contacts creep under a steady force; on the slope they must stick until they
+        # By default, contacts creep under a steady force; on the slope they must stick until they
         # slide.
         gripping = copy.copy(free)
         gripping.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         gripping.opt.impratio = 100.0
         return {"free": free, "held": held, "weightless": weightless, "gripping": gripping}
 
-    def _moving(self, joint: JointSpec) -> Moving:
-        turns = joint.type == "continuous"
-        low, high = (-np.pi, np.pi) if turns else (joint.lower, joint.upper)
-        opened = prerequisite_state(self.spec, joint)
-        return Moving(joint.name, joint.child, float(low), float(high), joint.stiffness > 0, opened)
-
     @property
     def model(self) -> mujoco.MjModel:
-        """Model in which the object is free."""
+        """The model of the free object."""
         return self.models["free"]
 
     def model_of(self, scenario: Scenario) -> mujoco.MjModel:
@@ -129,18 +127,18 @@ class Simulation:
         key = (scenario.world, scenario.propped)
         if key not in self._propped:
             model = copy.copy(self.models[scenario.world])
-            data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+            data = mujoco.MjData(model)
             mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
             mujoco.mj_forward(model, data)
-            mujoco.mj_fullM(model, data, full)
+            inertia = np.diag(_mass_matrix(model, data))
             for joint in scenario.propped:
                 _, dof = self.address(joint)
-                model.dof_armature[dof] += HOLDING_MASS * full[dof, dof]
+                model.dof_armature[dof] += HOLDING_MASS * inertia[dof]
             mujoco.mj_setConst(model, mujoco.MjData(model))
             self._propped[key] = model
         return self._propped[key]
 
-    def joint_of(self, scenario: Scenario) -> Moving:
+    def joint_of(self, scenario: Scenario) -> SingleJoint:
         """Return the joint that a scenario releases or drives."""
         return next(joint for joint in self.joints if joint.name == scenario.joint)
 
@@ -153,13 +151,9 @@ class Simulation:
         """Return the initial state of a scenario, in the layout of `mj_getState`."""
         model, data = self.model_of(scenario), self.data
         mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
-        quat = quat_mul(
-            quat_mul(
-                from_axis_angle((1, 0, 0), scenario.tilt[0]),
-                from_axis_angle((0, 1, 0), scenario.tilt[1]),
-            ),
-            self.tilt,
-        )
+        about_x, about_y = scenario.tilt
+        lean = quat_mul(from_axis_angle((1, 0, 0), about_x), from_axis_angle((0, 1, 0), about_y))
+        quat = quat_mul(lean, self.tilt)
         state = {**self.state, **scenario.joints}
         low, _ = bounds(self.spec, state, tuple(quat.tolist()))
         data.qpos[:3] = [0.0, 0.0, scenario.height - low[2]]
@@ -167,14 +161,14 @@ class Simulation:
         for joint in self.spec.joints:
             if joint.type not in SINGLE:
                 continue
-            at, dof = self.address(joint.name)
+            position, dof = self.address(joint.name)
             value = joint_value(self.spec, joint, state)
             if joint.type != "continuous" and joint.mimic is None:
-                # From beyond its limit a joint would start with a jerk.
+                # From beyond its limit, a joint would start with a jerk.
                 value = float(np.clip(value, joint.lower, joint.upper))
-            data.qpos[at] = value
+            data.qpos[position] = value
             if scenario.speeds:
-                # The value of a follower has an offset, its speed has none.
+                # The value of a mimic joint has an offset, its speed has none.
                 offset = joint_value(self.spec, joint, {})
                 data.qvel[dof] = joint_value(self.spec, joint, scenario.speeds) - offset
         packed = np.zeros(mujoco.mj_stateSize(model, _STATE))
@@ -192,18 +186,18 @@ class Simulation:
             mujoco.mj_setState(model, data, start, _STATE)
             mujoco.mj_forward(model, data)
         if scenario.part is not None:
-            b = model.body(body_name(self.spec, scenario.part)).id
-            mass = float(model.body_subtreemass[b])
-            pushed = time < o.push_duration_s
-            body[pushed, b, :3] = np.array(scenario.impulse) * mass / o.push_duration_s
+            pushed, during = model.body(body_name(self.spec, scenario.part)).id, o.push_duration_s
+            mass = float(model.body_subtreemass[pushed])
+            body[time < during, pushed, :3] = np.array(scenario.impulse) * mass / during
             if scenario.twist:
-                inertia = self._about_vertical(b)
-                body[pushed, b, 5] = scenario.twist * inertia / o.push_duration_s
+                torque = scenario.twist * self._inertia_about_vertical(pushed) / during
+                body[time < during, pushed, 5] = torque
         if scenario.driven and scenario.joint is not None:
             _, dof = self.address(scenario.joint)
+            force = self.drive_force(scenario)
             half = STILL_S + (o.duration_s - STILL_S) / 2
-            joint[(time >= STILL_S) & (time < half), dof] = self.drive_force(scenario)
-            joint[time >= half, dof] = -self.drive_force(scenario)
+            joint[(time >= STILL_S) & (time < half), dof] = force
+            joint[time >= half, dof] = -force
         if scenario.slope:
             angle = slope_at(time, o.duration_s)
             pull = np.zeros((steps, 3))
@@ -211,7 +205,7 @@ class Simulation:
             body[:, self.root :, :3] = pull[:, None] * model.body_mass[self.root :, None]
         return np.concatenate([joint, body.reshape(steps, -1)], axis=1)
 
-    def _about_vertical(self, body: int) -> float:
+    def _inertia_about_vertical(self, body: int) -> float:
         """Return the inertia [kg m^2] of a body's subtree about the vertical."""
         model, data, total = self.model, self.data, 0.0
         centre = data.subtree_com[body]
@@ -221,107 +215,101 @@ class Simulation:
                 below.add(b)
                 arm = data.xipos[b] - centre
                 turn = data.ximat[b].reshape(3, 3)
-                own = float((turn[2] ** 2) @ model.body_inertia[b])
-                total += own + float(model.body_mass[b]) * float(arm[:2] @ arm[:2])
+                about_centre = float((turn[2] ** 2) @ model.body_inertia[b])
+                total += about_centre + float(model.body_mass[b]) * float(arm[:2] @ arm[:2])
         return total
 
     def drive_force(self, scenario: Scenario) -> float:
-        """Return the force [N] or torque [N m] with which a hand would drive a joint.
+        """Return the force [N] or torque [N m] with which a hand drives a joint.
 
-        It suffices to cross the range in `joint_push_s` against losses and weight, but is at most
-        that of a hand at the child's far end.
+        It suffices to cross the range in `joint_push_s` against losses and weight, up to the force
+        of a hand at the far end of the child.
         """
         model, o = self.model_of(scenario), self.options
-        moving = self.joint_of(scenario)
-        at, dof = self.address(moving.name)
+        joint = self.joint_of(scenario)
+        position, dof = self.address(joint.name)
         data = mujoco.MjData(model)
         load, inertia = 0.0, 0.0
-        for value in np.linspace(moving.low, moving.high, 5):
+        for value in np.linspace(joint.low, joint.high, 5):
             data.qpos[:] = model.key_qpos[0]
-            for joint in scenario.propped:
-                data.qpos[self.address(joint)[0]] = scenario.joints[joint]
-            data.qpos[at] = value
+            for propped in scenario.propped:
+                data.qpos[self.address(propped)[0]] = scenario.joints[propped]
+            data.qpos[position] = value
             mujoco.mj_forward(model, data)
-            full = np.zeros((model.nv, model.nv))
-            mujoco.mj_fullM(model, data, full)
-            inertia = max(inertia, float(full[dof, dof]))
+            inertia = max(inertia, float(_mass_matrix(model, data)[dof, dof]))
             load = max(load, abs(float(data.qfrc_bias[dof])))
-        span = moving.high - moving.low
+        span = joint.high - joint.low
         need = 2 * inertia * span / o.joint_push_s**2 + 2 * float(model.dof_frictionloss[dof])
         need += float(model.dof_damping[dof].sum()) * span / o.joint_push_s + 1.5 * load
         # Springs and contacts need more.
         need = max(2 * need, 1e-9)
-        child = model.body(body_name(self.spec, moving.child)).id
+        child = model.body(body_name(self.spec, joint.child)).id
         weight = G * float(model.body_subtreemass[child])
-        return min(need, self.moment_arm(moving) * (o.hand_force_n + 0.5 * weight) + load)
+        return min(need, self.moment_arm(joint) * (o.hand_force_n + 0.5 * weight) + load)
 
-    def moment_arm(self, moving: Moving) -> float:
+    def moment_arm(self, single: SingleJoint) -> float:
         """Return the distance [m] from a joint's axis to the far end of the parts that it moves.
 
-        It is 1 for a joint that slides.
+        It is 1 for a sliding joint.
         """
-        joint = self.spec.joint(moving.name)
+        joint = self.spec.joint(single.name)
         if joint.type == "prismatic":
             return 1.0
         moved = {joint.child}
-        for part, carrier in self.spec.ordered:
-            if carrier is not None and carrier.parent in moved:
+        for part, support in self.spec.ordered:
+            if support is not None and support.parent in moved:
                 moved.add(part.name)
-        boxes = [part_bounds(self.spec, self.spec.part(name)) for name in moved]
-        low = np.min([box[0] for box in boxes], axis=0)
-        high = np.max([box[1] for box in boxes], axis=0)
-        corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1])
-                            for z in (low[2], high[2])])  # fmt: skip
+        boxes = np.array([part_bounds(self.spec, self.spec.part(name)) for name in moved])
+        low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+        corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
         arm = corners - np.array(joint.pos)
         arm -= np.outer(arm @ np.array(joint.axis), joint.axis)
         return max(float(np.linalg.norm(arm, axis=1).max()), 0.01)
 
     def run(self, scenarios: Sequence[Scenario], threads: int = 0) -> list[Trajectory]:
-        """Roll out all scenarios, in one batch unless their forces take too much memory."""
+        """Roll out all scenarios, in one batch unless their forces need too much memory."""
         threads = threads or os.cpu_count() or 1
         steps = round(self.options.duration_s / self.options.timestep_s)
-        bytes_per_run = 8 * steps * (self.model.nv + 6 * self.model.nbody)
-        chunk = max(1, CONTROL_BYTES // bytes_per_run)
-        trajectories: list[Trajectory] = []
+        size = max(1, CONTROL_BYTES // (8 * steps * (self.model.nv + 6 * self.model.nbody)))
         data = [mujoco.MjData(self.model) for _ in range(threads)]
+        trajectories: list[Trajectory] = []
         with without_warnings(), rollout.Rollout(nthread=threads) as pool:
-            for first in range(0, len(scenarios), chunk):
-                batch = scenarios[first : first + chunk]
+            for first in range(0, len(scenarios), size):
+                batch = scenarios[first : first + size]
                 starts = np.array([self.start(scenario) for scenario in batch])
-                forces = np.array(
-                    [
-                        self.forces(scenario, start)
-                        for scenario, start in zip(batch, starts, strict=True)
-                    ]
-                )
+                forces = np.array([self.forces(*run) for run in zip(batch, starts, strict=True)])
                 models = [self.model_of(scenario) for scenario in batch]
-                states, sensed = pool.rollout(
+                states, energies = pool.rollout(
                     models, data, starts, forces, control_spec=FORCES, nstep=steps
                 )
-                trajectories += [
-                    self._trajectory(scenario, *recorded)
-                    for scenario, *recorded in zip(
-                        batch, np.array(states), np.array(sensed), strict=True
-                    )
-                ]
+                recorded = zip(batch, np.array(states), np.array(energies), strict=True)
+                trajectories += [self._trajectory(*run) for run in recorded]
         return trajectories
 
-    def _trajectory(self, scenario: Scenario, state: NDArray, sensed: NDArray) -> Trajectory:
-        nq, nv = self.model.nq, self.model.nv
-        time = state[:, 0]
-        good = np.asarray(np.isfinite(state).all(axis=1) & np.isfinite(sensed).all(axis=1))
+    def _trajectory(self, scenario: Scenario, state: NDArray, energies: NDArray) -> Trajectory:
+        time, qpos, qvel = np.split(state, [1, 1 + self.model.nq], axis=1)
+        good = np.isfinite(state).all(axis=1) & np.isfinite(energies).all(axis=1)
         # MuJoCo fills the rest of a diverged run with its last state, where time stands still.
-        good[1:] &= np.diff(time) > 0
-        good = np.logical_and.accumulate(good)
-        n = int(good.sum())
+        good[1:] &= np.diff(time[:, 0]) > 0
+        n = int(np.logical_and.accumulate(good).sum())
+        qvel = qvel[:n, : self.model.nv]
         return Trajectory(
-            scenario,
-            time[:n],
-            state[:n, 1 : 1 + nq],
-            state[:n, 1 + nq : 1 + nq + nv],
-            sensed[:n].sum(axis=1),
-            n < len(time),
+            scenario, time[:n, 0], qpos[:n], qvel, energies[:n].sum(axis=1), n < len(time)
         )
+
+
+def _single_joint(spec: ObjectSpec, joint: JointSpec) -> SingleJoint:
+    turns = joint.type == "continuous"
+    low, high = (-np.pi, np.pi) if turns else (float(joint.lower), float(joint.upper))
+    opened = prerequisite_state(spec, joint)
+    return SingleJoint(joint.name, joint.child, low, high, joint.stiffness > 0, opened)
+
+
+def _mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray:
+    """Return the joint-space inertia [nv, nv] in the state of `data`."""
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    return full
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""The support polygon of a resting object: its width, and the margin of the centre of mass."""
+"""Support polygon of a resting object: its width, and the margin of the centre of mass."""
 
 import mujoco
 import numpy as np
@@ -94,7 +94,7 @@ def _distance_to_segment(points: NDArray, centre: NDArray) -> float:
 
 
 def on_wheels(simulation: Simulation) -> bool:
-    """Tell whether a part that turns without end touches the floor."""
+    """Return True if a part on a continuous joint touches the floor."""
     data, model = simulation.data, simulation.model
     data.qpos[:], data.qvel[:] = model.key_qpos[0], 0.0
     low, _ = bounds(simulation.spec, simulation.state, tuple(simulation.tilt.tolist()))

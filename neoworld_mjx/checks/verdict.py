@@ -1,10 +1,11 @@
-"""Checks with numbers, the closed list of faults, and the verdict on an object."""
+"""The result of an object's tests: checks with numbers, the faults they report, and the verdict."""
 
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import AliasChoices, ConfigDict, Field
 
 from ..spec import Spec
 
@@ -22,7 +23,7 @@ ScenarioKind = Literal[
 
 
 class Fault(StrEnum):
-    """Faults that the battery reports, likely causes before symptoms."""
+    """Faults that the object tests report, likely causes before symptoms."""
 
     COLLIDER_LARGE = "collider_large"
     COLLIDER_MISSING = "collider_missing"
@@ -51,49 +52,53 @@ class Fault(StrEnum):
     RESTLESS = "restless"
 
 
-DOUBT = 0.8
+BORDERLINE = 0.8
 """Share of the distance from the best value to the threshold beyond which a passing value is
-doubtful: another time step or processor, or a little more load, changes such values by a fifth."""
-RANK = {fault: place for place, fault in enumerate(Fault)}
-"""Order in which one fault explains another; the first is reported as the cause."""
+borderline: a different time step or processor, or a small added load, changes it by about 20 %."""
 
 HINTS: dict[Fault, str] = {
     Fault.INERTIA_IMPOSSIBLE: "recompute the inertia from volume and density",
-    Fault.MASS_IMPLAUSIBLE: "leave the mass to volume and density, or make the part hollow",
-    Fault.JOINT_TYPE: "give the joint the type that it is meant to have",
-    Fault.AXIS_REVERSED: "reverse the axis: positive opens",
-    Fault.COLLIDER_MISSING: "let what is seen collide as well",
-    Fault.COLLIDER_LARGE: "shrink the colliders to what is seen",
-    Fault.PART_DETACHED: "move the part to what its joint attaches it to",
+    Fault.MASS_IMPLAUSIBLE: "derive the mass from volume and density, or make the part hollow",
+    Fault.JOINT_TYPE: "give the joint its declared type",
+    Fault.AXIS_REVERSED: "reverse the axis: positive values open the joint",
+    Fault.COLLIDER_MISSING: "add colliders that cover the visible shape",
+    Fault.COLLIDER_LARGE: "shrink the colliders to the visible shape",
+    Fault.PART_DETACHED: "move the part until it touches the parent of its joint",
     Fault.PARTS_OVERLAP: "move the parts apart, or shrink their colliders",
-    Fault.PIVOT_OFF: "put the pivot on the edge that both parts share",
-    Fault.JOINT_INTO_PART: "check axis and sign; it runs into another part at once",
-    Fault.LIMIT_INTO_PART: "cut the limits to the range that is free",
-    Fault.RANGE_CONFLICT: "leave room for several joints that are open at once",
-    Fault.LIMITS_NARROW: "widen the limits to the range that the thing has",
-    Fault.OFF_BALANCE: "bring the centre of mass over the base, or widen the base",
+    Fault.PIVOT_OFF: "move the pivot to the edge that the two parts share",
+    Fault.JOINT_INTO_PART: "check the axis and its sign: the joint collides right away",
+    Fault.LIMIT_INTO_PART: "reduce the limits to the collision-free range",
+    Fault.RANGE_CONFLICT: "leave clearance for several joints that are open at once",
+    Fault.LIMITS_NARROW: "widen the limits to the real object's range",
+    Fault.OFF_BALANCE: "move the centre of mass over the base, or widen the base",
     Fault.FRICTION_IMPLAUSIBLE: "give the surface the friction of its material, 0.1 to 1.2",
     Fault.JOINT_UNDAMPED: "give the joint damping or dry friction",
-    Fault.JOINT_STUCK: "lower friction, damping or stiffness, or free the joint's way",
-    Fault.JOINT_MOVES_ITSELF: "colliders press on it: leave them air",
-    Fault.LIMIT_SOFT: "lower mass or speed, or widen the limits",
+    Fault.JOINT_STUCK: "reduce friction, damping or stiffness, or clear the joint's path",
+    Fault.JOINT_MOVES_ITSELF: "leave clearance around the colliders that push the joint",
+    Fault.LIMIT_SOFT: "reduce mass or speed, or widen the limits",
     Fault.DIVERGES: "check masses, inertias and overlapping colliders",
-    Fault.GAINS_ENERGY: "colliders overlap or joints fight",
+    Fault.GAINS_ENERGY: "look for overlapping colliders or joints that work against each other",
     Fault.SINKS_IN: "check mass and colliders",
     Fault.TOPPLES: "lower the centre of mass or widen the base",
     Fault.DRIFTS: "widen or flatten the base",
-    Fault.RESTLESS: "add damping; look for colliders that fight",
+    Fault.RESTLESS: "add damping; look for colliders that push against each other",
 }
 
 
 class Check(Spec):
-    """Result of one check, with the number that decided it."""
+    """Result of one check, with the number that decides it."""
+
+    model_config = ConfigDict(serialize_by_alias=True)
 
     scenario: ScenarioKind
     name: str
     outcome: Outcome
-    doubtful: bool = False
-    """Whether it passed close to its threshold."""
+    borderline: bool = Field(
+        default=False,
+        validation_alias=AliasChoices("borderline", "doubtful"),
+        serialization_alias="doubtful",
+    )
+    """True if it passes close to its threshold."""
     fault: Fault | None = None
     """The fault of a failed check."""
     value: float | None = None
@@ -106,8 +111,13 @@ class Check(Spec):
     at: float | None = None
     """Position of the joint at the worst value [rad or m]."""
     evidence: str = ""
-    """The run or pose that shows the value, in words; key frames of a run can be drawn."""
+    """Description of the run or pose that shows the value."""
     hint: str = ""
+
+    @property
+    def failed(self) -> bool:
+        """True if it failed or could not be evaluated."""
+        return self.outcome in ("FAIL", "TOOL_FAILURE")
 
     @property
     def margin(self) -> float:
@@ -118,8 +128,7 @@ class Check(Spec):
             return 0.0
         if self.value is None or not self.threshold:
             return 1.0
-        ratio = abs(self.value - self.threshold) / abs(self.threshold)
-        return float(min(ratio, 9.0))
+        return float(min(abs(self.value - self.threshold) / abs(self.threshold), 9.0))
 
 
 class Verdict(Spec):
@@ -127,57 +136,60 @@ class Verdict(Spec):
 
     object: str
     passed: bool
-    """Whether every check ran and none failed."""
+    """True if every check ran and none failed."""
     mass_kg: float
     battery: str = ""
-    """Version of the battery."""
+    """Version of the object tests."""
     checks: tuple[Check, ...]
 
     @property
     def faults(self) -> tuple[Fault, ...]:
-        """Each fault that a check reports, once, causes first."""
-        reported = {check.fault for check in self.checks if check.fault is not None}
-        return tuple(sorted(reported, key=RANK.__getitem__))
+        """Faults that the checks report, causes first."""
+        reported = {check.fault for check in self.checks}
+        return tuple(fault for fault in Fault if fault in reported)
 
     @property
-    def doubtful(self) -> tuple[Check, ...]:
-        """Checks that passed close to their thresholds."""
-        return tuple(check for check in self.checks if check.doubtful)
+    def borderline(self) -> tuple[Check, ...]:
+        """Checks that pass close to their thresholds."""
+        return tuple(check for check in self.checks if check.borderline)
+
+    @property
+    def questionable(self) -> bool:
+        """True if a check failed or passed close to its threshold."""
+        return not self.passed or bool(self.borderline)
 
     @property
     def cause(self) -> Fault | None:
         """The fault that likely explains the others."""
-        return self.faults[0] if self.faults else None
+        return next(iter(self.faults), None)
 
     @property
     def score(self) -> float:
-        """Fault score: 0 is valid; each failed check adds 1 and a tenth of its margin."""
-        bad = [check for check in self.checks if check.outcome in ("FAIL", "TOOL_FAILURE")]
-        return sum(1.0 + 0.1 * check.margin for check in bad)
+        """Fault score: 0 for a valid object; a failed check adds 1 plus a tenth of its margin."""
+        return sum(1.0 + 0.1 * check.margin for check in self.checks if check.failed)
 
     def to_json(self) -> str:
         """Return JSON, the same bytes for the same verdict."""
         return self.model_dump_json(indent=1) + "\n"
 
 
-class Limit(BaseModel):
-    """Threshold of a check, and the fault of exceeding it."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+@dataclass(frozen=True)
+class Limit:
+    """Threshold of a check, and the fault that a violation is reported as."""
 
     threshold: float
     unit: str
     fault: Fault
     least: bool = False
-    """Whether the value must be at least the threshold, rather than at most."""
+    """True if the threshold is the smallest valid value, otherwise it is the largest."""
     best: float | None = None
-    """Ideal value; by default 0, or twice the threshold where `least` is set."""
+    """Ideal value; by default 0, or twice the threshold if `least` is set."""
 
-    def doubts(self, value: float) -> bool:
-        """Tell whether a passing value lies close to the threshold, seen from the best value."""
+    def is_borderline(self, value: float) -> bool:
+        """Return True if a passing value lies close to the threshold, seen from the best value."""
         best = self.best if self.best is not None else 2 * self.threshold * self.least
-        room = self.threshold - best
-        return bool(room) and (value - best) / room >= DOUBT
+        distance = self.threshold - best
+        return bool(distance) and (value - best) / distance >= BORDERLINE
 
 
 def judged(
@@ -194,26 +206,26 @@ def judged(
 ) -> Check:
     """Compare a value with its limit; a value that is not finite fails.
 
-    Only failed and doubtful checks keep the time, position and evidence.
+    Only failed and borderline checks keep the time, position and evidence.
     """
     finite = bool(np.isfinite(value))
     good = finite and (value >= limit.threshold if limit.least else value <= limit.threshold)
-    doubtful = good and limit.doubts(value)
-    dull = good and not doubtful
+    borderline = good and limit.is_borderline(value)
+    detailed = borderline or not good
     return Check(
         scenario=scenario,
         name=name,
         outcome="PASS" if good else "FAIL",
-        doubtful=doubtful,
+        borderline=borderline,
         fault=None if good else limit.fault,
         value=float(value) if finite else None,
         threshold=limit.threshold,
         unit=limit.unit,
         part=part,
         joint=joint,
-        time=None if dull or time is None else float(time),
-        at=None if dull or at is None else float(at),
-        evidence="" if dull else evidence,
+        time=float(time) if detailed and time is not None else None,
+        at=float(at) if detailed and at is not None else None,
+        evidence=evidence if detailed else "",
         hint="" if good else HINTS[limit.fault],
     )
 

@@ -142,7 +142,7 @@ def report(result: VerificationResult) -> dict[str, Any]:
 
 def _worst_first(verdict: Verdict) -> list[Check]:
     order = ("FAIL", "TOOL_FAILURE", "PASS", "SKIP")
-    place = lambda check: (order.index(check.outcome), not check.doubtful)
+    place = lambda check: (order.index(check.outcome), not check.borderline)
     return sorted(verdict.checks, key=place)
 
 
@@ -150,4 +150,4 @@ def counts(verdict: Verdict) -> dict[str, int]:
     """Return the number of checks with each outcome, and of doubtful ones that passed."""
     outcomes = [check.outcome for check in verdict.checks]
     number = {name: outcomes.count(name) for name in ("PASS", "FAIL", "SKIP", "TOOL_FAILURE")}
-    return number | {"doubtful": len(verdict.doubtful)}
+    return number | {"doubtful": len(verdict.borderline)}

@@ -14,13 +14,13 @@ from typing import Annotated, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..checks.object_tests import Battery
+from ..checks.object_tests import ObjectTests
 from ..errors import MissingAnswerError
 from ..mllm import Panel, Request, ask_or_record, package_text, revise
 from ..spec import ObjectSpec, inertial
 from .key_frames import questionable, strips
 from .patch import Patch
-from .repairs import Repaired, RunBattery, try_patches
+from .repairs import Repaired, RunTests, try_patches
 
 T = TypeVar("T", bound=BaseModel)
 
@@ -29,7 +29,7 @@ T = TypeVar("T", bound=BaseModel)
 
 
 class Finding(BaseModel):
-    """One thing seen in the key frames."""
+    """One observation in the key frames."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -40,38 +40,38 @@ class Finding(BaseModel):
 
 
 class MotionCritique(BaseModel):
-    """The critic's answer."""
+    """The critic's verdict on an object's motion."""
 
-    model_config = ConfigDict(extra="forbid", title="Seen")
+    model_config = ConfigDict(extra="forbid", title="MotionVerdict")
 
     findings: list[Finding] = Field(default=[], max_length=6)
     verdict: Literal["sound", "edit", "reprogram"]
 
 
 class ProposedEdit(BaseModel):
-    """The reasoner's answer."""
+    """The reasoner's edit of an object."""
 
-    model_config = ConfigDict(extra="forbid", title="Edited")
+    model_config = ConfigDict(extra="forbid", title="Edit")
 
     patch: Patch
     why: Annotated[str, Field(max_length=600)] = ""
 
 
-def key_frames_request(battery: Battery, *, always: bool = False) -> Request[MotionCritique]:
+def key_frames_request(tests: ObjectTests, *, always: bool = False) -> Request[MotionCritique]:
     """Return the request to the critic about an object's key frames; see `strips`."""
-    prompt = f"The object: {battery.spec.label or battery.spec.name}.\n\n{_numbers(battery)}"
-    name, frames = f"simulation:{battery.spec.name}", strips(battery, always=always)
+    prompt = f"The object: {tests.spec.label or tests.spec.name}.\n\n{_numbers(tests)}"
+    name, frames = f"simulation:{tests.spec.name}", strips(tests, always=always)
     return Request("critic", name, _instructions("critic"), prompt, MotionCritique, frames)
 
 
-def edit_request(battery: Battery, critique: MotionCritique) -> Request[ProposedEdit]:
+def edit_request(tests: ObjectTests, critique: MotionCritique) -> Request[ProposedEdit]:
     """Return the request to the reasoner for a patch."""
     findings = "\n".join(f"- {f.where}: {f.what} -> {f.suggestion}" for f in critique.findings)
     prompt = (
-        f"{_numbers(battery)}\n\nThe critic saw:\n{findings or '- nothing more'}\n\n"
-        f"The object:\n{described(battery.spec)}"
+        f"{_numbers(tests)}\n\nThe critic's findings:\n{findings or '- none'}\n\n"
+        f"The object:\n{described(tests.spec)}"
     )
-    name = f"edit:{battery.spec.name}"
+    name = f"edit:{tests.spec.name}"
     return Request("reasoner", name, _instructions("editor"), prompt, ProposedEdit)
 
 
@@ -79,16 +79,16 @@ def _instructions(name: str) -> str:
     return package_text(__package__, name).removesuffix("\n")
 
 
-def _numbers(battery: Battery) -> str:
+def _numbers(tests: ObjectTests) -> str:
     lines = []
-    for check in questionable(battery.verdict):
+    for check in questionable(tests.verdict):
         value = "none" if check.value is None else f"{check.value:.3g}"
-        outcome = "ONLY JUST PASSED" if check.doubtful else check.outcome
+        outcome = "BARELY PASSED" if check.borderline else check.outcome
         lines.append(
-            f"- {outcome} {check.scenario} {check.name}: {value} against "
+            f"- {outcome} {check.scenario} {check.name}: {value}, threshold "
             f"{check.threshold:.3g} {check.unit} {check.evidence}".rstrip()
         )
-    return "Numbers that failed or only just passed:\n" + "\n".join(lines or ["- none"])
+    return "Values that failed or barely passed:\n" + "\n".join(lines or ["- none"])
 
 
 def described(spec: ObjectSpec) -> str:
@@ -113,15 +113,15 @@ def described(spec: ObjectSpec) -> str:
 
 @dataclass(frozen=True)
 class _Round:
-    battery: Battery
+    tests: ObjectTests
     critique: MotionCritique | None = None
 
 
 def with_models(
     repaired: Repaired,
-    now: Battery,
+    now: ObjectTests,
     models: Panel,
-    run: RunBattery,
+    run: RunTests,
     spec: ObjectSpec,
     *,
     rounds: int = 2,
@@ -133,9 +133,9 @@ def with_models(
 
     Args:
         repaired: the result of direct repairs; edits that help are added to it.
-        now: the battery's result for it.
+        now: the tests's result for it.
         models: critic and reasoner.
-        run: runs the battery on an object.
+        run: runs the tests on an object.
         spec: the object before all repairs.
         rounds: most edits.
         always: whether the critic also sees what passes, and whose answers a tape must hold.
@@ -152,9 +152,9 @@ def with_models(
 
 async def _edited(
     repaired: Repaired,
-    now: Battery,
+    now: ObjectTests,
     models: Panel,
-    run: RunBattery,
+    run: RunTests,
     spec: ObjectSpec,
     rounds: int,
     always: bool,
@@ -172,24 +172,22 @@ async def _edited(
             return None
 
     async def criticise(attempt: _Round) -> _Round:
-        request = key_frames_request(attempt.battery, always=always)
+        request = key_frames_request(attempt.tests, always=always)
         return replace(attempt, critique=await ask(request))
 
     def accept(attempt: _Round) -> bool:
         critique = attempt.critique
         editable = critique is not None and critique.verdict == "edit"
-        return not editable or not rounds or attempt.battery.verdict.passed
+        return not editable or not rounds or attempt.tests.verdict.passed
 
     async def edit(attempts: Sequence[_Round]) -> _Round | None:
-        battery, critique = attempts[-1].battery, attempts[-1].critique
+        tests, critique = attempts[-1].tests, attempts[-1].critique
         assert critique is not None
-        request = edit_request(battery, critique)
+        request = edit_request(tests, critique)
         proposed = await ask(request)
         if proposed is None or proposed.patch.empty:
             return None
-        edited = await asyncio.to_thread(
-            try_patches, repaired, battery, [proposed.patch], run, spec
-        )
+        edited = await asyncio.to_thread(try_patches, repaired, tests, [proposed.patch], run, spec)
         return None if edited is None or edited.verdict.passed else _Round(edited)
 
     attempts = await revise(

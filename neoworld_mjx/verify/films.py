@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..checks.object_tests import Battery
+from ..checks.object_tests import ObjectTests
 from ..checks.simulation import Trajectory
 from ..render.animation import encode_animation
 from ..render.flat_rendering import render_plain
@@ -13,18 +13,18 @@ WIDTH, HEIGHT = 240, 200
 FRAMES = 16
 
 
-def films(battery: Battery) -> dict[str, bytes]:
+def films(tests: ObjectTests) -> dict[str, bytes]:
     """Return a GIF of each standard scenario that an object was simulated in, by its name.
 
     They run at the speed of the simulation, in flat colours, and without end. An object with a
     fixed base is filmed while a joint is driven; without joints there is nothing to film.
     """
-    return {kind: _film(battery, run) for kind, run in standard_runs(battery).items()}
+    return {kind: _film(tests, run) for kind, run in standard_runs(tests).items()}
 
 
-def _film(battery: Battery, run: Trajectory) -> bytes:
+def _film(tests: ObjectTests, run: Trajectory) -> bytes:
     steps = np.linspace(0, len(run.time) - 1, FRAMES).astype(int)
-    poses = [posed_at(battery, run, int(k)) for k in steps]
+    poses = [posed_at(tests, run, int(k)) for k in steps]
     view = view_of_all(poses, WIDTH, HEIGHT)
     frames = [render_plain(single_object_scene(each), view) for each in poses]
     pause_ms = max(20, round(1000 * float(run.time[-1] - run.time[0]) / (FRAMES - 1)))

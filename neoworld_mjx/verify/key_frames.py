@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 from scipy.spatial.transform import Rotation
 
-from ..checks.object_tests import Battery
+from ..checks.object_tests import ObjectTests
 from ..checks.scenarios import PRESETS, SINGLE
 from ..checks.simulation import Trajectory
 from ..checks.verdict import Check, Verdict
@@ -22,11 +22,11 @@ FRAMES, MOST = 4, 3
 
 def questionable(verdict: Verdict) -> list[Check]:
     """Return failed checks, the worst first, then doubtful ones."""
-    checks = [c for c in verdict.checks if c.outcome == "FAIL" or c.doubtful]
-    return sorted(checks, key=lambda c: (c.doubtful, -c.margin))
+    checks = [c for c in verdict.checks if c.outcome == "FAIL" or c.borderline]
+    return sorted(checks, key=lambda c: (c.borderline, -c.margin))
 
 
-def standard_runs(battery: Battery) -> dict[str, Trajectory]:
+def standard_runs(tests: ObjectTests) -> dict[str, Trajectory]:
     """Return a run of each of the paper's two standard scenarios, by their names.
 
     Of the pushes it is the one that moves the object, or a joint of it, the most. An object with a
@@ -38,34 +38,34 @@ def standard_runs(battery: Battery) -> dict[str, Trajectory]:
         ends = tuple(name.rpartition(":")[2] for name in names)
         of_kind = [
             run
-            for run in battery.trajectories
+            for run in tests.trajectories
             if run.scenario.kind == kind and run.scenario.name.endswith(ends) and len(run.time)
         ]
         if of_kind:
             plain = kind == "free_fall"
             runs[kind] = of_kind[0] if plain else max(of_kind, key=travelled)
     if not runs:
-        drives = [run for run in battery.trajectories if run.scenario.driven and len(run.time)]
+        drives = [run for run in tests.trajectories if run.scenario.driven and len(run.time)]
         runs = {run.scenario.kind: run for run in drives[:1]}
     return runs
 
 
-def strips(battery: Battery, *, always: bool = False) -> list[DescribedPicture]:
+def strips(tests: ObjectTests, *, always: bool = False) -> list[DescribedPicture]:
     """Return strips of the runs and poses of failed and doubtful checks, the worst first.
 
     Args:
-        battery: the battery's results.
+        tests: the tests's results.
         always: whether the standard scenarios are added, as far as there is room.
 
     Returns:
         At most three strips of four frames, each frame labelled with its time or joint value.
     """
-    by_name = {trajectory.scenario.name: trajectory for trajectory in battery.trajectories}
+    by_name = {trajectory.scenario.name: trajectory for trajectory in tests.trajectories}
     # Four frames of one value do not show the direction of a ball joint; its evidence states it.
-    balls = {j.name for j in battery.spec.joints if j.type == "ball"}
+    balls = {j.name for j in tests.spec.joints if j.type == "ball"}
     pictures: list[DescribedPicture] = []
     drawn: set[str] = set()
-    for check in questionable(battery.verdict):
+    for check in questionable(tests.verdict):
         if len(pictures) == MOST:
             break
         trajectory = by_name.get(check.evidence.removeprefix("run ")) if check.evidence else None
@@ -75,57 +75,57 @@ def strips(battery: Battery, *, always: bool = False) -> list[DescribedPicture]:
         drawn.add(key)
         label = f"{check.scenario} {check.name}"
         pictures.append(
-            _of_run(battery, trajectory, label)
+            _of_run(tests, trajectory, label)
             if trajectory is not None
-            else _of_joint(battery, check, label)
+            else _of_joint(tests, check, label)
         )
     if always:
-        for kind, trajectory in standard_runs(battery).items():
+        for kind, trajectory in standard_runs(tests).items():
             if trajectory.scenario.name not in drawn and len(pictures) < MOST:
-                pictures.append(_of_run(battery, trajectory, kind.replace("_", " ")))
+                pictures.append(_of_run(tests, trajectory, kind.replace("_", " ")))
     return pictures
 
 
-def _of_run(battery: Battery, trajectory: Trajectory, label: str) -> DescribedPicture:
+def _of_run(tests: ObjectTests, trajectory: Trajectory, label: str) -> DescribedPicture:
     """Draw four frames of a run."""
     steps = np.linspace(0, len(trajectory.time) - 1, FRAMES).astype(int)
-    poses = [posed_at(battery, trajectory, int(k)) for k in steps]
+    poses = [posed_at(tests, trajectory, int(k)) for k in steps]
     titles = [f"{label[:24]} t={trajectory.time[k]:.2f} s" for k in steps]
     return _strip(label, poses, titles)
 
 
-def posed_at(battery: Battery, trajectory: Trajectory, k: int) -> SceneObject:
+def posed_at(tests: ObjectTests, trajectory: Trajectory, k: int) -> SceneObject:
     """Return the object as it is at a step of a run."""
-    simulation = battery.simulation
+    simulation = tests.simulation
     assert simulation is not None
     q = trajectory.qpos[k]
     state = {
         j.name: float(q[simulation.address(j.name)[0]])
-        for j in battery.spec.joints
+        for j in tests.spec.joints
         if j.type in SINGLE
     }
-    return _posed(battery, state, q[:3], q[3:7])
+    return _posed(tests, state, q[:3], q[3:7])
 
 
-def _of_joint(battery: Battery, check: Check, label: str) -> DescribedPicture:
+def _of_joint(tests: ObjectTests, check: Check, label: str) -> DescribedPicture:
     """Draw a joint from rest to its worst position, while the joints that it waits for are open."""
     worst = check.at if check.at is not None else 0.0
-    joint = next(j for j in battery.spec.joints if j.name == check.joint)
+    joint = next(j for j in tests.spec.joints if j.name == check.joint)
     if check.at is None and joint.type in ("revolute", "prismatic"):
         worst = joint.upper
     values = [worst * k / (FRAMES - 1) for k in range(FRAMES)]
-    opened = prerequisite_state(battery.spec, joint)
+    opened = prerequisite_state(tests.spec, joint)
     state = lambda value: {**opened, joint.name: value} if joint.type in SINGLE else {}
-    poses = [_posed(battery, state(v), np.zeros(3), np.array([1.0, 0, 0, 0])) for v in values]
+    poses = [_posed(tests, state(v), np.zeros(3), np.array([1.0, 0, 0, 0])) for v in values]
     return _strip(label, poses, [f"{joint.name[:20]} = {v:.3g}" for v in values])
 
 
 def _posed(
-    battery: Battery, state: dict[str, float], pos: np.ndarray, quat: np.ndarray
+    tests: ObjectTests, state: dict[str, float], pos: np.ndarray, quat: np.ndarray
 ) -> SceneObject:
     return SceneObject(
-        name=battery.spec.name,
-        spec=battery.spec,
+        name=tests.spec.name,
+        spec=tests.spec,
         xy=(float(pos[0]), float(pos[1])),
         z=float(pos[2]),
         base_tilt=tuple((quat / np.linalg.norm(quat)).tolist()),

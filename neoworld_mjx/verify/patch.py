@@ -29,7 +29,7 @@ class Edit(BaseModel):
 
 
 class PartEdit(Edit):
-    """What may change of a part."""
+    """Edit of a part."""
 
     mass: Positive | Literal["derived"] | None = None
     """[kg], or by volume and density."""
@@ -39,7 +39,7 @@ class PartEdit(Edit):
 
 
 class JointEdit(Edit):
-    """What may change of a joint."""
+    """Edit of a joint."""
 
     lower: Finite | None = None
     upper: Finite | None = None
@@ -50,7 +50,7 @@ class JointEdit(Edit):
 
 
 class GeomEdit(Edit):
-    """What may change of how a shape collides; what is seen of it stays."""
+    """Edit of a geom's collision shape; its visible shape stays."""
 
     shrink: Annotated[float, Field(ge=0.5, le=1.0)] | None = None
     """Scale of the collider relative to the shape, about the collider's origin."""

@@ -1,6 +1,6 @@
 """Direct repairs: patches proposed from measurements, accepted only if they help.
 
-Each round takes the likeliest cause, tries a few patches against the whole battery, and accepts the
+Each round takes the likeliest cause, tries a few patches against the whole tests, and accepts the
 best one that lowers the fault score and adds no new fault. Direct repairs send no request to a
 model; `try_patches` applies the same rule to patches that a model proposes.
 """
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks.joint_checks import on_edge, pivot_edges
-from ..checks.object_tests import Battery
+from ..checks.object_tests import ObjectTests
 from ..checks.part_distances import Probe
 from ..checks.verdict import Check, Fault, Verdict
 from ..errors import SpecError
@@ -24,7 +24,7 @@ GAP_M = 0.0005
 """Gap between parts that a repair moves apart or together."""
 GAIN = 0.05
 """Least decrease of the fault score by an accepted patch."""
-RunBattery = Callable[[ObjectSpec], Battery]
+RunTests = Callable[[ObjectSpec], ObjectTests]
 
 
 @dataclass
@@ -48,53 +48,53 @@ class Repaired:
 
 
 def repair(
-    spec: ObjectSpec, run: RunBattery, *, rounds: int = 6, first: Battery | None = None
+    spec: ObjectSpec, run: RunTests, *, rounds: int = 6, first: ObjectTests | None = None
 ) -> Repaired:
     """Repair an object by patches that its measurements propose.
 
     Args:
         spec: the object.
-        run: runs the battery on an object.
+        run: runs the tests on an object.
         rounds: largest number of causes to address.
-        first: the battery's result for `spec`, if it exists.
+        first: the tests's result for `spec`, if it exists.
     """
-    battery = first or run(spec)
-    repaired = Repaired(spec, Patch(), battery.verdict, battery.verdict)
+    tests = first or run(spec)
+    repaired = Repaired(spec, Patch(), tests.verdict, tests.verdict)
     given_up: set[tuple[Fault | None, str]] = set()
-    while repaired.rounds < rounds and not battery.verdict.passed:
-        check = _next(battery.verdict, given_up)
+    while repaired.rounds < rounds and not tests.verdict.passed:
+        check = _next(tests.verdict, given_up)
         if check is None:
             break
         repaired.rounds += 1
-        improved = try_patches(repaired, battery, proposals(battery, check), run, spec)
+        improved = try_patches(repaired, tests, proposals(tests, check), run, spec)
         if improved is None:
             given_up.add((check.fault, check.name))
         else:
-            battery = improved
+            tests = improved
     return repaired
 
 
 def try_patches(
     repaired: Repaired,
-    battery: Battery,
+    tests: ObjectTests,
     patches: Iterable[Patch],
-    run: RunBattery,
+    run: RunTests,
     spec: ObjectSpec,
-) -> Battery | None:
+) -> ObjectTests | None:
     """Try patches on top of the repairs so far, and add the best that helps to them.
 
     Args:
         repaired: the repairs so far; updated in place.
-        battery: the battery's result for them.
+        tests: the tests's result for them.
         patches: patches to try.
-        run: runs the battery on an object.
+        run: runs the tests on an object.
         spec: the object before all repairs.
 
     Returns:
-        The battery's result with the best patch; None if no patch helps.
+        The tests's result with the best patch; None if no patch helps.
     """
-    best: tuple[float, Patch, Battery] | None = None
-    before, known = battery.verdict.score, set(battery.verdict.faults)
+    best: tuple[float, Patch, ObjectTests] | None = None
+    before, known = tests.verdict.score, set(tests.verdict.faults)
     for patch in patches:
         joined = repaired.patch.joined(patch)
         description = "; ".join(patch.changes())
@@ -131,40 +131,40 @@ def _next(verdict: Verdict, given_up: set[tuple[Fault | None, str]]) -> Check | 
     return min(failed, key=lambda c: order[c.fault], default=None)  # pyright: ignore[reportArgumentType]
 
 
-def proposals(battery: Battery, check: Check) -> Iterator[Patch]:
+def proposals(tests: ObjectTests, check: Check) -> Iterator[Patch]:
     """Yield patches that could repair a failed check, the likeliest first."""
     if check.fault in _PART_REPAIRS and check.part is not None:
-        yield from _PART_REPAIRS[check.fault](battery, battery.spec.part(check.part))
+        yield from _PART_REPAIRS[check.fault](tests, tests.spec.part(check.part))
     elif check.fault in _JOINT_REPAIRS and check.joint is not None:
-        yield from _JOINT_REPAIRS[check.fault](battery, battery.spec.joint(check.joint))
+        yield from _JOINT_REPAIRS[check.fault](tests, tests.spec.joint(check.joint))
 
 
-def _derive_inertia(battery: Battery, part: PartSpec) -> Iterator[Patch]:
+def _derive_inertia(tests: ObjectTests, part: PartSpec) -> Iterator[Patch]:
     yield Patch(parts={part.name: PartEdit(inertia="derived")})
-    yield from _derive_mass(battery, part)
+    yield from _derive_mass(tests, part)
 
 
-def _derive_mass(_: Battery, part: PartSpec) -> Iterator[Patch]:
+def _derive_mass(_: ObjectTests, part: PartSpec) -> Iterator[Patch]:
     yield Patch(parts={part.name: PartEdit(mass="derived")})
 
 
-def _collide_as_seen(_: Battery, part: PartSpec) -> Iterator[Patch]:
+def _collide_as_seen(_: ObjectTests, part: PartSpec) -> Iterator[Patch]:
     visible = [geom.name for geom in part.geoms if geom.role != "collision"]
     yield Patch(geoms={name: GeomEdit(as_seen=True) for name in visible})
 
 
-def _cut_limits(battery: Battery, joint: JointSpec) -> Iterator[Patch]:
+def _cut_limits(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
     """Cut the range to the part of it that is free of collisions."""
-    if joint.name not in battery.joint_checks.free:
+    if joint.name not in tests.joint_checks.free:
         return
-    low, high = battery.joint_checks.free[joint.name]
+    low, high = tests.joint_checks.free[joint.name]
     # Rounding must not cut rest off. A ball without a limit has an upper limit of 0.
     upper = high if joint.type == "ball" else min(high, joint.upper)
     if low < high:
         yield _edited(joint, JointEdit(lower=max(low, joint.lower), upper=upper))
 
 
-def _widen_limits(_: Battery, joint: JointSpec) -> Iterator[Patch]:
+def _widen_limits(_: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
     """Widen the range at either end to the declared travel."""
     if joint.intent is None or joint.intent.travel is None:
         return
@@ -173,9 +173,9 @@ def _widen_limits(_: Battery, joint: JointSpec) -> Iterator[Patch]:
     yield _edited(joint, JointEdit(lower=joint.upper - travel))
 
 
-def _add_losses(battery: Battery, joint: JointSpec) -> Iterator[Patch]:
+def _add_losses(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
     """Raise damping and dry friction to their defaults, and damping to four times that."""
-    damping, friction = _losses(battery, joint)
+    damping, friction = _losses(tests, joint)
     if joint.stiffness > 0:
         damping = max(damping, 2 * float(np.sqrt(joint.stiffness * damping * SETTLING_S)))
     for factor in (1.0, 4.0):
@@ -185,23 +185,23 @@ def _add_losses(battery: Battery, joint: JointSpec) -> Iterator[Patch]:
         yield _edited(joint, edit)
 
 
-def _cut_losses(battery: Battery, joint: JointSpec) -> Iterator[Patch]:
+def _cut_losses(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
     """Lower damping and dry friction to their defaults."""
-    damping, friction = _losses(battery, joint)
+    damping, friction = _losses(tests, joint)
     yield _edited(
         joint,
         JointEdit(damping=min(joint.damping, damping), friction=min(joint.friction, friction)),
     )
 
 
-def _move_pivot(battery: Battery, joint: JointSpec) -> Iterator[Patch]:
+def _move_pivot(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
     """Move the pivot to an edge of the child, the nearest first, or to the axis of a round part."""
-    low, high = part_bounds(battery.spec, battery.spec.part(joint.child))
+    low, high = part_bounds(tests.spec, tests.spec.part(joint.child))
     middle = (low + high) / 2
     pivot, axis = np.array(joint.pos), np.array(joint.axis)
     places = list(pivot_edges(joint, low, high))
     # Hinges lie near the parent.
-    near_parent = np.clip(middle, *part_bounds(battery.spec, battery.spec.part(joint.parent)))
+    near_parent = np.clip(middle, *part_bounds(tests.spec, tests.spec.part(joint.parent)))
     across = lambda v: float(np.linalg.norm(v - (v @ axis) * axis))
     places.sort(key=lambda edge: across(edge - pivot) + 0.5 * across(edge - near_parent))
     if joint.type == "continuous" or not places:
@@ -212,9 +212,9 @@ def _move_pivot(battery: Battery, joint: JointSpec) -> Iterator[Patch]:
         yield _edited(joint, JointEdit(origin=vec(place + ((pivot - place) @ axis) * axis)))
 
 
-def _close_gap(battery: Battery, joint: JointSpec) -> Iterator[Patch]:
+def _close_gap(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
     """Move a detached part to its parent: straight along one axis, or the shortest way."""
-    spec, child = battery.spec, joint.child
+    spec, child = tests.spec, joint.child
     shortest = _shift_to_gap(spec, child, joint.parent, lambda gap: abs(gap - GAP_M) < 1e-4)
     low, high = part_bounds(spec, spec.part(child))
     lowest, highest = part_bounds(spec, spec.part(joint.parent))
@@ -227,10 +227,10 @@ def _close_gap(battery: Battery, joint: JointSpec) -> Iterator[Patch]:
             yield _shifted(child, shift)
 
 
-def _separate(battery: Battery, part: PartSpec) -> Iterator[Patch]:
+def _separate(tests: ObjectTests, part: PartSpec) -> Iterator[Patch]:
     """Move a part out of the part that it overlaps, or shrink its colliders."""
-    spec = battery.spec
-    pair = next((p for p in battery.joint_checks.overlapping if part.name in p[:2]), None)
+    spec = tests.spec
+    pair = next((p for p in tests.joint_checks.overlapping if part.name in p[:2]), None)
     if pair is None:
         return
     first, second, depth = pair
@@ -240,7 +240,7 @@ def _separate(battery: Battery, part: PartSpec) -> Iterator[Patch]:
     shifts = [_shift_to_gap(spec, child, other, lambda gap: gap >= 0.5 * GAP_M)]
     size = max(depth, 1e-3) + GAP_M
     shifts += [sign * size * axis + 0.0 for axis in np.eye(3) for sign in (1.0, -1.0)]
-    # Measuring a distance is cheap, the battery is not: it tries only shifts that separate them.
+    # Measuring a distance is cheap, the tests is not: it tries only shifts that separate them.
     free = [shift for shift in shifts if _gap(spec, child, other, shift)[0] > -1e-3]
     free.sort(key=lambda shift: float(np.linalg.norm(shift)))
     for shift in free[:4]:
@@ -281,10 +281,10 @@ def _edited(joint: JointSpec, edit: JointEdit) -> Patch:
     return Patch(joints={joint.name: edit})
 
 
-def _losses(battery: Battery, joint: JointSpec) -> tuple[float, float]:
+def _losses(tests: ObjectTests, joint: JointSpec) -> tuple[float, float]:
     """Return the default damping and dry friction of a joint."""
-    child = battery.spec.part(joint.child)
-    return default_losses(joint, inertial(battery.spec, child))
+    child = tests.spec.part(joint.child)
+    return default_losses(joint, inertial(tests.spec, child))
 
 
 def vec(values: NDArray) -> Vec3:
@@ -293,14 +293,14 @@ def vec(values: NDArray) -> Vec3:
     return x, y, z
 
 
-_PART_REPAIRS: dict[Fault | None, Callable[[Battery, PartSpec], Iterator[Patch]]] = {
+_PART_REPAIRS: dict[Fault | None, Callable[[ObjectTests, PartSpec], Iterator[Patch]]] = {
     Fault.INERTIA_IMPOSSIBLE: _derive_inertia,
     Fault.MASS_IMPLAUSIBLE: _derive_mass,
     Fault.COLLIDER_MISSING: _collide_as_seen,
     Fault.COLLIDER_LARGE: _collide_as_seen,
     Fault.PARTS_OVERLAP: _separate,
 }
-_JOINT_REPAIRS: dict[Fault | None, Callable[[Battery, JointSpec], Iterator[Patch]]] = {
+_JOINT_REPAIRS: dict[Fault | None, Callable[[ObjectTests, JointSpec], Iterator[Patch]]] = {
     Fault.LIMIT_INTO_PART: _cut_limits,
     Fault.LIMITS_NARROW: _widen_limits,
     Fault.JOINT_UNDAMPED: _add_losses,

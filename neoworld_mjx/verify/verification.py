@@ -1,4 +1,4 @@
-"""Step 3 of one object: the battery, repairs, and the cache of results."""
+"""Step 3 of one object: the tests, repairs, and the cache of results."""
 
 import json
 import logging
@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict
 
 from ..cache import cache_folder
 from ..checks.allowance import Allowance
-from ..checks.object_tests import VERSION, Battery
+from ..checks.object_tests import VERSION, run_object_tests
 from ..checks.verdict import Verdict
 from ..config import VerifyOptions
 from ..errors import RunError
@@ -71,7 +71,7 @@ def verify_and_repair(
 
     Args:
         spec: the object.
-        options: options of the battery; with `rounds` 0 the object is not changed, without
+        options: options of the tests; with `rounds` 0 the object is not changed, without
             `direct_repairs` only by models.
         fixed_base: whether its base is fixed.
         tilt: its resting orientation.
@@ -84,23 +84,25 @@ def verify_and_repair(
     path = _cache_path(spec, options, fixed_base, tilt, allowed)
     always = models is not None and options.critic == "always"
     cached = _read(path) if keep and not always else None
-    if cached is not None and (models is None or not _questionable(cached.verdict)):
+    if cached is not None and (models is None or not cached.verdict.questionable):
         return cached
 
-    run = partial(Battery, options=options, fixed_base=fixed_base, tilt=tilt, allowed=allowed)
+    run = partial(
+        run_object_tests, options=options, fixed_base=fixed_base, tilt=tilt, allowed=allowed
+    )
     first = run(spec)
     by_numbers = options.rounds if options.direct_repairs else 0
     repaired = repair(spec, run, rounds=by_numbers, first=first)
     critiques: list[MotionCritique] = []
     asked = False
-    if models is not None and (always or _questionable(repaired.after)):
-        battery = first if repaired.patch.empty else run(repaired.spec)
+    if models is not None and (always or repaired.after.questionable):
+        tests = first if repaired.patch.empty else run(repaired.spec)
         # A support without joints is in no scenario: there is nothing to show.
-        asked = _questionable(repaired.after) or bool(standard_runs(battery))
+        asked = repaired.after.questionable or bool(standard_runs(tests))
         if asked:
             rounds = min(2, options.rounds)
             critiques = with_models(
-                repaired, battery, models, run, spec, rounds=rounds, always=always
+                repaired, tests, models, run, spec, rounds=rounds, always=always
             )
     result = VerificationResult(
         verdict=repaired.after,
@@ -116,11 +118,6 @@ def verify_and_repair(
     return result
 
 
-def _questionable(verdict: Verdict) -> bool:
-    """Tell whether a check failed or only just passed."""
-    return not verdict.passed or bool(verdict.doubtful)
-
-
 def _cache_path(
     spec: ObjectSpec,
     options: VerifyOptions,
@@ -131,7 +128,7 @@ def _cache_path(
     """Return the cache file of a result; its name is the hash of everything that it depends on."""
     key = content_hash(
         {
-            "battery": VERSION,
+            "version": VERSION,
             "spec": spec.model_dump(mode="json"),
             "options": options.model_dump(mode="json"),
             "fixed": fixed_base,

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.checks.object_tests import VERSION, Battery
+from neoworld_mjx.checks.object_tests import VERSION, run_object_tests
 from neoworld_mjx.checks.scenarios import PRESETS
 from neoworld_mjx.checks.verdict import Fault
 from neoworld_mjx.config import VerifyOptions
@@ -24,7 +24,7 @@ from tests.support.furniture import chest, cupboard, geom
 
 
 def verify(spec, **how):
-    return Battery(spec, **how).verdict
+    return run_object_tests(spec, **how).verdict
 
 
 def named(verdict, name):
@@ -114,11 +114,11 @@ def test_parent_and_child_penetration_is_seen_although_contacts_are_filtered():
 
 
 def test_a_range_that_leads_into_the_carcass_is_seen_and_measured():
-    battery = Battery(cupboard(lower=-0.3))
-    check = named(battery.verdict, "depth:hinge")
+    tests = run_object_tests(cupboard(lower=-0.3))
+    check = named(tests.verdict, "depth:hinge")
     assert (check.outcome, check.fault) == ("FAIL", Fault.LIMIT_INTO_PART)
     assert check.at < -0.2
-    low, high = battery.joint_checks.free["hinge"]
+    low, high = tests.joint_checks.free["hinge"]
     # A door that hangs half a millimetre before its frame may swing in by 2.5 mrad, and 1 mm more.
     assert -0.01 < low <= 0.0
     assert high == pytest.approx(1.57)
@@ -158,10 +158,10 @@ def test_damping_cannot_hide_a_fall():
 def test_impact_is_no_resting_penetration():
     # Dropped from 2 cm a block presses well over a millimetre into soft ground, then stands.
     options = VerifyOptions(high_drop_m=0.1)
-    battery = Battery(scenes.single("b", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0))), options)
-    trajectory = next(t for t in battery.trajectories if t.scenario.name == "fall_high")
+    tests = run_object_tests(scenes.single("b", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0))), options)
+    trajectory = next(t for t in tests.trajectories if t.scenario.name == "fall_high")
     assert trajectory.qpos[:, 2].min() < -0.001
-    assert named(battery.verdict, "resting_depth:fall_high").value < 1e-4
+    assert named(tests.verdict, "resting_depth:fall_high").value < 1e-4
 
 
 def test_the_floor_does_not_mask_friction():
@@ -186,12 +186,12 @@ def test_an_undamped_joint_and_a_stuck_one():
 
 
 def test_an_error_of_the_tool_is_no_pass(monkeypatch):
-    from neoworld_mjx.checks import object_tests as battery
+    from neoworld_mjx.checks import object_tests
 
     def fails(*_):
         raise ValueError("no such thing")
 
-    monkeypatch.setattr(battery, "check_joints", fails)
+    monkeypatch.setattr(object_tests, "check_joints", fails)
     verdict = verify(scenes.cup())
     assert not verdict.passed
     assert [c.hint for c in verdict.checks if c.outcome == "TOOL_FAILURE"] == ["no such thing"]
@@ -219,8 +219,8 @@ def test_a_ball_that_a_tilt_sets_rolling_is_no_fault():
 
 
 def test_presets_name_runs_that_exist():
-    battery = Battery(chest())
-    names = {trajectory.scenario.name for trajectory in battery.trajectories}
+    tests = run_object_tests(chest())
+    names = {trajectory.scenario.name for trajectory in tests.trajectories}
     for runs in PRESETS.values():
         for run in runs:
             assert run.replace("*", "carcass") in names
@@ -284,13 +284,13 @@ def tap():
 
 
 def test_a_link_without_shape_is_not_held_against_the_bead_that_stands_for_it():
-    battery = Battery(tap(), fixed_base=True)
-    assert battery.verdict.passed, bad(battery.verdict)
-    asked = {check.name for check in battery.verdict.checks}
+    tests = run_object_tests(tap(), fixed_base=True)
+    assert tests.verdict.passed, bad(tests.verdict)
+    asked = {check.name for check in tests.verdict.checks}
     assert "moments:link" in asked
     assert not asked & {"spread:link", "centre:link", "mass:link", "gap:hot"}
     # A hand pulls at the far end of all parts that a joint moves, not at the next link.
-    simulation = battery.simulation
+    simulation = tests.simulation
     arms = {moving.name: simulation.moment_arm(moving) for moving in simulation.joints}
     assert arms["hot"] == pytest.approx(0.2, abs=0.01)
 

@@ -5,7 +5,7 @@ import io
 import pytest
 from PIL import Image
 
-from neoworld_mjx.checks.object_tests import Battery
+from neoworld_mjx.checks.object_tests import ObjectTests, run_object_tests
 from neoworld_mjx.checks.verdict import Fault, Limit, judged
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import MissingAnswerError, ModelError
@@ -30,56 +30,56 @@ HARMS = Patch.model_validate({"joints": {"hinge": {"lower": -0.6}}})
 FOUND = MotionCritique(findings=[Finding(where="door", what="swings in")], verdict="edit")
 
 
-_BATTERIES: dict[str, Battery] = {}
+_TESTED: dict[str, ObjectTests] = {}
 
 
-def battery_of(spec, *options, **pose) -> Battery:
-    """Return the battery's run on an object; each object is simulated once for all tests."""
+def results_of(spec, *options, **pose) -> ObjectTests:
+    """Return the tests's run on an object; each object is simulated once for all tests."""
     key = f"{spec.to_json()} {options or VerifyOptions()} {pose}"
-    if key not in _BATTERIES:
-        _BATTERIES[key] = Battery(spec, *options, **pose)
-    return _BATTERIES[key]
+    if key not in _TESTED:
+        _TESTED[key] = run_object_tests(spec, *options, **pose)
+    return _TESTED[key]
 
 
 @pytest.fixture(autouse=True)
 def _each_object_is_simulated_once(monkeypatch):
-    monkeypatch.setattr(verification, "Battery", battery_of)
+    monkeypatch.setattr(verification, "run_object_tests", results_of)
 
 
 def edited_by(*answers):
     """Let models edit the bad cupboard; return the repairs, the critiques and the model."""
-    battery = battery_of(BAD)
-    repaired = Repaired(BAD, Patch(), battery.verdict, battery.verdict)
+    tests = results_of(BAD)
+    repaired = Repaired(BAD, Patch(), tests.verdict, tests.verdict)
     model = ScriptedModel(*answers)
     with Panel(model) as models:
-        critiques = with_models(repaired, battery, models, battery_of, BAD)
+        critiques = with_models(repaired, tests, models, results_of, BAD)
     return repaired, critiques, model
 
 
 def test_strips_show_failed_checks_with_labels():
-    battery = battery_of(BAD)
-    result = strips(battery)
+    tests = results_of(BAD)
+    result = strips(tests)
     assert 1 <= len(result) <= 3
     assert result[0].label == "joint_range depth:hinge"
     assert result[0].size == (880, 216)
     # The same object gives the same key on every machine; another one gives another.
-    assert result[0].pixels == strips(Battery(BAD))[0].pixels
-    assert result[0].pixels != strips(battery_of(objects.cupboard(lower=-0.5)))[0].pixels
+    assert result[0].pixels == strips(run_object_tests(BAD))[0].pixels
+    assert result[0].pixels != strips(results_of(objects.cupboard(lower=-0.5)))[0].pixels
 
 
 def test_a_sound_object_has_no_strips():
-    battery = battery_of(objects.cupboard())
-    assert questionable(battery.verdict) == []
-    assert "- none" in key_frames_request(battery).prompt
-    assert strips(battery) == []
+    tests = results_of(objects.cupboard())
+    assert questionable(tests.verdict) == []
+    assert "- none" in key_frames_request(tests).prompt
+    assert strips(tests) == []
 
 
 def test_requests_state_numbers_and_editable_fields():
-    battery = battery_of(BAD)
-    request = key_frames_request(battery)
+    tests = results_of(BAD)
+    request = key_frames_request(tests)
     assert request.role == "critic"
     assert "FAIL joint_range depth:hinge" in request.prompt
-    requests = edit_request(battery, FOUND)
+    requests = edit_request(tests, FOUND)
     assert requests.role == "reasoner"
     assert "swings in" in requests.prompt
     assert "joint hinge: revolute, door on carcass" in requests.prompt
@@ -91,14 +91,14 @@ def only_just():
 
 
 def test_a_value_just_within_its_threshold_is_doubtful_and_shown():
-    battery = battery_of(only_just())
-    assert battery.verdict.passed
-    (check,) = battery.verdict.doubtful
+    tests = results_of(only_just())
+    assert tests.verdict.passed
+    (check,) = tests.verdict.borderline
     assert (check.name, check.outcome, check.fault) == ("depth:hinge", "PASS", None)
     assert 0.8e-3 <= check.value <= 1e-3
-    assert "ONLY JUST PASSED joint_range depth:hinge" in key_frames_request(battery).prompt
-    assert [strip.label for strip in strips(battery)] == ["joint_range depth:hinge"]
-    assert strips(battery)[0].shows.count("hinge") > 4  # Drawn with the door where it is worst.
+    assert "ONLY JUST PASSED joint_range depth:hinge" in key_frames_request(tests).prompt
+    assert [strip.label for strip in strips(tests)] == ["joint_range depth:hinge"]
+    assert strips(tests)[0].shows.count("hinge") > 4  # Drawn with the door where it is worst.
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_a_value_just_within_its_threshold_is_doubtful_and_shown():
 )
 def test_a_value_is_doubtful_near_its_threshold(value, limit, doubt):
     result = judged("static", "x", value, Limit(unit="m", fault=Fault.PARTS_OVERLAP, **limit))
-    assert result.doubtful is doubt
+    assert result.borderline is doubt
 
 
 def test_a_doubtful_object_is_shown_and_not_edited():
@@ -161,12 +161,12 @@ def test_what_a_tape_lacks_is_an_error_only_where_it_must_be_there():
 def test_a_cached_result_is_taken_where_nothing_is_in_doubt(tmp_path, monkeypatch):
     monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path))
     first = verify_and_repair(objects.cupboard())
-    monkeypatch.setattr(verification, "Battery", None)
+    monkeypatch.setattr(verification, "run_object_tests", None)
     assert verify_and_repair(objects.cupboard(), models=Panel(ScriptedModel())) == first
 
 
 def test_films_show_the_two_standard_scenarios():
-    films_of = films(battery_of(objects.cupboard()))
+    films_of = films(results_of(objects.cupboard()))
     assert list(films_of) == ["free_fall", "force_perturbation"]
     for data in films_of.values():
         with Image.open(io.BytesIO(data), formats=["GIF"]) as film:
@@ -175,18 +175,18 @@ def test_films_show_the_two_standard_scenarios():
             film.seek(film.n_frames - 1)
             assert film.convert("RGB").tobytes() != moved
     # What is fixed is filmed while it is driven; what has no joint then does nothing.
-    assert list(films(Battery(objects.cupboard(), fixed_base=True))) == ["joint_drive"]
+    assert list(films(run_object_tests(objects.cupboard(), fixed_base=True))) == ["joint_drive"]
 
 
 def test_a_critique_changes_no_outcome():
     flipped = objects.cupboard(axis=(0, 0, -1))
     sound = verify_and_repair(flipped, models=Panel(ScriptedModel(MotionCritique(verdict="sound"))))
     assert not sound.verdict.passed
-    assert sound.verdict == battery_of(flipped).verdict
+    assert sound.verdict == results_of(flipped).verdict
     bad = verify_and_repair(
         only_just(), models=Panel(ScriptedModel(MotionCritique(verdict="reprogram")))
     )
-    assert bad.verdict == battery_of(only_just()).verdict
+    assert bad.verdict == results_of(only_just()).verdict
 
 
 def test_without_rounds_the_object_is_shown_and_not_edited():

@@ -5,7 +5,7 @@ import json
 import pytest
 from pydantic import ValidationError
 
-from neoworld_mjx.checks.object_tests import Battery
+from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.checks.verdict import Fault
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import SpecError
@@ -101,7 +101,7 @@ def test_patches_join_and_survive_json():
     ],
 )
 def test_numbers_mend_what_numbers_can_tell(spec, fault):
-    built = repair(spec, Battery)
+    built = repair(spec, run_object_tests)
     assert built.before.cause is fault
     assert built.after.passed, built.tried
     assert built.changes
@@ -116,7 +116,7 @@ def test_an_authored_inertia_is_recomputed():
         p.model_copy(update={"mass": 2.0, "inertia": odd}) if p.name == "door" else p
         for p in spec.parts
     )
-    built = repair(spec.model_copy(update={"parts": parts}), Battery)
+    built = repair(spec.model_copy(update={"parts": parts}), run_object_tests)
     assert built.after.passed
     assert built.patch.parts["door"].inertia == "derived"
 
@@ -124,7 +124,7 @@ def test_an_authored_inertia_is_recomputed():
 def test_what_no_edit_can_mend_is_left_as_it_is():
     intent = {"opens": (1, 0, 0)}
     spec = objects.cupboard(axis=(0, 0, -1), intent=intent)
-    built = repair(spec, Battery, rounds=3)
+    built = repair(spec, run_object_tests, rounds=3)
     assert built.before.cause is Fault.AXIS_REVERSED
     assert not built.after.passed
     assert built.after.score <= built.before.score
@@ -135,7 +135,7 @@ def test_a_patch_that_does_not_help_is_dropped(monkeypatch):
     useless = Patch.model_validate({"joints": {"hinge": {"damping": 0.0}}})
     monkeypatch.setattr("neoworld_mjx.verify.repairs.proposals", lambda *_: iter([useless]))
     spec = objects.cupboard(damping=0.0, friction=0.0)
-    built = repair(spec, Battery, rounds=2)
+    built = repair(spec, run_object_tests, rounds=2)
     assert built.patch.empty
     assert built.after == built.before
     assert built.tried
@@ -148,7 +148,7 @@ def test_results_are_kept_by_content_and_version(tmp_path, monkeypatch):
     assert first.verdict.passed
     assert first.before is not None
     monkeypatch.setattr(
-        verification, "Battery", lambda *_, **__: pytest.fail("it was there already")
+        verification, "run_object_tests", lambda *_, **__: pytest.fail("it was there already")
     )
     assert verify_and_repair(spec) == first
     with pytest.raises(pytest.fail.Exception):

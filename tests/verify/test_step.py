@@ -6,7 +6,7 @@ import math
 import pytest
 
 from neoworld_mjx.checks.allowance import Allowance
-from neoworld_mjx.checks.object_tests import Battery
+from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.config import Config, VerifyOptions
 from neoworld_mjx.pipeline.pictures import Pictures
 from neoworld_mjx.pipeline.steps import StepContext, verify_objects
@@ -120,13 +120,13 @@ def test_an_overlap_that_the_program_asks_for_is_granted_and_told(tmp_path):
 
 
 def test_what_is_deeper_than_granted_or_granted_to_others_fails():
-    deep = Battery(pot(0.0025), allowed=[GRANT]).verdict
+    deep = run_object_tests(pot(0.0025), allowed=[GRANT]).verdict
     (check,) = [c for c in deep.checks if c.fault is not None and c.scenario == "static"]
     assert (check.name, check.threshold) == ("part_depth:pot:lid", 0.002)
-    other = Battery(pot(), allowed=[GRANT._replace(first="spout")]).verdict
+    other = run_object_tests(pot(), allowed=[GRANT._replace(first="spout")]).verdict
     assert not other.passed
     # A grant below what is let pass anyway narrows nothing.
-    small = Battery(pot(0.0005), allowed=[GRANT._replace(depth=0.0002)]).verdict
+    small = run_object_tests(pot(0.0005), allowed=[GRANT._replace(depth=0.0002)]).verdict
     assert small.passed
 
 
@@ -141,7 +141,7 @@ def test_what_lies_is_dropped_lying(tmp_path):
     assert verdict["passed"], reported
     assert tilts["tilt"] < 1.0
     # Upright it would fall over.
-    assert not Battery(rod()).verdict.passed
+    assert not run_object_tests(rod()).verdict.passed
 
 
 @pytest.mark.parametrize("relation", ["in", "on"])
