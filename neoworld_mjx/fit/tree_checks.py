@@ -125,7 +125,7 @@ def _projection(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
             "projection",
             value,
             AGREEMENT_WARNS,
-            f"its 3D box, seen by the camera, does not cover its 2D box{_off(tree, node)}",
+            f"the projection of its 3D box does not match its 2D box{_off(tree, node)}",
         )
 
 
@@ -174,7 +174,7 @@ def _size(node: TreeNode) -> Iterator[SceneIssue]:
             "size_m",
             longest,
             bound,
-            f"a longest edge of {longest:.2g} m is {word} for a {node.label}",
+            f"its longest edge, {longest:.2g} m, is {word} for a {node.label}",
         )
 
 
@@ -186,11 +186,16 @@ def _flags(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
             "environment",
             float(len(node.articulation)),
             0.0,
-            "it is marked as environment but has movable parts, so it should be an object",
+            "it is marked as environment but has moving parts, so it should be an object",
         )
     if not node.environment and node.label.lower().split(" ")[-1] in _SUPPORTS[1:]:
         yield _issue(
-            "warning", node, "environment", 0.0, 1.0, f"a {node.label} should be marked environment"
+            "warning",
+            node,
+            "environment",
+            0.0,
+            1.0,
+            f"a {node.label} should be marked as environment",
         )
     for name in node.occluded_by:
         other = tree.node(name)
@@ -203,11 +208,16 @@ def _flags(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
                 "occluded_by",
                 0.0,
                 0.0,
-                f"{name} cannot hide it: their boxes are apart",
+                f"{name} cannot hide it: their boxes do not overlap",
             )
     if node.occluded and not node.occluded_by and not hidden_sides(tree, _unhidden(node)).any():
         yield _issue(
-            "warning", node, "occluded_by", 0.0, 1.0, "it is marked hidden; say by which objects"
+            "warning",
+            node,
+            "occluded_by",
+            0.0,
+            1.0,
+            "it is marked as hidden; name the objects that hide it",
         )
 
 
@@ -231,7 +241,7 @@ def _on_carrier(node: TreeNode, parent: TreeNode) -> Iterator[SceneIssue]:
             "footprint",
             inside,
             INSIDE_WARNS,
-            f"only {inside:.0%} of its footprint lies in that of {parent.name}, which carries it",
+            f"only {inside:.0%} of its footprint lies in that of its support {parent.name}",
         )
     bottom, top, floor = child.position[2], _top(below), below.position[2]
     bound = max(GAP_LEAST_M, GAP_WARNS * min(child.size[2], 1.0))
@@ -239,7 +249,7 @@ def _on_carrier(node: TreeNode, parent: TreeNode) -> Iterator[SceneIssue]:
     if bottom > top + bound:
         yield _gap(node, bottom - top, bound, child, f"it floats above {parent.name}")
     elif bottom < floor - bound:
-        yield _gap(node, floor - bottom, bound, child, f"it reaches below {parent.name}")
+        yield _gap(node, floor - bottom, bound, child, f"it extends below {parent.name}")
     elif _slab(parent) and node.relation == "on" and bottom < top - bound:
         yield _gap(node, top - bottom, bound, child, f"it is sunk into {parent.name}")
 
@@ -307,8 +317,8 @@ def _pairs(tree: SceneTree) -> Iterator[SceneIssue]:
                     "overlap",
                     share,
                     OVERLAP_WARNS,
-                    f"its 3D box and that of {first.name} take the same space: move one, or let "
-                    "one carry the other",
+                    f"its 3D box and that of {first.name} occupy the same space: move one, or let "
+                    "one support the other",
                 )
 
 

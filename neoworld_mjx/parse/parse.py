@@ -20,7 +20,7 @@ from ..spec import SceneTree
 from .draw import draw_parse
 from .photo import Photo
 from .prompts import SceneCritique, judge_request, parse_request
-from .schema import SceneSeen, to_tree
+from .schema import ParsedScene, to_tree
 
 ACCEPT = 9.0
 """Least of the critic's three scores at which an answer is accepted."""
@@ -30,7 +30,7 @@ ACCEPT = 9.0
 class SceneAttempt:
     """One answer, with the results of its checks and its critique."""
 
-    answer: SceneSeen
+    answer: ParsedScene
     tree: SceneTree | None
     """Fitted where the fit helps; None if the answer gives no tree."""
     answered: SceneTree | None
@@ -163,7 +163,7 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
     return Parsed(tree, answered, drawn.data, tuple(attempts), kept, tuple(fallbacks))
 
 
-async def _checked(photo: Photo, answer: SceneSeen, options: ParseOptions) -> SceneAttempt:
+async def _checked(photo: Photo, answer: ParsedScene, options: ParseOptions) -> SceneAttempt:
     """Fit an answer to its 2D boxes and check it."""
     try:
         answered = tree = to_tree(answer, photo)

@@ -7,55 +7,56 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from ..mllm import Picture, Request, package_text
 from .photo import Photo
-from .schema import SceneSeen
+from .schema import ParsedScene
 
 ASK = (
-    "Write down the scene in this photograph of {width} x {height} pixels: camera, every object, "
-    "every support. Boxes in pixels of this picture."
+    "Describe the scene in this photograph of {width} x {height} pixels: the camera, every object, "
+    "every support. Give boxes in pixels of this picture."
 )
 MEND = (
-    "{ask}\n\nYou have answered before:\n\n{answer}\n\nThat answer was checked against the "
-    "photograph and against itself. These faults were found; look at the photograph again for "
-    "each, since a finding can itself be wrong:\n\n{findings}\n\nAnswer again with the complete "
-    "scene, faults corrected and everything that was right unchanged."
+    "{ask}\n\nYour previous response was:\n\n{answer}\n\nIt was compared with the photograph and "
+    "checked for consistency. These faults were found; look at the photograph again for each of "
+    "them, since a finding can itself be wrong:\n\n{findings}\n\nRespond again with the complete "
+    "scene, with the faults corrected and everything that was right unchanged."
 )
 JUDGE = (
     "The photograph has {width} x {height} pixels. The parse lists {count} objects:"
     "\n\n{listing}\n\n{findings}Judge it."
 )
 FINDINGS = (
-    "Checks of its numbers found this. They know boxes alone, not shapes:\n\n{lines}\n\n"
-    "Put into `dismissed` the numbers of those that the photograph shows to be no fault.\n\n"
+    "Checks of its numbers found the following. They know only boxes, not shapes:\n\n{lines}\n\n"
+    "Put into `dismissed` the numbers of the findings that the photograph shows not to be "
+    "faults.\n\n"
 )
 
 
 class SceneFault(BaseModel):
-    """One thing that is wrong with the parse."""
+    """One fault of the parse."""
 
-    model_config = ConfigDict(extra="forbid", title="Fault")
+    model_config = ConfigDict(extra="forbid")
 
     node: str | None = Field(
-        description="Name of the object; null for one that is missing or for the scene as a whole."
+        description="Name of the object; null if it is missing or the fault is of the whole scene."
     )
-    kind: Literal["box", "missing", "extra", "split", "carrier", "relation", "hidden", "parts"]
-    what: str = Field(description="What is wrong, and where it is seen.")
+    kind: Literal["box", "missing", "extra", "split", "support", "relation", "hidden", "parts"]
+    what: str = Field(description="What is wrong, and where you see it.")
     correction: str = Field(description="What it should be instead.")
 
 
 class SceneCritique(BaseModel):
-    """The critic's judgement of a parse."""
+    """The critic's verdict on a parse."""
 
     # Titles and docstrings are part of the request: tapes hold answers to these very ones.
-    model_config = ConfigDict(extra="forbid", title="Verdict")
+    model_config = ConfigDict(extra="forbid")
 
     faults: list[SceneFault]
     boxes: float = Field(description="Tightness of the boxes, 0 to 10.")
     completeness: float = Field(description="0 to 10.")
-    hierarchy: float = Field(description="Carriers, relations, hidden and moving parts, 0 to 10.")
+    hierarchy: float = Field(description="Supports, relations, hidden and moving parts, 0 to 10.")
     dismissed: list[int] = Field(
         default_factory=list,
-        description="Numbers of the findings that you were given and that the photograph shows to "
-        "be no fault; empty if there are none.",
+        description="Numbers of the listed findings that the photograph shows not to be faults; "
+        "empty if there are none.",
     )
 
     @property
@@ -71,8 +72,8 @@ class SceneCritique(BaseModel):
 
 
 def parse_request(
-    photo: Photo, answer: SceneSeen | None = None, findings: Sequence[str] = ()
-) -> Request[SceneSeen]:
+    photo: Photo, answer: ParsedScene | None = None, findings: Sequence[str] = ()
+) -> Request[ParsedScene]:
     """Return the request for the scene in a photo, or for a corrected answer.
 
     Args:
@@ -93,13 +94,13 @@ def parse_request(
         name="parse" if answer is None else "parse:mend",
         system=package_text(__package__, "reasoner"),
         prompt=prompt,
-        schema=SceneSeen,
+        schema=ParsedScene,
         pictures=[Picture.of("photo", photo.rgb)],
     )
 
 
 def judge_request(
-    photo: Photo, answer: SceneSeen, drawn: Picture, findings: Sequence[str] = ()
+    photo: Photo, answer: ParsedScene, drawn: Picture, findings: Sequence[str] = ()
 ) -> Request[SceneCritique]:
     """Return the request to the critic about an answer.
 
@@ -127,12 +128,12 @@ def judge_request(
     )
 
 
-def listing(answer: SceneSeen) -> str:
+def listing(answer: ParsedScene) -> str:
     """List an answer's objects for the critic, one per line."""
     lines = []
     for obj in answer.objects:
         box = obj.box
-        place = "no carrier" if obj.parent is None else f"{obj.relation} {obj.parent}"
+        place = "no support" if obj.parent is None else f"{obj.relation} {obj.parent}"
         if obj.parent_link is not None:
             place += f" ({obj.parent_link})"
         phrases = [

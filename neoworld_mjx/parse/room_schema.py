@@ -11,34 +11,34 @@ from ..spec import SupportOutline, SupportSurface, SurfacePattern
 from ..spec.surface_pattern import RGB, RoomPatternKind
 
 
-class AnswerPart(BaseModel):
+class ResponsePart(BaseModel):
     """Base of the parts of an answer: closed against unknown keys."""
 
     model_config = ConfigDict(extra="forbid")
 
 
-class OutlinePointSeen(AnswerPart):
-    """A corner of an outline, in shares of the support's size, from the middle of its footprint."""
+class ParsedOutlinePoint(ResponsePart):
+    """A corner of an outline, from the middle of the footprint, in fractions of the size."""
 
     x: float = Field(description="-0.5 at its back, 0.5 at its front.")
     y: float = Field(description="-0.5 at its right side, 0.5 at its left side.")
 
 
-class OutlineSeen(AnswerPart):
+class ParsedOutline(ResponsePart):
     """Outline of a support of the environment, seen from above."""
 
     shape: Literal["rectangle", "round", "polygon"] = Field(
         description="round: a circle or an ellipse that fills length and width."
     )
-    points: list[OutlinePointSeen] = Field(
+    points: list[ParsedOutlinePoint] = Field(
         default_factory=list,
-        description="Only for polygon: its 3 to 24 corners in order around it. They reach from "
-        "-0.5 to 0.5 both ways.",
+        description="Only for polygon: its 3 to 24 corners in order around it. They extend from "
+        "-0.5 to 0.5 along both axes.",
     )
 
 
-class SurfaceSeen(AnswerPart):
-    """What the visible face of a support of the environment is made of, and its pattern."""
+class ParsedSurface(ResponsePart):
+    """Material and pattern of the visible face of a support of the environment."""
 
     material: Literal[
         "wood",
@@ -53,35 +53,35 @@ class SurfaceSeen(AnswerPart):
         "paper",
         "soil",
     ] = Field(
-        description="Of the face itself: fabric is carpet or cloth, ceramic tiles, plastic also "
-        "laminate, vinyl or thick paint, concrete also plaster."
+        description="Material of the face itself: fabric is carpet or cloth, ceramic is tiles, "
+        "plastic includes laminate, vinyl and thick paint, concrete includes plaster."
     )
     pattern: RoomPatternKind = Field(
         default="plain",
-        description="grain: of one piece of wood; boards: side by side; veins: of stone; "
+        description="grain: of a single piece of wood; boards: side by side; veins: of stone; "
         "speckles: of terrazzo or granite; weave: of carpet or cloth.",
     )
     colour: list[float] | None = Field(
         default=None,
-        description="Red, green, blue from 0 to 1 as in white light. It counts where the picture "
-        "hardly shows the face; else the colour is measured there.",
+        description="Red, green, blue from 0 to 1 as in white light. It is used where the picture "
+        "hardly shows the face; otherwise the colour is measured in the picture.",
     )
     second_colour: list[float] | None = Field(
-        default=None, description="Of joints, veins, speckles or the weave's gaps."
+        default=None, description="Colour of joints, veins, speckles or the weave's gaps."
     )
     step: float | None = Field(
         default=None,
-        description="Width of a board, edge of a tile, height of a brick, distance of veins, "
-        "speckles or threads [m]; null is what is usual.",
+        description="Width of a board, edge of a tile, height of a brick, spacing of veins, "
+        "speckles or threads [m]; null for the usual value.",
     )
     run: Literal["along_length", "along_width", "level", "upright"] | None = Field(
         default=None,
         description="Direction of boards and courses: along the support's length or width, or on a "
-        "wall level or upright; null is along its length, or level.",
+        "wall level or upright; null for along its length, or level.",
     )
 
 
-def support_surface(surface: SurfaceSeen | None) -> SupportSurface | None:
+def support_surface(surface: ParsedSurface | None) -> SupportSurface | None:
     """Convert a surface; None stays None.
 
     Raises:
@@ -100,7 +100,7 @@ def support_surface(surface: SurfaceSeen | None) -> SupportSurface | None:
     return SupportSurface(material=surface.material, pattern=pattern, rgb=first)
 
 
-def surface_colours(surface: SurfaceSeen) -> tuple[RGB | None, RGB | None]:
+def surface_colours(surface: ParsedSurface) -> tuple[RGB | None, RGB | None]:
     """Return both colours of a surface.
 
     Raises:
@@ -118,7 +118,7 @@ def _rgb(field: str, colour: list[float]) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def support_outline(outline: OutlineSeen | None) -> SupportOutline:
+def support_outline(outline: ParsedOutline | None) -> SupportOutline:
     """Convert an outline; None is a rectangle.
 
     Raises:
@@ -136,8 +136,8 @@ def support_outline(outline: OutlineSeen | None) -> SupportOutline:
 def support_problems(
     environment: bool,
     furniture: bool,
-    outline: OutlineSeen | None,
-    surface: SurfaceSeen | None,
+    outline: ParsedOutline | None,
+    surface: ParsedSurface | None,
 ) -> list[str]:
     """List what is wrong with what an object declares that only supports of the environment have.
 

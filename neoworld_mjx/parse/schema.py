@@ -23,9 +23,9 @@ from ..spec.tree import Relation
 from .answer_bounds import out_of_bounds, too_long
 from .photo import Photo
 from .room_schema import (
-    AnswerPart,
-    OutlineSeen,
-    SurfaceSeen,
+    ParsedOutline,
+    ParsedSurface,
+    ResponsePart,
     phrase,
     support_outline,
     support_problems,
@@ -51,27 +51,27 @@ _TOWARDS = {
 """Axis, in the object's frame, of the rotation that moves its top in that direction."""
 
 
-class CameraSeen(AnswerPart):
+class ParsedCamera(ResponsePart):
     """The camera that took the picture."""
 
     pitch_deg: float = Field(
-        description="How far it looks down: 0 is level, 90 straight down [degrees]."
+        description="Angle below the horizontal: 0 is level, 90 straight down [degrees]."
     )
-    height: float = Field(description="Of the camera above z = 0 [m].")
+    height: float = Field(description="Height of the camera above z = 0 [m].")
     fovy_deg: float = Field(description="Vertical field of view of the whole picture [degrees].")
     roll_deg: float = Field(
         default=0.0,
-        description="How far the camera is turned clockwise, so that the picture turns "
-        "anticlockwise; 0 if verticals are upright [degrees].",
+        description="Clockwise roll of the camera, which turns the picture anticlockwise; 0 if "
+        "verticals are upright [degrees].",
     )
     measured: list[Literal["pitch_deg", "height", "fovy_deg", "roll_deg"]] = Field(
         default_factory=list,
-        description="Which of these numbers you measured in the picture, from vanishing points, "
+        description="The numbers above that you measured in the picture, from vanishing points, "
         "ellipses or several known sizes; the others count as guesses.",
     )
 
 
-class BoxSeen(AnswerPart):
+class ParsedBox(ResponsePart):
     """Tight box around the visible pixels, in pixels of the picture shown."""
 
     left: float
@@ -80,50 +80,54 @@ class BoxSeen(AnswerPart):
     bottom: float
 
 
-class PositionSeen(AnswerPart):
+class ParsedPosition(ResponsePart):
     """The middle of the object's footprint, at the height of its lowest point [m]."""
 
-    x: float = Field(description="Ahead of the camera.")
-    y: float = Field(description="To the left of the camera's axis; negative to the right.")
-    z: float = Field(description="Of the object's lowest point.")
+    x: float = Field(description="Distance ahead of the camera.")
+    y: float = Field(
+        description="Distance to the left of the camera's axis; negative to the right."
+    )
+    z: float = Field(description="Height of the object's lowest point.")
 
 
-class SizeSeen(AnswerPart):
-    """Outer size of the whole object, hidden parts included, open parts as they stand [m]."""
+class ParsedSize(ResponsePart):
+    """Outer size of the whole object, hidden parts included, moving parts as open as seen [m]."""
 
     length: float = Field(description="Along the object's own x axis: from its back to its front.")
     width: float = Field(description="Along its own y axis: from its right side to its left side.")
     height: float = Field(description="Along its own z axis.")
 
 
-class TiltSeen(AnswerPart):
-    """How the object is tipped from its usual upright pose."""
+class ParsedTilt(ResponsePart):
+    """Tilt of the object from its usual upright pose."""
 
     towards: Literal["forward", "backward", "left", "right"] = Field(
-        description="Where its top has gone, as the object itself faces."
+        description="Direction in which its top has moved, seen from the object itself."
     )
-    degrees: float = Field(description="90 lies, 180 is upside down.")
+    degrees: float = Field(description="Angle of the tilt: 90 is lying, 180 upside down.")
 
 
-class PixelSeen(AnswerPart):
+class ParsedPixel(ResponsePart):
     """A pixel of the picture shown."""
 
-    u: float = Field(description="To the right.")
-    v: float = Field(description="Down.")
+    u: float = Field(description="Position to the right.")
+    v: float = Field(description="Position downwards.")
 
 
-class DoubtSeen(AnswerPart):
-    """How far off your numbers may be: the truth is within this in two cases of three."""
+class ParsedDoubt(ResponsePart):
+    """Uncertainty of your numbers: two times in three the error is smaller than this."""
 
-    position: float | None = Field(default=None, description="Of `position`, over the ground [m].")
-    size: float | None = Field(
-        default=None, description="Of `size`, as a share of it: 0.1 is ten per cent."
+    position: float | None = Field(
+        default=None, description="Error of `position` along the ground [m]."
     )
-    yaw_deg: float | None = Field(default=None, description="Of `yaw_deg` [degrees].")
+    size: float | None = Field(
+        default=None, description="Error of `size`, as a fraction of it: 0.1 is ten per cent."
+    )
+    yaw_deg: float | None = Field(default=None, description="Error of `yaw_deg` [degrees].")
 
 
-class PartSeen(AnswerPart):
-    """A part that can move, and how it stands in the picture."""
+class ParsedPart(ResponsePart):
+    """A part that can move, and how far it is open in the picture."""
 
     part: str = Field(description="Name, such as drawer_top, door, lid.")
     motion: Literal["revolute", "continuous", "prismatic"] = Field(
@@ -133,22 +137,22 @@ class PartSeen(AnswerPart):
     opening: float = Field(default=0.0, description="0 closed, 1 fully open.")
 
 
-class ObjectSeen(AnswerPart):
+class ParsedObject(ResponsePart):
     """One object, or one support of the environment."""
 
     name: str = Field(description="Unique; letters, digits and underscores, a letter first.")
-    label: str = Field(description="What it is, in one to three words, such as coffee cup.")
+    label: str = Field(description="Kind of object, in one to three words, such as coffee cup.")
     description: str = Field(
         description="Shape, parts, material and colours, for someone who has to build it."
     )
     environment: bool = Field(
         default=False,
-        description="Whether it belongs to the room and never moves: floor, wall, table, counter, "
-        "shelf.",
+        description="True if it belongs to the environment and never moves: floor, wall, table, "
+        "counter, shelf.",
     )
     parent: str | None = Field(
-        description="Name of what carries it; null for an environment support that stands on "
-        "nothing listed."
+        description="Name of the object that supports it; null for a support of the environment "
+        "that stands on nothing listed."
     )
     relation: Relation = Field(
         default="on",
@@ -157,81 +161,83 @@ class ObjectSeen(AnswerPart):
     )
     parent_link: str | None = Field(
         default=None,
-        description="The movable part of the parent that carries it, such as an open drawer.",
+        description="The movable part of the parent that supports it, such as an open drawer.",
     )
     fixed_base: bool = Field(
-        default=False, description="Whether it is fastened, built in or mounted."
+        default=False, description="True if it is fastened, built in or mounted."
     )
     occluded: bool = Field(
-        default=False, description="Whether another object or the picture's edge hides a part."
+        default=False,
+        description="True if another object or the picture's edge hides a part of it.",
     )
     occluded_by: list[str] = Field(
         default_factory=list, description="Names of the listed objects that hide a part of it."
     )
-    box: BoxSeen
-    position: PositionSeen
-    size: SizeSeen
+    box: ParsedBox
+    position: ParsedPosition
+    size: ParsedSize
     yaw_deg: float = Field(
         default=0.0,
-        description="Where its front points, seen from above, anticlockwise: 0 away from the "
-        "camera, 90 to the left, 180 to the camera, -90 to the right [degrees].",
+        description="Direction of its front, seen from above, anticlockwise: 0 away from the "
+        "camera, 90 to the left, 180 towards the camera, -90 to the right [degrees].",
     )
-    tilt: TiltSeen | None = Field(
-        default=None, description="null if it stands upright or lies as it always does."
+    tilt: ParsedTilt | None = Field(
+        default=None, description="null if it stands upright or lies as such objects usually do."
     )
-    articulation: list[PartSeen] = Field(
-        default_factory=list, description="Every part that can move, closed ones too."
+    articulation: list[ParsedPart] = Field(
+        default_factory=list, description="Every part that can move, including closed ones."
     )
     held_by: str | None = Field(
         default=None,
         description="Only for `attached`. null: it is fastened and stays (screwed, nailed, glued, "
-        "hung up for good). Else what holds it although it may come off, such as the hook that "
-        "its loop hangs over; then it stays only if its shape and that of its parent hold it.",
+        "hung up permanently). Otherwise what holds it although it can come off, such as the hook "
+        "that its loop hangs over; it then stays only if its shape and its parent's shape hold it.",
     )
-    contact: PixelSeen | None = Field(
+    contact: ParsedPixel | None = Field(
         default=None,
-        description="The pixel at which it touches what carries it; of several the one nearest to "
-        "the camera, so the lowest in the picture. null if no point of contact can be seen.",
+        description="The pixel at which it touches its support; of several, the one nearest to the "
+        "camera, so the lowest in the picture. null if no point of contact is visible.",
     )
     cut_sides: list[Literal["left", "top", "right", "bottom"]] | None = Field(
         default=None,
-        description="Sides of `box` at which the object goes on, hidden by another thing or cut "
-        "off by the picture's edge. [] if its own outline is seen on all four; null if unknown.",
+        description="Sides of `box` at which the object continues, hidden by another object or cut "
+        "off by the picture's edge. [] if all four show its own outline; null if unknown.",
     )
     known_size: list[Literal["length", "width", "height"]] = Field(
         default_factory=list,
-        description="Edges of `size` that such things always have (a soda can is 12.2 cm high, "
-        "A4 paper 29.7 cm long), not judged from this picture.",
+        description="Edges of `size` that are standard for such objects (a soda can is 12.2 cm "
+        "high, A4 paper 29.7 cm long) and not judged from this picture.",
     )
-    doubt: DoubtSeen | None = Field(
-        default=None, description="How sure the numbers are; null if you cannot tell."
+    doubt: ParsedDoubt | None = Field(
+        default=None, description="Uncertainty of the numbers; null if you cannot estimate it."
     )
-    outline: OutlineSeen | None = Field(
+    outline: ParsedOutline | None = Field(
         default=None,
-        description="Only for environment supports: their shape seen from above; null if it is a "
+        description="Only for supports of the environment: shape seen from above; null if it is a "
         "rectangle.",
     )
-    surface: SurfaceSeen | None = Field(
-        default=None, description="Only for environment supports: material, pattern and colour."
+    surface: ParsedSurface | None = Field(
+        default=None, description="Only for supports of the environment: material, pattern, colour."
     )
     furniture: bool = Field(
-        default=False, description="Only for environment supports: built from the picture."
+        default=False,
+        description="True for a support of the environment that is built from the picture.",
     )
 
 
-class SceneSeen(AnswerPart):
+class ParsedScene(ResponsePart):
     """The scene in the photograph."""
 
     observations: str = Field(
         default="",
-        description="First, in a few sentences: what carries what, what hides what, and the known "
-        "sizes that camera and distances are estimated from.",
+        description="First, in a few sentences: what supports what, what hides what, and the known "
+        "sizes from which camera and distances are estimated.",
     )
-    camera: CameraSeen
-    objects: list[ObjectSeen]
+    camera: ParsedCamera
+    objects: list[ParsedObject]
 
     @model_validator(mode="after")
-    def _consistent(self) -> "SceneSeen":
+    def _consistent(self) -> "ParsedScene":
         problems = list(_problems(self))
         if problems:
             raise ValueError("; ".join(problems))
@@ -243,7 +249,7 @@ class SceneSeen(AnswerPart):
         return self
 
 
-def to_tree(answer: SceneSeen, photo: Photo) -> SceneTree:
+def to_tree(answer: ParsedScene, photo: Photo) -> SceneTree:
     """Convert an answer into a scene tree in pixels of the upright original.
 
     Boxes are clipped at the picture's edges.
@@ -275,7 +281,7 @@ def to_tree(answer: SceneSeen, photo: Photo) -> SceneTree:
         raise SpecError(phrase(error)) from None
 
 
-def tilt_quat(tilt: TiltSeen | None) -> Quat:
+def tilt_quat(tilt: ParsedTilt | None) -> Quat:
     """Return the rotation before yaw of a tilt in words."""
     if tilt is None or tilt.degrees == 0:
         return IDENTITY
@@ -293,7 +299,7 @@ def base_offset(size: Float[np.ndarray, "3"], yaw: float, tilt: Quat) -> Float[n
     return -rotate(from_yaw(yaw), [middle[0], middle[1], 0.0])[:2]
 
 
-def _problems(answer: SceneSeen) -> list[str]:
+def _problems(answer: ParsedScene) -> list[str]:
     """List the errors that the tree's own validation would not report clearly."""
     problems = list(too_long(answer))
     if problems:
@@ -339,7 +345,7 @@ def _same_names(names: list[str]) -> list[str]:
     ]
 
 
-def _link_problems(obj: ObjectSeen, answer: SceneSeen) -> list[str]:
+def _link_problems(obj: ParsedObject, answer: ParsedScene) -> list[str]:
     parent = next((other for other in answer.objects if other.name == obj.parent), None)
     if obj.parent_link is None or parent is None:
         return []
@@ -353,7 +359,7 @@ def _link_problems(obj: ObjectSeen, answer: SceneSeen) -> list[str]:
 
 
 def _tree(
-    answer: SceneSeen, per_pixel: tuple[float, float], size: tuple[int, int], *, clip: bool
+    answer: ParsedScene, per_pixel: tuple[float, float], size: tuple[int, int], *, clip: bool
 ) -> SceneTree:
     camera = Camera(
         width=size[0],
@@ -370,7 +376,7 @@ def _tree(
 
 
 def _node(
-    obj: ObjectSeen, per_pixel: tuple[float, float], size: tuple[int, int] | None
+    obj: ParsedObject, per_pixel: tuple[float, float], size: tuple[int, int] | None
 ) -> TreeNode:
     x0, y0, x1, y1 = _corners(obj.box)
     sx, sy = per_pixel
@@ -411,8 +417,8 @@ def _node(
     )
 
 
-def _cues(obj: ObjectSeen, per_pixel: tuple[float, float]) -> Cues:
-    doubt = obj.doubt or DoubtSeen()
+def _cues(obj: ParsedObject, per_pixel: tuple[float, float]) -> Cues:
+    doubt = obj.doubt or ParsedDoubt()
     contact = None
     if obj.contact is not None:
         contact = (obj.contact.u * per_pixel[0], obj.contact.v * per_pixel[1])
@@ -426,5 +432,5 @@ def _cues(obj: ObjectSeen, per_pixel: tuple[float, float]) -> Cues:
     )
 
 
-def _corners(box: BoxSeen) -> tuple[float, float, float, float]:
+def _corners(box: ParsedBox) -> tuple[float, float, float, float]:
     return box.left, box.top, box.right, box.bottom

@@ -18,8 +18,8 @@ MOST = max(get_args(Level))
 CRITERIA = ("depth_ordering", "relative_size", "relative_orientation", "intersections")
 
 ASK = (
-    "The objects, and what carries them:\n\n{listing}\n\n"
-    "Judge how they stand to one another in the candidate against the photograph."
+    "The objects and their supports:\n\n{listing}\n\n"
+    "Compare the arrangement of the objects in the candidate with that in the photograph."
 )
 
 
@@ -40,7 +40,7 @@ class Judged(BaseModel):
 
 
 class Judgement(BaseModel):
-    """The critic's answer about one candidate."""
+    """The critic's judgement of one candidate."""
 
     model_config = ConfigDict(extra="forbid")
 

@@ -4,16 +4,14 @@ import io
 
 import numpy as np
 import pytest
-from neoworld_bench.judge.joint_hits import FilmComparison
-from neoworld_bench.judge.scene_judge import SceneRating
 from PIL import Image
 from pydantic import create_model
 
 from neoworld_mjx.errors import ModelError
 from neoworld_mjx.mllm import Picture
 from neoworld_mjx.parse.prompts import SceneCritique
-from neoworld_mjx.parse.schema import SceneSeen
-from neoworld_mjx.program.ask import ProgramAnswer
+from neoworld_mjx.parse.schema import ParsedScene
+from neoworld_mjx.program.ask import ProgramResponse
 from neoworld_mjx.program.critique import ArticulationCritique, ExportCritique, GeometryCritique
 from neoworld_mjx.verify.critic import MotionCritique, ProposedEdit
 
@@ -81,16 +79,14 @@ def test_a_renamed_class_with_its_former_title_keeps_the_key(make):
 @pytest.mark.parametrize(
     ("schema", "digest_start"),
     [
-        (SceneSeen, "3f263e835ac659a0"),
+        (ParsedScene, "3f263e835ac659a0"),
         (SceneCritique, "7d0772cc902df206"),
-        (ProgramAnswer, "ea109e1999bb076f"),
+        (ProgramResponse, "ea109e1999bb076f"),
         (GeometryCritique, "aadf49dcd64b58d6"),
         (ArticulationCritique, "fae4e1a89959b7b6"),
         (ExportCritique, "3e5d73d39ab1872e"),
         (MotionCritique, "84a3c2e836d4acfd"),
         (ProposedEdit, "8d2b04cfc105d197"),
-        (SceneRating, "3319ccf4b8e2f3f7"),
-        (FilmComparison, "ece876ddb29f5602"),
     ],
 )
 def test_schemas_of_answers_are_fixed(make, schema, digest_start):

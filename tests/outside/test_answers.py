@@ -11,7 +11,7 @@ from neoworld_mjx.io.names import file_name, identifier, is_name, plain_text
 from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
 from neoworld_mjx.mllm.requests import Reply, Usage
 from neoworld_mjx.parse.answer_bounds import BOUNDS
-from neoworld_mjx.parse.schema import SceneSeen, to_tree
+from neoworld_mjx.parse.schema import ParsedScene, to_tree
 from neoworld_mjx.program.validate import shown
 from neoworld_mjx.spec import SceneTree
 from tests.support import answers
@@ -35,7 +35,7 @@ def _paths(schema: type[BaseModel], at: str = ""):
 
 
 def test_every_number_of_an_answer_has_bounds():
-    assert set(_paths(SceneSeen)) == set(BOUNDS)
+    assert set(_paths(ParsedScene)) == set(BOUNDS)
 
 
 def _with(path: str, value: float) -> dict:
@@ -65,25 +65,25 @@ def test_numbers_at_the_edge_are_told_by_name_or_make_a_finite_tree(path):
         text = json.dumps(_with(path, value))
         if low <= value <= high:
             with contextlib.suppress(InvalidAnswer):  # Sides of a box may change places.
-                tree = to_tree(read_answer(text, SceneSeen), answers.photo())
+                tree = to_tree(read_answer(text, ParsedScene), answers.photo())
                 assert SceneTree.model_validate_json(tree.to_json()) == tree
         else:
             with pytest.raises(InvalidAnswer, match=f"{path} must lie in {low:g} .. {high:g}"):
-                read_answer(text, SceneSeen)
+                read_answer(text, ParsedScene)
 
 
 @pytest.mark.parametrize("text", ["NaN", "Infinity", "1e999", "-1e999"])
 def test_numbers_that_are_none(text):
     data = json.dumps(answers.answer(answers.item("cup", at=(7.25, 0, 0)))).replace("7.25", text)
     with pytest.raises(InvalidAnswer, match=r"is not JSON|must lie in|finite"):
-        read_answer(data, SceneSeen)
+        read_answer(data, ParsedScene)
 
 
 def test_an_answer_of_too_many_objects_is_one_line():
     data = answers.answer(*(answers.item(f"cup{i}") for i in range(20_000)))
     for text in (json.dumps(data), json.dumps(data | {"objects": data["objects"][:300]})):
         with pytest.raises(InvalidAnswer, match=r"at most 1000000 are read|at most 200 are taken"):
-            read_answer(text, SceneSeen)
+            read_answer(text, ParsedScene)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_an_answer_of_too_many_objects_is_one_line():
 )
 def test_floods_of_braces_end_soon(text):
     with pytest.raises(InvalidAnswer):
-        read_answer(text, SceneSeen)
+        read_answer(text, ParsedScene)
 
 
 NAMES = {
@@ -140,7 +140,7 @@ def test_names_are_told_or_made_plain(name):
     line.encode()
     if name.isascii():
         with pytest.raises(InvalidAnswer, match="a name has letters, digits and underscores"):
-            read_answer(json.dumps(answers.answer(answers.item(name))), SceneSeen)
+            read_answer(json.dumps(answers.answer(answers.item(name))), ParsedScene)
 
 
 def test_names_that_collide_after_cleaning_stay_apart():
@@ -156,13 +156,13 @@ def test_names_that_collide_after_cleaning_stay_apart():
 def test_names_that_differ_by_case_alone_are_told():
     data = json.dumps(answers.answer(answers.item("cup"), answers.item("Cup")))
     with pytest.raises(InvalidAnswer, match="object Cup: cup differs by case alone"):
-        read_answer(data, SceneSeen)
+        read_answer(data, ParsedScene)
 
 
 def test_texts_lose_what_cannot_be_seen():
     label = "cup\n\u202e<b>\0" + "x" * 10_000
     data = answers.answer(answers.item("cup", label=label, description=label))
-    node = to_tree(read_answer(json.dumps(data), SceneSeen), answers.photo()).node("cup")
+    node = to_tree(read_answer(json.dumps(data), ParsedScene), answers.photo()).node("cup")
     assert node.label.startswith("cup <b>xxx")
     assert (len(node.label), len(node.description)) == (100, 4000)
 
@@ -170,7 +170,7 @@ def test_texts_lose_what_cannot_be_seen():
 def test_half_a_character_in_a_reply_becomes_a_question_mark():
     assert Reply("a\ud800b", Usage(), "model").text == "a?b"
     with pytest.raises(InvalidAnswer):
-        read_answer('{"camera": "\\ud800"}', SceneSeen)
+        read_answer('{"camera": "\\ud800"}', ParsedScene)
 
 
 def test_a_list_of_shared_lists_is_shown_short():

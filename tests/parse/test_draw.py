@@ -4,7 +4,7 @@ import numpy as np
 from PIL import Image
 
 from neoworld_mjx.parse.draw import COLOURS, GREY, _tag, draw_parse
-from neoworld_mjx.parse.schema import SceneSeen, to_tree
+from neoworld_mjx.parse.schema import ParsedScene, to_tree
 from tests.support import answers
 
 
@@ -64,6 +64,6 @@ def test_tags_do_not_cover_each_other():
 def test_a_box_of_one_pixel_at_the_corner_can_be_drawn():
     data = answers.answer(answers.item("dot"))
     data["objects"][1]["box"] = {"left": 799.4, "top": 599.5, "right": 803, "bottom": 603}
-    tree = to_tree(SceneSeen.model_validate(data), answers.photo())
+    tree = to_tree(ParsedScene.model_validate(data), answers.photo())
     image = pixels(draw_parse(answers.photo(), tree))
     assert tuple(image[599, 799]) in ((0, 0, 0), COLOURS[0])

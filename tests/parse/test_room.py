@@ -8,7 +8,7 @@ from neoworld_mjx.fit.projection import expected_box
 from neoworld_mjx.fit.tree_checks import check_tree
 from neoworld_mjx.parse.photo import Photo
 from neoworld_mjx.parse.prompts import listing
-from neoworld_mjx.parse.schema import SceneSeen, to_tree
+from neoworld_mjx.parse.schema import ParsedScene, to_tree
 from neoworld_mjx.parse.support_colours import support_colours
 from neoworld_mjx.program.materials import MATERIALS
 from neoworld_mjx.spec import Box2D, SceneTree, SupportOutline
@@ -24,13 +24,13 @@ def points(corners):
 def parsed(outline, *objects) -> SceneTree:
     data = {"camera": answers.answer()["camera"]}
     data["objects"] = [answers.table(outline=outline), *objects]
-    return to_tree(SceneSeen.model_validate(data), answers.photo())
+    return to_tree(ParsedScene.model_validate(data), answers.photo())
 
 
 def test_an_answer_without_an_outline_has_a_rectangle():
     assert parsed(None).node("table").outline == SupportOutline()
     assert (
-        to_tree(SceneSeen.model_validate(answers.desk()), answers.photo()).node("table").outline
+        to_tree(ParsedScene.model_validate(answers.desk()), answers.photo()).node("table").outline
         == SupportOutline()
     )
 
@@ -129,7 +129,7 @@ SURFACE = {
 def table_with(surface, photo=None) -> SceneTree:
     data = answers.answer(answers.item("can", (0.8, 0.0, 0.0)))
     data["objects"][0]["surface"] = surface
-    return to_tree(SceneSeen.model_validate(data), photo or answers.photo())
+    return to_tree(ParsedScene.model_validate(data), photo or answers.photo())
 
 
 def test_a_surface_becomes_a_named_material_with_a_pattern():
@@ -143,7 +143,9 @@ def test_a_surface_becomes_a_named_material_with_a_pattern():
 
 
 def test_every_material_of_a_surface_is_one_of_programs():
-    names = SceneSeen.model_json_schema()["$defs"]["SurfaceSeen"]["properties"]["material"]["enum"]
+    names = ParsedScene.model_json_schema()["$defs"]["ParsedSurface"]["properties"]["material"][
+        "enum"
+    ]
     assert len(names) > 8 and set(names) <= set(MATERIALS)
 
 
@@ -220,8 +222,8 @@ def test_furniture_is_built_and_not_made_of_its_box():
     assert tree.node("table").slab and not tree.node("table").furniture
     assert set(support_colours(answers.photo(), tree)) == {"table"}
     data = answers.answer(shelf)
-    assert "shelf (shelf): on table" in listing(SceneSeen.model_validate(data))
-    assert "environment, built" in listing(SceneSeen.model_validate(data))
+    assert "shelf (shelf): on table" in listing(ParsedScene.model_validate(data))
+    assert "environment, built" in listing(ParsedScene.model_validate(data))
 
 
 @pytest.mark.parametrize(

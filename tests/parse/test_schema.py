@@ -11,14 +11,14 @@ from neoworld_mjx.fit.tree_checks import agreement, check_tree
 from neoworld_mjx.mllm import package_text
 from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
 from neoworld_mjx.parse.prompts import SceneCritique, listing, parse_request
-from neoworld_mjx.parse.schema import SceneSeen, TiltSeen, tilt_quat, to_tree
+from neoworld_mjx.parse.schema import ParsedScene, ParsedTilt, tilt_quat, to_tree
 from neoworld_mjx.spec import Camera, Cues
 from neoworld_mjx.spec.pose import rotate
 from tests.support import answers
 
 
 def tree(data, photo=None):
-    return to_tree(SceneSeen.model_validate(data), photo or answers.photo())
+    return to_tree(ParsedScene.model_validate(data), photo or answers.photo())
 
 
 def test_degrees_become_radians_and_shown_pixels_original_ones():
@@ -78,7 +78,7 @@ def test_a_doubt_of_zero_is_refused_by_name():
     ],
 )
 def test_a_tilt_takes_the_top_that_way(towards, top):
-    quat = tilt_quat(TiltSeen(towards=towards, degrees=90))
+    quat = tilt_quat(ParsedTilt(towards=towards, degrees=90))
     assert rotate(quat, [0, 0, 1]) == pytest.approx(np.array(top), abs=1e-12)
 
 
@@ -126,7 +126,7 @@ def test_all_that_is_wrong_is_said_at_once():
         fovy_deg=400,
     )
     with pytest.raises(ValidationError) as error:
-        SceneSeen.model_validate(bad)
+        ParsedScene.model_validate(bad)
     message = str(error.value)
     for part in (
         "cup: parent 'tabel'",
@@ -154,7 +154,7 @@ def test_all_that_is_wrong_is_said_at_once():
 def test_the_tree_is_validated_when_the_answer_is_read(change, said):
     data = answers.answer(answers.item("cup") | change)
     with pytest.raises(InvalidAnswer, match=said):
-        read_answer(json.dumps(data), SceneSeen)
+        read_answer(json.dumps(data), ParsedScene)
 
 
 def test_hidden_by_something_means_hidden():
@@ -165,7 +165,7 @@ def test_hidden_by_something_means_hidden():
 
 
 def test_the_schema_holds_nothing_that_servers_turn_down():
-    for schema in (SceneSeen, SceneCritique):
+    for schema in (ParsedScene, SceneCritique):
         message = str(schema.model_json_schema())
         assert "prefixItems" not in message
         assert "minimum" not in message
@@ -174,7 +174,7 @@ def test_the_schema_holds_nothing_that_servers_turn_down():
 def test_the_example_of_the_guide_is_a_good_answer():
     guide = package_text("neoworld_mjx.parse", "reasoner")
     example = guide[guide.index('    {"observations"') : guide.index("And of a cabinet")]
-    result = to_tree(read_answer(example, SceneSeen), answers.photo())
+    result = to_tree(read_answer(example, ParsedScene), answers.photo())
     assert all(agreement(result, node) > 0.7 for node in result.nodes)
     assert check_tree(result) == ()
 
@@ -186,7 +186,7 @@ def test_the_guide_names_every_field_that_is_not_self_evident():
 
 
 def test_a_mend_repeats_the_answer_and_the_findings():
-    seen = SceneSeen.model_validate(answers.desk())
+    seen = ParsedScene.model_validate(answers.desk())
     first = parse_request(answers.photo())
     mend = parse_request(answers.photo(), seen, ["can: it floats"])
     assert mend.parts["system"] == first.parts["system"]
@@ -198,7 +198,7 @@ def test_a_mend_repeats_the_answer_and_the_findings():
 def test_the_listing_tells_the_critic_what_the_picture_cannot():
     data = answers.desk()
     data["objects"][1]["articulation"] = [{"part": "lid", "motion": "revolute", "opening": 0.5}]
-    message = listing(SceneSeen.model_validate(data))
+    message = listing(ParsedScene.model_validate(data))
     assert "- can (soda can): on left; box 10 10 90 90" in message
     assert "lid revolute 50% open" in message
-    assert "no carrier" in message
+    assert "no support" in message

@@ -7,7 +7,7 @@ import numpy as np
 
 from neoworld_mjx.fit.projection import expected_box
 from neoworld_mjx.parse.photo import Photo
-from neoworld_mjx.parse.schema import SceneSeen, to_tree
+from neoworld_mjx.parse.schema import ParsedScene, to_tree
 from neoworld_mjx.spec import Box2D, SceneTree
 
 SIZE = (800, 600)
@@ -53,7 +53,7 @@ def desk():
 
 def exact(data=None) -> SceneTree:
     """The tree of an answer, its 2D boxes those of its 3D boxes."""
-    tree = to_tree(SceneSeen.model_validate(data or desk()), photo())
+    tree = to_tree(ParsedScene.model_validate(data or desk()), photo())
     nodes = []
     for node in tree.nodes:
         corners = expected_box(tree.camera, node)

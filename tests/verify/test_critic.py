@@ -96,7 +96,7 @@ def test_a_value_just_within_its_threshold_is_doubtful_and_shown():
     (check,) = tests.verdict.borderline
     assert (check.name, check.outcome, check.fault) == ("depth:hinge", "PASS", None)
     assert 0.8e-3 <= check.value <= 1e-3
-    assert "ONLY JUST PASSED joint_range depth:hinge" in key_frames_request(tests).prompt
+    assert "BARELY PASSED joint_range depth:hinge" in key_frames_request(tests).prompt
     assert [strip.label for strip in strips(tests)] == ["joint_range depth:hinge"]
     assert strips(tests)[0].shows.count("hinge") > 4  # Drawn with the door where it is worst.
 
