@@ -1,10 +1,11 @@
-"""The vocabulary of rollouts: the Engine protocol, Rollout, RolloutStatus and EarlyStop.
+"""The interface of physics engines: Engine, Rollout, RolloutStatus, EarlyStop and Schedule.
 
-No engine is imported here, nor by what this module imports; `simulate` opens engines by name.
+This module and its imports know no engine; `simulate` opens engines by name.
 """
 
+import abc
 import enum
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,38 +19,37 @@ from .scene_arrays import SceneArrays
 
 
 class RolloutStatus(enum.IntEnum):
-    """How a candidate's rollout ended."""
+    """Outcome of a candidate's rollout."""
 
     OK = 0
     SETTLED = 1
-    """Stopped early at rest, or as it lingers past the bounds of stability; its last pose counts
-    for the rest of the time."""
+    """Stopped early: at rest, or lingering beyond the stability bounds. The last pose counts for
+    the remaining time."""
     DRIFTED = 2
-    """Stopped early because it had drifted past the cap, where D_drift is clipped anyway."""
+    """Stopped early: drifted beyond the cap, where D_drift is clipped anyway."""
     FAILED = 3
-    """Not a number, or diverged; its reward is minus infinity."""
+    """Not finite, or diverged; the reward is minus infinity."""
     TRUNCATED = 4
-    """Contacts were dropped by an engine's cap and no other engine could take over."""
+    """An engine's capacity dropped contacts, and no other engine could take over."""
 
 
 class EarlyStop(eqx.Module):
-    """When a candidate's rollout may end before its time.
+    """Conditions under which a candidate's rollout ends before its time.
 
-    Settled: every speed and acceleration below the bounds, and no speed growing, in `checks`
-    consecutive checks, not before `after`; rates of turning count by what they mean at the object's
-    edge, so that a spoon that quivers is not taken for one that moves, and what begins to topple
-    grows faster from check to check. Also settled is a candidate that is past the bounds of
-    stability, so that its verdict is known, and whose objects then linger within a small part of
-    these bounds; with `anywhere` a candidate that lingers is settled, wherever that is. Drifted: an
-    object moved further than `drift` or turned more than `tilt`. Engines that hand states over only
-    at records check only there.
+    Settled: every speed and acceleration is below its bound, and no speed grows, in `checks`
+    consecutive checks after `after`. Angular rates count by the speed they cause at the object's
+    edge, so that a quivering spoon does not count as moving; the speed of a toppling object grows
+    from check to check. A candidate beyond the stability bounds, whose verdict is therefore known,
+    also settles when its objects linger within a small part of these bounds; with `anywhere`, a
+    candidate that lingers settles wherever it is. Drifted: an object moved farther than `drift` or
+    rotated more than `tilt`. Engines that return states only at records check only there.
 
-    With these bounds 4 verdicts of 1 728 changed over nine scenes of `bench`, all near a bound, at
-    22 % of the steps.
+    With these bounds 4 of 1 728 verdicts changed over nine benchmark scenes, all within a factor of
+    2 of a threshold, at 22 % of the steps.
     """
 
     after: float = 0.1
-    """[s]"""
+    """Earliest time of settling [s]."""
     interval: float = 0.02
     """Time between two checks [s]."""
     checks: int = 3
@@ -58,40 +58,52 @@ class EarlyStop(eqx.Module):
     acceleration: float = 1.0
     """[m/s^2]"""
     linger: float = 0.06
-    """[s]"""
+    """Time within a small part of the stability bounds [s]."""
     anywhere: bool = False
+    """True if a candidate that lingers settles even within the stability bounds."""
     distance: float = 0.01
-    """Bound of stability [m]."""
+    """Stability bound of translation [m]."""
     angle: float = 0.0872665
-    """Bound of stability [rad]."""
+    """Stability bound of rotation [rad]."""
     drift: float = 0.1
     """[m]"""
     tilt: float = 0.8726646
     """[rad]"""
 
 
+class Schedule(NamedTuple):
+    """Records of a rollout, and its early stopping."""
+
+    records: int
+    """Number of recorded states."""
+    every: int
+    """Steps between two records."""
+    early_stop: EarlyStop | None = None
+    """None simulates every candidate to the end."""
+
+
 class Rollout(eqx.Module):
-    """Motion of every object and joint of every candidate; movable bases move, others do not."""
+    """Motion of every object and joint of every candidate; only movable bases move."""
 
     time: Float[AnyArray, " time"]
-    """Times of the records [s], without the start."""
+    """Times of the records [s]; the initial state is not recorded."""
     pos: Float[AnyArray, "pop time object 3"]
     """Object origins in the world [m]."""
     quat: Float[AnyArray, "pop time object 4"]
     """Rotations, w first."""
     joint_shift: Float[AnyArray, "pop time joint"]
-    """Distance of each joint from its position at the start: [rad] for hinges and, as the angle of
+    """Distance of each joint from its initial position: [rad] for hinges and, as the angle of
     rotation, for balls; [m] for slides. Joints as in `StaticScene.joints`."""
     status: Int[AnyArray, " pop"]
     """RolloutStatus of each candidate."""
     start: Poses
-    """Where the candidates' objects were placed."""
+    """Initial poses of the candidates' objects."""
     steps: Int[AnyArray, " pop"]
-    """Steps that were simulated."""
+    """Number of simulated steps."""
 
 
 def unmoved(scene: SceneArrays, poses: Poses) -> Rollout:
-    """Return rollouts of no duration: candidates as they were placed, status OK. Traceable."""
+    """Return rollouts of zero duration: initial poses, status OK. Traceable."""
     pop = poses.scale.shape[0]
     return Rollout(
         time=jnp.zeros(1),
@@ -106,7 +118,7 @@ def unmoved(scene: SceneArrays, poses: Poses) -> Rollout:
 
 @runtime_checkable
 class Engine(Protocol):
-    """Rolls placed candidates of a scene out under gravity."""
+    """Simulates placed candidates of a scene under gravity."""
 
     name: str
 
@@ -119,38 +131,64 @@ class Engine(Protocol):
         record_every: float = 0.1,
         early_stop: EarlyStop | None = None,
     ) -> Rollout:
-        """Simulate every candidate from rest at its snapped pose.
+        """Simulate every candidate, initially at rest at its snapped pose.
 
         Args:
-            scene: the compiled scene; its time step is used.
-            poses: where the candidates' objects are placed, by `SceneModel.place`.
+            scene: the compiled scene, which sets the time step.
+            poses: initial poses of the candidates' objects, from `SceneModel.place`.
             duration: simulated time [s].
             record_every: time between recorded poses [s].
-            early_stop: rules for stopping candidates early; None simulates all of them to the end.
+            early_stop: conditions for stopping candidates early; None simulates all to the end.
 
         Returns:
             Poses and a status per candidate; a candidate that fails never raises.
+
+        Raises:
+            EngineError: the engine cannot simulate the scene.
         """
         ...
 
 
-def unplaceable(poses: Poses, xp: Any = np) -> Any:
-    """Tell which candidates no engine should try: [pop], true where a pose is not finite or absurd.
+class BatchEngine(abc.ABC):
+    """Base of the engines that simulate a population on a schedule."""
 
-    Absurd is a scale below 1e-3 or above 1e3, where masses meet MuJoCo's smallest, or a place
-    farther than 1e6 m. Engines give such a candidate the status FAILED without simulating it.
+    name: str
+
+    def rollout(
+        self,
+        scene: SceneModel,
+        poses: Poses,
+        *,
+        duration: float = 1.0,
+        record_every: float = 0.1,
+        early_stop: EarlyStop | None = None,
+    ) -> Rollout:
+        """Simulate every candidate; see `Engine.rollout`."""
+        steps = record_steps(scene.static.mjm.opt.timestep, duration, record_every)
+        return self.simulate(scene, poses, Schedule(*steps, early_stop))
+
+    @abc.abstractmethod
+    def simulate(self, scene: SceneModel, poses: Poses, schedule: Schedule) -> Rollout:
+        """Simulate every candidate on a schedule; see `Engine.rollout`."""
+
+
+def unplaceable(poses: Poses, xp: Any = np) -> Any:
+    """Return a mask [pop] of candidates with a pose that is not finite or out of range.
+
+    A scale must be between 1e-3 and 1e3, since masses otherwise reach MuJoCo's smallest, and a
+    position within 1e6 m. Engines give other candidates the status FAILED without simulating them.
 
     Args:
         poses: of all candidates.
         xp: `jnp` for traced poses.
     """
-    # Comparisons with NaN are false, so it fails without a test of its own.
+    # Comparisons with NaN are false, so NaN fails as well.
     sized = (poses.scale > 1e-3) & (poses.scale < 1e3)
     placed = xp.all(xp.abs(poses.pos) < 1e6, axis=-1) & xp.all(xp.isfinite(poses.quat), axis=-1)
     return ~xp.all(sized & placed, axis=1)
 
 
 def record_steps(timestep: float, duration: float, record_every: float) -> tuple[int, int]:
-    """Split a rollout into (number of records, steps between them)."""
+    """Return the number of records of a rollout, and the steps between two of them."""
     every = max(1, round(record_every / timestep))
     return max(1, round(duration / (every * timestep))), every

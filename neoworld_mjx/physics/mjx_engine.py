@@ -1,6 +1,6 @@
 """Rollouts in JAX: `mjx_step`, vmapped over per-candidate model fields.
 
-MJX has no mj_setConst, so fields that MuJoCo derives from masses come from `derived`.
+MJX has no mj_setConst, so `derived` computes the fields that MuJoCo derives from masses.
 """
 
 import functools
@@ -15,7 +15,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float
 
-from .engine import EarlyStop, Rollout, RolloutStatus, record_steps, unplaceable
+from .engine import BatchEngine, Rollout, RolloutStatus, Schedule, unplaceable
 from .layout import Poses
 from .mjx_model import (
     Fields,
@@ -32,97 +32,73 @@ from .model import SceneModel, StaticScene
 from .recorder import DIVERGED, Recorder, in_chunks, read_states, record_times
 
 MJX_CHUNK = 8192
-"""Most candidates simulated at once."""
+"""Largest number of candidates simulated at once."""
 
 MEMORY_SHARE, CPU_MEMORY = 0.4, 1 << 30
-"""Of an accelerator's memory, and bytes on a CPU, that one chunk may take."""
+"""Share of an accelerator's memory, and bytes on a CPU, that one chunk may take."""
 
 COMPACTED = 512
-"""From this many candidates on a shrinking population moves into smaller programs, each of which
-compiles once; below it a program that runs half empty costs less than another compilation."""
+"""Population from which a shrinking population moves into smaller programs, each of which compiles
+once; below it a half-empty program costs less than another compilation."""
 
 
-class MjxEngine:
-    """MJX on any JAX device, or several of one kind. The first rollout of a scene compiles."""
+class MjxEngine(BatchEngine):
+    """MJX on one or several JAX devices of one kind. The first rollout of a scene compiles."""
 
     name = "mjx"
 
     def __init__(self, devices: Sequence[Any] | None = None):
-        """Split populations over `devices`; None takes all of JAX's default kind."""
+        """Split populations over `devices`; None uses all of JAX's default kind."""
         self.devices = tuple(jax.devices() if devices is None else devices)
         self._scenes: weakref.WeakKeyDictionary[StaticScene, tuple[MjxModel, SceneModel]] = (
             weakref.WeakKeyDictionary()
         )
 
-    def rollout(
-        self,
-        scene: SceneModel,
-        poses: Poses,
-        *,
-        duration: float = 1.0,
-        record_every: float = 0.1,
-        early_stop: EarlyStop | None = None,
-    ) -> Rollout:
-        """Simulate every candidate; see `Engine.rollout`.
-
-        Raises:
-            EngineError: the scene has something that MJX cannot simulate.
-        """
-        records, every = record_steps(scene.static.mjm.opt.timestep, duration, record_every)
-        model, scene = self._carried(scene)
+    def simulate(self, scene: SceneModel, poses: Poses, schedule: Schedule) -> Rollout:
+        """Simulate every candidate; see `Engine.rollout`."""
+        model, scene = self._on_devices(scene)
         poses = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), poses)
         pop = poses.scale.shape[0]
-        # Early stop runs on in smaller programs: powers of two are shared by all populations.
-        size = self._chunk(model, pop if early_stop is None else 1 << (pop - 1).bit_length())
+        whole = schedule.early_stop is None
+        # Early stopping continues in smaller programs: powers of two are shared by all populations.
+        size = self._chunk(model, pop if whole else 1 << (pop - 1).bit_length())
 
-        def run(some: Poses) -> Rollout:
-            count = len(some.scale)
+        def run(chunk: Poses) -> Rollout:
+            count = len(chunk.scale)
             if scene.static.mjm.nv == 0:
-                still = np.zeros(count, bool)
-                return Recorder(scene.static, some, records, every, early_stop, still).rollout()
-            # All chunks are filled up to one shape, which is compiled once.
-            chunk = self._spread(some[np.minimum(np.arange(size), count - 1)])
-            simulate = self._whole if early_stop is None else self._segments
-            rollout = simulate(model, scene, chunk, records, every, early_stop)
+                return Recorder(scene.static, chunk, schedule).rollout()
+            # All chunks are padded to one shape, which is compiled once.
+            padded = self._spread(chunk[np.minimum(np.arange(size), count - 1)])
+            simulate = self._whole if whole else self._segments
+            rollout = simulate(model, scene, padded, schedule)
             rows = jax.tree.map(lambda leaf: np.asarray(leaf)[:count], rollout)
             return eqx.tree_at(lambda r: r.time, rows, np.asarray(rollout.time))
 
-        return in_chunks(scene.static, poses, size, records, every, run)
+        return in_chunks(scene.static, poses, size, schedule, run)
 
     def _whole(
-        self,
-        model: MjxModel,
-        scene: SceneModel,
-        poses: Poses,
-        records: int,
-        every: int,
-        rule: EarlyStop | None,
+        self, model: MjxModel, scene: SceneModel, poses: Poses, schedule: Schedule
     ) -> Rollout:
-        """Run to the end in one program."""
+        """Simulate to the end in one program."""
         fields, start, bad = prepare(scene, poses)
+        records, every, _ = schedule
         qpos, dropped = bare_scan(model, fields, start, records, every)
         return _rollout(scene, poses, qpos, bad, dropped, records, every)
 
     def _segments(
-        self,
-        model: MjxModel,
-        scene: SceneModel,
-        poses: Poses,
-        records: int,
-        every: int,
-        rule: EarlyStop | None,
+        self, model: MjxModel, scene: SceneModel, poses: Poses, schedule: Schedule
     ) -> Rollout:
-        """Run record by record; candidates that have stopped leave once a smaller program fits."""
+        """Simulate record by record; stopped candidates leave once a smaller program fits."""
         fields, start, bad = prepare(scene, poses)
         data = _begin(model, fields, start)
-        recorder = Recorder(scene.static, poses, records, every, rule, np.asarray(bad))
+        recorder = Recorder(scene.static, poses, schedule, np.asarray(bad))
         rows = np.arange(len(recorder.status))
         sizes = [len(rows) // k for k in (8, 4, 2)] if len(rows) >= COMPACTED else []
         truncated = np.zeros(len(rows), bool)
-        for time in range(records):
+        for time in range(schedule.records):
             if not len(recorder.active):
                 break
-            data, dropped = _advance(model, fields, data, every)
+            data, dropped = _advance(model, fields, data, schedule.every)
             active = np.searchsorted(rows, recorder.active)
             truncated[recorder.active] |= np.asarray(dropped)[active]
             qpos, qvel, qacc = (np.asarray(x)[active] for x in (data.qpos, data.qvel, data.qacc))
@@ -134,15 +110,16 @@ class MjxEngine:
                 index = jnp.asarray(np.concatenate([keep, fill]))
                 fields, data = self._spread(_take((fields, data), index))
                 rows = np.concatenate([recorder.active, fill * 0 + np.iinfo(int).max])
-        fine = recorder.status != int(RolloutStatus.FAILED)
-        recorder.status[truncated & fine] = int(RolloutStatus.TRUNCATED)
+        finished = recorder.status != int(RolloutStatus.FAILED)
+        recorder.status[truncated & finished] = int(RolloutStatus.TRUNCATED)
         return recorder.rollout()
 
     def _chunk(self, model: MjxModel, pop: int) -> int:
+        """Return the number of candidates that fit into the devices' memory at once."""
         shapes = jax.eval_shape(lambda m: make_data(m), model)
-        # The state before and after a step, and about as much again for what lies between.
+        # The state before and after a step, and about as much again for intermediate values.
         each = 4 * sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(shapes))
-        # Edges against faces of every pair that is looked at, both ways.
+        # Edges against faces of every evaluated pair, both ways.
         each += 40 * model.near * model.solids.edge.shape[1] * model.solids.plane.shape[1]
         device, count = self.devices[0], len(self.devices)
         stats = (device.memory_stats() or {}) if device.platform != "cpu" else {}
@@ -159,12 +136,11 @@ class MjxEngine:
         spec = PartitionSpec() if axis is None else PartitionSpec(axis)
         return jax.device_put(tree, NamedSharding(mesh, spec))
 
-    def _carried(self, scene: SceneModel) -> tuple[MjxModel, SceneModel]:
+    def _on_devices(self, scene: SceneModel) -> tuple[MjxModel, SceneModel]:
         """Return the model and the scene on the engine's devices."""
         if scene.static not in self._scenes:
-            model = on_device(scene)
             arrays, rest = eqx.partition(scene, eqx.is_array)
-            model, arrays = self._spread((model, arrays), None)
+            model, arrays = self._spread((on_device(scene), arrays), None)
             self._scenes[scene.static] = model, eqx.combine(arrays, rest)
         return self._scenes[scene.static]
 
@@ -173,11 +149,7 @@ _models: "weakref.WeakKeyDictionary[StaticScene, MjxModel]" = weakref.WeakKeyDic
 
 
 def on_device(scene: SceneModel) -> MjxModel:
-    """Put a scene on JAX's default device, once.
-
-    Raises:
-        EngineError: the scene has something that MJX cannot simulate.
-    """
+    """Return a scene's model on JAX's default device; see `put_model`."""
     if scene.static not in _models:
         _models[scene.static] = put_model(scene)
     return _models[scene.static]
@@ -187,7 +159,7 @@ def on_device(scene: SceneModel) -> MjxModel:
 def prepare(
     scene: SceneModel, poses: Poses
 ) -> tuple[Fields, Float[Array, "pop nq"], Bool[Array, " pop"]]:
-    """Return the candidates' model fields, their start states, and which cannot be placed."""
+    """Return the candidates' model fields, initial states, and a mask of the unplaceable ones."""
     fields, qpos = candidate_fields(scene, poses)
     return fields, qpos, unplaceable(poses, jnp)
 
@@ -196,17 +168,17 @@ def prepare(
 def bare_scan(
     model: MjxModel, fields: Fields, qpos: Float[Array, "pop nq"], records: int, every: int
 ) -> tuple[Float[Array, "pop time nq"], Bool[Array, " pop"]]:
-    """Scan `mjx_step`, vmapped over all candidates, and nothing else.
+    """Scan `mjx_step`, vmapped over all candidates.
 
     Args:
         model: the scene's model.
         fields: per-candidate values of its fields.
-        qpos: start states.
-        records: how many states are returned.
+        qpos: initial states.
+        records: number of returned states.
         every: steps between them.
 
     Returns:
-        The states, and whether pairs of geoms that may have touched were left out.
+        The states, and a mask of candidates in which a pair of geoms that may touch was dropped.
     """
 
     def one(own: Fields, start: Float[Array, " nq"]) -> tuple[Array, Array]:

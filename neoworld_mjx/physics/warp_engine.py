@@ -1,8 +1,8 @@
-"""Rollouts on NVIDIA GPUs with MuJoCo Warp, called directly, a world a candidate.
+"""Rollouts on NVIDIA GPUs with MuJoCo Warp; each candidate is one world.
 
-Every candidate has its own values of the model's batched fields. A convex piece's corners are not
-such a field, so the corners of all candidates are stored one after another, and each world's
-`geom_dataid` points at its own: scales are exact.
+Every candidate has its own values of the model's batched fields. Mesh vertices are not batched, so
+the vertices of all candidates are concatenated, and each world's `geom_dataid` refers to its own:
+scales are exact.
 """
 
 import ctypes
@@ -19,7 +19,7 @@ import numpy as np
 
 from ..errors import EngineError
 from .derived import invweights, static_geoms, subtree_mass
-from .engine import EarlyStop, Rollout, RolloutStatus, record_steps, unplaceable
+from .engine import BatchEngine, Rollout, RolloutStatus, Schedule, unplaceable
 from .layout import Poses
 from .model import SceneModel, StaticScene
 from .model_fields import mesh_object, model_fields, owner_scale
@@ -30,37 +30,37 @@ if TYPE_CHECKING:
     from .warp_worlds import Worlds
 
 WARP_CHUNK = 8192
-"""Most candidates simulated at once."""
+"""Largest number of candidates simulated at once."""
 
 GROWTHS = 3
-"""How often a pool of contacts that overflowed is doubled before candidates go to `native`."""
+"""Doublings of an overflowing contact pool before candidates move to `native`."""
 
 BUCKETS = 8
-"""Worlds are launched in eighths of a power of two, so that few graphs are captured."""
+"""Parts of a power of two in which worlds are launched, so that few graphs are captured."""
 
 FILLER = np.iinfo(int).max
-"""In the place of a candidate, a world that fills a bucket up."""
+"""Index of a world that only pads a bucket."""
 
 _NOT_FIELDS = ("qpos", "site_pos")
 
 
 class Counts(NamedTuple):
-    """What happened in an engine's rollouts so far."""
+    """Counters of an engine's rollouts so far."""
 
     candidates: int = 0
     truncated: int = 0
-    """Candidates whose contacts or constraints did not fit, rolled out again by `native`."""
+    """Candidates that exceeded the capacity and were rolled out again by `native`."""
     grown: int = 0
-    """Populations that were rolled out again with more room for contacts."""
+    """Populations that were rolled out again with a larger contact pool."""
 
 
-class WarpEngine:
+class WarpEngine(BatchEngine):
     """MuJoCo Warp on an NVIDIA GPU. The first rollout of a scene compiles and captures graphs."""
 
     name = "warp"
 
     def __init__(self, device: str | None = None):
-        """Use a warp device, such as "cuda:1"; None takes the current NVIDIA GPU.
+        """Use a warp device, such as "cuda:1"; None uses the current NVIDIA GPU.
 
         Raises:
             EngineError: warp is not installed, or there is no NVIDIA GPU and no device is named.
@@ -69,39 +69,23 @@ class WarpEngine:
         self.counts = Counts()
         self._worlds: "weakref.WeakKeyDictionary[StaticScene, Worlds]" = weakref.WeakKeyDictionary()
 
-    def rollout(
-        self,
-        scene: SceneModel,
-        poses: Poses,
-        *,
-        duration: float = 1.0,
-        record_every: float = 0.1,
-        early_stop: EarlyStop | None = None,
-    ) -> Rollout:
+    def simulate(self, scene: SceneModel, poses: Poses, schedule: Schedule) -> Rollout:
         """Simulate every candidate; see `Engine.rollout`.
 
         Results vary in the last bits between runs, since a GPU sums in any order.
 
         Raises:
-            EngineError: the scene has something that MuJoCo Warp cannot simulate, or the GPU's
-                memory is short.
+            EngineError: MuJoCo Warp cannot simulate the scene, or the GPU's memory is short.
         """
-        records, every = record_steps(scene.static.mjm.opt.timestep, duration, record_every)
         poses = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), poses)
         size = self._chunk_size(scene, poses)
-        run = functools.partial(self._chunk, scene, records=records, every=every, rule=early_stop)
-        whole = in_chunks(scene.static, poses, size, records, every, run)
+        run = functools.partial(self._chunk, scene, schedule=schedule)
+        whole = in_chunks(scene.static, poses, size, schedule, run)
         again = np.flatnonzero(whole.status == int(RolloutStatus.TRUNCATED))
         c, pop = self.counts, len(whole.status)
         self.counts = c._replace(candidates=c.candidates + pop, truncated=c.truncated + len(again))
         if len(again):
-            redone = NativeEngine().rollout(
-                scene,
-                poses[again],
-                duration=duration,
-                record_every=record_every,
-                early_stop=early_stop,
-            )
+            redone = NativeEngine().simulate(scene, poses[again], schedule)
             for name in SIMULATED:
                 getattr(whole, name)[again] = getattr(redone, name)
         return whole
@@ -113,7 +97,7 @@ class WarpEngine:
         known = self._worlds.get(scene.static)
         if known is None or known.capacity.worlds < pop:
             room = known.capacity if known else probe(scene, poses)
-            # A power of two: kernels are compiled for the batch sizes of the model's fields.
+            # Kernels are compiled for the batch sizes of the model's fields.
             room = room._replace(worlds=max(64, 1 << (pop - 1).bit_length()))
             try:
                 self._worlds[scene.static] = known = Worlds(scene.static, room, self.device)
@@ -133,30 +117,18 @@ class WarpEngine:
             return WARP_CHUNK
         return min(WARP_CHUNK, self.worlds(scene, 1, fine).room())
 
-    def _chunk(
-        self,
-        scene: SceneModel,
-        poses: Poses,
-        *,
-        records: int,
-        every: int,
-        rule: EarlyStop | None,
-    ) -> Rollout:
+    def _chunk(self, scene: SceneModel, poses: Poses, *, schedule: Schedule) -> Rollout:
         """Roll candidates out at once; those whose contacts did not fit are TRUNCATED."""
         pop = len(poses.scale)
-        open_recorder = lambda: Recorder(
-            scene.static, poses, records, every, rule, np.zeros(pop, bool)
-        )
         if scene.static.mjm.nv == 0:
-            return open_recorder().rollout()
-        # Of populations of any size a few shapes are compiled and captured.
-        room = 1 << (pop - 1).bit_length()
-        fields, start = _prepare(scene, poses[np.resize(np.arange(pop), room)])
-        truncated = np.zeros(pop, bool)
+            return Recorder(scene.static, poses, schedule).rollout()
+        # Powers of two, so that few shapes are compiled and captured.
+        padded = 1 << (pop - 1).bit_length()
+        fields, start = _prepare(scene, poses[np.resize(np.arange(pop), padded)])
         for attempt in range(GROWTHS + 1):
-            worlds = self.worlds(scene, room, poses)
-            recorder = open_recorder()
-            truncated, full = _advance(worlds, fields, np.asarray(start), recorder, records)
+            worlds = self.worlds(scene, padded, poses)
+            recorder = Recorder(scene.static, poses, schedule)
+            truncated, full = _advance(worlds, fields, np.asarray(start), recorder, schedule)
             if not full:
                 break
             if attempt == GROWTHS:
@@ -169,20 +141,24 @@ class WarpEngine:
 
 
 def _advance(
-    worlds: "Worlds", fields: dict[str, Any], start: np.ndarray, recorder: Recorder, records: int
+    worlds: "Worlds",
+    fields: dict[str, Any],
+    start: np.ndarray,
+    recorder: Recorder,
+    schedule: Schedule,
 ) -> tuple[np.ndarray, bool]:
-    """Run segments until all candidates have stopped or the time is over.
+    """Simulate until all candidates have stopped or the time is over.
 
     Args:
-        worlds: where they run.
-        fields: of the candidates, filled up to a power of two.
-        start: their start states, likewise.
+        worlds: memory and compiled steps.
+        fields: of the candidates, padded to a power of two.
+        start: initial states of the candidates, likewise padded.
         recorder: of the candidates.
-        records: how many states are recorded.
+        schedule: of the rollout.
 
     Returns:
-        A mask [pop] of candidates that ran out of constraints, and whether a pool that all worlds
-        share was full, which spoils them all.
+        A mask [pop] of candidates that ran out of constraints; and True if a pool that all worlds
+        share was full, which invalidates all of them.
     """
     pop = len(recorder.status)
     truncated = np.zeros(pop, bool)
@@ -190,9 +166,9 @@ def _advance(
     launched = -(-pop // bucket) * bucket
     worlds.load(fields, start[:launched])
     rows = np.concatenate([np.arange(pop), np.full(launched - pop, FILLER)])
-    for time in range(records):
-        worlds.step(recorder.every)
-        qpos, qvel, qacc, overflow = worlds.read(moving=recorder.rule is not None)
+    for time in range(schedule.records):
+        worlds.step(schedule.every)
+        qpos, qvel, qacc, overflow = worlds.read(moving=schedule.early_stop is not None)
         if (overflow & worlds.SHARED).any():
             return truncated, True
         active = np.searchsorted(rows, recorder.active)
@@ -207,14 +183,13 @@ def _advance(
         failed = np.count_nonzero(recorder.status == RolloutStatus.FAILED) > before
         recorder.active = recorder.active[~truncated[recorder.active]]
         left = len(recorder.active)
-        if left == 0 or time + 1 == records:
+        if left == 0 or time + 1 == schedule.records:
             break
         launched = -(-left // bucket) * bucket
         if launched < len(rows) or failed:
             if qvel is None or qacc is None:
                 _, qvel, qacc, _ = (x[active] for x in worlds.read())
-            # Candidates that run on move to the front; what is beyond them in their last bucket
-            # repeats the first of them.
+            # Active candidates move to the front; the first of them pads the last bucket.
             fill = np.zeros(max(min(launched, len(rows)) - left, 0), int)
             keep = np.flatnonzero(running)
             keep = np.concatenate([keep, keep[fill]])
@@ -225,7 +200,7 @@ def _advance(
 
 @eqx.filter_jit
 def _prepare(scene: SceneModel, poses: Poses) -> tuple[dict[str, Any], Any]:
-    """Return the candidates' model fields as [pop, n], and their start states."""
+    """Return the candidates' model fields as [pop, n], and their initial states."""
     static = scene.static
     every = model_fields(scene, poses) | invweights(scene, poses)
     start = every["qpos"]
@@ -269,7 +244,7 @@ def warp_device(device: str | None = None) -> Any:
 
 
 def _driver() -> bool:
-    """Whether NVIDIA's driver loads and has a GPU; much faster than asking warp."""
+    """Return whether NVIDIA's driver loads and has a GPU; much faster than initializing warp."""
     try:
         cuda = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     except OSError:

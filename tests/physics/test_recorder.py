@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus
+from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus, Schedule
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.recorder import Recorder
@@ -29,7 +29,7 @@ def steps_until_stopped(scene, *, away=lambda k: 0.0, speed=lambda k: 0.0, turne
     """
     start = scene.place_exactly(Layout.zero(1, len(scene.names)))
     static = scene.static
-    recorder = Recorder(static, start, 10, 25, EarlyStop(), np.zeros(1, bool))
+    recorder = Recorder(static, start, Schedule(10, 25, EarlyStop()))
     for k in range(50):
         qpos, rates = static.start[None].copy(), np.zeros((1, static.mjm.nv))
         qpos[0, 0] += away(k)
@@ -87,6 +87,6 @@ def test_what_was_past_the_bounds_at_a_record_only_counts_as_that(blocks):
 def test_segments_make_up_the_steps_between_records(blocks, interval):
     start = blocks.place_exactly(Layout.zero(1, len(blocks.names)))
     rule = EarlyStop(interval=interval)
-    segments = Recorder(blocks.static, start, 10, 25, rule, np.zeros(1, bool)).segments()
+    segments = Recorder(blocks.static, start, Schedule(10, 25, rule)).segments()
     assert sum(segments) == 25
     assert len(segments) == {0.004: 25, 0.02: 5, 0.03: 3, 0.1: 1, 1.0: 1}[interval]

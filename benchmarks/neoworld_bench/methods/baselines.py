@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from neoworld_mjx.config import RefineOptions
-from neoworld_mjx.physics.engine import EarlyStop, Rollout, record_steps
+from neoworld_mjx.physics.engine import EarlyStop, Rollout, Schedule, record_steps
 from neoworld_mjx.physics.layout import Poses
 from neoworld_mjx.physics.mjcf import to_mjspec
 from neoworld_mjx.physics.model import SceneModel
@@ -37,20 +37,20 @@ class OneByOne:
     ) -> Rollout:
         """Simulate every candidate on one thread; see `Engine.rollout`. Nothing stops early."""
         timestep = scene.static.mjm.opt.timestep
-        records, every = record_steps(timestep, duration, record_every)
+        schedule = Schedule(*record_steps(timestep, duration, record_every))
         poses = jax.tree.map(lambda leaf: np.asarray(leaf, float), poses)
 
         def run(one: Poses) -> Rollout:
-            recorder = Recorder(scene.static, one, records, every, None, np.zeros(1, bool))
+            recorder = Recorder(scene.static, one, schedule)
             model, data = started(to_mjspec(_placed_scene(scene, one), timestep=timestep))
-            for t in range(records):
-                mujoco.mj_step(model, data, nstep=every)
+            for t in range(schedule.records):
+                mujoco.mj_step(model, data, nstep=schedule.every)
                 recorder.record(t, data.qpos[None], None, None)
                 if not len(recorder.active):
                     break
             return recorder.rollout()
 
-        return in_chunks(scene.static, poses, 1, records, every, run)
+        return in_chunks(scene.static, poses, 1, schedule, run)
 
 
 def _placed_scene(scene: SceneModel, poses: Poses) -> SceneSpec:
