@@ -1,9 +1,9 @@
-"""Declare options: each in one place, with default, bounds, unit, meaning, and what a change costs.
+"""Declarations of options: default, bounds, unit, meaning, and the cost of changing the value.
 
-    population: int = static("shapes arrays", 256, "Candidates of an iteration.", ge=2)
+    population: int = static("sets array shapes", 256, "Candidates per iteration.", ge=2)
 
-`list_options` reads the declarations back: the pages of options and the grouping of sweeps are
-derived from that list.
+`list_options` returns the declarations; the pages of options and the grouping of sweeps are derived
+from that list.
 """
 
 from collections.abc import Iterator
@@ -13,78 +13,77 @@ from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import PydanticUndefined
 
 Kind = Literal["host", "traced", "static"]
-"""Cost of a change of an option in the search.
+"""Cost of changing an option during the search.
 
-host: nothing, the value acts outside of compiled code. traced: nothing, the value is an array that
-compiled code takes. static: compiled code is another one, for the option's reason.
+host: none, the value is used outside compiled code. traced: none, the value is an array argument of
+compiled code. static: a recompilation, for the option's reason.
 """
 
 
 class PaperDifference(NamedTuple):
-    """Where a default departs from the paper."""
+    """Difference of a default from the paper."""
 
     value: Any
-    """What the paper does; `configs/paper.yaml` sets it."""
+    """Value of the paper; `configs/paper.yaml` sets it."""
     reason: str
-    """Why the default is another, as one English sentence."""
+    """Reason for another default, as one English sentence."""
     effect: str = ""
-    """What was measured, with n, here and as in the paper; ablations of the search say it else."""
+    """Measured effect with n, default first; empty if the ablations of the search measure it."""
 
 
 class Options(BaseModel):
-    """Base of all option groups: frozen, and closed against unknown keys."""
+    """Base of all option groups: frozen, without unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Option(NamedTuple):
-    """One option as declared, with its path from the group that was listed."""
+    """Declaration of one option, with its path from the listed group."""
 
     path: str
     default: Any
-    """As in JSON and YAML."""
+    """Default in JSON form."""
     meaning: str
     unit: str
     kind: Kind
     reason: str
-    """Reason why an option is static, or why a traced one can split a sweep; else empty."""
+    """Reason why the option is static, or why a traced one can split a sweep; empty otherwise."""
     values: tuple[str, ...]
-    """The valid names, where the option takes one of a few."""
+    """Valid names of an enumerated option."""
     bounds: str
-    """Such as ">= 0"; empty without."""
+    """Bounds such as ">= 0"; empty if there are none."""
     difference: PaperDifference | None
-    """Where the default departs from the paper; None where it does not, or the paper leaves it
-    open."""
+    """Difference from the paper; None if there is none or the paper does not specify the value."""
 
 
-def option(default: Any, meaning: str, **more: Any) -> Any:
-    """Declare an option that acts outside of compiled code.
+def option(default: Any, meaning: str, **details: Any) -> Any:
+    """Declare an option that is used outside compiled code.
 
     Args:
-        default: the value without a configuration.
+        default: default value.
         meaning: one or two English sentences.
-        more: `unit` of the value; `departure` from the paper; `ge`, `gt`, `le` and `lt`.
+        details: `unit`, `difference` from the paper, and the bounds `ge`, `gt`, `le` and `lt`.
     """
-    return _declared(default, meaning, "host", **more)
+    return _declare(default, meaning, "host", **details)
 
 
-def traced(default: Any, meaning: str, **more: Any) -> Any:
+def traced(default: Any, meaning: str, **details: Any) -> Any:
     """Declare an option whose value is an array in compiled code.
 
     Args:
-        default: the value without a configuration.
+        default: default value.
         meaning: one or two English sentences.
-        more: as of `option`, and a `reason`; see `Option.reason`.
+        details: as for `option`, and `reason` (see `Option.reason`).
     """
-    return _declared(default, meaning, "traced", **more)
+    return _declare(default, meaning, "traced", **details)
 
 
-def static(reason: str, default: Any, meaning: str, **more: Any) -> Any:
-    """Declare an option whose other values compile another program; `reason` says why."""
-    return _declared(default, meaning, "static", reason=reason, **more)
+def static(reason: str, default: Any, meaning: str, **details: Any) -> Any:
+    """Declare an option whose change recompiles the program, for a reason."""
+    return _declare(default, meaning, "static", reason=reason, **details)
 
 
-def _declared(
+def _declare(
     default: Any,
     meaning: str,
     kind: Kind,
@@ -98,50 +97,44 @@ def _declared(
     return Field(default=default, description=meaning, json_schema_extra=extra, **bounds)
 
 
-def list_options(group: Options | type[Options], at: str = "") -> Iterator[Option]:
-    """List the options of a group and of the groups in it, in the order of declaration.
+def list_options(group: Options | type[Options], prefix: str = "") -> Iterator[Option]:
+    """List the options of a group and its subgroups, in the order of declaration.
 
     Args:
         group: an instance, whose values are the defaults, or a class whose options all have one.
-        at: path of the group, ending in a dot, or empty.
+        prefix: path of the group, ending in a dot, or empty.
     """
     group = group() if isinstance(group, type) else group
     values = group.model_dump(mode="json")
     for name, field in type(group).model_fields.items():
         value = getattr(group, name)
         if isinstance(value, Options):
-            yield from list_options(value, f"{at}{name}.")
+            yield from list_options(value, f"{prefix}{name}.")
             continue
         extra = field.json_schema_extra
         if not isinstance(extra, dict) or field.default is PydanticUndefined:
             raise TypeError(
                 f"{type(group).__name__}.{name}: declare it by option, traced or static"
             )
+        literal = get_origin(field.annotation) is Literal
         yield Option(
-            path=at + name,
+            path=prefix + name,
             default=values[name],
             meaning=field.description or "",
-            unit=str(extra["unit"]),
-            kind=extra["kind"],  # pyright: ignore[reportArgumentType]
-            reason=str(extra["reason"]),
-            values=_names(field.annotation),
+            values=get_args(field.annotation) if literal else (),
             bounds=", ".join(map(_bound, field.metadata)),
-            difference=extra["difference"],  # pyright: ignore[reportArgumentType]
+            **extra,  # pyright: ignore[reportArgumentType]
         )
 
 
-def option_values(options: Options, at: str = "") -> dict[str, Any]:
-    """Return the values of all options by path, as JSON holds them; see `list_options`."""
-    return {each.path: each.default for each in list_options(options, at)}
-
-
-def _names(annotation: Any) -> tuple[str, ...]:
-    return get_args(annotation) if get_origin(annotation) is Literal else ()
+def option_values(options: Options, prefix: str = "") -> dict[str, Any]:
+    """Return the values of all options in JSON form, by path; see `list_options`."""
+    return {option.path: option.default for option in list_options(options, prefix)}
 
 
 _SIGNS = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
 
 
-def _bound(limit: Any) -> str:
-    name = type(limit).__name__.lower()
-    return f"{_SIGNS[name]} {getattr(limit, name):g}"
+def _bound(constraint: Any) -> str:
+    name = type(constraint).__name__.lower()
+    return f"{_SIGNS[name]} {getattr(constraint, name):g}"

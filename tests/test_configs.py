@@ -22,8 +22,8 @@ def test_every_configuration_loads_and_survives_a_round_trip(path):
     assert again == config
 
 
-def test_pages_of_options_are_what_the_declarations_give():
-    stale = "write them anew: python -m neoworld_mjx.config"
+def test_generated_pages_match_the_declarations():
+    stale = "regenerate them: python -m neoworld_mjx.config --write"
     assert (CONFIGS / "default.yaml").read_text() == default_yaml(), stale
     docs = CONFIGS.parent / "docs"
     assert (docs / "options.md").read_text() == options_page(), stale
@@ -41,7 +41,7 @@ UNITS = {"_m": "m", "_s": "s", "_deg": "deg", "_px": "px", "_usd": "USD", "_mib"
 
 
 @pytest.mark.parametrize("option", [*list_options(Config)], ids=lambda option: option.path)
-def test_an_option_says_what_it_means(option):
+def test_an_option_has_a_meaning_a_unit_and_its_values(option):
     assert option.meaning.endswith((".", "`."))
     for ending, unit in UNITS.items():
         if option.path.endswith(ending):
@@ -54,7 +54,7 @@ DIFFERENCES = [option for option in list_options(Config) if option.difference is
 
 
 @pytest.mark.parametrize("option", DIFFERENCES, ids=lambda option: option.path)
-def test_paper_switches_a_departure_off(option):
+def test_paper_yaml_sets_the_value_of_the_paper(option):
     given = yaml.safe_load((CONFIGS / "paper.yaml").read_text())
     for step in option.path.split("."):
         assert step in given, f"configs/paper.yaml must set {option.path}"
@@ -63,7 +63,7 @@ def test_paper_switches_a_departure_off(option):
     assert option.difference.reason.endswith(".")
 
 
-def test_departures_are_there():
+def test_every_step_has_differences_from_the_paper():
     groups = {option.path.split(".")[0] for option in DIFFERENCES}
     assert groups == {"parse", "program", "verify", "compose", "refine"}
     assert len(DIFFERENCES) >= 20

@@ -1,6 +1,6 @@
-"""Every option of the package: declared once, validated, read from YAML.
+"""Configuration: every option is declared once, validated, and read from YAML.
 
-`python -m neoworld_mjx.config` writes `configs/default.yaml`, `docs/options.md` and
+`python -m neoworld_mjx.config --write` generates `configs/default.yaml`, `docs/options.md` and
 `docs/differences-from-the-paper.md` from the declarations.
 """
 
@@ -31,7 +31,6 @@ __all__ = [
     "CEMOptions",
     "ComposeOptions",
     "Config",
-    "PaperDifference",
     "DescentOptions",
     "FileOptions",
     "JointSweepOptions",
@@ -39,6 +38,7 @@ __all__ = [
     "MLLMOptions",
     "Option",
     "Options",
+    "PaperDifference",
     "ParseOptions",
     "ProgramOptions",
     "RefineOptions",

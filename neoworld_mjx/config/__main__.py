@@ -1,8 +1,11 @@
-"""Write the pages of options of the checkout that this package lies in."""
+"""Generate the pages of options of this checkout: `python -m neoworld_mjx.config --write`."""
 
+import sys
 from pathlib import Path
 
 from .pages import write_pages
 
 if __name__ == "__main__":
+    if sys.argv[1:] != ["--write"]:
+        sys.exit("usage: python -m neoworld_mjx.config --write")
     write_pages(Path(__file__).parents[2])

@@ -1,4 +1,4 @@
-"""Options of the requests to multimodal models."""
+"""Options of requests to multimodal models."""
 
 import re
 from pathlib import Path
@@ -14,12 +14,12 @@ _KEY_HEADER = re.compile(r"authorization|key|token|secret|cookie", re.IGNORECASE
 
 
 class RoleOptions(Options):
-    """The model that plays a role of the paper's Section 3.2."""
+    """Model of one role (Section 3.2 of the paper)."""
 
     model: str = option("claude-sonnet-5-5", "Name of the model, as its provider calls it.")
     max_tokens: int = option(
         16384,
-        "Longest answer; with models that think first, their thinking is part of it.",
+        "Maximum length of a response, including the reasoning of models that think first.",
         unit="token",
         ge=256,
     )
@@ -35,40 +35,41 @@ class MLLMOptions(Options):
     critic: RoleOptions = RoleOptions()
     base_url: str | None = option(
         None,
-        "Server that speaks the provider's API, such as vLLM or Ollama; null is the provider's.",
+        "URL of a server with the provider's API, such as vLLM or Ollama; null is the "
+        "provider's own.",
     )
     headers: dict[str, str] = option(
         {},
-        "Headers sent with every request. Keys are named, not written: "
+        "Headers sent with every request. Give keys as environment variables: "
         '`{"x-api-key": "${MY_KEY}"}`.',
     )
     timeout_s: float = option(
         120.0,
-        "Longest silence of a server; a request as a whole may take ten times as long.",
+        "Maximum time without data from the server; a whole request may take ten times as long.",
         unit="s",
         gt=0,
     )
     retries: int = option(
         4,
-        "Repetitions of a request that may succeed later: too many requests, overload, a lost "
-        "connection.",
+        "Maximum number of retries after transient errors: rate limits, overload, lost "
+        "connections.",
         ge=0,
     )
-    concurrency: int = option(8, "Requests in flight at once.", ge=1)
+    concurrency: int = option(8, "Maximum number of concurrent requests.", ge=1)
     validation_rounds: int = option(
-        3, "Times that an answer that breaks the schema is sent back with its error.", ge=1
+        3, "Maximum number of attempts at a response that matches the schema.", ge=1
     )
     max_cost_usd: float | None = option(
-        None, "Stop, resumably, before the run would cost more; null is no limit.", unit="USD", gt=0
+        None, "Stop, resumably, before the run costs more; null means no limit.", unit="USD", gt=0
     )
     prices: Path | None = option(
-        None, "YAML of prices in USD per million tokens; null takes the table of the package."
+        None, "YAML file of prices in USD per million tokens; null is the built-in table."
     )
 
     @field_validator("headers", "base_url")
     @classmethod
     def _keep_keys_out(cls, value: Any) -> Any:
-        """Refuse keys, as a configuration is written into every run."""
+        """Reject keys, because the configuration is written into run.json."""
         for name, text in value.items() if isinstance(value, dict) else ():
             if _KEY_HEADER.search(name) and "${" not in text:
                 raise ValueError(f"{name} would be written into run.json: give it as ${{VARIABLE}}")

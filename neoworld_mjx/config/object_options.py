@@ -1,4 +1,4 @@
-"""Options of the steps that make objects and scenes: parse, program, verify, compose, render."""
+"""Options of Steps 1 to 4 and of rendering."""
 
 from typing import Literal
 
@@ -11,24 +11,30 @@ Language = Literal["sdk", "blender"]
 class ParseOptions(Options):
     """Step 1, scene parsing."""
 
-    critic_rounds: int = option(1, "Times that the critic may send the parse back.", ge=0)
+    critic_rounds: int = option(
+        1, "Maximum number of revisions of the parse that the critic may request.", ge=0
+    )
     max_side_px: int = option(
-        1568, "Longer side of the picture that the model is shown.", unit="px", ge=64, le=8192
+        1568,
+        "Maximum length of the longer side of the image that the model sees.",
+        unit="px",
+        ge=64,
+        le=8192,
     )
     min_side_px: int = option(
         512,
-        "Least longer side of that picture: smaller photos are shown enlarged by a whole factor.",
+        "Minimum length of its longer side: smaller photographs are enlarged by an integer factor.",
         unit="px",
         ge=16,
         le=1024,
     )
     fit: bool = option(
         True,
-        "Fit camera and 3D boxes to the 2D boxes by least squares, object by object, as far as the "
-        "picture contradicts the answer.",
+        "Fit the camera and the 3D boxes to the 2D boxes by least squares, where the image "
+        "contradicts the response.",
         difference=PaperDifference(
             False,
-            "A model judges sizes and distances less exactly than it draws boxes around things.",
+            "Models estimate sizes and distances less accurately than 2D boxes.",
             "layout error 12.3 and 20.3 mm, size 2.18 and 2.34 % (n = 20 rendered scenes held out)",
         ),
     )
@@ -37,23 +43,23 @@ class ParseOptions(Options):
 class JointSweepOptions(Options):
     """The joint sweep of Steps 2 and 3.
 
-    `program` and `verify` inherit these options and their defaults. Give both sections the same
-    values: otherwise Step 3 may refuse what Step 2 passed.
+    `program` and `verify` both have these options. Set them to the same values; otherwise Step 3
+    may reject an object that Step 2 accepted.
     """
 
     max_depth_m: float = option(
-        0.001, "Largest penetration between two parts of an object.", unit="m", gt=0
+        0.001, "Maximum penetration between two parts of an object.", unit="m", gt=0
     )
     touch_gap_m: float = option(
         0.002,
-        "Largest gap between a part and the part that it is attached to. Step 3 passes twice as "
-        "much, or 1 % of the object's size where that is more.",
+        "Maximum gap between a part and the part that it is attached to. Step 3 allows twice as "
+        "much, or 1 % of the object's size if that is larger.",
         unit="m",
         ge=0,
     )
-    sweep_steps: int = option(13, "Positions tried over each joint's range.", ge=3, le=1000)
+    sweep_steps: int = option(13, "Positions tested over the range of each joint.", ge=3, le=1000)
     sweep_combinations: int = option(
-        16, "States tried with all joints moved at once.", ge=0, le=10_000
+        16, "Joint configurations tested with all joints moved at once.", ge=0, le=10_000
     )
 
 
@@ -62,73 +68,79 @@ class ProgramOptions(JointSweepOptions):
 
     stages: Literal["one", "three"] = option(
         "one",
-        "one: a whole program at once. three: a program for geometry, one for articulation on the "
-        "accepted geometry, one for export, each with debug and critic rounds of its own.",
+        "one: a single program. three: separate programs for geometry, articulation and export, "
+        "each with its own debug and critic rounds, as in the paper.",
         difference=PaperDifference(
             "three",
-            "One request in place of three finds as much.",
+            "One request gives the same quality as three.",
             "27 and 27 of 29 joints hit, 42 and 79 calls (n = 12 objects)",
         ),
     )
     language: Language = option(
         "sdk",
-        "sdk: programs call the SDK. blender: they are written in Blender's Python, which needs "
-        "`neoworld doctor --install blender` and runs confined in a process of its own.",
+        "sdk: programs call the SDK. blender: programs use Blender's Python API, which requires "
+        "`neoworld doctor --install blender` and runs in a confined process.",
         difference=PaperDifference(
             "blender",
-            "The SDK needs nothing installed, and its shapes know their own convex pieces.",
+            "The SDK needs no installation, and its shapes provide their convex decomposition.",
             "the same 7 joints; 0.32 to 0.74 and 8.9 to 11.4 s a build on a loaded machine "
             "(n = 3 objects)",
         ),
     )
     debug_rounds: int = option(
-        1, "Times that a program that fails is sent back with its errors.", ge=0
+        1, "Maximum number of revisions of a program that fails, requested with its errors.", ge=0
     )
-    critic_rounds: int = option(1, "Times that the critic may send a program back.", ge=0)
-    geometry_critic: bool = option(True, "Have a critic judge shapes and colours.")
+    critic_rounds: int = option(
+        1, "Maximum number of revisions of a program that the critic may request.", ge=0
+    )
+    geometry_critic: bool = option(True, "Let the critic rate shapes and colors.")
     articulation_critic: bool = option(
-        True, "Have a critic judge joints, by a call of its own, where any joint moves."
+        True, "Let the critic rate the joints of articulated objects, in a separate call."
     )
     export_critic: bool = option(
-        True, "With three stages, have a critic judge the object that its URDF gives back."
+        True, "With three stages, let the critic rate the object as imported from its URDF."
     )
     sandbox: Literal["monty", "cpython"] = option(
         "monty",
-        "monty: in a sandbox. cpython: in this very process, without any isolation, for your own "
-        "programs only.",
+        "monty: run programs in a sandbox. cpython: run them in this process without isolation; "
+        "for trusted programs only.",
     )
-    type_check: bool = option(True, "Check a program's types against the SDK before it runs.")
+    type_check: bool = option(True, "Type-check a program against the SDK before running it.")
     timeout_s: float = option(
         1.0,
-        "Time for the program's own code, and as much again for the shapes that it builds.",
+        "Time limit for the program's own code, and again for the shapes that it builds.",
         unit="s",
         gt=0,
     )
-    memory_mib: int = option(64, "Memory of the program.", unit="MiB", ge=8)
-    max_recursion: int = option(200, "Depth of the program's calls.", ge=10)
-    max_calls: int = option(5000, "Calls of the SDK.", ge=10)
-    max_output_bytes: int = option(20_000, "Length of what the program prints.", unit="B", ge=0)
-    max_text_bytes: int = option(200_000, "Length of the program's text.", unit="B", ge=100)
-    max_parts: int = option(300, "Parts of an object.", ge=1)
-    max_geoms: int = option(3000, "Geoms of an object.", ge=1)
-    max_pieces: int = option(4000, "Convex collision geoms of an object.", ge=1)
+    memory_mib: int = option(64, "Memory limit of the program.", unit="MiB", ge=8)
+    max_recursion: int = option(200, "Maximum recursion depth of the program.", ge=10)
+    max_calls: int = option(5000, "Maximum number of SDK calls.", ge=10)
+    max_output_bytes: int = option(
+        20_000, "Maximum length of the program's output.", unit="B", ge=0
+    )
+    max_text_bytes: int = option(
+        200_000, "Maximum length of the program's source.", unit="B", ge=100
+    )
+    max_parts: int = option(300, "Maximum number of parts of an object.", ge=1)
+    max_geoms: int = option(3000, "Maximum number of visual geoms of an object.", ge=1)
+    max_pieces: int = option(4000, "Maximum number of convex collision geoms of an object.", ge=1)
     blender_timeout_s: float = option(
         20.0,
-        "Processor time of a program in Blender, and as much again for splitting its shapes into "
-        "convex pieces.",
+        "CPU time limit of a program in Blender, and again for the convex decomposition of its "
+        "shapes.",
         unit="s",
         ge=1,
         le=3600,
     )
     blender_memory_mib: int = option(
         3072,
-        "Address space of the process; Blender itself takes some 1300.",
+        "Address space of the Blender process; Blender itself needs about 1300.",
         unit="MiB",
         ge=1536,
         le=65_536,
     )
-    workers: int = option(2, "Sandbox processes kept for programs that run at once.", ge=1)
-    check_timeout_s: float = option(1.0, "Time for each check of the object.", unit="s", gt=0)
+    workers: int = option(2, "Number of sandbox processes for concurrent programs.", ge=1)
+    check_timeout_s: float = option(1.0, "Time limit for each check of the object.", unit="s", gt=0)
 
 
 class VerifyOptions(JointSweepOptions):
@@ -139,88 +151,89 @@ class VerifyOptions(JointSweepOptions):
     drop_height_m: float = option(0.005, "Height of the free fall.", unit="m", ge=0)
     impulse_ns_per_kg: float = option(
         0.3,
-        "Impulse of the force perturbation per mass, that is the change of speed in m/s.",
+        "Impulse of the force perturbation per unit mass, which equals the change of velocity "
+        "in m/s.",
         unit="N s/kg",
         ge=0,
     )
     push_duration_s: float = option(
-        0.1, "Time over which the impulse is spread.", unit="s", gt=0, le=100
+        0.1, "Duration of the force that applies the impulse.", unit="s", gt=0, le=100
     )
-    max_drift_m: float = option(0.01, "Largest displacement in a scenario.", unit="m", gt=0)
-    max_tilt_deg: float = option(5.0, "Largest rotation in a scenario.", unit="deg", gt=0)
+    max_drift_m: float = option(0.01, "Maximum displacement in a scenario.", unit="m", gt=0)
+    max_tilt_deg: float = option(5.0, "Maximum rotation in a scenario.", unit="deg", gt=0)
     max_rest_speed: float = option(
-        0.01, "Largest speed at the end of the free fall.", unit="m/s", gt=0
+        0.01, "Maximum speed at the end of the free fall.", unit="m/s", gt=0
     )
     max_energy_gain: float = option(
         0.02,
-        "Largest rise of mechanical energy without an applied force, over the object's weight "
-        "times its extent.",
+        "Maximum increase of mechanical energy without an applied force, relative to the object's "
+        "weight times its extent.",
         gt=0,
     )
     max_overshoot: float = option(
-        0.05, "Largest travel beyond a joint limit, over the joint's range.", gt=0
+        0.05, "Maximum travel beyond a joint limit, relative to the joint's range.", gt=0
     )
     joint_push_s: float = option(
         0.5, "Time in which a free joint is pushed across its range.", unit="s", gt=0, le=100
     )
     min_mobility: float = option(
         0.9,
-        "Smallest share of its range that a joint covers when it is driven both ways.",
+        "Minimum fraction of its range that a joint covers when driven in both directions.",
         gt=0,
         le=1,
     )
     hand_force_n: float = option(
         100.0,
-        "Largest force that drives a joint, at its far end; for heavy parts half their weight is "
-        "added.",
+        "Maximum force that drives a joint, applied at the far end of the part; half the part's "
+        "weight is added for heavy parts.",
         unit="N",
         gt=0,
     )
-    high_drop_m: float = option(0.02, "Height of the second, higher fall.", unit="m", ge=0)
-    drop_tilt_deg: float = option(
-        3.0, "Tilt of the falls that start tilted.", unit="deg", ge=0, lt=45
-    )
+    high_drop_m: float = option(0.02, "Height of the second, higher drop.", unit="m", ge=0)
+    drop_tilt_deg: float = option(3.0, "Initial tilt of the tilted drops.", unit="deg", ge=0, lt=45)
     min_loss: float = option(
         0.05,
-        "Smallest share of its speed that a joint left to itself loses in half a second.",
+        "Minimum fraction of its velocity that a freely moving joint loses in 0.5 s.",
         ge=0,
         lt=1,
     )
     min_slide_deg: float = option(
-        5.0, "Slope on which an object must still rest.", unit="deg", ge=0
+        5.0, "Slope on which an object must remain at rest.", unit="deg", ge=0
     )
     max_slide_deg: float = option(
         60.0, "Slope on which an object must slide.", unit="deg", gt=0, le=65
     )
     max_pivot_off: float = option(
         0.05,
-        "Largest distance between a hinge's axis and the parts that it joins, over the child's "
-        "diagonal.",
+        "Maximum distance between a hinge axis and the parts that it connects, relative to the "
+        "child's diagonal.",
         ge=0,
     )
     rounds: int = option(
-        6, "Repairs of an object that may be tried; 0 leaves objects unchanged.", ge=0
+        6, "Maximum number of repair attempts per object; 0 leaves objects unchanged.", ge=0
     )
     direct_repairs: bool = option(
         True,
-        "Repair by what a failed check measures, before a model is asked.",
+        "Repair an object from the measurements of its failed checks before querying a model.",
         difference=PaperDifference(
             False,
-            "A number that says what is wrong costs no call of a model.",
+            "A measurement that identifies the fault saves a model call.",
             "868 planted faults repaired without a call (n = 879)",
         ),
     )
     critic: Literal["auto", "always", "never"] = option(
         "auto",
-        "auto: where a model answers, show the critic key frames of checks that failed or only "
-        "just passed, and try the reasoner's edits of what failed. always: show it every object in "
-        "the two standard scenarios besides; a tape must hold its answers. never: ask nobody.",
-        difference=PaperDifference("always", "Calls about objects that plainly pass find nothing."),
+        "auto: if a model is available, show the critic key frames of failed and borderline "
+        "checks, and try the reasoner's edits. always: also show it every object in the two "
+        "standard scenarios; a tape must hold its responses. never: query no model.",
+        difference=PaperDifference(
+            "always", "Calls about objects that clearly pass find no faults."
+        ),
     )
     films: Literal["questionable", "always", "never"] = option(
         "questionable",
-        "Write the two standard scenarios as GIFs for people: questionable, of objects with a "
-        "check that failed or only just passed; always, of all; never.",
+        "Save the two standard scenarios as GIFs. questionable: for objects with failed or "
+        "borderline checks. always: for all objects. never: for none.",
     )
 
 
@@ -229,48 +242,48 @@ class ComposeOptions(Options):
 
     refit: bool = option(
         True,
-        "Before it, fit camera, positions, sizes and headings to the 2D boxes once more, by the "
-        "built shapes. It acts only where `parse.fit` does.",
+        "Before composition, refit the camera, positions, sizes and headings to the 2D boxes "
+        "with the reconstructed shapes. Requires `parse.fit`.",
         difference=PaperDifference(
             False,
-            "Built shapes fill their boxes otherwise than the cuboids of the first fit.",
+            "Reconstructed shapes fill their boxes differently from the cuboids of the first fit.",
             "box IoU as composed 0.895 and 0.878 (n = 3 photographs)",
         ),
     )
     settle: bool = option(
         True,
-        "Let what lies tilted on a dish or a slope, or leans in a container, come to rest there by "
-        "simulation; put what stands in a container, or covers it as a lid does, into it instead "
-        "of on its rim, and clear of its walls, and move what leans, at its tilt, up to what it "
-        "leans on, or back out of it.",
+        "Find resting poses by simulation for objects that lie tilted on a dish or slope or "
+        "lean in a container. Place contents and lids inside their container rather than on its "
+        "rim, clear of its walls. Move leaning objects, at their tilt, into contact with their "
+        "support.",
         difference=PaperDifference(
             False,
-            "The search moves no tilts, and at its parsed tilt hardly anything rests.",
+            "The search does not change tilts, and objects rarely rest at their parsed tilt.",
             "box IoU as composed 0.895 and 0.927, of coffee's spoon 0.62 and 0.91; two photographs "
-            "have nothing to settle (n = 3 photographs)",
+            "have no object to settle (n = 3 photographs)",
         ),
     )
     hold_joints: bool = option(
         True,
-        "Raise the dry friction of joints that their weight would move from where the parse shows "
-        "them.",
+        "Increase the dry friction of joints that gravity would move from their parsed positions.",
         difference=PaperDifference(
             False,
-            "What stands half open in a photograph is held; the search moves no joints.",
-            "joints move by themselves beyond the final check's bounds in 0 and in 7 of 42 objects "
-            "(even starts of the benchmark's scenes)",
+            "A half-open joint in a photograph is held by friction; the search does not move "
+            "joints.",
+            "joints move under gravity beyond the final check's thresholds in 0 and in 7 of 42 "
+            "objects (even-numbered initial scenes of the benchmark)",
         ),
     )
     gap_m: float = option(
         1e-4,
-        "Clearance left between a child and the surface that it is snapped onto.",
+        "Clearance between a child and the surface that it is snapped onto.",
         unit="m",
         ge=0,
     )
 
 
 class RenderOptions(Options):
-    """Ray-cast pictures."""
+    """Ray-cast images."""
 
-    width: int = option(480, "Width of pictures.", unit="px", ge=16, le=8192)
+    width: int = option(480, "Width of rendered images.", unit="px", ge=16, le=8192)
     supersample: int = option(2, "Rays per pixel and axis at edges.", ge=1, le=4)

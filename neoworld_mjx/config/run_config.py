@@ -1,7 +1,7 @@
-"""All options of a run in one validated tree, read from YAML.
+"""Configuration of a run: a validated tree of all options, read from YAML.
 
-A configuration file states only what differs from the defaults; unknown keys are errors that name
-the key and its valid neighbours.
+A configuration file contains only values that differ from the defaults. An unknown key is an error
+whose message names the key and the valid ones.
 """
 
 import hashlib
@@ -30,10 +30,10 @@ from .search_options import RefineOptions
 class Config(Options):
     """All options of a run."""
 
-    seed: int = option(0, "Seed of every random draw of the run.", ge=0)
+    seed: int = option(0, "Seed of all random draws of the run.", ge=0)
     provider: str = option(
         "auto",
-        "Where models' answers come from: auto, anthropic, openai, replay or mailbox; see "
+        "Source of the models' responses: auto, anthropic, openai, replay or mailbox; see "
         "docs/models.md.",
     )
     mllm: MLLMOptions = MLLMOptions()
@@ -52,42 +52,31 @@ class Config(Options):
 
 
 def load_config(path: Path | None = None, overrides: dict[str, Any] | None = None) -> Config:
-    """Read a YAML file of options and lay overrides over it.
+    """Load the configuration from a YAML file and overrides.
 
     Args:
-        path: the file; None means the defaults alone.
-        overrides: a nested mapping that wins over the file, such as {"seed": 3}.
+        path: the file; None means the defaults.
+        overrides: nested mapping that takes precedence over the file, such as {"seed": 3}.
 
     Raises:
-        ConfigError: the file is missing or no YAML mapping, or a key or value is wrong; the message
-            names the file, the key's full path and the valid keys.
+        ConfigError: the file is missing or not a YAML mapping, or a key or value is invalid; the
+            message names the file, the key's full path and the valid keys.
     """
-    data: dict[str, Any] = {}
-    if path is not None:
-        data = _read_mapping(path)
-    data = merged(data, overrides or {})
-    try:
-        return Config.model_validate(data)
-    except ValidationError as error:
-        where = str(path) if path is not None else "options"
-        raise ConfigError(f"{where}: {validation_message(error, Config)}") from None
-
-
-def _read_mapping(path: Path) -> dict[str, Any]:
-    data = read_yaml(path, "config")
-    if data is None:
-        return {}
+    data = None if path is None else read_yaml(path, "config")
+    data = {} if data is None else data
     if not isinstance(data, dict):
         raise ConfigError(f"config {path} must be a mapping of options, got {type(data).__name__}")
-    return data
+    try:
+        return Config.model_validate(merged(data, overrides or {}))
+    except ValidationError as error:
+        source = "options" if path is None else path
+        raise ConfigError(f"{source}: {validation_message(error, Config)}") from None
 
 
 def merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Lay one nested mapping over another."""
-    result = dict(base)
-    for key, value in over.items():
-        old = result.get(key)
-        if isinstance(old, dict) and isinstance(value, dict):
-            value = merged(old, value)
-        result[key] = value
+    """Return a nested mapping updated recursively with another."""
+    result = base | over
+    for key in base.keys() & over.keys():
+        if isinstance(base[key], dict) and isinstance(over[key], dict):
+            result[key] = merged(base[key], over[key])
     return result

@@ -140,7 +140,7 @@ def test_yaml_that_is_none_or_too_much(tmp_path, text, said):
 def test_yaml_that_is_too_large(tmp_path):
     path = tmp_path / "a.yaml"
     path.write_text("seed: 1\n" + "#" * 300_000)
-    with pytest.raises(ConfigError, match=r"a\.yaml: it has .* MiB ; the limit is 0\.25 MiB"):
+    with pytest.raises(ConfigError, match=r"a\.yaml: it has .* MiB; the limit is 0\.25 MiB"):
         load_config(path)
 
 

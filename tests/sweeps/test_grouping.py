@@ -113,7 +113,7 @@ def test_other_options_are_no_leaf(name):
 def test_what_ends_rollouts_is_shared_while_they_end_early():
     early = [RefineOptions(), put("reward.d_drift_cap", 5.0)]
     assert len(grouped(early)) == 2
-    assert "refine.reward.d_drift_cap = 3.0, 5.0 (ends rollouts early)" in reasons(early)[0]
+    assert "refine.reward.d_drift_cap = 3.0, 5.0 (sets the early-stop rule)" in reasons(early)[0]
     late = [
         o.model_copy(update={"rollout": o.rollout.model_copy(update={"early_stop": False})})
         for o in early

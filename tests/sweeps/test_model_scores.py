@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from neoworld_bench.named_scenes import photo_case
 from PIL import Image
 
-from neoworld_mjx.commands.sweep_commands import photographed
 from neoworld_mjx.errors import BudgetError, ConfigError, ModelError, SpecError
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.refinement.scene_refinement import refine
@@ -148,7 +148,7 @@ def test_the_bundled_scores_of_the_photograph_are_followed():
         seed: root / plan.scores / file_name(*plan.scenes, base.label, seed) for seed in plan.seeds
     }
     assert all(len(read_scores(path)) == 12 for path in bundled.values())
-    case = photographed("coffee")
+    case = photo_case("coffee")
     refined = refine(case.scene, base.options, seed=4, recorded=bundled[4], engine="native")
     assert refined.passed
     assert refined.scoring["scorer"] == "recorded"
@@ -158,7 +158,7 @@ def test_the_bundled_scores_of_the_photograph_are_followed():
     assert case.errors(compile_scene(case.scene), refined.layout)["box_iou"] > 0.5
 
 
-def test_only_examples_with_a_composed_scene_are_photographed():
-    assert photographed("coffee").photo.name == "coffee.png"
+def test_only_examples_with_a_composed_scene_are_photo_case():
+    assert photo_case("coffee").photo.name == "coffee.png"
     with pytest.raises(SpecError, match=r"scene photo:cofee: .*coffee"):
-        photographed("cofee")
+        photo_case("cofee")

@@ -2,13 +2,12 @@ from pathlib import Path
 
 import pytest
 import yaml
-from neoworld_bench.named_scenes import named
 
-from neoworld_mjx.commands.sweep_commands import photographed
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import ConfigError, SpecError
-from neoworld_mjx.sweeps.cases import Case, case
+from neoworld_mjx.sweeps.cases import case
 from neoworld_mjx.sweeps.plan import Ablation, Plan, points, read
+from tests.support.scenes import stored_scene
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -98,21 +97,23 @@ def test_plans_that_are_wrong(tmp_path):
         read(tmp_path / "none.yaml", Plan)
 
 
+def table_case(name):
+    return Case(f"table:{name}", stored_scene("crowded_2"))
+
+
 def test_scenes_that_are_not_there():
-    sources = {kind: lambda name, make=make: Case(**make(name)) for kind, make in named().items()}
+    sources = {"table": table_case}
     for name, message in (
-        ("bench:towr", "did you mean 'tower'"),
-        ("crowded:many", "number of objects"),
-        ("nowhere", "no such file or folder, nor is it one of bench:NAME, crowded:NAME"),
-        ("bensh:tower", "did you mean 'bench'"),
+        ("nowhere", "no such file or folder, nor is it one of table:NAME"),
+        ("tabel:two", "did you mean 'table'"),
     ):
         with pytest.raises(SpecError, match=message):
             case(name, sources)
-    assert case("bench:tower", sources).scene.camera is not None
+    assert case("table:two", sources).name == "table:two"
 
 
 def test_a_run_folder_gives_its_composed_scene(tmp_path):
-    scene = Case(**named()["crowded"]("2")).scene
+    scene = stored_scene("crowded_2")
     moved = scene.model_copy(update={"name": "refined"})
     (tmp_path / "scene.json").write_text(moved.model_dump_json())
     assert case(str(tmp_path), {}).scene.name == "refined"
@@ -127,10 +128,3 @@ def test_plans_in_the_repository_are_good_and_need_no_files(path):
     plan = read(path, kind)
     assert len(points(plan)) > 1
     assert set(yaml.safe_load(path.read_text())) <= set(kind.model_fields)
-    for name in plan.scenes:
-        if (CONFIGS.parent / name).is_file():
-            continue  # A scene.json of the repository, as it is.
-        kind, _, inner = name.partition(":")
-        assert (
-            photographed(inner).name if kind == "photo" else named()[kind](inner)["name"]
-        ) == name

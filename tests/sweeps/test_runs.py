@@ -1,10 +1,9 @@
+import math
 import sys
 
 import jax
 import numpy as np
 import pytest
-from neoworld_bench.engines.table_scenes import crowded, noisy_layouts
-from neoworld_bench.refine_scenes import START
 
 from neoworld_mjx.compilations import compilations
 from neoworld_mjx.config import RefineOptions
@@ -22,8 +21,10 @@ from neoworld_mjx.sweeps import winners as module
 from neoworld_mjx.sweeps.histories import summaries
 from neoworld_mjx.sweeps.run import in_few_batches
 from neoworld_mjx.sweeps.winners import in_processes, processes_pay, winners
+from tests.support.scenes import noisy_layouts, stored_scene
 
 ENGINE = NativeEngine()
+INITIAL = {"xy": 0.08, "yaw": math.radians(20.0), "log_scale": 0.12}
 
 
 def options(w_drift=1.0, *, population=24, iterations=4, **more):
@@ -48,11 +49,11 @@ def options(w_drift=1.0, *, population=24, iterations=4, **more):
 
 @pytest.fixture(scope="module")
 def model():
-    return compile_for_search(crowded(3), options())
+    return compile_for_search(stored_scene("crowded_3"), options())
 
 
 def started(model, settings, seeds):
-    starts = {seed: noisy_layouts(model, 1, seed=seed, noise=START) for seed in seeds}
+    starts = {seed: noisy_layouts(model, 1, seed=seed, **INITIAL) for seed in seeds}
     return [SearchRun(o, seed, starts[seed]) for o in settings for seed in seeds]
 
 
@@ -109,7 +110,7 @@ def test_runs_of_which_some_are_valid_are_as_alone(model):
     o = options(
         population=8, iterations=3, cem={"stop_gain": 0.0}, descent={"project": "needed"}
     ).model_copy(update={"settle": "always"})
-    noisy = noisy_layouts(model, 1, seed=0, noise=START)
+    noisy = noisy_layouts(model, 1, seed=0, **INITIAL)
     deep = Layout(np.zeros_like(noisy.xy), noisy.yaw, noisy.log_scale + 0.4)
     alone = same_as_alone(model, [SearchRun(o, 0, noisy), SearchRun(o, 1, deep)])
     first = [bool(one.history["valid"][0].any()) for one in alone]

@@ -3,7 +3,6 @@ import json
 import numpy as np
 import pytest
 import yaml
-from neoworld_bench.engines.table_scenes import crowded
 
 import neoworld_mjx
 from neoworld_mjx.errors import ConfigError, NeoWorldError, RunError
@@ -11,8 +10,9 @@ from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.sweeps import Case, ablate, run, sweep
 from neoworld_mjx.sweeps.run_rows import COLUMNS, read_parquet
 from tests.support.notebooks import run_small
+from tests.support.scenes import stored_scene
 
-SCENE = Case("two", crowded(2))
+SCENE = Case("two", stored_scene("crowded_2"))
 BASE = {
     "refine": {
         "cem": {"population": 8, "first": 0, "iterations": 2, "elite_ratio": 0.25},
@@ -160,7 +160,7 @@ def test_what_is_done_stays_and_is_not_done_again(tmp_path, monkeypatch):
     result = sweep(requests, tmp_path, cases=[SCENE], engine=NativeEngine(), resume=True)
     assert completed == [1]
     assert len(result.about["groups"]) == 2
-    assert result.about["static"][0].startswith("refine.rollout.duration_s = 0.2, 0.3 (all cand")
+    assert result.about["static"][0].startswith("refine.rollout.duration_s = 0.2, 0.3 (is shared")
     assert result.rows[0]["history"]
     assert (
         without_times(result.rows)[0]
