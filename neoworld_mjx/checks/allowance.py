@@ -1,13 +1,13 @@
-"""Overlaps that a program declares by name."""
+"""Overlaps that a program declares."""
 
 from typing import NamedTuple
 
 
 class Allowance(NamedTuple):
-    """An overlap of two parts that a program asks for, and answers for by a reason."""
+    """An overlap of two parts that a program declares as intended, with a reason."""
 
     first: str
     second: str
     depth: float
-    """[m]"""
+    """Largest depth [m]."""
     reason: str

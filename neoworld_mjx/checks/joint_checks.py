@@ -3,7 +3,7 @@
 Gaps are measured at rest: a drawer that is pulled out of its carcass is still attached.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -31,14 +31,14 @@ from .verdict import Check, Fault, Limit, judged, skipped
 AT_ONCE = 0.25
 """Share of its range below which a joint's free range counts as blocked from the start."""
 CLEAR = 0.5
-"""Share of the allowed depth up to which a range counts as free, if any of it then does."""
+"""Share of the allowed depth up to which a range counts as free, if any of it then remains."""
 GAP_SLACK, GAP_SHARE = 2.0, 0.01
-"""Widest gap between a part and its parent, over `touch_gap_m`, and over the object's size."""
+"""Largest gap between a part and its parent, over `touch_gap_m`, and over the object's size."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class JointChecks:
-    """Checks of the joint sweep, and what repairs need of its measurements."""
+    """Checks of the joint sweep, and the measurements that repairs need."""
 
     checks: list[Check] = field(default_factory=list)
     free: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -54,101 +54,106 @@ def check_joints(
 
     Args:
         spec: the object.
-        options: thresholds and how finely ranges are swept.
+        options: thresholds and the resolution of the sweep.
         allowances: overlaps that its program declares.
     """
     probe = Probe(spec)
-    helpers = [part.name for part in spec.parts if is_placeholder(part)]
-    sweep = sweep_joints(probe, options, allowances, ignored=helpers)
-    result = JointChecks()
-    _at_rest(sweep, result, options)
-    for swept in sweep.ranges:
-        _over_range(sweep, swept, result, options)
+    placeholders = [part.name for part in spec.parts if is_placeholder(part)]
+    sweep = sweep_joints(probe, options, allowances, ignored=placeholders)
+    free = {
+        swept.joint.name: _free_range(sweep, swept)
+        for swept in sweep.ranges
+        if sweep.too_deep(swept.deepest)
+    }
+    overlapping = [
+        (probe.names[a], probe.names[b], overlap.depth)
+        for (a, b), overlap in sweep.too_deep(sweep.at_rest).items()
+    ]
+    checks = list(_at_rest(sweep, options))
+    checks += [_over_range(sweep, swept, free, options) for swept in sweep.ranges]
     if len(sweep.ranges) > 1:
-        _together(sweep, result, options)
+        checks.append(_together(sweep, free, options))
     probe.place({})
-    result.checks += _gaps(probe, options)
-    for joint in spec.joints:
-        if joint.type in ("revolute", "continuous") and joint.child not in helpers:
-            result.checks.append(_pivot(probe, joint, options))
-    result.checks += intents(spec)
-    return result
+    checks += _gaps(probe, options)
+    checks += _pivots(probe, options)
+    checks += _intents(spec)
+    return JointChecks(checks, free, overlapping)
 
 
-def _at_rest(sweep: JointSweep, result: JointChecks, options: VerifyOptions) -> None:
+def _at_rest(sweep: JointSweep, options: VerifyOptions) -> Iterator[Check]:
     """Check the depth of every pair of parts that overlaps at rest."""
-    worst, between = 0.0, ""
+    worst, worst_evidence, failed = 0.0, "", False
     depths = dict.fromkeys(sweep.reasons, 0.0) | {p: o.depth for p, o in sweep.at_rest.items()}
     for pair, depth in depths.items():
         first, second = (sweep.probe.names[k] for k in pair)
-        limit = Limit(threshold=sweep.allowed[pair], unit="m", fault=Fault.PARTS_OVERLAP)
+        limit = Limit(sweep.allowed[pair], "m", Fault.PARTS_OVERLAP)
         name, evidence = f"part_depth:{first}:{second}", f"{first} and {second}"
-        if depth > sweep.allowed[pair]:
-            result.overlapping.append((first, second, depth))
-            result.checks.append(
-                judged("static", name, depth, limit, part=second, evidence=evidence)
-            )
+        check = judged("static", name, depth, limit, part=second, evidence=evidence)
+        if check.failed:
+            failed = True
+            yield check
         elif pair in sweep.reasons:
-            check = judged("static", name, depth, limit, part=second)
-            # The program declares this depth, so a depth close to it is not doubtful.
-            update = {
-                "borderline": False,
-                "evidence": f"{evidence}, granted: {sweep.reasons[pair]}",
-            }
-            result.checks.append(check.model_copy(update=update))
+            # The program declares this depth, so a depth close to it is not borderline.
+            evidence += f", granted: {sweep.reasons[pair]}"
+            yield check.model_copy(update={"borderline": False, "evidence": evidence})
         elif depth > worst:
-            worst, between = depth, evidence
-    if not result.overlapping:
-        limit = Limit(threshold=options.max_depth_m, unit="m", fault=Fault.PARTS_OVERLAP)
-        result.checks.append(judged("static", "part_depth", worst, limit, evidence=between))
+            worst, worst_evidence = depth, evidence
+    if not failed:
+        limit = Limit(options.max_depth_m, "m", Fault.PARTS_OVERLAP)
+        yield judged("static", "part_depth", worst, limit, evidence=worst_evidence)
 
 
 def _over_range(
-    sweep: JointSweep, swept: JointRange, result: JointChecks, options: VerifyOptions
-) -> None:
-    """Check the depth over one joint's range; where it fails, measure the range that is free."""
+    sweep: JointSweep,
+    swept: JointRange,
+    free: Mapping[str, tuple[float, float]],
+    options: VerifyOptions,
+) -> Check:
+    """Check the depth over one joint's range; a collision has one of three faults."""
     probe, joint, usual = sweep.probe, swept.joint, options.max_depth_m
-    # A pair that is allowed more, and is no deeper than that, does not count against the joint.
+    # A pair within a declared allowance does not count against the joint.
     counted = {
         pair: overlap
         for pair, overlap in swept.deepest.items()
         if overlap.depth > sweep.allowed[pair] or sweep.allowed[pair] <= usual
     }
     pair = max(counted, key=lambda pair: counted[pair].depth, default=None)
-    overlap = None if pair is None else counted[pair]
-    other = ""
+    depth, value, threshold, other, state = 0.0, 0.0, usual, "", {}
     if pair is not None:
+        overlap, threshold = counted[pair], sweep.allowed[pair]
+        depth, value, state = max(overlap.depth, 0.0), overlap.value, overlap.state
         other = probe.names[next((k for k in pair if k not in swept.moving), pair[0])]
     fault = Fault.LIMIT_INTO_PART
-    if sweep.too_deep(swept.deepest):
-        # A range that is cut right at the threshold would pass only as doubtful.
-        for share in (CLEAR, 1.0):
-            free = free_range(sweep, swept, share)
-            if free[1] - free[0] >= AT_ONCE * swept.width:
-                break
-        else:
-            fault = Fault.JOINT_INTO_PART
-        result.free[joint.name] = free
+    if joint.name in free:
+        low, high = free[joint.name]
         if joint.type == "revolute" and _better_pivot(sweep, swept):
             fault = Fault.PIVOT_OFF
-    depth, value = (0.0, 0.0) if overlap is None else (max(overlap.depth, 0.0), overlap.value)
-    limit = Limit(threshold=usual if pair is None else sweep.allowed[pair], unit="m", fault=fault)
+        elif high - low < AT_ONCE * swept.width:
+            fault = Fault.JOINT_INTO_PART
     unit = "m" if joint.type == "prismatic" else "rad"
     position = f"{value:.3g}"
     if joint.type == "ball":
-        state = {} if overlap is None else overlap.state
         position = f"({', '.join(f'{v:.3g}' for v in state.values())})"
     evidence = f"{joint.child} in {other} with {joint.name} at {position} {unit}"
-    result.checks.append(
-        judged(
-            "joint_range", f"depth:{joint.name}", depth, limit, part=joint.child, joint=joint.name,
-            at=value, evidence=evidence + "".join(f", {name} open" for name in swept.opened),
-        )
-    )  # fmt: skip
+    evidence += "".join(f", {name} open" for name in swept.opened)
+    names = {"part": joint.child, "joint": joint.name}
+    limit = Limit(threshold, "m", fault)
+    return judged(
+        "joint_range", f"depth:{joint.name}", depth, limit, **names, at=value, evidence=evidence
+    )
+
+
+def _free_range(sweep: JointSweep, swept: JointRange) -> tuple[float, float]:
+    """Return a joint's free range around rest [rad or m], with clearance if any of it remains."""
+    # A range that is cut exactly at the threshold would pass only as borderline.
+    low, high = free_range(sweep, swept, CLEAR)
+    if high - low >= AT_ONCE * swept.width:
+        return low, high
+    return free_range(sweep, swept)
 
 
 def _better_pivot(sweep: JointSweep, swept: JointRange) -> bool:
-    """Tell whether a hinge that is on no edge of its child would be free of collisions on one.
+    """Return True if a hinge on no edge of its child would be free of collisions on one of them.
 
     A hinge belongs on an edge of the part that it turns. If it is elsewhere and an edge would free
     its range, its pivot is the fault; a hinge that is on an edge has another fault.
@@ -169,15 +174,14 @@ def _better_pivot(sweep: JointSweep, swept: JointRange) -> bool:
 
 
 def on_edge(joint: JointSpec, low: NDArray, high: NDArray) -> bool:
-    """Tell whether a joint's axis runs along an edge of a box, within a tenth of its diagonal."""
+    """Return True if a joint's axis runs along an edge of a box, within 10 % of its diagonal."""
     axis = np.array(joint.axis)
-    off = pivot_edges(joint, low, high) - np.array(joint.pos)
-    wide = (high - low) * (np.abs(axis) < 0.99)
-    if not len(off):
+    offsets = pivot_edges(joint, low, high) - np.array(joint.pos)
+    if not len(offsets):
         return False
-    return float(np.linalg.norm(off - np.outer(off @ axis, axis), axis=1).min()) < 0.1 * float(
-        np.linalg.norm(wide)
-    )
+    distances = np.linalg.norm(offsets - np.outer(offsets @ axis, axis), axis=1)
+    diagonal = float(np.linalg.norm((high - low) * (np.abs(axis) < 0.99)))
+    return float(distances.min()) < 0.1 * diagonal
 
 
 def pivot_edges(joint: JointSpec, low: NDArray, high: NDArray) -> NDArray:
@@ -192,9 +196,11 @@ def pivot_edges(joint: JointSpec, low: NDArray, high: NDArray) -> NDArray:
     return edges
 
 
-def _together(sweep: JointSweep, result: JointChecks, options: VerifyOptions) -> None:
+def _together(
+    sweep: JointSweep, free: Mapping[str, tuple[float, float]], options: VerifyOptions
+) -> Check:
     """Check the depth while all joints move at once, within their free ranges."""
-    deepest = sweep_together(sweep, options, result.free)
+    deepest = sweep_together(sweep, options, free)
     pair = max(deepest, key=lambda pair: deepest[pair].depth, default=None)
     worst, evidence, threshold = 0.0, "", options.max_depth_m
     if pair is not None:
@@ -202,8 +208,8 @@ def _together(sweep: JointSweep, result: JointChecks, options: VerifyOptions) ->
         state = ", ".join(f"{name} at {value:.3g}" for name, value in overlap.state.items())
         worst, threshold = overlap.depth, sweep.allowed[pair]
         evidence = f"{first} in {second} with {state}"[:300]
-    limit = Limit(threshold=threshold, unit="m", fault=Fault.RANGE_CONFLICT)
-    result.checks.append(judged("joint_range", "depth:together", worst, limit, evidence=evidence))
+    limit = Limit(threshold, "m", Fault.RANGE_CONFLICT)
+    return judged("joint_range", "depth:together", worst, limit, evidence=evidence)
 
 
 def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
@@ -212,84 +218,69 @@ def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
     size = float(np.linalg.norm(high - low))
     slack = max(GAP_SLACK * options.touch_gap_m, GAP_SHARE * size)
     reach = 20 * slack
-    limit = Limit(threshold=slack, unit="m", fault=Fault.PART_DETACHED)
+    limit = Limit(slack, "m", Fault.PART_DETACHED)
     for joint in probe.spec.joints:
-        if is_placeholder(probe.spec.part(joint.child)) or is_placeholder(
-            probe.spec.part(joint.parent)
-        ):
+        ends = joint.parent, joint.child
+        if any(is_placeholder(probe.spec.part(name)) for name in ends):
             continue
-        parent_pieces, child_pieces = (
-            probe.of_part(probe.names.index(name)) for name in (joint.parent, joint.child)
-        )
-        near = probe.nearest(parent_pieces, child_pieces, reach)
+        parent, child = (probe.of_part(probe.names.index(name)) for name in ends)
+        near = probe.nearest(parent, child, reach)
         gap = reach if near is None else max(near.distance, 0.0)
-        evidence = f"{joint.child} hangs in the air beside {joint.parent}"
         yield judged(
             "static", f"gap:{joint.name}", gap, limit, part=joint.child, joint=joint.name,
-            evidence=evidence,
+            evidence=f"{joint.child} hangs in the air beside {joint.parent}",
         )  # fmt: skip
 
 
-def _pivot(probe: Probe, joint: JointSpec, options: VerifyOptions) -> Check:
-    """Check the distance [m] of a turning joint's axis from the two parts that it joins."""
-    low, high = probe.extent(probe.names.index(joint.child))
-    size = float(np.linalg.norm(high - low))
-    point, axis = np.array(joint.pos), np.array(joint.axis)
-    off = line_box_distance(point, axis, low, high)
-    if not is_placeholder(probe.spec.part(joint.parent)):
-        # A hinge has a size of its own, so the parent may end short of the axis: half counts.
-        off = max(
-            off, line_box_distance(point, axis, *probe.extent(probe.names.index(joint.parent))) / 2
+def _pivots(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
+    """Check the distance [m] of each turning joint's axis from the two parts that it joins."""
+    for joint in probe.spec.joints:
+        placeholders = [is_placeholder(probe.spec.part(n)) for n in (joint.child, joint.parent)]
+        if joint.type not in ("revolute", "continuous") or placeholders[0]:
+            continue
+        child, parent = (
+            probe.extent(probe.names.index(name)) for name in (joint.child, joint.parent)
         )
-    limit = Limit(
-        threshold=max(options.max_pivot_off * size, 0.004), unit="m", fault=Fault.PIVOT_OFF
-    )
-    return judged(
-        "static", f"pivot:{joint.name}", off, limit, part=joint.child, joint=joint.name,
-        evidence=f"the axis of {joint.name} passes beside {joint.child} or {joint.parent}",
-    )  # fmt: skip
+        point, axis = np.array(joint.pos), np.array(joint.axis)
+        distance = line_box_distance(point, axis, *child)
+        if not placeholders[1]:
+            # A hinge has a size of its own, so the parent may end short of the axis: half counts.
+            distance = max(distance, line_box_distance(point, axis, *parent) / 2)
+        size = float(np.linalg.norm(child[1] - child[0]))
+        limit = Limit(max(options.max_pivot_off * size, 0.004), "m", Fault.PIVOT_OFF)
+        yield judged(
+            "static", f"pivot:{joint.name}", distance, limit, part=joint.child, joint=joint.name,
+            evidence=f"the axis of {joint.name} passes beside {joint.child} or {joint.parent}",
+        )  # fmt: skip
 
 
-def intents(spec: ObjectSpec) -> Iterator[Check]:
+def _intents(spec: ObjectSpec) -> Iterator[Check]:
     """Yield checks of each joint's type, direction and travel against its declared intent."""
     for joint in spec.joints:
-        intent = joint.intent
+        intent, names = joint.intent, {"part": joint.child, "joint": joint.name}
         if intent is None:
             if joint.type in SINGLE:
                 yield skipped("intent", joint.name, "no intent is declared", joint.name)
             continue
         if intent.type is not None:
             wrong = 0.0 if intent.type == joint.type else 1.0
-            limit = Limit(threshold=0.0, unit="", fault=Fault.JOINT_TYPE)
+            limit = Limit(0.0, "", Fault.JOINT_TYPE)
             evidence = f"{joint.name} is {joint.type} and meant to be {intent.type}"
-            yield judged(
-                "intent", f"type:{joint.name}", wrong, limit, part=joint.child, joint=joint.name,
-                evidence=evidence,
-            )  # fmt: skip
+            name = f"type:{joint.name}"
+            yield judged("intent", name, wrong, limit, **names, evidence=evidence)
             if wrong:
                 continue
         if intent.opens is not None and joint.type in SINGLE:
-            limit = Limit(
-                threshold=OPENS_COSINE, unit="cosine", fault=Fault.AXIS_REVERSED, least=True
-            )
-            cosine = opening_alignment(spec, joint)
+            name, cosine = f"opens:{joint.name}", opening_alignment(spec, joint)
             if cosine is None:
-                reason = "its middle hardly moves, so it opens no way"
-                yield skipped("intent", f"opens:{joint.name}", reason, joint.name)
+                reason = "its middle hardly moves, so it has no opening direction"
+                yield skipped("intent", name, reason, joint.name)
                 continue
-            yield judged(
-                "intent", f"opens:{joint.name}", cosine, limit, part=joint.child,
-                joint=joint.name, evidence=f"{joint.child} sets out the wrong way",
-            )  # fmt: skip
+            limit = Limit(OPENS_COSINE, "cosine", Fault.AXIS_REVERSED, least=True)
+            evidence = f"{joint.child} sets out the wrong way"
+            yield judged("intent", name, cosine, limit, **names, evidence=evidence)
         if intent.travel is not None and joint.type in ("revolute", "prismatic"):
-            limit = Limit(
-                threshold=0.9 * intent.travel,
-                unit="m" if joint.type == "prismatic" else "rad",
-                fault=Fault.LIMITS_NARROW,
-                least=True,
-                best=intent.travel,
-            )
+            unit, travel = "m" if joint.type == "prismatic" else "rad", intent.travel
+            limit = Limit(0.9 * travel, unit, Fault.LIMITS_NARROW, least=True, best=travel)
             width = joint.upper - joint.lower
-            yield judged(
-                "intent", f"travel:{joint.name}", width, limit, part=joint.child, joint=joint.name
-            )
+            yield judged("intent", f"travel:{joint.name}", width, limit, **names)

@@ -1,7 +1,7 @@
-"""Signals for parts that enter each other at rest, over a joint's range, or in combinations."""
+"""Signals for parts that overlap at rest, over the range of a joint, or in combinations."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from ..config import ProgramOptions
 from .allowance import Allowance
@@ -15,7 +15,7 @@ from .joint_sweep import (
     sweep_together,
 )
 from .part_distances import Probe
-from .signals import Signal
+from .signals import Signal, error_signal
 
 
 def overlap_signals(
@@ -23,8 +23,8 @@ def overlap_signals(
 ) -> list[Signal]:
     """Return a signal for every pair of parts that overlap too deep, where they are deepest.
 
-    A joint that waits for others (`after`) is moved while these are open, in combinations too; they
-    themselves are moved while it is at rest.
+    A joint with prerequisites (`after`) is moved while these are open, in combinations too; the
+    prerequisites themselves are moved while the joint is at rest.
     """
     sweep = sweep_joints(probe, options, allowances)
     signals = [
@@ -37,100 +37,78 @@ def overlap_signals(
             for pair, overlap in sweep.too_deep(swept.deepest).items()
         ]
         if not signals:
-            signals += _needless(sweep, swept, options)
-    signals += [
-        _in_combination(probe, pair, overlap, sweep.allowed[pair])
-        for pair, overlap in sweep_together(sweep, options).items()
-    ]
+            signals += _needless_prerequisites(sweep, swept, options)
+    for pair, overlap in sweep_together(sweep, options).items():
+        a, b = (probe.names[index] for index in pair)
+        state = ", ".join(f"{name} at {value:.3g}" for name, value in overlap.state.items())
+        message = f"parts {a!r} and {b!r} enter each other with {state[:200]}"
+        hint = "leave the parts room when several joints are open at once, or shorten a range"
+        depths = {"value": overlap.depth, "threshold": sweep.allowed[pair]}
+        signals.append(error_signal("overlap_in_combination", message, part=b, hint=hint, **depths))
     return signals
 
 
 def rest_overlap_signals(probe: Probe, options: ProgramOptions) -> list[Signal]:
     """Return a signal for every two parts that overlap too deep at rest, whatever joins them."""
-    most = options.max_depth_m
+    limit = options.max_depth_m
     probe.place({})
-    pairs = dict.fromkeys(itertools.combinations(range(len(probe.names)), 2), most)
+    pairs = itertools.combinations(range(len(probe.names)), 2)
     return [
-        _at_rest(probe, pair, Overlap(-near.distance, near, {}), most)
+        _at_rest(probe, pair, Overlap(-near.distance, near, {}), limit)
         for pair, near in probe.depths(pairs).items()
-        if -near.distance > most
+        if -near.distance > limit
     ]
 
 
-def _needless(sweep: JointSweep, swept: JointRange, options: ProgramOptions) -> list[Signal]:
-    """Return an error for each joint that another waits for although it is not in its way.
+def _needless_prerequisites(
+    sweep: JointSweep, swept: JointRange, options: ProgramOptions
+) -> Iterator[Signal]:
+    """Yield an error for each prerequisite of a joint that is not in its way when closed.
 
-    Waiting leaves states out of the sweep, so it must be needed.
+    A prerequisite excludes states from the sweep, so it must be needed.
     """
-    joint, signals = swept.joint, []
+    joint = swept.joint
     for name in joint.after:
         other = sweep.probe.spec.joint(name)
         closed = {key: value for key, value in swept.opened.items() if key != name}
         alone = sweep_range(
             sweep.probe, joint, swept.pairs, sweep.allowed, options.sweep_steps, closed
         )
-        if sweep.too_deep(alone.deepest):
-            continue
-        signals.append(
-            Signal(
-                severity="error",
-                code="after_needless",
-                joint=joint.name,
-                part=joint.child,
-                message=f"joint {joint.name!r} waits for {name!r}, but {other.child!r} is not "
-                "in its way when closed",
-                hint="leave after= out",
-            )
-        )
-    return signals
+        if not sweep.too_deep(alone.deepest):
+            message = f"joint {joint.name!r} waits for {name!r}, but {other.child!r} is not "
+            message += "in its way when closed"
+            names = {"joint": joint.name, "part": joint.child}
+            yield error_signal("after_needless", message, hint="leave after= out", **names)
 
 
 def _at_rest(probe: Probe, pair: Pair, overlap: Overlap, allowed: float) -> Signal:
     a, b = (probe.names[index] for index in pair)
     pieces = (overlap.near.first, overlap.near.second)
     shapes = (probe.geom_names[probe.geom[piece]] for piece in pieces)
-    return Signal(
-        severity="error",
-        code="overlap_at_rest",
-        part=b,
-        message=f"parts {a!r} and {b!r} enter each other at rest, at {' and '.join(shapes)}",
-        value=overlap.depth,
-        threshold=allowed,
-        hint="parts that move against each other may touch, not overlap: leave 0.5 to 1 mm",
-    )
+    message = f"parts {a!r} and {b!r} enter each other at rest, at {' and '.join(shapes)}"
+    hint = "parts that move against each other may touch, not overlap: leave 0.5 to 1 mm"
+    depths = {"value": overlap.depth, "threshold": allowed}
+    return error_signal("overlap_at_rest", message, part=b, hint=hint, **depths)
 
 
 def _in_motion(
     probe: Probe, swept: JointRange, pair: Pair, overlap: Overlap, allowed: float
 ) -> Signal:
     joint = swept.joint
-    a, b = sorted(pair, key=lambda index: index in swept.moving)
+    a, b = (probe.names[index] for index in sorted(pair, key=swept.moving.__contains__))
     unit = "m" if joint.type == "prismatic" else "rad"
-    at = ", ".join(f"{value:.3g}" for value in overlap.state.values())
-    at = f"({at})" if joint.type == "ball" else at
-    return Signal(
-        severity="error",
-        code="overlap_in_motion",
+    position = ", ".join(f"{value:.3g}" for value in overlap.state.values())
+    position = f"({position})" if joint.type == "ball" else position
+    message = f"joint {joint.name!r} at {position} {unit} drives {b!r} into {a!r}"
+    if joint.after:
+        message += f", with {' and '.join(joint.after)} open"
+    return error_signal(
+        "overlap_in_motion",
+        message,
         joint=joint.name,
-        part=probe.names[b],
-        message=f"joint {joint.name!r} at {at} {unit} drives {probe.names[b]!r} into "
-        f"{probe.names[a]!r}" + (f", with {' and '.join(joint.after)} open" if joint.after else ""),
+        part=b,
         value=overlap.depth,
         threshold=allowed,
         hint="check the sign of the axis (positive opens), the anchor, the range and the "
         "clearance; what moves only when a door is open says after=",
-    )
-
-
-def _in_combination(probe: Probe, pair: Pair, overlap: Overlap, allowed: float) -> Signal:
-    a, b = (probe.names[index] for index in pair)
-    state = ", ".join(f"{name} at {value:.3g}" for name, value in overlap.state.items())
-    return Signal(
-        severity="error",
-        code="overlap_in_combination",
-        part=b,
-        message=f"parts {a!r} and {b!r} enter each other with {state[:200]}",
-        value=overlap.depth,
-        threshold=allowed,
-        hint="leave the parts room when several joints are open at once, or shorten a range",
     )

@@ -1,4 +1,4 @@
-"""Check that sizes, masses and walls are those of real objects."""
+"""Plausibility checks: sizes, masses and walls are those of real objects."""
 
 from collections.abc import Iterator
 
@@ -9,6 +9,7 @@ from ..spec import (
     Extrusion,
     Lathe,
     ObjectSpec,
+    PartSpec,
     Prism,
     Shape,
     Sweep,
@@ -20,18 +21,18 @@ from ..spec import (
 from ..spec.convex import extent
 from ..spec.csg import faceted
 from ..spec.mass import LEAST_KG
-from .signals import Signal
+from .signals import Severity, Signal, error_signal
 
 SMALLEST_M, LARGEST_M = 0.002, 20.0
 HEAVIEST_KG = 2000.0
 SOLID_KG_M3, DENSE_KG_M3 = 3000.0, 1500.0
-"""Mass over the volume of the convex hull: only solid metal exceeds the first, few things that
-stand on a table the second."""
+"""Mass over the volume of the convex hull: only solid metal exceeds the first, few tabletop objects
+exceed the second."""
 WEIGHED_KG, LIFTED_KG = 1.0, 8.0
-"""Below the first a dense part is a fitting; above the second few hands lift it."""
+"""A dense part below the first is a fitting; above the second it is hard to lift."""
 LIGHTEST_KG_M3 = 1.0
 THINNEST_M = 0.0004
-"""Pieces thinner than this slip through each other in a time step."""
+"""Thickness below which pieces pass through each other within a time step."""
 
 
 def plausibility(spec: ObjectSpec) -> Iterator[Signal]:
@@ -40,105 +41,73 @@ def plausibility(spec: ObjectSpec) -> Iterator[Signal]:
     yield from _size(high - low)
     total = 0.0
     for part in spec.parts:
-        own = inertial(spec, part)
-        mass = own.mass
-        total += mass
-        if is_too_light(own):
-            yield Signal(
-                severity="error",
-                code="too_light",
-                message=f"part {part.name!r} weighs {mass:.3g} kg, too little to be simulated",
-                value=mass,
+        inertia = inertial(spec, part)
+        total += inertia.mass
+        if is_too_light(inertia):
+            yield error_signal(
+                "too_light",
+                f"part {part.name!r} weighs {inertia.mass:.3g} kg, too little to be simulated",
+                value=inertia.mass,
                 threshold=LEAST_KG,
                 hint="make it larger or denser, or shapes of another part",
             )
             continue
         if part.mass is None:
-            yield from _density(part.name, mass, _spanned(spec, part.name))
-        yield from _thin(spec, part.name)
+            yield from _density(part.name, inertia.mass, inertia.mass / _hull_volume(part))
+        yield from _thickness(part)
     if total > HEAVIEST_KG:
-        yield Signal(
-            severity="error",
-            code="too_heavy",
-            message=f"the object weighs {total:.4g} kg",
-            value=total,
-            threshold=HEAVIEST_KG,
-            hint="lengths are in metres; make it hollow, or choose a lighter material",
-        )
+        hint = "lengths are in metres; make it hollow, or choose a lighter material"
+        message = f"the object weighs {total:.4g} kg"
+        yield error_signal("too_heavy", message, value=total, threshold=HEAVIEST_KG, hint=hint)
 
 
 def _size(size: np.ndarray) -> Iterator[Signal]:
-    for value, threshold, wrong in (
-        (float(size.max()), LARGEST_M, size.max() > LARGEST_M),
-        (float(size.min()), SMALLEST_M, size.max() < 5 * SMALLEST_M),
-    ):
-        if wrong:
-            extents = " x ".join(f"{v:.4g}" for v in size)
-            yield Signal(
-                severity="error",
-                code="size",
-                message=f"the object measures {extents} m",
-                value=value,
-                threshold=threshold,
-                hint="lengths are in metres",
-            )
+    largest, smallest = float(size.max()), float(size.min())
+    message = f"the object measures {' x '.join(f'{v:.4g}' for v in size)} m"
+    hint = "lengths are in metres"
+    if largest > LARGEST_M:
+        yield error_signal("size", message, value=largest, threshold=LARGEST_M, hint=hint)
+    if largest < 5 * SMALLEST_M:
+        yield error_signal("size", message, value=smallest, threshold=SMALLEST_M, hint=hint)
 
 
-def _density(part: str, mass: float, volume: float) -> Iterator[Signal]:
-    density = mass / volume
-    about = f"part {part!r} weighs {mass:.3g} kg, {density:.0f} kg for each m^3 that it spans"
+def _density(part: str, mass: float, density: float) -> Iterator[Signal]:
+    """Check a part's mass [kg] over the volume of its convex hull [kg/m^3]."""
+    message = f"part {part!r} weighs {mass:.3g} kg, {density:.0f} kg for each m^3 that it spans"
+    severity: Severity = "warning"
     if mass > WEIGHED_KG and density > SOLID_KG_M3:
-        yield Signal(
-            severity="error",
-            code="too_heavy",
-            part=part,
-            message=about + ": that is solid metal",
-            value=density,
-            threshold=SOLID_KG_M3,
-            hint="make it a shell (lathe with thickness, hollow_box); if it is solid, say so by "
-            "mass=",
-        )
+        severity, code, limit = "error", "too_heavy", SOLID_KG_M3
+        message += ": that is solid metal"
+        hint = "make it a shell (lathe with thickness, hollow_box); if it is solid, say so by mass="
     elif mass > LIFTED_KG and density > DENSE_KG_M3:
-        yield Signal(
-            severity="warning",
-            code="heavy",
-            part=part,
-            message=about,
-            value=density,
-            threshold=DENSE_KG_M3,
-            hint="is it hollow in the picture? then make it a shell",
-        )
+        code, limit = "heavy", DENSE_KG_M3
+        hint = "is it hollow in the picture? then make it a shell"
     elif density < LIGHTEST_KG_M3:
-        yield Signal(
-            severity="warning",
-            code="light",
-            part=part,
-            message=about,
-            value=density,
-            threshold=LIGHTEST_KG_M3,
-            hint="are the walls too thin, or is a shape missing?",
-        )
+        code, limit = "light", LIGHTEST_KG_M3
+        hint = "are the walls too thin, or is a shape missing?"
+    else:
+        return
+    yield Signal(
+        severity=severity, code=code, part=part, message=message, hint=hint, value=density,
+        threshold=limit,
+    )  # fmt: skip
 
 
-def _thin(spec: ObjectSpec, name: str) -> Iterator[Signal]:
-    thinnest, where = np.inf, ""
-    for geom in spec.part(name).geoms:
-        wall = _wall(geom.shape)
-        if geom.role != "visual" and wall < thinnest:
-            thinnest, where = wall, geom.name
-    for geom, piece, _ in pieces(spec.part(name)):
-        if piece.kind == "mesh":
-            continue  # `_wall` reads the thickness that its shape states.
-        wide = min(extent(piece, d) + extent(piece, -d) for d in np.eye(3))
-        if wide < thinnest:
-            thinnest, where = wide, geom.name
-    if thinnest < THINNEST_M:
+def _thickness(part: PartSpec) -> Iterator[Signal]:
+    """Check the smallest thickness [m] among a part's shapes and convex pieces."""
+    walls = [(_wall(geom.shape), geom.name) for geom in part.geoms if geom.role != "visual"]
+    for geom, piece, _ in pieces(part):
+        if piece.kind != "mesh":  # For meshes, `_wall` returns the thickness that the shape states.
+            width = min(extent(piece, axis) + extent(piece, -axis) for axis in np.eye(3))
+            walls.append((width, geom.name))
+    thickness, shape = min(walls, key=lambda wall: wall[0], default=(np.inf, ""))
+    if thickness < THINNEST_M:
         yield Signal(
             severity="warning",
             code="thin",
-            part=name,
-            message=f"part {name!r}: {where} is very thin",
-            value=float(thinnest),
+            part=part.name,
+            message=f"part {part.name!r}: {shape} is very thin",
+            value=float(thickness),
             threshold=THINNEST_M,
             hint="things fall through such a wall; 1 mm and more is safe",
         )
@@ -155,18 +124,18 @@ def _wall(shape: Shape) -> float:
     return np.inf
 
 
-def _spanned(spec: ObjectSpec, name: str) -> float:
+def _hull_volume(part: PartSpec) -> float:
     """Return the volume [m^3] of a part's convex hull."""
     corners = []
-    for _, piece, at in pieces(spec.part(name)):
+    for _, piece, pose in pieces(part):
         if piece.kind == "box":
-            own = np.array(np.meshgrid(*([-1, 1],) * 3)).reshape(3, -1).T * piece.size
+            vertices = np.array(np.meshgrid(*([-1, 1],) * 3)).reshape(3, -1).T * piece.size
         elif piece.kind == "mesh":
-            own = np.array(piece.vertices)
+            vertices = np.array(piece.vertices)
         else:
-            own = faceted(piece, 16)
-        corners.append(at.apply(own))
+            vertices = faceted(piece, 16)
+        corners.append(pose.apply(vertices))
     try:
         return float(ConvexHull(np.vstack(corners)).volume)
-    except QhullError:  # The part is flat to rounding.
+    except QhullError:  # The part is flat up to rounding.
         return 1e-12

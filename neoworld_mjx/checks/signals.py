@@ -1,11 +1,11 @@
-"""Signals: findings about a program, each with a code, a place, a number and a hint.
+"""Signals: findings about a program, each with a code, a location, a value and a hint.
 
-A failing program gives signals, never an exception.
+A program that fails returns signals and raises no exception.
 """
 
 import math
 from collections.abc import Iterable
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
 
@@ -13,14 +13,14 @@ Severity = Literal["error", "warning"]
 
 
 class Signal(BaseModel):
-    """One finding about a program or the object it makes."""
+    """One finding about a program or the object that it builds."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     severity: Severity
-    """An error makes the object unusable; a warning does not."""
+    """An error makes the object unusable, a warning does not."""
     code: str
-    """Short stable name of the kind of finding, such as "overlap_at_rest"."""
+    """Short, stable name of the kind of finding, such as "overlap_at_rest"."""
     message: str
     part: str | None = None
     joint: str | None = None
@@ -32,11 +32,11 @@ class Signal(BaseModel):
     threshold: float | None = None
     """Limit that the value is compared with."""
     hint: str = ""
-    """Remedy, in words."""
+    """How to remedy it."""
 
     @property
     def identity(self) -> tuple[str, str | None, str | None, int | None, str]:
-        """Key that two signals of the same finding share, whatever their numbers."""
+        """Key that two signals of the same finding share, regardless of their values."""
         anchored = self.part is not None or self.joint is not None
         line = None if anchored else self.line
         return self.code, self.part, self.joint, line, "" if anchored else self.message
@@ -48,11 +48,11 @@ class Signal(BaseModel):
         return f"{self.severity} {self.code}: {place}{self.message}{self._measured()}{hint}"
 
     def listing(self, file: str, text: str = "") -> str:
-        """Return the finding as terminals show it: file:line:column, the source line, the hint.
+        """Format the finding for a terminal: file:line:column, the source line, the hint.
 
         Args:
             file: name of the program's file.
-            text: the program; empty leaves the source line out.
+            text: the program; if empty, the source line is omitted.
         """
         place = ":".join(str(part) for part in (file, self.line, self.column) if part is not None)
         rows = [f"{place}: {self.severity} {self.code}: {self.message}{self._measured()}"]
@@ -69,26 +69,32 @@ class Signal(BaseModel):
         return f" [{self.value:.4g} against {self.threshold:.4g}]"
 
 
+def error_signal(code: str, message: str, **details: Any) -> Signal:
+    """Return a signal of severity error; `details` are further fields of `Signal`."""
+    return Signal(severity="error", code=code, message=message, **details)
+
+
 def deduplicated(signals: Iterable[Signal]) -> tuple[Signal, ...]:
-    """Return the worst signal of each finding, errors first, else in the order given."""
+    """Return the worst signal of each finding, errors first, otherwise in the given order."""
     worst: dict[tuple[object, ...], Signal] = {}
+
+    def rank(signal: Signal) -> tuple[bool, float]:
+        return signal.severity == "error", abs(signal.value or 0)
+
     for signal in signals:
-        other = worst.get(signal.identity)
-        if other is None or (signal.severity == "error", abs(signal.value or 0)) > (
-            other.severity == "error",
-            abs(other.value or 0),
-        ):
+        other = worst.setdefault(signal.identity, signal)
+        if rank(signal) > rank(other):
             worst[signal.identity] = signal
     return tuple(sorted(worst.values(), key=lambda signal: signal.severity != "error"))
 
 
 def has_errors(signals: Iterable[Signal]) -> bool:
-    """Tell whether any signal is an error."""
+    """Return True if any signal is an error."""
     return any(signal.severity == "error" for signal in signals)
 
 
 def in_radians(degrees: float) -> str:
-    """Say that angles are in radians, with the value that was probably meant."""
+    """Return the hint that angles are in radians, with the value that was probably intended."""
     return (
         f"angles are in radians: {degrees:g} degrees are {math.radians(degrees):.4g}, "
         f"math.radians({degrees:g})"

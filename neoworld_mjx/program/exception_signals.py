@@ -1,8 +1,6 @@
 """Error signals of programs, and their conversion from exceptions."""
 
-from typing import Any
-
-from ..checks.signals import Signal
+from ..checks.signals import Signal, error_signal
 from .session import LimitExceeded, Session
 
 MODULE = "neoworld_mjx.program.sdk"
@@ -27,11 +25,6 @@ _CODES: dict[type[BaseException], tuple[str, str]] = {
     ValueError: ("value", ""),
     TypeError: ("value", ""),
 }
-
-
-def error_signal(code: str, message: str, **details: Any) -> Signal:
-    """Return a signal of severity error; `details` are further fields of `Signal`."""
-    return Signal(severity="error", code=code, message=message, **details)
 
 
 def exception_signal(

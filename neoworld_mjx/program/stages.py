@@ -10,10 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from ..checks.compile_checks import loose_shapes, too_intricate, with_line
-from ..checks.overlap import rest_overlap_signals
-from ..checks.part_distances import OutOfTime, Probe
-from ..checks.plausibility import plausibility
+from ..checks.compile_checks import check_geometry
 from ..checks.signals import Signal, deduplicated
 from ..config import ProgramOptions
 from ..errors import NeoWorldError
@@ -42,16 +39,8 @@ def build_geometry(text: str, options: ProgramOptions) -> BuildResult:
     built = run(text, options, loose=True)
     if built.spec is None:
         return built
-    signals = list(plausibility(built.spec))
-    try:
-        probe = Probe(built.spec, options.check_timeout_s)
-        # The articulation program decides what a part is attached to.
-        signals += [s for s in loose_shapes(probe, options) if s.code != "detached_part"]
-        signals += rest_overlap_signals(probe, options)
-    except OutOfTime:
-        signals.append(too_intricate(options))
-    located = deduplicated(with_line(signal, built.lines) for signal in signals)
-    return replace(built, signals=deduplicated((*built.signals, *located)))
+    signals = check_geometry(built.spec, options, built.lines)
+    return replace(built, signals=deduplicated((*built.signals, *signals)))
 
 
 def build_export(text: str, options: ProgramOptions) -> BuildResult:
