@@ -1,7 +1,6 @@
 """Assembling: parts are put together so that one holds the other."""
 
 import math
-from functools import partial
 
 from neoworld_mjx.spec import SceneSpec, world_poses
 from neoworld_mjx.spec.pose import Pose, from_yaw, pose
@@ -12,7 +11,7 @@ from .carrying_tasks import INSERTED, PLACED, UPRIGHT, carry, grasp_in, placed
 from .plan_format import TaskPlan
 from .predicates import Every, Located
 from .reference import Grasp, grasp_box, pick_and_place
-from .task import ManipulationTask, Prepared
+from .task import Prepared
 from .task_scenes import grown, put, scene_of
 
 
@@ -155,57 +154,3 @@ def nut_on_bolt() -> Prepared:
     )
     grasp = Grasp((0.0, 0.0, 0.006), 0.05)
     return carry(scene, goal, "ring", grasp, "post", (0.0, 0.0, 0.0155), hover=0.07, clear=0.1)
-
-
-_task = partial(ManipulationTask, kind="assembling")
-
-ASSEMBLING = (
-    _task(
-        name="lid_on_jar",
-        instruction="Put the lid on the jar.",
-        object="jar_lid",
-        make=partial(lid_on_jar, "ceramic", 0.09, 0.1, (0.13, 0.05)),
-    ),
-    _task(
-        name="lid_on_pot",
-        instruction="Put the lid on the steel pot.",
-        object="jar_lid",
-        make=partial(lid_on_jar, "steel", 0.18, 0.12, (0.15, 0.1)),
-    ),
-    _task(
-        name="ring_on_post",
-        instruction="Put the green ring over the post.",
-        object="ring",
-        make=partial(ring_on_post, 0.04, 0.026),
-    ),
-    _task(
-        name="third_ring",
-        instruction="Put the red ring over the post, on top of the other two.",
-        object="ring",
-        make=partial(ring_on_post, 0.04, 0.024, rings=3, colour="red", tall=0.1),
-    ),
-    _task(
-        name="washer_on_pin",
-        instruction="Put the washer over the pin.",
-        object="ring",
-        make=nut_on_bolt,
-    ),
-    _task(
-        name="bridge",
-        instruction="Lay the red beam across the two blue blocks.",
-        object="beam",
-        make=partial(bridge, "box", 0.5),
-    ),
-    _task(
-        name="bridge_on_columns",
-        instruction="Lay the red beam across the two blue columns.",
-        object="beam",
-        make=partial(bridge, "cylinder", -0.3),
-    ),
-    _task(
-        name="roof_on_house",
-        instruction="Put the red roof on the yellow house.",
-        object="roof",
-        make=roof_on_house,
-    ),
-)

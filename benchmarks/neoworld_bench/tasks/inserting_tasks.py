@@ -1,14 +1,13 @@
 """Insertion: an object goes through an opening and is supported there."""
 
 import math
-from functools import partial
 
 from neoworld_mjx.templates.template import Value
 
 from .carrying_tasks import carry, inserted
 from .placing_tasks import LYING
 from .reference import Grasp, grasp_box
-from .task import ManipulationTask, Prepared
+from .task import Prepared
 from .task_scenes import put, scene_of
 
 RACK_FLOOR = 0.012
@@ -145,90 +144,3 @@ def domino_into_slot(yaw: float, room: float) -> Prepared:
     goal = inserted("domino", "hole_board", (0, 0, 0.05), 0.01, 0.03)
     grasp = grasp_box(scene, "domino")
     return carry(scene, goal, "domino", grasp, "hole_board", (0, 0, 0.008), hover=0.07)
-
-
-_task = partial(ManipulationTask, kind="insertion")
-
-INSERTING = (
-    _task(
-        name="tube_into_rack",
-        instruction="Put the test tube from the stand into the hole at the front (+x) and right "
-        "(-y) of the rack.",
-        object="test_tube",
-        make=partial(tube_into_rack, 0, 1, start="stand"),
-    ),
-    _task(
-        name="wide_tube_into_rack",
-        instruction="Put the wide test tube from the stand into the middle hole of the rack.",
-        object="test_tube",
-        make=partial(
-            tube_into_rack, 2, 0, start="stand", across=0.028, finish="acrylic", yaw=0.3, rows=1
-        ),
-    ),
-    _task(
-        name="lying_tube_into_rack",
-        instruction="Pick up the test tube that lies on the table and stand it in the rack.",
-        object="test_tube",
-        make=partial(tube_into_rack, 3, 0, start="lying", rows=1, finish="white"),
-    ),
-    _task(
-        name="tube_to_another_hole",
-        instruction="Move the test tube at the end of the rack to the other end.",
-        object="test_tube",
-        make=partial(tube_into_rack, 4, 0, start="rack", rows=1),
-    ),
-    _task(
-        name="round_peg",
-        instruction="Put the yellow peg into the hole of the board.",
-        object="peg",
-        make=partial(peg_into_board, form="round", across=0.03, room=0.005),
-    ),
-    _task(
-        name="square_peg",
-        instruction="Put the blue square peg into the square hole.",
-        object="peg",
-        make=partial(
-            peg_into_board, form="square", across=0.03, room=0.005, yaw=0.5, colour="blue"
-        ),
-    ),
-    _task(
-        name="tight_peg",
-        instruction="Put the steel pin into the bore, which is 2 mm wider.",
-        object="peg",
-        make=partial(peg_into_board, form="round", across=0.02, room=0.002, colour="steel"),
-    ),
-    _task(
-        name="peg_into_last_hole",
-        instruction="Put the red peg into the last of the three holes, on the left.",
-        object="peg",
-        make=partial(
-            peg_into_board, form="round", across=0.025, room=0.005, hole=2, holes=3, colour="red"
-        ),
-    ),
-    _task(
-        name="lying_peg",
-        instruction="Pick up the peg that lies on the table and put it upright into the hole.",
-        object="peg",
-        make=partial(
-            peg_into_board, form="round", across=0.03, room=0.008, lying=True, height=0.14
-        ),
-    ),
-    _task(
-        name="pencil_into_holder",
-        instruction="Put the pencil into the middle hole of the holder.",
-        object="pencil",
-        make=pencil_into_holder,
-    ),
-    _task(
-        name="plug_into_socket",
-        instruction="Plug the plug into the socket.",
-        object="plug",
-        make=partial(plug_into_socket, 0.3, 0.004),
-    ),
-    _task(
-        name="domino_into_slot",
-        instruction="Put the domino upright into the slot.",
-        object="domino",
-        make=partial(domino_into_slot, -0.4, 0.006),
-    ),
-)

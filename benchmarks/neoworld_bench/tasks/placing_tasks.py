@@ -1,7 +1,6 @@
 """Placement: an object is carried onto or into another and let go."""
 
 import math
-from functools import partial
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from neoworld_mjx.spec.pose import from_axis_angle
 from ..engines.table_scenes import TOP
 from .carrying_tasks import carry, placed
 from .reference import Grasp, grasp_box
-from .task import ManipulationTask, Prepared
+from .task import Prepared
 from .task_scenes import put, scene_of, size_of
 
 LYING: Quat = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
@@ -225,93 +224,3 @@ def book_on_nightstand() -> Prepared:
 def _tilted(degrees: float) -> Quat:
     w, x, y, z = from_axis_angle(np.array([0.0, 1.0, 0.0]), math.radians(degrees)).tolist()
     return w, x, y, z
-
-
-_task = partial(ManipulationTask, kind="placement")
-
-PLACING = (
-    _task(
-        name="cup_on_plate",
-        instruction="Put the cup on the plate.",
-        object="mug",
-        make=partial(cup_on, "plate", "blue", across=0.2, at=(0.15, 0.1)),
-    ),
-    _task(
-        name="cup_on_coaster",
-        instruction="Put the cup on the coaster.",
-        object="mug",
-        make=partial(cup_on, "coaster", "clay", across=0.11, at=(0.1, -0.15)),
-    ),
-    _task(
-        name="bottle_on_tray",
-        instruction="Put the bottle on the tray, beside the cup.",
-        object="bottle_plain",
-        make=bottle_on_tray,
-    ),
-    _task(
-        name="ball_into_jar",
-        instruction="Drop the ball into the jar.",
-        object="ball",
-        make=partial(ball_into_jar, 0.12, 0.045),
-    ),
-    _task(
-        name="block_into_tray",
-        instruction="Put the red block into the tray, in the corner that is free.",
-        object="toy_block",
-        make=partial(block_into_tray, "oak", 0.03, 0.3),
-    ),
-    _task(
-        name="block_into_box",
-        instruction="Put the red block into the cardboard box.",
-        object="toy_block",
-        make=partial(block_into_tray, "cardboard", 0.08, -0.5),
-    ),
-    _task(
-        name="phone_on_stand",
-        instruction="Put the phone on its stand so that it leans against the back.",
-        object="phone",
-        make=partial(phone_on_stand, "teal", 20.0),
-    ),
-    _task(
-        name="pencil_into_cup",
-        instruction="Put the pencil into the cup.",
-        object="pencil",
-        make=partial(pencil_into_cup, "yellow", (0.12, 0.1)),
-    ),
-    _task(
-        name="apple_on_plate",
-        instruction="Put the apple on the plate.",
-        object="apple",
-        make=fruit_on_plate,
-    ),
-    _task(
-        name="cup_into_microwave",
-        instruction="Put the cup into the open microwave oven.",
-        object="mug",
-        make=cup_into_microwave,
-    ),
-    _task(
-        name="block_into_cabinet_drawer",
-        instruction="Put the block into the open drawer of the cabinet.",
-        object="toy_block",
-        make=partial(block_into_drawer, "drawer_cabinet", "drawer_3", 0.25, 0.516, 0.13),
-    ),
-    _task(
-        name="block_into_nightstand",
-        instruction="Put the block into the open drawer of the nightstand.",
-        object="toy_block",
-        make=partial(block_into_drawer, "nightstand", "drawer_2", 0.2, 0.456, 0.03),
-    ),
-    _task(
-        name="block_into_chest",
-        instruction="Put the yellow block into the open chest.",
-        object="toy_block",
-        make=block_into_chest,
-    ),
-    _task(
-        name="book_on_nightstand",
-        instruction="Stand the book on top of the nightstand.",
-        object="book",
-        make=book_on_nightstand,
-    ),
-)

@@ -1,7 +1,6 @@
 """Pushing: closed fingers move along a line, the paper's start and displacement."""
 
 import math
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from .carrying_tasks import PLACED
 from .plan_format import TaskPlan
 from .predicates import Every, Leaning, Located, Predicate
 from .reference import push
-from .task import ManipulationTask, Prepared
+from .task import Prepared
 from .task_scenes import GAP, grown, put, scene_of
 
 TOPPLED = (math.radians(45.0), math.pi)
@@ -263,75 +262,3 @@ def _level(direction: NDArray) -> NDArray:
     if length < 1e-6:
         raise ValueError("there is no horizontal direction to push along")
     return flat / length
-
-
-_task = partial(ManipulationTask, kind="pushing")
-
-PUSHING = (
-    _task(
-        name="dominoes_straight",
-        instruction="Push the first domino so that all five fall.",
-        object="domino_1",
-        make=partial(dominoes, 5, 0.045, 0.0, {}),
-    ),
-    _task(
-        name="dominoes_long",
-        instruction="Push the first domino so that all ten fall.",
-        object="domino_1",
-        make=partial(dominoes, 10, 0.04, 0.0, {"depth": 0.01}),
-    ),
-    _task(
-        name="dominoes_curved",
-        instruction="Push the first domino so that the whole curve falls.",
-        object="domino_1",
-        make=partial(dominoes, 8, 0.04, 0.18, {"width": 0.04}),
-    ),
-    _task(
-        name="dominoes_large",
-        instruction="Push the first of the large dominoes so that all four fall.",
-        object="domino_1",
-        make=partial(dominoes, 4, 0.06, 0.0, {"height": 0.12, "width": 0.06, "depth": 0.015}),
-    ),
-    _task(
-        name="tip_book",
-        instruction="Push the upright book over.",
-        object="book",
-        make=partial(tip, "book", 0.21, 0.015, 0.03, {}),
-    ),
-    _task(
-        name="tip_bottle",
-        instruction="Push the bottle over.",
-        object="bottle_plain",
-        make=partial(tip, "bottle_plain", 0.2, 0.012, 0.075, {}),
-    ),
-    _task(
-        name="push_block",
-        instruction="Push the red block between the two yellow marks.",
-        object="toy_block",
-        make=partial(slide, "toy_block", 0.025, (0.2, 0.1), {}, 0.02),
-    ),
-    _task(
-        name="push_tray",
-        instruction="Push the tray between the two yellow marks.",
-        object="tray",
-        make=partial(slide, "tray", 0.06, (-0.1, 0.2), {"depth": 0.12, "width": 0.12}, 0.02),
-    ),
-    _task(
-        name="push_cup",
-        instruction="Push the cup between the two yellow marks.",
-        object="mug",
-        make=partial(slide, "mug", 0.0375, (0.15, -0.15), {}, 0.025),
-    ),
-    _task(
-        name="push_off_the_edge",
-        instruction="Push the cube off the wooden block into the tray.",
-        object="cube",
-        make=off_the_edge,
-    ),
-    _task(
-        name="ball_through_gate",
-        instruction="Push the ball through the gate, against the wall behind it.",
-        object="ball",
-        make=partial(ball_into_goal, 0.4),
-    ),
-)

@@ -1,14 +1,11 @@
 """Stacking: an object is set on another that it could fall from."""
 
-import math
-from functools import partial
-
 from neoworld_mjx.templates.template import Value
 
 from .carrying_tasks import carry, placed
 from .predicates import Every
 from .reference import Grasp, grasp_box
-from .task import ManipulationTask, Prepared
+from .task import Prepared
 from .task_scenes import put, scene_of
 
 
@@ -94,70 +91,3 @@ def bottle_on_block() -> Prepared:
 def _sizes(block: tuple[float, float, float, str], colour: str) -> dict[str, Value]:
     depth, width, height, form = block
     return {"depth": depth, "width": width, "height": height, "form": form, "colour": colour}
-
-
-_task = partial(ManipulationTask, kind="stacking")
-
-CUBE = (0.05, 0.05, 0.05, "box")
-STACKING = (
-    _task(
-        name="cube_on_cube",
-        instruction="Stack the red cube on the blue one.",
-        object="upper",
-        make=partial(block_on, CUBE, CUBE),
-    ),
-    _task(
-        name="small_on_large",
-        instruction="Stack the small red block on the large blue one.",
-        object="upper",
-        make=partial(block_on, (0.08, 0.08, 0.05, "box"), (0.03, 0.03, 0.04, "box"), yaw=0.4),
-    ),
-    _task(
-        name="cylinder_on_cube",
-        instruction="Stand the red cylinder on the blue cube.",
-        object="upper",
-        make=partial(block_on, CUBE, (0.045, 0.045, 0.06, "cylinder")),
-    ),
-    _task(
-        name="cube_on_cylinder",
-        instruction="Stack the red cube on the blue cylinder.",
-        object="upper",
-        make=partial(block_on, (0.05, 0.05, 0.07, "cylinder"), (0.04, 0.04, 0.04, "box")),
-    ),
-    _task(
-        name="brick_across_brick",
-        instruction="Lay the red brick crosswise on the blue one.",
-        object="upper",
-        make=partial(
-            block_on,
-            (0.15, 0.05, 0.04, "box"),
-            (0.15, 0.05, 0.04, "box"),
-            turn=math.pi / 2,
-            yaw=-0.2,
-        ),
-    ),
-    _task(
-        name="third_cube",
-        instruction="Stack the red cube on top of the two others.",
-        object="third",
-        make=partial(third_block, 0.045),
-    ),
-    _task(
-        name="tray_on_tray",
-        instruction="Stack the dark tray on the light one.",
-        object="upper",
-        make=tray_on_tray,
-    ),
-    _task(
-        name="disc_on_disc",
-        instruction="Stack the red disc on the green one.",
-        object="upper",
-        make=ring_on_ring,
-    ),
-    _task(
-        name="bottle_on_block",
-        instruction="Stand the bottle on the wooden block.",
-        object="bottle_plain",
-        make=bottle_on_block,
-    ),
-)
