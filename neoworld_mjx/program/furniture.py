@@ -1,156 +1,194 @@
-"""Doors, drawers and shelves as furniture has them, with the clearances that let them move."""
+"""Doors, drawers and shelves, with the clearances that let them move."""
 
-from collections.abc import Sequence
-from typing import Any, no_type_check
+from typing import Any, Literal, no_type_check
 
 from . import validate
+from .object_joints import After, ObjectJoints
+from .part import Geom, Part
+from .sdk_types import Point2
 from .shape_functions import box, hollow_box
 
 _HINGES = {
-    "left": ("left.back", (0, 0, 1)),
-    "right": ("right.back", (0, 0, -1)),
-    "bottom": ("bottom.back", (0, 1, 0)),
-    "top": ("top.back", (0, -1, 0)),
+    "left": ("left.back", (0, 0, 1), 1.57),
+    "right": ("right.back", (0, 0, -1), 1.57),
+    "bottom": ("bottom.back", (0, 1, 0), 1.5),
+    "top": ("top.back", (0, -1, 0), 1.5),
 }
-STANDS_OFF_M = 0.0005
+"""Anchor, axis and default opening angle [rad] of a door's hinge, by its edge.
+
+Beyond this angle the door would enter the frame beside its hinge.
+"""
+DOOR_GAP_M = 0.0005
 """Gap between a door and the front that it covers."""
-LIFTS_M = 0.0005
+TRAY_GAP_M = 0.0005
 """Gap under a drawer's tray."""
-SWING = {"left": 1.57, "right": 1.57, "bottom": 1.5, "top": 1.5}
-"""Opening angle of a door [rad]; beyond it the face would enter the frame beside its hinge."""
 TRAVEL = 0.75
 """Default travel of a drawer, over its depth."""
 
 
 @no_type_check
-def add_door(
-    owner: Any,
-    name: str,
-    parent: Any,
-    *,
-    x: float,
-    y: Sequence[float],
-    z: Sequence[float],
-    hinge: str,
-    thickness: float,
-    gap: float,
-    opens: float | None,
-    after: Any,
-    material: str | None,
-) -> Any:
-    """Hang a flat door before the plane x; see `Object.door`."""
-    context = f"door {validate.name(name, 'door name')!r}"
-    (left, width), (low, height) = _span(y, f"{context}: y"), _span(z, f"{context}: z")
-    if hinge not in _HINGES:
-        raise ValueError(
-            f"{context}: hinge is one of {', '.join(_HINGES)}, got {validate.shown(hinge)}"
+class Furniture(ObjectJoints):
+    """Methods of `Object` that add doors, drawers and shelves."""
+
+    def door(
+        self,
+        name: str,
+        parent: Part,
+        *,
+        x: float,
+        y: Point2,
+        z: Point2,
+        hinge: Literal["left", "right", "top", "bottom"],
+        thickness: float = 0.018,
+        gap: float = 0.001,
+        opens: float | None = None,
+        after: After = None,
+        material: str | None = None,
+    ) -> Part:
+        """Hang a flat door, or a flap, before a front that lies in the plane x.
+
+        Args:
+            name: name of the part; its joint is called <name>_hinge.
+            parent: part that the door hangs on.
+            x: plane on whose +x side the door stands.
+            y: (low, high) of the area that it covers.
+            z: (low, high) of the area that it covers.
+            hinge: edge that it turns about: "left" (+y), "right" (-y), "top" or "bottom".
+            thickness: along x.
+            gap: left free at all four edges.
+            opens: angle when fully open [rad]; by default 1.57 at the sides, 1.5 above and below.
+            after: what must be open first, as for `revolute`.
+            material: the parent's by default.
+        """
+        self._check_part(parent, "door: parent")
+        context = f"door {validate.name(name, 'door name')!r}"
+        (left, width), (low, height) = _span(y, f"{context}: y"), _span(z, f"{context}: z")
+        if hinge not in _HINGES:
+            raise ValueError(
+                f"{context}: hinge is one of {', '.join(_HINGES)}, got {validate.shown(hinge)}"
+            )
+        edge = validate.number(gap, f"{context}: gap", 1.0)
+        size = (
+            validate.length(thickness, f"{context}: thickness"),
+            validate.length(width - 2 * edge, f"{context}: width inside the gap"),
+            validate.length(height - 2 * edge, f"{context}: height inside the gap"),
         )
-    edge = validate.number(gap, f"{context}: gap", 1.0)
-    size = (
-        validate.length(thickness, f"{context}: thickness"),
-        validate.length(width - 2 * edge, f"{context}: width inside the gap"),
-        validate.length(height - 2 * edge, f"{context}: height inside the gap"),
-    )
-    front = validate.number(x, f"{context}: x", validate.MAX_COORDINATE_M)
-    part = owner.part(name, material=material or parent._material)
-    at = (front + STANDS_OFF_M, left + width / 2, low + height / 2)
-    panel = part.add(box(size), at=at, by="back", name=f"{name[:40]}_panel")
-    where, axis = _HINGES[hinge]
-    wide = SWING[hinge] if opens is None else validate.number(opens, f"{context}: opens", 7.0)
-    owner.revolute(
-        f"{name[:40]}_hinge",
-        parent,
-        part,
-        at=panel.anchor(where),
-        axis=axis,
-        range=(0.0, wide),
-        after=after,
-        opens="front",
-    )
-    return part
+        front = validate.number(x, f"{context}: x", validate.MAX_COORDINATE_M)
+        part = self.part(name, material=material or parent._material)
+        at = (front + DOOR_GAP_M, left + width / 2, low + height / 2)
+        panel = part.add(box(size), at=at, by="back", name=f"{name[:40]}_panel")
+        anchor, axis, angle = _HINGES[hinge]
+        if opens is not None:
+            angle = validate.number(opens, f"{context}: opens", 7.0)
+        self.revolute(
+            f"{name[:40]}_hinge",
+            parent,
+            part,
+            at=panel.anchor(anchor),
+            axis=axis,
+            range=(0.0, angle),
+            after=after,
+            opens="front",
+        )
+        return part
 
+    def drawer(
+        self,
+        name: str,
+        parent: Part,
+        *,
+        x: float,
+        y: Point2,
+        z: Point2,
+        depth: float,
+        wall: float = 0.01,
+        front: float = 0.018,
+        overlay: float = 0.0,
+        gap: float = 0.002,
+        travel: float | None = None,
+        after: After = None,
+        material: str | None = None,
+    ) -> Part:
+        """Put a drawer into an opening: a tray behind the plane x and a front before it.
 
-@no_type_check
-def add_drawer(
-    owner: Any,
-    name: str,
-    parent: Any,
-    *,
-    x: float,
-    y: Sequence[float],
-    z: Sequence[float],
-    depth: float,
-    wall: float,
-    front: float,
-    overlay: float,
-    gap: float,
-    travel: float | None,
-    after: Any,
-    material: str | None,
-) -> Any:
-    """Put a drawer into an opening whose front lies in the plane x; see `Object.drawer`."""
-    context = f"drawer {validate.name(name, 'drawer name')!r}"
-    (left, width), (low, height) = _span(y, f"{context}: y"), _span(z, f"{context}: z")
-    side = validate.number(gap, f"{context}: gap", 1.0)
-    long = validate.length(depth, f"{context}: depth")
-    edge = validate.number(x, f"{context}: x", validate.MAX_COORDINATE_M)
-    over = validate.number(overlay, f"{context}: overlay", 1.0)
-    thick = validate.length(front, f"{context}: front")
-    part = owner.part(name, material=material or parent._material)
-    tray = (
-        long,
-        validate.length(width - 2 * side, f"{context}: width inside the gap"),
-        validate.length(height - side - LIFTS_M, f"{context}: height inside the gap"),
-    )
-    middle = left + width / 2
-    shape = hollow_box(tray, validate.length(wall, f"{context}: wall"), open="+z")
-    part.add(shape, at=(edge, middle, low + LIFTS_M), by="front.bottom", name=f"{name[:40]}_tray")
-    # The front covers the opening and laps over its frame; without that it closes flush with it.
-    inset = side if over <= 0 else -over
-    face = (
-        thick,
-        validate.length(width - 2 * inset, f"{context}: front"),
-        validate.length(height - 2 * inset if over > 0 else tray[2], f"{context}: front"),
-    )
-    foot = low - over if over > 0 else low + LIFTS_M
-    part.add(box(face), at=(edge, middle, foot), by="back.bottom", name=f"{name[:40]}_front")
-    out = TRAVEL * long if travel is None else validate.length(travel, f"{context}: travel")
-    owner.prismatic(
-        f"{name[:40]}_slide",
-        parent,
-        part,
-        axis=(1, 0, 0),
-        range=(0.0, out),
-        after=after,
-        opens="front",
-    )
-    return part
+        Args:
+            name: name of the part; its joint is called <name>_slide.
+            parent: part that the drawer slides in.
+            x: plane of the opening.
+            y: (low, high) of the opening inside its frame.
+            z: (low, high) of the opening; the tray runs on its floor.
+            depth: depth of the tray, back from x.
+            wall: thickness of the tray's walls.
+            front: thickness of the front, before x.
+            overlay: overlap of the front over the frame on all sides; 0 leaves a gap instead.
+            gap: left free beside and above the tray.
+            travel: distance that it comes out; three quarters of its depth by default.
+            after: what must be open first, as for `revolute`.
+            material: the parent's by default.
+        """
+        self._check_part(parent, "drawer: parent")
+        context = f"drawer {validate.name(name, 'drawer name')!r}"
+        (left, width), (low, height) = _span(y, f"{context}: y"), _span(z, f"{context}: z")
+        side = validate.number(gap, f"{context}: gap", 1.0)
+        length = validate.length(depth, f"{context}: depth")
+        edge = validate.number(x, f"{context}: x", validate.MAX_COORDINATE_M)
+        lap = validate.number(overlay, f"{context}: overlay", 1.0)
+        thickness = validate.length(front, f"{context}: front")
+        part = self.part(name, material=material or parent._material)
+        tray = (
+            length,
+            validate.length(width - 2 * side, f"{context}: width inside the gap"),
+            validate.length(height - side - TRAY_GAP_M, f"{context}: height inside the gap"),
+        )
+        middle, floor = left + width / 2, low + TRAY_GAP_M
+        shape = hollow_box(tray, validate.length(wall, f"{context}: wall"), open="+z")
+        part.add(shape, at=(edge, middle, floor), by="front.bottom", name=f"{name[:40]}_tray")
+        # With an overlay the front covers the frame, without one it ends flush with it.
+        inset = side if lap <= 0 else -lap
+        face = (
+            thickness,
+            validate.length(width - 2 * inset, f"{context}: front"),
+            validate.length(height - 2 * inset if lap > 0 else tray[2], f"{context}: front"),
+        )
+        at = (edge, middle, low - lap if lap > 0 else floor)
+        part.add(box(face), at=at, by="back.bottom", name=f"{name[:40]}_front")
+        distance = TRAVEL * length
+        if travel is not None:
+            distance = validate.length(travel, f"{context}: travel")
+        self.prismatic(
+            f"{name[:40]}_slide",
+            parent,
+            part,
+            axis=(1, 0, 0),
+            range=(0.0, distance),
+            after=after,
+            opens="front",
+        )
+        return part
 
-
-@no_type_check
-def add_shelf(
-    parent: Any,
-    *,
-    x: Sequence[float],
-    y: Sequence[float],
-    z: float,
-    thickness: float,
-    material: str | None,
-    name: str | None,
-) -> Any:
-    """Add a level board to a part; see `Object.shelf`."""
-    (back, deep), (right, wide) = _span(x, "shelf: x"), _span(y, "shelf: y")
-    top = validate.number(z, "shelf: z", validate.MAX_COORDINATE_M)
-    board = box((deep, wide, validate.length(thickness, "shelf: thickness")))
-    at = (back + deep / 2, right + wide / 2, top)
-    return parent.add(board, at=at, by="top", material=material, name=name)
+    def shelf(
+        self,
+        parent: Part,
+        *,
+        x: Point2,
+        y: Point2,
+        z: float,
+        thickness: float = 0.018,
+        material: str | None = None,
+        name: str | None = None,
+    ) -> Geom:
+        """Add a level board to a part, from x[0] to x[1] and y[0] to y[1], its top at z."""
+        self._check_part(parent, "shelf: parent")
+        (back, depth), (right, width) = _span(x, "shelf: x"), _span(y, "shelf: y")
+        top = validate.number(z, "shelf: z", validate.MAX_COORDINATE_M)
+        board = box((depth, width, validate.length(thickness, "shelf: thickness")))
+        at = (back + depth / 2, right + width / 2, top)
+        return parent.add(board, at=at, by="top", material=material, name=name)
 
 
 def _span(value: Any, argument: str) -> tuple[float, float]:
     """Validate (low, high) [m], and return low and the distance between them."""
-    low, high = validate.sequence(value, argument, 2, 2)
-    a = validate.number(low, argument, validate.MAX_COORDINATE_M)
-    b = validate.number(high, argument, validate.MAX_COORDINATE_M)
-    if b <= a:
+    low, high = validate.pair(value, argument)
+    if high <= low:
         raise ValueError(f"{argument} must be (low, high), got {validate.shown(value)}")
-    return a, b - a
+    return low, high - low

@@ -1,4 +1,6 @@
-"""Named materials: density, friction and a plain colour, to be overridden where the photo says so.
+"""Named materials, and the finish of materials that a program defines.
+
+Named materials have a density, a friction and a plain color, which the photo overrides.
 
 Densities are of the bulk solid, rounded, from the CRC Handbook of Chemistry and Physics (metals,
 glass, stone, polymers), the USDA Wood Handbook FPL-GTR-282 table 5-3 (wood at 12 % moisture) and
@@ -11,7 +13,13 @@ rigid polyurethane foam between them, (2 * 0.5 * 7850 + 39 * 40) / 40 kg/m^3; ma
 (Metecno, Hark) state 40 to 45 kg/m^3 for the foam and 0.3 to 0.8 mm for the sheets.
 """
 
-from ..spec import Material
+from typing import Any
+
+from ..errors import choices
+from ..spec import Material, SurfacePattern
+from ..spec.finish import finish, named_finish
+from ..spec.surface_pattern import PATTERN_KINDS
+from . import validate
 
 _TABLE: dict[str, tuple[float, float, tuple[float, float, float]]] = {
     # name: density [kg/m^3], friction, colour
@@ -73,7 +81,7 @@ _TABLE: dict[str, tuple[float, float, tuple[float, float, float]]] = {
 }
 
 _CLEAR = {"glass": 0.3, "acrylic": 0.35, "pet": 0.35, "water": 0.45}
-"""Opacity of what one sees through; the rest is opaque."""
+"""Opacity of transparent materials; all others are opaque."""
 
 MATERIALS: dict[str, Material] = {
     name: Material(
@@ -82,3 +90,39 @@ MATERIALS: dict[str, Material] = {
     for name, (density, friction, rgb) in _TABLE.items()
 }
 """The named materials that a program may use without defining them."""
+
+
+def stated_finish(
+    kind: Any, rgb2: Any, step: Any, along: Any, metallic: Any, roughness: Any, context: str
+) -> dict[str, Any]:
+    """Return the validated finish fields of a material; each argument may be None."""
+    fields: dict[str, Any] = {
+        key: validate.number(share, f"{context}: {key}")
+        for key, share in (("metallic", metallic), ("roughness", roughness))
+        if share is not None
+    }
+    if kind is None:
+        if rgb2 is not None or step is not None:
+            raise ValueError(f"{context}: rgb2 and step belong to a pattern=")
+        return fields
+    if kind not in PATTERN_KINDS:
+        raise ValueError(f"{context}: pattern: {choices(str(kind), list(PATTERN_KINDS))}")
+    fields["pattern"] = validate.build_spec(
+        SurfacePattern,
+        f"{context}: pattern",
+        kind=kind,
+        rgb=None if rgb2 is None else validate.colour(rgb2, f"{context}: rgb2"),
+        step=None if step is None else validate.length(step, f"{context}: step"),
+        along=along,
+    )
+    return fields
+
+
+def inherited_finish(base: Material, name: str) -> dict[str, Any]:
+    """Return the finish that a material takes over from `base`.
+
+    It has none of its own if its name does not name a known material: "seat", like oak.
+    """
+    if named_finish(name) or not named_finish(base.name):
+        return {}
+    return {k: v for k, v in finish(base)._asdict().items() if v not in (None, 0.0)}

@@ -31,9 +31,9 @@ from .type_signals import type_signals
 
 
 def public_members(kind: type, select: Callable[[object], bool]) -> tuple[str, ...]:
-    """Return the names of a class's own public members that `select` accepts."""
-    members = vars(kind).items()
-    return tuple(name for name, value in members if not name.startswith("_") and select(value))
+    """Return the names of a class's public members that `select` accepts."""
+    members = inspect.getmembers_static(kind, select)
+    return tuple(name for name, _ in members if not name.startswith("_"))
 
 
 _START_S, _GRACE_S = 10.0, 0.5

@@ -78,7 +78,7 @@ class Part:
         if role not in ("both", "visual", "collision"):
             valid = choices(validate.shown(role), ("both", "visual", "collision"))
             raise ValueError(f"{context}: role: {valid}")
-        spec = validate.described(
+        spec = validate.build_spec(
             S.GeomSpec,
             f"{context} {label!r}",
             name=label,
@@ -190,5 +190,5 @@ class Joint:
         numbers = {
             k: validate.number(v, f"{context}: {k}") for k, v in given.items() if v is not None
         }
-        validate.described(S.JointSpec, context, **{**self._fields, **numbers})
+        validate.build_spec(S.JointSpec, context, **{**self._fields, **numbers})
         self._fields |= numbers

@@ -1,4 +1,4 @@
-"""Points of repeated shapes: grids, rings and mirror images."""
+"""Points at which a program repeats a shape: grids, rings and mirror images."""
 
 import math
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ from . import validate
 from .sdk_types import Point2, Vec3
 
 Point3 = tuple[float, float, float]
-MOST = 1000
+MAX_COUNT = 1000
 
 
 @no_type_check
@@ -17,15 +17,12 @@ def grid(
 ) -> list[tuple[float, float, float]]:
     """Return points on a grid in x and y around a centre, row by row along x."""
     columns, rows = (
-        validate.whole(v, "grid counts", 1, MOST)
+        validate.integer(v, "grid counts", 1, MAX_COUNT)
         for v in validate.sequence(counts, "grid counts", 2, 2)
     )
-    if columns * rows > MOST:
-        raise ValueError(f"grid makes at most {MOST} points, got {columns} x {rows}")
-    dx, dy = (
-        validate.number(v, "grid steps", validate.MAX_COORDINATE_M)
-        for v in validate.sequence(steps, "grid steps", 2, 2)
-    )
+    if columns * rows > MAX_COUNT:
+        raise ValueError(f"grid makes at most {MAX_COUNT} points, got {columns} x {rows}")
+    dx, dy = validate.pair(steps, "grid steps")
     x, y, z = validate.vector(centre, "grid centre")
     return [
         (x + dx * (i - (columns - 1) / 2), y + dy * (j - (rows - 1) / 2), z)
@@ -39,11 +36,11 @@ def ring(
     count: int, radius: float, centre: Vec3 = (0.0, 0.0, 0.0), start: float = 0.0
 ) -> list[tuple[float, float, float]]:
     """Return points on a circle around +z; the k-th lies at the angle start + 2 pi k / count."""
-    many = validate.whole(count, "ring count", 1, MOST)
+    total = validate.integer(count, "ring count", 1, MAX_COUNT)
     r = validate.length(radius, "ring radius")
     x, y, z = validate.vector(centre, "ring centre")
     first = validate.number(start, "ring start", 200.0)
-    angles = [first + 2 * math.pi * k / many for k in range(many)]
+    angles = [first + 2 * math.pi * k / total for k in range(total)]
     return [(x + r * math.cos(a), y + r * math.sin(a), z) for a in angles]
 
 
@@ -62,7 +59,7 @@ def mirror(
     if across not in ("x", "y", "z"):
         raise ValueError(f"mirror across is 'x', 'y' or 'z', got {validate.shown(across)}")
     k, plane = "xyz".index(across), validate.number(at, "mirror at", validate.MAX_COORDINATE_M)
-    originals = validate.sequence(points, "mirror points", 1, MOST)
+    originals = validate.sequence(points, "mirror points", 1, MAX_COUNT)
     if not isinstance(originals[0], list | tuple):
         originals = [originals]
     mirrored: list[Point3] = []

@@ -77,7 +77,7 @@ def placed(shape: Shape, at: Sequence[float], rpy: Sequence[float], by: str, con
         context: the call, for messages.
     """
     position = np.array(validate.vector(at, f"{context}: at"))
-    rotation = from_rpy(*validate.turn(rpy, f"{context}: rpy"))
+    rotation = from_rpy(*validate.rotation(rpy, f"{context}: rpy"))
     if by:
         bounds = bounds_of(shape, pose((0, 0, 0), rotation))
         position = position - anchor_of(bounds, by, f"{context}: by")

@@ -71,6 +71,51 @@ class Object:
         roughness: float | None = None,
     ) -> str: ...
     def part(self, name: str, material: str | None = None, mass: float | None = None) -> Part: ...
+    def site(self, name: str, part: Part, at: Vec3) -> None: ...
+    def allow_overlap(self, first: Part, second: Part, depth: float, reason: str) -> None: ...
+    def door(
+        self,
+        name: str,
+        parent: Part,
+        *,
+        x: float,
+        y: Point2,
+        z: Point2,
+        hinge: Literal["left", "right", "top", "bottom"],
+        thickness: float = 0.018,
+        gap: float = 0.001,
+        opens: float | None = None,
+        after: After = None,
+        material: str | None = None,
+    ) -> Part: ...
+    def drawer(
+        self,
+        name: str,
+        parent: Part,
+        *,
+        x: float,
+        y: Point2,
+        z: Point2,
+        depth: float,
+        wall: float = 0.01,
+        front: float = 0.018,
+        overlay: float = 0.0,
+        gap: float = 0.002,
+        travel: float | None = None,
+        after: After = None,
+        material: str | None = None,
+    ) -> Part: ...
+    def shelf(
+        self,
+        parent: Part,
+        *,
+        x: Point2,
+        y: Point2,
+        z: float,
+        thickness: float = 0.018,
+        material: str | None = None,
+        name: str | None = None,
+    ) -> Geom: ...
     def fixed(self, name: str, parent: Part, child: Part) -> Joint: ...
     def revolute(
         self,
@@ -142,51 +187,6 @@ class Object:
         after: After = None,
         opens: Vec3 | str | None = None,
     ) -> Joint: ...
-    def door(
-        self,
-        name: str,
-        parent: Part,
-        *,
-        x: float,
-        y: Point2,
-        z: Point2,
-        hinge: Literal["left", "right", "top", "bottom"],
-        thickness: float = 0.018,
-        gap: float = 0.001,
-        opens: float | None = None,
-        after: After = None,
-        material: str | None = None,
-    ) -> Part: ...
-    def drawer(
-        self,
-        name: str,
-        parent: Part,
-        *,
-        x: float,
-        y: Point2,
-        z: Point2,
-        depth: float,
-        wall: float = 0.01,
-        front: float = 0.018,
-        overlay: float = 0.0,
-        gap: float = 0.002,
-        travel: float | None = None,
-        after: After = None,
-        material: str | None = None,
-    ) -> Part: ...
-    def shelf(
-        self,
-        parent: Part,
-        *,
-        x: Point2,
-        y: Point2,
-        z: float,
-        thickness: float = 0.018,
-        material: str | None = None,
-        name: str | None = None,
-    ) -> Geom: ...
-    def site(self, name: str, part: Part, at: Vec3) -> None: ...
-    def allow_overlap(self, first: Part, second: Part, depth: float, reason: str) -> None: ...
 
 def box(size: Vec3) -> Shape: ...
 def sphere(radius: float) -> Shape: ...

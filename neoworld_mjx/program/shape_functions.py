@@ -110,7 +110,7 @@ def lathe(
     `oval` stretches the whole along y.
     """
     outline = validate.points(profile, "lathe profile", 2, MAX_POINTS)
-    count = validate.whole(sectors, "lathe sectors", MIN_SECTORS, MAX_SECTORS)
+    count = validate.integer(sectors, "lathe sectors", MIN_SECTORS, MAX_SECTORS)
     wall = None if thickness is None else validate.length(thickness, "lathe thickness")
     bands = len(outline) - 1
     return _shape(
@@ -142,7 +142,7 @@ def tube(radius: float, wall: float, height: float, sectors: int = 12) -> Shape:
     thickness = validate.length(wall, "tube wall")
     if thickness >= outer:
         raise ValueError(f"tube wall {thickness} must be smaller than its radius {outer}")
-    count = validate.whole(sectors, "tube sectors", MIN_SECTORS, MAX_SECTORS)
+    count = validate.integer(sectors, "tube sectors", MIN_SECTORS, MAX_SECTORS)
     profile = ((outer, -half), (outer, half))
     return _shape(S.Lathe, count, profile=profile, thickness=thickness, sectors=count)
 
@@ -187,7 +187,7 @@ def sweep(
         across = inward = tuple(2 * r for r in _each(radius, "sweep radius"))
     else:
         across, inward = _each(width, "sweep width"), _each(thickness, "sweep thickness")
-    steps = validate.whole(smooth, "sweep smooth", 1, 8)
+    steps = validate.integer(smooth, "sweep smooth", 1, 8)
     track = _curved(track, steps, closed)
     return _shape(
         S.Sweep,
@@ -196,7 +196,7 @@ def sweep(
         width=_stretched(across, steps, closed),
         thickness=_stretched(inward, steps, closed),
         closed=closed,
-        sectors=validate.whole(sectors, "sweep sectors", 4, 32),
+        sectors=validate.integer(sectors, "sweep sectors", 4, 32),
     )
 
 
@@ -221,7 +221,7 @@ def torus(radius: float, tube: float, arc: float = 2 * math.pi, sectors: int = 8
         width=(2 * small,),
         thickness=(2 * small,),
         closed=whole,
-        sectors=validate.whole(sectors, "torus sectors", 4, 32),
+        sectors=validate.integer(sectors, "torus sectors", 4, 32),
     )
 
 
@@ -273,7 +273,7 @@ def panel(
     A hole is (x, y, radius), or (x, y, width, depth) of a rectangle; both at its middle.
     """
     x, y = (validate.length(v, "panel size") for v in validate.sequence(size, "panel size", 2, 2))
-    facets = validate.whole(sectors, "panel sectors", MIN_SECTORS, MAX_SECTORS)
+    facets = validate.integer(sectors, "panel sectors", MIN_SECTORS, MAX_SECTORS)
     loops = []
     for i, hole in enumerate(validate.sequence(holes, "panel holes", 0, MAX_POINTS)):
         argument = f"panel holes[{i}]"
@@ -330,8 +330,8 @@ def _combined(operation: str, shapes: tuple[Any, ...], sectors: int) -> Shape:
         )
         for shape in shapes
     )
-    count = validate.whole(sectors, f"{operation} sectors", MIN_SECTORS, MAX_SECTORS)
-    solid = validate.described(
+    count = validate.integer(sectors, f"{operation} sectors", MIN_SECTORS, MAX_SECTORS)
+    solid = validate.build_spec(
         S.CSG, operation, operation=operation, operands=operands, sectors=count
     )
     current().use("pieces built", len(solid.pieces()), 4 * current().max_pieces)
@@ -401,4 +401,4 @@ def _shape(model: Any, pieces: int, **fields: Any) -> Shape:
             f"give it fewer points or sectors"
         )
     current().use("pieces built", pieces, 4 * current().max_pieces)
-    return Shape(validate.described(model, name, **fields))
+    return Shape(validate.build_spec(model, name, **fields))

@@ -1,15 +1,28 @@
-"""Write `sdk.pyi`, the type stubs that programs are checked against, from the SDK's own signatures.
+"""Generator of `sdk.pyi`, the type stubs that programs are checked against.
 
-`python -m neoworld_mjx.program.stubs` says whether the file is up to date; `--write` writes it.
+`python -m neoworld_mjx.program.stubs` reports whether the file matches the SDK's signatures;
+`--write` writes it.
 """
 
 import ast
 import inspect
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
+from typing import cast
 
-from . import part, patterns, placing, sdk, sdk_object, sdk_types, shape_functions
+from . import (
+    furniture,
+    object_joints,
+    part,
+    patterns,
+    placing,
+    sdk,
+    sdk_object,
+    sdk_types,
+    shape_functions,
+)
 
 PATH = Path(__file__).with_name("sdk.pyi")
 WIDTH = 100
@@ -19,18 +32,18 @@ _CLASSES = (
     (part, "Geom"),
     (part, "Part"),
     (part, "Joint"),
-    (sdk_object, "Object"),
 )
-"""In this order a class stands after those that its signatures name."""
+"""Classes in an order in which each follows those that its signatures name."""
 
 
 def stub_text() -> str:
     """Return the text of the stubs: types, classes with their public members, functions."""
     blocks = [_HEADER, _aliases(sdk_types)]
     for module, name in _CLASSES:
-        if module is sdk_object:
-            blocks.append(_aliases(module))
         blocks.append(_class(_definitions(module)[name]))
+    blocks.append(_aliases(object_joints))
+    parents = [_definitions(furniture)["Furniture"], _definitions(object_joints)["ObjectJoints"]]
+    blocks.append(_class(_definitions(sdk_object)["Object"], parents))
     functions = []
     for module in (shape_functions, patterns):
         definitions = _definitions(module)
@@ -46,7 +59,7 @@ def _definitions(module: ModuleType) -> dict[str, ast.stmt]:
 
 
 def _aliases(module: ModuleType) -> str:
-    """Copy the assignments that name types: those to capitalised names."""
+    """Copy the type aliases of a module: assignments to capitalized names."""
     lines = [
         ast.unparse(node)
         for node in ast.parse(inspect.getsource(module)).body
@@ -58,10 +71,12 @@ def _aliases(module: ModuleType) -> str:
     return "".join(f"{line}\n" for line in lines).replace("'", '"')
 
 
-def _class(node: ast.stmt) -> str:
+def _class(node: ast.stmt, parents: Sequence[ast.stmt] = ()) -> str:
+    """Write the public members of a class and of its parent classes."""
     assert isinstance(node, ast.ClassDef)
     lines = [f"class {node.name}:\n"]
-    for member in node.body:
+    inherited = [member for parent in parents for member in cast(ast.ClassDef, parent).body]
+    for member in [*node.body, *inherited]:
         if isinstance(member, ast.AnnAssign) and _public(ast.unparse(member.target)):
             lines.append(f"    {ast.unparse(member)}\n")
         elif isinstance(member, ast.FunctionDef) and (
@@ -122,7 +137,7 @@ def _argument(argument: ast.arg, default: ast.expr | None) -> str:
 
 
 def main() -> int:
-    """Compare `sdk.pyi` with the SDK, or write it when asked to; return the exit code."""
+    """Compare `sdk.pyi` with the SDK, or write it with `--write`; return the exit code."""
     text = stub_text()
     if "--write" in sys.argv[1:]:
         PATH.write_text(text, encoding="utf-8")

@@ -128,7 +128,7 @@ def _members(kind: str) -> tuple[str, ...]:
         name
         for each in _CLASSES
         if each.__name__ == kind
-        for name in (*vars(each), *inspect.get_annotations(each))
+        for name in (*dir(each), *inspect.get_annotations(each))
         if not name.startswith("_")
     )
 

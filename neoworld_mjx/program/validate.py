@@ -1,8 +1,8 @@
-"""Validate the arguments that programs pass to the SDK; every message names the argument.
+"""Validation of the arguments that programs pass to the SDK; every message names the argument.
 
 A sandboxed program passes values of unknown type: a number may be a string, a list may hold a
-million entries. Nothing reaches a description without being validated here. Each function returns
-the valid value, and raises TypeError or ValueError for any other.
+million entries. Nothing reaches a spec without validation here. Each function returns the valid
+value, and raises TypeError or ValueError for any other.
 """
 
 import math
@@ -19,16 +19,16 @@ from .session import warn
 
 MAX_COORDINATE_M = 100.0
 MIN_LENGTH_M = 1e-5
+MAX_ROTATION_RAD = 4 * math.pi
+"""Angle beyond which a whole number is taken for degrees."""
 _S = TypeVar("_S", bound=BaseModel)
 
 
 def shown(value: Any, depth: int = 2) -> str:
-    """Write a value for a message; long strings, containers and integers are shortened.
+    """Format a value for a message; long strings, containers and integers are shortened.
 
-    Args:
-        value: anything.
-        depth: containers within containers that are written out. A program may put one list into
-            many, which written out would be longer than any memory.
+    Containers are written out to `depth` levels only: a program may nest one list so often in
+    itself that its full text would exceed any memory.
     """
     if isinstance(value, list | tuple) and (len(value) > 6 or not depth):
         return f"{type(value).__name__} of {len(value)} items"
@@ -76,6 +76,12 @@ def sequence(value: Any, argument: str, least: int, most: int) -> Sequence[Any]:
     return value
 
 
+def pair(value: Any, argument: str, limit: float = MAX_COORDINATE_M) -> tuple[float, float]:
+    """Return two finite numbers of magnitude up to `limit`."""
+    a, b = sequence(value, argument, 2, 2)
+    return number(a, argument, limit), number(b, argument, limit)
+
+
 def vector(
     value: Any, argument: str, limit: float = MAX_COORDINATE_M
 ) -> tuple[float, float, float]:
@@ -90,25 +96,18 @@ def lengths(value: Any, argument: str) -> tuple[float, float, float]:
     return length(x, argument), length(y, argument), length(z, argument)
 
 
-MOST_TURN_RAD = 4 * math.pi
-"""Angle beyond which a turn is taken for one in degrees."""
-
-
-def turn(value: Any, argument: str) -> tuple[float, float, float]:
-    """Return three angles [rad]; whole numbers that can only be degrees are refused.
-
-    A whole number beyond half a turn is rarely meant in radians, so it gives a warning.
-    """
+def rotation(value: Any, argument: str) -> tuple[float, float, float]:
+    """Return three angles [rad]; whole numbers that can only be degrees are refused."""
     angles = vector(value, argument, 200.0)
     largest = max(angles, key=abs)
-    if abs(largest) > MOST_TURN_RAD and largest == round(largest):
+    if abs(largest) > MAX_ROTATION_RAD and largest == round(largest):
         raise ValueError(f"{argument}: {in_radians(largest)}")
-    doubt_radians(largest, argument)
+    warn_of_degrees(largest, argument)
     return angles
 
 
-def doubt_radians(angle: float, argument: str) -> None:
-    """Warn of a whole number of radians beyond half a turn, which looks like degrees."""
+def warn_of_degrees(angle: float, argument: str) -> None:
+    """Warn about a whole number of radians beyond half a turn, which is probably in degrees."""
     if abs(angle) > math.pi and angle == round(angle):
         turned = f"{argument}: {angle:g} radians are {math.degrees(angle):.0f} degrees"
         hint = f"if {angle:g} degrees are meant, write math.radians({angle:g})"
@@ -117,19 +116,11 @@ def doubt_radians(angle: float, argument: str) -> None:
 
 def points(value: Any, argument: str, least: int, most: int) -> tuple[tuple[float, float], ...]:
     """Return `least` to `most` points (a, b) [m]."""
-    pairs = []
-    for i, item in enumerate(sequence(value, argument, least, most)):
-        a, b = sequence(item, f"{argument}[{i}]", 2, 2)
-        pairs.append(
-            (
-                number(a, f"{argument}[{i}]", MAX_COORDINATE_M),
-                number(b, f"{argument}[{i}]", MAX_COORDINATE_M),
-            )
-        )
-    return tuple(pairs)
+    items = sequence(value, argument, least, most)
+    return tuple(pair(item, f"{argument}[{i}]") for i, item in enumerate(items))
 
 
-def whole(value: Any, argument: str, least: int, most: int) -> int:
+def integer(value: Any, argument: str, least: int, most: int) -> int:
     """Return an integer from `least` to `most`."""
     if isinstance(value, bool) or not isinstance(value, int):
         raise TypeError(f"{argument} must be an integer, got {shown(value)}")
@@ -150,6 +141,12 @@ def name(value: Any, argument: str) -> str:
     return value
 
 
+def unused(value: str, kind: str, names: Sequence[str]) -> None:
+    """Raise ValueError if a name is already among `names`."""
+    if value in names:
+        raise ValueError(f"{kind} {value!r} exists already")
+
+
 def text(value: Any, argument: str, most: int = 200) -> str:
     """Return one printable line of at most `most` characters."""
     if not isinstance(value, str):
@@ -167,17 +164,15 @@ def colour(value: Any, argument: str) -> tuple[float, float, float]:
     return r, g, b
 
 
-def described(model: type[_S], argument: str, **fields: Any) -> _S:
-    """Build a description from validated values.
+def build_spec(model: type[_S], argument: str, **fields: Any) -> _S:
+    """Build a spec from validated values.
 
     Raises:
-        ValueError: the description refuses them; the message is one line.
+        ValueError: the spec's own validation fails; the message is one line.
     """
     try:
         return model(**fields)
     except ValidationError as error:
-        message = (
-            validation_message(error, model).replace("(root): ", "").replace("Value error, ", "")
-        )
+        message = re.sub(r"\(root\): |Value error, ", "", validation_message(error, model))
         message = re.sub(r", got \{.*$", "", message, flags=re.DOTALL)
         raise ValueError(f"{argument}: {message}") from None
