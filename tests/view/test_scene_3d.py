@@ -1,4 +1,4 @@
-"""The part of a report that turns, in a real browser without a network."""
+"""The interactive view of a report, in a real browser without a network."""
 
 import io
 import json
@@ -22,10 +22,15 @@ def _scene(spec, state=None):
     return SceneSpec(name="scene", objects=(table, obj))
 
 
-def _write(path, scene):
-    path.write_text(
-        document("a page", [scene_3d.scene_3d(scene)], [scene_3d.script_hash()]), encoding="utf-8"
-    )
+EYE = {"middle": [0, 0, 0.2], "azimuth": 0.4, "elevation": 0.4, "distance": 1.2, "fovy": 0.7}
+
+
+def _write(path, scene, eye=None):
+    """Write a page; with `eye`, the view starts there instead of at the scene's own viewpoint."""
+    page = document("a page", [scene_3d.scene_3d(scene)], [scene_3d.script_hash()])
+    if eye is not None:
+        page = re.sub(r'"eye":\{[^}]*\}', f'"eye":{json.dumps(eye)}', page)
+    path.write_text(page, encoding="utf-8")
     return f"file://{path}"
 
 
@@ -43,7 +48,7 @@ def _slide(page, label, value):
 
 
 def _joints(spec):
-    """Return positions of all joints that lead, well inside their ranges."""
+    """Return positions of all joints that are not mimics, well inside their ranges."""
     state = {}
     for joint in spec.joints:
         if joint.type == "ball":
@@ -55,13 +60,11 @@ def _joints(spec):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [scenes.cabinet, lambda: scenes.lamp().objects[-1].spec])
-def test_sliders_pose_the_object_as_its_kinematics_do(tmp_path, monkeypatch, make):
-    eye = {"middle": [0, 0, 0.2], "azimuth": 0.4, "elevation": 0.4, "distance": 1.2, "fovy": 0.7}
-    monkeypatch.setattr(scene_3d, "_eye", lambda *_: eye)
+def test_sliders_pose_the_object_as_its_kinematics_do(tmp_path, make):
     spec = make()
     state = _joints(spec)
     assert state
-    with opened(_write(tmp_path / "rest.html", _scene(spec)), offline=True) as page:
+    with opened(_write(tmp_path / "rest.html", _scene(spec), EYE), offline=True) as page:
         rest = _picture(page)
         for name, value in state.items():
             _slide(page, f"it: {name.replace('.', ' ')}", value)
@@ -70,7 +73,7 @@ def test_sliders_pose_the_object_as_its_kinematics_do(tmp_path, monkeypatch, mak
         page.page.wait_for_timeout(300)
         alone = _picture(page)
         assert (page.errors, page.outside) == ([], [])
-    with opened(_write(tmp_path / "posed.html", _scene(spec, state)), offline=True) as page:
+    with opened(_write(tmp_path / "posed.html", _scene(spec, state), EYE), offline=True) as page:
         posed = _picture(page)
     assert changed(rest, slid) > 0.001
     assert changed(posed, slid) < 1e-4
@@ -78,7 +81,7 @@ def test_sliders_pose_the_object_as_its_kinematics_do(tmp_path, monkeypatch, mak
 
 
 @pytest.mark.slow
-def test_dragging_turns_and_the_wheel_zooms(tmp_path):
+def test_dragging_turns_and_wheel_zooms(tmp_path):
     url = _write(tmp_path / "page.html", _scene(scenes.cabinet()))
     with opened(url, offline=True) as page:
         pictures = [_picture(page)]
@@ -101,7 +104,7 @@ def test_dragging_turns_and_the_wheel_zooms(tmp_path):
     assert changed(pictures[1], pictures[2]) > 0.02
 
 
-def test_only_our_script_may_run_and_names_stay_data():
+def test_no_other_script_may_run_and_names_are_escaped():
     evil = scenes.cabinet().model_copy(update={"label": "</script><script>alert(1)</script>"})
     page = document("t", [scene_3d.scene_3d(_scene(evil))], [scene_3d.script_hash()])
     assert len(re.findall("<script", page)) == 2
@@ -113,7 +116,7 @@ def test_only_our_script_may_run_and_names_stay_data():
     assert scene_3d.script().count("\n") <= 250
 
 
-def test_the_data_have_every_triangle_and_joint():
+def test_data_contain_every_triangle_and_joint():
     scene = scenes.furnished()
     data = scene_3d.scene_data(scene)
     json.dumps(data, allow_nan=False)
@@ -130,7 +133,6 @@ def test_the_data_have_every_triangle_and_joint():
             assert joint["low"] <= joint["high"] and math.isfinite(joint["high"])
 
 
-def test_a_scene_with_too_many_triangles_is_left_out_with_a_note(monkeypatch):
-    monkeypatch.setattr(scene_3d, "MAX_TRIANGLES", 10)
-    page = scene_3d.scene_3d(_scene(scenes.cabinet()))
-    assert "over the 10" in page and "<script" not in page
+def test_a_scene_with_too_many_triangles_is_replaced_by_a_note():
+    page = scene_3d.scene_3d(_scene(scenes.cabinet()), max_triangles=10)
+    assert "over the limit of 10" in page and "<script" not in page

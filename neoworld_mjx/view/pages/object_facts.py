@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -12,11 +13,11 @@ from ...errors import NeoWorldError, SpecError
 from ...io import read_model
 from ...parse.crops import crops
 from ...parse.photo import load_photo
-from ...program import Built
+from ...program import BuildResult
 from ...spec import SceneObject, SceneTree, bounds, inertial
-from ..report.changes import moves_of
-from ..report.page import Html, table, text
-from ..report.tables import outcome_mark, read_json, with_unit
+from ..report.changes import all_moves
+from ..report.formatting import read_json, with_unit
+from ..report.page import elements
 from .page_html import framed, told
 from .view_target import ViewTarget
 
@@ -36,20 +37,20 @@ def facts(target: ViewTarget, obj: SceneObject) -> str:
     if len(masses) > 1:
         rows += [[f"mass of {name}", f"{mass:.3g} kg"] for name, mass in masses]
     if target.run is not None:
-        rows += [[who, how] for who, how in moves_of(target.run, obj.name)]
-    parts = [f"<b>{text(obj.name)}</b>", table(["", ""], rows)]
+        rows += all_moves(target.run).get(obj.name, {}).items()
+    parts = [elements.title(obj.name), elements.table(["", ""], rows)]
     home = target.home_of(obj.name)
     if home is not None:
         parts.append(_verdicts(home))
     return framed(*parts)
 
 
-def signals_of(built: Built) -> str:
+def signals_of(built: BuildResult) -> str:
     """Return the signals of a build as HTML."""
     if not built.signals:
         return told("Built: no signals.")
     rows = [[signal.severity, signal.phrase()] for signal in built.signals]
-    return framed(table(["", "signal"], rows))
+    return framed(elements.table(["", "signal"], rows))
 
 
 def crop_of(target: ViewTarget, name: str) -> NDArray | None:
@@ -67,13 +68,13 @@ def crop_of(target: ViewTarget, name: str) -> NDArray | None:
         return np.asarray(image.convert("RGB"))
 
 
-def _verdicts(home: Path) -> Html:
+def _verdicts(home: Path) -> Markup:
     verification = read_json(home / "verify.json")
     if verification is None:
-        return Html("<p>Not verified yet.</p>")
+        return elements.paragraph("Not verified yet.")
     rows = [
         [
-            outcome_mark(check.get("outcome"), doubtful=bool(check.get("doubtful"))),
+            elements.outcome(check.get("outcome"), bool(check.get("doubtful"))),
             f"{check.get('scenario', '')} {check.get('name', '')}".replace("_", " "),
             with_unit(check.get("value"), check.get("unit")),
             with_unit(check.get("threshold"), check.get("unit")),
@@ -81,4 +82,4 @@ def _verdicts(home: Path) -> Html:
         for check in verification.get("checks", [])
         if isinstance(check, dict)
     ]
-    return table(["verdict", "check", "#value", "#limit"], rows)
+    return elements.table(["verdict", "check", "#value", "#limit"], rows)

@@ -146,11 +146,9 @@ def term_chart(server: Any, history: History) -> Any:
         ("reward, best", np.asarray(history["absolute"], float)[rows, best]),
         ("reward, mean", over_finite(history["absolute"], np.mean)),
     ]
-    weights = history.get("term_weights")
-    for k, term in enumerate(term_histories(history)):
-        raw = np.asarray(history[term.name], float)[rows, best]
-        weight = 1.0 if weights is None or not np.isfinite(weights[k]) else abs(float(weights[k]))
-        lines.append((f"{term.name} x {weight:g}", raw * weight))
+    for term in term_histories(history):
+        weight = abs(term.weight) if np.isfinite(term.weight) else 1.0
+        lines.append((f"{term.name} x {weight:g}", term.raw[rows, best] * weight))
     colours = ("#2a9d5c", "#9bc9ae", "#4287f5", "#d68c45", "#b854a8", "#7a6cdc", "#c4625a")
     series = [uplot.Series(label="iteration")]
     series += [

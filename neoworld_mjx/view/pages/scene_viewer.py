@@ -26,7 +26,7 @@ from .scene_nodes import ScenePage, bounds_of, look_at, look_through, part_poses
 from .view_target import ViewTarget, open_target
 
 if TYPE_CHECKING:
-    from ...program import Built
+    from ...program import BuildResult
     from .free_fall import FreeFall
 
 _log = logging.getLogger(__name__)
@@ -44,7 +44,7 @@ class SceneViewer:
         target: ViewTarget,
         config: Config,
         *,
-        rebuild: Callable[[Path, str, str], "tuple[Built, Result | None]"],
+        rebuild: Callable[[Path, str, str], "tuple[BuildResult, Result | None]"],
         search_again: Callable[[Path, LayoutPatch], Result],
     ):
         """Put a target on the page.

@@ -1,99 +1,84 @@
-"""Table of a report: what the parse says of each object, and what fits and search made of it."""
+"""Changes of each object's pose and size: by both fits, and by the search."""
 
 import math
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from ...measure import object_moves
 from ...spec import read_scene
-from .page import Html, missing, section, table
-from .tables import read_json
+from .formatting import read_json, size_cm
+from .page import elements
 
-TITLE = "Said, fitted, searched"
+TITLE = "Parsed, fitted, refined"
+BOXES, SHAPES, SEARCH = "fit to the boxes", "fit of the built shapes", "search"
+_SIDES = ("left", "top", "right", "bottom")
+_NOTE = (
+    "Changes of position, size and heading: both fits start from the parse, the search from the "
+    'second fit; "unchanged" means that a step did not change the object. Hidden sides: sides of '
+    "its 2D box that are truncated or occluded."
+)
 
 
-def changes(folder: Path) -> Html:
-    """Show who moved what: the answer's numbers, and the changes by each fit and by the search."""
-    said = _kept_fit(read_json(folder / "parse.json") or {})
-    if not said:
-        return section(TITLE, missing("No fit of the parse yet, or it is switched off."))
-    refit = (read_json(folder / "compose" / "fit.json") or {}).get("objects", {})
-    searched = _searched(folder / "compose" / "scene.json", folder / "scene.json")
+def changes(folder: Path) -> Markup:
+    """Return the section with the parsed box of each object and the changes by fits and search."""
+    parsed = _parse_fit(folder)
+    if not parsed:
+        return elements.section(TITLE, elements.missing("The parse has no fit, or none yet."))
+    moves = all_moves(folder)
     rows = []
-    for name, change in said.items():
+    for name, change in parsed.items():
         box = change["before"]
-        again = refit.get(name)
+        hidden = [s for s, hidden in zip(_SIDES, change["hidden"], strict=True) if hidden]
         rows.append(
             [
                 name,
                 ", ".join(f"{100 * v:.1f}" for v in box["position"]),
-                " × ".join(f"{100 * v:.1f}" for v in box["size"]),
+                size_cm(box["size"]),
                 f"{math.degrees(box['yaw']):.0f}",
-                _fitted(change),
-                "" if again is None else _fitted(again),
-                searched.get(name, ""),
-                _hidden(change),
+                *(moves[name].get(step, "") for step in (BOXES, SHAPES, SEARCH)),
+                ", ".join(hidden),
             ]
         )
     heads = [
-        *("object", "#said: x, y, z, cm", "#size, cm", "#yaw, deg"),
-        *("#fit to the boxes", "#fit of the built shapes", "#search", "not seen"),
+        *("object", "#parsed x, y, z, cm", "#size, cm", "#yaw, deg"),
+        *(f"#{BOXES}", f"#{SHAPES}", f"#{SEARCH}", "hidden sides"),
     ]
-    note = (
-        '<p class="dim">Changes of place, size and heading: by both fits from what the parse says, '
-        'by the search from the second; "kept" where a step left the object alone. Not seen: sides '
-        "of its 2D box that are cut off or hidden.</p>"
-    )
-    return section(TITLE, table(heads, rows), note)
+    return elements.section(TITLE, elements.table(heads, rows), elements.paragraph(_NOTE, "dim"))
 
 
-def moves_of(folder: Path, name: str) -> list[tuple[str, str]]:
-    """Return what each step did to one object of a run, in words: (who, how)."""
-    return all_moves(folder).get(name, [])
-
-
-def all_moves(folder: Path) -> dict[str, list[tuple[str, str]]]:
-    """Return what each step did to the objects of a run, in words: (who, how) by object."""
-    said = _kept_fit(read_json(folder / "parse.json") or {})
+def all_moves(folder: Path) -> dict[str, dict[str, str]]:
+    """Return the changes of each object of a run, formatted, by name and step."""
     refit = (read_json(folder / "compose" / "fit.json") or {}).get("objects", {})
-    searched = _searched(folder / "compose" / "scene.json", folder / "scene.json")
-    moves: dict[str, list[tuple[str, str]]] = {}
-    for name, change in said.items():
-        moves.setdefault(name, []).append(("fit to the boxes", _fitted(change)))
-    for name, change in refit.items():
-        moves.setdefault(name, []).append(("fit of the built shape", _fitted(change)))
-    for name, how in searched.items():
-        moves.setdefault(name, []).append(("search", how))
+    moves: dict[str, dict[str, str]] = {}
+    for step, fitted in ((BOXES, _parse_fit(folder)), (SHAPES, refit)):
+        for name, change in fitted.items():
+            moves.setdefault(name, {})[step] = _fit_change(change)
+    composed, refined = folder / "compose" / "scene.json", folder / "scene.json"
+    if composed.is_file() and refined.is_file():
+        for name, move in object_moves(read_scene(composed), read_scene(refined)).items():
+            moves.setdefault(name, {})[SEARCH] = _change(*move)
     return moves
 
 
-def _kept_fit(parse: dict[str, Any]) -> dict[str, Any]:
-    kept = [entry for entry in parse.get("rounds", []) if entry.get("kept")]
-    return (kept[0].get("fit") or {}).get("objects", {}) if kept else {}
+def _parse_fit(folder: Path) -> dict[str, Any]:
+    """Return the fit of the accepted parse round, by object."""
+    rounds = (read_json(folder / "parse.json") or {}).get("rounds", [])
+    accepted = [entry for entry in rounds if entry.get("kept")]
+    return (accepted[0].get("fit") or {}).get("objects", {}) if accepted else {}
 
 
-def _fitted(change: dict[str, Any]) -> str:
+def _fit_change(change: dict[str, Any]) -> str:
     if change.get("refused"):
-        return "kept: the fit was refused"
+        return "unchanged: the fit was rejected"
     ratio = math.prod(change["size_ratio"]) ** (1 / 3)
-    return _phrase(change["distance_m"], ratio, change["yaw_deg"])
+    return _change(change["distance_m"], ratio, change["yaw_deg"])
 
 
-def _hidden(change: dict[str, Any]) -> str:
-    sides = ("left", "top", "right", "bottom")
-    return ", ".join(s for s, hidden in zip(sides, change["hidden"], strict=True) if hidden)
-
-
-def _searched(before: Path, after: Path) -> dict[str, str]:
-    """Return each object's change from the composed scene to the refined one."""
-    if not (before.is_file() and after.is_file()):
-        return {}
-    changed = object_moves(read_scene(before), read_scene(after))
-    return {name: _phrase(*move) for name, move in changed.items()}
-
-
-def _phrase(distance: float, ratio: float, turn: float) -> str:
-    if distance < 5e-5 and abs(ratio - 1) < 5e-4 and abs(turn) < 0.05:
-        return "kept"
-    percent, turned = (round(value, 1) + 0.0 for value in (100 * (ratio - 1), turn))  # No -0.0.
-    return f"{100 * distance:.1f} cm, {percent:+.1f} %, {turned:+.1f}°"
+def _change(distance_m: float, size_ratio: float, yaw_deg: float) -> str:
+    if distance_m < 5e-5 and abs(size_ratio - 1) < 5e-4 and abs(yaw_deg) < 0.05:
+        return "unchanged"
+    # Adding 0.0 turns -0.0 into 0.0.
+    percent, degrees = (round(value, 1) + 0.0 for value in (100 * (size_ratio - 1), yaw_deg))
+    return f"{100 * distance_m:.1f} cm, {percent:+.1f} %, {degrees:+.1f}°"

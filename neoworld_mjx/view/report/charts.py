@@ -1,28 +1,32 @@
-"""Small charts as inline SVG: lines over iterations with a band, and horizontal bars.
+"""Line charts over iterations and horizontal bars, as inline SVG.
 
-Colours come from the page's CSS variables, so that the charts follow its light and dark themes.
+Colors are CSS variables of the page, so the charts follow its light and dark themes.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 
 import numpy as np
-from numpy.typing import NDArray
+from markupsafe import Markup
+from numpy.typing import ArrayLike, NDArray
+
+from .page import elements
 
 WIDTH, HEIGHT = 460, 260
-_LEFT, _RIGHT, _TOP, _BOTTOM = 84, 16, 14, 42
+_LEFT, _RIGHT, _TOP, _BOTTOM = 84, WIDTH - 16, 14, HEIGHT - 42
+_BOX = {"width": WIDTH, "height": HEIGHT}
+_BOX |= {"left": _LEFT, "right": _RIGHT, "top": _TOP, "bottom": _BOTTOM}
 
 
 @dataclass(frozen=True)
 class Series:
-    """A line of a chart; points that are not finite are left out."""
+    """A line of a chart; non-finite values are omitted."""
 
     label: str
     values: NDArray
     """Shape [x]."""
-    colour: str = "var(--c1)"
+    color: str = "var(--c1)"
     dashed: bool = False
 
 
@@ -42,151 +46,105 @@ def line_chart(
     x_label: str = "iteration",
     band: Band | None = None,
     limits: tuple[float, float] | None = None,
-) -> str:
+) -> Markup:
     """Draw lines over x = 1, 2, ... as an SVG element.
 
     Args:
-        lines: what to draw; all values of one length.
+        lines: lines of equal length.
         y_label: quantity and unit of the values.
-        x_label: what is counted along x.
+        x_label: quantity along x.
         band: a shaded area behind the lines.
-        limits: lowest and highest y; by default what the values need.
+        limits: lowest and highest y; by default the range of the values.
     """
-    every = [line.values for line in lines] + ([band.low, band.high] if band else [])
-    flat = np.concatenate([np.asarray(v, float).ravel() for v in every]) if every else np.zeros(0)
-    flat = flat[np.isfinite(flat)]
-    if flat.size == 0:
-        return '<p class="missing">No finite value to draw.</p>'
-    low, high = limits or (float(flat.min()), float(flat.max()))
+    arrays = [line.values for line in lines] + ([band.low, band.high] if band else [])
+    finite = np.concatenate([np.asarray(array, float).ravel() for array in arrays])
+    finite = finite[np.isfinite(finite)]
+    if finite.size == 0:
+        return elements.missing("No finite value to draw.")
+    low, high = limits or (float(finite.min()), float(finite.max()))
     if high - low < 1e-12:
         low, high = low - 0.5 * max(abs(low), 1e-3), high + 0.5 * max(abs(high), 1e-3)
     ticks = nice_ticks(low, high)
     if limits is None:
         low, high = min(low, ticks[0]), max(high, ticks[-1])
     count = max(len(line.values) for line in lines)
+    x = np.linspace(_LEFT, _RIGHT, count) if count > 1 else np.array([(_LEFT + _RIGHT) / 2])
 
-    def px(i: int) -> float:
-        span = WIDTH - _LEFT - _RIGHT
-        return _LEFT + span * (i / (count - 1) if count > 1 else 0.5)
+    def pixels(values: ArrayLike) -> NDArray:
+        return _BOTTOM - (_BOTTOM - _TOP) * (np.asarray(values, float) - low) / (high - low)
 
-    def py(v: float) -> float:
-        return HEIGHT - _BOTTOM - (HEIGHT - _TOP - _BOTTOM) * (v - low) / (high - low)
-
-    parts = [_frame(ticks, py, count, px, x_label, y_label)]
-    if band is not None:
-        parts.append(_band(band, px, py))
-    for line in lines:
-        parts.append(_line(line, px, py))
-    legend = "".join(_key(line.label, line.colour, line.dashed) for line in lines)
-    if band is not None:
-        legend += _key(band.label, "var(--band)", False, block=True)
-    return (
-        f'<figure class="chart"><svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
-        f'aria-label="{escape(y_label)} over {escape(x_label)}">{"".join(parts)}</svg>'
-        f'<figcaption class="legend">{legend}</figcaption></figure>'
+    return elements.line_chart(
+        _BOX,
+        x_label,
+        y_label,
+        [(round(float(x[i]), 1), i + 1) for i in range(0, count, max(1, math.ceil(count / 12)))],
+        [
+            (round(float(y), 1), f"{tick:g}")
+            for tick, y in zip(ticks, pixels(ticks), strict=True)
+            if _TOP - 1 <= y <= _BOTTOM + 1
+        ],
+        None if band is None else _band(band.label, x, pixels(band.low), pixels(band.high)),
+        [_line(line, x, pixels(line.values)) for line in lines],
     )
 
 
-def bars(items: Sequence[tuple[str, float]], unit: str) -> str:
+def bars(items: Sequence[tuple[str, float]], unit: str) -> Markup:
     """Draw labelled horizontal bars with their values, as an SVG element.
 
     Args:
         items: label and value >= 0 of each bar.
-        unit: written behind each value.
+        unit: unit of the values.
     """
-    top = max((value for _, value in items), default=0.0) or 1.0
-    row, left, right = 26, 110, 70
-    parts = []
-    for i, (label, value) in enumerate(items):
-        y = i * row
-        length = max(1.0, (WIDTH - left - right) * value / top)
-        parts.append(
-            f'<text class="tick" x="{left - 8}" y="{y + 17}" text-anchor="end">'
-            f"{escape(label)}</text>"
-            f'<rect x="{left}" y="{y + 5}" width="{length:.1f}" height="16" rx="2" '
-            f'fill="var(--c1)"/>'
-            f'<text class="tick" x="{left + length + 6:.1f}" y="{y + 17}">'
-            f"{value:.3g} {escape(unit)}</text>"
-        )
-    height = max(row * len(items), 1)
-    return (
-        f'<figure class="chart"><svg viewBox="0 0 {WIDTH} {height}" role="img">'
-        f"{''.join(parts)}</svg></figure>"
-    )
+    highest = max((value for _, value in items), default=0.0) or 1.0
+    rows = [
+        {
+            "label": label,
+            "length": round(max(1.0, (WIDTH - 180) * value / highest), 1),
+            "value": f"{value:.3g} {unit}",
+        }
+        for label, value in items
+    ]
+    return elements.bars(WIDTH, rows)
 
 
-def nice_ticks(low: float, high: float, about: int = 5) -> list[float]:
-    """Return round numbers that cover [low, high] in about that many steps."""
-    raw = (high - low) / max(about - 1, 1)
+def nice_ticks(low: float, high: float, steps: int = 4) -> list[float]:
+    """Return round numbers that cover [low, high] in approximately the given number of steps."""
+    raw = (high - low) / steps
     power = 10.0 ** math.floor(math.log10(raw))
     step = next(m * power for m in (1, 2, 2.5, 5, 10) if m * power >= raw * 0.999)
-    first = math.floor(low / step + 1e-9)
-    last = math.ceil(high / step - 1e-9)
+    first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
     return [round(k * step, 12) for k in range(first, last + 1)]
 
 
-def _frame(ticks, py, count, px, x_label: str, y_label: str) -> str:
-    parts = []
-    for tick in ticks:
-        y = py(tick)
-        if not _TOP - 1 <= y <= HEIGHT - _BOTTOM + 1:
-            continue
-        parts.append(
-            f'<line class="grid" x1="{_LEFT}" x2="{WIDTH - _RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>'
-            f'<text class="tick" x="{_LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{tick:g}</text>'
-        )
-    every = max(1, math.ceil(count / 12))
-    for i in range(0, count, every):
-        parts.append(
-            f'<text class="tick" x="{px(i):.1f}" y="{HEIGHT - _BOTTOM + 17}" '
-            f'text-anchor="middle">{i + 1}</text>'
-        )
-    middle = (HEIGHT - _BOTTOM + _TOP) / 2
-    parts.append(
-        f'<text class="axis" x="{(WIDTH + _LEFT - _RIGHT) / 2}" y="{HEIGHT - 6}" '
-        f'text-anchor="middle">{escape(x_label)}</text>'
-        f'<text class="axis" transform="translate(13 {middle}) rotate(-90)" '
-        f'text-anchor="middle">{escape(y_label)}</text>'
-    )
-    return "".join(parts)
+def _line(line: Series, x: NDArray, y: NDArray) -> dict[str, object]:
+    """Return the points of a line, and its runs of consecutive finite values."""
+    finite = np.flatnonzero(np.isfinite(y))
+    runs = np.split(finite, np.flatnonzero(np.diff(finite) > 1) + 1)
+    return {
+        "label": line.label,
+        "color": line.color,
+        "dashed": line.dashed,
+        "runs": [_points(x[run], y[run]) for run in runs if len(run) > 1],
+        "dots": [
+            {
+                "x": round(float(x[i]), 1),
+                "y": round(float(y[i]), 1),
+                "index": i + 1,
+                "value": f"{line.values[i]:.4g}",
+            }
+            for i in finite.tolist()
+        ],
+    }
 
 
-def _line(line: Series, px, py) -> str:
-    dash = ' stroke-dasharray="5 4"' if line.dashed else ""
-    runs: list[list[str]] = [[]]
-    dots = []
-    for i, value in enumerate(np.asarray(line.values, float)):
-        if not np.isfinite(value):
-            runs.append([])
-            continue
-        runs[-1].append(f"{px(i):.1f},{py(value):.1f}")
-        dots.append(
-            f'<circle cx="{px(i):.1f}" cy="{py(value):.1f}" r="3" fill="{line.colour}">'
-            f"<title>{escape(line.label)}, {i + 1}: {value:.4g}</title></circle>"
-        )
-    drawn = "".join(
-        f'<polyline points="{" ".join(run)}" fill="none" stroke="{line.colour}" '
-        f'stroke-width="2"{dash}/>'
-        for run in runs
-        if len(run) > 1
-    )
-    return drawn + "".join(dots)
+def _band(label: str, x: NDArray, low: NDArray, high: NDArray) -> dict[str, str] | None:
+    finite = np.flatnonzero(np.isfinite(low) & np.isfinite(high))
+    if len(finite) < 2:
+        return None
+    back = finite[::-1]
+    points = f"{_points(x[finite], high[finite])} {_points(x[back], low[back])}"
+    return {"label": label, "points": points}
 
 
-def _band(band: Band, px, py) -> str:
-    low, high = np.asarray(band.low, float), np.asarray(band.high, float)
-    good = [i for i in range(len(low)) if np.isfinite(low[i]) and np.isfinite(high[i])]
-    if len(good) < 2:
-        return ""
-    points = [f"{px(i):.1f},{py(high[i]):.1f}" for i in good]
-    points += [f"{px(i):.1f},{py(low[i]):.1f}" for i in reversed(good)]
-    return f'<polygon points="{" ".join(points)}" fill="var(--band)" stroke="none"/>'
-
-
-def _key(label: str, colour: str, dashed: bool, *, block: bool = False) -> str:
-    dash = ' stroke-dasharray="5 4"' if dashed else ""
-    width = 10 if block else 2.5
-    return (
-        f'<span><svg width="26" height="12"><line x1="1" x2="25" y1="6" y2="6" '
-        f'stroke="{colour}" stroke-width="{width}"{dash}/></svg>{escape(label)}</span>'
-    )
+def _points(x: NDArray, y: NDArray) -> str:
+    return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))

@@ -1,16 +1,18 @@
-"""Film strips of free fall: the composed and the refined scene at a few times."""
+"""Film strips of free fall: the composed and the refined scene at several times."""
 
 from pathlib import Path
 
 import mujoco
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from ...checks.simulation import without_warnings
 from ...render import View, render
 from ...render.rendering import compile_posed
 from ...spec import SceneSpec, read_scene
-from .page import Html, embedded, missing, section
+from .page import elements
+from .pictures import embedded
 
 TITLE = "Free fall"
 SCENES = (
@@ -18,36 +20,35 @@ SCENES = (
     ("scene.json", "refined"),
 )
 SHARES = (0.0, 0.1, 0.3, 1.0)
-"""Times of the frames, as shares of the duration."""
+"""Times of the frames, as fractions of the duration."""
 WIDTH, TIMESTEP_S = 200, 0.004
 
 
-def film_strips(folder: Path, duration: float) -> Html:
-    """Show the free fall of a run's scenes as strips of frames.
+def film_strips(folder: Path, duration: float) -> Markup:
+    """Return the section with the free fall of a run's scenes, as strips of frames.
 
     Args:
         folder: the run folder.
-        duration: of the fall [s].
+        duration: duration of the fall [s].
 
     Raises:
         NeoWorldError: a scene cannot be read.
     """
     rows = []
-    for place, said in SCENES:
-        if (folder / place).is_file():
-            frames = fall(read_scene(folder / place), duration)
+    for name, caption in SCENES:
+        if (folder / name).is_file():
+            frames = fall(read_scene(folder / name), duration)
             strip = np.concatenate([frame for _, frame in frames], axis=1)
             times = ", ".join(f"{seconds:.2g}" for seconds, _ in frames)
-            ended = "" if len(frames) == len(SHARES) else "; then the simulation diverges"
-            rows.append(embedded(strip, f"{said}: at {times} s{ended}"))
-    note = missing("No scene yet.") if not rows else ""
-    return section(TITLE, note, *rows)
+            end = "" if len(frames) == len(SHARES) else "; then the simulation diverges"
+            rows.append(embedded(strip, f"{caption}: at {times} s{end}"))
+    return elements.section(TITLE, *(rows or [elements.missing("No scene yet.")]))
 
 
 def fall(scene: SceneSpec, duration: float) -> list[tuple[float, NDArray]]:
-    """Let a scene fall in C MuJoCo; return frames uint8 [h, w, 3] with their times [s].
+    """Simulate a scene in C MuJoCo; return times [s] and frames, uint8 [h, w, 3].
 
-    A simulation that diverges ends with the last frame before.
+    If the simulation diverges, return the frames before.
     """
     model, data = compile_posed(scene)
     model.opt.timestep = TIMESTEP_S
@@ -66,7 +67,7 @@ def fall(scene: SceneSpec, duration: float) -> list[tuple[float, NDArray]]:
 
 
 def _view(scene: SceneSpec, model: mujoco.MjModel, data: mujoco.MjData) -> View:
-    """Return the photograph's view, or without one a view of all."""
+    """Return the photograph's view, or a view of the whole scene without a camera."""
     if scene.camera is not None:
         return View.of(scene.camera, WIDTH)
     low = (data.geom_xpos - model.geom_rbound[:, None]).min(axis=0)

@@ -1,20 +1,34 @@
-"""One row an object: photograph, render in the same frame, words, agreement and verdict."""
+"""Rows of a report, one for each object: photograph, render, changes, agreement and checks."""
 
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from .changes import all_moves
-from .page import Html, cut_out, missing, picture, section, text, verdict
-from .tables import read_json, verdicts, with_unit
+from .formatting import read_json, size_cm, support_of, with_unit
+from .page import elements
+from .pictures import cut_out, film_strip, picture
 
 TITLE = "Objects"
 MARGIN = 0.12
-"""Room around an object in its picture, over the size of its box."""
+"""Margin around an object in its picture, relative to the longer edge of its box."""
+FILMS = {"free_fall": "free fall", "force_perturbation": "pushes"}
+"""Films of an object's simulation that its folder may contain, and their names."""
+_LIMITS = (
+    ("depths_m", "max_depth_m", "m", "penetrates {other} by {value} (limit {limit})"),
+    ("settled_depths_m", "max_depth_m", "m", "settles {value} deep in {other} (limit {limit})"),
+    ("drift_m", "max_drift_m", "m", "moves by {value} (limit {limit})"),
+    ("tilt_deg", "max_tilt_deg", "°", "turns by {value} (limit {limit})"),
+    ("joint_slide_m", "max_drift_m", "m", "{joint} slides by {value} (limit {limit})"),
+    ("joint_turn_deg", "max_tilt_deg", "°", "{joint} turns by {value} (limit {limit})"),
+)
+"""Metric by object, its limit in the options, unit and message."""
 
 
-def object_rows(folder: Path, run: Mapping[str, Any], tree: Mapping[str, Any]) -> Html:
-    """Show each object in a row that opens to its checks; those that fail come first and are open.
+def object_rows(folder: Path, run: Mapping[str, Any], tree: Mapping[str, Any]) -> Markup:
+    """Return the section with a row for each object; failing ones come first and are open.
 
     Args:
         folder: the run folder.
@@ -24,7 +38,7 @@ def object_rows(folder: Path, run: Mapping[str, Any], tree: Mapping[str, Any]) -
     nodes = {node["name"]: node for node in tree.get("nodes", [])}
     homes = {path.name: path for path in (folder / "objects").glob("*") if path.is_dir()}
     if not homes:
-        return section(TITLE, missing("No objects yet."))
+        return elements.section(TITLE, elements.missing("No objects yet."))
     moves, causes = all_moves(folder), unstable(run)
     agreement = (run["metrics"].get("box_iou") or {}).get("objects", {})
     rows = []
@@ -34,97 +48,108 @@ def object_rows(folder: Path, run: Mapping[str, Any], tree: Mapping[str, Any]) -
         if name in causes:
             passed = False
         node = nodes.get(name, {})
-        words = _words(node, moves.get(name, []), agreement.get(name, {}), causes.get(name, []))
-        summary = (
-            f'<div class="shots">{_shots(folder, home, node, tree.get("camera"))}</div>'
-            f"<div><b>{text(name)}</b> {words}</div>"
-            f'<div class="verdict">{verdict(passed) if verification else ""}</div>'
+        row = elements.object_row(
+            name,
+            _pictures(folder, home, node, tree.get("camera")),
+            _facts(node, moves.get(name, {}), agreement.get(name, {}), causes.get(name, [])),
+            passed,
+            _checks(home, verification),
         )
-        opened = " open" if passed is False else ""
-        details = verdicts(home, verification)
-        row = f'<details class="object"{opened}><summary>{summary}</summary>{details}</details>'
         rows.append((passed is not False, row))
     rows.sort(key=lambda row: row[0])
-    failed = sum(not good for good, _ in rows)
-    told = f"{failed} of {len(rows)} fail" if failed else f"All {len(rows)} hold"
-    note = f'<p class="dim">{told}; a row opens to its checks.</p>'
-    return section(TITLE, note, *(row for _, row in rows))
+    failed = sum(not passed for passed, _ in rows)
+    outcome = f"{failed} of {len(rows)} fail" if failed else f"All {len(rows)} pass"
+    note = elements.paragraph(f"{outcome}. Open a row to see its checks.", "dim")
+    return elements.section(TITLE, note, *(row for _, row in rows))
 
 
 def unstable(run: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Return what is wrong with each object of the refined scene, in words; empty if all hold."""
-    measured, limits = run["metrics"], run["config"]["refine"]
+    """Return the violated limits of each object of the refined scene, as messages."""
+    metrics, limits = run["metrics"], run["config"]["refine"]
     causes: dict[str, list[str]] = {}
-
-    def add(names: str, said: str) -> None:
-        for name in names.split("|"):
-            causes.setdefault(name, []).append(said)
-
-    kinds = (
-        ("depths_m", "max_depth_m", "m", "lies {value} deep in {other} (limit {limit})"),
-        ("settled_depths_m", "max_depth_m", "m", "settles {value} deep in {other} (limit {limit})"),
-        ("drift_m", "max_drift_m", "m", "moves by {value} (limit {limit})"),
-        ("tilt_deg", "max_tilt_deg", "°", "turns by {value} (limit {limit})"),
-        ("joint_slide_m", "max_drift_m", "m", "{joint} slides by {value} (limit {limit})"),
-        ("joint_turn_deg", "max_tilt_deg", "°", "{joint} turns by {value} (limit {limit})"),
-    )
-    for key, bound, unit, phrase in kinds:
-        for names, value in (measured.get(key) or {}).items():
-            within = value <= limits[bound] if "depth" in key else value < limits[bound]
-            if within:
+    for key, bound, unit, message in _LIMITS:
+        limit = limits[bound]
+        for names, value in (metrics.get(key) or {}).items():
+            if value < limit or ("depth" in key and value == limit):
                 continue
             first, _, other = names.partition("|")
             name, _, joint = first.partition("-")
-            said = phrase.format(
-                other=other,
-                joint=joint,
-                value=with_unit(value, unit),
-                limit=with_unit(limits[bound], unit),
+            text = message.format(
+                other=other, joint=joint, value=with_unit(value, unit), limit=with_unit(limit, unit)
             )
-            add(name, said.replace(" °", "°"))
+            causes.setdefault(name, []).append(text.replace(" °", "°"))
     return causes
 
 
-def _words(
+def _facts(
     node: Mapping[str, Any],
-    moves: list[tuple[str, str]],
+    moves: Mapping[str, str],
     agreement: Mapping[str, Any],
     causes: list[str],
-) -> Html:
-    """Return what each step said or did, and how far the boxes agree."""
-    entries: list[tuple[str, object]] = []
+) -> list[tuple[str, object]]:
+    """Return the result of each step for an object, and the agreement of its boxes."""
+    facts: list[tuple[str, object]] = []
     if causes:
-        entries.append(("not valid", Html(f'<span class="bad">{text("; ".join(causes))}</span>')))
+        facts.append(("not valid", elements.span("; ".join(causes), "bad")))
     if node:
-        size = " × ".join(f"{100 * v:.1f}" for v in node["box3d"]["size"])
-        stands = f"{node.get('relation', 'on')} {node['parent']}" if node.get("parent") else "world"
-        entries.append(("parse", f"{node['label']}, {stands}, {size} cm"))
-    entries += moves
+        size = size_cm(node["box3d"]["size"])
+        facts.append(("parse", f"{node['label']}, {support_of(dict(node))}, {size} cm"))
+    facts += moves.items()
     if agreement.get("refined") is not None:
         steps = ("parsed", "composed", "refined")
-        seen = [f"{s} {agreement[s]:.2f}" for s in steps if agreement.get(s) is not None]
-        entries.append(("boxes agree", ", ".join(seen)))
-    rows = "".join(f"<dt>{text(who)}</dt><dd>{text(how)}</dd>" for who, how in entries)
-    return Html(f"<dl>{rows}</dl>")
+        overlaps = [f"{s} {agreement[s]:.2f}" for s in steps if agreement.get(s) is not None]
+        facts.append(("boxes agree", ", ".join(overlaps)))
+    return facts
 
 
-def _shots(folder: Path, home: Path, node: Mapping[str, Any], camera: Any) -> Html:
-    """Return the object in the photograph and in the refined scene, in the same frame."""
+def _pictures(folder: Path, home: Path, node: Mapping[str, Any], camera: Any) -> list[Markup]:
+    """Return the object in the photograph and in the scene, in the same frame."""
     box = node.get("box2d")
     if box is None or not isinstance(camera, dict):
-        shots = [(home / "crop.png", "photograph"), (home / "render.png", "program")]
-        return Html("".join(picture(path, text) for path, text in shots if path.is_file()))
+        files = [(home / "crop.png", "photograph"), (home / "render.png", "program")]
+        return [picture(path, caption) for path, caption in files if path.is_file()]
     width, height = camera["width"], camera["height_px"]
-    room = MARGIN * max(box["x1"] - box["x0"], box["y1"] - box["y0"])
+    margin = MARGIN * max(box["x1"] - box["x0"], box["y1"] - box["y0"])
     window = (
-        (box["x0"] - room) / width,
-        (box["y0"] - room) / height,
-        (box["x1"] + room) / width,
-        (box["y1"] + room) / height,
+        (box["x0"] - margin) / width,
+        (box["y0"] - margin) / height,
+        (box["x1"] + margin) / width,
+        (box["y1"] + margin) / height,
     )
-    after = folder / "pictures" / "after.png"
-    scene = after if after.is_file() else folder / "pictures" / "before.png"
-    return Html(
-        cut_out(folder / "photo.png", window, "photograph")
-        + cut_out(scene, window, "refined" if after.is_file() else "composed")
-    )
+    scene, caption = folder / "pictures" / "after.png", "refined"
+    if not scene.is_file():
+        scene, caption = folder / "pictures" / "before.png", "composed"
+    return [cut_out(folder / "photo.png", window, "photograph"), cut_out(scene, window, caption)]
+
+
+def _checks(home: Path, verification: Mapping[str, Any] | None) -> Markup:
+    """Return an object's program signals, its checks in verify.json, and its films."""
+    signals = [
+        [
+            signal["code"].replace("_", " "),
+            signal["message"],
+            with_unit(signal.get("value"), ""),
+            with_unit(signal.get("threshold"), ""),
+        ]
+        for signal in (read_json(home / "program.json") or {}).get("signals", [])
+    ]
+    heads = ["signal of the program", "", "#value, SI", "#threshold, SI"]
+    parts = [elements.table(heads, signals)] if signals else []
+    if verification is None:
+        return Markup("").join([*parts, elements.missing("No verify.json yet.")])
+    checks = [
+        [
+            f"{check.get('scenario', '')} {check.get('name', '')}".replace("_", " ").strip(),
+            with_unit(check.get("value"), check.get("unit")),
+            with_unit(check.get("threshold"), check.get("unit")),
+            elements.outcome(check.get("outcome"), bool(check.get("doubtful"))),
+            check.get("hint") or check.get("evidence") or "",
+        ]
+        for check in verification.get("checks", [])
+    ]
+    parts.append(elements.table(["check", "#value", "#threshold", "verdict", "note"], checks))
+    if findings := verification.get("seen"):
+        heads = ["findings of the critic in key frames"]
+        parts.append(elements.table(heads, [[finding] for finding in findings]))
+    parts += [film_strip(home / f"{kind}.gif", name) for kind, name in FILMS.items()]
+    return Markup("").join(parts)

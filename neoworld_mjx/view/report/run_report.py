@@ -1,34 +1,34 @@
 """Write report.html: a run on one page that needs no server and no network.
 
-It shows what the run folder has and names what is missing, so that it can be written after any
-step. Verdicts and numbers are those in run.json and verify.json.
+The report shows the contents of the run folder and names what is missing, so it can be written
+after any step. Verdicts and numbers are those in run.json and verify.json.
 """
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from jinja2 import TemplateError
+from markupsafe import Markup
 
 from ...config import Config
 from ...errors import NeoWorldError, RunError
 from ...io.files import write_atomic
 from ...run_folder import STEPS, read_run, refuse_links
 from ...spec import read_scene
-from . import charts
-from .changes import TITLE, changes
-from .convergence import convergence
-from .film_strips import TITLE as FALL
-from .film_strips import film_strips
-from .object_rows import TITLE as OBJECTS
-from .object_rows import object_rows, unstable
-from .page import Html, card, document, missing, picture, section, table, text
-from .scene_3d import TITLE as IN_3D
-from .scene_3d import scene_3d, script_hash
-from .tables import agreement, joints, parsed, penetrations, placed, read_json, where
+from . import changes, charts, convergence, film_strips, object_rows, scene_3d
+from .formatting import progress_of, read_json
+from .page import document, elements
+from .pictures import picture
+from .tables import agreement, joints, parsed, penetrations, placed
 
-CHECK = "compose/check.json"
-PHOTO, BEFORE, AFTER = "photo.png", "pictures/before.png", "pictures/after.png"
+_ERRORS = (
+    *(ArithmeticError, AttributeError, LookupError, MemoryError, NeoWorldError),
+    *(TemplateError, TypeError, ValueError),
+)
+"""Errors of files that were edited into another structure."""
 
 
 def write_report(folder: Path) -> Path:
@@ -42,201 +42,188 @@ def write_report(folder: Path) -> Path:
     refuse_links(folder)
     scene = read_json(folder / "scene.json") or {}
     tree = read_json(folder / "tree.json") or {}
-    title = f"{run['photo'].get('name') or folder.resolve().name}"
-    sections = {
-        "Fallbacks": lambda: _fallbacks(run),
-        "Notes": lambda: _notes(run),
-        "Numbers": lambda: _numbers(run),
-        "Before and after": lambda: _pictures(folder),
-        OBJECTS: lambda: object_rows(folder, run, tree),
-        IN_3D: lambda: _turning(folder),
-        FALL: lambda: film_strips(folder, float(run["config"]["refine"]["check_duration_s"])),
-        "Parse": lambda: parsed(folder, tree),
-        TITLE: lambda: changes(folder),
-        "Scene": lambda: placed(scene),
-        "Agreement with the photograph": lambda: agreement(run),
-        "Convergence of the search": lambda: convergence(folder / "refine" / "history.npz"),
-        "Joints": lambda: joints(folder, scene),
-        "Penetrations and drift": lambda: penetrations(run),
-        "Time": lambda: _time(run),
-        "Models asked": lambda: _models(run),
-        "Options and versions": lambda: _settings(run),
-    }
-    parts = [
-        _safely(title, lambda: _head(run, title, _moving(folder))),
-        *(_safely(name, draw) for name, draw in sections.items()),
+    title = run["photo"].get("name") or folder.resolve().name
+    sections: list[tuple[str, Callable[[], Markup]]] = [
+        (title, lambda: _header(run, title, folder)),
+        ("Fallbacks", lambda: _fallbacks(run)),
+        ("Notes", lambda: _notes(run)),
+        ("Numbers", lambda: _numbers(run)),
+        ("Before and after", lambda: _pictures(folder)),
+        (object_rows.TITLE, lambda: object_rows.object_rows(folder, run, tree)),
+        (scene_3d.TITLE, lambda: _scene_3d(folder)),
+        (film_strips.TITLE, lambda: _film_strips(folder, run)),
+        ("Parse", lambda: parsed(folder, tree)),
+        (changes.TITLE, lambda: changes.changes(folder)),
+        ("Scene", lambda: placed(scene)),
+        ("Agreement with the photograph", lambda: agreement(run)),
+        (
+            convergence.TITLE,
+            lambda: convergence.convergence(folder / "refine" / "history.npz"),
+        ),
+        ("Joints", lambda: joints(folder, scene)),
+        ("Penetrations and drift", lambda: penetrations(run)),
+        ("Time", lambda: _time(run)),
+        ("Models", lambda: _models(run)),
+        ("Options and versions", lambda: _settings(run)),
     ]
+    page = document(
+        f"{title}: scene report",
+        [_draw(name, section) for name, section in sections],
+        [scene_3d.script_hash()],
+    )
     path = folder / "report.html"
-    text = document(f"{title}: scene report", parts, [script_hash()])
     try:
-        # Half a character, which only escapes in JSON can hold, becomes a question mark.
-        write_atomic(path, text.encode("utf-8", "replace"))
+        # JSON escapes may contain unpaired surrogates, which become question marks.
+        write_atomic(path, page.encode("utf-8", "replace"))
     except OSError as error:
         raise RunError(f"cannot write {path}: {error.strerror}") from None
     return path
 
 
-def _turning(folder: Path) -> Html:
-    """Return the scene in three dimensions, refined or else as composed."""
-    for name in ("scene.json", "compose/scene.json"):
-        if (folder / name).is_file():
-            return scene_3d(read_scene(folder / name))
-    return section(IN_3D, missing("No scene.json yet."))
-
-
-def _moving(folder: Path) -> list[str]:
-    """Return the objects that did not stay in the composed scene, in words."""
-    return [str(each["phrase"]) for each in (read_json(folder / CHECK) or {}).get("unstable", [])]
-
-
-def _safely(title: str, draw: Callable[[], Html]) -> Html:
-    """Draw a section; a file that was edited into another shape costs that section only."""
+def _draw(title: str, section: Callable[[], Markup]) -> Markup:
+    """Draw a section; if a file does not have the expected structure, draw a note instead."""
     try:
-        return draw()
-    except (ArithmeticError, AttributeError, LookupError, NeoWorldError, TypeError, ValueError,
-            MemoryError) as error:  # fmt: skip
-        cause = f"{type(error).__name__}: {error}"
-        return section(title, missing(f"A file of this run does not fit: {cause}"))
+        return section()
+    except _ERRORS as error:
+        note = f"A file of this run has an unexpected structure: {type(error).__name__}: {error}"
+        return elements.section(title, elements.missing(note))
 
 
-def _head(run: dict[str, Any], title: str, moving: Sequence[str] = ()) -> Html:
-    """Return the page's head.
-
-    Args:
-        run: run.json.
-        title: of the page.
-        moving: the objects that did not stay in the composed scene, in words.
-    """
+def _header(run: dict[str, Any], title: str, folder: Path) -> Markup:
+    """Return the page's header with the status of the run and the reasons why it is not valid."""
     status = str(run["status"])
-    colour = {"finished": "good", "failed": "bad", "interrupted": "bad"}.get(status, "dim")
-    error = f'<p class="bad">{text(run["error"])}</p>' if run.get("error") else ""
-    causes, failed = unstable(run), run["metrics"].get("passed") is False
-    if causes or failed:
-        status, colour = f"{status}, but the scene is not valid", "bad"
-        said = "; ".join(f"{name} {', '.join(why)}" for name, why in causes.items())
-        error += f'<p class="bad">Not valid: {text(said or "see the numbers below")}</p>'
-    elif run["metrics"].get("passed"):
+    color = {"finished": "good", "failed": "bad", "interrupted": "bad"}.get(status, "dim")
+    errors = [run["error"]] if run.get("error") else []
+    causes, passed = object_rows.unstable(run), run["metrics"].get("passed")
+    if causes or passed is False:
+        status, color = f"{status}, but the scene is not valid", "bad"
+        details = "; ".join(f"{name} {', '.join(reasons)}" for name, reasons in causes.items())
+        errors.append(f"Not valid: {details or 'see the numbers below'}")
+    elif passed:
         status = f"{status}, valid"
-    if moving and not (run["metrics"].get("passed") and not causes):
+    check = read_json(folder / "compose" / "check.json") or {}
+    moving = [str(entry["phrase"]) for entry in check.get("unstable", [])]
+    if moving and not (passed and not causes):
         count = "1 object does" if len(moving) == 1 else f"{len(moving)} objects do"
-        error += f'<p class="bad">Before the search {count} not stay: {text("; ".join(moving))}</p>'
+        errors.append(f"Before the search {count} not stay in place: {'; '.join(moving)}")
     facts = [
         f"seed {run.get('seeds', {}).get('run')}",
         f"options {run.get('fingerprint')}",
         f"engine {run['device']['engine']}" if run["device"].get("engine") else "",
         f"on {run['device'].get('cores')} cores",
-        f"begun {run['started']}" if run.get("started") else "",
+        f"started {run['started']}" if run.get("started") else "",
     ]
-    line = " · ".join(fact for fact in facts if fact)
-    return Html(
-        f"<header><h1>{text(title)}</h1>"
-        f'<p><span class="{colour}">{text(status)}</span> '
-        f'<span class="dim">· {text(line)}</span></p>{error}</header>'
-    )
+    return elements.header(title, status, color, " · ".join(filter(None, facts)), errors)
 
 
-def _fallbacks(run: dict[str, Any]) -> Html:
+def _fallbacks(run: dict[str, Any]) -> Markup:
     entries = run["fallbacks"]
     if not entries:
-        return Html('<p class="dim">No fallback was used.</p>')
+        return elements.paragraph("No fallback was used.", "dim")
     title = "1 fallback was used" if len(entries) == 1 else f"{len(entries)} fallbacks were used"
-    return section(title, _listed(entries), kind="warn")
+    return elements.section(title, elements.entries(entries), kind="warn")
 
 
-def _notes(run: dict[str, Any]) -> Html:
+def _notes(run: dict[str, Any]) -> Markup:
     entries = run.get("notes", [])
-    return section("Far moves", _listed(entries)) if entries else Html("")
+    return elements.section("Large moves", elements.entries(entries)) if entries else Markup()
 
 
-def _listed(entries: Sequence[dict[str, str]]) -> Html:
-    items = "".join(
-        f"<li><b>{text(e['step'])}</b>: {text(e['what'])} — {text(e['why'])}</li>" for e in entries
-    )
-    return Html(f"<ul>{items}</ul>")
-
-
-def _numbers(run: dict[str, Any]) -> Html:
+def _numbers(run: dict[str, Any]) -> Markup:
     metrics = run["metrics"]
     if not metrics:
-        return section("Numbers", missing(f"Measured after refine; {where(run)}."))
+        note = f"Measured after refine; {progress_of(run)}."
+        return elements.section("Numbers", elements.missing(note))
     limits = run["config"]["refine"]
-    cards = []
-
-    def add(key: str, name: str, text: str, limit: str = "", passed: bool | None = None) -> None:
-        if key in metrics:
-            cards.append(card(name, text if metrics[key] is not None else "unknown", limit, passed))
 
     def number(key: str) -> float:
         value = metrics.get(key)
         return math.nan if value is None else float(value)
 
-    pairs = number("s_pen")
-    add("s_pen", "S-Pen (exported scene)", f"{pairs:.0f}", "0 wanted", pairs == 0)
-    depth, deepest = number("max_depth_m"), limits["max_depth_m"]
-    add(
-        "max_depth_m",
-        "deepest penetration",
-        f"{depth * 1000:.2f} mm",
-        f"limit {deepest * 1000:g} mm",
-        depth <= deepest,
-    )
-    stable = metrics.get("s_stab")
-    fell = "" if stable is None else "free fall"
-    add("s_stab", "S-Stab", "stable" if stable else "not stable", fell, stable)
-    drift, furthest = number("max_drift_m"), limits["max_drift_m"]
-    add(
-        "max_drift_m",
-        "largest drift",
-        f"{drift * 1000:.2f} mm",
-        f"limit {furthest * 1000:g} mm in {limits['check_duration_s']:g} s",
-        drift < furthest,
-    )
-    turn, widest = number("max_tilt_deg"), limits["max_tilt_deg"]
-    add("max_tilt_deg", "largest turn", f"{turn:.2f}°", f"limit {widest:g}°", turn < widest)
-    add(
-        "movable",
-        "movable objects",
-        f"{number('movable'):.0f}",
-        f"of {metrics.get('objects', '?')}",
-    )
-    scale = number("mean_log_scale")
-    percent = f"mean size {100 * math.expm1(scale):+.1f} %" if math.isfinite(scale) else ""
-    add("mean_log_scale", "mean log scale", f"{scale:+.4f}", percent)
+    pairs, depth, drift = number("s_pen"), number("max_depth_m"), number("max_drift_m")
+    turn, scale, stable = number("max_tilt_deg"), number("mean_log_scale"), metrics.get("s_stab")
     moved = f"{number('mean_shift_m') * 1000:.1f} mm, {number('mean_turn_deg'):.1f}°"
-    add("mean_shift_m", "moved from the parse", moved, "mean of optimised objects")
-    total = sum(entry["seconds"] for entry in run["steps"].values())
-    cards.append(card("all steps", f"{total:.1f} s"))
-    return section("Numbers", f'<div class="cards">{"".join(cards)}</div>')
-
-
-def _pictures(folder: Path) -> Html:
-    pictures = [
-        picture(folder / PHOTO, "Photograph"),
-        picture(folder / BEFORE, "Composed, before refinement"),
-        picture(folder / AFTER, "Refined"),
+    drift_limit = f"{limits['max_drift_m'] * 1000:g} mm in {limits['check_duration_s']:g} s"
+    cards: list[tuple[str, str, str, str, bool | None]] = [
+        ("s_pen", "S-Pen (exported scene)", f"{pairs:.0f}", "target 0", pairs == 0),
+        (
+            *("max_depth_m", "deepest penetration", f"{depth * 1000:.2f} mm"),
+            *(f"limit {limits['max_depth_m'] * 1000:g} mm", depth <= limits["max_depth_m"]),
+        ),
+        ("s_stab", "S-Stab", "stable" if stable else "not stable", "free fall", stable),
+        (
+            *("max_drift_m", "largest drift", f"{drift * 1000:.2f} mm"),
+            *(f"limit {drift_limit}", drift < limits["max_drift_m"]),
+        ),
+        (
+            *("max_tilt_deg", "largest turn", f"{turn:.2f}°"),
+            *(f"limit {limits['max_tilt_deg']:g}°", turn < limits["max_tilt_deg"]),
+        ),
+        (
+            *("movable", "movable objects", f"{number('movable'):.0f}"),
+            *(f"of {metrics.get('objects', '?')}", None),
+        ),
+        (
+            *("mean_log_scale", "mean log scale", f"{scale:+.4f}"),
+            *(f"mean size {100 * math.expm1(scale):+.1f} %", None),
+        ),
+        ("mean_shift_m", "moved from the parse", moved, "mean of optimized objects", None),
     ]
-    return section("Before and after", f'<div class="pictures">{"".join(pictures)}</div>')
+    drawn = [
+        elements.card(name, value, limit, passed)
+        if metrics[key] is not None
+        else elements.card(name, "unknown", limit if passed is not None else "", passed)
+        for key, name, value, limit, passed in cards
+        if key in metrics
+    ]
+    total = sum(entry["seconds"] for entry in run["steps"].values())
+    drawn.append(elements.card("all steps", f"{total:.1f} s"))
+    return elements.section("Numbers", elements.div("cards", *drawn))
 
 
-def _time(run: dict[str, Any]) -> Html:
-    spent: dict[str, float] = {}
+def _pictures(folder: Path) -> Markup:
+    pictures = [
+        picture(folder / "photo.png", "Photograph"),
+        picture(folder / "pictures" / "before.png", "Composed, before refinement"),
+        picture(folder / "pictures" / "after.png", "Refined"),
+    ]
+    return elements.section("Before and after", elements.div("pictures", *pictures))
+
+
+def _scene_3d(folder: Path) -> Markup:
+    """Return the interactive view of the refined scene, or else of the composed one."""
+    for name in ("scene.json", "compose/scene.json"):
+        if (folder / name).is_file():
+            return scene_3d.scene_3d(read_scene(folder / name))
+    return elements.section(scene_3d.TITLE, elements.missing("No scene.json yet."))
+
+
+def _film_strips(folder: Path, run: dict[str, Any]) -> Markup:
+    return film_strips.film_strips(folder, float(run["config"]["refine"]["check_duration_s"]))
+
+
+def _time(run: dict[str, Any]) -> Markup:
+    seconds: dict[str, float] = {}
     waiting: dict[str, float] = {}
     for name, entry in run["steps"].items():
-        head = name.partition("/")[0]
-        spent[head] = spent.get(head, 0.0) + entry["seconds"]
-        waiting[head] = waiting.get(head, 0.0) + entry.get("waiting_s", 0.0)
-    if not spent:
-        return section("Time", missing("No step has finished yet."))
-    items = [(step, spent[step]) for step in STEPS if step in spent]
-    awaited = [f"{step} {waiting[step]:.1f} s" for step, _ in items if waiting[step] >= 0.05]
-    line = f"<p>Of these, waiting for answers: {', '.join(awaited) or 'nothing'}.</p>"
-    return section("Time", f'<div style="max-width:620px">{charts.bars(items, "s")}</div>', line)
+        step = name.partition("/")[0]
+        seconds[step] = seconds.get(step, 0.0) + entry["seconds"]
+        waiting[step] = waiting.get(step, 0.0) + entry.get("waiting_s", 0.0)
+    if not seconds:
+        return elements.section("Time", elements.missing("No step has finished yet."))
+    steps = [step for step in STEPS if step in seconds]
+    waits = [f"{step} {waiting[step]:.1f} s" for step in steps if waiting[step] >= 0.05]
+    return elements.section(
+        "Time",
+        elements.div("bars", charts.bars([(step, seconds[step]) for step in steps], "s")),
+        elements.paragraph(f"Of these, waiting for models: {', '.join(waits) or 'none'}."),
+    )
 
 
-def _models(run: dict[str, Any]) -> Html:
+def _models(run: dict[str, Any]) -> Markup:
     used = run["mllm"]
     if not used:
-        return section("Models asked", missing("Nothing was asked yet."))
+        return elements.section("Models", elements.missing("No model was called yet."))
     rows = [
         [
             row.get("role", ""),
@@ -250,36 +237,39 @@ def _models(run: dict[str, Any]) -> Html:
         for row in used.get("by_role_and_model", [])
     ]
     heads = ["role", "model", "#calls", "#failed", "#tokens in", "#tokens out", "#cost, USD"]
-    via = f"<p>Provider: {text(used['provider'])}.</p>" if used.get("provider") else ""
-    cost = used.get("cost_usd")
-    total = "unknown" if cost is None else f"{cost:.4f} USD"
-    line = f"<p>{text(used.get('calls', 0))} calls, cost {text(total)}.</p>"
-    return section("Models asked", via, line, table(heads, rows) if rows else "")
+    provider = f"Provider: {used['provider']}." if used.get("provider") else ""
+    cost = "unknown" if used.get("cost_usd") is None else f"{used['cost_usd']:.4f} USD"
+    return elements.section(
+        "Models",
+        elements.paragraph(provider),
+        elements.paragraph(f"{used.get('calls', 0)} calls, cost {cost}."),
+        elements.table(heads, rows) if rows else "",
+    )
 
 
-def _settings(run: dict[str, Any]) -> Html:
+def _settings(run: dict[str, Any]) -> Markup:
     changed = sorted(_differences(Config().model_dump(mode="json"), run["config"] or {}))
     rows = [[key, json.dumps(new), json.dumps(old)] for key, old, new in changed]
-    options = (
-        table(["option", "here", "default"], rows)
-        if rows
-        else "<p>All options have their default values.</p>"
-    )
-    versions = table(["package", "version"], sorted((run["versions"] or {}).items()))
-    whole = json.dumps(run["config"], indent=1)
-    return section(
+    versions = elements.table(["package", "version"], sorted((run["versions"] or {}).items()))
+    options = elements.preformatted(json.dumps(run["config"], indent=1))
+    return elements.section(
         "Options and versions",
-        options,
-        f"<details><summary>all options</summary><pre>{text(whole)}</pre></details>",
-        f"<details><summary>versions</summary>{versions}</details>",
+        elements.table(["option", "value", "default"], rows)
+        if rows
+        else elements.paragraph("All options have their default values."),
+        elements.details("all options", options),
+        elements.details("versions", versions),
     )
 
 
-def _differences(default: Any, configured: Any, at: str = "") -> list[tuple[str, Any, Any]]:
+def _differences(default: Any, configured: Any, path: str = "") -> list[tuple[str, Any, Any]]:
+    """Return path, default and value of the options that differ."""
     if isinstance(default, dict) and isinstance(configured, dict):
-        differences = []
-        for key in {*default, *configured}:
-            where = f"{at}.{key}" if at else str(key)
-            differences += _differences(default.get(key), configured.get(key), where)
-        return differences
-    return [] if default == configured else [(at, default, configured)]
+        return [
+            difference
+            for key in {*default, *configured}
+            for difference in _differences(
+                default.get(key), configured.get(key), f"{path}.{key}" if path else str(key)
+            )
+        ]
+    return [] if default == configured else [(path, default, configured)]

@@ -1,6 +1,6 @@
-"""The part of a report that turns: a scene in WebGL with a slider for every joint, no network.
+"""Interactive view of a scene in the report: WebGL with a slider for every joint, offline.
 
-The script is our own and lies in the page; the page's policy lets that one script run and no other.
+The script is inlined; the page's content security policy allows it and no other.
 """
 
 import base64
@@ -13,6 +13,7 @@ from importlib import resources
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from ...render.part_meshes import PartMesh, visible_meshes
@@ -21,47 +22,44 @@ from ...spec import JointSpec, SceneObject, SceneSpec, world_poses
 from ...spec.kinematics import joint_keys
 from ...spec.pose import Pose, matrix
 from ...spec.triangles import corner_normals
-from .page import Html, missing, section
+from .page import elements
 
 TITLE = "In three dimensions"
 MAX_TRIANGLES = 400_000
-"""Most triangles that a page carries; a scene with more is left out, with a note."""
+"""Maximum number of triangles of a page; a larger scene is replaced by a note."""
 FOVY = math.radians(40)
 _STEPS, _NORMAL = 65535, 127
 
 
 @cache
 def script() -> str:
-    """Return the script of the page."""
+    """Return the script of the interactive view."""
     return resources.files(__package__).joinpath("scene_3d.js").read_text("utf-8")
 
 
 def script_hash() -> str:
-    """Return the script's hash as a content policy names it."""
+    """Return the script's hash in the form of a content security policy."""
     return f"'sha256-{base64.b64encode(sha256(script().encode()).digest()).decode()}'"
 
 
-def scene_3d(scene: SceneSpec) -> Html:
-    """Return the section with the scene, its script and its data."""
+def scene_3d(scene: SceneSpec, max_triangles: int = MAX_TRIANGLES) -> Markup:
+    """Return the section with the scene, the script and its data."""
     data = scene_data(scene)
     count = sum(m.pop("triangles") for o in data["objects"] for part in o["parts"] for m in part)
-    if count > MAX_TRIANGLES:
-        note = f"The scene has {count} triangles, over the {MAX_TRIANGLES} that a page may carry; "
-        return section(TITLE, missing(note + "neoworld view shows it."))
-    # In a script element only "<" could end it.
+    if count > max_triangles:
+        note = (
+            f"The scene has {count} triangles, over the limit of {max_triangles}; neoworld view "
+            "shows it."
+        )
+        return elements.section(TITLE, elements.missing(note))
+    # Only "<" could end the script element.
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
-    hint = "Drag to turn, wheel or pinch to zoom, shift or two fingers to move, double click: back."
-    return section(
-        TITLE,
-        '<canvas id="scene-3d"></canvas>',
-        f'<p class="dim">{hint}</p><div id="scene-3d-controls"></div>',
-        f'<script type="application/json" id="scene-3d-data">{text}</script>',
-        f"<script>{script()}</script>",
-    )
+    hint = "Drag: turn. Wheel or pinch: zoom. Shift or two fingers: move. Double click: reset."
+    return elements.section(TITLE, elements.scene_3d(hint, text, script()))
 
 
 def scene_data(scene: SceneSpec) -> dict[str, Any]:
-    """Return a scene as the script reads it: meshes by part, joints, and where to look from."""
+    """Return the script's data of a scene: meshes by part, joints, and viewpoints."""
     poses = world_poses(scene)
     points = {
         obj.name: poses[obj.name].apply(visible_vertices(obj.spec, obj.joint_state))
@@ -79,33 +77,33 @@ def scene_data(scene: SceneSpec) -> dict[str, Any]:
     }
 
 
-def _eye(points: NDArray, stands: NDArray | None) -> dict[str, Any]:
-    """Return a view of points [n, 3] m from a place, or from the right, above and before them."""
+def _eye(points: NDArray, position: NDArray | None) -> dict[str, Any]:
+    """Return a view of points [n, 3] m from a position, by default from the front right above."""
     low, high = points.min(axis=0), points.max(axis=0)
     middle = (low + high) / 2
-    away = np.array([-0.75, -0.45, 0.5]) if stands is None else stands - middle
-    away = away / max(float(np.linalg.norm(away)), 1e-9)
+    direction = np.array([-0.75, -0.45, 0.5]) if position is None else position - middle
+    direction = direction / max(float(np.linalg.norm(direction)), 1e-9)
     radius = float(np.linalg.norm(high - low)) / 2
     return {
         "middle": middle.tolist(),
-        "azimuth": math.atan2(away[1], away[0]),
-        "elevation": math.asin(float(np.clip(away[2], -1, 1))),
+        "azimuth": math.atan2(direction[1], direction[0]),
+        "elevation": math.asin(float(np.clip(direction[2], -1, 1))),
         "distance": max(1.1 * radius / math.sin(FOVY / 2), 0.05),
         "fovy": FOVY,
     }
 
 
-def _object_data(obj: SceneObject, at: Pose) -> dict[str, Any]:
+def _object_data(obj: SceneObject, pose: Pose) -> dict[str, Any]:
     spec = obj.spec
     index = {part.name: k for k, part in enumerate(spec.parts)}
     number = {joint.name: k for k, joint in enumerate(spec.joints)}
-    carriers = {joint.child: number[joint.name] for joint in spec.joints}
+    parent_joints = {joint.child: number[joint.name] for joint in spec.joints}
     return {
         "name": obj.name,
-        "pose": {"r": matrix(at.quat).ravel().tolist(), "p": at.pos.tolist()},
+        "pose": {"r": matrix(pose.quat).ravel().tolist(), "p": pose.pos.tolist()},
         "parts": [[_mesh_data(m) for m in visible_meshes(spec, part)] for part in spec.parts],
         "order": [index[part.name] for part, _ in spec.ordered],
-        "by": [carriers.get(part.name, -1) for part in spec.parts],
+        "by": [parent_joints.get(part.name, -1) for part in spec.parts],
         "joints": [_joint_data(joint, obj.joint_state, index, number) for joint in spec.joints],
     }
 
