@@ -1,4 +1,4 @@
-"""The engine that `auto` stands for: of all that can run here, the one that costs least."""
+"""The engine `auto`: each rollout runs on the available engine with the least predicted cost."""
 
 import os
 import time
@@ -15,15 +15,15 @@ from .model import SceneModel, StaticScene
 
 
 class AutomaticEngine:
-    """Chooses an engine for every rollout by what it costs, as measured on this machine.
+    """Engine that selects another one for every rollout, by costs measured on this machine.
 
-    A few candidates go to the CPU's cores, large populations to the accelerator; where that
-    changes depends on the scene and the machine. Verdicts of engines agree but for candidates near
-    a bound, so which engine it was is said by `name`.
+    A few candidates run on the CPU, large populations on the accelerator; the threshold depends on
+    the scene and the machine. Engines may disagree within a factor of 2 of a threshold, so `name`
+    lists the engines used.
     """
 
     def __init__(self, engines: Mapping[str, Engine]) -> None:
-        """Choose among opened engines, by name."""
+        """Select among opened engines, by name."""
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         self._engines = dict(engines)
         self._machine = f"{jax.devices()[0].device_kind}, {cores} cores"
@@ -35,10 +35,10 @@ class AutomaticEngine:
             weakref.WeakKeyDictionary()
         )
         self.name = "auto"
-        """The engines that have rolled out, joined by plus signs; `auto` before."""
+        """Engines used so far, joined by plus signs; `auto` before the first rollout."""
         self._used: list[str] = []
         self.refusals: list[str] = []
-        """Why engines could not simulate a scene, one line each."""
+        """Reasons why engines could not simulate a scene, one line each."""
 
     def rollout(
         self,
@@ -49,11 +49,7 @@ class AutomaticEngine:
         record_every: float = 0.1,
         early_stop: EarlyStop | None = None,
     ) -> Rollout:
-        """Simulate every candidate on the engine of the least predicted cost; see `Engine.rollout`.
-
-        Raises:
-            EngineError: no engine can simulate the scene.
-        """
+        """Simulate every candidate on the engine of least predicted cost; see `Engine.rollout`."""
         records, every = record_steps(scene.static.mjm.opt.timestep, duration, record_every)
         steps, candidates = records * every, poses.scale.shape[0]
         model = scene.static.mjm
@@ -91,9 +87,6 @@ class AutomaticEngine:
         raise EngineError("; ".join(self.refusals) or "no engine can run here")
 
     def _started_with(self, static: StaticScene) -> set[str]:
-        """Return the engines that have rolled a scene out, with drag or without.
-
-        The second of the two starts soon: the kernels are there.
-        """
+        """Return the engines that have rolled a scene out, with or without drag."""
         known = (names for other, names in self._started.items() if other.spec is static.spec)
         return self._started.setdefault(static, next(known, set()))

@@ -1,6 +1,6 @@
-"""The canonical colliders of a scene as arrays: convex pieces by kind.
+"""Canonical colliders of a scene as arrays: convex pieces by kind.
 
-D_pen is measured on these whatever engine rolls the scene out.
+D_pen is measured on these, whichever engine simulates the scene.
 """
 
 import jax
@@ -9,7 +9,7 @@ from neoworld_kernels import Colliders, PieceGroup
 from numpy.typing import NDArray
 
 from ..spec import Lathe, SceneObject, Shape
-from ..spec.convex import Piece, planes
+from ..spec.convex import Piece, box_around, planes
 from ..spec.pose import Pose, matrix, pose
 from .support import posed_shapes
 
@@ -24,9 +24,9 @@ _KIND = {
 
 
 def collect_colliders(objects: tuple[SceneObject, ...]) -> Colliders:
-    """Collect every object's convex pieces, in its own frame with joints as they stand.
+    """Collect every object's convex pieces, in its frame at its joint state.
 
-    Wedges that a lathe repeats around its axis are kept once.
+    Wedges that a lathe repeats around its axis are stored once.
     """
     rows: dict[str, list[tuple[int, Piece, Pose, int]]] = {kind: [] for kind in Colliders._fields}
     for owner, item in enumerate(objects):
@@ -38,7 +38,7 @@ def collect_colliders(objects: tuple[SceneObject, ...]) -> Colliders:
 
 
 def _distinct(shape: Shape) -> list[tuple[Piece, int]]:
-    # Stretched along y a lathe has no rotational symmetry left.
+    # An oval lathe has no rotational symmetry.
     if isinstance(shape, Lathe) and shape.oval == 1.0:
         return shape.distinct_pieces()
     return [(piece, 1) for piece in shape.pieces()]
@@ -68,19 +68,9 @@ def _group(rows: list[tuple[int, Piece, Pose, int]]) -> PieceGroup:
 
 
 def _extent(piece: Piece, repeats: int) -> NDArray:
-    """Return the bounding box of a piece, repeated about its z axis or not, in its own frame."""
-    s = np.asarray(piece.size, float)
-    if piece.kind == "mesh":
-        corners = np.asarray(piece.vertices, float)
-        if repeats > 1:
-            reach, z = np.hypot(corners[:, 0], corners[:, 1]).max(), corners[:, 2]
-            return np.array([[-reach, -reach, z.min()], [reach, reach, z.max()]])
-        return np.array([corners.min(axis=0), corners.max(axis=0)])
-    half = {
-        "box": s,
-        "ellipsoid": s,
-        "sphere": np.repeat(s[:1], 3),
-        "capsule": np.array([s[0], s[0], s[0] + s[1]]),
-        "cylinder": np.array([s[0], s[0], s[1]]),
-    }[piece.kind]
-    return np.array([-half, half])
+    """Return the bounding box of a piece in its own frame, with its repeats about the z axis."""
+    if repeats == 1:
+        return np.array(box_around(piece, pose()))
+    x, y, z = np.array(piece.vertices).T
+    radius = np.hypot(x, y).max()
+    return np.array([[-radius, -radius, z.min()], [radius, radius, z.max()]])

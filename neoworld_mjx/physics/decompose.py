@@ -1,4 +1,4 @@
-"""Convex decomposition of imported meshes, by CoACD where it is installed, cached by content."""
+"""Convex decomposition of imported meshes by CoACD, cached by content."""
 
 import hashlib
 import importlib.util
@@ -17,29 +17,26 @@ from ..io.files import write_atomic
 
 _log = logging.getLogger(__name__)
 CLOSED, OPEN = (0.02, 96), (0.08, 16)
-"""Remaining concavity over the mesh's size, and most pieces: of closed meshes, and of others, which
-are wrapped first; finer pieces of those would cost a minute and still be too thick."""
+"""Remaining concavity, relative to the mesh's size, and largest number of pieces: of closed meshes;
+and of open ones, which CoACD wraps first, so that more pieces cost time but are no thinner.
+"""
 MAX_CORNERS = 48
 CACHE_VERSION = "3"
 SHEET_M = 0.002
-"""Thickness given to flat sheets, which have no volume otherwise."""
+"""Thickness of the pieces of flat sheets."""
 CONVEX_SHARE = 0.97
-"""Share of its hull's volume above which a mesh counts as convex."""
+"""Least volume of a convex mesh, relative to its hull."""
 
 
 def installed() -> bool:
-    """Tell whether CoACD is there; without it a mesh becomes its convex hull."""
+    """Return whether CoACD is installed; without it a mesh becomes its convex hull."""
     return importlib.util.find_spec("coacd") is not None
 
 
 def convex_pieces(vertices: NDArray, faces: NDArray) -> list[NDArray]:
-    """Split a mesh into convex pieces, each the points [n, 3] m of a hull.
+    """Split a mesh of vertices [v, 3] m and triangles [f, 3] into hulls, each of points [n, 3] m.
 
-    A convex mesh is its own piece. Without CoACD, or where it fails, the hull stands for all.
-
-    Args:
-        vertices: [v, 3] m.
-        faces: triangles [f, 3].
+    A convex mesh is a single piece, and so is any mesh without CoACD, or if it fails.
     """
     vertices, faces = np.ascontiguousarray(vertices, float), np.ascontiguousarray(faces, np.int64)
     whole = [hull_points(vertices)]
@@ -48,15 +45,15 @@ def convex_pieces(vertices: NDArray, faces: NDArray) -> list[NDArray]:
     key = hashlib.sha256()
     for value in (f"{CACHE_VERSION}:{CLOSED}:{OPEN}:{MAX_CORNERS}", vertices, faces):
         key.update(value.encode() if isinstance(value, str) else value.tobytes())
-    kept = cache_folder() / "coacd" / f"{key.hexdigest()}.npz"
+    path = cache_folder() / "coacd" / f"{key.hexdigest()}.npz"
     try:
-        stored = [np.asarray(p, float) for p in read_arrays(kept, RunError).values()]
+        stored = [np.asarray(p, float) for p in read_arrays(path, RunError).values()]
         if stored and all(_is_piece(points) for points in stored):
             return stored
     except (RunError, TypeError, ValueError):
-        pass  # It is made again.
+        pass  # Recomputed below.
     pieces = _coacd(vertices, faces) or whole
-    _keep(kept, pieces)
+    _store(path, pieces)
     return pieces
 
 
@@ -65,13 +62,13 @@ def _is_piece(points: NDArray) -> bool:
 
 
 def flat(vertices: NDArray) -> bool:
-    """Tell whether a mesh is a sheet, which has no inside to be split."""
+    """Return whether a mesh is a flat sheet."""
     spread = np.linalg.svd(vertices - vertices.mean(axis=0), full_matrices=False)
     return float(np.ptp((vertices - vertices.mean(axis=0)) @ spread[2].T, axis=0).min()) < SHEET_M
 
 
 def is_convex(vertices: NDArray, faces: NDArray) -> bool:
-    """Tell whether a mesh fills its convex hull; one that is not closed is never known to."""
+    """Return whether a mesh is closed and fills its convex hull."""
     mesh = _merged(vertices, faces)
     if not mesh.is_watertight:
         return False
@@ -86,7 +83,7 @@ def _merged(vertices: NDArray, faces: NDArray) -> Any:
 
 
 def volume_of_hull(vertices: NDArray) -> float:
-    """Return the volume [m^3] of the convex hull; 0 for what is flat."""
+    """Return the volume [m^3] of the convex hull; 0 for flat points."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -96,9 +93,9 @@ def volume_of_hull(vertices: NDArray) -> float:
 
 
 def hull_points(vertices: NDArray) -> NDArray:
-    """Return points [n, 3] whose hull is that of a mesh, few and never flat.
+    """Return few points [n, 3] whose hull approximates that of a mesh and is never flat.
 
-    Of a hull with many corners those furthest in evenly spread directions are kept; sheets are
+    A hull with many corners keeps the extreme ones in evenly spread directions; sheets are
     thickened along their normal.
     """
     points = np.unique(np.round(vertices, 9), axis=0)
@@ -109,7 +106,6 @@ def hull_points(vertices: NDArray) -> NDArray:
     if thin.any():
         shift = np.array(np.meshgrid(*[(-1, 1) if t else (0,) for t in thin])).reshape(3, -1).T
         flat = np.where(thin, 0.0, local)
-        # Many points of a sheet are in its inside; its outline is enough.
         flat = flat[_furthest(flat)]
         local = (flat[:, None] + shift[None] * SHEET_M / 2).reshape(-1, 3)
         return np.unique(local @ axes + centre, axis=0)
@@ -124,7 +120,7 @@ def _furthest(points: NDArray) -> NDArray:
 
 @lru_cache(maxsize=1)
 def _directions() -> NDArray:
-    """Return unit vectors spread evenly, those of a box's faces and corners among them [n, 3]."""
+    """Return evenly spread unit vectors [n, 3], and those of a box's faces, edges and corners."""
     k = np.arange(120) + 0.5
     z = 1 - 2 * k / 120
     angle = np.pi * (1 + 5**0.5) * k
@@ -140,7 +136,7 @@ def _coacd(vertices: NDArray, faces: NDArray) -> list[NDArray]:
 
     coacd.set_log_level("error")
     mesh = _merged(vertices, faces)
-    # Wrapping makes walls thicker by a fiftieth of the size: what is closed needs none.
+    # Closed meshes need no wrapping, which thickens walls by a fiftieth of the size.
     closed = bool(mesh.is_watertight)
     concavity, most = CLOSED if closed else OPEN
     try:
@@ -157,10 +153,10 @@ def _coacd(vertices: NDArray, faces: NDArray) -> list[NDArray]:
             decimate=True,
             max_ch_vertex=MAX_CORNERS,
         )
-    except Exception as error:  # a library's border: the hull is there in any case
-        _log.warning("CoACD failed (%s); the convex hull stands for the mesh", error)
+    except Exception as error:  # an external library; the hull remains
+        _log.warning("CoACD failed (%s); the mesh becomes its convex hull", error)
         return []
-    # What is not closed is wrapped first, which blows it up; what sticks out of it is cut off.
+    # Wrapping enlarges open meshes; clip the pieces to the mesh's bounds.
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     return [
         hull_points(np.clip(np.asarray(points, float), low, high))
@@ -169,7 +165,7 @@ def _coacd(vertices: NDArray, faces: NDArray) -> list[NDArray]:
     ]
 
 
-def _keep(path: Path, pieces: list[NDArray]) -> None:
+def _store(path: Path, pieces: list[NDArray]) -> None:
     import io
 
     buffer = io.BytesIO()
@@ -180,4 +176,4 @@ def _keep(path: Path, pieces: list[NDArray]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(path, buffer.getvalue())
     except OSError:
-        pass  # The next run decomposes it again.
+        pass  # The next run decomposes the mesh again.

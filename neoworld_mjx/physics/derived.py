@@ -1,7 +1,7 @@
-"""Model fields that MuJoCo derives from others (mj_setConst), computed for a population.
+"""Model fields that MuJoCo derives from others (mj_setConst), for a population.
 
-Engines that hold the model on a device have no mj_setConst for batches. The fields that they need
-follow laws of an object's scale alone, since a layout changes no shape and no joint's place in one.
+Engines with the model on a device have no batched mj_setConst. The fields that they need depend
+only on an object's scale, since a layout changes neither shapes nor joint positions within objects.
 """
 
 import functools
@@ -18,15 +18,15 @@ from .model_fields import owner_scale
 from .native import open_batch
 
 KNOTS, SPAN = 65, 1.0
-"""Scales at which objects of several mass laws are measured: up to exp(+-SPAN)."""
+"""Number of scales, up to exp(+-SPAN), at which objects of several mass exponents are tabulated."""
 
 
 def invweights(scene: SceneModel, poses: Poses) -> dict[str, Any]:
-    """Compute body_invweight0 and dof_invweight0 of every candidate, leading axis [pop].
+    """Return body_invweight0 and dof_invweight0 of every candidate, leading axis [pop]. Traceable.
 
-    Inverse masses go with s^-m and inverse inertias with s^-(m + 2) as long as all parts of an
-    object have the same mass exponent m. Where they have not, MuJoCo's values at `KNOTS` scales are
-    interpolated by cubics in the logarithms, to a relative error of 1e-6. Traceable.
+    Inverse masses scale with s^-m and inverse inertias with s^-(m + 2) if all parts of an object
+    have the same mass exponent m. Otherwise MuJoCo's values at `KNOTS` scales are interpolated by
+    cubics in the logarithms, to a relative error of 1e-6.
     """
     s, m = scene.static, scene.static.mjm
     body, dof = (owner_scale(poses.scale, owner) for owner in (s.body_object, s.dof_object))
@@ -34,10 +34,10 @@ def invweights(scene: SceneModel, poses: Poses) -> dict[str, Any]:
         mass = s.powers.body_mass
         law = np.stack([-mass, -(mass + 2)], axis=-1)
         rotational = np.array([_rotational(m, d) for d in range(m.nv)], bool)
-        own = mass[m.dof_bodyid] if m.nv else np.zeros(0)
+        dof_mass = mass[m.dof_bodyid] if m.nv else np.zeros(0)
         return {
             "body_invweight0": m.body_invweight0 * body[..., None] ** law,
-            "dof_invweight0": m.dof_invweight0 * dof ** -(own + 2 * rotational),
+            "dof_invweight0": m.dof_invweight0 * dof ** -(dof_mass + 2 * rotational),
         }
     bodies, dofs = _tables(scene)
     return {
@@ -58,7 +58,7 @@ def subtree_mass(static: StaticScene, body_mass: Any) -> Any:
 def static_geoms(
     static: StaticScene, body_pos: Any, body_quat: Any, geom_pos: Any
 ) -> tuple[Any, Any]:
-    """World poses of the geoms that are welded to the world; the others' entries are zero.
+    """Return the world poses of the geoms that are welded to the world; zero for the others.
 
     Args:
         static: the scene.
@@ -101,17 +101,15 @@ def _rotational(m: mujoco.MjModel, dof: int) -> bool:
 
 @functools.lru_cache(maxsize=64)
 def _one_mass_law(static: StaticScene) -> bool:
-    for item in range(len(static.names)):
-        if len(set(static.powers.body_mass[static.body_object == item].tolist())) > 1:
-            return False
-    return True
+    objects = (static.body_object == k for k in range(len(static.names)))
+    return all(len(set(static.powers.body_mass[bodies].tolist())) < 2 for bodies in objects)
 
 
 _measured: dict[StaticScene, tuple[np.ndarray, np.ndarray]] = {}
 
 
 def _tables(scene: SceneModel) -> tuple[np.ndarray, np.ndarray]:
-    """Logarithms of body_invweight0 [knot, nbody, 2] and dof_invweight0 [knot, nv]; -inf for 0."""
+    """Return the logs of body_invweight0 [knot, nbody, 2] and dof_invweight0 [knot, nv]."""
     if scene.static not in _measured:
         count = len(scene.static.names)
         log = np.broadcast_to(np.linspace(-SPAN, SPAN, KNOTS)[:, None], (KNOTS, count))
@@ -135,7 +133,7 @@ def _tables(scene: SceneModel) -> tuple[np.ndarray, np.ndarray]:
 def _interpolate(table: np.ndarray, log: Any) -> Any:
     """Interpolate exp(table) [knot, *item] at log scales [pop, *item], by Catmull-Rom cubics.
 
-    Beyond the table's ends its last slope goes on.
+    Extrapolation is linear.
     """
     zero = ~np.isfinite(table[0])
     known = np.where(zero, 0.0, table)

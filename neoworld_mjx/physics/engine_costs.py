@@ -1,9 +1,8 @@
-"""What rollouts cost on this machine, by engine, as measured; kept beside the compile cache.
+"""Measured costs of rollouts on this machine by engine, stored next to the compilation cache.
 
-Batched engines cost much before the first candidate and little for each further one, `native` the
-other way round, and all of them depend on the scene. So a cost is a table of (candidates, seconds)
-for each class of scenes, filled by what was really rolled out. Until then tables that were measured
-on one machine stand in.
+Batched engines have a large fixed cost and a small one per candidate, `native` the reverse, and all
+depend on the scene. A cost is therefore a table of (candidates, seconds) for each class of scenes,
+filled by actual rollouts. Initially, tables measured on one machine apply.
 """
 
 import contextlib
@@ -18,11 +17,11 @@ from ..cache import cache_folder
 
 COST_FILE = "engine-costs.json"
 COST_STEPS = 250
-"""Seconds are those of so many steps; other lengths count in proportion."""
+"""Steps to which the seconds of tables refer; other lengths are proportional."""
 NEW_WEIGHT = 0.3
-"""Of a new measurement beside the one that a table holds."""
+"""Weight of a new measurement against the stored one."""
 MOST_SIZES = 32
-"""Most numbers of candidates that a table holds."""
+"""Largest number of entries of a table."""
 
 
 @dataclass
@@ -30,20 +29,20 @@ class EngineCost:
     """Cost of one engine's rollouts."""
 
     start_s: float
-    """What the first rollout of a scene costs beyond later ones: compiling, capturing graphs."""
+    """Additional cost of the first rollout of a scene: compiling, capturing graphs [s]."""
     prior: tuple[tuple[int, float], ...]
     """(candidates, seconds) of classes without measurements."""
     tables: dict[str, dict[int, float]] = field(default_factory=dict)
     """Measured seconds by class of scenes and number of candidates."""
 
     def predict(self, scenes: str, candidates: int, steps: int, *, started: bool) -> float:
-        """Predict a rollout's seconds, linearly between sizes and in proportion beyond them.
+        """Return a rollout's predicted seconds, linear between sizes and proportional beyond.
 
         Args:
             scenes: class of the scene, by `scene_class`.
             candidates: number of candidates.
             steps: of the simulation.
-            started: whether the engine has rolled this scene out before.
+            started: True if the engine has rolled this scene out before.
         """
         table = self.tables.get(scenes) or dict(self.prior)
         sizes = sorted(table)
@@ -54,10 +53,10 @@ class EngineCost:
     def add(
         self, scenes: str, candidates: int, steps: int, seconds: float, *, started: bool
     ) -> None:
-        """Take in a measurement: of a first rollout, as the cost of starting.
+        """Add a measurement; one of a scene's first rollout updates the starting cost.
 
-        A machine's first rollout of a class also compiles what the disk then keeps: minutes of
-        kernels, which no later start costs. So it only counts where it was cheaper than thought.
+        A machine's first rollout of a class also compiles kernels that are then cached, for
+        minutes, so its starting cost only counts if it is below the prediction.
         """
         if not started:
             later = self.predict(scenes, candidates, steps, started=True)
@@ -74,13 +73,13 @@ class EngineCost:
 
 
 def scene_class(objects: int, pieces: int, *, early_stop: bool) -> str:
-    """Return the class of scenes that cost alike: powers of two of objects and convex pieces."""
+    """Return the class of scenes of similar cost: powers of two of objects and convex pieces."""
     most = [1 << max(count - 1, 0).bit_length() for count in (objects, pieces)]
     return f"{most[0]} objects, {most[1]} pieces{', early stop' if early_stop else ''}"
 
 
 def prior_costs(cores: int) -> dict[str, EngineCost]:
-    """Return costs of six objects on an H200, and of `native` on that many cores of its host."""
+    """Return costs of six objects on an H200, and of `native` on `cores` cores of its host."""
     one = 1 / 31.0
     native = tuple((n, one * math.ceil(n / cores)) for n in (1, cores, 4096))
     return {
@@ -91,10 +90,10 @@ def prior_costs(cores: int) -> dict[str, EngineCost]:
 
 
 def read_costs(machine: str, cores: int) -> dict[str, EngineCost]:
-    """Return the costs kept for a machine; priors stand in for what is missing or broken."""
+    """Return the stored costs of a machine; missing or invalid ones are priors."""
     costs = prior_costs(cores)
-    kept = _kept().get(machine)
-    for name, row in kept.items() if isinstance(kept, dict) else ():
+    stored = _stored().get(machine)
+    for name, row in stored.items() if isinstance(stored, dict) else ():
         with contextlib.suppress(AttributeError, TypeError, ValueError, KeyError):
             start = float(row["start_s"])
             tables = {
@@ -110,19 +109,19 @@ def read_costs(machine: str, cores: int) -> dict[str, EngineCost]:
 
 
 def write_costs(machine: str, costs: dict[str, EngineCost]) -> None:
-    """Keep a machine's costs; where the folder cannot be written, they are measured again."""
+    """Store a machine's costs; if the folder cannot be written, they are measured again."""
     row = {name: {"start_s": cost.start_s, "tables": cost.tables} for name, cost in costs.items()}
     path = cache_folder() / COST_FILE
     part = path.with_name(f"{COST_FILE}.{os.getpid()}")
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(json.dumps({**_kept(), machine: row}, indent=1), encoding="utf-8")
+        part.write_text(json.dumps({**_stored(), machine: row}, indent=1), encoding="utf-8")
         part.replace(path)
 
 
-def _kept() -> dict[str, object]:
+def _stored() -> dict[str, object]:
     try:
-        kept = json.loads((cache_folder() / COST_FILE).read_text(encoding="utf-8"))
+        stored = json.loads((cache_folder() / COST_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return {}
-    return kept if isinstance(kept, dict) else {}
+    return stored if isinstance(stored, dict) else {}

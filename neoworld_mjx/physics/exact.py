@@ -1,4 +1,4 @@
-"""Exact distances between colliders, by MuJoCo's `mj_geomDistance`: the measure, not a reward."""
+"""Exact distances between colliders by MuJoCo's `mj_geomDistance`, for measures of scenes."""
 
 import mujoco
 import numpy as np
@@ -8,16 +8,16 @@ from ..spec import SceneSpec
 from .mjcf import to_mjspec
 
 NUDGE = np.array([0.36, 0.48, 0.80]) * 1e-6
-"""Moves a geom aside where MuJoCo finds no distance [m]."""
+"""Displacement of a geom for which MuJoCo returns no valid distance [m]."""
 TOUCH_M = 1e-3
-"""Gap up to which objects are looked at for penetration [m]."""
+"""Largest gap at which pairs of objects are tested for penetration [m]."""
 
 
 def start_state(scene: SceneSpec, timestep: float = 0.002) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Compile a scene and put it into its composed state, positions computed."""
+    """Compile a scene; return the model and its composed state after `mj_forward`."""
     model = to_mjspec(scene, timestep=timestep).compile()
     data = mujoco.MjData(model)
-    if model.nkey:  # a scene in which nothing moves has no state
+    if model.nkey:  # a scene without joints has no keyframe
         mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
     mujoco.mj_forward(model, data)
     return model, data
@@ -64,30 +64,30 @@ def geom_distance(
 ) -> float:
     """Return the signed distance [m] of two geoms, at most `reach`.
 
-    Into `ends` [6], where it is given, their nearest points [m] are written, of `a` and of `b`.
+    `ends` [6], if given, receives their nearest points [m], of `a` and of `b`.
 
-    MuJoCo 3.17 gives the distance of the centres where one centre lies on the other geom's surface
-    or on its centre, however deep they are in each other. No two solids are that far apart, so one
-    is then moved aside by a micrometre for the measurement.
+    MuJoCo 3.17 returns the distance of the centres if one centre lies on the other geom's surface
+    or centre, at any penetration. No two solids are that far apart, so one is then displaced by a
+    micrometre for the measurement.
     """
     between = float(np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]))
     if between > max(model.geom_rbound[a], model.geom_rbound[b]):
         return mujoco.mj_geomDistance(model, data, a, b, reach, ends)
     distance = mujoco.mj_geomDistance(model, data, a, b, between + reach, ends)
     if distance >= between * (1 - 1e-9):
-        kept = data.geom_xpos[a].copy()
-        data.geom_xpos[a] = kept + NUDGE
+        position = data.geom_xpos[a].copy()
+        data.geom_xpos[a] = position + NUDGE
         distance = mujoco.mj_geomDistance(model, data, a, b, reach, ends)
-        data.geom_xpos[a] = kept
+        data.geom_xpos[a] = position
     return min(distance, reach)
 
 
 def object_depths(
     scene: SceneSpec, model: mujoco.MjModel, data: mujoco.MjData
 ) -> dict[tuple[str, str], float]:
-    """Measure how deep [m] every two objects penetrate, in the state of `data`.
+    """Return the penetration depth [m] of every pair of objects, in the state of `data`.
 
-    Pairs of environment supports are left out, and so are pairs that do not touch.
+    Pairs of environment supports, and pairs that do not touch, are omitted.
     """
     owner = object_of_geom(scene, model)
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)

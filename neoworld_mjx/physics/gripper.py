@@ -1,7 +1,7 @@
-"""A free parallel gripper beside a scene.
+"""A free parallel gripper for a scene.
 
-Its actuators are x, y, z (displacement from its start in the world [m]), turn_x, turn_y, turn_z
-(rotation vector from its start, in the tool's axes there [rad]), left and right (fingers [m]).
+Its actuators are x, y, z (displacement from its initial position in the world [m]), turn_x, turn_y,
+turn_z (rotation vector in the tool's initial axes [rad]), left and right (fingers [m]).
 """
 
 from dataclasses import dataclass
@@ -13,16 +13,16 @@ import mujoco
 from ..spec.pose import IDENTITY
 
 PREFIX = "end_effector"
-"""Name that no object of a scene with a gripper may have; those of its bodies begin with it."""
+"""Prefix of the names of its bodies, which no object of the scene may have as its name."""
 OPENING_M = 0.12
 """Largest distance of the pads [m]."""
 CLOSED_M = -0.02
-"""Target of a finger that asks for more than closed, so for all its force [m]."""
+"""Target of a closed finger, beyond contact, so that it exerts its full force [m]."""
 
 
 @dataclass(frozen=True)
 class Gripper:
-    """Where a gripper starts: its tool frame, +z out of the palm, fingers closing along y."""
+    """Initial state of a gripper; +z of its tool frame leaves the palm, and fingers close along y."""
 
     pos: tuple[float, float, float]
     """[m]"""
@@ -34,23 +34,23 @@ class Gripper:
 def attach_gripper(
     model: mujoco.MjSpec, gripper: Gripper, *, mjx: bool = False, group: int | None = None
 ) -> None:
-    """Add a gripper to a specification; its coordinates come after those that are there.
+    """Add a gripper to a specification; its coordinates follow the existing ones.
 
     Args:
         model: the specification.
-        gripper: where it starts.
-        mjx: whether its pads are such as `mjx_step` collides: of condim 3, without priority.
-        group: of its geoms; None leaves those of its file.
+        gripper: its initial state.
+        mjx: True sets condim 3 and priority 0 on its geoms, as `mjx_step` requires.
+        group: of its geoms; None keeps those of the file.
     """
-    own = mujoco.MjSpec.from_string(_text())
-    own.body("hand").quat = gripper.quat
-    for geom in own.geoms:
+    hand = mujoco.MjSpec.from_string(_text())
+    hand.body("hand").quat = gripper.quat
+    for geom in hand.geoms:
         if mjx:
             geom.condim, geom.priority = 3, 0
         if group is not None:
             geom.group = group
     frame = model.worldbody.add_frame(pos=gripper.pos)
-    model.attach(own, prefix=f"{PREFIX}-", frame=frame)
+    model.attach(hand, prefix=f"{PREFIX}-", frame=frame)
 
 
 @cache

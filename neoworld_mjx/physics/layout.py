@@ -1,4 +1,4 @@
-"""Layouts: the four numbers an object that CEM moves, and the poses they lead to."""
+"""Layouts: the four parameters of each object that CEM optimizes, and the poses they lead to."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -12,10 +12,10 @@ from jaxtyping import Array, Bool, Float, Int
 from ..spec import SceneObject, SceneSpec, bounds
 from ..spec.pose import pose, quat_mul, yaw_of
 from .array_types import AnyArray
-from .support import NO_SURFACE, Support, height_above, link_frame, nothing, support
+from .support import NO_SURFACE, Support, height_above, link_frame, no_support, support
 
 SNAPPED_AT_ONCE = 8192
-"""Objects of all candidates that are snapped at once; each takes about 30 KB meanwhile."""
+"""Number of objects, of all candidates, that are snapped at once; each takes about 30 KB."""
 
 
 class Layout(eqx.Module):
@@ -34,7 +34,7 @@ class Layout(eqx.Module):
     @classmethod
     def zero(cls, pop: int, objects: int) -> "Layout":
         """Return `pop` copies of the composed scene."""
-        # Made on the host, where zeros of another shape need no compilation.
+        # On the host, where a new shape needs no compilation.
         zeros = lambda *shape: jax.device_put(np.zeros(shape, np.float32))
         return cls(zeros(pop, objects, 2), zeros(pop, objects), zeros(pop, objects))
 
@@ -44,7 +44,7 @@ class Layout(eqx.Module):
 
 
 class Poses(eqx.Module):
-    """World poses of all objects of the candidates, by `SceneModel.place`."""
+    """World poses of all objects of the candidates, from `SceneModel.place`."""
 
     pos: Float[AnyArray, "pop object 3"]
     """Origins [m]."""
@@ -61,10 +61,10 @@ class Poses(eqx.Module):
 
 
 class Arrangement(NamedTuple):
-    """What the placement of objects depends on, by object; see SceneObject.
+    """Parameters of the placement of objects; see SceneObject.
 
-    `arrange` gives NumPy arrays in double precision, so that engines may get exact poses; in a
-    `SceneArrays` they are on the device in single precision.
+    `arrange` returns NumPy arrays in double precision, for exact poses; the arrays of `SceneArrays`
+    are on the device in single precision.
     """
 
     xy: Float[AnyArray, "object 2"]
@@ -77,7 +77,7 @@ class Arrangement(NamedTuple):
     parent: Int[AnyArray, " object"]
     """Index of the parent; -1 for the world."""
     ancestors: Float[AnyArray, "object object"]
-    """1 at [i, j] where j carries i, directly or not, or is i itself; else 0."""
+    """1 at [i, j] where j supports i, directly or not, or is i itself; else 0."""
     snapped: Bool[AnyArray, " object"]
     support: Support
     """Stacked over objects."""
@@ -90,8 +90,8 @@ def arrange(scene: SceneSpec, *, reach: float = 1 / 3, gap: float = 1e-4) -> Arr
 
     Args:
         scene: the composed scene.
-        reach: how far objects may move from their composed place and still be snapped, as a
-            fraction of their horizontal diagonal, plus 2 cm; a third is six default standard
+        reach: largest distance from its composed position at which an object is still snapped, as a
+            fraction of its horizontal diagonal, plus 2 cm; a third is six default standard
             deviations.
         gap: clearance under snapped objects [m].
     """
@@ -106,7 +106,7 @@ def arrange(scene: SceneSpec, *, reach: float = 1 / 3, gap: float = 1e-4) -> Arr
     ]
     tables = []
     for item, snap in zip(scene.objects, snapped, strict=True):
-        tables.append(support(scene, item, reach * diagonal(item) + 0.02) if snap else nothing())
+        tables.append(support(scene, item, reach * diagonal(item) + 0.02) if snap else no_support())
     return Arrangement(
         xy=np.array([item.xy for item in scene.objects], float),
         z=np.array([item.z for item in scene.objects], float),
@@ -131,55 +131,51 @@ def _ancestors(parent: Int[np.ndarray, " object"]) -> Float[np.ndarray, "object 
 
 
 def diagonal(item: SceneObject) -> float:
-    """Return an object's horizontal bounding-box diagonal [m], as it stands."""
+    """Return an object's horizontal bounding-box diagonal [m], at its tilt and joint state."""
     low, high = bounds(item.spec, item.joint_state, item.base_tilt)
     return float(np.hypot(*(high - low)[:2]))
 
 
 def place(arrangement: Arrangement, layouts: Layout) -> Poses:
-    """Place every object of every candidate, heights re-snapped. Traceable and differentiable.
+    """Place every object of every candidate, at its snapped height. Traceable and differentiable.
 
-    A child's offset in its parent's frame grows with the parent, its size does not. Where no part
-    of an object is above its support any more it keeps its composed height: it will fall.
-
-    Args:
-        arrangement: the composed scene.
-        layouts: the candidates.
+    A child's offset in its parent's frame scales with the parent, its size does not. An object
+    without any part above its support keeps its composed height: it will fall.
     """
     return compose_poses(arrangement, layouts, heights(arrangement, layouts))
 
 
 def heights(arrangement: Arrangement, layouts: Layout) -> Float[Array, "pop object"]:
-    """Snap: the height [m] of every object's origin above its support frame."""
+    """Return the snapped height [m] of every object's origin above its support frame."""
     a = arrangement
     size = jnp.exp(layouts.log_scale)
-    carrier = _of_parent(a, size, 1.0, jnp)
-    xy = (jnp.asarray(a.xy, jnp.float32) + layouts.xy) * carrier[..., None]
+    parent_size = _of_parent(a, size, 1.0, jnp)
+    xy = (jnp.asarray(a.xy, jnp.float32) + layouts.xy) * parent_size[..., None]
     yaw = jnp.asarray(a.yaw, jnp.float32) + layouts.yaw
     tables = jax.tree.map(jnp.asarray, a.support)
     over_objects = jax.vmap(height_above, in_axes=(0, 0, 0, 0, 0))
     touch = _map_candidates(
-        lambda *candidate: over_objects(tables, *candidate), xy, yaw, size, carrier
+        lambda *candidate: over_objects(tables, *candidate), xy, yaw, size, parent_size
     )
     resting = jnp.asarray(a.snapped) & (touch > NO_SURFACE / 2)
-    composed = jnp.asarray(a.z, jnp.float32) * carrier
+    composed = jnp.asarray(a.z, jnp.float32) * parent_size
     return jnp.where(resting, touch + jnp.asarray(a.gap, jnp.float32), composed)
 
 
 def _map_candidates(one: Callable[..., Any], *candidates: Any) -> Any:
-    """Map a function over candidates [pop, object, ...], about `SNAPPED_AT_ONCE` objects at once."""
+    """Map a function over candidates [pop, object, ...], with SNAPPED_AT_ONCE objects at once."""
     pop, objects = candidates[0].shape[:2]
     parts = -(-pop * objects // SNAPPED_AT_ONCE)
     if parts <= 1:
         return jax.vmap(one)(*candidates)
-    # Equal parts: a remainder would be compiled by itself.
+    # Equal parts, since a remainder would be compiled separately.
     return jax.lax.map(lambda row: one(*row), candidates, batch_size=-(-pop // parts))
 
 
 def compose_poses(
     arrangement: Arrangement, layouts: Layout, height: Float[AnyArray, "pop object"], xp: Any = jnp
 ) -> Poses:
-    """Chain support frames: an object is where the steps of all that carry it lead.
+    """Compose poses along the chain of support frames.
 
     Args:
         arrangement: the composed scene.
@@ -189,11 +185,11 @@ def compose_poses(
     """
     a = arrangement if xp is np else _single(arrangement)
     size = xp.exp(layouts.log_scale)
-    carrier = _of_parent(a, size, 1.0, xp)[..., None]
+    parent_size = _of_parent(a, size, 1.0, xp)[..., None]
     heading = _over_ancestors(a, a.frame_yaw + a.yaw + layouts.yaw, xp)
     under = _of_parent(a, heading, 0.0, xp)
-    local = xp.concatenate([(a.xy + layouts.xy) * carrier, height[..., None]], axis=-1)
-    step = _turn(under, a.frame_pos * carrier, xp) + _turn(under + a.frame_yaw, local, xp)
+    local = xp.concatenate([(a.xy + layouts.xy) * parent_size, height[..., None]], axis=-1)
+    step = _turn(under, a.frame_pos * parent_size, xp) + _turn(under + a.frame_yaw, local, xp)
     half = heading / 2
     zero = xp.zeros_like(half)
     turn = xp.stack([xp.cos(half), zero, zero, xp.sin(half)], axis=-1)
@@ -208,12 +204,12 @@ def _single(arrangement: Arrangement) -> Arrangement:
 
 
 def _of_parent(a: Arrangement, values: Any, world: float, xp: Any) -> Any:
-    """Return each parent's value [pop, object], or that of the world."""
+    """Return the value of each object's parent [pop, object], or that of the world."""
     return xp.where(a.parent >= 0, values[:, xp.maximum(a.parent, 0)], world)
 
 
 def _over_ancestors(a: Arrangement, values: Any, xp: Any) -> Any:
-    """Sum values [pop, object, ...] over each object and all that carry it."""
+    """Sum values [pop, object, ...] over each object and its ancestors."""
     if xp is np:
         return np.einsum("ij,pj...->pi...", a.ancestors, values)
     return jnp.einsum("ij,pj...->pi...", a.ancestors, values, precision="highest")

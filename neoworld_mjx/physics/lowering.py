@@ -1,6 +1,6 @@
-"""Colliders for MJX's own collision, which cannot collide cylinders and ellipsoids with the rest.
+"""Colliders for MJX's own collision routines, which lack most pairs with cylinders and ellipsoids.
 
-Exported files offer polyhedra in their place, as far inside the true surface as outside of it.
+Exported files have polyhedra instead, as far inside the true surface as outside.
 """
 
 import mujoco
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 PRISM_SIDES = 12
-"""Of the prism that stands for a cylinder."""
+"""Sides of the prism that replaces a cylinder."""
 
 _CYLINDER, _ELLIPSOID = (
     int(mujoco.mjtGeom.mjGEOM_CYLINDER),
@@ -43,15 +43,14 @@ def polyhedron(kind: int, size: NDArray) -> NDArray:
 
 
 def _prism_factor() -> float:
-    # Corners as far outside of the circle as edges are inside of it.
+    # Corners are as far outside the circle as edges are inside.
     return 2 / (1 + np.cos(np.pi / PRISM_SIDES))
 
 
 def _ball() -> tuple[NDArray, float]:
-    """Return 56 corners around the unit sphere and how far the farthest is from its centre.
+    """Return 56 corners around the unit sphere, and the largest distance of one from its centre.
 
-    A flat side faces each way of each axis: an ellipsoid that lies on a pole would tip over on a
-    corner there.
+    Each half-axis meets a flat face, since an ellipsoid would tip over on a corner there.
     """
     ticks = np.tan(np.pi / 4 * np.array([-1.0, -1 / 3, 1 / 3, 1.0]))
     u, v = (axis.ravel() for axis in np.meshgrid(ticks, ticks))
@@ -65,7 +64,7 @@ def _ball() -> tuple[NDArray, float]:
 
 
 def polyhedron_error(kind: str, size: tuple[float, ...]) -> float:
-    """Return how far [m] the polyhedron that replaces a piece lies beside its surface, at most."""
+    """Return the largest distance [m] of the polyhedron that replaces a piece from its surface."""
     if kind == "cylinder":
         return (_prism_factor() - 1) * size[0]
     return (_ball()[1] - 1) * max(size) if kind == "ellipsoid" else 0.0

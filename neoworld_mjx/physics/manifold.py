@@ -1,13 +1,13 @@
-"""Contacts between two convex solids: the axis of least overlap, and points of their overlap.
+"""Contacts between two convex solids: the axis of least overlap, and points of their intersection.
 
-MuJoCo finds the axis by a search (GJK, EPA), which has branches. Here a fixed list of axes is
-tried, the faces' normals of both and directions between their nearest parts, as the theorem of
-separating axes has it. Axes across two edges are left out: where only such an axis separates two
-solids no edge of the one lies inside the other, so there is no contact either.
+MuJoCo finds the axis by a branching search (GJK, EPA). Here a fixed list of axes is tested, as in
+the separating axis theorem: the face normals of both solids and directions between their nearest
+parts. Cross products of edges are omitted: if only such an axis separates two solids, no edge of
+one lies inside the other, so there is no contact either.
 
-Points of contact are ends and middles of edges of the one, clipped by the other's faces. All of it
-is one pass without branches, for `jax.vmap`. Of 1 464 random pairs that overlap by 1 to 6 mm none
-is missed; an ellipsoid beside an edge may touch it some millimetres early.
+Contact points are ends and midpoints of edges of one solid, clipped by the faces of the other, all
+in one pass without branches, for `jax.vmap`. Of 1 464 random pairs that overlap by 1 to 6 mm none
+is missed; an ellipsoid near an edge may touch it some millimetres early.
 """
 
 from typing import Any, NamedTuple
@@ -22,19 +22,18 @@ from .solids import Solids
 PAIR_CONTACTS = 4
 """Contacts of a pair of solids."""
 FACE_TOLERANCE_M = 1e-5
-"""How far outside of a face a point may lie and still touch [m], so that edges that lie on each
-other do."""
+"""Largest distance of a contact point outside a face [m], so that coincident edges touch."""
 ASCENTS = 4
-"""Improvements of the axis between round solids."""
+"""Refinements of the axis between round solids."""
 SHALLOW, MIDDLE = 0.05, 0.02
-"""Weights of a point without depth against the deepest one, and of the middle of an edge against
-its ends, where points are spread."""
+"""Weights, in the selection of points, of zero depth against the deepest point, and of the midpoint
+of an edge against its ends."""
 
 Vec = Float[Array, "3"]
 
 
 class PosedSolid(NamedTuple):
-    """A solid where it is; positions from a point near both solids [m]."""
+    """A solid with its pose, relative to a point near both solids [m]."""
 
     solid: Solids
     pos: Vec
@@ -43,30 +42,30 @@ class PosedSolid(NamedTuple):
 
 
 class Manifold(NamedTuple):
-    """Contacts of one pair; what does not touch has a positive distance."""
+    """Contacts of one pair; points that do not touch have a positive distance."""
 
     dist: Float[Array, " point"]
     """Minus the overlap along the normal [m]."""
     pos: Float[Array, "point 3"]
-    """Half-way between both surfaces [m]."""
+    """Midway between both surfaces [m]."""
     normal: Vec
-    """Away from the first solid, towards the second."""
+    """From the first solid towards the second."""
 
 
 def manifold(one: PosedSolid, two: PosedSolid, ellipsoids: bool = True) -> Manifold:
-    """Find the contacts between two convex solids.
+    """Return the contacts between two convex solids.
 
     Args:
         one: the first.
         two: the second.
-        ellipsoids: whether there may be any; without them the axis needs no improvement.
+        ellipsoids: False if neither is an ellipsoid, so that the axis needs no refinement.
     """
-    # What is done to each with the other is traced once: the leading axis holds both.
+    # Both solids are stacked, so that operations on each of them are traced once.
     both = jax.tree.map(lambda *sides: jnp.stack(sides), one, two)
     other = lambda sides: jax.tree.map(lambda x: x[::-1], sides)
     both = jax.vmap(_turned)(both, jax.vmap(_nearest)(other(both), both))
     normal, gap = _least_overlap(both, ASCENTS if ellipsoids else 0)
-    # A cylinder has a corner where it is deepest.
+    # Put a corner of a cylinder at its deepest point.
     towards = jnp.stack([normal, -normal])
     both = jax.vmap(_turned)(both, towards)
     pos, depth = jax.vmap(_clipped)(both, other(both), towards)
@@ -79,17 +78,17 @@ def manifold(one: PosedSolid, two: PosedSolid, ellipsoids: bool = True) -> Manif
 
 
 def _dot(a: AnyArray, b: AnyArray) -> Any:
-    # Neither a matrix product, which may be TF32, nor a reduction, which fuses with less.
+    # Neither a matrix product, which may use TF32, nor a reduction, which fuses less.
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
 
 
 def _world(p: PosedSolid, x: Float[AnyArray, "*n 3"]) -> Float[Array, "*n 3"]:
-    """Take points of a solid's frame at scale 1 to the world."""
+    """Transform points of a solid's frame at scale 1 to the world."""
     return p.pos + _dot(p.rot, x[..., None, :]) * p.scale
 
 
 def _thickness(p: PosedSolid, n: Float[Array, "*n 3"]) -> tuple[Array, Array]:
-    """Return how far the ellipsoid around the core reaches along n, and its farthest point."""
+    """Return the support of the ellipsoid along n, and its support point."""
     local = _dot(p.rot.T, n[..., None, :]) * p.solid.radii
     length = jnp.sqrt(_dot(local, local) + 1e-24)
     point = local * p.solid.radii / length[..., None]
@@ -97,7 +96,7 @@ def _thickness(p: PosedSolid, n: Float[Array, "*n 3"]) -> tuple[Array, Array]:
 
 
 def _reach(p: PosedSolid, n: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-    """Return how far a solid reaches along unit vectors."""
+    """Return the support of a solid along unit vectors."""
     local = _dot(p.rot.T, n[..., None, :])
     corners = jnp.max(_dot(local[..., None, :], p.solid.vert), axis=-1)
     across = jnp.sqrt(local[..., 0] ** 2 + local[..., 1] ** 2)
@@ -107,7 +106,7 @@ def _reach(p: PosedSolid, n: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
 
 
 def _turned(p: PosedSolid, towards: Vec) -> PosedSolid:
-    """Turn a cylinder about its axis so that a corner of its rings points along a direction."""
+    """Rotate a cylinder about its axis so that a corner of its rims points along a direction."""
     x, y, _ = _dot(p.rot.T, towards)
     length = jnp.sqrt(x * x + y * y)
     turns = (p.solid.disc > 0) & (length > 1e-6)
@@ -133,9 +132,7 @@ def _unit(v: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
 
 
 def _least_overlap(both: PosedSolid, ascents: int) -> tuple[Vec, Array]:
-    """Return the axis from the first to the second along which they overlap least, and their gap
-    along it.
-    """
+    """Return the axis of least overlap from the first to the second, and their gap along it."""
     faces = jax.vmap(lambda p: _dot(p.rot, p.solid.plane[:, None, :3]))(both)
     core = jax.vmap(lambda p: _world(p, p.solid.core))(both)
     edge = jax.vmap(lambda p: _world(p, p.solid.edge))(both)
@@ -149,7 +146,7 @@ def _least_overlap(both: PosedSolid, ascents: int) -> tuple[Vec, Array]:
     rounded = [_outward(one, straight), _outward(one, there)]
     rounded += [_outward(two, straight), _outward(two, back)]
     between = _unit(jnp.stack(rounded))
-    # A core that lies inside of the other solid has its nearest edge behind it.
+    # The nearest edge is behind a core that lies inside the other solid.
     inward = _dot(between, jnp.mean(core[1], axis=0) - jnp.mean(core[0], axis=0)) < 0
     between = jnp.where(inward[:, None], -between, between)
     axes = jnp.concatenate([faces[0], -faces[1], between])
@@ -163,14 +160,14 @@ def _least_overlap(both: PosedSolid, ascents: int) -> tuple[Vec, Array]:
 
 
 def _outward(p: PosedSolid, v: Vec) -> Vec:
-    """Turn a direction from an ellipsoid's centre into that of its surface's normal there."""
+    """Return the surface normal of an ellipsoid in a direction from its centre."""
     local = _dot(p.rot.T, v)
     radii = jnp.where(p.solid.radii > 0, p.solid.radii, 1.0)
     return _dot(p.rot, local * (jnp.max(radii) / radii) ** 2)
 
 
 def _ascended(one: PosedSolid, two: PosedSolid, axis: tuple[Vec, Array]) -> tuple[Vec, Array]:
-    """Turn an axis between two solids without faces to where their gap is larger."""
+    """Rotate an axis between two solids without faces to increase their gap."""
     normal, gap = axis
     ahead, thick = jnp.stack([normal, -normal]), []
     points = []
@@ -178,7 +175,7 @@ def _ascended(one: PosedSolid, two: PosedSolid, axis: tuple[Vec, Array]) -> tupl
         corner = jnp.argmax(_dot(p.solid.vert, _dot(p.rot.T, n)))
         points.append(_world(p, p.solid.vert[corner]) + _thickness(p, n)[1])
         thick.append(jnp.max(p.solid.radii) * p.scale)
-    # For two spheres the next one is the best.
+    # Exact for two spheres.
     turned = _unit(points[1] - points[0] + (thick[0] + thick[1]) * normal)
     better = -_reach(one, turned) - _reach(two, -turned)
     wins = (better > gap) & (_dot(turned, turned) > 0.5)
@@ -205,40 +202,35 @@ def _closest(
 def _clipped(
     one: PosedSolid, two: PosedSolid, normal: Vec
 ) -> tuple[Float[Array, "edge 3 3"], Float[Array, "edge 3"]]:
-    """Clip the edges of one by the faces of two.
-
-    Args:
-        one: whose edges.
-        two: whose faces.
-        normal: from one to two.
+    """Clip the edges of `one` by the faces of `two`.
 
     Returns:
-        Three points of each edge half-way between both surfaces, and the overlap along the normal
-        there, negative where an edge lies outside.
+        Three points of each edge midway between both surfaces, and the overlap along the normal
+        (from `one` to `two`) there, negative for edges outside.
     """
     faces = _dot(two.rot, two.solid.plane[:, None, :3])
     solid = _dot(faces, faces) > 0.5
     thick, _ = _thickness(one, faces)
     offset = two.solid.plane[:, 3] * two.scale + _dot(faces, two.pos) + thick
-    # The shape without faces holds no point.
+    # A solid without faces contains no point.
     offset = jnp.where(solid, offset, -1.0)
     ends = _world(one, one.solid.edge)
     start, stop = (_dot(ends[:, k, None, :], faces) - offset for k in (0, 1))
     change = start - stop
     at = start / jnp.where(jnp.abs(change) > 1e-12, change, 1.0)
     before, leaves = start > FACE_TOLERANCE_M, stop > FACE_TOLERANCE_M
-    # What never enters does so after its end.
+    # An edge that never enters does so after its end.
     first = jnp.max(jnp.where(before, jnp.where(leaves, 2.0, at), 0.0), axis=1)
     last = jnp.min(jnp.where(~before & leaves, at, 1.0), axis=1)
     inside = first <= last + 1e-6
-    # Across an edge of two the overlap is deepest in the middle, and nothing at the ends.
+    # Across an edge of `two` the overlap is deepest in the middle and zero at the ends.
     where = jnp.clip(jnp.stack([first, (first + last) / 2, last], axis=1), 0.0, 1.0)
     points = ends[:, 0, None] + where[..., None] * (ends[:, 1] - ends[:, 0])[:, None]
-    # How far one must move against the normal until a point leaves by a face ...
+    # Distance against the normal after which a point leaves through a face, ...
     over = start[:, None] - where[..., None] * change[:, None]
     slope = -_dot(faces, normal)
     away = jnp.min(jnp.where(slope > 1e-3, -over / jnp.maximum(slope, 1e-3), jnp.inf), axis=-1)
-    # ... and at most until it is before all of two.
+    # ... at most until it is in front of all of `two`.
     thick, out = _thickness(one, normal)
     ahead = _dot(points, normal) + thick + _reach(two, -normal)
     depth = jnp.where(inside[:, None], jnp.minimum(away, ahead), -1.0)
@@ -247,7 +239,7 @@ def _clipped(
 
 
 def _between(both: PosedSolid, normal: Vec, gap: Array) -> tuple[Vec, Array]:
-    """Return the contact of two solids without faces: where their cores are closest."""
+    """Return the contact of two solids without faces, at the closest points of their cores."""
     one = jax.tree.map(lambda x: x[0], both)
     core = jax.vmap(lambda p: _world(p, p.solid.core))(both)
     a, _ = _closest(core[:1], core[1:])
@@ -262,7 +254,7 @@ def _spread(
     share: Float[Array, " point"],
     normal: Vec,
 ) -> Manifold:
-    """Keep the deepest point, and others that are deep and far from those kept."""
+    """Select the deepest point, and others that are deep and far from those selected."""
     flat = pos - _dot(pos, normal)[:, None] * normal
     deepest = jnp.maximum(jnp.max(depth), 1e-9)
     weight = jnp.where(depth > 0, jnp.clip(depth / deepest, 0.0, 1.0) + SHALLOW, 0.0) * share
@@ -279,5 +271,5 @@ def _spread(
 
 
 def manifolds(one: PosedSolid, two: PosedSolid, ellipsoids: bool = True) -> Manifold:
-    """Find the contacts of many pairs; see `manifold`."""
+    """Return the contacts of many pairs; see `manifold`."""
     return jax.vmap(lambda a, b: manifold(a, b, ellipsoids))(one, two)

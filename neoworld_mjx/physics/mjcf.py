@@ -1,4 +1,4 @@
-"""From descriptions to MuJoCo: the one builder that physics, pictures, checks and exports share.
+"""Conversion of scenes to MuJoCo models, for physics, rendering, checks and exports.
 
 Names in the model, for an object `o`, part `p`, geom `g`, joint `j`:
 
@@ -42,8 +42,8 @@ COLLISION_GROUP, VISUAL_GROUP = 0, 1
 START = "start"
 """Name of the keyframe with the scene's poses and joint states."""
 STICKS = 0.999
-"""Impedance of dry friction in joints. At MuJoCo's 0.9 a held lid creeps by a thousandth of the
-speed that it would gain in free fall, by degrees a second, however much friction it has."""
+"""Impedance of dry friction in joints. At MuJoCo's default 0.9 a held lid creeps by degrees per
+second, at a thousandth of its speed in free fall, however large its friction."""
 
 GEOM_TYPES = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -58,19 +58,18 @@ GEOM_TYPES = {
 def to_mjspec(
     scene: SceneSpec | ObjectSpec, *, visual: bool = False, timestep: float = 0.002
 ) -> mujoco.MjSpec:
-    """Describe a scene, or one free object alone, to MuJoCo.
+    """Convert a scene, or a single free object, to a MuJoCo specification.
 
-    Each convex piece becomes a colliding geom of group 0 with its own mesh asset where it needs
-    one. Masses are explicit, from `spec.inertial`. A moving joint's parent and child, with what is
-    fixed to either, never collide; MuJoCo's own filter does that for free objects only. An effort
+    Each convex piece becomes a collision geom of group 0, with its own mesh asset if needed. Masses
+    are explicit, from `spec.inertial`. Parts that are fixed to either side of a moving joint never
+    collide across it; MuJoCo's own filter ensures that for free objects only. An effort
     limit becomes the joint's actuatorfrcrange, which binds actuators that a user adds; velocity
     limits have no counterpart. The rest position of every joint is 0; the scene's own state is the
     keyframe "start".
 
     Args:
-        scene: what to describe; an ObjectSpec stands for a scene with that object free at the
-            origin.
-        visual: whether to add, in group 1, smooth geoms that do not collide.
+        scene: the scene; an ObjectSpec stands for a scene with that free object at the origin.
+        visual: True adds smooth visual geoms in group 1.
         timestep: of the simulation [s].
 
     Returns:
@@ -98,18 +97,18 @@ def to_mjspec(
 
 
 def joint_order(spec: ObjectSpec) -> list[JointSpec]:
-    """List the joints that MuJoCo gives a coordinate, in the order of its qpos: depth first."""
+    """List the joints that have coordinates, in the order of qpos: depth first."""
     return [joint for _, joint in _depth_first(spec) if joint is not None and joint.type != "fixed"]
 
 
 def body_name(item: SceneObject | ObjectSpec, part: str) -> str:
-    """Return the name of the body that a part of an object becomes."""
+    """Return the name of the body of a part of an object."""
     spec = item if isinstance(item, ObjectSpec) else item.spec
     return item.name if part == spec.root else f"{item.name}-{part}"
 
 
 def visual_name(owner: str, geom: GeomSpec) -> str:
-    """Return the name of the geom that shows a geom of an object."""
+    """Return the name of the visual geom of a geom of an object."""
     return f"{owner}-{geom.name}-visual"
 
 
@@ -146,7 +145,7 @@ def _add_object(model: mujoco.MjSpec, item: SceneObject, at: Pose, visual: bool)
             if joint.type != "fixed":
                 added = _add_joint(body, item.name, joint)
                 inertia = inertia_about(joint, inertial(spec, part)) + joint.armature
-                # Where damping stops a joint within a step, stiff friction would drive it.
+                # Stiff friction would drive a joint that damping stops within a step.
                 if joint.friction > 0 and model.option.timestep * joint.damping < inertia:
                     added.solimp_friction[:2] = STICKS
                 start += _coordinates(spec, joint, item.joint_state)
@@ -231,7 +230,7 @@ def _add_geoms(
                     condim=3,
                     **look,
                 )
-                # Torsional and rolling friction keep MuJoCo's defaults; condim 3 ignores them.
+                # Condim 3 ignores torsional and rolling friction.
                 added.friction[0] = material.friction
                 if piece.kind == "mesh":
                     _add_piece_mesh(model, added.name, piece)
@@ -273,7 +272,7 @@ def _add_visual(
     mesh = model.add_mesh(name=name)
     mesh.uservert = vertices.ravel()
     mesh.userface = faces.ravel()
-    # A surface needs no volume for this one, and visuals have no mass anyway.
+    # Open surfaces need this mode; visual geoms have no mass.
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     added.type = mujoco.mjtGeom.mjGEOM_MESH
     added.meshname = name
@@ -290,7 +289,7 @@ def _add_mimics(model: mujoco.MjSpec, item: SceneObject) -> None:
             name1=f"{item.name}-{joint.name}",
         )
         tie.data[:5] = [joint.mimic.offset, joint.mimic.multiplier, 0.0, 0.0, 0.0]
-        # A leader that cannot move leaves the follower tied to a constant.
+        # Without a movable leader the equality constrains the follower to a constant.
         if joints[joint.mimic.joint].type != "fixed":
             tie.name2 = f"{item.name}-{joint.mimic.joint}"
 
@@ -302,7 +301,7 @@ def _add_excludes(model: mujoco.MjSpec, item: SceneObject) -> None:
 
 
 def excluded_pairs(spec: ObjectSpec) -> list[tuple[str, str]]:
-    """List the parts (one, other) that never collide: what is fixed to either side of a joint."""
+    """List pairs of parts that never collide: those fixed to either side of a joint."""
     group = welded(spec)
     pairs = []
     for joint in spec.joints:
@@ -325,11 +324,8 @@ def _depth_first(spec: ObjectSpec) -> Iterator[tuple[PartSpec, JointSpec | None]
     def visit(name: str) -> Iterator[tuple[PartSpec, JointSpec | None]]:
         yield spec.part(name), joints.get(name)
         for part in spec.parts:
-            carrier = joints.get(part.name)
-            if carrier is not None and carrier.parent == name:
+            joint = joints.get(part.name)
+            if joint is not None and joint.parent == name:
                 yield from visit(part.name)
 
     return visit(spec.root)
-
-
-__all__ = ["START", "body_name", "excluded_pairs", "joint_order", "to_mjspec", "visual_name"]

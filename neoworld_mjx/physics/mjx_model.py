@@ -1,9 +1,8 @@
-"""MJX for a scene: `mjx.step` with the collision of `manifold` in place of MJX's own.
+"""MJX for a scene: `mjx.step` with the collision detection of `manifold`.
 
-MJX unrolls its routines over all pairs of geoms while it is traced, which takes minutes for convex
-pieces. Here the nearest pairs of geoms are looked at by one routine, whatever their number, and
-fill MJX's contacts, and the solver is that of `mjx_solver`; all else is MJX's own: kinematics,
-constraints, integrator.
+Tracing MJX unrolls its collision routines over all pairs of geoms, which takes minutes for convex
+pieces. Here one routine processes the nearest pairs of geoms and fills MJX's contacts, and
+`mjx_solver` solves the constraints; kinematics, constraints and integrator are MJX's own.
 """
 
 import contextlib
@@ -27,23 +26,23 @@ from .model import SceneModel
 from .model_fields import model_fields
 from .solids import GeomPairs, Solids, geom_pairs, geom_solids
 
-# MJX prints that warp is missing, which is an extra here and no failure.
+# MJX prints a message if the optional warp is missing.
 with contextlib.redirect_stdout(io.StringIO()):
     from mujoco import mjx
     from mujoco.mjx._src import constraint, math
 
 NEWTON_ITERATIONS = 5
-"""Iterations of Newton's method a step, from the last step's accelerations. From none, where things
-overlap deeply, 8 find the minimum to rounding; over the steps of a rollout 5 gave 8's verdicts.
+"""Iterations of Newton's method per step, from the last step's accelerations. From zero, at deep
+penetration, 8 reach the minimum up to rounding; in rollouts 5 gave the same verdicts as 8.
 """
 NEAR_GAP_M = 0.002
-"""Gap [m] up to which pairs of geoms of the composed scene count as near."""
+"""Largest gap [m] of pairs of geoms that count as near in the composed scene."""
 LOOKUP_STEPS = 5
-"""Steps between two look-ups of near geoms."""
+"""Steps between two searches for near geoms."""
 SPARE_PAIRS = 8
-"""Pairs of geoms looked at besides half as many again as are near in the composed scene."""
+"""Pairs of geoms processed in addition to 1.5 times those near in the composed scene."""
 CONTACTS_PER_BODY, FEWEST_CONTACTS = 8, 32
-"""Contacts kept for each movable body, and at least; the deepest ones."""
+"""Contacts kept per movable body, and in total at least; the deepest ones."""
 
 MODEL_FIELDS = (
     *("body_pos", "body_quat", "body_ipos", "body_mass", "body_inertia", "geom_pos", "geom_size"),
@@ -62,17 +61,17 @@ class MjxModel(eqx.Module):
     """A scene for `mjx_step`: MJX's model and the solids of its geoms."""
 
     mjx: mjx.Model
-    """Its fields may be batched; a geom's scale is its `geom_rbound` over that of scale 1."""
+    """Fields may be batched; a geom's scale is its `geom_rbound` relative to `rbound`."""
     solids: Solids
     pairs: GeomPairs
     rbound: Float[Array, " geom"]
     """Bounding radii of the geoms at scale 1 [m]."""
     near: int = eqx.field(static=True)
-    """Pairs of geoms that a step looks at closely: the nearest ones."""
+    """Number of pairs of geoms that a step processes: the nearest ones."""
     contacts: int = eqx.field(static=True)
-    """Contacts that a step keeps: the deepest ones."""
+    """Number of contacts that a step keeps: the deepest ones."""
     ellipsoids: bool = eqx.field(static=True)
-    """Whether any geom is one."""
+    """True if any geom is an ellipsoid."""
 
 
 def put_model(scene: SceneModel) -> MjxModel:
@@ -89,28 +88,28 @@ def put_compiled(mjm: mujoco.MjModel, start: Float[np.ndarray, " nq"]) -> MjxMod
 
     Args:
         mjm: the model.
-        start: its qpos, which tells how many pairs of geoms are near each other.
+        start: its initial qpos, which determines the number of near pairs.
 
     Raises:
         EngineError: the model has something that MJX cannot simulate.
     """
     if mjm.opt.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL:
-        raise EngineError("engine mjx solves pyramidal friction cones; take --engine native")
+        raise EngineError("engine mjx solves pyramidal friction cones; use --engine native")
     pairs, solids = geom_pairs(mjm), geom_solids(mjm)
     bare = copy.copy(mjm)
-    # MJX then has no pairs to unroll.
+    # So that MJX has no pairs to unroll.
     bare.geom_contype[:] = 0
     bare.geom_conaffinity[:] = 0
     bare.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     if not np.any(mjm.dof_damping) and not mjm.nu:
-        # The integrator then has nothing to treat implicitly, and factors no second matrix.
+        # The integrator then treats nothing implicitly and factors no second matrix.
         off = mujoco.mjtDisableBit.mjDSBL_DAMPER | mujoco.mjtDisableBit.mjDSBL_ACTUATION
         bare.opt.disableflags |= int(off)
     try:
         model = mjx.put_model(bare, impl="jax")
     except NotImplementedError as error:
         raise EngineError(
-            f"engine mjx cannot carry this scene: {error}; take --engine native"
+            f"engine mjx cannot simulate this scene: {error}; use --engine native"
         ) from None
     near = 3 * _near_at_start(mjm, start, pairs) // 2 + SPARE_PAIRS
     near = near if near < 3 * len(pairs.first) // 4 else len(pairs.first)
@@ -139,13 +138,13 @@ def _near_at_start(mjm: mujoco.MjModel, start: np.ndarray, pairs: GeomPairs) -> 
 
 
 def candidate_fields(scene: SceneModel, poses: Poses) -> tuple[Fields, Float[Array, "pop nq"]]:
-    """Compute the fields of `mjx.Model` that candidates differ in, and their start states."""
-    every = model_fields(scene, poses) | invweights(scene, poses)
-    return {name: every[name] for name in MODEL_FIELDS if name in every}, every["qpos"]
+    """Return the fields of `mjx.Model` in which candidates differ, and their initial states."""
+    fields = model_fields(scene, poses) | invweights(scene, poses)
+    return {name: fields[name] for name in MODEL_FIELDS if name in fields}, fields["qpos"]
 
 
 def with_fields(model: MjxModel, fields: Fields) -> MjxModel:
-    """Put fields of `mjx.Model` in place of the model's own."""
+    """Return the model with other fields of `mjx.Model`."""
     return eqx.tree_at(lambda m: m.mjx, model, model.mjx.replace(**fields))
 
 
@@ -158,7 +157,7 @@ def mjx_batch(scene: SceneModel, layouts: Layout) -> tuple[MjxModel, MjxModel, m
 
     Returns:
         The model, whose fields that depend on the layout have a leading axis [pop]; its axes for
-        `vmap`; and the candidates' data, at rest where they are placed.
+        `vmap`; and the candidates' data, at rest at their poses.
 
     Raises:
         EngineError: the scene has something that MJX cannot simulate.
@@ -177,14 +176,14 @@ def _candidates(scene: SceneModel, layouts: Layout) -> tuple[Fields, Float[Array
 
 
 def make_data(model: MjxModel) -> mjx.Data:
-    """Make the data of one candidate, at the model's zero, with room for its contacts."""
+    """Return the data of one candidate, at the model's qpos0, with memory for its contacts."""
     m = model.mjx
     data = mjx.make_data(m)
     dim = np.full(model.contacts, 3)
     kinds = constraint.make_efc_type(m, dim)
     ne, nf, nl, nc = (int(n) for n in constraint.counts(kinds))
     rows = ne + nf + nl + nc
-    # On the host, where no shape is compiled for.
+    # On the host, where a new shape needs no compilation.
     zero = lambda *shape: np.zeros(shape, np.float32)
     n = model.contacts
     contact = cast(Any, data)._impl.contact.replace(
@@ -218,28 +217,28 @@ def mjx_step(model: MjxModel, data: mjx.Data, nstep: int = 1) -> mjx.Data:
     Args:
         model: of one candidate.
         data: its state.
-        nstep: how many time steps. Which geoms are near each other is looked up in the first one
-            and in every `LOOKUP_STEPS`-th after it.
+        nstep: number of time steps. Near geoms are searched in the first one and in every
+            `LOOKUP_STEPS`-th after it.
     """
 
     def once(k: Any, carry: tuple[mjx.Data, Array]) -> tuple[mjx.Data, Array]:
         d, nearest = carry
         d = mjx.kinematics(model.mjx, d)
-        # The condition is the same for all candidates, so that it stays one under vmap.
+        # The condition is the same for all candidates, so vmap keeps it a scalar.
         look = lambda: nearest_pairs(model, d)
         nearest = (
             jax.lax.cond(k % LOOKUP_STEPS == 0, look, lambda: nearest) if nstep > 1 else look()
         )
         return _dynamics(model, d, nearest), nearest
 
-    # Ampere and later GPUs multiply single-precision matrices in TF32 unless told not to.
+    # Ampere and later GPUs multiply single-precision matrices in TF32 by default.
     with jax.default_matmul_precision("highest"):
         start = data, jnp.arange(model.near, dtype=jnp.int32)
         return (once(0, start) if nstep == 1 else jax.lax.fori_loop(0, nstep, once, start))[0]
 
 
 def _dynamics(model: MjxModel, d: mjx.Data, nearest: Int[Array, " near"]) -> mjx.Data:
-    """Do what follows kinematics in a step."""
+    """Complete a step after its kinematics."""
     m = model.mjx
     for stage in (mjx.com_pos, mjx.crb, mjx.factor_m):
         d = stage(m, d)
@@ -257,9 +256,9 @@ def _dynamics(model: MjxModel, d: mjx.Data, nearest: Int[Array, " near"]) -> mjx
 def _after_solver(d: mjx.Data) -> mjx.Data:
     """Make the mass matrix that the integrator factors depend on the solver's result.
 
-    On CPUs JAX factors a batch of matrices on its pool of threads, which waits for other threads of
-    that pool. Where the integrator's matrix and that of `factor_m` are factored at the same time,
-    as they may be by their data, both wait for ever on a pool of two (jaxlib 0.10 to 0.11).
+    On CPUs JAX factors a batch of matrices on its thread pool and waits for other threads of that
+    pool. If the integrator's matrix and that of `factor_m` are factored concurrently, as their data
+    dependencies allow, both deadlock on a pool of two (jaxlib 0.10 to 0.11).
     """
     zero = jnp.minimum(jnp.abs(jnp.sum(d.qacc)), 0.0)
     impl = cast(Any, d)._impl
@@ -274,7 +273,7 @@ def nearest_pairs(model: MjxModel, d: mjx.Data) -> Int[Array, " near"]:
 
 
 def pairs_dropped(model: MjxModel, d: mjx.Data) -> Bool[Array, ""]:
-    """Return whether in the last step more bounding boxes overlapped than pairs were looked at."""
+    """Return whether more bounding boxes overlapped in the last step than pairs were processed."""
     if model.near == len(model.pairs.first):
         return jnp.array(False)
     return jnp.sum(_gaps(model, d) < 0) > model.near
@@ -285,7 +284,7 @@ def _gaps(model: MjxModel, d: mjx.Data) -> Float[Array, " pair"]:
 
 
 def box_gaps(xpos: Any, xmat: Any, aabb: Any, pairs: GeomPairs) -> Float[Array, " pair"]:
-    """Return lower bounds of the gaps between geoms [m], by the faces of their bounding boxes.
+    """Return lower bounds of the gaps between geoms [m], from the faces of their bounding boxes.
 
     Args:
         xpos: [geom, 3] positions in the world.
@@ -306,7 +305,7 @@ def box_gaps(xpos: Any, xmat: Any, aabb: Any, pairs: GeomPairs) -> Float[Array, 
 
 
 def collide(model: MjxModel, d: mjx.Data, nearest: Int[Array, " near"]) -> mjx.Data:
-    """Fill MJX's contacts with the deepest ones of some pairs of geoms."""
+    """Fill MJX's contacts with the deepest ones of the nearest pairs of geoms."""
     pairs = jax.tree.map(lambda leaf: leaf[nearest], model.pairs)
     scale = model.mjx.geom_rbound / jnp.maximum(model.rbound, 1e-12)
     a, b = pairs.first, pairs.second
@@ -317,12 +316,12 @@ def collide(model: MjxModel, d: mjx.Data, nearest: Int[Array, " near"]) -> mjx.D
         return PosedSolid(solid, d.geom_xpos[g] - centre, d.geom_xmat[g], scale[g])
 
     contacts = manifolds(placed(a), placed(b), model.ellipsoids)
-    dist, which = jax.lax.top_k(-contacts.dist.reshape(-1), model.contacts)
-    pair = which // PAIR_CONTACTS
+    dist, deepest = jax.lax.top_k(-contacts.dist.reshape(-1), model.contacts)
+    pair = deepest // PAIR_CONTACTS
     geom = jnp.stack([a[pair], b[pair]], axis=1)
     contact = cast(Any, d)._impl.contact.replace(
         dist=-dist,
-        pos=contacts.pos.reshape(-1, 3)[which] + centre[pair],
+        pos=contacts.pos.reshape(-1, 3)[deepest] + centre[pair],
         frame=jax.vmap(math.make_frame)(contacts.normal[pair]),
         includemargin=jnp.zeros(model.contacts),
         friction=pairs.friction[pair],

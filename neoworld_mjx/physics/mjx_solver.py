@@ -1,10 +1,10 @@
-"""Newton's method for MuJoCo's constraints, in place of MJX's: the line search is exact.
+"""Newton's method for MuJoCo's constraints, with an exact line search.
 
-The forces minimise a convex function of the acceleration that is quadratic between breakpoints,
-where a constraint begins or ceases to act (MuJoCo's documentation, Computation, "Primal problem").
-Along a line its slope is piecewise linear. MJX looks for the zero by bracketing, some 64 passes
-over the rows of a step, which took a third of a step on a GPU. Here the slope is taken at all
-breakpoints at once, and the zero between two of them is known.
+The forces minimize a convex function of the acceleration that is quadratic between breakpoints, at
+which constraints activate or deactivate (MuJoCo's documentation, Computation, "Primal problem").
+Along a line its slope is piecewise linear. MJX brackets the zero in some 64 passes over the rows of
+a step, which took a third of a step on a GPU. Here the slope is evaluated at all breakpoints at
+once, and the zero between two of them is exact.
 """
 
 from typing import Any, NamedTuple
@@ -14,19 +14,19 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 MjxState = Any
-"""An `mjx.Data` of MJX's implementation in JAX; `mjx_model` imports MJX, which prints."""
+"""An `mjx.Data` of MJX's implementation in JAX; only `mjx_model` imports MJX, which prints."""
 LONGEST_STEP = 100.0
-"""Longest step, in Newton steps, at which a breakpoint is looked for."""
+"""Longest step, in Newton steps, at which breakpoints count."""
 
 
 class Rows(NamedTuple):
-    """Constraints: a row pushes with `-clip(D * x, low, high)`, x its residual acceleration."""
+    """Constraints: the force of a row is `-clip(D * x, low, high)` at residual acceleration x."""
 
     jacobian: Float[Array, "row nv"]
     target: Float[Array, " row"]
     """Reference accelerations."""
     stiffness: Float[Array, " row"]
-    """D, the inverse of the regularised inertia along the row."""
+    """D, the inverse of the regularized inertia along the row."""
     low: Float[Array, " row"]
     high: Float[Array, " row"]
 
@@ -43,7 +43,7 @@ def constraint_rows(d: MjxState) -> Rows:
 
 
 def solve(d: MjxState, iterations: int) -> MjxState:
-    """Find the accelerations and forces that the constraints of a step ask for.
+    """Solve for the accelerations and constraint forces of a step.
 
     Args:
         d: after `mjx.make_constraint` and `mjx.fwd_acceleration`, with a dense mass matrix and
@@ -66,13 +66,13 @@ def newton(
     start: Float[Array, " nv"],
     iterations: int,
 ) -> tuple[Float[Array, " nv"], Float[Array, " row"]]:
-    """Minimise the primal function of MuJoCo's constraints over accelerations.
+    """Minimize the primal function of MuJoCo's constraints over accelerations.
 
     Args:
         rows: the constraints.
         inertia: mass matrix.
         smooth: forces other than the constraints'.
-        start: accelerations to begin with.
+        start: initial accelerations.
         iterations: of Newton's method.
 
     Returns:
@@ -87,16 +87,17 @@ def newton(
         gradient = weight - smooth + rows.jacobian.T @ push
         hessian = inertia + (rows.jacobian.T * active) @ rows.jacobian
         factor = jax.scipy.linalg.cho_factor((hessian + hessian.T) / 2)
-        way = -jax.scipy.linalg.cho_solve(factor, gradient)
-        weight_way, residual_way = inertia @ way, rows.jacobian @ way
-        # From where the line starts, so that nothing is lost where the two almost cancel.
+        direction = -jax.scipy.linalg.cho_solve(factor, gradient)
+        weight_change = inertia @ direction
+        residual_change = rows.jacobian @ direction
+        # Relative to the start of the line, which avoids cancellation.
         ends = jnp.stack([rows.low, rows.high]) - push
-        slope, curvature = jnp.dot(gradient, way), jnp.dot(way, weight_way)
-        length = exact_step(ends, excess, rows.stiffness, residual_way, slope, curvature)
+        slope, curvature = jnp.dot(gradient, direction), jnp.dot(direction, weight_change)
+        length = exact_step(ends, excess, rows.stiffness, residual_change, slope, curvature)
         return (
-            qacc + length * way,
-            weight + length * weight_way,
-            residual + length * residual_way,
+            qacc + length * direction,
+            weight + length * weight_change,
+            residual + length * residual_change,
         )
 
     carry = start, inertia @ start, rows.jacobian @ start - rows.target
@@ -112,32 +113,32 @@ def exact_step(
     ends: Float[Array, "2 row"],
     excess: Float[Array, " row"],
     stiffness: Float[Array, " row"],
-    way: Float[Array, " row"],
+    residual_change: Float[Array, " row"],
     slope: Float[Array, ""],
     curvature: Float[Array, ""],
 ) -> Float[Array, ""]:
-    """Return how far to go along a line to where the function is least; 0 if it does not fall.
+    """Return the step along a line that minimizes the function; 0 if it does not decrease.
 
     Args:
-        ends: least and greatest change of what each row pulls with.
-        excess: by how much the rows are beyond their ends at the line's start.
+        ends: least and greatest change of each row's force.
+        excess: of the unclipped forces over the clipped ones at the start of the line.
         stiffness: of the rows.
-        way: change of the rows' residuals along the line.
+        residual_change: of the rows along the line.
         slope: of the function at the start.
         curvature: of the part without constraints.
     """
-    change = stiffness * way
+    change = stiffness * residual_change
     at = (ends - excess) / jnp.where(jnp.abs(change) > 1e-20, change, jnp.inf)
     at = jnp.where((at > 0) & (at < LONGEST_STEP), at, 0.0).reshape(-1)
-    # Behind the last breakpoint the slope is a straight line, which two points tell.
+    # Beyond the last breakpoint the slope is linear, so two points define it.
     last = jnp.max(at)
     at = jnp.append(at, last + 1.0)
     pulls = jnp.clip(at[:, None] * change + excess, ends[0], ends[1])
-    slopes = slope + at * curvature + jnp.sum(pulls * way, axis=1)
-    falls = slopes < 0
-    after = jnp.min(jnp.where(falls, jnp.inf, at))
+    slopes = slope + at * curvature + jnp.sum(pulls * residual_change, axis=1)
+    descends = slopes < 0
+    after = jnp.min(jnp.where(descends, jnp.inf, at))
     inside = jnp.isfinite(after)
-    before = jnp.where(inside, jnp.max(jnp.where(falls, at, 0.0)), last)
+    before = jnp.where(inside, jnp.max(jnp.where(descends, at, 0.0)), last)
     after = jnp.where(inside, after, last + 1.0)
     left = jnp.max(jnp.where(at == before, slopes, -jnp.inf))
     right = jnp.max(jnp.where(at == after, slopes, -jnp.inf))

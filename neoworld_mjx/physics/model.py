@@ -1,4 +1,4 @@
-"""SceneModel: a scene compiled once, for any number of layouts."""
+"""The compiled scene: one compilation for any number of layouts."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,10 +13,11 @@ from neoworld_kernels import sorted_samples
 from ..cache import make_room
 from ..errors import SpecError
 from ..spec import SceneSpec, bounds, read_scene, rearranged
-from ..spec.scale import joint_exponents, mass_exponent
+from ..spec.object import mass_exponent
+from ..spec.scale import joint_exponents
 from .colliders import collect_colliders
 from .layout import Arrangement, Layout, Poses, arrange, compose_poses, diagonal
-from .mjcf import to_mjspec
+from .mjcf import body_name, to_mjspec
 from .outline import extreme_points, is_round
 from .photo_view import photo_view
 from .sampling import surface_samples
@@ -29,7 +30,7 @@ MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 
 
 class Powers(NamedTuple):
-    """The power of its object's scale that each entry of an MjModel field follows."""
+    """Exponents of the object's scale in the entries of MjModel fields."""
 
     body_mass: np.ndarray
     body_inertia: np.ndarray
@@ -43,7 +44,7 @@ class Powers(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class StaticScene:
-    """Static data of a scene, on the host; compared by identity, so it may be static in `jit`."""
+    """Static data of a scene on the host; hashed by identity, so it may be static in `jit`."""
 
     spec: SceneSpec
     mjm: mujoco.MjModel
@@ -70,23 +71,23 @@ class StaticScene:
     joint_object: np.ndarray
     """Object of each joint, shape [joint]."""
     joint_slides: np.ndarray
-    """Whether each joint slides, so that its shift is in m and not in rad, shape [joint]."""
+    """True for sliding joints, whose shift is in m instead of rad, shape [joint]."""
 
 
 class SceneModel(SceneArrays):
-    """A compiled scene: one compile, any number of layouts.
+    """A compiled scene, valid for any number of layouts.
 
-    Pass it to jitted functions as it is: `static` is static, all else are arrays. `place`,
+    It is an argument of jitted functions: `static` is static, everything else are arrays. `place`,
     `model_fields` and rewards of placed poses may be jitted, vmapped and differentiated by layouts
     (inside a function: the bound method itself has no hash for `jax.jit`). A function that needs
-    the arrays alone takes a `SceneArrays`, which `pad_scene` pads, so that it is not compiled anew
-    for every scene.
+    only the arrays takes a `SceneArrays`, which `pad_scene` pads, so that it is not recompiled for
+    every scene.
     """
 
     static: StaticScene = eqx.field(static=True)
 
     def __repr__(self) -> str:
-        """Name the scene, its objects and its size in two lines."""
+        """Return the scene's name, size and objects in two lines."""
         pieces = sum(group.owner.shape[0] for group in self.colliders)
         return (
             f"SceneModel {self.spec.name!r}: {len(self.names)} objects, "
@@ -106,10 +107,10 @@ class SceneModel(SceneArrays):
         return self.static.names
 
     def place_exactly(self, layouts: Layout) -> Poses:
-        """Place candidates in double precision (NumPy), at the heights that `place` snaps to."""
+        """Place candidates in double precision (NumPy), at the snapped heights of `place`."""
         height = np.asarray(self.place(layouts).height, float)
         wide = jax.tree.map(lambda leaf: np.asarray(leaf, float), layouts)
-        with np.errstate(invalid="ignore", over="ignore"):  # such candidates fail; see unplaceable
+        with np.errstate(invalid="ignore", over="ignore"):  # see `unplaceable`
             return compose_poses(self.static.arrangement, wide, height, np)
 
     def apply(self, layouts: Layout, index: int, poses: Poses | None = None) -> SceneSpec:
@@ -117,12 +118,12 @@ class SceneModel(SceneArrays):
 
         Args:
             layouts: the candidates, padded or not.
-            index: which.
-            poses: where `place` put the candidates; the heights are taken from here, since snapping
-                one candidate alone may round differently in the last bit of single precision.
+            index: of the candidate.
+            poses: of the candidates from `place`, which give the heights, since snapping a single
+                candidate may round differently in the last bit of single precision.
         """
         count = len(self.names)
-        # Taken as NumPy first: JAX would compile the indexing for every number of objects.
+        # As NumPy, since JAX would compile the indexing for every number of objects.
         one = jax.tree.map(lambda leaf: np.asarray(leaf)[index : index + 1, :count], layouts)
         if poses is None:
             height = snapped_heights(self.arrangement, one)[0]
@@ -145,14 +146,14 @@ def compile_scene(
     """Compile a composed scene.
 
     Args:
-        scene: the scene; its zero layout.
+        scene: the composed scene, which is the zero layout.
         timestep: of rollouts [s].
         samples: surface samples of each object for D_pen.
-        reach: how far objects may move and still be snapped; see `layout.arrange`.
+        reach: largest displacement at which objects are still snapped; see `layout.arrange`.
         gap: clearance under snapped objects [m].
 
     Raises:
-        SpecError: `scene` is no SceneSpec, or MuJoCo cannot compile it; the message is MuJoCo's.
+        SpecError: `scene` is not a SceneSpec, or MuJoCo cannot compile it.
     """
     if not isinstance(scene, SceneSpec):
         raise SpecError(
@@ -164,7 +165,7 @@ def compile_scene(
         mjm = to_mjspec(scene, timestep=timestep).compile()
     except (ValueError, mujoco.FatalError) as error:
         raise SpecError(f"scene {scene.name} does not compile: {error}") from None
-    # Without this MuJoCo puts a diverged simulation back to its start, where it would look stable.
+    # Otherwise MuJoCo resets a diverged simulation to its initial state, which appears stable.
     mjm.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     names = tuple(item.name for item in scene.objects)
     owner = np.array([_owner(mjm.body(b).name, names) for b in range(mjm.nbody)])
@@ -217,14 +218,7 @@ def load_scene(
     reach: float = 1 / 3,
     gap: float = 1e-4,
 ) -> SceneModel:
-    """Read a scene.json, or that of a run folder, and compile it.
-
-    Args:
-        path: the file or folder.
-        timestep: of rollouts [s].
-        samples: surface samples of each object for D_pen.
-        reach: how far objects may move and still be snapped; see `layout.arrange`.
-        gap: clearance under snapped objects [m].
+    """Read a scene.json, or that of a run folder, and compile it; see `compile_scene`.
 
     Raises:
         SpecError: there is no such file, or it holds no scene.
@@ -234,8 +228,9 @@ def load_scene(
             f"load_scene: path is a {type(path).__name__}, not a path: compile_scene takes a "
             "SceneSpec"
         )
-    scene = read_scene(Path(path))
-    return compile_scene(scene, timestep=timestep, samples=samples, reach=reach, gap=gap)
+    return compile_scene(
+        read_scene(Path(path)), timestep=timestep, samples=samples, reach=reach, gap=gap
+    )
 
 
 def _owner(body: str, names: tuple[str, ...]) -> int:
@@ -259,17 +254,18 @@ def _powers(scene: SceneSpec, m: mujoco.MjModel) -> Powers:
     mass = np.zeros(m.nbody)
     by_joint: dict[str, dict[str, float]] = {}
     for item in scene.objects:
-        root = item.spec.root
         for part in item.spec.parts:
-            name = item.name if part.name == root else f"{item.name}-{part.name}"
-            mass[m.body(name).id] = mass_exponent(part)
+            mass[m.body(body_name(item, part.name)).id] = mass_exponent(part)
         for joint in item.spec.joints:
             child = item.spec.part(joint.child)
             by_joint[f"{item.name}-{joint.name}"] = joint_exponents(joint, child)
-    of_joint = lambda key: np.array(
-        [by_joint.get(m.joint(j).name, {}).get(key, 0.0) for j in range(m.njnt)]
-    )
-    of_dof = lambda key: of_joint(key)[m.dof_jntid] if m.nv else np.zeros(0)
+
+    def of_joint(key: str) -> np.ndarray:
+        return np.array([by_joint.get(m.joint(j).name, {}).get(key, 0.0) for j in range(m.njnt)])
+
+    def of_dof(key: str) -> np.ndarray:
+        return of_joint(key)[m.dof_jntid] if m.nv else np.zeros(0)
+
     return Powers(
         body_mass=mass,
         body_inertia=np.where(m.body_mass > 0, mass + 2.0, 0.0),

@@ -1,7 +1,6 @@
-"""The fields of a scene's MuJoCo model that depend on the layout, for a population of candidates.
+"""Fields of a scene's MuJoCo model that depend on the layout, for a population of candidates.
 
-The law of scaling is that of `spec.scale`: compiling a rearranged scene gives the same fields.
-Nothing is recompiled.
+They follow the scaling law of `spec.scale`, so compiling a rearranged scene gives the same fields.
 """
 
 from typing import Any
@@ -15,22 +14,20 @@ from .model import FREE, MESH, SLIDE, SceneModel
 
 
 def model_fields(scene: SceneModel, poses: Poses, xp: Any = jnp) -> dict[str, Any]:
-    """Compute the MjModel fields that candidates differ in, each with a leading [pop] axis.
+    """Return the MjModel fields in which candidates differ, each with a leading [pop] axis.
 
-    Fields that MuJoCo derives from these (mj_setConst, bounding volumes) are not among them, but
-    for the bounding radii and boxes of geoms, which scale as they are. "qpos" is the start state.
+    Of the fields that MuJoCo derives from these (mj_setConst, bounding volumes) only the bounding
+    radii and boxes of geoms are included. "qpos" is the initial state.
 
     Args:
         scene: the compiled scene.
-        poses: where the candidates' objects are placed.
+        poses: initial poses of the candidates' objects.
         xp: `numpy` for double precision on the host, or `jnp`.
     """
     s, m = scene.static, scene.static.mjm
     pop = poses.scale.shape[0]
-    of = lambda owner: owner_scale(poses.scale, owner, xp)
-    body, geom, jnt, dof = (
-        of(owner) for owner in (s.body_object, s.geom_object, s.jnt_object, s.dof_object)
-    )
+    owners = (s.body_object, s.geom_object, s.jnt_object, s.dof_object)
+    body, geom, jnt, dof = (owner_scale(poses.scale, owner, xp) for owner in owners)
     p = s.powers
 
     body_pos, body_quat = _spread(m.body_pos, pop, xp), _spread(m.body_quat, pop, xp)
@@ -69,19 +66,17 @@ def model_fields(scene: SceneModel, poses: Poses, xp: Any = jnp) -> dict[str, An
     if m.neq:
         fields["eq_data"] = _mimics(scene, jnt, xp)
     if m.nsite:
-        fields["site_pos"] = m.site_pos * of(s.body_object[m.site_bodyid])[..., None]
+        site = owner_scale(poses.scale, s.body_object[m.site_bodyid], xp)
+        fields["site_pos"] = m.site_pos * site[..., None]
     return fields
 
 
 def owner_scale(scale: Any, owner: np.ndarray, xp: Any = jnp) -> Any:
-    """Return the scale of what objects own, shape [pop, n].
+    """Return the scale [pop, n] of the owners of n items, given the scale [pop, object] of objects.
 
-    Args:
-        scale: of every object, shape [pop, object].
-        owner: object of each of the n; -1 is the world, whose scale is 1.
-        xp: `numpy` or `jnp`.
+    The owner -1 is the world, whose scale is 1.
     """
-    # Index -1 meets the column of ones at the end.
+    # Index -1 selects the appended column of ones.
     return xp.concatenate([scale, xp.ones_like(scale[:, :1])], axis=1)[:, owner]
 
 
@@ -93,7 +88,7 @@ def _mimics(scene: SceneModel, jnt: Any, xp: Any) -> Any:
         joints |= {f"{item.name}-{joint.name}": joint for joint in item.spec.joints}
     for e in range(m.neq):
         follower, leader = m.eq_obj1id[e], m.eq_obj2id[e]
-        # A tie to a constant has no leader; then only its offset counts.
+        # Without a leader the joint is constrained to a constant, the offset.
         led = joints[m.joint(leader if leader >= 0 else follower).name]
         multiplier, offset = mimic_exponents(joints[m.joint(follower).name], led)
         own = jnt[:, follower]

@@ -1,4 +1,4 @@
-"""Outlines of objects: the points that give its box from anywhere, and whether it is round."""
+"""Extreme points of objects, which determine their image boxes, and a test for roundness."""
 
 import functools
 
@@ -12,29 +12,29 @@ from ..spec.pose import matrix
 from .support import posed_pieces
 
 HULL_DIRECTIONS = 256
-"""Directions, evenly all around, in which an object's farthest points are kept."""
+"""Number of evenly spread directions in which an object's extreme points are stored."""
 ROUND_SHARE = 0.04
-"""Largest difference in reach about the axis, as a share of the reach, of a round object; polygons
-of twelve corners or more count as round."""
+"""Largest relative variation of a round object's radius about its axis; polygons of twelve corners
+or more count as round."""
 
 
 def extreme_points(item: SceneObject) -> Float[np.ndarray, "direction 3"]:
-    """Return the points in the object's frame at scale 1 [m] that reach farthest in HULL_DIRECTIONS.
+    """Return the extreme points in HULL_DIRECTIONS, in the object's frame at scale 1 [m].
 
-    A smooth object's box in a picture is short of the true one by half a percent at most.
+    The image box of a smooth object is too small by half a percent at most.
     """
     return _farthest(item, _directions())
 
 
 def is_round(item: SceneObject) -> bool:
-    """Return whether an object's hull is the same however it is turned about its frame's z axis."""
+    """Return whether an object's hull is symmetric about its frame's z axis."""
     turns = np.radians(np.arange(0.0, 360.0, 10.0))
-    ways = []
+    rings = []
     for height in (-60.0, -30.0, 0.0, 30.0, 60.0):
         c, s = np.cos(np.radians(height)), np.sin(np.radians(height))
-        ways.append(np.column_stack([c * np.cos(turns), c * np.sin(turns), 0 * turns + s]))
-    directions = np.concatenate(ways)
-    reach = np.sum(_farthest(item, directions) * directions, axis=1).reshape(len(ways), -1)
+        rings.append(np.column_stack([c * np.cos(turns), c * np.sin(turns), 0 * turns + s]))
+    directions = np.concatenate(rings)
+    reach = np.sum(_farthest(item, directions) * directions, axis=1).reshape(len(rings), -1)
     widest = np.hypot(*_farthest(item, directions)[:, :2].T).max()
     return bool(np.ptp(reach, axis=1).max() < ROUND_SHARE * widest)
 
@@ -50,15 +50,15 @@ def _directions() -> NDArray:
 def _farthest(item: SceneObject, directions: NDArray) -> NDArray:
     best, points = np.full(len(directions), -np.inf), np.zeros(directions.shape)
     for piece, at in posed_pieces(item, tilted=False):
-        own = at.apply(_support(piece, directions @ matrix(at.quat)))
-        reach = np.sum(own * directions, axis=1)
+        candidates = at.apply(_support(piece, directions @ matrix(at.quat)))
+        reach = np.sum(candidates * directions, axis=1)
         farther = reach > best
-        best[farther], points[farther] = reach[farther], own[farther]
+        best[farther], points[farther] = reach[farther], candidates[farther]
     return points
 
 
 def _support(piece: Piece, d: NDArray) -> NDArray:
-    """Return a piece's points [n, 3] that reach farthest along unit directions, in its frame."""
+    """Return a piece's support points [n, 3] along unit directions, in its frame."""
     if piece.kind == "mesh":
         v = np.asarray(piece.vertices, float)
         return v[np.argmax(d @ v.T, axis=1)]

@@ -1,4 +1,4 @@
-"""The photograph as scoring needs it: camera, 2D boxes and depths, by object."""
+"""Data of the photograph for scoring: camera, 2D boxes and depths, by object."""
 
 from typing import NamedTuple
 
@@ -11,13 +11,12 @@ from .array_types import AnyArray
 from .sampling import surface_samples
 
 BOX_SAMPLES = 256
-"""Surface samples that give the 2D box of an object without a parsed one."""
-
+"""Surface samples from which the 2D box of an object without a parsed box follows."""
 
 BORDER_PX = 2.0
-"""A box that ends so near the picture's border is taken to be cut by it."""
+"""Distance from the image border within which a box counts as cut by it."""
 SIDE_GAP = 0.03
-"""Gap between a box's side and a nearer box that still counts as touching, of the box's size."""
+"""Largest gap between touching boxes, relative to the size of the one behind."""
 
 
 class PhotoView(NamedTuple):
@@ -30,26 +29,26 @@ class PhotoView(NamedTuple):
     focal: Float[AnyArray, ""]
     """[px]"""
     half_size: Float[AnyArray, " 2"]
-    """Half the picture's width and height [px]."""
+    """Half the image's width and height [px]."""
     boxes: Float[AnyArray, "object 4"]
-    """2D boxes: left, top, right, bottom from the middle of the picture [px]."""
+    """2D boxes: left, top, right, bottom from the image centre [px]."""
     parsed: Bool[AnyArray, " object"]
-    """Whether a box was parsed, so that it is of what is visible; others are of whole objects."""
+    """True for parsed boxes, which bound the visible part; others bound the whole object."""
     sides: Bool[AnyArray, "object 4"]
-    """Sides of boxes where the object itself ends: not cut by the picture's border, and not where
-    a nearer object's box hides the rest of one that is partly hidden."""
+    """True for sides at which the object itself ends: cut neither by the image border nor, for a
+    partly occluded object, by the box of an object in front."""
     depth: Float[AnyArray, " object"]
     """Distance along the view [m]."""
     judged: Bool[AnyArray, " object"]
-    """True for objects that count, which are all but environment supports."""
+    """True for scored objects: all but environment supports."""
     whole: Bool[AnyArray, " object"]
-    """True for objects of which the photograph shows all."""
+    """True for objects that are entirely visible."""
     hides: Bool[AnyArray, " object"]
-    """True for objects that hide what is behind them; one of glass alone does not."""
+    """True for objects that occlude others; an object of glass does not."""
 
 
 def photo_view(spec: SceneSpec) -> PhotoView:
-    """Collect the photograph's boxes and depths; the composed scene gives those not parsed."""
+    """Collect the photograph's boxes and depths; missing ones come from the composed scene."""
     camera = spec.camera or _camera_for(spec)
     middle = np.tile([camera.width / 2, camera.height_px / 2], 2)
     poses = world_poses(spec)
@@ -87,13 +86,13 @@ def photo_view(spec: SceneSpec) -> PhotoView:
 
 
 def see_through(spec: ObjectSpec) -> bool:
-    """Tell whether all that is drawn of an object is see-through."""
+    """Return whether all visible geoms of an object are see-through."""
     drawn = [geom for part in spec.parts for geom in part.geoms if geom.role != "collision"]
     return bool(drawn) and all(spec.material(geom.material).see_through for geom in drawn)
 
 
 def _hides(spec: SceneSpec, depth: NDArray, able: NDArray) -> Bool[np.ndarray, "hider object"]:
-    """Return which of the able objects may hide which: nearer ones, and those that one is in."""
+    """Return which objects may occlude which: those in front, and containers; only `able` ones."""
     hides = depth[:, None] < depth
     for k, item in enumerate(spec.objects):
         if item.parent is not None and item.relation == "in":
@@ -102,7 +101,7 @@ def _hides(spec: SceneSpec, depth: NDArray, able: NDArray) -> Bool[np.ndarray, "
 
 
 def _behind(boxes: NDArray, hides: NDArray) -> Bool[np.ndarray, "object 4"]:
-    """Return which sides of boxes the box of an object that may hide them reaches, or nearly."""
+    """Return a mask of the sides of boxes that touch the box of an object that may occlude them."""
     size = np.sqrt(np.prod(boxes[:, 2:] - boxes[:, :2], axis=1))
     hidden = np.zeros(boxes.shape, bool)
     for k, (x0, y0, x1, y1) in enumerate(boxes):

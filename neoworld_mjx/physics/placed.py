@@ -1,8 +1,7 @@
-"""Placed candidates: their poses, how deep objects are in one another, and what the camera sees.
+"""Placed candidates: poses, penetration depths, and what the camera sees.
 
-This is the dear part of what can be said of candidates before physics. It is two programs of a
-scene's bucket, whatever the population and the reward are, and wherever the candidates' poses come
-from: one that places layouts, and one that looks at poses.
+This is the expensive part of scoring before physics. It takes two programs for each bucket of
+scenes, for any population and reward: one places layouts, one measures poses.
 """
 
 from collections.abc import Callable
@@ -22,36 +21,36 @@ from .scene_arrays import SceneArrays
 from .visibility import Visible, as_parsed, unhidden, visibility
 
 CPU_CHUNK = 16
-"""Candidates that are looked at at once on CPUs, where more at once gain nothing, and a single one
-costs as much as all."""
+"""Candidates that are measured at once on CPUs, where larger chunks gain nothing, and a single
+candidate costs as much as a chunk."""
 Out = TypeVar("Out")
 
 
 class Placed(eqx.Module):
-    """Candidates where their layouts put them."""
+    """Placed candidates and their measures before physics."""
 
     poses: Poses
     depth: Float[AnyArray, "pop object object"]
-    """Of `pair_depths` [m]."""
+    """Depths of `pair_depths` [m]."""
     visible: Visible
     settled: Float[AnyArray, "pop object"]
-    """How far each object has come to rest from where its layout put it, in units of the bounds of
-    `settled_by`; 0 where nothing settled."""
+    """Displacement of each object by settling, in units of the bounds of `settled_by`; 0 without
+    settling."""
 
 
 BALL_EXTENT = 0.03
-"""Difference of a ball's extents, over the largest."""
+"""Largest relative difference between a ball's extents."""
 UP, SIDEWAYS, DOWN = float(np.radians(15.0)), 0.25, (0.1, 0.01)
-"""Bounds of settling: of the tilt [rad]; of the horizontal shift, over the object's size; of the
-change of height, over its size, and beyond that [m]."""
+"""Bounds of settling: tilt [rad]; horizontal shift, relative to the object's size; change of
+height, relative to the object's size plus a constant [m]."""
 LEAST_SIZE_M = 1e-6
 """Least size of an object [m]."""
 
 
 def pair_depths(scene: SceneArrays, poses: Poses) -> Float[Array, "pop object object"]:
-    """Measure the penetration depth [m] of i's surface samples in j's colliders, at [pop, i, j].
+    """Return the penetration depth [m] of i's surface samples in j's colliders, at [pop, i, j].
 
-    Measured on the canonical colliders at the placed poses; zero between environment supports.
+    Depths are those of the canonical colliders; zero between environment supports.
     """
     turn = rotation(poses.quat)
     pos, scale, samples = map(jnp.asarray, (poses.pos, poses.scale, scene.samples))
@@ -66,32 +65,31 @@ def placed_poses(scene: SceneArrays, layouts: Layout) -> Poses:
 
 
 @eqx.filter_jit
-def _look(scene: SceneArrays, poses: Poses) -> tuple[Float[Array, "pop object object"], Visible]:
+def _measure(scene: SceneArrays, poses: Poses) -> tuple[Float[Array, "pop object object"], Visible]:
     return pair_depths(scene, poses), visibility(scene, poses)
 
 
-def looked_at(
+def measured_poses(
     scene: SceneArrays, poses: Poses
 ) -> tuple[Float[AnyArray, "pop object object"], Visible]:
-    """Measure depths and what the camera sees of candidates; may be vmapped."""
-    return _kept_look(scene, poses)
+    """Measure penetration and visibility of candidates; may be vmapped."""
+    return _stored_measure(scene, poses)
 
 
-_kept_look = kept(_look, lambda scene, poses: (poses.scale, as_parsed(scene.photo, 1)))
+_stored_measure = kept(_measure, lambda scene, poses: (poses.scale, as_parsed(scene.photo, 1)))
 
 
 def placed(scene: SceneArrays, layouts: Layout) -> Placed:
-    """Place candidates, and measure what does not depend on physics; may be vmapped."""
+    """Place candidates, and measure penetration and visibility; may be vmapped."""
     poses = placed_poses(scene, layouts)
-    return Placed(poses, *looked_at(scene, poses), jnp.zeros(layouts.yaw.shape))
+    return Placed(poses, *measured_poses(scene, poses), jnp.zeros(layouts.yaw.shape))
 
 
 @eqx.filter_jit
-def guessed(scene: SceneArrays, poses: Poses) -> Placed:
-    """Measure candidates as if nothing overlapped or hid anything; may be vmapped.
+def approximated(scene: SceneArrays, poses: Poses) -> Placed:
+    """Approximate measures of candidates, without penetration and occlusion; may be vmapped.
 
-    It costs a hundredth of `looked_at`, and tells well enough which candidates are worth to come to
-    rest before they are looked at.
+    This costs a hundredth of `measured_poses`, and suffices to select candidates to settle.
     """
     count = poses.scale.shape[1]
     return Placed(
@@ -102,48 +100,48 @@ def guessed(scene: SceneArrays, poses: Poses) -> Placed:
     )
 
 
-def come_to_rest(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
-    """Measure candidates where they have come to rest; may be vmapped.
+def placed_at_rest(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
+    """Measure settled candidates; may be vmapped.
 
     Args:
         scene: the scene's arrays.
-        start: where their layouts put them.
-        end: where they rest; see `settling.settle`.
+        start: placed poses.
+        end: settled poses; see `settling.settle`.
     """
-    return Placed(end, *looked_at(scene, end), settled_by(scene, start, end))
+    return Placed(end, *measured_poses(scene, end), settled_by(scene, start, end))
 
 
 def settled_by(
     scene: SceneArrays, start: Poses, end: Poses, xp: Any = jnp
 ) -> Float[AnyArray, "pop object"]:
-    """Return how far objects have settled, in units of UP, SIDEWAYS and DOWN; 1 is at a bound.
+    """Return the displacement of objects by settling, in units of UP, SIDEWAYS and DOWN.
 
-    Beyond it an object lies where the photograph does not show it: it has toppled or fallen off. A
+    Beyond 1 an object is no longer where the photograph shows it: it has toppled or fallen off. A
     ball has no tilt.
 
     Args:
         scene: the scene's arrays.
-        start: where the candidates' objects were placed.
-        end: where they rest.
+        start: placed poses.
+        end: settled poses.
         xp: `numpy` on the host.
     """
     corners = xp.asarray(scene.corners)
     box = xp.max(corners, axis=1) - xp.min(corners, axis=1)
-    # What is padded has no size.
+    # Padded objects have no size.
     size = xp.maximum(xp.linalg.norm(box, axis=-1) * start.scale, LEAST_SIZE_M)
     ball = xp.asarray(scene.round) & (xp.ptp(box, axis=-1) < BALL_EXTENT * xp.max(box, axis=-1))
-    up, now = (_own_up(quat, xp) for quat in (start.quat, end.quat))
-    leans = xp.arctan2(xp.linalg.norm(xp.cross(up, now), axis=-1), xp.sum(up * now, axis=-1))
-    tilt = xp.where(ball, 0.0, leans)
-    way = end.pos - start.pos
-    sideways = xp.linalg.norm(way[..., :2], axis=-1) / (SIDEWAYS * size)
-    upright = xp.abs(way[..., 2]) / (DOWN[0] * size + DOWN[1])
-    most = xp.maximum(tilt / UP, xp.maximum(sideways, upright))
-    return xp.where(xp.asarray(scene.movable), most, 0.0)
+    before, after = (_own_up(quat, xp) for quat in (start.quat, end.quat))
+    sine = xp.linalg.norm(xp.cross(before, after), axis=-1)
+    tilt = xp.where(ball, 0.0, xp.arctan2(sine, xp.sum(before * after, axis=-1)))
+    shift = end.pos - start.pos
+    sideways = xp.linalg.norm(shift[..., :2], axis=-1) / (SIDEWAYS * size)
+    vertical = xp.abs(shift[..., 2]) / (DOWN[0] * size + DOWN[1])
+    largest = xp.maximum(tilt / UP, xp.maximum(sideways, vertical))
+    return xp.where(xp.asarray(scene.movable), largest, 0.0)
 
 
 def _own_up(quat: Any, xp: Any) -> Any:
-    """Return where each object's z axis points."""
+    """Return the direction of each object's z axis."""
     w, x, y, z = xp.moveaxis(quat, -1, 0)
     return xp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
 
@@ -154,42 +152,46 @@ def poses_in_chunks(scene: SceneArrays, layouts: Layout, number: int | None = No
 
 
 def placed_in_chunks(scene: SceneArrays, layouts: Layout, number: int | None = None) -> Placed:
-    """Do what `placed` does in chunks of CPU_CHUNK, so that one program serves all populations.
+    """Compute `placed` in chunks of CPU_CHUNK, so that one program serves all populations.
 
     Args:
         scene: the scene's arrays.
         layouts: the candidates.
-        number: so many of them are looked at, the first for the rest; all by default.
+        number: how many of them are measured, the first standing for the others; None is all.
 
     Returns:
         Arrays on the host.
     """
     poses = poses_in_chunks(scene, layouts, number)
     still = np.zeros(poses.scale.shape, np.float32)
-    return Placed(poses, *_in_chunks(looked_at, scene, poses, number), still)
+    return Placed(poses, *_in_chunks(measured_poses, scene, poses, number), still)
 
 
-def guessed_in_chunks(scene: SceneArrays, layouts: Layout, number: int) -> Placed:
-    """Place candidates and do what `guessed` does in chunks; see `placed_in_chunks`."""
-    return _in_chunks(guessed, scene, poses_in_chunks(scene, layouts, number), number)
+def approximated_in_chunks(scene: SceneArrays, layouts: Layout, number: int) -> Placed:
+    """Place candidates and compute `approximated` in chunks; see `placed_in_chunks`."""
+    return _in_chunks(approximated, scene, poses_in_chunks(scene, layouts, number), number)
 
 
 def at_rest_in_chunks(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
-    """Do what `come_to_rest` does in chunks; see `placed_in_chunks`."""
+    """Compute `placed_at_rest` in chunks; see `placed_in_chunks`."""
     settled = settled_by(scene, start, end, np).astype(np.float32)
-    return Placed(end, *_in_chunks(looked_at, scene, end, None), settled)
+    return Placed(end, *_in_chunks(measured_poses, scene, end, None), settled)
 
 
 def _in_chunks(
-    look: Callable[[SceneArrays, Any], Out], scene: SceneArrays, of: Any, number: int | None
+    measure: Callable[[SceneArrays, Any], Out],
+    scene: SceneArrays,
+    candidates: Any,
+    number: int | None,
 ) -> Out:
-    pop = jax.tree.leaves(of)[0].shape[0]
+    pop = jax.tree.leaves(candidates)[0].shape[0]
     used = pop if number is None else number
     parts: list[Out] = []
     for first in range(0, used, CPU_CHUNK):
-        # The last chunk is filled up with its first candidate.
+        # The first candidate pads the last chunk.
         rows = np.arange(first, first + CPU_CHUNK)
         rows = np.where(rows < used, rows, first)
-        parts.append(look(scene, jax.tree.map(lambda x, rows=rows: np.asarray(x)[rows], of)))
+        chunk = jax.tree.map(lambda x, rows=rows: np.asarray(x)[rows], candidates)
+        parts.append(measure(scene, chunk))
     rows = np.where(np.arange(pop) < used, np.arange(pop), 0)
     return jax.tree.map(lambda *x: np.concatenate(x)[rows], *jax.device_get(parts))

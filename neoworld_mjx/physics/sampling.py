@@ -1,4 +1,4 @@
-"""Points spread over an object's outer surface, at which D_pen measures penetration."""
+"""Surface samples of objects, at which D_pen measures penetration."""
 
 import numpy as np
 from jaxtyping import Float
@@ -13,11 +13,11 @@ from .support import posed_pieces
 def surface_samples(item: SceneObject, count: int) -> Float[np.ndarray, "count 3"]:
     """Spread points over an object's outer surface, corners and edge middles first.
 
-    Points of one piece that lie inside another are left out. Deterministic.
+    Points of a piece inside another are omitted. Deterministic.
 
     Args:
         item: the object; points are in its own frame at scale 1 [m].
-        count: how many points; the last is repeated if the surface yields fewer.
+        count: number of points; the last is repeated if the surface yields fewer.
     """
     pieces = posed_pieces(item, tilted=False)
     areas = np.array([_area(piece) for piece, _ in pieces])
@@ -42,7 +42,7 @@ def surface_samples(item: SceneObject, count: int) -> Float[np.ndarray, "count 3
 
 
 class _Solid:
-    """A piece in the object's frame that may hide points of other pieces."""
+    """A piece in the object's frame that may contain points of other pieces."""
 
     def __init__(self, piece: Piece, at: Pose) -> None:
         self.piece, self.at, self.turn = piece, at, matrix(at.quat)
@@ -57,7 +57,7 @@ class _Solid:
         )
 
     def hide(self, points: NDArray, hidden: NDArray) -> None:
-        """Mark the points [n, 3] that lie inside."""
+        """Mark the points [n, 3] inside the piece."""
         near = np.flatnonzero(((points - self.centre) ** 2).sum(axis=1) < self.radius**2)
         if len(near):
             local = (points[near] - self.at.pos) @ self.turn
@@ -65,7 +65,7 @@ class _Solid:
 
 
 def _farthest(points: NDArray, count: int, near: NDArray) -> NDArray:
-    """Pick points one by one, each the farthest from all picked so far and from `near`."""
+    """Pick points one by one, each the farthest from those already picked and from `near`."""
     if not len(points) or count <= 0:
         return np.zeros((0, 3))
     gap = np.linalg.norm(points - points.mean(axis=0), axis=1)
@@ -101,7 +101,7 @@ def _area(piece: Piece) -> float:
 
 
 def _edges(piece: Piece) -> NDArray:
-    """Corners and points along sharp edges, in the piece's frame."""
+    """Return corners and points along sharp edges, in the piece's frame."""
     s = np.asarray(piece.size, float)
     if piece.kind == "box":
         grid = np.array(np.meshgrid(*([-1.0, 0.0, 1.0],) * 3)).reshape(3, -1).T
@@ -119,7 +119,7 @@ def _edges(piece: Piece) -> NDArray:
 
 
 def _faces(piece: Piece, count: int) -> NDArray:
-    """Evenly spread points on the surface, in the piece's frame."""
+    """Return evenly spread points on the surface, in the piece's frame."""
     s = np.asarray(piece.size, float)
     k = np.arange(count) + 0.5
     golden = np.pi * (1 + 5**0.5)
@@ -163,7 +163,7 @@ def _faces(piece: Piece, count: int) -> NDArray:
 
 
 def _inside(piece: Piece, half: NDArray | None, x: NDArray) -> NDArray:
-    """Whether points [n, 3] in a piece's frame lie inside it by more than a thousandth of it."""
+    """Return a mask of points [n, 3] inside a piece by more than a thousandth of its size."""
     s = np.asarray(piece.size, float)
     if half is not None:
         deep = (half[:, 3] - x @ half[:, :3].T).min(axis=1)

@@ -1,8 +1,7 @@
-"""The arrays of a compiled scene, as jitted functions take them, and their padding to buckets.
+"""Arrays of a compiled scene for jitted functions, and their padding to buckets.
 
-A jitted function is compiled anew for other shapes. Scenes padded to the same bucket have the same
-shapes, so what was compiled for one serves all; what is padded can touch nothing and is not moved,
-seen or judged.
+Scenes padded to the same bucket have the same shapes, so they share compiled functions. Padding can
+touch nothing and is not moved, rendered or scored.
 """
 
 from typing import Any, NamedTuple
@@ -16,44 +15,45 @@ from neoworld_kernels import SPARE, Colliders, PieceGroup
 from .array_types import AnyArray
 from .layout import Arrangement, Layout, Poses, heights, place
 from .photo_view import PhotoView
-from .support import nothing
+from .support import no_support
 
 PADDING_DEPTH_M = 1e4
-"""How far below the scene padded objects lie [m]."""
+"""Depth of padded objects below the scene [m]."""
 
 
 class SceneArrays(eqx.Module):
-    """A scene as arrays: all that placing and scoring need, padded or not.
+    """Arrays that placing and scoring need, padded or not; an argument of jitted functions.
 
-    Pass it to jitted functions as it is. A `SceneModel` is one, with the host's data beside it.
+    A `SceneModel` is one that also holds the data of the host.
     """
 
     arrangement: Arrangement
-    """What placing depends on, in single precision."""
+    """Parameters of placing, in single precision."""
     samples: Float[AnyArray, "object sample 3"]
     """Surface points in object frames [m]."""
     outline: Float[AnyArray, "object point 3"]
-    """Points of each object's convex hull that reach farthest in directions all around [m]."""
+    """Extreme points of each object's convex hull in evenly spread directions [m]."""
     round: Bool[AnyArray, " object"]
-    """Objects that look the same however they are turned about their frame's z axis."""
+    """True for objects that are symmetric about their frame's z axis."""
     colliders: Colliders
     """Canonical colliders in object frames."""
     photo: PhotoView
     """Camera, boxes and depths of the photograph."""
     optimised: Bool[AnyArray, " object"]
-    """Objects that the search moves: all but environment supports."""
+    """True for objects that the search moves: all but environment supports."""
     movable: Bool[AnyArray, " object"]
-    """Objects whose base is free."""
+    """True for objects whose base is free."""
     diagonal: Float[AnyArray, " object"]
     """Horizontal bounding-box diagonal [m]."""
     corners: Float[AnyArray, "object 8 3"]
-    """Corners of each object's box in its frame, as posed [m]."""
+    """Corners of each object's bounding box in its frame, at its joint state [m]."""
     pair_mask: Bool[AnyArray, "object object"]
-    """Pairs that can penetrate by a layout's fault: not both environment supports."""
+    """True for pairs of objects whose penetration depends on the layout: not both environment
+    supports."""
     joint_object: Int[AnyArray, " joint"]
     """Object of each joint, free bases left out."""
     joint_slides: Bool[AnyArray, " joint"]
-    """Whether each joint slides, so that its shift is in m and not in rad."""
+    """True for sliding joints, whose shift is in m instead of rad."""
 
     @property
     def count(self) -> int:
@@ -85,7 +85,7 @@ class Bucket(NamedTuple):
 
 
 SMALLEST_BUCKET = Bucket(16, 16, 64, 64, 16, 32, 16, 128, 32)
-"""A table with what stands on it; other buckets are this one doubled, faces by themselves."""
+"""Bucket of a table with a few objects; larger buckets double it, and their faces separately."""
 
 
 def bucket_of(scene: SceneArrays) -> Bucket:
@@ -97,18 +97,24 @@ def bucket_of(scene: SceneArrays) -> Bucket:
         faces=max(group.planes.shape[1] for group in groups.values()),
         **{kind: len(group.owner) for kind, group in groups.items()},
     )
-    times = lambda n, smallest: 1 << max(0, -(-n // smallest) - 1).bit_length()
+
+    def times(n: int, smallest: int) -> int:
+        return 1 << max(0, -(-n // smallest) - 1).bit_length()
+
     faces = SMALLEST_BUCKET.faces * times(need.faces, SMALLEST_BUCKET.faces)
     factor = max(times(*of) for of in zip(need._replace(faces=1), SMALLEST_BUCKET, strict=True))
     return Bucket(*(n * factor for n in SMALLEST_BUCKET))._replace(faces=faces)
 
 
 def pad_scene(scene: SceneArrays, bucket: Bucket | None = None) -> SceneArrays:
-    """Pad a scene's arrays to a bucket, by default the smallest that it fits into."""
+    """Pad a scene's arrays to a bucket; by default the smallest that fits."""
     b = bucket or bucket_of(scene)
     n, photo = b.objects, scene.photo
     pair_mask = np.zeros((n, n), bool)
     pair_mask[: scene.count, : scene.count] = scene.pair_mask
+    fills = {"boxes": np.array([0.0, 0.0, 1.0, 1.0]), "depth": 1.0}
+    names = ("boxes", "parsed", "sides", "depth", "judged", "whole", "hides")
+    by_object = {name: pad_axis(getattr(photo, name), n, fills.get(name, 0)) for name in names}
     padded = SceneArrays(
         arrangement=pad_arrangement(scene.arrangement, n),
         samples=pad_axis(scene.samples, n),
@@ -120,15 +126,7 @@ def pad_scene(scene: SceneArrays, bucket: Bucket | None = None) -> SceneArrays:
                 for kind, group in scene.colliders._asdict().items()
             )
         ),
-        photo=photo._replace(
-            boxes=pad_axis(photo.boxes, n, np.array([0.0, 0.0, 1.0, 1.0])),
-            parsed=pad_axis(photo.parsed, n),
-            sides=pad_axis(photo.sides, n),
-            depth=pad_axis(photo.depth, n, 1.0),
-            judged=pad_axis(photo.judged, n),
-            whole=pad_axis(photo.whole, n),
-            hides=pad_axis(photo.hides, n),
-        ),
+        photo=photo._replace(**by_object),
         optimised=pad_axis(scene.optimised, n),
         movable=pad_axis(scene.movable, n),
         diagonal=pad_axis(scene.diagonal, n, 1.0),
@@ -141,7 +139,7 @@ def pad_scene(scene: SceneArrays, bucket: Bucket | None = None) -> SceneArrays:
 
 
 def pad_arrangement(a: Arrangement, objects: int) -> Arrangement:
-    """Pad an arrangement, on the host, to a number of objects; those lie far below the scene."""
+    """Pad an arrangement, on the host, to a number of objects, which lie far below the scene."""
     count = len(a.parent)
     ancestors = np.eye(objects)
     ancestors[:count, :count] = a.ancestors
@@ -155,7 +153,7 @@ def pad_arrangement(a: Arrangement, objects: int) -> Arrangement:
         parent=pad_axis(a.parent, objects, -1),
         ancestors=ancestors,
         snapped=pad_axis(a.snapped, objects),
-        support=jax.tree.map(lambda x, empty: pad_axis(x, objects, empty), a.support, nothing()),
+        support=jax.tree.map(lambda x, empty: pad_axis(x, objects, empty), a.support, no_support()),
         gap=a.gap,
     )
 
@@ -177,21 +175,17 @@ _heights = jax.jit(heights)
 def snapped_heights(arrangement: Arrangement, layout: Layout) -> Float[np.ndarray, "pop object"]:
     """Return the heights [m] at which candidates are snapped.
 
-    Compiled once for all scenes of a bucket and each number of candidates, so take few numbers.
-
-    Args:
-        arrangement: of the scene, on the host or the device.
-        layout: the candidates.
+    Compiled once for all scenes of a bucket and each number of candidates.
     """
     count = len(arrangement.parent)
     wide = object_bucket(count)
-    # Jitted, so that it rounds as in a search.
+    # Jitted, so that rounding is that of a search.
     padded = on_device(pad_arrangement(arrangement, wide))
     return np.asarray(_heights(padded, on_device(pad_objects(layout, wide))))[:, :count]
 
 
 def _pad_pieces(group: PieceGroup, pieces: int, faces: int, owner: int) -> PieceGroup:
-    """Pad with pieces that hold no point, far from all objects."""
+    """Pad with empty pieces, far from all objects."""
     spare = np.array([0.0, 0.0, 0.0, SPARE])
     planes = np.moveaxis(pad_axis(np.moveaxis(np.asarray(group.planes), 1, 0), faces, spare), 0, 1)
     empty = np.tile(spare, (faces, 1))
@@ -201,7 +195,7 @@ def _pad_pieces(group: PieceGroup, pieces: int, faces: int, owner: int) -> Piece
         "owner": pad_axis(group.owner, pieces, owner),
         "pos": pad_axis(group.pos, pieces, np.array([0.0, 0.0, PADDING_DEPTH_M])),
         "rot": pad_axis(group.rot, pieces, np.eye(3)),
-        # Ellipsoids are divided by their sizes, circles by how often a sector is repeated.
+        # Nonzero, since ellipsoids divide by their sizes, and sectors by their repeats.
         "size": pad_axis(group.size, pieces, np.array([1.0, 1e-6, 1e-6])),
         "planes": pad_axis(planes, pieces, empty),
         "extent": pad_axis(group.extent, pieces),
@@ -218,7 +212,7 @@ def pad_axis(x: Any, length: int, fill: Any = 0) -> np.ndarray:
 
 
 def on_device(tree: Any) -> Any:
-    """Put the arrays of a tree on the device, numbers in single precision; nothing is compiled."""
+    """Put the arrays of a tree on the device, in single precision; nothing is compiled."""
 
     def put(x: Any) -> Array:
         x = np.asarray(x)

@@ -1,4 +1,4 @@
-"""Opening an engine by name, and rolling layouts out in one call."""
+"""Opening of engines by name, and rollouts of layouts in one call."""
 
 import contextlib
 from importlib import import_module
@@ -16,8 +16,8 @@ from .model import SceneModel
 def open_engine(name: str = "auto") -> Engine:
     """Return an engine by name.
 
-    `auto` is `native` where there is no accelerator; else each rollout takes the engine that costs
-    least by what was measured on this machine; see `automatic`.
+    `auto` is `native` without an accelerator; otherwise each rollout uses the engine with the least
+    measured cost on this machine; see `automatic`.
 
     Raises:
         EngineError: the engine is unknown, or cannot run here.
@@ -27,7 +27,7 @@ def open_engine(name: str = "auto") -> Engine:
     if name not in ENGINES:
         raise EngineError(f"engine: {choices(name, ['auto', *ENGINES])}")
     module, _, cls = ENGINES[name].location.partition(":")
-    # By its name: an engine's module imports the vocabulary, and nothing here may import it.
+    # Imported lazily, since not every engine's dependencies are installed.
     return getattr(import_module(module, __name__.rsplit(".", 2)[0]), cls)()
 
 
@@ -54,8 +54,8 @@ def rollout(
 ) -> Rollout:
     """Place candidate layouts and roll them out; see `Engine.rollout`.
 
-    It runs on the host and may not be jitted, vmapped or differentiated; placing
-    (`SceneModel.place`) and what is computed from a `Rollout` may.
+    Runs on the host and cannot be jitted, vmapped or differentiated; placing (`SceneModel.place`)
+    and functions of a `Rollout` can.
 
     Args:
         scene: the compiled scene.
@@ -63,11 +63,11 @@ def rollout(
         engine: name of an engine, or an opened one.
         duration: simulated time [s].
         record_every: time between recorded poses [s].
-        early_stop: rules for stopping candidates early; None simulates all of them to the end.
+        early_stop: conditions for stopping candidates early; None simulates all to the end.
 
     Raises:
         EngineError: the engine is unknown, or cannot run here.
-        SpecError: `scene` is no SceneModel, or `layouts` no Layout of it.
+        SpecError: `scene` is not a SceneModel, or `layouts` not a Layout of it.
     """
     if not isinstance(scene, SceneModel):
         raise SpecError(
@@ -94,10 +94,10 @@ def rollout(
 
 
 def on_cpu() -> contextlib.AbstractContextManager[object]:
-    """Let JAX compute on the CPU what a GPU would only start kernels for.
+    """Run JAX on the CPU, for computations in which kernel launches dominate on a GPU.
 
-    Nothing changes where JAX's settings leave it no CPU, or nothing else: to name the default
-    device would compile every program once more.
+    Does nothing if JAX has no CPU backend, or no other: naming the default device would compile
+    every program once more.
     """
     if jax.default_backend() == "cpu":
         return contextlib.nullcontext()

@@ -1,6 +1,6 @@
-"""Colliding geoms of a MuJoCo model as convex solids of one form, padded to the same shape.
+"""Collision geoms of a MuJoCo model as convex solids of one form, padded to the same shape.
 
-Code that takes any two solids is traced once, however many a scene has and of whatever type.
+Code that takes any two solids is traced once, for any number and type of geoms.
 """
 
 from typing import NamedTuple
@@ -15,8 +15,8 @@ from ..errors import EngineError
 from .array_types import AnyArray
 
 RIM_CORNERS, WALL_FACES = 8, 12
-"""Corners of the ring that stands for a cylinder's edge where contacts are placed, and faces of its
-wall; one of each points at what touches it.
+"""Corners of the polygon that approximates a cylinder's rim, and faces of its wall; one of each
+points at the other solid.
 """
 
 _GEOM = mujoco.mjtGeom
@@ -25,26 +25,26 @@ _GEOM = mujoco.mjtGeom
 class Solids(NamedTuple):
     """Convex solids in their geoms' frames at scale 1 [m].
 
-    A solid is the hull of `vert`, thickened by a disc about its z axis and by an ellipsoid. Thus a
-    sphere is a point and radii, a cylinder a segment and a disc.
+    A solid is the Minkowski sum of the hull of `vert`, a disc about its z axis and an ellipsoid: a
+    sphere is a point with radii, a cylinder a segment with a disc.
     """
 
     vert: Float[AnyArray, "*solid vert 3"]
-    """Corners; rows repeat the first one where there are fewer."""
+    """Vertices, padded with the first one."""
     edge: Float[AnyArray, "*solid edge 2 3"]
-    """Ends of the edges that contacts are looked for along."""
+    """Ends of the edges along which contacts are generated."""
     plane: Float[AnyArray, "*solid face 4"]
-    """Outward normals and offsets of the faces; a normal of zero stands for no face."""
+    """Outward normals and offsets of the faces; a zero normal pads the rows."""
     disc: Float[AnyArray, "*solid"]
-    """Radius of a cylinder; its edges and planes may be turned about its axis."""
+    """Radius of a cylinder, whose edges and planes may be rotated about its axis."""
     radii: Float[AnyArray, "*solid 3"]
-    """Semi-axes of what a sphere, a capsule or an ellipsoid adds around its core."""
+    """Semi-axes of the ellipsoid of a sphere, capsule or ellipsoid."""
     core: Float[AnyArray, "*solid 2 3"]
-    """Ends of the segment in the middle: a cylinder's or capsule's axis, or twice the centre."""
+    """Ends of the central segment: a cylinder's or capsule's axis, or twice the centre."""
 
 
 class GeomPairs(NamedTuple):
-    """Pairs of geoms that may touch, and the contact parameters that MuJoCo gives them."""
+    """Pairs of geoms that may touch, with MuJoCo's contact parameters."""
 
     first: Int[AnyArray, " pair"]
     second: Int[AnyArray, " pair"]
@@ -54,38 +54,37 @@ class GeomPairs(NamedTuple):
 
 
 def geom_solids(m: mujoco.MjModel) -> Solids:
-    """Describe every geom of a model; those that do not collide get a point.
+    """Return the solid of every geom of a model; a point for geoms that do not collide.
 
     Raises:
-        EngineError: a colliding geom is of a type that scenes never have.
+        EngineError: a collision geom has an unsupported type.
     """
     each = [_solid(m, g) if collides(m, g) else _point() for g in range(m.ngeom)] or [_point()]
     rows = {}
     for name in Solids._fields:
-        leaves = [getattr(solid, name) for solid in each]
+        fields = [getattr(solid, name) for solid in each]
         if name in ("vert", "edge", "plane"):
-            most = max(len(leaf) for leaf in leaves)
-            leaves = [np.concatenate([x, np.repeat(x[:1], most - len(x), axis=0)]) for x in leaves]
-        rows[name] = np.stack(leaves).astype(np.float32)
+            most = max(len(field) for field in fields)
+            fields = [np.concatenate([x, np.repeat(x[:1], most - len(x), axis=0)]) for x in fields]
+        rows[name] = np.stack(fields).astype(np.float32)
     return Solids(**rows)
 
 
 def collides(m: mujoco.MjModel, geom: int) -> bool:
-    """Return whether a geom may touch anything."""
+    """Return whether a geom may collide."""
     return bool(m.geom_contype[geom] | m.geom_conaffinity[geom])
 
 
 def geom_pairs(m: mujoco.MjModel) -> GeomPairs:
-    """List the pairs of geoms that MuJoCo's filters leave, in the order of their bodies.
+    """List the pairs of geoms that pass MuJoCo's filters.
 
     Raises:
-        EngineError: the model has explicit pairs, priorities, margins or another contact dimension,
-            which scenes never have.
+        EngineError: the model has explicit pairs, priorities, margins or another condim than 3.
     """
     if m.npair or np.any(m.geom_priority) or np.any(m.geom_margin) or np.any(m.geom_condim != 3):
         raise EngineError(
-            "engine mjx collides geoms of condim 3 without explicit pairs, priorities and margins; "
-            "take --engine native"
+            "engine mjx needs geoms of condim 3 without explicit pairs, priorities and margins; "
+            "use --engine native"
         )
     excluded = set(m.exclude_signature.tolist())
     geoms = [g for g in range(m.ngeom) if collides(m, g)]
@@ -112,7 +111,8 @@ def _may_touch(m: mujoco.MjModel, a: int, b: int, excluded: set[int]) -> bool:
         return False
     weld, other = int(m.body_weldid[one]), int(m.body_weldid[two])
     above = lambda w: int(m.body_weldid[m.body_parentid[w]])
-    # As MuJoCo: what is welded never touches, nor do a parent, but for the world, and its child.
+    # As in MuJoCo, bodies of one weld never touch, nor do a child and its parent, unless the latter
+    # is the world.
     related = weld and other and (weld == above(other) or other == above(weld))
     types = (m.geom_contype[a] & m.geom_conaffinity[b]) | (
         m.geom_contype[b] & m.geom_conaffinity[a]
@@ -139,7 +139,7 @@ def _solid(m: mujoco.MjModel, geom: int) -> Solids:
         return _point()._replace(vert=ends, edge=ends[None], radii=np.full(3, size[0]), core=ends)
     raise EngineError(
         f"engine mjx cannot collide geom {m.geom(geom).name!r} of type {_GEOM(kind).name}; "
-        "take --engine native"
+        "use --engine native"
     )
 
 
@@ -175,11 +175,10 @@ def _cylinder(radius: float, half: float) -> Solids:
 
 
 def _polytope(points: NDArray) -> Solids:
-    """Build a polytope from the corners of its hull; triangles of one plane are one face."""
+    """Build a polytope from the vertices of its hull; coplanar triangles form one face."""
     middle, span = points.mean(axis=0), np.ptp(points, axis=0).max()
     hull = ConvexHull((points - middle) / span)
     normals = hull.equations
-    # Triangles by the plane that they lie in.
     face = np.full(len(normals), -1)
     planes: list[NDArray] = []
     for k, row in enumerate(normals):
@@ -194,7 +193,7 @@ def _polytope(points: NDArray) -> Solids:
     edges = [pair for pair, faces in sides.items() if len(set(faces)) > 1]
     stacked = np.array(planes)
     offset = span * -stacked[:, 3] + stacked[:, :3] @ middle
-    # Corners in the middle of a face, as triangulations leave them, are none.
+    # Points in the middle of a face are no vertices.
     used = np.unique(np.array(edges))
     centre = points[used].mean(axis=0)
     return Solids(
@@ -205,6 +204,3 @@ def _polytope(points: NDArray) -> Solids:
         radii=np.zeros(3),
         core=np.stack([centre, centre]),
     )
-
-
-__all__ = ["GeomPairs", "Solids", "collides", "geom_pairs", "geom_solids"]

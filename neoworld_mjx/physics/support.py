@@ -1,8 +1,8 @@
-"""Snapping: the height at which a child comes to touch what carries it, for every candidate.
+"""Snapping: the height at which a child touches its support, for every candidate.
 
-A child's tilt is fixed and only its yaw, size and place vary, so the underside of a child and the
-upper side of its support are functions of two coordinates that can be tabulated once: the underside
-as points, the support as a grid of heights. Snapping a population is then a gather and a maximum.
+Only the yaw, size and position of a child vary, so its underside and the upper surface of its
+support are tabulated once: the underside as points, the support as a grid of heights. Snapping a
+population is then a gather and a maximum.
 """
 
 from typing import NamedTuple
@@ -20,30 +20,30 @@ from .array_types import AnyArray
 GRID = 160
 """Cells along each side of a support's height grid."""
 UNDERSIDE_POINTS = 192
-"""Points that stand for a child's underside."""
+"""Number of points that represent a child's underside."""
 LEVEL_SHARE = 0.8
-"""Most of the underside's points that are of one level of height, if there are others."""
+"""Largest share of the underside's points at one level of height, if there are other levels."""
 WALL_M = 0.02
-"""How far [m] a wall reaches above an object that stands beside it, such as a book in a shelf."""
+"""Least height [m] of a wall above an object that it encloses, such as a book in a shelf."""
 LEANING_DEG = 5.0
-"""Tilt from which on an object in its parent leans there."""
+"""Least tilt of an object that leans in its parent [deg]."""
 SOLE_M = 0.005
-"""How far [m] the floor reaches above the lowest point of what leans in its parent: it stands on an
-edge, and the wall beside that is no floor."""
+"""Largest height [m] of the floor above the lowest point of an object that leans in its parent; the
+object stands on an edge, and the wall next to that edge is no floor."""
 LINE_MARGIN_M = 1e-6
-"""How far beside a piece [m] lines are still held against it."""
+"""Margin around a piece [m] within which lines are tested."""
 NO_SURFACE = -1e3
-"""Height [m] where a support has no surface."""
+"""Height [m] that stands for no surface."""
 
 
 class Support(NamedTuple):
-    """The surface under one object, at the support's size 1 and in its support frame.
+    """The surface under one object, in its support frame, at the support's size 1.
 
-    A row of the stacked tables has the same fields with a leading [object] axis.
+    Stacked tables have a leading [object] axis.
     """
 
     heights: Float[AnyArray, "GRID GRID"]
-    """Upper surface [m] at grid points, x first; NO_SURFACE where there is none."""
+    """Upper surface [m] at grid points, x first; or NO_SURFACE."""
     origin: Float[AnyArray, " 2"]
     """Grid point (0, 0) [m]."""
     cell: Float[AnyArray, ""]
@@ -55,12 +55,12 @@ class Support(NamedTuple):
 def posed_shapes(
     item: SceneObject, links: set[str] | None = None, *, tilted: bool = False
 ) -> list[tuple[Shape, Pose]]:
-    """List an object's colliding shapes with its joints as they stand.
+    """List an object's collision shapes with their poses at its joint state.
 
     Args:
-        item: the object in its place.
-        links: the parts to take; None takes all.
-        tilted: whether to turn them by the object's tilt, or leave them in the object's frame.
+        item: the placed object.
+        links: names of the parts; None takes all.
+        tilted: True rotates the poses by the object's tilt; False leaves them in its frame.
     """
     moved = link_poses(item.spec, item.joint_state)
     tilt = pose((0, 0, 0), item.base_tilt) if tilted else pose()
@@ -78,28 +78,23 @@ def posed_pieces(
 ) -> list[tuple[Piece, Pose]]:
     """List an object's convex pieces; see `posed_shapes`."""
     return [
-        (piece, at.then(pose(piece.pos, piece.quat)))
-        for shape, at in posed_shapes(item, links, tilted=tilted)
+        (piece, shape_pose.then(pose(piece.pos, piece.quat)))
+        for shape, shape_pose in posed_shapes(item, links, tilted=tilted)
         for piece in shape.pieces()
     ]
 
 
 def column(piece: Piece, at: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
-    """Intersect vertical lines with a convex piece.
-
-    Args:
-        piece: the convex piece.
-        at: its pose.
-        xy: the lines' coordinates [n, 2] m.
+    """Intersect vertical lines at xy [n, 2] m with a convex piece at a pose.
 
     Returns:
         Lowest and highest point [n] m on each line; (inf, -inf) where a line misses.
     """
     if piece.kind in ("box", "mesh"):
-        # Few lines of a grid meet a small piece.
-        spots = _corners(piece, at)[:, :2]
+        corners = _corners(piece, at)[:, :2]
         near = np.all(
-            (xy >= spots.min(axis=0) - LINE_MARGIN_M) & (xy <= spots.max(axis=0) + LINE_MARGIN_M),
+            (xy >= corners.min(axis=0) - LINE_MARGIN_M)
+            & (xy <= corners.max(axis=0) + LINE_MARGIN_M),
             axis=1,
         )
         low, high = np.full(len(xy), np.inf), np.full(len(xy), -np.inf)
@@ -132,13 +127,13 @@ def _meet(piece: Piece, at: Pose, xy: NDArray) -> tuple[NDArray, NDArray]:
 
 
 def _through_planes(half: NDArray, o: NDArray, d: NDArray) -> tuple[NDArray, NDArray]:
-    slope, room = half[:, :3] @ d, half[:, 3] - o @ half[:, :3].T
+    slope, gap = half[:, :3] @ d, half[:, 3] - o @ half[:, :3].T
     with np.errstate(divide="ignore", invalid="ignore"):
-        t = room / slope
-    outside = np.any((np.abs(slope) < 1e-12) & (room < -1e-9), axis=1)
+        t = gap / slope
+    outside = np.any((np.abs(slope) < 1e-12) & (gap < -1e-9), axis=1)
     low = np.max(np.where(slope < -1e-12, t, -np.inf), axis=1)
     high = np.min(np.where(slope > 1e-12, t, np.inf), axis=1)
-    # A line along a face or through an edge still counts as hitting.
+    # A line along a face or through an edge hits.
     miss = outside | (low > high + 1e-9)
     return np.where(miss, np.inf, low), np.where(miss, -np.inf, np.maximum(low, high))
 
@@ -155,10 +150,9 @@ def _through_ball(o: NDArray, d: NDArray) -> tuple[NDArray, NDArray]:
 
 
 def footprint(item: SceneObject) -> NDArray:
-    """Sample an object's underside in its tilted frame: points [UNDERSIDE_POINTS, 3] m, padded at +inf."""
+    """Sample an object's underside in its tilted frame: points [n, 3] m, padded at +inf."""
     pieces = posed_pieces(item)
-    corners = [_corners(piece, at) for piece, at in pieces]
-    spots = np.vstack(corners)
+    spots = np.vstack([_corners(piece, at) for piece, at in pieces])
     low, high = spots[:, :2].min(axis=0), spots[:, :2].max(axis=0)
     steps = np.stack(
         np.meshgrid(*(np.linspace(a, b, 25) for a, b in zip(low, high, strict=True))), -1
@@ -167,11 +161,11 @@ def footprint(item: SceneObject) -> NDArray:
     z = np.min([column(piece, at, xy)[0] for piece, at in pieces], axis=0)
     points = np.column_stack([xy, z])[np.isfinite(z)]
     if item.relation == "in" and _leans(item):
-        # It stands on its lowest edge; the rest touches the wall.
+        # The object stands on its lowest edge; the rest touches the wall.
         points = points[points[:, 2] <= points[:, 2].min() + SOLE_M]
     if len(points) > UNDERSIDE_POINTS:
-        # The lowest points matter most, but a wide flat foot must stay covered, and the rim of a
-        # lid be seen beside its plug: take the hull of each low level first, then spread the rest.
+        # The lowest points matter most, but the points must cover a wide flat base, and the rim of
+        # a lid as well as its plug: take the hull of each low level first, then spread the rest.
         level = np.round((points[:, 2] - points[:, 2].min()) / (1e-4 + np.ptp(points[:, 2]) / 8))
         points = points[_spread(points[:, :2], level)[:UNDERSIDE_POINTS]]
     pad = np.full((UNDERSIDE_POINTS - len(points), 3), np.inf)
@@ -201,9 +195,9 @@ def _corners(piece: Piece, at: Pose) -> NDArray:
 
 
 def _spread(xy: NDArray, level: NDArray) -> NDArray:
-    """Order points so that low ones come first and each prefix covers its level evenly.
+    """Order points from low to high levels, so that each prefix covers its level evenly.
 
-    No level has more than LEVEL_SHARE of the first UNDERSIDE_POINTS while others wait.
+    No level has more than LEVEL_SHARE of the first UNDERSIDE_POINTS if there are other levels.
     """
     first: list[int] = []
     later: list[int] = []
@@ -223,17 +217,17 @@ def _spread(xy: NDArray, level: NDArray) -> NDArray:
 def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     """Tabulate the surface that supports an object.
 
-    It is the highest surface under the object's footprint; or, for an object inside its parent,
-    such as a can on a lower shelf, the highest surface below pieces that leave it room. Of the two
-    the one nearer to the composed height is taken. An object inside its parent is never lifted onto
-    a wall, and enters walls instead, where D_pen has a gradient that leads out. A wall is what
-    reaches above the middle of the composed object with relation "in", by WALL_M above the top of
-    another, and by SOLE_M above the lowest point of one that leans in its parent on a floor.
+    The surface is the highest one under the object's footprint; or, for an object inside its
+    parent, such as a can on a lower shelf, the highest one below pieces that leave space for the
+    object: of the two, the one closer to the composed height. An object inside its parent is never
+    lifted onto a wall; it penetrates the wall instead, where D_pen has a gradient that leads out. A
+    wall is any surface above the middle of the composed object with relation "in", WALL_M above the
+    top of another, or SOLE_M above the lowest point of one that leans in its parent on a floor.
 
     Args:
         scene: the composed scene.
-        item: the object; it must have a parent.
-        reach: how far [m] from its composed place the object may be moved.
+        item: the object, which has a parent.
+        reach: largest distance of the object from its composed position [m].
     """
     parent = scene.object(str(item.parent))
     links = {item.parent_link} if item.parent_link else None
@@ -252,7 +246,7 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     middle = item.z + (own[:, 2].min() + top) / 2
     outside = np.max(high, axis=0, initial=NO_SURFACE)
     under = low < middle
-    # A wall does not hide the floor on which it stands.
+    # A wall does not hide its own floor.
     wall = middle if item.relation == "in" else item.z + top + WALL_M
     floor = under & (high <= wall)
     if item.relation == "in" and _leans(item):
@@ -289,8 +283,8 @@ def link_frame(parent: SceneObject, link: str | None) -> Pose:
     return pose(moved.pos, from_yaw(yaw_of(moved.quat)))
 
 
-def nothing() -> Support:
-    """Return the table of an object that stands on nothing."""
+def no_support() -> Support:
+    """Return the table of an object without a support."""
     foot = np.zeros((UNDERSIDE_POINTS, 3), np.float32)
     foot[:, 2] = np.inf
     return Support(
@@ -308,17 +302,17 @@ def height_above(
     size: Float[Array, ""],
     parent_size: Float[Array, ""],
 ) -> Float[Array, ""]:
-    """Return how high an object's origin stands when it touches its support.
+    """Return the height of an object's origin at which it touches its support.
 
     Args:
         table: the support.
-        xy: the object's place in the support frame [m], the support at its present size.
-        yaw: the object's yaw in the support frame [rad].
+        xy: position in the support frame [m], at the support's present size.
+        yaw: yaw in the support frame [rad].
         size: scale of the object.
         parent_size: scale of the support.
 
     Returns:
-        Height [m] in the support frame; below NO_SURFACE / 2 when no point of the underside is above
+        Height [m] in the support frame; below NO_SURFACE / 2 if no point of the underside is above
         the support.
     """
     c, s = jnp.cos(yaw), jnp.sin(yaw)
@@ -328,7 +322,7 @@ def height_above(
     h = table.heights
     a, b, c, d = h[i, j], h[i + 1, j], h[i, j + 1], h[i + 1, j + 1]
     blended = (a * (1 - u) + b * u) * (1 - v) + (c * (1 - u) + d * u) * v
-    # Beside an edge of the support interpolation would invent a slope: take the nearest corner.
+    # Interpolation across an edge of the support would add a slope: take the nearest corner.
     lowest = jnp.minimum(jnp.minimum(a, b), jnp.minimum(c, d))
     highest = jnp.maximum(jnp.maximum(a, b), jnp.maximum(c, d))
     nearest = jnp.where(v > 0.5, jnp.where(u > 0.5, d, c), jnp.where(u > 0.5, b, a))
@@ -339,29 +333,15 @@ def height_above(
 
 
 def _cell(
-    table: Support, axis: int, at: Float[Array, " UNDERSIDE_POINTS"]
+    table: Support, axis: int, x: Float[Array, " UNDERSIDE_POINTS"]
 ) -> tuple[
     Int[Array, " UNDERSIDE_POINTS"],
     Float[Array, " UNDERSIDE_POINTS"],
     Bool[Array, " UNDERSIDE_POINTS"],
 ]:
-    """Find coordinates [m] on a side of the grid: cell, place in it from 0 to 1, whether inside."""
-    grid = (at - table.origin[axis]) / table.cell
+    """Return the cell of coordinates [m] along an axis, the fraction within it, and a mask of those
+    inside the grid.
+    """
+    grid = (x - table.origin[axis]) / table.cell
     low = jnp.clip(jnp.floor(grid), 0, GRID - 2).astype(jnp.int32)
     return low, jnp.clip(grid - low, 0.0, 1.0), (grid >= 0) & (grid <= GRID - 1)
-
-
-__all__ = [
-    "UNDERSIDE_POINTS",
-    "GRID",
-    "NO_SURFACE",
-    "Support",
-    "column",
-    "footprint",
-    "height_above",
-    "link_frame",
-    "nothing",
-    "posed_pieces",
-    "posed_shapes",
-    "support",
-]

@@ -1,8 +1,8 @@
-"""Visibility: which object a photograph's camera sees where, for whole populations of layouts.
+"""Visibility of objects in the photograph's camera, for populations of layouts.
 
-Objects hide one another, and the picture ends. Each object is looked at through a window of its
-own, its box in the picture cut at the picture's border, so that small objects are seen as finely as
-large ones; a raster of the whole picture is the same with one window.
+Objects occlude one another, and the image border cuts them. Rays are cast through a window for each
+object, its image box clipped at the border, so that small objects are resolved as finely as large
+ones; a raster of the whole image has a single window.
 """
 
 from typing import Any, NamedTuple
@@ -29,47 +29,45 @@ from .photo_view import PhotoView
 from .scene_arrays import SceneArrays
 
 WINDOW_TILE, WINDOW_TILES = 8, 3
-"""Cells along a tile, and tiles along a window of an object."""
+"""Cells along a tile, and tiles along an object's window."""
 GOLDEN = 0.618034
-"""Cells are looked at off their middle by multiples of this, so that an edge along the grid is met
-at many places within a cell."""
+"""Offset of rays from the middle of cells, so that an edge along the grid crosses cells at many
+positions."""
 INSET = 0.01
-"""How far inside an object's extreme points it is looked for, as a share of its box."""
+"""Distance of rays inside an object's extreme points, relative to its box."""
 LEAST_DEPTH_M = 1e-3
 """Least depth [m] of a point that is projected."""
 
 
 class Outlines(eqx.Module):
-    """Where objects are in the picture, hidden or not."""
+    """Projections of whole objects, occluded or not."""
 
     boxes: Float[Array, "pop object 4"]
-    """left, top, right, bottom from the middle of the picture [px]."""
+    """left, top, right, bottom from the image centre [px]."""
     extremes: Float[Array, "pop object 4 2"]
-    """The points (x, y) that reach farthest left, up, right and down [px]."""
+    """Leftmost, topmost, rightmost and bottommost points (x, y) [px]."""
     middle: Float[Array, "pop object 2"]
     """Means of the outline's points [px]."""
     depth: Float[Array, "pop object"]
-    """Of the middle of each object's box along the view [m]."""
+    """Depth of the centre of each object's box [m]."""
     inside: Float[Array, "pop object"]
-    """Share of the surface samples that lie within the picture's border."""
+    """Share of the surface samples within the image."""
 
 
 class Visible(eqx.Module):
-    """What the camera sees of objects."""
+    """Visible parts of objects."""
 
     boxes: Float[Array, "pop object 4"]
-    """Boxes of what is visible [px], from the middle of the picture; without area where nothing
-    is."""
+    """Boxes of the visible parts [px], from the image centre; of zero area where invisible."""
     share: Float[Array, "pop object"]
-    """Visible share of the area that an object would cover if nothing hid it and the picture did
-    not end."""
+    """Visible share of the area that an object would cover without occlusion and image border."""
     own_sides: Bool[Array, "pop object 4"]
-    """Whether each side is where the object itself ends: not hidden, and not at the border."""
+    """True for sides at which the object itself ends: neither occluded nor cut by the border."""
     outlines: Outlines
 
 
 def as_parsed(photo: PhotoView, pop: int) -> Visible:
-    """Return candidates that look like the photograph."""
+    """Return the visible parts of candidates that match the photograph exactly."""
     many = lambda x: jnp.broadcast_to(jnp.asarray(x, jnp.float32), (pop, *np.shape(x)))
     boxes, whole = many(photo.boxes), jnp.ones((pop, len(photo.boxes)))
     x, y = ((boxes[..., k] + boxes[..., k + 2]) / 2 for k in range(2))
@@ -120,16 +118,15 @@ def outlines(scene: SceneArrays, poses: Poses) -> Outlines:
 
 
 def unhidden(scene: SceneArrays, poses: Poses) -> Visible:
-    """Return what the camera would see of each object if nothing hid it."""
-    seen = outlines(scene, poses)
+    """Return the visible part of each object without occlusion."""
+    whole = outlines(scene, poses)
     border = jnp.tile(scene.photo.half_size, 2)
-    return Visible(
-        jnp.clip(seen.boxes, -border, border), seen.inside, jnp.abs(seen.boxes) <= border, seen
-    )
+    boxes = jnp.clip(whole.boxes, -border, border)
+    return Visible(boxes, whole.inside, jnp.abs(whole.boxes) <= border, whole)
 
 
 def without_spin(scene: SceneArrays, poses: Poses) -> Poses:
-    """Undo turns of round objects about their own axis, which nobody sees."""
+    """Remove rotations of round objects about their own axis, which are invisible."""
     w, x, y, z = jnp.moveaxis(poses.quat, -1, 0)
     square = w * w + z * z
     length = jnp.sqrt(jnp.where(square > 1e-12, square, 1.0))
@@ -160,7 +157,7 @@ def _prepared(scene: SceneArrays, poses: Poses) -> _Prepared:
 
 
 def _near(prepared: _Prepared, window: Float[Array, "4 pop"], behind: Any) -> list[Array]:
-    """Return rows whose boxes reach into a window for some candidate, not wholly behind a depth."""
+    """Return a mask of rows that reach into a window, and not behind a depth, in some candidate."""
     masks = []
     for rows, box in zip(prepared.families, prepared.boxes, strict=True):
         meets = (box[:, 0] <= window[2]) & (box[:, 2] >= window[0])
@@ -170,7 +167,7 @@ def _near(prepared: _Prepared, window: Float[Array, "4 pop"], behind: Any) -> li
 
 
 def _grid() -> Float[np.ndarray, "2 tile cell"]:
-    """Return where cells of a window are looked at, from 0 to 1, in tiles."""
+    """Return the position of each cell's ray in the window, from 0 to 1, by tile."""
     n = WINDOW_TILE * WINDOW_TILES
     row, column = np.mgrid[:n, :n]
     x = (column + (0.5 + GOLDEN * row) % 1) / n
@@ -184,20 +181,20 @@ def _grid() -> Float[np.ndarray, "2 tile cell"]:
 
 
 def visibility(scene: SceneArrays, poses: Poses) -> Visible:
-    """Return what the photograph's camera sees of each judged object.
+    """Return the visible part of each scored object.
 
-    Boxes are good to about a hundredth of an object's size where another one hides it, and exact
-    where the object itself ends or the picture does. Without gradients; may be jitted and vmapped.
+    Sides of boxes are exact where the object itself or the image ends, and accurate to about a
+    hundredth of the object's size at an occluder. Without gradients; may be jitted and vmapped.
     """
     scene, poses = jax.tree.map(lax.stop_gradient, (scene, poses))
     return _visible(scene, poses, outlines(scene, poses))
 
 
-def _visible(scene: SceneArrays, poses: Poses, seen: Outlines) -> Visible:
+def _visible(scene: SceneArrays, poses: Poses, whole: Outlines) -> Visible:
     focal = scene.photo.focal
     prepared = _prepared(scene, poses)
     last = lambda v: jnp.moveaxis(v, 0, -1) / focal
-    full, extremes, middle = last(seen.boxes), last(seen.extremes), last(seen.middle)
+    full, extremes, middle = last(whole.boxes), last(whole.extremes), last(whole.middle)
     border = jnp.concatenate([-scene.photo.half_size, scene.photo.half_size]) / focal
     low, high = jnp.tile(border[:2], 2)[:, None], jnp.tile(border[2:], 2)[:, None]
     least = _least_inverse_depth(prepared, scene.count)
@@ -248,7 +245,7 @@ def _visible(scene: SceneArrays, poses: Poses, seen: Outlines) -> Visible:
         in_picture = (full[k] >= low) & (full[k] <= high)
         tips = slice(None, None, WINDOW_TILE * WINDOW_TILE // 4)
         tip_shown, tip_own = shown[-1][tips], own[-1][tips]
-        # A thin tip may be missed by its ray; then the cells beside it decide.
+        # The ray may miss a thin tip; then the adjacent cells decide.
         by_cells = ~tip_own & (jnp.abs(sampled - full[k]) < 1.5 * cell)
         ends_here = in_picture & (tip_shown | by_cells)
         cut = ~in_picture & (jnp.abs(sampled - window) < 1.5 * cell)
@@ -263,7 +260,7 @@ def _visible(scene: SceneArrays, poses: Poses, seen: Outlines) -> Visible:
 
     boxes, share, sides = lax.fori_loop(0, number, look, start)
     first = lambda v: jnp.moveaxis(v, -1, 0)
-    return Visible(first(boxes) * focal, first(share) * seen.inside, first(sides), seen)
+    return Visible(first(boxes) * focal, first(share) * whole.inside, first(sides), whole)
 
 
 def _least_inverse_depth(prepared: _Prepared, count: int) -> Float[Array, "object pop"]:
@@ -283,15 +280,10 @@ def _least_inverse_depth(prepared: _Prepared, count: int) -> Float[Array, "objec
 def raster(
     scene: SceneArrays, poses: Poses, *, columns: int = 96, rows: int = 72
 ) -> tuple[Int[Array, "pop row column"], Float[Array, "pop row column"]]:
-    """Return which object is seen at each cell of the picture, -1 for none, and its depth [m].
+    """Return the object at each cell of the image, -1 for none, and its depth along the view [m].
 
-    Environment supports are objects, too. Depth is along the view, inf where nothing is.
-
-    Args:
-        scene: the scene's arrays.
-        poses: where the candidates' objects are placed.
-        columns: cells across the picture, a multiple of WINDOW_TILE.
-        rows: cells down the picture, a multiple of WINDOW_TILE.
+    Environment supports count as objects. Depth is inf where there is none. `columns` and `rows`
+    are multiples of WINDOW_TILE.
     """
     prepared = _prepared(scene, poses)
     half = scene.photo.half_size / scene.photo.focal

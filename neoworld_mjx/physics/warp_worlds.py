@@ -1,7 +1,7 @@
-"""A scene's worlds on a GPU: one MuJoCo Warp model and data, loaded with a population at a time.
+"""Worlds of a scene on a GPU: one MuJoCo Warp model and data, loaded with one population at a time.
 
-Kernels are launched over the first `count` worlds only, so that stopped candidates cost nothing
-once the others have moved to the front.
+Kernels are launched over the first `count` worlds only, so stopped candidates cost nothing once the
+others have moved to the front.
 """
 
 import copy
@@ -21,32 +21,27 @@ from .model import MESH, SceneModel, StaticScene
 from .native import open_batch
 
 PROBED, PROBE_STEPS, PROBE_EVERY = 24, 75, 5
-"""Candidates and steps that contacts are counted over before a scene's first rollout."""
+"""Candidates, steps, and steps between counts of contacts before a scene's first rollout."""
 
 WORLDS_MEMORY_SHARE = 0.4
-"""Of a device's free memory, how much one scene's worlds may take."""
+"""Share of a device's free memory for the worlds of one scene."""
 
 WARP_ITERATIONS = 100
-"""Most iterations of the constraint solver. All worlds wait for the slowest."""
+"""Largest number of solver iterations, as all worlds wait for the slowest."""
 
 
 class Capacity(NamedTuple):
-    """How much device memory is set aside."""
+    """Sizes of the allocated device memory."""
 
     worlds: int
     contacts: int
-    """Contacts a world on average; the pool is shared."""
+    """Contacts per world on average; the pool is shared."""
     constraints: int
     """Constraints of one world."""
 
 
 def probe(scene: SceneModel, poses: Poses) -> Capacity:
-    """Count contacts and constraints of a few candidates with C MuJoCo; leave room for double.
-
-    Args:
-        scene: the compiled scene.
-        poses: where the candidates' objects are placed; some are taken evenly.
-    """
+    """Return twice the contacts and constraints of a few candidates, evenly chosen, in C MuJoCo."""
     pick = np.unique(np.linspace(0, poses.scale.shape[0] - 1, PROBED).astype(int))
     batch = open_batch(scene, jax.tree.map(np.asarray, poses)[pick])
     contacts, constraints = [0], [0]
@@ -58,8 +53,8 @@ def probe(scene: SceneModel, poses: Poses) -> Capacity:
             mujoco.mj_step(model, data, PROBE_EVERY)
             contacts.append(data.ncon)
             constraints.append(data.nefc)
-    # MuJoCo Warp may find more points of one contact than C MuJoCo, and the pool of contacts also
-    # holds the pairs that the first, coarse test lets through.
+    # MuJoCo Warp may generate more contact points than C MuJoCo, and the contact pool also holds
+    # the pairs that pass the broad phase.
     pool = 2 * max(contacts) + 32
     rows = 2 * max(max(constraints), 4 * max(contacts)) + 32
     return Capacity(worlds=0, contacts=-(-pool // 16) * 16, constraints=-(-rows // 32) * 32)
@@ -74,22 +69,17 @@ class Worlds:
     """Overflows of one world alone."""
 
     def __init__(self, static: StaticScene, capacity: Capacity, device: Any) -> None:
-        """Allocate.
-
-        Args:
-            static: the scene.
-            capacity: for how much.
-            device: a warp device.
+        """Allocate memory for a scene on a warp device.
 
         Raises:
             EngineError: MuJoCo Warp cannot simulate the scene.
         """
         self.static, self.capacity, self.device = static, capacity, device
         mjm = copy.copy(static.mjm)
-        # Warp never resets a diverged world, and does not know the flag that says so.
+        # Warp never resets a diverged world, and rejects the flag.
         mjm.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         mjm.opt.iterations = min(mjm.opt.iterations, WARP_ITERATIONS)
-        # In MuJoCo Warp this flag means that two boxes meet as in C MuJoCo, by their own algorithm.
+        # In MuJoCo Warp this flag selects C MuJoCo's algorithm for pairs of boxes.
         mjm.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
         self.count = n = capacity.worlds
         self._graphs: dict[int, Any] = {}
@@ -107,24 +97,24 @@ class Worlds:
             except (NotImplementedError, ValueError) as error:
                 raise EngineError(
                     f"engine warp cannot simulate scene {static.spec.name}: {error}; "
-                    "take --engine native"
+                    "use --engine native"
                 ) from None
             self.model.opt.warn_overflow = 0
             if static.mjm.nmesh and n:
                 self._own_meshes()
 
     def grown(self) -> "Worlds":
-        """Return empty worlds with room for twice the contacts."""
+        """Return empty worlds with twice the contacts."""
         room = self.capacity._replace(contacts=2 * self.capacity.contacts)
         return type(self)(self.static, room, self.device)
 
     def load(self, fields: dict[str, Any], qpos: np.ndarray) -> None:
-        """Put candidates into the first worlds, at rest.
+        """Load candidates into the first worlds, at rest.
 
         Args:
-            fields: values of model fields, [pop, n] in single precision, JAX arrays; and of
+            fields: values of model fields, [pop, n] in single precision, JAX arrays; also
                 "geom_xpos", "geom_xmat" of the data and "mesh_vert".
-            qpos: start states [pop, nq].
+            qpos: initial states [pop, nq].
         """
         with wp.ScopedDevice(self.device):
             self._source = {name: _words(_on_device(v, self.device)) for name, v in fields.items()}
@@ -146,14 +136,14 @@ class Worlds:
         *,
         scrub: bool = False,
     ) -> None:
-        """Go on with some of the worlds alone.
+        """Continue with a subset of the worlds.
 
         Args:
-            rows: which of the present worlds [count]; a world may be repeated.
+            rows: indices of the current worlds [count]; a world may be repeated.
             qpos: their coordinates.
             qvel: their velocities.
-            qacc: their accelerations, the solver's next first guess.
-            scrub: whether values that are not numbers may have been left in the memory of others.
+            qacc: their accelerations, the solver's warm start.
+            scrub: True if diverged worlds may have left NaN in memory.
         """
         with wp.ScopedDevice(self.device):
             if scrub:
@@ -175,17 +165,13 @@ class Worlds:
     def read(
         self, *, moving: bool = True
     ) -> tuple[NDArray, NDArray | None, NDArray | None, NDArray]:
-        """Fetch qpos, qvel, qacc and the overflow flags of the worlds in use.
-
-        Args:
-            moving: whether velocities and accelerations are wanted.
-        """
+        """Return qpos, qvel and qacc (None unless `moving`) and overflow flags of the used worlds."""
         d, n = self.data, self.count
         qvel, qacc = (x[:n].numpy() if moving else None for x in (d.qvel, d.qacc_warmstart))
         return d.qpos[:n].numpy(), qvel, qacc, d.overflow[:n].numpy()
 
     def room(self) -> int:
-        """Return how many worlds fit into the device's free memory."""
+        """Return the number of worlds that fit into the device's free memory."""
         if not self.device.is_cuda:
             return 1 << 16
         each = sum(_bytes(x) for x in (self.model, self.data)) / max(self.capacity.worlds, 1)
@@ -194,7 +180,7 @@ class Worlds:
         return max(64, 1 << (fit.bit_length() - 1))
 
     def _own_meshes(self) -> None:
-        """Give every world meshes of its own, numbered world * nmesh + mesh."""
+        """Give every world its own meshes, numbered world * nmesh + mesh."""
         m, base, n = self.model, self.static.mjm, self.capacity.worlds
         shift = np.arange(n)[:, None]
         number = np.where(
@@ -204,15 +190,13 @@ class Worlds:
         m.mesh_vertadr = _ints((base.mesh_vertadr + shift * base.nmeshvert).ravel())
         m.mesh_vert = wp.array(np.tile(base.mesh_vert, (n, 1)), dtype=wp.vec3)
         # Addresses into tables of topology and normals, which no scale changes.
-        for name in ("mesh_vertnum", "mesh_graphadr", "mesh_polynum", "mesh_polyadr"):
-            setattr(m, name, _ints(np.tile(getattr(base, name), n)))
-        for name in ("mesh_polymapadr", "mesh_polymapnum"):
-            setattr(m, name, _ints(np.tile(getattr(base, name), n)))
+        for name in ("vertnum", "graphadr", "polynum", "polyadr", "polymapadr", "polymapnum"):
+            setattr(m, f"mesh_{name}", _ints(np.tile(getattr(base, f"mesh_{name}"), n)))
 
     def _place(
         self, rows: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray
     ) -> None:
-        """Fill the first worlds with candidates `rows` of what was loaded."""
+        """Fill the first worlds with the loaded candidates `rows`."""
         m, d, count = self.model, self.data, len(rows)
         self._rows = rows
         self.count = d.nworld = count
@@ -231,14 +215,14 @@ class Worlds:
                 wp.copy(into[:count], wp.array(np.ascontiguousarray(values, np.float32)))
 
     def _scrub(self) -> None:
-        """Zero what a world that diverged may have left; zero times not-a-number is no number."""
+        """Zero memory in which diverged worlds may have left NaN, as zero times NaN is NaN."""
         for part in (self.data.efc, self.data.contact):
             for value in vars(part).values():
                 if isinstance(value, wp.array) and value.dtype == wp.float32:
                     value.zero_()
 
     def _capture(self) -> None:
-        # Kernels are compiled and loaded outside of a capture; the step that this takes is undone.
+        # Kernels must be compiled and loaded outside a capture; the step that does so is undone.
         d = self.data
         state = (d.qpos, d.qvel, d.qacc_warmstart, d.time, d.overflow)
         if not self._graphs:

@@ -17,11 +17,11 @@ from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..physics.placed import (
     Placed,
+    approximated,
+    approximated_in_chunks,
     at_rest_in_chunks,
-    come_to_rest,
-    guessed,
-    guessed_in_chunks,
     placed,
+    placed_at_rest,
     placed_in_chunks,
     placed_poses,
     poses_in_chunks,
@@ -74,7 +74,7 @@ class Evaluation(NamedTuple):
         for rest in set(resting):
             own = [k for k in range(len(layouts)) if resting[k] == rest]
             if computes_on_cpu():
-                look = guessed_in_chunks if rest else placed_in_chunks
+                look = approximated_in_chunks if rest else placed_in_chunks
                 new = [look(self.arrays, layouts[k], number) for k in own]
             else:
                 rows = [(layouts[k],) for k in own]
@@ -153,7 +153,7 @@ class Evaluation(NamedTuple):
         if on_cpu:
             looked = [at_rest_in_chunks(self.arrays, *pair) for pair in pairs]
         else:
-            looked = map_runs(come_to_rest, self.arrays, pairs, self.tile)
+            looked = map_runs(placed_at_rest, self.arrays, pairs, self.tile)
         placed_now = []
         for (k, rows), at in zip(waiting.items(), looked, strict=True):
             put_in = lambda x, new, rows=rows: put(x, new[: len(rows)], rows)
@@ -162,7 +162,7 @@ class Evaluation(NamedTuple):
             whole = Placed(p.poses, p.depth, p.visible, p.settled)
             placed_now.append((live[k].problem, layouts[k], jax.tree.map(put_in, whole, at)))
         for k, placement in zip(waiting, self._placements(placed_now), strict=True):
-            plans[k].come_to_rest(placement)
+            plans[k].placed_at_rest(placement)
             placements[k] = _left_out(placement, plans[k].ready)
         self.clock["score"] += time.perf_counter() - began
 
@@ -252,7 +252,7 @@ def _left_out(placement: Placement, kept: np.ndarray) -> Placement:
 
 
 def _guessed(scene: SceneArrays, layouts: Layout) -> Placed:
-    return guessed(scene, placed_poses(scene, layouts))
+    return approximated(scene, placed_poses(scene, layouts))
 
 
 def with_semantic(placement: Placement, values: np.ndarray) -> Placement:

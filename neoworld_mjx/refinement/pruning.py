@@ -69,7 +69,7 @@ class RolloutPlan:
             return None
         return np.sort(self._waiting[: self.rests])
 
-    def come_to_rest(self, placement: Placement) -> None:
+    def placed_at_rest(self, placement: Placement) -> None:
         """Take in the placement in which those that were `waiting` rest."""
         self._placement, self._upper = placement, np.asarray(placement.bound)
         new, self._waiting = np.split(self._waiting, [self.rests])

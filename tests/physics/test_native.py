@@ -3,7 +3,6 @@
 import jax
 import numpy as np
 import pytest
-from neoworld_bench.engines.table_scenes import crowded, noisy_layouts
 from pydantic import ValidationError
 
 from neoworld_mjx.errors import SpecError
@@ -14,11 +13,13 @@ from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.spec import Box, ObjectSpec, SceneObject, SceneSpec
 from tests.support import scenes
+from tests.support.scenes import noisy_layouts, stored_scene
 
 
 @pytest.fixture(scope="module", params=["primitives", "meshes"])
 def scene(request):
-    return compile_scene(scenes.blocks() if request.param == "primitives" else crowded(6))
+    primitives = request.param == "primitives"
+    return compile_scene(scenes.blocks() if primitives else stored_scene("crowded_6"))
 
 
 @pytest.mark.parametrize(
@@ -58,7 +59,7 @@ def test_what_sleeps_counts_as_at_rest_and_wakes_when_it_is_hit():
 
 
 def test_models_written_anew_equal_fresh_copies(monkeypatch):
-    scene = compile_scene(crowded(6))
+    scene = compile_scene(stored_scene("crowded_6"))
     first, second = noisy_layouts(scene, 6, seed=1), noisy_layouts(scene, 4, seed=2)
     NativeEngine().rollout(scene, scene.place(first), duration=0.1)
     assert len(native._rings[scene.static]) == 6

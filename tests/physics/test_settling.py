@@ -7,7 +7,7 @@ import pytest
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.physics.placed import come_to_rest
+from neoworld_mjx.physics.placed import placed_at_rest
 from neoworld_mjx.physics.settling import FALL_M_S, HEADING, at_rest, moved, settle, with_drag
 from neoworld_mjx.spec import Box, HollowBox, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle, pose
@@ -57,7 +57,7 @@ def test_a_candidate_that_fails_stays_where_it_was_placed(settled):
 
 def test_settling_is_measured_by_tilt_and_height(settled):
     model, start, end = settled
-    at = come_to_rest(model, *(jax.tree.map(lambda x: x[:1], p) for p in (start, end)))
+    at = placed_at_rest(model, *(jax.tree.map(lambda x: x[:1], p) for p in (start, end)))
     by = dict(zip(model.names, np.asarray(at.settled)[0], strict=True))
     assert by["table"] == 0.0
     assert by["slab"] == pytest.approx(0.06 / np.radians(15), rel=0.05)

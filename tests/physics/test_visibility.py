@@ -4,7 +4,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from neoworld_bench.fidelity.rendered_scenes import photo_scene
 
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
@@ -19,9 +18,9 @@ see = eqx.filter_jit(lambda scene, layouts: visibility(scene, scene.place(layout
 CELLS = {"columns": 64, "rows": 48}
 
 
-@pytest.fixture(scope="module", params=[0, 5])
+@pytest.fixture(scope="module", params=["photo_0", "photo_5"])
 def photographed(request):
-    spec = photo_scene(request.param, width=320)
+    spec = scenes.stored_scene(request.param)
     return spec, pad_scene(compile_scene(spec, samples=64))
 
 

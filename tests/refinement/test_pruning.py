@@ -4,7 +4,6 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
-from neoworld_bench.engines.table_scenes import crowded, noisy_layouts
 
 from neoworld_mjx.config import CEMOptions, RefineOptions, RolloutOptions
 from neoworld_mjx.physics.engine import unmoved
@@ -13,6 +12,7 @@ from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.refinement import refine
 from neoworld_mjx.refinement.objective import evaluate, open_objective, place
 from neoworld_mjx.refinement.pruning import PRUNED, RolloutPlan
+from tests.support.scenes import noisy_layouts, stored_scene
 
 
 @pytest.mark.parametrize("elites", [1, 12])
@@ -53,7 +53,7 @@ def test_more_come_to_rest_until_one_is_valid(crowd):
         assert plan.next() is None
         waiting = plan.waiting()
         assert waiting.tolist() == sorted(order[len(rolled) : len(rolled) + 16])
-        plan.come_to_rest(placement)
+        plan.placed_at_rest(placement)
         while (rows := plan.next()) is not None:
             scores = jax.tree.map(lambda x, rows=rows: np.asarray(x)[rows], still)
             plan.add(eqx.tree_at(lambda s: s.valid, scores, np.full(8, valid)))
@@ -65,7 +65,7 @@ def test_more_come_to_rest_until_one_is_valid(crowd):
 
 
 def test_a_refinement_with_pruning_ends_where_one_without_does():
-    noisy = compile_scene(crowded(3), samples=64)
+    noisy = compile_scene(stored_scene("crowded_3"), samples=64)
     start = noisy.apply(noisy_layouts(noisy, 1, seed=2), 0)
     results = [
         refine(
