@@ -33,7 +33,7 @@ class FaultRow(BaseModel):
     kind: str
     magnitude: float
     counts: bool
-    """Whether it contradicts physics or an intent; a faint one does not."""
+    """True if it contradicts physics or an intent; a faint one does not."""
     detected: bool
     named: bool
     cause: str = ""
@@ -41,7 +41,7 @@ class FaultRow(BaseModel):
     repairable: bool = False
     repaired: bool | None = None
     worse: bool = False
-    """Whether the repair left a higher fault score."""
+    """True if the repair left a higher fault score."""
     changes: list[str] = []
 
 
@@ -147,13 +147,13 @@ def _fault(text: str, name: str, magnitude: float, with_repair: bool) -> FaultRo
         update={
             "repaired": repaired.after.passed,
             "worse": repaired.after.score > repaired.before.score,
-            "changes": list(repaired.changes),
+            "changes": list(repaired.patch.changes()),
         }
     )
 
 
 def summary(rows: Sequence[ValidRow | FaultRow]) -> dict[str, Any]:
-    """Sum rows up; each share has its denominator beside it."""
+    """Summarize rows; each share has its denominator beside it."""
     valid = [row for row in rows if isinstance(row, ValidRow)]
     faults = [row for row in rows if isinstance(row, FaultRow)]
     counted = [row for row in faults if row.counts]

@@ -157,8 +157,9 @@ def verify_objects(context: StepContext) -> None:
 def _verify_object(context: StepContext, node: TreeNode, tree: SceneTree) -> None:
     from ..checks.object_tests import run_object_tests
     from ..compose.resting_pose import on_level, pose_without_scene
-    from ..verify import verify_and_repair, write_overlay
+    from ..verify import verify_and_repair
     from ..verify.films import films
+    from ..verify.patch import write_overlay
 
     run, options = context.run, context.config.verify
     name = f"verify/{node.name}"
@@ -240,14 +241,14 @@ def compose_scene(context: StepContext) -> None:
             (out / "compose").mkdir()
             if refits:
                 shown = shown_sides(compose(tree, objects, config.compose).scene)
-                tree, report = refit_tree(tree, objects, shown, carriers=not told)
+                tree, report = refit_tree(tree, objects, shown, change_supports=not told)
                 (out / "compose" / TREE).write_text(tree.to_json(), encoding="utf-8")
                 (out / REFIT).write_text(
                     json.dumps(report.to_json(), indent=1) + "\n", encoding="utf-8"
                 )
                 for what, reason in report.notes():
                     run.note("compose", what, reason)
-                for name, other in report.carriers.items():
+                for name, other in report.supports.items():
                     what = f"{name} {other.relation} {other.parent}, not {other.before}"
                     run.fallback("compose", what, other.phrase())
             composed = compose(tree, objects, config.compose)
@@ -302,7 +303,7 @@ def _check_composed(context: StepContext) -> None:
 
 def refine_layout(context: StepContext) -> None:
     """Step 5: write scene.json, and every candidate's layout and scores in refine/."""
-    from ..fit.fit_tree import NOTED_M, NOTED_SIZE
+    from ..fit.fit_report import NOTED_M, NOTED_SIZE
     from ..measure import box_iou, object_moves
     from ..refinement import refine
 

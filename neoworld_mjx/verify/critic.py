@@ -1,10 +1,9 @@
-"""Step 3 with models: the critic judges key frames of failed checks, the reasoner proposes edits
-(3.2).
+"""Step 3 with models (3.2): the critic judges key frames, the reasoner proposes edits.
 
-Models see objects that direct repairs left with failed or doubtful checks, or on request all. The
-reasoner proposes a `Patch`, which must lower the fault score like every repair. The critic's
-findings are reported beside the verdict and change no outcome. An object that passes with doubtful
-checks goes to the critic alone: its fault score is 0, and no edit could lower that.
+Models see objects that direct repairs left with failed or borderline checks, or all on request.
+The reasoner proposes a `Patch`, which must lower the fault score like every repair. The critic's
+findings are reported with the verdict and change no outcome. An object that passes with borderline
+checks goes only to the critic: its fault score is 0, and no edit could lower that.
 """
 
 import asyncio
@@ -20,12 +19,11 @@ from ..mllm import Panel, Request, ask_or_record, package_text, revise
 from ..spec import ObjectSpec, inertial
 from .key_frames import questionable, strips
 from .patch import Patch
-from .repairs import Repaired, RunTests, try_patches
+from .repairs import Repair
 
 T = TypeVar("T", bound=BaseModel)
 
-# Titles, docstrings and descriptions of the answers are part of the requests: tapes hold answers to
-# these very ones.
+# Titles, docstrings and descriptions of the responses are part of the requests, the keys of tapes.
 
 
 class Finding(BaseModel):
@@ -95,11 +93,11 @@ def described(spec: ObjectSpec) -> str:
     """Describe the editable parts and joints of an object with their present values."""
     lines = []
     for part in spec.parts:
-        own = inertial(spec, part)
-        x, y, z = own.pos
+        inertia = inertial(spec, part)
+        x, y, z = inertia.pos
         geoms = ", ".join(f"{g.name} ({g.shape.type}, {g.role})" for g in part.geoms[:12])
         lines.append(
-            f"part {part.name}: {own.mass:.4g} kg, centre ({x:.3f}, {y:.3f}, {z:.3f}); {geoms}"
+            f"part {part.name}: {inertia.mass:.4g} kg, centre ({x:.3f}, {y:.3f}, {z:.3f}); {geoms}"
         )
     for j in spec.joints:
         x, y, z = j.pos
@@ -117,57 +115,34 @@ class _Round:
     critique: MotionCritique | None = None
 
 
-def with_models(
-    repaired: Repaired,
-    now: ObjectTests,
-    models: Panel,
-    run: RunTests,
-    spec: ObjectSpec,
-    *,
-    rounds: int = 2,
-    always: bool = False,
+def revise_with_models(
+    repaired: Repair, models: Panel, *, rounds: int = 2, always: bool = False
 ) -> list[MotionCritique]:
-    """Ask the critic for findings and the reasoner for edits, at most `rounds` times.
+    """Request findings from the critic and edits from the reasoner, in at most `rounds` rounds.
 
-    An object that passes gets findings but no edits; so does every object with `rounds` 0.
+    An object that passes gets findings but no edits; so does every object if `rounds` is 0.
 
     Args:
         repaired: the result of direct repairs; edits that help are added to it.
-        now: the tests's result for it.
         models: critic and reasoner.
-        run: runs the tests on an object.
-        spec: the object before all repairs.
-        rounds: most edits.
-        always: whether the critic also sees what passes, and whose answers a tape must hold.
+        rounds: largest number of edits.
+        always: True if the critic also sees valid objects; then a tape must hold its responses.
 
     Returns:
         The critique of each round.
 
     Raises:
         BudgetError: the cost cap is reached.
-        MissingAnswerError: with `always`, a tape lacks the answer.
+        MissingAnswerError: with `always`, a tape lacks the response.
     """
-    return models.run(_edited(repaired, now, models, run, spec, rounds, always))
-
-
-async def _edited(
-    repaired: Repaired,
-    now: ObjectTests,
-    models: Panel,
-    run: RunTests,
-    spec: ObjectSpec,
-    rounds: int,
-    always: bool,
-) -> list[MotionCritique]:
-    lost = repaired.lost_critics
 
     async def ask(request: Request[T]) -> T | None:
         try:
-            return await ask_or_record(models, request, request.name, lost)
+            return await ask_or_record(models, request, request.name, repaired.lost_critics)
         except MissingAnswerError:
             if always:
                 raise
-            # No fallback: by default nobody is asked for what the tape does not hold.
+            # By default, a response that the tape does not hold is skipped without a fallback.
             repaired.tried.append(f"{request.name}: the tape does not hold the answer")
             return None
 
@@ -181,21 +156,22 @@ async def _edited(
         return not editable or not rounds or attempt.tests.verdict.passed
 
     async def edit(attempts: Sequence[_Round]) -> _Round | None:
-        tests, critique = attempts[-1].tests, attempts[-1].critique
+        critique = attempts[-1].critique
         assert critique is not None
-        request = edit_request(tests, critique)
-        proposed = await ask(request)
+        proposed = await ask(edit_request(repaired.tests, critique))
         if proposed is None or proposed.patch.empty:
             return None
-        edited = await asyncio.to_thread(try_patches, repaired, tests, [proposed.patch], run, spec)
-        return None if edited is None or edited.verdict.passed else _Round(edited)
+        helped = await asyncio.to_thread(repaired.try_patches, [proposed.patch])
+        return _Round(repaired.tests) if helped and not repaired.after.passed else None
 
-    attempts = await revise(
-        _Round(now),
-        rounds=max(rounds, 1),
-        accept=accept,
-        next_attempt=edit,
-        criticise=criticise,
-        criticise_last=False,
+    attempts = models.run(
+        revise(
+            _Round(repaired.tests),
+            rounds=max(rounds, 1),
+            accept=accept,
+            next_attempt=edit,
+            criticise=criticise,
+            criticise_last=False,
+        )
     )
     return [attempt.critique for attempt in attempts if attempt.critique is not None]

@@ -1,11 +1,11 @@
 """Direct repairs: patches proposed from measurements, accepted only if they help.
 
-Each round takes the likeliest cause, tries a few patches against the whole tests, and accepts the
-best one that lowers the fault score and adds no new fault. Direct repairs send no request to a
-model; `try_patches` applies the same rule to patches that a model proposes.
+Each round takes the likeliest cause, runs the object tests with each of a few patches, and accepts
+the best patch that lowers the fault score and adds no fault. Direct repairs send no request to a
+model; `Repair.try_patches` applies the same rule to patches that a model proposes.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,118 +21,99 @@ from ..spec import JointSpec, ObjectSpec, PartSpec, Vec3, inertial, part_bounds
 from .patch import GeomEdit, JointEdit, PartEdit, Patch, apply
 
 GAP_M = 0.0005
-"""Gap between parts that a repair moves apart or together."""
+"""Gap that a repair leaves between parts that it moves apart or together."""
 GAIN = 0.05
 """Least decrease of the fault score by an accepted patch."""
 RunTests = Callable[[ObjectSpec], ObjectTests]
 
 
 @dataclass
-class Repaired:
-    """Result of repairing an object."""
+class Repair:
+    """Repair of an object: the accepted patch so far, and the test results of the patched object.
 
-    spec: ObjectSpec
-    patch: Patch
+    `try_patches` updates it.
+    """
+
+    original: ObjectSpec
+    run: RunTests
+    """Runs the object tests."""
+    tests: ObjectTests
+    """Test results of the object with `patch`."""
     before: Verdict
-    after: Verdict
-    rounds: int = 0
+    """Verdict on the original object."""
+    patch: Patch = field(default_factory=Patch)
     tried: list[str] = field(default_factory=list)
     """Every patch that was tried: its changes, and the fault score before and after."""
     lost_critics: list[tuple[str, str]] = field(default_factory=list)
     """Requests that a model failed to answer, and why."""
 
     @property
-    def changes(self) -> tuple[str, ...]:
-        """Each change, in words."""
-        return self.patch.changes()
+    def after(self) -> Verdict:
+        """Verdict on the object with the patch."""
+        return self.tests.verdict
+
+    def try_patches(self, patches: Iterable[Patch]) -> bool:
+        """Try patches on top of the accepted one, accept the best, and return True if any helps."""
+        best: tuple[float, Patch, ObjectTests] | None = None
+        before, known_faults = self.after.score, set(self.after.faults)
+        for patch in patches:
+            joined = self.patch.joined(patch)
+            description = "; ".join(patch.changes())
+            try:
+                changed, _ = apply(joined, self.original)
+            except SpecError as error:
+                self.tried.append(f"{description}: {error}")
+                continue
+            tests = self.run(changed)
+            score = tests.verdict.score
+            self.tried.append(f"{description}: fault score {before:.2f} to {score:.2f}")
+            helps = score < before - GAIN and known_faults.issuperset(tests.verdict.faults)
+            if helps and (best is None or score < best[0]):
+                best = (score, joined, tests)
+            if tests.verdict.passed:
+                break
+        if best is not None:
+            _, self.patch, self.tests = best
+        return best is not None
 
 
 def repair(
     spec: ObjectSpec, run: RunTests, *, rounds: int = 6, first: ObjectTests | None = None
-) -> Repaired:
+) -> Repair:
     """Repair an object by patches that its measurements propose.
 
     Args:
         spec: the object.
-        run: runs the tests on an object.
+        run: runs the object tests.
         rounds: largest number of causes to address.
-        first: the tests's result for `spec`, if it exists.
+        first: test results of `spec`, if they exist.
     """
     tests = first or run(spec)
-    repaired = Repaired(spec, Patch(), tests.verdict, tests.verdict)
+    repaired = Repair(spec, run, tests, tests.verdict)
     given_up: set[tuple[Fault | None, str]] = set()
-    while repaired.rounds < rounds and not tests.verdict.passed:
-        check = _next(tests.verdict, given_up)
+    for _ in range(rounds):
+        check = _likeliest_cause(repaired.after, given_up)
         if check is None:
             break
-        repaired.rounds += 1
-        improved = try_patches(repaired, tests, proposals(tests, check), run, spec)
-        if improved is None:
+        if not repaired.try_patches(proposals(repaired.tests, check)):
             given_up.add((check.fault, check.name))
-        else:
-            tests = improved
     return repaired
 
 
-def try_patches(
-    repaired: Repaired,
-    tests: ObjectTests,
-    patches: Iterable[Patch],
-    run: RunTests,
-    spec: ObjectSpec,
-) -> ObjectTests | None:
-    """Try patches on top of the repairs so far, and add the best that helps to them.
-
-    Args:
-        repaired: the repairs so far; updated in place.
-        tests: the tests's result for them.
-        patches: patches to try.
-        run: runs the tests on an object.
-        spec: the object before all repairs.
-
-    Returns:
-        The tests's result with the best patch; None if no patch helps.
-    """
-    best: tuple[float, Patch, ObjectTests] | None = None
-    before, known = tests.verdict.score, set(tests.verdict.faults)
-    for patch in patches:
-        joined = repaired.patch.joined(patch)
-        description = "; ".join(patch.changes())
-        try:
-            changed, _ = apply(joined, spec)
-        except SpecError as error:
-            repaired.tried.append(f"{description}: {error}")
-            continue
-        after = run(changed)
-        score = after.verdict.score
-        repaired.tried.append(f"{description}: fault score {before:.2f} to {score:.2f}")
-        new = set(after.verdict.faults) - known
-        if score < before - GAIN and not new and (best is None or score < best[0]):
-            best = (score, joined, after)
-        if after.verdict.passed:
-            break
-    if best is None:
-        return None
-    _, repaired.patch, improved = best
-    repaired.spec, repaired.after = improved.spec, improved.verdict
-    return improved
-
-
-def _next(verdict: Verdict, given_up: set[tuple[Fault | None, str]]) -> Check | None:
-    """Return the failed check with the likeliest cause that a patch could repair."""
-    failed = [
-        check
-        for check in verdict.checks
-        if check.outcome == "FAIL"
-        and (check.fault in _PART_REPAIRS or check.fault in _JOINT_REPAIRS)
-        and (check.fault, check.name) not in given_up
-    ]
-    order = {fault: k for k, fault in enumerate(verdict.faults)}
-    return min(failed, key=lambda c: order[c.fault], default=None)  # pyright: ignore[reportArgumentType]
+def _likeliest_cause(
+    verdict: Verdict, given_up: Collection[tuple[Fault | None, str]]
+) -> Check | None:
+    """Return the failed check of the likeliest cause that a patch could repair."""
+    for fault in verdict.faults:
+        for check in verdict.checks:
+            repairable = fault in _PART_REPAIRS or fault in _JOINT_REPAIRS
+            if check.fault is fault and repairable and (fault, check.name) not in given_up:
+                return check
+    return None
 
 
 def proposals(tests: ObjectTests, check: Check) -> Iterator[Patch]:
-    """Yield patches that could repair a failed check, the likeliest first."""
+    """Yield patches that could repair a failed check, the most likely first."""
     if check.fault in _PART_REPAIRS and check.part is not None:
         yield from _PART_REPAIRS[check.fault](tests, tests.spec.part(check.part))
     elif check.fault in _JOINT_REPAIRS and check.joint is not None:
@@ -158,7 +139,7 @@ def _cut_limits(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
     if joint.name not in tests.joint_checks.free:
         return
     low, high = tests.joint_checks.free[joint.name]
-    # Rounding must not cut rest off. A ball without a limit has an upper limit of 0.
+    # Rounding must not exclude the rest position. A ball without a limit has an upper limit of 0.
     upper = high if joint.type == "ball" else min(high, joint.upper)
     if low < high:
         yield _edited(joint, JointEdit(lower=max(low, joint.lower), upper=upper))
@@ -178,20 +159,17 @@ def _add_losses(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
     damping, friction = _losses(tests, joint)
     if joint.stiffness > 0:
         damping = max(damping, 2 * float(np.sqrt(joint.stiffness * damping * SETTLING_S)))
+    friction = max(joint.friction, friction)
     for factor in (1.0, 4.0):
-        edit = JointEdit(
-            damping=max(joint.damping, factor * damping), friction=max(joint.friction, friction)
-        )
-        yield _edited(joint, edit)
+        raised = max(joint.damping, factor * damping)
+        yield _edited(joint, JointEdit(damping=raised, friction=friction))
 
 
 def _cut_losses(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
     """Lower damping and dry friction to their defaults."""
     damping, friction = _losses(tests, joint)
-    yield _edited(
-        joint,
-        JointEdit(damping=min(joint.damping, damping), friction=min(joint.friction, friction)),
-    )
+    damping, friction = min(joint.damping, damping), min(joint.friction, friction)
+    yield _edited(joint, JointEdit(damping=damping, friction=friction))
 
 
 def _move_pivot(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
@@ -199,17 +177,23 @@ def _move_pivot(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
     low, high = part_bounds(tests.spec, tests.spec.part(joint.child))
     middle = (low + high) / 2
     pivot, axis = np.array(joint.pos), np.array(joint.axis)
-    places = list(pivot_edges(joint, low, high))
     # Hinges lie near the parent.
     near_parent = np.clip(middle, *part_bounds(tests.spec, tests.spec.part(joint.parent)))
-    across = lambda v: float(np.linalg.norm(v - (v @ axis) * axis))
-    places.sort(key=lambda edge: across(edge - pivot) + 0.5 * across(edge - near_parent))
-    if joint.type == "continuous" or not places:
-        places = [middle]
+
+    def across(offset: NDArray) -> float:
+        return float(np.linalg.norm(offset - (offset @ axis) * axis))
+
+    def distance(edge: NDArray) -> float:
+        return across(edge - pivot) + 0.5 * across(edge - near_parent)
+
+    positions = sorted(pivot_edges(joint, low, high), key=distance)
+    if joint.type == "continuous" or not positions:
+        positions = [middle]
     elif not on_edge(joint, low, high):
-        places.append(middle)
-    for place in places[:4]:
-        yield _edited(joint, JointEdit(origin=vec(place + ((pivot - place) @ axis) * axis)))
+        positions.append(middle)
+    for position in positions[:4]:
+        along = ((pivot - position) @ axis) * axis
+        yield _edited(joint, JointEdit(origin=_vec3(position + along)))
 
 
 def _close_gap(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
@@ -218,10 +202,10 @@ def _close_gap(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
     shortest = _shift_to_gap(spec, child, joint.parent, lambda gap: abs(gap - GAP_M) < 1e-4)
     low, high = part_bounds(spec, spec.part(child))
     lowest, highest = part_bounds(spec, spec.part(joint.parent))
-    along = np.maximum(low - highest, lowest - high)
-    axis = int(np.argmax(along))
+    gaps = np.maximum(low - highest, lowest - high)
+    axis = int(np.argmax(gaps))
     straight = np.zeros(3)
-    straight[axis] = -(along[axis] - GAP_M) * (1.0 if low[axis] > highest[axis] else -1.0)
+    straight[axis] = -(gaps[axis] - GAP_M) * (1.0 if low[axis] > highest[axis] else -1.0)
     for shift in (straight, shortest):
         if np.any(shift):
             yield _shifted(child, shift)
@@ -233,14 +217,13 @@ def _separate(tests: ObjectTests, part: PartSpec) -> Iterator[Patch]:
     pair = next((p for p in tests.joint_checks.overlapping if part.name in p[:2]), None)
     if pair is None:
         return
-    first, second, depth = pair
-    child, other = first, second
-    if any(joint.child == second for joint in spec.joints):
-        child, other = second, first
+    other, child, depth = pair
+    if all(joint.child != child for joint in spec.joints):
+        child, other = other, child
     shifts = [_shift_to_gap(spec, child, other, lambda gap: gap >= 0.5 * GAP_M)]
     size = max(depth, 1e-3) + GAP_M
     shifts += [sign * size * axis + 0.0 for axis in np.eye(3) for sign in (1.0, -1.0)]
-    # Measuring a distance is cheap, the tests is not: it tries only shifts that separate them.
+    # Measuring a distance is cheap, the object tests are not: only shifts that separate are tried.
     free = [shift for shift in shifts if _gap(spec, child, other, shift)[0] > -1e-3]
     free.sort(key=lambda shift: float(np.linalg.norm(shift)))
     for shift in free[:4]:
@@ -274,7 +257,7 @@ def _gap(spec: ObjectSpec, part: str, other: str, shift: NDArray) -> tuple[float
 
 
 def _shifted(part: str, shift: NDArray) -> Patch:
-    return Patch(parts={part: PartEdit(shift=vec(shift))})
+    return Patch(parts={part: PartEdit(shift=_vec3(shift))})
 
 
 def _edited(joint: JointSpec, edit: JointEdit) -> Patch:
@@ -287,7 +270,7 @@ def _losses(tests: ObjectTests, joint: JointSpec) -> tuple[float, float]:
     return default_losses(joint, inertial(tests.spec, child))
 
 
-def vec(values: NDArray) -> Vec3:
+def _vec3(values: NDArray) -> Vec3:
     """Convert an array [3] to a tuple of floats."""
     x, y, z = (float(v) for v in values)
     return x, y, z

@@ -1,4 +1,4 @@
-"""Step 3 of one object: the tests, repairs, and the cache of results."""
+"""Step 3 for one object: the object tests, repairs, and the cache of results."""
 
 import json
 import logging
@@ -19,7 +19,7 @@ from ..io.files import content_hash, write_atomic
 from ..mllm import Panel
 from ..spec import ObjectSpec, Quat
 from ..spec.pose import IDENTITY
-from .critic import MotionCritique, with_models
+from .critic import MotionCritique, revise_with_models
 from .key_frames import standard_runs
 from .patch import Patch, apply
 from .repairs import repair
@@ -38,7 +38,7 @@ class VerificationResult(BaseModel):
     """Verdict on the object before its repair; None if it was not repaired."""
     patch: Patch = Patch()
     changes: tuple[str, ...] = ()
-    """Each change of the patch, in words."""
+    """Description of each change of the patch."""
     tried: tuple[str, ...] = ()
     """Every patch that was tried, with the fault score before and after."""
     seen: tuple[str, ...] = ()
@@ -65,85 +65,65 @@ def verify_and_repair(
     tilt: Quat = IDENTITY,
     allowed: Sequence[Allowance] = (),
     models: Panel | None = None,
-    keep: bool = True,
 ) -> VerificationResult:
-    """Verify an object, and repair it by numbers in at most `options.rounds` rounds.
+    """Test an object, and repair it from the measurements in at most `options.rounds` rounds.
+
+    Without models, results are cached; with models, the tapes are the cache.
 
     Args:
         spec: the object.
         options: options of the tests; with `rounds` 0 the object is not changed, without
-            `direct_repairs` only by models.
-        fixed_base: whether its base is fixed.
+            `direct_repairs` only models change it.
+        fixed_base: True if its base is fixed.
         tilt: its resting orientation.
         allowed: overlaps that its program declares.
-        models: critic and reasoner for failed and doubtful checks, or as `options.critic` says;
+        models: critic and reasoner for failed and borderline checks, or as `options.critic` says;
             None sends no request.
-        keep: whether to read and write the cache; with models the tapes are the cache.
     """
     options = options or VerifyOptions()
-    path = _cache_path(spec, options, fixed_base, tilt, allowed)
+    key = {
+        "version": VERSION,
+        "spec": spec.model_dump(mode="json"),
+        "options": options.model_dump(mode="json"),
+        "fixed": fixed_base,
+        "tilt": list(tilt),
+        "allowed": [list(allowance) for allowance in allowed],
+    }
+    path = cache_folder() / "verify" / f"{content_hash(key)}.json"
     always = models is not None and options.critic == "always"
-    cached = _read(path) if keep and not always else None
+    cached = None if always else _read(path)
     if cached is not None and (models is None or not cached.verdict.questionable):
         return cached
 
     run = partial(
         run_object_tests, options=options, fixed_base=fixed_base, tilt=tilt, allowed=allowed
     )
-    first = run(spec)
-    by_numbers = options.rounds if options.direct_repairs else 0
-    repaired = repair(spec, run, rounds=by_numbers, first=first)
+    repaired = repair(spec, run, rounds=options.rounds if options.direct_repairs else 0)
     critiques: list[MotionCritique] = []
-    asked = False
-    if models is not None and (always or repaired.after.questionable):
-        tests = first if repaired.patch.empty else run(repaired.spec)
-        # A support without joints is in no scenario: there is nothing to show.
-        asked = repaired.after.questionable or bool(standard_runs(tests))
-        if asked:
-            rounds = min(2, options.rounds)
-            critiques = with_models(
-                repaired, tests, models, run, spec, rounds=rounds, always=always
-            )
+    # A support without joints is in no scenario, so there is nothing to show.
+    shown = repaired.after.questionable or (always and bool(standard_runs(repaired.tests)))
+    if models is not None and shown:
+        rounds = min(2, options.rounds)
+        critiques = revise_with_models(repaired, models, rounds=rounds, always=always)
     result = VerificationResult(
         verdict=repaired.after,
         before=None if repaired.patch.empty else repaired.before,
         patch=repaired.patch,
-        changes=repaired.changes,
+        changes=repaired.patch.changes(),
         tried=tuple(repaired.tried),
         lost_critics=tuple(repaired.lost_critics),
         seen=tuple(f"{f.where}: {f.what}" for critique in critiques for f in critique.findings),
     )
-    if keep and not asked:  # With models the tapes are the cache.
+    if models is None or not shown:
         _write(path, result)
     return result
 
 
-def _cache_path(
-    spec: ObjectSpec,
-    options: VerifyOptions,
-    fixed_base: bool,
-    tilt: Quat,
-    allowed: Sequence[Allowance],
-) -> Path:
-    """Return the cache file of a result; its name is the hash of everything that it depends on."""
-    key = content_hash(
-        {
-            "version": VERSION,
-            "spec": spec.model_dump(mode="json"),
-            "options": options.model_dump(mode="json"),
-            "fixed": fixed_base,
-            "tilt": list(tilt),
-            "allowed": [list(allowance) for allowance in allowed],
-        }
-    )
-    return cache_folder() / "verify" / f"{key}.json"
-
-
 def _read(path: Path) -> VerificationResult | None:
     try:
-        return read_model(path, VerificationResult, RunError, "a result of the cache")
+        return read_model(path, VerificationResult, RunError, "a cached result")
     except RunError:
-        return None  # It is made again.
+        return None
 
 
 def _write(path: Path, result: VerificationResult) -> None:

@@ -139,7 +139,7 @@ def test_the_battery_swings_it(lamp):
     low, high = tests.joint_checks.free["neck"]
     assert low == 0.0 and 0.3 < high < 2.5
     mended = repair(spec, run_object_tests, first=tests)
-    assert mended.after.passed and mended.spec.joints[0].upper == pytest.approx(high)
+    assert mended.after.passed and mended.tests.spec.joints[0].upper == pytest.approx(high)
 
 
 def test_physics_begins_where_the_state_says_and_stays_in_the_cone(lamp):

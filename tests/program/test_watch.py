@@ -12,7 +12,7 @@ import pytest
 from neoworld_mjx import cli
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program.watch import watch
-from neoworld_mjx.verify import Patch, overlay_path, write_overlay
+from neoworld_mjx.verify.patch import Patch, overlay_path, write_overlay
 from neoworld_mjx.verify.patched import build_patched
 
 CUP = """

@@ -52,11 +52,11 @@ BROKEN = {
     "truncated.urdf": ('<robot name="r"><link name="a">', "is not whole XML"),
     "truncated.xml": ('<mujoco><worldbody><body name="a"', "is not whole XML"),
     "empty.urdf": ("", "is not whole XML"),
-    "missing.urdf": (MESH.format("meshes/no.obj"), "there is no such file"),
+    "missing.urdf": (MESH.format("meshes/no.obj"), "which does not exist"),
     "missing.xml": (
         '<mujoco><asset><mesh name="m" file="no.obj"/></asset><worldbody><body>'
         '<geom type="mesh" mesh="m"/></body></worldbody></mujoco>',
-        "there is no such file",
+        "which does not exist",
     ),
     "nan.urdf": (
         '<robot name="r"><link name="a"><collision><origin xyz="0 nan 0"/><geometry>'
@@ -129,7 +129,7 @@ BROKEN = {
     "memory.xml": (
         '<mujoco><size nuser_geom="2000000000"/><worldbody><body><geom size="1"/></body>'
         "</worldbody></mujoco>",
-        "at most 1000 are read",
+        "the limit is 1000",
     ),
     "follow.urdf": (
         '<robot name="r">' + "".join(LINK.format(n) for n in "abc")
@@ -141,10 +141,10 @@ BROKEN = {
         ) + "</robot>",
         "follows itself through other joints",
     ),
-    "bad_mesh.urdf": (MESH.format("in.obj"), "holds no triangles"),
-    "empty.usda": ("#usda 1.0", "holds nothing that could collide"),
-    "cut.usda": ('#usda 1.0\ndef Xform "a" {', "is no whole USD"),
-    "text.usdc": ("hello", "is no whole USD"),
+    "bad_mesh.urdf": (MESH.format("in.obj"), "has no triangles"),
+    "empty.usda": ("#usda 1.0", "has no visible or colliding geometry"),
+    "cut.usda": ('#usda 1.0\ndef Xform "a" {', "is not valid USD"),
+    "text.usdc": ("hello", "is not valid USD"),
     "away.usda": (
         '#usda 1.0\ndef Xform "a" (references = @../secret.usda@) {}',
         "lies outside its folder",
@@ -158,13 +158,13 @@ BROKEN = {
         '\nvariantSet "v" = {\n"x" (payload = @../secret.usda@) {\n}\n}\n}\n',
         "lies outside its folder",
     ),
-    "missing.usda": ('#usda 1.0\n(subLayers = [@./no.usda@])', "there is no such file"),
-    "net.usda": ('#usda 1.0\n(subLayers = [@http://x/a.usda@])', "no file of its folder"),
+    "missing.usda": ('#usda 1.0\n(subLayers = [@./no.usda@])', "which does not exist"),
+    "net.usda": ('#usda 1.0\n(subLayers = [@http://x/a.usda@])', "not a file in its folder"),
     "faces.usda": (
         '#usda 1.0\ndef Mesh "m" {\nint[] faceVertexCounts = [3]\n'
         "int[] faceVertexIndices = [0, 1, 9]\n"
         "point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]\n}\n",
-        "names a corner that is not there",
+        "refers to a missing vertex",
     ),
     "slides.usda": (
         "#usda 1.0\n" + BODY.format("a") + BODY.format("b")

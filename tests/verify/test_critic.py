@@ -10,17 +10,18 @@ from neoworld_mjx.checks.verdict import Fault, Limit, judged
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import MissingAnswerError, ModelError
 from neoworld_mjx.mllm import Panel
-from neoworld_mjx.verify import Patch, Repaired, verification, verify_and_repair
+from neoworld_mjx.verify import Patch, verification, verify_and_repair
 from neoworld_mjx.verify.critic import (
     Finding,
     MotionCritique,
     ProposedEdit,
     edit_request,
     key_frames_request,
-    with_models,
+    revise_with_models,
 )
 from neoworld_mjx.verify.films import films
 from neoworld_mjx.verify.key_frames import questionable, strips
+from neoworld_mjx.verify.repairs import repair
 from tests.support import furniture as objects
 from tests.support.scripted_model import ScriptedModel
 
@@ -48,11 +49,10 @@ def _each_object_is_simulated_once(monkeypatch):
 
 def edited_by(*answers):
     """Let models edit the bad cupboard; return the repairs, the critiques and the model."""
-    tests = results_of(BAD)
-    repaired = Repaired(BAD, Patch(), tests.verdict, tests.verdict)
+    repaired = repair(BAD, results_of, rounds=0)
     model = ScriptedModel(*answers)
     with Panel(model) as models:
-        critiques = with_models(repaired, tests, models, results_of, BAD)
+        critiques = revise_with_models(repaired, models)
     return repaired, critiques, model
 
 

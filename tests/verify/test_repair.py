@@ -10,7 +10,9 @@ from neoworld_mjx.checks.verdict import Fault
 from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec import AuthoredInertia
-from neoworld_mjx.verify import Patch, apply, repair, verification, verify_and_repair
+from neoworld_mjx.verify import Patch, verification, verify_and_repair
+from neoworld_mjx.verify.patch import apply
+from neoworld_mjx.verify.repairs import repair
 from tests.support import furniture as objects
 
 
@@ -104,9 +106,9 @@ def test_numbers_mend_what_numbers_can_tell(spec, fault):
     built = repair(spec, run_object_tests)
     assert built.before.cause is fault
     assert built.after.passed, built.tried
-    assert built.changes
-    assert seen(built.spec) == seen(spec)
-    assert apply(built.patch, spec)[0] == built.spec
+    assert built.patch.changes()
+    assert seen(built.tests.spec) == seen(spec)
+    assert apply(built.patch, spec)[0] == built.tests.spec
 
 
 def test_an_authored_inertia_is_recomputed():
@@ -128,7 +130,7 @@ def test_what_no_edit_can_mend_is_left_as_it_is():
     assert built.before.cause is Fault.AXIS_REVERSED
     assert not built.after.passed
     assert built.after.score <= built.before.score
-    assert built.spec.joints[0].axis == spec.joints[0].axis
+    assert built.tests.spec.joints[0].axis == spec.joints[0].axis
 
 
 def test_a_patch_that_does_not_help_is_dropped(monkeypatch):
