@@ -1,4 +1,4 @@
-"""XML of files from elsewhere, looked through before any library gets it."""
+"""Check the XML of untrusted files before a library parses it."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -14,8 +14,8 @@ from ..io.files import MIB, read_bytes
 MAX_ELEMENTS = 200_000
 _DECLARED = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
 _WORDS = ("name", "file", "filename", "class", "childclass", "mesh", "material", "texture", "joint")
-_NONE = re.compile(r"^[+-]?(nan|inf|infinity|1\.?#.*)$", re.IGNORECASE)
-MOST = {
+_NOT_FINITE = re.compile(r"^[+-]?(nan|inf|infinity|1\.?#.*)$", re.IGNORECASE)
+MAX_VALUES = {
     **{"count": 1000, "width": 16384, "height": 16384, "nrow": 4096, "ncol": 4096},
     **{"dim": 1000, "nuserdata": 10_000, "nkey": 10_000},
     **{
@@ -23,24 +23,31 @@ MOST = {
         for kind in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
     },
 }
-"""Largest values of attributes by which one number could make a reader allocate much memory."""
-MAX_OF = {"link": 400, "body": 1000, "geom": 10_000, "joint": 2000, "mesh": 2000, "include": 100}
-"""Most elements of a kind: far above what an object needs, and below what takes minutes."""
+"""Largest values of the attributes that set how much memory a reader allocates."""
+MAX_COUNTS = {
+    "link": 400,
+    "body": 1000,
+    "geom": 10_000,
+    "joint": 2000,
+    "mesh": 2000,
+    "include": 100,
+}
+"""Largest number of elements by tag: far above the needs of an object; more can take minutes."""
 
 
 def read_xml(path: Path) -> ET.Element:
     """Read an XML file that may be hostile or broken.
 
     Raises:
-        SpecError: it cannot be read, is cut off, declares entities, is nested absurdly deep, or
-            holds a number that is none.
+        SpecError: it cannot be read, is truncated, declares entities, is nested too deeply, or has
+            a number that is not finite or is too large.
     """
     bounds = file_bounds()
     try:
         data = read_bytes(path, bounds.max_text_mib * MIB)
     except OSError as error:
         raise SpecError(f"cannot read {path}: {error.strerror}") from None
-    for text in (data, data[:4096].replace(b"\0", b"")):  # UTF-16 hides it behind zeros.
+    for text in (data, data[:4096].replace(b"\0", b"")):  # UTF-16 separates the letters by zeros.
         if _DECLARED.search(text):
             raise SpecError(f"{path} declares a document type or entities, which are not read")
     parser, depth, count = ET.XMLPullParser(("start", "end")), 0, 0
@@ -55,32 +62,33 @@ def read_xml(path: Path) -> ET.Element:
                 if depth > bounds.max_depth:
                     raise SpecError(f"{path} is nested more than {bounds.max_depth} elements deep")
                 if count > MAX_ELEMENTS:
-                    raise SpecError(f"{path} holds more than {MAX_ELEMENTS} elements")
+                    raise SpecError(f"{path} has more than {MAX_ELEMENTS} elements")
         parser.close()
     except (ET.ParseError, ValueError, LookupError) as error:
-        raise SpecError(f"{path} is not whole XML: {error}") from None
+        raise SpecError(f"{path} is not valid XML: {error}") from None
     if root is None:
         raise SpecError(f"{path} is empty")
     counts = _repeated(root)
     if counts.total() > MAX_ELEMENTS:
         raise SpecError(f"{path} repeats to more than {MAX_ELEMENTS} elements")
-    for tag, most in MAX_OF.items():
-        if counts[tag] > most:
-            raise SpecError(f"{path} holds more than {most} elements <{tag}>, which are not read")
+    for tag, limit in MAX_COUNTS.items():
+        if counts[tag] > limit:
+            raise SpecError(f"{path} has more than {limit} elements <{tag}>")
     for element in root.iter():
         for key, value in element.attrib.items():
             if key in _WORDS:
                 continue
-            what = f"{path}: {element.tag} {element.get('name') or element.tag!r}: {key}={value!r}"
-            if any(_NONE.match(word) or abs(_number(word)) == inf for word in value.split()):
-                raise SpecError(f"{what} is no number")
-            if any(abs(_number(word)) > MOST.get(key, inf) for word in value.split()):
-                raise SpecError(f"{what}: at most {MOST[key]} are read")
+            label = element.get("name") or element.tag
+            message = f"{path}: {element.tag} {label!r}: {key}={value!r}"
+            if any(_NOT_FINITE.match(word) or abs(_number(word)) == inf for word in value.split()):
+                raise SpecError(f"{message} is not a finite number")
+            if any(abs(_number(word)) > MAX_VALUES.get(key, inf) for word in value.split()):
+                raise SpecError(f"{message}: the limit is {MAX_VALUES[key]}")
     return root
 
 
 def _number(word: str) -> float:
-    """Return a word's value; 0 for one that is no number."""
+    """Return the value of a word; 0 if it is not a number."""
     try:
         return float(word)
     except ValueError:
@@ -88,7 +96,7 @@ def _number(word: str) -> float:
 
 
 def _repeated(root: ET.Element) -> Counter[str]:
-    """Return how many elements of each tag there are once all are repeated as often as they say."""
+    """Return the number of elements by tag after <replicate> has repeated them."""
     counts: Counter[str] = Counter()
     waiting = [(root, 1.0)]
     while waiting:
@@ -101,25 +109,30 @@ def _repeated(root: ET.Element) -> Counter[str]:
 
 
 def _elements(parser: ET.XMLPullParser) -> Iterator[tuple[str, ET.Element]]:
-    # Only starts and ends were asked for.
+    # The parser reports only starts and ends.
     yield from parser.read_events()  # pyright: ignore[reportReturnType]
 
 
 def inside(path: Path, named: str, below: str = "") -> Path:
-    """Return the file that `named` means in the XML file `path`, below a folder of its own.
+    """Return the path of a file that an XML file names.
+
+    Args:
+        path: the XML file.
+        named: the name or URI in it.
+        below: folder that the name is relative to, relative to that of the XML file.
 
     Raises:
-        SpecError: it lies outside the file's folder, or is not there.
+        SpecError: the named file lies outside the XML file's folder, or does not exist.
     """
     home = path.resolve().parent
     plain = re.sub(r"^(package|model|file)://", "", named.strip())
     if plain != named.strip() and named.strip().startswith(("package://", "model://")):
-        # The package's name is no folder here, unless it is.
+        # The name of the package may or may not be a folder.
         rest = plain.split("/", 1)[-1]
         plain = plain if (home / plain).exists() else rest
     target = (home / below / plain).resolve()
     if not target.is_relative_to(home):
         raise SpecError(f"{path} names {named!r}, which lies outside its folder {home}")
     if not target.is_file():
-        raise SpecError(f"{path} names {named!r}, and there is no such file")
+        raise SpecError(f"{path} names {named!r}, which does not exist")
     return target

@@ -1,7 +1,9 @@
-"""MJCF files from elsewhere, looked through with all that they include, and compiled by MuJoCo."""
+"""Check MJCF files and all that they include, and compile them with MuJoCo."""
 
 import os
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import mujoco
@@ -15,7 +17,12 @@ FILES = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "texture": "
 
 
 def checked_roots(path: Path, main: Path, visited: set[Path]) -> list[ET.Element]:
-    """Check a file and all that it includes; return their roots, the main one first."""
+    """Check a file and all that it includes, and return their root elements, its own first.
+
+    Raises:
+        SpecError: a file is broken or hostile, names a file that is missing or lies outside the
+            folder of `main`, or includes itself.
+    """
     if path.resolve() in visited:
         raise SpecError(f"{path} includes itself")
     visited.add(path.resolve())
@@ -25,49 +32,50 @@ def checked_roots(path: Path, main: Path, visited: set[Path]) -> list[ET.Element
         roots += checked_roots(inside(main, element.get("file") or ""), main, visited)
     folders: dict[str, str] = {}
     for compiler in (c for r in roots for c in r.iter("compiler")):
-        both = compiler.get("assetdir")
-        if both is not None:
-            folders |= {"meshdir": both, "texturedir": both}
+        if (shared := compiler.get("assetdir")) is not None:
+            folders |= {"meshdir": shared, "texturedir": shared}
         folders |= {k: v for k in ("meshdir", "texturedir") if (v := compiler.get(k)) is not None}
         if compiler.get("strippath") == "true":
             folders["strip"] = "true"
     for element in root.iter():
         if element.tag in ("model", "attach", "plugin"):
-            raise SpecError(f"{path}: <{element.tag}> is not read; give one self-contained file")
+            raise SpecError(
+                f"{path}: <{element.tag}> is not supported; use one self-contained file"
+            )
         for key, value in element.attrib.items():
             if not key.startswith("file") or element.tag in ("include", "mujoco"):
                 continue
-            where = folders.get(FILES.get(element.tag, "meshdir"), "")
-            named = os.path.basename(value) if "strip" in folders else value
-            inside(main, named, where)
+            folder = folders.get(FILES.get(element.tag, "meshdir"), "")
+            inside(main, os.path.basename(value) if "strip" in folders else value, folder)
     return roots
 
 
 def compiled_mjcf(
     path: Path, notes: list[str]
 ) -> tuple[mujoco.MjModel, dict[str, tuple[float, NDArray]], set[str]]:
-    """Compile a file; one with impossible inertias is compiled with others.
+    """Compile a file; replace inertias that MuJoCo refuses.
 
     Returns:
-        The model, the stated masses and moments by body where they were replaced, and the bodies
-        whose only mass is the compiler's lower bound.
+        The model, the stated mass and moments of inertia of the bodies where they were replaced,
+        and the names of the bodies whose only mass is the compiler's lower bound.
+
+    Raises:
+        SpecError: MuJoCo refuses the file.
     """
-    try:
+    with _refusals(path):
         spec = mujoco.MjSpec.from_file(str(path))
-    except (ValueError, mujoco.FatalError) as error:
-        raise SpecError(f"{path} is refused by MuJoCo: {_line(error)}") from None
     spec.compiler.discardvisual = False
     spec.compiler.fusestatic = False
     try:
         model = spec.compile()
-        least = float(spec.compiler.boundmass)
-        light = {b.name for b in spec.bodies if not b.explicitinertial}
-        light &= {model.body(b).name for b in range(model.nbody) if model.body_mass[b] <= least}
-        return model, {}, light
+        bound = float(spec.compiler.boundmass)
+        massless = {b.name for b in spec.bodies if not b.explicitinertial}
+        massless &= {model.body(b).name for b in range(model.nbody) if model.body_mass[b] <= bound}
+        return model, {}, massless
     except (ValueError, mujoco.FatalError) as error:
         if "inertia" not in str(error) and "mass" not in str(error):
             raise SpecError(f"{path} is refused by MuJoCo: {_line(error)}") from None
-        why = _line(error)
+        reason = _line(error)
     stated = {}
     for body in spec.bodies:
         if body.explicitinertial:
@@ -76,12 +84,19 @@ def compiled_mjcf(
             body.fullinertia = np.full(6, np.nan)
     spec.compiler.balanceinertia, spec.compiler.boundmass = True, 1e-6
     spec.compiler.boundinertia = 1e-9
-    try:
+    with _refusals(path):
         model = spec.compile()
+    notes.append(f"MuJoCo refuses the stated inertias, so they are not checked: {reason}")
+    return model, stated, set()
+
+
+@contextmanager
+def _refusals(path: Path) -> Iterator[None]:
+    """Raise MuJoCo's errors as SpecErrors that name the file."""
+    try:
+        yield
     except (ValueError, mujoco.FatalError) as error:
         raise SpecError(f"{path} is refused by MuJoCo: {_line(error)}") from None
-    notes.append(f"MuJoCo refuses it as it is: {why}")
-    return model, stated, set()
 
 
 def _line(error: Exception) -> str:

@@ -1,9 +1,9 @@
-"""What URDF and SDF say to Drake alone: how colliders touch, and which never do.
+"""Drake's own elements of URDF and SDF: hydroelastic contact and collision filters.
 
-By default Drake takes one point of contact for each pair of colliders, with 1e6 N/m: a cup turns by
-degrees within seconds, and a cupboard sinks by centimetres. So colliders are compliant, with a
-pressure over the area in which they overlap (hydroelastic contact). Against a collider that states
-neither compliance nor rigidity Drake falls back to the point; a user's floor has to state one.
+By default Drake uses point contact with 1e6 N/m, one point for each pair of colliders: a cup turns
+by degrees within seconds, and a cupboard sinks by centimeters. Compliant colliders have a pressure
+over the area of overlap instead. Against a collider that is neither compliant nor rigid Drake falls
+back to point contact, so a user's floor has to be declared as one of the two.
 """
 
 import math
@@ -18,15 +18,15 @@ from .meshes import number
 DRAKE = "http://drake.mit.edu"
 """XML namespace of Drake's elements."""
 MODULUS_PA = 1e8
-"""Pressure at the innermost points of a collider [Pa]; things rest with micrometres of overlap."""
+"""Pressure at the innermost points of a collider [Pa]; at rest objects overlap by micrometers."""
 SIDES = 32
-"""Of the polygon that stands for a circle in areas of contact."""
+"""Number of sides of the polygon that approximates a circle in contact surfaces."""
 Format = Literal["urdf", "sdf"]
-"""URDF has values in attributes, SDF in texts."""
+"""URDF stores values in attributes, SDF in text."""
 
 
 def add_contact(collision: ET.Element, form: Format, piece: Piece, friction: float) -> None:
-    """Add to a collider's element its compliance and friction."""
+    """Add compliance and friction to the element of a collider."""
     properties = ET.SubElement(collision, "drake:proximity_properties")
     ET.SubElement(properties, "drake:compliant_hydroelastic")
     values = {"hydroelastic_modulus": MODULUS_PA, "mu_static": friction, "mu_dynamic": friction}
@@ -38,18 +38,18 @@ def add_contact(collision: ET.Element, form: Format, piece: Piece, friction: flo
 
 
 def declare_convex(mesh: ET.Element) -> None:
-    """Say of a collider's mesh that it is convex."""
+    """Declare the mesh of a collider convex."""
     ET.SubElement(mesh, "drake:declare_convex")
 
 
 def add_filters(model: ET.Element, form: Format, spec: ObjectSpec, links: dict[str, str]) -> None:
-    """Add the pairs of links that never collide, but for those that share a joint: Drake knows.
+    """Add collision filters for pairs of links that a joint does not already exempt.
 
     Args:
         model: element of the robot or model.
-        form: of the file.
+        form: format of the file.
         spec: the object.
-        links: the links' names by part.
+        links: link name of each part.
     """
     joined = {(joint.parent, joint.child) for joint in spec.joints}
     ignored: dict[str, list[str]] = {}

@@ -1,4 +1,4 @@
-"""The files of a scene or an object in one format, or in those that a simulator wants."""
+"""Files of a scene or an object in one format, or for one simulator."""
 
 import tempfile
 from collections.abc import Callable, Sequence
@@ -19,6 +19,7 @@ from .newton_layer import newton_text
 from .textures import is_textured, texture_files
 from .write_directives import directives_text, package_text
 from .write_drives import drives_text
+from .write_files import encoded, write_all
 from .write_glb import glb_bytes
 from .write_mjcf import mjcf_text
 from .write_scene_usd import scene_usd_layer
@@ -30,7 +31,7 @@ Described = SceneSpec | ObjectSpec
 LAYERS: dict[Simulator, Callable[[Described, str], str]] = {
     "newton": newton_text, "isaac": isaac_text,
 }  # fmt: skip
-"""Layers that say in a simulator's words what MJCF says to MuJoCo."""
+"""USD layers with the settings of one simulator."""
 
 
 def format_files(
@@ -43,63 +44,68 @@ def format_files(
     Args:
         described: the scene or object.
         kind: the format; USD is written in its binary form.
-        mjx: whether MJCF has only colliders that MJX knows.
-        floor: whether MJCF has a floor without end below everything.
+        mjx: True if MJCF may have only colliders that MJX supports.
+        floor: True if MJCF gets an infinite floor below everything.
     """
     return _Writer(described, mjx, floor).files(kind)
 
 
 def lost(described: Described, kind: Format) -> list[str]:
-    """List, in words, what a format does not hold of a scene or an object."""
-    joints = [(owner, joint) for owner, spec in _objects(described) for joint in spec.joints]
-    result = []
+    """Describe the data of a scene or an object that a format cannot store."""
+    objects = _objects(described)
+    joints = [(f"{owner}.{joint.name}", joint) for owner, spec in objects for joint in spec.joints]
+    balls = [name for name, joint in joints if joint.type == "ball"]
 
-    def tell(what: str, names: list[str]) -> None:
-        if names:
-            result.append(f"{what}: {', '.join(names)}")
+    def with_field(*fields: str) -> list[str]:
+        return [name for name, joint in joints if any(getattr(joint, field) for field in fields)]
 
-    def with_(*fields: str) -> list[str]:
-        return [
-            f"{owner}.{joint.name}"
-            for owner, joint in joints
-            if any(getattr(joint, field) for field in fields)
-        ]
-
-    def balls() -> list[str]:
-        return [f"{owner}.{joint.name}" for owner, joint in joints if joint.type == "ball"]
-
-    if kind == "glb":
-        return ["colliders, joints, masses and friction"]
-    if kind in ("urdf", "sdf"):
-        tell(
-            "textures, of which the colours are left",
-            sorted(
-                f"{owner}.{geom.material}"
-                for owner, spec in _objects(described)
-                for geom in {g.material: g for p in spec.parts for g in p.geoms}.values()
-                if is_textured(spec, geom)
-            ),
-        )
-    if kind == "urdf":
-        tell("stiffness and armature of joints", with_("stiffness", "armature"))
-        tell("balls are three hinges", balls())
-        result.append("metallic and roughness of materials")
-        result.append("colliders of what moves are drawn in by 0.5 mm, ellipsoids are meshes")
-    if kind == "sdf":
-        tell("armature of joints", with_("armature"))
-        if isinstance(described, SceneSpec):
-            moved = [item.name for item in described.objects if any(item.joint_state.values())]
-            tell("joints are at 0", moved)
-    if kind == "mjcf":
-        tell("velocity limits", with_("velocity"))
-    if kind in ("usd", "usdz"):
-        tell("the twist of balls is not limited, their damping is our own attribute", balls())
-        result.append("ellipsoids collide as meshes")
-    return result
+    textured = sorted(
+        {
+            f"{owner}.{geom.material}"
+            for owner, spec in objects
+            for part in spec.parts
+            for geom in part.geoms
+            if is_textured(spec, geom)
+        }
+    )
+    moved = []
+    if isinstance(described, SceneSpec):
+        moved = [item.name for item in described.objects if any(item.joint_state.values())]
+    textures = ("textures, replaced by plain colors", textured)
+    named: dict[Format, list[tuple[str, list[str]]]] = {
+        "urdf": [
+            textures,
+            ("stiffness and armature of joints", with_field("stiffness", "armature")),
+            ("ball joints, written as three hinges", balls),
+        ],
+        "sdf": [
+            textures,
+            ("armature of joints", with_field("armature")),
+            ("joint states; the joints are at 0", moved),
+        ],
+        "mjcf": [("velocity limits", with_field("velocity"))],
+        "usd": [
+            (
+                "limits on the twist of ball joints; their damping is a custom attribute",
+                balls,
+            )
+        ],
+    }
+    general: dict[Format, list[str]] = {
+        "glb": ["colliders, joints, masses and friction"],
+        "urdf": [
+            "metallic and roughness of materials",
+            "0.5 mm on each side of the colliders of moving parts; ellipsoids become meshes",
+        ],
+        "usd": ["colliders that are ellipsoids become meshes"],
+    }
+    stored: Format = "usd" if kind == "usdz" else kind
+    listed = [f"{content}: {', '.join(names)}" for content, names in named.get(stored, []) if names]
+    return [*listed, *general.get(stored, [])]
 
 
 def collider_error(described: Described) -> float:
-    """Return how far [m] colliders for MJX lie beside the true surfaces, at most."""
+    """Return the largest distance of colliders for MJX from the surfaces they approximate [m]."""
     return max(
         (
             polyhedron_error(piece.kind, piece.size)
@@ -125,9 +131,9 @@ def write_formats(
         described: the scene or object.
         out: the folder.
         kinds: the formats.
-        simulator: whom the files are for: for mjx, MJCF has only colliders that it knows; for
-            newton and isaac a layer of that name lies over USD: newton.usda, isaac.usda.
-        floor: whether MJCF has a floor without end below everything.
+        simulator: target of the files: mjx restricts MJCF to colliders that MJX supports; newton
+            and isaac add a USD layer, newton.usda or isaac.usda.
+        floor: True if MJCF gets an infinite floor below everything.
 
     Raises:
         ExportError: a file cannot be written.
@@ -139,18 +145,8 @@ def write_formats(
     if simulator in LAYERS and "usd" in kinds:
         text = LAYERS[simulator](described, f"{_stem(described)}.usdc")
         files[f"{simulator}.usda"] = text.encode()
-    _write(files, out)
+    write_all(files, out)
     return sorted(files)
-
-
-def _write(files: dict[str, bytes], out: Path) -> None:
-    for path, content in files.items():
-        target = out / path
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(content)
-        except OSError as error:
-            raise ExportError(f"cannot write {target}: {error.strerror}") from None
 
 
 def _objects(described: Described) -> list[tuple[str, ObjectSpec]]:
@@ -163,51 +159,45 @@ def _stem(described: Described) -> str:
     return "object" if isinstance(described, ObjectSpec) else "scene"
 
 
-def _folder(described: Described, name: str) -> str:
-    return "" if isinstance(described, ObjectSpec) else f"objects/{name}/"
-
-
 @dataclass(frozen=True)
 class _Writer:
-    """Writes formats of one scene or object; what several of them share is made once."""
+    """Writer of one scene or object; files that several formats share are built once."""
 
     described: Described
     mjx: bool
     floor: bool
 
     def files(self, kind: Format) -> dict[str, bytes]:
-        makers: dict[Format, Callable[[], dict[str, bytes]]] = {
+        """Return the files of a format."""
+        writers: dict[Format, Callable[[], dict[str, bytes]]] = {
             "mjcf": self._mjcf, "urdf": self._urdf, "usd": lambda: self._usd,
             "usdz": self._usdz, "sdf": self._sdf, "glb": self._glb,
         }  # fmt: skip
-        return makers[kind]()
+        return writers[kind]()
 
     @cached_property
     def _meshes(self) -> dict[str, bytes]:
-        return {
-            f"{_folder(self.described, name)}{path}": text.encode()
-            for name, spec in _objects(self.described)
-            for path, text in mesh_files(spec).items()
-        }
+        return self._of_objects(lambda spec: encoded({**mesh_files(spec)}))
 
     @cached_property
     def _textures(self) -> dict[str, bytes]:
+        return self._of_objects(texture_files)
+
+    def _of_objects(self, files_of: Callable[[ObjectSpec], dict[str, bytes]]) -> dict[str, bytes]:
+        """Return the files of all objects, each below its object's folder."""
+        single = isinstance(self.described, ObjectSpec)
         return {
-            f"{_folder(self.described, name)}{path}": content
+            f"{'' if single else f'objects/{name}/'}{path}": content
             for name, spec in _objects(self.described)
-            for path, content in texture_files(spec).items()
+            for path, content in files_of(spec).items()
         }
 
     @cached_property
     def _usd(self) -> dict[str, bytes]:
-        described = self.described
-        files = {
-            f"{_folder(described, name)}object.usdc": _binary(usd_layer(spec))
-            for name, spec in _objects(described)
-        }
+        files = self._of_objects(lambda spec: {"object.usdc": _binary(usd_layer(spec))})
         files |= self._textures
-        if isinstance(described, SceneSpec):
-            files["scene.usdc"] = _binary(scene_usd_layer(described, "usdc"))
+        if isinstance(self.described, SceneSpec):
+            files["scene.usdc"] = _binary(scene_usd_layer(self.described, "usdc"))
         return files
 
     def _mjcf(self) -> dict[str, bytes]:
@@ -215,16 +205,17 @@ class _Writer:
         target = "mjx" if self.mjx else "mujoco"
         floor = _lowest(described) if self.floor else None
         text = mjcf_text(described, target=target, floor=floor)
-        drives = drives_text(described, file)
-        files = {file: text.encode(), **self._meshes, **self._textures}
-        return files if drives is None else {**files, "drives.xml": drives.encode()}
+        return {
+            file: text.encode(),
+            **self._meshes,
+            **self._textures,
+            **encoded({"drives.xml": drives_text(described, file)}),
+        }
 
     def _urdf(self) -> dict[str, bytes]:
-        files = dict(self._meshes)
-        for name, spec in _objects(self.described):
-            home = _folder(self.described, name)
-            files[f"{home}object.urdf"] = urdf_text(spec).encode()
-            files[f"{home}object.srdf"] = srdf_text(spec).encode()
+        files = self._meshes | self._of_objects(
+            lambda spec: encoded({"object.urdf": urdf_text(spec), "object.srdf": srdf_text(spec)})
+        )
         if isinstance(self.described, SceneSpec):
             files["scene.dmd.yaml"] = directives_text(self.described).encode()
             files["package.xml"] = package_text(self.described).encode()
@@ -234,17 +225,16 @@ class _Writer:
         return {f"{_stem(self.described)}.sdf": sdf_text(self.described).encode(), **self._meshes}
 
     def _glb(self) -> dict[str, bytes]:
-        described = self.described
-        files = {f"{_stem(described)}.glb": glb_bytes(described)}
-        if isinstance(described, SceneSpec):
-            files |= {f"objects/{n}/object.glb": glb_bytes(s) for n, s in _objects(described)}
+        files = {f"{_stem(self.described)}.glb": glb_bytes(self.described)}
+        if isinstance(self.described, SceneSpec):
+            files |= self._of_objects(lambda spec: {"object.glb": glb_bytes(spec)})
         return files
 
     def _usdz(self) -> dict[str, bytes]:
         stem = _stem(self.described)
         with tempfile.TemporaryDirectory() as folder:
             home = Path(folder)
-            _write(self._usd, home)
+            write_all(self._usd, home)
             package = home / f"{stem}.usdz"
             if not UsdUtils.CreateNewUsdzPackage(str(home / f"{stem}.usdc"), str(package)):
                 raise ExportError(f"USD cannot pack {package.name}")
@@ -260,9 +250,9 @@ def _lowest(described: Described) -> float:
     for item in described.objects:
         moved = link_poses(item.spec, item.joint_state)
         for part in item.spec.parts:
-            for _, piece, at in pieces(part):
-                place = poses[item.name].then(moved[part.name]).then(at)
-                lows.append(float(box_around(piece, place)[0][2]))
+            for _, piece, local in pieces(part):
+                placed = poses[item.name].then(moved[part.name]).then(local)
+                lows.append(float(box_around(piece, placed)[0][2]))
     return min(lows)
 
 

@@ -1,4 +1,4 @@
-"""Frames of an object: the sites that its program names, and a handle of every part that moves."""
+"""Frames of an object: the sites that its program names, and a handle for every moving part."""
 
 import re
 from dataclasses import dataclass
@@ -11,33 +11,32 @@ from ..spec.convex import box_around
 from ..spec.kinematics import welded
 
 HANDLE = re.compile(r"handle|knob|pull|grip|lever|finial", re.IGNORECASE)
-"""Names of parts and geoms that are made to be held."""
+"""Names of parts and geoms that are meant to be held."""
 MARGIN_M = 0.005
-"""How far beyond the held shape contacts with it may lie [m]."""
+"""Margin of the box around a held shape in which contacts count [m]."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A named point on a part, along the object's axes."""
+    """A named point on a part; its axes are those of the object."""
 
     name: str
     part: str
     pos: tuple[float, float, float]
-    """In the object's frame at rest [m]."""
+    """Position in the object's frame with all joints at 0 [m]."""
     half: tuple[float, float, float] | None = None
-    """Half the edges [m] of a box around what is held; None for the sites of programs."""
+    """Half the edge lengths of a box around the held shape [m]; None for the sites of programs."""
     joint: str | None = None
-    """The joint that a handle works."""
+    """Joint that the handle actuates; None for the sites of programs."""
 
 
 def frames(spec: ObjectSpec) -> tuple[Frame, ...]:
-    """List an object's sites, and a frame <part>_handle for every part that a joint moves.
+    """Return an object's sites, and a frame <part>_handle for every part that a joint moves.
 
-    A handle is what its name says (handle, knob, pull, grip, lever, finial), on the part or fixed
-    to it; a site of that name on the part is it. Without one it is the middle of the side that
-    leads: of a slide the one it moves towards, of a hinge or ball the one farthest from it, of what
-    turns without end its middle.
-    Joints that follow others get none.
+    A site <part>_handle on the part takes precedence. Otherwise the handle is the center of the
+    geoms whose names match `HANDLE`, on the part or fixed to it, or else the center of the leading
+    side of the part: the side that a slide moves towards, or the side farthest from a hinge or
+    ball; for a continuous joint it is the center of the part. Mimic joints have no handle.
     """
     named = [Frame(site.name, site.part, site.pos) for site in spec.sites]
     taken = {site.name for site in spec.sites}
@@ -65,26 +64,22 @@ def _handle(spec: ObjectSpec, joint: JointSpec, name: str) -> Frame:
             whole.append(box)
             if HANDLE.search(geom.name) or (HANDLE.search(part.name) and part.name != spec.root):
                 held.append(box)
-    low, high = _around(held or whole)
-    centre, half = (low + high) / 2, (high - low) / 2
+    lows, highs = zip(*(held or whole), strict=True)
+    low, high = np.min(lows, axis=0), np.max(highs, axis=0)
+    center, half = (low + high) / 2, (high - low) / 2
     if not held:
-        centre, half = _leading_side(joint, centre, half)
-    return Frame(name, joint.child, _triple(centre), _triple(half + MARGIN_M), joint.name)
+        center, half = _leading_side(joint, center, half)
+    return Frame(name, joint.child, _triple(center), _triple(half + MARGIN_M), joint.name)
 
 
-def _around(boxes: list[tuple[NDArray, NDArray]]) -> tuple[NDArray, NDArray]:
-    lows, highs = zip(*boxes, strict=True)
-    return np.min(lows, axis=0), np.max(highs, axis=0)
-
-
-def _leading_side(joint: JointSpec, centre: NDArray, half: NDArray) -> tuple[NDArray, NDArray]:
-    """Return the middle and half the edges of the side of a box by which a part is moved."""
+def _leading_side(joint: JointSpec, center: NDArray, half: NDArray) -> tuple[NDArray, NDArray]:
+    """Return the center and half edges of the side of a box by which a part is moved."""
     if joint.type == "continuous":
-        return centre, half
+        return center, half
     best, side = -np.inf, (0, 1.0)
     for k in range(3):
         for sign in (1.0, -1.0):
-            face = centre.copy()
+            face = center.copy()
             face[k] += sign * half[k]
             if joint.type == "prismatic":
                 reach = sign * joint.axis[k]
@@ -95,7 +90,7 @@ def _leading_side(joint: JointSpec, centre: NDArray, half: NDArray) -> tuple[NDA
             if reach > best + 1e-9:
                 best, side = reach, (k, sign)
     k, sign = side
-    middle, edges = centre.copy(), half.copy()
+    middle, edges = center.copy(), half.copy()
     middle[k] += sign * half[k]
     edges[k] = 0.0
     return middle, edges

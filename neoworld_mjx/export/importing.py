@@ -130,7 +130,7 @@ def to_object(mechanism: Mechanism) -> Imported:
                 update["mimic"] = joint.mimic.model_copy(update={"joint": leader})
             else:
                 update["mimic"] = None
-                notes.append(f"joint {joint.name}: the joint that it follows is not carried")
+                notes.append(f"joint {joint.name}: the joint that it follows is not imported")
         joints.append(joint.model_copy(update=update).model_dump())
     try:
         spec = ObjectSpec(

@@ -83,7 +83,7 @@ def _described(path: Path, made: list[Assembly], gravity: Vec3 | None) -> Import
 
 
 def _is_general(note: str) -> bool:
-    return "carried" in note and "link" not in note and "joint" not in note
+    return "imported" in note and "link" not in note and "joint" not in note
 
 
 def _placed(name: str, one: Assembly, imported: Imported) -> SceneObject:

@@ -1,10 +1,10 @@
-"""A USD layer over a scene or an object that says to PhysX, as in Isaac, what MJCF says to MuJoCo.
+"""A USD layer over a scene or an object with the settings of PhysX, as in Isaac.
 
-Beside the file below it, whose attributes stay: contacts from 2 mm on, the greater of two frictions
-(PhysX takes the mean), no damping of turning bodies (5 % by default), more iterations, no threshold
-below which bodies sleep or are stabilised, whole hulls, a state of every joint, and an articulation
-root at the joint that holds an object in the world. `PhysxJointAPI` is for Isaac before 5;
-`contactOffset` besides, where `newton:contactGap` is not read yet.
+The layer sets a contact offset of 2 mm, the maximum as the combination of two frictions (PhysX uses
+the mean), no angular damping (5 % by default), more solver iterations, no thresholds of sleep and
+stabilization, exact hulls, a state of every joint, and an articulation root at the joint that fixes
+an object in the world. `PhysxJointAPI` is for Isaac before 5, and `contactOffset` for versions that
+do not read `newton:contactGap`.
 """
 
 import math
@@ -12,14 +12,23 @@ import math
 from pxr import Sdf, Usd
 
 from ..spec import JointSpec, ObjectSpec, SceneObject, SceneSpec, joint_value
-from .newton_layer import GAP_M, add_gaps, collider_paths, laid_over, opened_layer, set_number
-from .write_scene_usd import fixture_path, physics_path
+from .newton_layer import (
+    GAP_M,
+    add_gaps,
+    collider_paths,
+    laid_over,
+    moves,
+    opened_layer,
+    placed_objects,
+)
+from .write_scene_usd import fixture_path, physics_path, remove_schemas
+from .write_usd import set_float
 
 POSITION_ITERATIONS, VELOCITY_ITERATIONS = 64, 4
-"""Of PhysX's solver."""
+"""Iterations of the PhysX solver."""
 STEPS_PER_SECOND = 240
 HULL_VERTICES = 64
-"""As many as PhysX takes; it simplifies hulls with more."""
+"""Largest number of vertices of a hull that PhysX does not simplify."""
 _KINDS = {bool: Sdf.ValueTypeNames.Bool, int: Sdf.ValueTypeNames.Int, str: Sdf.ValueTypeNames.Token}
 
 
@@ -28,21 +37,20 @@ def isaac_text(described: SceneSpec | ObjectSpec, file: str) -> str:
 
     Args:
         described: the scene or object.
-        file: the USD file beside it that the layer lies over, such as "scene.usdc".
+        file: name of the USD file below the layer, in the same folder, such as "scene.usdc".
     """
     stage, base = opened_layer(described)
-    if isinstance(described, ObjectSpec):
-        _add_object(stage, base, SceneObject(name=described.name, spec=described), None)
-        return laid_over(stage, file)
-    settings = stage.OverridePrim(physics_path(described))
-    settings.AddAppliedSchema("PhysxSceneAPI")
-    count = settings.CreateAttribute(
-        "physxScene:timeStepsPerSecond", Sdf.ValueTypeNames.UInt, custom=False
-    )
-    count.Set(STEPS_PER_SECOND)
-    _set(settings, "physxScene:enableStabilization", False)
-    for item in described.objects:
-        _add_object(stage, base.AppendChild(item.name), item, fixture_path(described, item))
+    if isinstance(described, SceneSpec):
+        settings = stage.OverridePrim(physics_path(described))
+        settings.AddAppliedSchema("PhysxSceneAPI")
+        rate = settings.CreateAttribute(
+            "physxScene:timeStepsPerSecond", Sdf.ValueTypeNames.UInt, custom=False
+        )
+        rate.Set(STEPS_PER_SECOND)
+        _set(settings, "physxScene:enableStabilization", False)
+    for path, item in placed_objects(described, base):
+        fixture = fixture_path(described, item) if isinstance(described, SceneSpec) else None
+        _add_object(stage, path, item, fixture)
     return laid_over(stage, file)
 
 
@@ -54,8 +62,8 @@ def _add_object(
     for path, piece in collider_paths(base, spec):
         prim = stage.OverridePrim(path)
         prim.AddAppliedSchema("PhysxCollisionAPI")
-        set_number(prim, "physxCollision:contactOffset", GAP_M)
-        set_number(prim, "physxCollision:restOffset", 0.0)
+        set_float(prim, "physxCollision:contactOffset", GAP_M)
+        set_float(prim, "physxCollision:restOffset", 0.0)
         if piece.kind == "mesh":
             prim.AddAppliedSchema("PhysxConvexHullCollisionAPI")
             _set(prim, "physxConvexHullCollision:hullVertexLimit", HULL_VERTICES)
@@ -63,20 +71,18 @@ def _add_object(
         prim = stage.OverridePrim(base.AppendPath(f"looks/{material.name}"))
         prim.AddAppliedSchema("PhysxMaterialAPI")
         _set(prim, "physxMaterial:frictionCombineMode", "max")
-    if item.static and all(joint.type == "fixed" for joint in spec.joints):
+    if not moves(item):
         return
     for part in spec.parts:
         prim = stage.OverridePrim(base.AppendPath(f"links/{part.name}"))
         prim.AddAppliedSchema("PhysxRigidBodyAPI")
-        set_number(prim, "physxRigidBody:angularDamping", 0.0)
+        set_float(prim, "physxRigidBody:angularDamping", 0.0)
         _add_solver(prim, "physxRigidBody")
     if spec.joints:
         root = stage.OverridePrim(base)
         if fixture is not None:
-            # An articulation that is held has its root at the joint to the world.
-            removed = Sdf.TokenListOp()
-            removed.deletedItems = ["PhysicsArticulationRootAPI"]
-            root.SetMetadata("apiSchemas", removed)
+            # The root of a fixed articulation is its joint to the world.
+            remove_schemas(root, "PhysicsArticulationRootAPI")
             root = stage.OverridePrim(fixture)
             root.AddAppliedSchema("PhysicsArticulationRootAPI")
         root.AddAppliedSchema("PhysxArticulationAPI")
@@ -92,21 +98,21 @@ def _add_solver(prim: Usd.Prim, space: str) -> None:
     _set(prim, f"{space}:solverPositionIterationCount", POSITION_ITERATIONS)
     _set(prim, f"{space}:solverVelocityIterationCount", VELOCITY_ITERATIONS)
     for name in ("sleepThreshold", "stabilizationThreshold"):
-        set_number(prim, f"{space}:{name}", 0.0)
+        set_float(prim, f"{space}:{name}", 0.0)
 
 
 def _add_joint(prim: Usd.Prim, joint: JointSpec, value: float) -> None:
-    sliding = joint.type == "prismatic"
-    instance, unit = ("linear", 1.0) if sliding else ("angular", math.degrees(1.0))
+    prismatic = joint.type == "prismatic"
+    instance, unit = ("linear", 1.0) if prismatic else ("angular", math.degrees(1.0))
     prim.AddAppliedSchema(f"PhysicsJointStateAPI:{instance}")
-    set_number(prim, f"state:{instance}:physics:position", value * unit)
-    set_number(prim, f"state:{instance}:physics:velocity", 0.0)
+    set_float(prim, f"state:{instance}:physics:position", value * unit)
+    set_float(prim, f"state:{instance}:physics:velocity", 0.0)
     prim.AddAppliedSchema("PhysxJointAPI")
-    # A coefficient of the load; dry friction in N is at the joint's axis.
-    set_number(prim, "physxJoint:jointFriction", 0.0)
-    set_number(prim, "physxJoint:armature", joint.armature)
+    # This is a coefficient of the load; PhysxJointAxisAPI has the dry friction in N.
+    set_float(prim, "physxJoint:jointFriction", 0.0)
+    set_float(prim, "physxJoint:armature", joint.armature)
     if joint.velocity is not None:
-        set_number(prim, "physxJoint:maxJointVelocity", joint.velocity * unit)
+        set_float(prim, "physxJoint:maxJointVelocity", joint.velocity * unit)
 
 
 def _set(prim: Usd.Prim, name: str, value: bool | int | str) -> None:

@@ -1,4 +1,4 @@
-"""Triangles out of mesh files from elsewhere."""
+"""Read triangles from untrusted mesh files."""
 
 import io
 import json
@@ -19,20 +19,20 @@ from .checked_xml import inside
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf", ".dae")
 _DECLARED = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
 _MAX_INSTANCES = 16
-"""Nodes of a DAE file that stand for others: each could double what there is."""
+"""Largest number of node instances in a DAE file; each could double its size."""
 
 
 def load_mesh(path: Path) -> tuple[NDArray, NDArray]:
-    """Read vertices [v, 3] and triangles [f, 3] of a mesh file, as they are in the file.
+    """Return the vertices [v, 3] and triangles [f, 3] of a mesh file, in the file's units.
 
     Raises:
-        SpecError: it is no mesh, holds numbers that are none, or is too large.
+        SpecError: it is not a mesh, has numbers that are not finite, or is too large.
     """
     import trimesh
 
     kind = path.suffix.lower()
     if kind not in SUFFIXES:
-        raise SpecError(f"{path}: meshes are read from {', '.join(SUFFIXES)}")
+        raise SpecError(f"{path}: mesh files end in {', '.join(SUFFIXES)}")
     data = _data(path)
     _check_claims(path, kind, data)
     try:
@@ -47,22 +47,26 @@ def load_mesh(path: Path) -> tuple[NDArray, NDArray]:
         vertices, faces = np.array(loaded.vertices, float), np.array(loaded.faces, np.int64)  # pyright: ignore[reportAttributeAccessIssue]
     except SpecError:
         raise
-    except Exception as error:  # a library's border
-        raise SpecError(f"{path} is no mesh: {type(error).__name__}: {error}"[:300]) from None
+    except Exception as error:  # trimesh raises errors of many types
+        raise SpecError(f"{path} is not a mesh: {type(error).__name__}: {error}"[:300]) from None
     if len(faces) == 0 or len(vertices) < 3 or faces.ndim != 2 or vertices.ndim != 2:
-        raise SpecError(f"{path} holds no triangles")
+        raise SpecError(f"{path} has no triangles")
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise SpecError(f"{path}: a face names a corner that is not there")
+        raise SpecError(f"{path}: a face refers to a missing vertex")
     if not np.isfinite(vertices).all():
-        raise SpecError(f"{path} holds numbers that are none")
-    vertices, index = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)
-    faces = index.reshape(-1)[faces]
-    faces = faces[
-        (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    ]
+        raise SpecError(f"{path} has numbers that are not finite")
+    vertices, faces = merged_vertices(vertices, faces)
     if len(vertices) > MAX_VERTICES or len(faces) == 0:
-        raise SpecError(f"{path} has {len(vertices)} corners; at most {MAX_VERTICES} are read")
+        raise SpecError(f"{path} has {len(vertices)} vertices; the limit is {MAX_VERTICES}")
     return vertices, faces
+
+
+def merged_vertices(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
+    """Merge equal vertices [v, 3] and drop triangles [f, 3] that become degenerate."""
+    vertices, index = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)
+    a, b, c = index.reshape(-1)[faces].T
+    distinct = (a != b) & (b != c) & (c != a)
+    return vertices, np.column_stack([a, b, c])[distinct]
 
 
 def _data(path: Path) -> bytes:
@@ -73,16 +77,16 @@ def _data(path: Path) -> bytes:
 
 
 def _check_claims(path: Path, kind: str, data: bytes) -> None:
-    """Refuse a file that claims more than it has, or refers to itself again and again."""
+    """Refuse a file whose header claims more data than it has, or that instances itself."""
     if kind == ".dae":
         if _DECLARED.search(data) or _DECLARED.search(data[:4096].replace(b"\0", b"")):
             raise SpecError(f"{path} declares a document type or entities, which are not read")
         if data.count(b"instance_node") > _MAX_INSTANCES:
-            raise SpecError(f"{path} has more than {_MAX_INSTANCES} instances of nodes")
+            raise SpecError(f"{path} has more than {_MAX_INSTANCES} node instances")
     if kind == ".ply":
         claims = re.findall(rb"element\s+\S+\s+(\d+)", data[: data.find(b"end_header") + 1])
         if any(len(number) > 12 or int(number) > len(data) for number in claims):
-            raise SpecError(f"{path} claims more elements than it has bytes")
+            raise SpecError(f"{path} declares more elements than it has bytes")
     if kind in (".glb", ".gltf"):
         _check_accessors(path, data)
 
@@ -98,14 +102,14 @@ def _check_accessors(path: Path, data: bytes) -> None:
         most = file_bounds().max_mesh_mib * MIB
         fits = all(isinstance(n, int) and 0 <= n <= most for n in counts) and sum(counts) <= most
     except (ValueError, AttributeError, KeyError, TypeError, RecursionError):
-        raise SpecError(f"{path} is no glTF: its JSON cannot be read") from None
-    # Every accessor needs a view of bytes; without one it stands for any number of zeros.
+        raise SpecError(f"{path} is not glTF: its JSON cannot be read") from None
+    # An accessor without a buffer view stands for any number of zeros.
     if not fits or any("bufferView" not in accessor for accessor in accessors):
-        raise SpecError(f"{path} claims more vertices than it has bytes")
+        raise SpecError(f"{path} declares more vertices than it has bytes")
 
 
 def _buffers(path: Path) -> Any:
-    """Return a resolver by which a glTF file reaches its buffers beside it, and nothing else."""
+    """Return a resolver that gives a glTF file access only to .bin files in its folder."""
     from trimesh.resolvers import Resolver
 
     class Buffers(Resolver):

@@ -20,6 +20,8 @@ from ..spec.forest import name_on_cycle
 from ..spec.object import Role
 from ..spec.pose import matrix
 
+GRAY = (0.7, 0.7, 0.7, 1.0)
+"""Color of shapes whose file states none."""
 Triangles = tuple[NDArray, NDArray]
 """Vertices [v, 3] m and faces [f, 3] of a mesh."""
 
@@ -31,7 +33,7 @@ class LinkShape:
     shape: BaseShape | Triangles
     at: NDArray
     role: Role
-    rgba: tuple[float, float, float, float] = (0.7, 0.7, 0.7, 1.0)
+    rgba: tuple[float, float, float, float] = GRAY
     friction: float = 0.5
     hull: bool = False
     """Whether the mesh collides as its convex hull, whatever its form."""

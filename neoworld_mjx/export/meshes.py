@@ -1,4 +1,4 @@
-"""Mesh files of an object, and the number formatting that all text formats share."""
+"""Mesh files of an object, and number formatting for all text formats."""
 
 from collections.abc import Iterable
 
@@ -15,44 +15,41 @@ FOLDER = "meshes"
 
 
 def number(value: float) -> str:
-    """Format a number so that it reads back exactly, shortest, and the same everywhere."""
+    """Return the shortest text that reads back as the same number."""
     text = repr(float(value))
     text = text.removesuffix(".0")
     return "0" if text == "-0" else text
 
 
 def numbers(values: Iterable[float]) -> str:
-    """Format numbers with spaces between."""
+    """Format numbers, separated by spaces."""
     return " ".join(number(value) for value in values)
 
 
 def urdf_primitive(shape: BaseShape) -> Piece | None:
-    """Return the piece of a shape that URDF has an element for, else None."""
+    """Return the box, sphere or cylinder that a shape is, or None: URDF has no other primitives."""
     piece = shape.primitive()
     return piece if piece is not None and piece.kind in ("box", "sphere", "cylinder") else None
 
 
 def visual_file(geom: GeomSpec) -> str | None:
-    """Return the path, relative to the object, of a geom's visual mesh.
-
-    None means that URDF has a primitive for it.
-    """
+    """Return the path of a geom's visual mesh; None if URDF has a primitive for the geom."""
     if urdf_primitive(geom.shape) is not None:
         return None
     return f"{FOLDER}/{geom.name}.obj"
 
 
 def collision_file(geom: GeomSpec, k: int) -> str:
-    """Return the path, relative to the object, of the mesh of a geom's k-th convex piece."""
-    # A hyphen is in no geom's name, so these never meet the visual meshes' names.
+    """Return the path of the mesh of a geom's k-th convex piece."""
+    # Geom names have no hyphens, so this is never the path of a visual mesh.
     return f"{FOLDER}/{geom.name}-{k}.obj"
 
 
 def piece_mesh(geom: GeomSpec, piece: Piece) -> tuple[NDArray, NDArray] | None:
-    """Return vertices [v, 3] and faces [f, 3] of a piece that needs a mesh, in its own frame.
+    """Return vertices [v, 3] and faces [f, 3] of a piece that needs a mesh, or None.
 
-    Ellipsoids have no counterpart in URDF and UsdPhysics and become the hull of
-    their surface, whose facets lie up to 1 % of the radius inside.
+    URDF and UsdPhysics have no ellipsoids: they become the hull of their tessellated surface, whose
+    facets lie up to 1 % of the radius inside.
     """
     if piece.kind == "mesh":
         return hull(piece.vertices)
@@ -64,7 +61,7 @@ def piece_mesh(geom: GeomSpec, piece: Piece) -> tuple[NDArray, NDArray] | None:
 def mesh_files(spec: ObjectSpec) -> dict[str, str]:
     """Return every mesh file of an object: path relative to the object, and OBJ text.
 
-    What has a texture has a mesh with coordinates on it, primitive or not.
+    Textured geoms always have a mesh, with texture coordinates.
     """
     files: dict[str, str] = {}
     for part in spec.parts:
@@ -88,10 +85,10 @@ def obj(
     """Write a triangle mesh as Wavefront OBJ.
 
     Args:
-        vertices: corners [vertex, 3] m.
-        faces: corners of each face [face, 3].
-        smooth: whether to write normals per corner.
-        uv: with them, places on a texture per corner [face, 3, 2], v upwards.
+        vertices: positions [vertex, 3] m.
+        faces: vertex indices [face, 3].
+        smooth: True to write a normal for every corner.
+        uv: texture coordinates of every corner [face, 3, 2], v upwards; needs `smooth`.
     """
     lines = [f"v {numbers(v)}" for v in np.round(vertices, 9).tolist()]
     corners = (faces + 1).tolist()
@@ -101,15 +98,15 @@ def obj(
     normals = np.round(corner_normals(vertices, faces).reshape(-1, 3), 6) + 0.0
     unique, index = np.unique(normals, axis=0, return_inverse=True)
     lines += [f"vn {numbers(n)}" for n in unique.tolist()]
-    places = [("", "", "")] * len(corners)
+    textured = [("", "", "")] * len(corners)
     if uv is not None:
-        points, place = np.unique(uv.reshape(-1, 2) + 0.0, axis=0, return_inverse=True)
+        points, uv_index = np.unique(uv.reshape(-1, 2) + 0.0, axis=0, return_inverse=True)
         lines += [f"vt {numbers(t)}" for t in points.tolist()]
-        places = (place.reshape(-1, 3) + 1).tolist()
+        textured = (uv_index.reshape(-1, 3) + 1).tolist()
     lines += [
         f"f {a}/{p}/{i} {b}/{q}/{j} {c}/{r}/{k}"
         for (a, b, c), (p, q, r), (i, j, k) in zip(
-            corners, places, (index.reshape(-1, 3) + 1).tolist(), strict=True
+            corners, textured, (index.reshape(-1, 3) + 1).tolist(), strict=True
         )
     ]
     return "\n".join(lines) + "\n"

@@ -1,7 +1,7 @@
-"""Materials and textures of MJCF: visual geoms get a material each, named <object>-<material>.
+"""Materials and textures of MJCF: visual geoms have materials named <object>-<material>.
 
-MuJoCo multiplies a texture by its material's colour, so that of a textured material is white; its
-own colour is beside it, as <numeric name="<object>-<material>-rgb">, for readers without textures.
+MuJoCo multiplies a texture by the color of its material, so that of a textured material is white.
+Its plain color is stored in <numeric name="<object>-<material>-rgb">, for readers without textures.
 """
 
 import xml.etree.ElementTree as ET
@@ -15,11 +15,11 @@ from ..spec.finish import finish
 from .meshes import numbers
 from .textures import has_texture, is_textured, texture_file, visible_surface
 
-COLOUR_SUFFIX = "-rgb"
+COLOR_SUFFIX = "-rgb"
 
 
 def add_surfaces(model: mujoco.MjSpec, owner: str, spec: ObjectSpec) -> None:
-    """Make meshes of primitives that have a texture: MuJoCo lays none on their sides."""
+    """Replace textured primitives by meshes, as MuJoCo does not texture their sides."""
     for part in spec.parts:
         for geom in part.geoms:
             if not is_textured(spec, geom) or geom.shape.primitive() is None:
@@ -34,21 +34,21 @@ def add_surfaces(model: mujoco.MjSpec, owner: str, spec: ObjectSpec) -> None:
             shown.size = np.zeros(3)
 
 
-def dress_mjcf(
+def add_materials(
     root: ET.Element, owner: str, spec: ObjectSpec, folder: str, *, textured: bool
 ) -> None:
-    """Give visual geoms of an object materials in place of colours.
+    """Replace the colors of an object's visual geoms by materials.
 
     Args:
         root: the MJCF file.
-        owner: name of the object in it.
+        owner: name of the object in the file.
         spec: the object.
-        folder: of the object's files, relative to the MJCF file: "" or "objects/cup/".
-        textured: whether `add_surfaces` made meshes for textures.
+        folder: folder of the object's files, relative to the MJCF file: "" or "objects/cup/".
+        textured: True if materials may have textures.
     """
     shown = {g.get("name"): g for g in root.iter("geom") if g.get("name") is not None}
     assets = _section(root, "asset")
-    done: set[str] = set()
+    added: set[str] = set()
     for part in spec.parts:
         for geom in part.geoms:
             element = shown.get(visual_name(owner, geom))
@@ -58,8 +58,8 @@ def dress_mjcf(
             name = f"{owner}-{material.name}"
             element.attrib.pop("rgba", None)
             element.set("material", name)
-            if name not in done:
-                done.add(name)
+            if name not in added:
+                added.add(name)
                 file = folder + texture_file(material) if textured else None
                 _add_material(root, assets, name, material, file)
 
@@ -67,34 +67,34 @@ def dress_mjcf(
 def _add_material(
     root: ET.Element, assets: ET.Element, name: str, material: Material, file: str | None
 ) -> None:
-    made = finish(material)
+    surface = finish(material)
     look = {
         "name": name,
         "rgba": numbers(material.rgba),
-        "specular": numbers([round(0.1 + 0.6 * (1 - made.roughness), 6)]),
-        "shininess": numbers([round(1 - made.roughness, 6)]),
-        "metallic": numbers([made.metallic]),
-        "roughness": numbers([made.roughness]),
+        "specular": numbers([round(0.1 + 0.6 * (1 - surface.roughness), 6)]),
+        "shininess": numbers([round(1 - surface.roughness, 6)]),
+        "metallic": numbers([surface.metallic]),
+        "roughness": numbers([surface.roughness]),
     }
     if has_texture(material) and file is not None:
         ET.SubElement(assets, "texture", name=name, type="2d", file=file)
         look |= {"texture": name, "rgba": numbers([1, 1, 1, material.rgba[3]])}
         custom = _section(root, "custom")
-        own = {"name": name + COLOUR_SUFFIX, "data": numbers(material.rgba[:3])}
-        ET.SubElement(custom, "numeric", own)
+        plain = {"name": name + COLOR_SUFFIX, "data": numbers(material.rgba[:3])}
+        ET.SubElement(custom, "numeric", plain)
     ET.SubElement(assets, "material", look)
 
 
-def colour_of_geom(model: mujoco.MjModel, g: int) -> tuple[float, float, float, float]:
-    """Return the colour of a geom of any file; of a texture its mean, if nothing states another."""
+def geom_color(model: mujoco.MjModel, g: int) -> tuple[float, float, float, float]:
+    """Return the color of a geom; for a texture without a stated color, its mean."""
     material = int(model.geom_matid[g])
     if material < 0:
-        r, g_, b, a = (float(v) for v in model.geom_rgba[g])
-        return r, g_, b, a
+        red, green, blue, alpha = (float(v) for v in model.geom_rgba[g])
+        return red, green, blue, alpha
     rgba = model.mat_rgba[material].astype(float)
     texture = int(model.mat_texid[material][mujoco.mjtTextureRole.mjTEXROLE_RGB])
     if texture >= 0:
-        name = model.material(material).name + COLOUR_SUFFIX
+        name = model.material(material).name + COLOR_SUFFIX
         stated = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
         channels = int(model.tex_nchannel[texture])
         if stated >= 0 and model.numeric_size[stated] == 3:
@@ -110,5 +110,5 @@ def colour_of_geom(model: mujoco.MjModel, g: int) -> tuple[float, float, float, 
 
 
 def _section(root: ET.Element, tag: str) -> ET.Element:
-    found = root.find(tag)
-    return ET.SubElement(root, tag) if found is None else found
+    section = root.find(tag)
+    return ET.SubElement(root, tag) if section is None else section

@@ -1,11 +1,10 @@
-"""A USD layer over a scene or an object that says to Newton what MJCF says to MuJoCo.
+"""A USD layer over a scene or an object with the settings of the Newton simulator.
 
-Newton's own defaults let a resting cup sink by millimetres: it looks for contacts up to 10 cm away,
-which crowds out those that touch, takes one point a pair of convex pieces, and has soft friction
-and soft stops of joints.
-The `mjc:` attributes are for its MuJoCo solver; register them before reading:
-`newton.solvers.SolverMuJoCo.register_custom_attributes(builder)`. Newton reads joint states only in
-its own words.
+With Newton's defaults a resting cup sinks by millimeters: contacts are detected up to 10 cm away,
+which crowds out those that touch; each pair of convex pieces has one contact point; and friction
+and joint limits are soft. The `mjc:` attributes are for Newton's MuJoCo solver; register them
+before reading by `newton.solvers.SolverMuJoCo.register_custom_attributes(builder)`. Newton reads
+joint states only from its own attributes.
 """
 
 import math
@@ -13,16 +12,16 @@ from collections.abc import Iterator
 
 from pxr import Sdf, Usd, Vt
 
-from ..spec import ObjectSpec, SceneSpec, joint_value
+from ..spec import ObjectSpec, SceneObject, SceneSpec, joint_value
 from ..spec.convex import Piece
 from .write_mjcf import IMPRATIO
 from .write_scene_usd import physics_path
-from .write_usd import new_stage
+from .write_usd import new_stage, set_float
 
 GAP_M = 0.002
-"""Distance [m] from which on contacts are looked for."""
+"""Distance below which contacts are detected [m]."""
 SOLREF = (0.02, 1.0)
-"""Time constant [s] and damping ratio of a joint's ends: MuJoCo's default."""
+"""Time constant [s] and damping ratio of joint limits: MuJoCo's default."""
 
 
 def opened_layer(described: SceneSpec | ObjectSpec) -> tuple[Usd.Stage, Sdf.Path]:
@@ -38,13 +37,10 @@ def newton_text(described: SceneSpec | ObjectSpec, file: str) -> str:
 
     Args:
         described: the scene or object.
-        file: the USD file beside it that the layer lies over, such as "scene.usdc".
+        file: name of the USD file below the layer, in the same folder, such as "scene.usdc".
     """
     stage, base = opened_layer(described)
-    if isinstance(described, ObjectSpec):
-        add_gaps(stage, base, described)
-        _add_stops(stage, base, described)
-    else:
+    if isinstance(described, SceneSpec):
         settings = stage.OverridePrim(physics_path(described))
         for name, kind, value in (
             ("mjc:option:cone", Sdf.ValueTypeNames.Token, "elliptic"),
@@ -52,17 +48,30 @@ def newton_text(described: SceneSpec | ObjectSpec, file: str) -> str:
             ("mjc:flag:multiccd", Sdf.ValueTypeNames.Bool, True),
         ):
             settings.CreateAttribute(name, kind, custom=False).Set(value)
-        for item in described.objects:
-            path = base.AppendChild(item.name)
-            add_gaps(stage, path, item.spec)
-            _add_stops(stage, path, item.spec)
-            if not (item.static and all(joint.type == "fixed" for joint in item.spec.joints)):
-                _add_states(stage, path, item.spec, item.joint_state)
+    for path, item in placed_objects(described, base):
+        add_gaps(stage, path, item.spec)
+        _add_stops(stage, path, item.spec)
+        if isinstance(described, SceneSpec) and moves(item):
+            _add_states(stage, path, item.spec, item.joint_state)
     return laid_over(stage, file)
 
 
+def placed_objects(
+    described: SceneSpec | ObjectSpec, base: Sdf.Path
+) -> list[tuple[Sdf.Path, SceneObject]]:
+    """Return the objects of a scene, or one object alone, with the paths of their prims."""
+    if isinstance(described, ObjectSpec):
+        return [(base, SceneObject(name=described.name, spec=described))]
+    return [(base.AppendChild(item.name), item) for item in described.objects]
+
+
+def moves(item: SceneObject) -> bool:
+    """Return True if an object or a part of it can move."""
+    return not item.static or any(joint.type != "fixed" for joint in item.spec.joints)
+
+
 def laid_over(stage: Usd.Stage, file: str) -> str:
-    """Return a stage of overrides as the text of a layer over a file beside it."""
+    """Return the text of a layer of overrides over a file in the same folder."""
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.TransferContent(stage.GetRootLayer())
     layer.subLayerPaths.append(f"./{file}")
@@ -80,15 +89,15 @@ def collider_paths(base: Sdf.Path, spec: ObjectSpec) -> Iterator[tuple[Sdf.Path,
 
 
 def add_gaps(stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec) -> None:
-    """Let contacts of an object at `base` be looked for from `GAP_M` on."""
+    """Set the contact gap of the colliders of an object at `base`."""
     for path, _ in collider_paths(base, spec):
         prim = stage.OverridePrim(path)
         prim.AddAppliedSchema("NewtonCollisionAPI")
-        set_number(prim, "newton:contactGap", GAP_M)
+        set_float(prim, "newton:contactGap", GAP_M)
 
 
 def _add_stops(stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec) -> None:
-    """Make the ends of joints as stiff as in MuJoCo: Newton's own give way by centimetres."""
+    """Make joint limits as stiff as in MuJoCo; Newton's own yield by centimeters."""
     for joint in spec.joints:
         if joint.type in ("prismatic", "revolute"):
             prim = stage.OverridePrim(base.AppendPath(f"joints/{joint.name}"))
@@ -107,9 +116,4 @@ def _add_states(
             sliding = joint.type == "prismatic"
             prim = stage.OverridePrim(base.AppendPath(f"joints/{joint.name}"))
             name = "newton:linear:position" if sliding else "newton:angular:position"
-            set_number(prim, name, value if sliding else math.degrees(value))
-
-
-def set_number(prim: Usd.Prim, name: str, value: float) -> None:
-    """Set a number of a schema, in single precision."""
-    prim.CreateAttribute(name, Sdf.ValueTypeNames.Float, custom=False).Set(value)
+            set_float(prim, name, value if sliding else math.degrees(value))

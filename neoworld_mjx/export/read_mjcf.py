@@ -31,8 +31,8 @@ from .mechanism import (
     unchecked_mimic,
     unchecked_site,
 )
-from .mjcf_looks import colour_of_geom
-from .trial import try_mjcf
+from .mjcf_looks import geom_color
+from .mjcf_trial import try_mjcf
 
 _G, _J = mujoco.mjtGeom, mujoco.mjtJoint
 LOST = ("tendon", "actuator", "sensor", "contact", "keyframe", "deformable", "extension")
@@ -71,7 +71,7 @@ def read_mjcf_scene(path: Path) -> list[Assembly]:
         raise SpecError(f"{path}: an MJCF file begins with <mujoco>, this with <{roots[0].tag}>")
     for tag in LOST:
         if any(root.find(tag) is not None for root in roots):
-            notes.append(f"{tag} is not carried")
+            notes.append(f"{tag} is not imported")
     try_mjcf(path, roots)
     model, stated, massless = compiled_mjcf(path, notes)
     data = mujoco.MjData(model)
@@ -82,7 +82,7 @@ def read_mjcf_scene(path: Path) -> list[Assembly]:
         b for b in range(1, model.nbody) if model.body_parentid[b] == 0 and _geoms_below(model, b)
     ]
     if np.any(model.geom_bodyid == 0):
-        notes.append("geoms of the world itself, such as a floor, are not carried")
+        notes.append("geoms of the world itself, such as a floor, are not imported")
     result = []
     for top in tops:
         name = title if len(tops) == 1 else _name(model, top)
@@ -232,11 +232,11 @@ def _shape(
         vertices = model.mesh_vert[v : v + model.mesh_vertnum[m]].astype(float)
         shape = (vertices, model.mesh_face[f : f + model.mesh_facenum[m]].astype(np.int64))
     else:
-        notes.append(f"body {link}: a geom of type {_G(kind).name[7:].lower()} is not carried")
+        notes.append(f"body {link}: a geom of type {_G(kind).name[7:].lower()} is not imported")
         return None
     collides = bool(model.geom_contype[g]) or bool(model.geom_conaffinity[g])
     material = int(model.geom_matid[g])
-    red, green, blue, alpha = colour_of_geom(model, g)
+    red, green, blue, alpha = geom_color(model, g)
     shine = [model.mat_metallic[material], model.mat_roughness[material]] if material >= 0 else []
     metallic, roughness = (float(v) if v >= 0 else None for v in shine or (-1, -1))
     return LinkShape(
@@ -278,7 +278,7 @@ def _joints(
     root = bodies[0]
     for j in _own_joints(model, root):
         if model.jnt_type[j] != _J.mjJNT_FREE:
-            notes.append(f"joint {model.joint(j).name} moves the whole object and is not carried")
+            notes.append(f"joint {model.joint(j).name} moves the whole object and is not imported")
     return joints, inner
 
 
@@ -306,7 +306,7 @@ def _joint(
         if "ball" in get_args(JointType):
             upper = float(min(model.jnt_range[j, 1], np.pi)) if limited else 0.0
             return unchecked_joint(**common, **losses, type="ball", upper=upper)
-        notes.append(f"joint {name} is a ball joint: carried as fixed")
+        notes.append(f"joint {name} is a ball joint: imported as fixed")
         return unchecked_joint(**common, type="fixed")
     if kind == _J.mjJNT_FREE:
         raise SpecError(f"{path}: joint {name} is free within the object")
@@ -321,7 +321,7 @@ def _joint(
         losses["stiffness"] > 0
         and abs(float(model.qpos_spring[model.jnt_qposadr[j]]) - drawn) > 1e-9
     ):
-        notes.append(f"joint {name}: its spring is at rest elsewhere, which is not carried")
+        notes.append(f"joint {name}: its spring is at rest elsewhere, which is not imported")
     mimic = None
     if j in ties:
         leader, coefficients = ties[j]
@@ -343,10 +343,10 @@ def _ties(model: mujoco.MjModel, notes: list[str]) -> dict[int, Any]:
     ties: dict[int, Any] = {}
     for e in range(model.neq):
         if model.eq_type[e] != mujoco.mjtEq.mjEQ_JOINT or model.eq_obj2id[e] < 0:
-            notes.append("an equality that ties no two joints is not carried")
+            notes.append("an equality that ties no two joints is not imported")
             continue
         if np.any(model.eq_data[e, 2:5]):
-            notes.append("of a tie between joints only the linear part is carried")
+            notes.append("of a tie between joints only the linear part is imported")
         leader = model.joint(int(model.eq_obj2id[e])).name
         ties[int(model.eq_obj1id[e])] = (leader, model.eq_data[e])
     return ties

@@ -1,4 +1,4 @@
-"""Read the mechanism of a URDF file, through yourdfpy."""
+"""Read the mechanism of a URDF file with yourdfpy."""
 
 import math
 import xml.etree.ElementTree as ET
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from ..errors import SpecError
 from ..spec import Box, Cylinder, JointSpec, Site, Sphere
 from ..spec.base_shape import BaseShape
-from ..spec.object import Role
 from .checked_xml import inside, read_xml
 from .drake_contact import DRAKE
 from .load_mesh import load_mesh
 from .mechanism import (
+    GRAY,
     Link,
     LinkShape,
     Mechanism,
@@ -26,7 +26,7 @@ from .mechanism import (
     unchecked_mimic,
     unchecked_site,
 )
-from .write_urdf import CLEARANCE_M, as_drawn
+from .write_urdf import CLEARANCE_M, unshrunk
 
 XACRO = "xacro"
 LOST = {
@@ -39,11 +39,11 @@ LOST = {
 
 
 def read_urdf(path: Path) -> Mechanism:
-    """Read a URDF file and the meshes beside it.
+    """Read a URDF file and its meshes.
 
     Raises:
-        SpecError: the file is broken or hostile, names a mesh that is not there or lies outside its
-            folder, or is no tree.
+        SpecError: the file is broken or hostile, names a mesh that is missing or lies outside its
+            folder, or its links do not form a tree.
     """
     import yourdfpy
 
@@ -51,22 +51,22 @@ def read_urdf(path: Path) -> Mechanism:
     root = read_xml(path)
     if path.suffix == ".xacro" or any(XACRO in element.tag for element in root.iter()):
         raise SpecError(
-            f"{path} is written in xacro, whose expressions are programs: expand it by "
-            "`xacro FILE > robot.urdf`, and give that"
+            f"{path} is written in xacro, whose expressions are programs: expand it with "
+            "`xacro FILE > robot.urdf` and use the result"
         )
     if root.tag != "robot":
-        raise SpecError(f"{path}: a URDF begins with <robot>, this with <{root.tag}>")
-    _check(path, root)
+        raise SpecError(f"{path}: the root element of URDF is <robot>, not <{root.tag}>")
+    _check_names(path, root)
     for mesh in root.iter("mesh"):
         inside(path, mesh.get("filename") or "")
     try:
         robot = yourdfpy.URDF.load(
             str(path), load_meshes=False, build_collision_scene_graph=False
         ).robot
-    except Exception as error:  # a library's border
-        raise SpecError(f"{path} is no URDF: {type(error).__name__}: {error}"[:300]) from None
+    except Exception as error:  # yourdfpy raises errors of many types
+        raise SpecError(f"{path} is not URDF: {type(error).__name__}: {error}"[:300]) from None
     notes = [
-        f"{content} are not carried"
+        f"{content} are not imported"
         for tag, content in LOST.items()
         if root.find(f".//{tag}") is not None
     ]
@@ -74,34 +74,37 @@ def read_urdf(path: Path) -> Mechanism:
         path, [link.name for link in robot.links],
         [(joint.name, joint.parent, joint.child) for joint in robot.joints],
     ))  # fmt: skip
-    colours = {m.name: m.color.rgba for m in robot.materials if m.color is not None and m.name}
+    colors = {m.name: m.color.rgba for m in robot.materials if m.color is not None and m.name}
     frictions = _frictions(root)
-    drawn = {mark.get("link") for mark in root.findall("neoworld/drawn_in")}
+    shrunk = {mark.get("link") for mark in root.findall("neoworld/drawn_in")}
     links = [
         _link(
             path,
             link,
             frames[link.name],
-            colours,
+            colors,
             frictions[link.name],
-            CLEARANCE_M if link.name in drawn else 0.0,
+            CLEARANCE_M if link.name in shrunk else 0.0,
             notes,
         )
         for link in robot.links
     ]
     joints = [_joint(path, joint, frames[joint.child], notes) for joint in robot.joints]
     for mark in root.findall("neoworld/unstated"):
-        none = {k: None for k in ("effort", "velocity") if k in (mark.get("limits") or "").split()}
-        joints = [j.model_copy(update=none) if j.name == mark.get("joint") else j for j in joints]
+        unstated = {k: None for k in ("effort", "velocity") if k in mark.get("limits", "").split()}
+        joints = [
+            j.model_copy(update=unstated) if j.name == mark.get("joint") else j for j in joints
+        ]
     for mark in root.findall("neoworld/ball"):
         _fold_ball(mark.get("joint") or "", links, joints, notes)
     sites = _fold_frames(links, joints)
-    by_name = {link.name: link for link in links}
-    return Mechanism(robot.name or path.stem, by_name, joints, sites, notes)
+    return Mechanism(
+        robot.name or path.stem, {link.name: link for link in links}, joints, sites, notes
+    )
 
 
 def _fold_frames(links: list[Link], joints: list[JointSpec]) -> list[Site]:
-    """Make sites of the links that have nothing but a place: no shape, mass or child."""
+    """Convert fixed links without shape, mass or child to sites."""
     parents = {joint.parent for joint in joints}
     sites = []
     for joint in [joint for joint in joints if joint.type == "fixed"]:
@@ -115,14 +118,14 @@ def _fold_frames(links: list[Link], joints: list[JointSpec]) -> list[Site]:
 
 
 def _frictions(root: ET.Element) -> dict[str, list[float]]:
-    """Return the friction of each collision of each link: Drake's, else PyBullet's, else 0.5."""
+    """Return the friction of the collisions of each link: Drake's, else PyBullet's, else 0.5."""
     result = {}
     for link in root.findall("link"):
-        whole = link.find("contact/lateral_friction")
+        of_link = link.find("contact/lateral_friction")
         values = []
         for collision in link.findall("collision"):
-            own = collision.find(f"{{{DRAKE}}}proximity_properties/{{{DRAKE}}}mu_dynamic")
-            stated = whole if own is None else own
+            of_collision = collision.find(f"{{{DRAKE}}}proximity_properties/{{{DRAKE}}}mu_dynamic")
+            stated = of_link if of_collision is None else of_collision
             try:
                 value = 0.5 if stated is None else float(stated.get("value") or 0.5)
             except ValueError:
@@ -133,21 +136,20 @@ def _frictions(root: ET.Element) -> dict[str, list[float]]:
 
 
 def _fold_ball(name: str, links: list[Link], joints: list[JointSpec], notes: list[str]) -> None:
-    """Restore the ball joint that our export wrote as three hinges with two bare links between."""
+    """Restore a ball joint that `write_urdf` wrote as three hinges with two links between them."""
     by_name = {joint.name: joint for joint in joints}
     hinges = [by_name.get(f"{name}_{axis}") for axis in "xyz"]
     inner = [f"{name}_{axis}_link" for axis in "xy"]
     ends = [(joint.parent, joint.child) for joint in joints]
     bare = {link.name for link in links if not link.shapes}
     first, middle, last = hinges
-    if first is None or middle is None or last is None or not _is_ball(first, middle, last):
-        whole = False
-    else:
+    complete = False
+    if first and middle and last and _is_ball(first, middle, last):
         chain = [(first.parent, inner[0]), (inner[0], inner[1]), (inner[1], last.child)]
         joined = [end for end in ends if set(end) & set(inner)]
-        whole = joined == chain and bare.issuperset(inner)
-    if not whole:
-        notes.append(f"ball {name} is not as it was written: its hinges are carried as they are")
+        complete = joined == chain and bare.issuperset(inner)
+    if not complete:
+        notes.append(f"ball joint {name} was edited: imported as separate hinges")
         return
     assert first is not None and last is not None
     ball = first.model_copy(
@@ -159,7 +161,7 @@ def _fold_ball(name: str, links: list[Link], joints: list[JointSpec], notes: lis
 
 
 def _is_ball(*hinges: JointSpec) -> bool:
-    """Tell whether three hinges make a ball: one point, axes x, y, z, equal losses and limits."""
+    """Return True if three hinges form a ball: one anchor, axes x, y, z, equal losses, limits."""
     first, middle, _ = hinges
     same = all(
         h.type == first.type
@@ -171,14 +173,14 @@ def _is_ball(*hinges: JointSpec) -> bool:
         and np.isclose(h.lower, -h.upper)
         for h, axis in zip(hinges, np.eye(3), strict=True)
     )
-    most = min(first.upper, math.pi / 2)
+    middle_upper = min(first.upper, math.pi / 2)
     return same and bool(
-        np.isclose(middle.upper, most) and np.isclose(hinges[2].upper, first.upper)
+        np.isclose(middle.upper, middle_upper) and np.isclose(hinges[2].upper, first.upper)
     )
 
 
-def _check(path: Path, root: Any) -> None:
-    """Refuse what makes yourdfpy fail without a message."""
+def _check_names(path: Path, root: ET.Element) -> None:
+    """Refuse missing names, on which yourdfpy fails without a useful message."""
     for joint in root.findall("joint"):
         for end in ("parent", "child"):
             element = joint.find(end)
@@ -205,144 +207,128 @@ def _frames(robot: Any, root: str) -> dict[str, NDArray]:
 def _link(
     path: Path,
     link: Any,
-    at: NDArray,
-    colours: dict[str, Any],
+    frame: NDArray,
+    colors: dict[str, Any],
     frictions: list[float],
     clearance: float,
     notes: list[str],
 ) -> Link:
-    result = Link(link.name, origin=at[:3, 3])
-    elements: list[tuple[Any, Role]] = [(link.visuals, "visual"), (link.collisions, "collision")]
-    for items, role in elements:
-        for k, item in enumerate(items):
-            friction = frictions[k] if role == "collision" else 0.5
-            inset = clearance if role == "collision" else 0.0
-            place = at if item.origin is None else at @ item.origin
-            rgba = _colour(getattr(item, "material", None), colours)
-            for shape, local in _shapes(path, item.geometry, link.name, inset, notes):
-                result.shapes.append(LinkShape(shape, place @ local, role, rgba, friction))
-    own = link.inertial
-    if own is not None and own.mass is not None:
-        place = at if own.origin is None else at @ own.origin
-        result.mass, result.com = float(own.mass), place[:3, 3]
-        if own.inertia is not None:
-            turn = place[:3, :3]
-            result.inertia = turn @ np.asarray(own.inertia, float) @ turn.T
+    result = Link(link.name, origin=frame[:3, 3])
+    for item in link.visuals:
+        rgba = _color(item.material, colors)
+        for shape, placed in _shapes(path, item, link.name, frame, 0.0, notes):
+            result.shapes.append(LinkShape(shape, placed, "visual", rgba))
+    for item, friction in zip(link.collisions, frictions, strict=False):
+        for shape, placed in _shapes(path, item, link.name, frame, clearance, notes):
+            result.shapes.append(LinkShape(shape, placed, "collision", friction=friction))
+    inertial = link.inertial
+    if inertial is not None and inertial.mass is not None:
+        placed = frame if inertial.origin is None else frame @ inertial.origin
+        result.mass, result.com = float(inertial.mass), placed[:3, 3]
+        if inertial.inertia is not None:
+            rotation = placed[:3, :3]
+            result.inertia = rotation @ np.asarray(inertial.inertia, float) @ rotation.T
     return result
 
 
-def _colour(material: Any, colours: dict[str, Any]) -> tuple[float, float, float, float]:
-    if material is None:
-        return (0.7, 0.7, 0.7, 1.0)
-    rgba = material.color.rgba if material.color is not None else colours.get(material.name)
+def _color(material: Any, colors: dict[str, Any]) -> tuple[float, float, float, float]:
+    rgba = None
+    if material is not None:
+        rgba = material.color.rgba if material.color is not None else colors.get(material.name)
     if rgba is None:
-        return (0.7, 0.7, 0.7, 1.0)
-    r, g, b, a = (float(v) for v in rgba)
-    return r, g, b, a
+        return GRAY
+    red, green, blue, alpha = (float(v) for v in rgba)
+    return red, green, blue, alpha
 
 
 def _shapes(
-    path: Path, geometry: Any, link: str, inset: float, notes: list[str]
+    path: Path, item: Any, link: str, frame: NDArray, clearance: float, notes: list[str]
 ) -> list[tuple[BaseShape | Triangles, NDArray]]:
-    """Return shapes with their places in the element's frame, before our export drew them in."""
-    here = np.eye(4)
+    """Return the unshrunk shapes of a visual or collision, and their poses in the root frame."""
+    placed = frame if item.origin is None else frame @ item.origin
+    geometry = item.geometry
 
-    def whole(half: float) -> float:
-        return as_drawn(half, inset) if inset and half > 0 else half
+    def original(size: Any) -> float:
+        half = float(size) / 2
+        return 2 * (unshrunk(half, clearance) if clearance and half > 0 else half)
 
     try:
         if geometry.box is not None:
-            return [
-                (
-                    Box(
-                        size=triple(
-                            np.array([2 * whole(v / 2) for v in map(float, geometry.box.size)])
-                        )
-                    ),
-                    here,
-                )
-            ]
+            x, y, z = (original(v) for v in geometry.box.size)
+            return [(Box(size=(x, y, z)), placed)]
         if geometry.sphere is not None:
-            return [(Sphere(radius=whole(float(geometry.sphere.radius))), here)]
+            return [(Sphere(radius=original(2 * float(geometry.sphere.radius)) / 2), placed)]
         if geometry.cylinder is not None:
-            c = geometry.cylinder
-            return [
-                (
-                    Cylinder(radius=whole(float(c.radius)), height=2 * whole(float(c.length) / 2)),
-                    here,
-                )
-            ]
+            radius = original(2 * float(geometry.cylinder.radius)) / 2
+            height = original(geometry.cylinder.length)
+            return [(Cylinder(radius=radius, height=height), placed)]
     except ValueError:
         raise SpecError(f"{path}: link {link} has a shape whose size is not positive") from None
-    if geometry.mesh is not None:
-        scale = (
-            np.ones(3) if geometry.mesh.scale is None else np.asarray(geometry.mesh.scale, float)
-        )
-        vertices, faces = load_mesh(inside(path, geometry.mesh.filename))
-        if inset:
-            here[:3, 3] = -(vertices.min(axis=0) + vertices.max(axis=0)) / 2 * (1 - scale)
-            scale = np.ones(3)
-        return [((vertices * scale, faces if np.prod(scale) > 0 else faces[:, ::-1]), here)]
-    notes.append(f"link {link}: a geometry that is no box, sphere, cylinder or mesh is left out")
-    return []
+    if geometry.mesh is None:
+        notes.append(f"link {link}: a geometry other than box, sphere, cylinder or mesh is skipped")
+        return []
+    stated = geometry.mesh.scale
+    scale = np.ones(3) if stated is None else np.asarray(stated, float)
+    vertices, faces = load_mesh(inside(path, geometry.mesh.filename))
+    if clearance:
+        shift = np.eye(4)
+        shift[:3, 3] = -(vertices.min(axis=0) + vertices.max(axis=0)) / 2 * (1 - scale)
+        return [((vertices, faces), placed @ shift)]
+    return [((vertices * scale, faces if np.prod(scale) > 0 else faces[:, ::-1]), placed)]
 
 
-def _joint(path: Path, joint: Any, at: NDArray, notes: list[str]) -> JointSpec:
+def _joint(path: Path, joint: Any, frame: NDArray, notes: list[str]) -> JointSpec:
     kind, limit, dynamics, mimic = joint.type, joint.limit, joint.dynamics, joint.mimic
     lower = upper = 0.0
     if kind not in ("fixed", "revolute", "continuous", "prismatic"):
-        notes.append(f"joint {joint.name} is {kind}: carried as fixed")
+        notes.append(f"joint {joint.name} is {kind}: imported as fixed")
         kind = "fixed"
     if kind in ("revolute", "prismatic"):
-        if limit is None or limit.lower is None or limit.upper is None:
-            if kind == "prismatic":
-                raise SpecError(f"{path}: joint {joint.name} is prismatic and states no limits")
-            notes.append(f"joint {joint.name} states no limits: carried as continuous")
-            kind = "continuous"
-        else:
+        if limit is not None and limit.lower is not None and limit.upper is not None:
             lower, upper = float(limit.lower), float(limit.upper)
-            if lower > upper:
-                raise SpecError(
-                    f"{path}: joint {joint.name}: lower {lower:g} is above upper {upper:g}"
-                )
-            if lower == upper:
-                notes.append(f"joint {joint.name} has no range: carried as fixed")
-                kind = "fixed"
-    axis = at[:3, :3] @ np.asarray(joint.axis if joint.axis is not None else (1, 0, 0), float)
+        elif kind == "prismatic":
+            raise SpecError(f"{path}: joint {joint.name} is prismatic and states no limits")
+        else:
+            notes.append(f"joint {joint.name} states no limits: imported as continuous")
+            kind = "continuous"
+        if lower > upper:
+            raise SpecError(f"{path}: joint {joint.name}: lower {lower:g} is above upper {upper:g}")
+        if kind != "continuous" and lower == upper:
+            notes.append(f"joint {joint.name} has no range: imported as fixed")
+            kind = "fixed"
+    axis = frame[:3, :3] @ np.asarray(joint.axis if joint.axis is not None else (1, 0, 0), float)
     if kind != "fixed" and np.linalg.norm(axis) < 1e-9:
         raise SpecError(f"{path}: joint {joint.name} has no axis")
-    free = kind == "fixed"
+    limited = kind in ("revolute", "prismatic")
+    leader = None
+    if mimic is not None and kind != "fixed":
+        multiplier = 1.0 if mimic.multiplier is None else float(mimic.multiplier)
+        leader = unchecked_mimic(mimic.joint, multiplier, float(mimic.offset or 0.0))
     return unchecked_joint(
         name=joint.name,
         type=kind,
         parent=joint.parent,
         child=joint.child,
-        pos=triple(at[:3, 3]),
-        axis=(0, 0, 1) if free else triple(axis / np.linalg.norm(axis)),
-        lower=0.0 if free or kind == "continuous" else lower,
-        upper=0.0 if free or kind == "continuous" else upper,
-        damping=_positive(dynamics, "damping", joint.name, notes),
-        friction=_positive(dynamics, "friction", joint.name, notes),
-        # Some files write 0 for "none", which would mean a joint that cannot be driven.
-        effort=_stated(limit, "effort"),
-        velocity=_stated(limit, "velocity"),
-        mimic=None
-        if mimic is None or free
-        else unchecked_mimic(
-            mimic.joint,
-            1.0 if mimic.multiplier is None else float(mimic.multiplier),
-            float(mimic.offset or 0.0),
-        ),
+        pos=triple(frame[:3, 3]),
+        axis=(0, 0, 1) if kind == "fixed" else triple(axis / np.linalg.norm(axis)),
+        lower=lower if limited else 0.0,
+        upper=upper if limited else 0.0,
+        damping=_not_negative(dynamics, "damping", joint.name, notes),
+        friction=_not_negative(dynamics, "friction", joint.name, notes),
+        effort=_positive(limit, "effort"),
+        velocity=_positive(limit, "velocity"),
+        mimic=leader,
     )
 
 
-def _positive(source: Any, name: str, joint: str, notes: list[str]) -> float:
+def _not_negative(source: Any, name: str, joint: str, notes: list[str]) -> float:
     value = float(getattr(source, name, None) or 0.0)
     if value < 0:
-        notes.append(f"joint {joint}: a {name} of {value:g} is carried as none")
+        notes.append(f"joint {joint}: a {name} of {value:g} is imported as 0")
     return max(value, 0.0)
 
 
-def _stated(source: Any, name: str) -> float | None:
+def _positive(source: Any, name: str) -> float | None:
+    """Return a limit, or None: some files write 0 for a limit that they do not state."""
     value = getattr(source, name, None)
     return float(value) if value and value > 0 and math.isfinite(value) else None

@@ -61,7 +61,7 @@ def one_object(path: Path, stage: Usd.Stage, object_path: str | None = None) -> 
         raise SpecError(f"{path} holds {len(bodies)} objects, not one: {paths}")
     result = (bodies or made)[0].mechanism
     if len(made) > 1:
-        result.notes.append("geometry outside of rigid bodies is not carried")
+        result.notes.append("geometry outside of rigid bodies is not imported")
     return result
 
 
@@ -127,7 +127,7 @@ def _assemblies(
                 owner = loose[name]
             owner.shapes.append((prim, placed(prim)))
         elif prim.GetTypeName() in _LEFT_OUT:
-            notes.append(f"{prim.GetPath()} is a {prim.GetTypeName()}, which is not carried")
+            notes.append(f"{prim.GetPath()} is a {prim.GetTypeName()}, which is not imported")
     notes += _unread(prims)
     shared = frame_of(top) if object_path else np.eye(4)
     result = []
@@ -263,13 +263,13 @@ def _assembly(
         for tie in ready:
             waiting.remove(tie)
             if tie.parent in rest and tie.child in rest:
-                reader.notes.append(f"joint {tie.name} closes a loop and is not carried")
+                reader.notes.append(f"joint {tie.name} closes a loop and is not imported")
                 continue
             one = tie if tie.parent in rest else tie.flipped()
             rest[one.child] = rest[one.parent] @ one.here @ np.linalg.inv(one.there)
             used.append(one)
     for tie in waiting:
-        reader.notes.append(f"joint {tie.name} closes a loop and is not carried")
+        reader.notes.append(f"joint {tie.name} closes a loop and is not imported")
     sites, stage, notes = [], reader.stage, reader.notes
     for name in names:
         body = bodies[name]
@@ -370,14 +370,14 @@ def _unread(prims: list[Usd.Prim]) -> list[str]:
     """Note what the prims hold that an object's description has no place for."""
     notes = []
     if any(prim.IsA(UsdGeom.Camera) for prim in prims):
-        notes.append("cameras are not carried")
+        notes.append("cameras are not imported")
     pictures = any(
         prim.GetAttribute("info:id").Get() == "UsdUVTexture"
         for prim in prims
         if prim.IsA(UsdShade.Shader)
     )
     if pictures:
-        notes.append("pictures on materials are not carried")
+        notes.append("pictures on materials are not imported")
     others = set()
     for prim in prims:
         schemas = prim.GetMetadata("apiSchemas")
@@ -385,5 +385,5 @@ def _unread(prims: list[Usd.Prim]) -> list[str]:
             if not name.startswith(_READ) and name.partition(":")[0] not in _READ_FULLY:
                 others.add(name.partition(":")[0])
     if others:
-        notes.append(f"schemas that are not carried: {', '.join(sorted(others))}")
+        notes.append(f"schemas that are not imported: {', '.join(sorted(others))}")
     return notes

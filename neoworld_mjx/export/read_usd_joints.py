@@ -112,7 +112,7 @@ class JointReader:
             if kind_of(prim)[0] == "other":
                 self.notes.append(
                     f"joint {prim.GetName()} has several freedoms: "
-                    + ("left out" if not tie.parent else "carried as fixed")
+                    + ("left out" if not tie.parent else "imported as fixed")
                 )
                 if not tie.parent:
                     continue
@@ -180,7 +180,7 @@ class JointReader:
         if slide and not limited:
             raise SpecError(f"{self.path}: joint {tie.name} slides and states no limits")
         if limited and lower == upper:
-            self.notes.append(f"joint {tie.name} has no range: carried as fixed")
+            self.notes.append(f"joint {tie.name} has no range: imported as fixed")
             return unchecked_joint(**common, type="fixed")
         instance = "linear" if slide else "angular"
         drive = UsdPhysics.DriveAPI.Get(prim, instance)
@@ -188,7 +188,7 @@ class JointReader:
         damping = _value(drive.GetDampingAttr()) if applied else 0.0
         stiffness = _value(drive.GetStiffnessAttr()) if applied else 0.0
         if stiffness and _value(drive.GetTargetPositionAttr()):
-            self.notes.append(f"joint {tie.name}: its drive's target is not carried")
+            self.notes.append(f"joint {tie.name}: its drive's target is not imported")
         force = drive.GetMaxForceAttr().Get() if applied else None
         velocity = _first(
             prim, "newton:velocityLimit", f"physxJointAxis:{instance}:maxJointVelocity",

@@ -117,7 +117,7 @@ def _shape(
     kinds = (UsdGeom.Cylinder, UsdGeom.Capsule, UsdGeom.Cone)
     kind = next((k for k in kinds if prim.IsA(k)), None)
     if kind is None or along not in _TURNS:
-        notes.append(f"{prim.GetPath()} is a {prim.GetTypeName()}, which is not carried")
+        notes.append(f"{prim.GetPath()} is a {prim.GetTypeName()}, which is not imported")
         return None
     typed = kind(prim)
     radius, height = (float(v.Get()) for v in (typed.GetRadiusAttr(), typed.GetHeightAttr()))

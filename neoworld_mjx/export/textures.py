@@ -1,7 +1,7 @@
-"""Textures of an object: tiles of its patterned materials, and where on its surfaces they lie.
+"""Textures of an object and their coordinates on its surfaces.
 
-A tile is laid on the face of the axis that a triangle's normal is nearest to, in metres of the
-part's own frame, as in our pictures; a print of the photograph where the camera saw the surface.
+Tiles of a pattern are projected along the axis nearest to a triangle's normal, in the part's frame,
+as in rendered images. Prints of the photograph are projected from its camera.
 """
 
 import numpy as np
@@ -12,20 +12,22 @@ from ..render.tiles import tile_png, tile_size
 from ..spec import GeomSpec, Material, ObjectSpec
 from ..spec.finish import finish
 from ..spec.pose import matrix
+from .link_frames import link_origins
+from .load_mesh import merged_vertices
 
 TEXTURES = "textures"
-"""Folder beside an object's files."""
+"""Folder of the textures, relative to the object."""
 PRINT_CUTS = 24
-"""Edges of triangles with a print are at most the whole's diagonal over this."""
+"""Bounding-box diagonal of a printed surface over its longest triangle edge, at least."""
 
 
 def is_textured(spec: ObjectSpec, geom: GeomSpec) -> bool:
-    """Return whether a geom is seen with a texture."""
+    """Return True if a geom is visible and has a texture."""
     return geom.role != "collision" and has_texture(spec.material(geom.material))
 
 
 def has_texture(material: Material) -> bool:
-    """Return whether a material has a texture: a pattern, or a print of the photograph."""
+    """Return True if a material has a pattern or a print of the photograph."""
     return material.photo is not None or finish(material).pattern is not None
 
 
@@ -35,22 +37,21 @@ def texture_file(material: Material) -> str:
 
 
 def texture_files(spec: ObjectSpec) -> dict[str, bytes]:
-    """Return the textures of what is seen of an object: path relative to it, and PNG."""
-    result: dict[str, bytes] = {}
-    for part in spec.parts:
-        for geom in part.geoms:
-            if is_textured(spec, geom):
-                material = spec.material(geom.material)
-                content = tile_png(material)
-                if content is not None:
-                    result[texture_file(material)] = content
-    return result
+    """Return the textures of an object's visible geoms: path relative to the object, and PNG."""
+    textured = [
+        spec.material(geom.material)
+        for part in spec.parts
+        for geom in part.geoms
+        if is_textured(spec, geom)
+    ]
+    tiles = {texture_file(material): tile_png(material) for material in textured}
+    return {path: png for path, png in tiles.items() if png is not None}
 
 
 def visible_surface(
     spec: ObjectSpec, part: str, geom: GeomSpec
 ) -> tuple[NDArray, NDArray, NDArray | None]:
-    """Return what is drawn of a geom, in its own frame.
+    """Return the visible surface of a geom, in its own frame.
 
     Args:
         spec: the object.
@@ -58,9 +59,9 @@ def visible_surface(
         geom: the geom.
 
     Returns:
-        Vertices [vertex, 3] m, faces [face, 3], and (u, v) of every corner of every face,
-        [face, 3, 2], v upwards; None without a texture. Of what bears a print the faces are cut up,
-        as a photograph's perspective bends over large ones.
+        Vertices [vertex, 3] m, faces [face, 3], and texture coordinates of every corner
+        [face, 3, 2], v upwards, or None without a texture. Printed faces are subdivided, as texture
+        coordinates follow the photograph's perspective only at corners.
     """
     vertices, faces = geom.shape.surface()
     if not is_textured(spec, geom):
@@ -68,26 +69,23 @@ def visible_surface(
     material = spec.material(geom.material)
     if material.photo is None:
         return vertices, faces, _tiled(spec, part, geom, vertices, faces)
-    vertices, faces = _cut_up(vertices, faces)
-    shown = read_print(material.photo)
+    vertices, faces = _subdivided(vertices, faces)
+    photo = read_print(material.photo)
     corners = geom.pose().apply(vertices)[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    _, seen = shown.seen(corners.mean(axis=1), normals)
-    at, _ = shown.seen(corners.reshape(-1, 3), np.repeat(normals, 3, axis=0))
-    places = shown.texture_places(at, np.repeat(seen, 3))
-    return vertices, faces, places.reshape(-1, 3, 2)
+    _, visible = photo.seen(corners.mean(axis=1), normals)
+    position, _ = photo.seen(corners.reshape(-1, 3), np.repeat(normals, 3, axis=0))
+    uv = photo.texture_coordinates(position, np.repeat(visible, 3))
+    return vertices, faces, uv.reshape(-1, 3, 2)
 
 
-def _cut_up(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
-    """Cut triangles until none is longer than a share of the whole."""
+def _subdivided(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
+    """Subdivide triangles until no edge is longer than a fraction of the diagonal."""
     from trimesh.remesh import subdivide_to_size
 
     longest = float(np.linalg.norm(np.ptp(vertices, axis=0))) / PRINT_CUTS
     cut, corners, *_ = subdivide_to_size(vertices, faces, longest, max_iter=20)
-    merged, index = np.unique(np.round(cut, 9), axis=0, return_inverse=True)
-    corners = index.ravel()[corners]
-    whole = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
-    return merged, corners[whole & (corners[:, 2] != corners[:, 0])]
+    return merged_vertices(cut, corners)
 
 
 def _tiled(
@@ -95,9 +93,9 @@ def _tiled(
 ) -> NDArray:
     pattern = finish(spec.material(geom.material)).pattern
     assert pattern is not None
-    origin = next((np.array(j.pos) for j in spec.joints if j.child == part), np.zeros(3))
-    placed = vertices @ matrix(geom.quat).T + np.array(geom.pos) - origin
-    corners = placed[faces]
+    corners = (vertices @ matrix(geom.quat).T + np.array(geom.pos) - link_origins(spec)[part])[
+        faces
+    ]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     axis = np.argmax(np.abs(normal), axis=1)
     first, second = np.where(axis == 0, 1, 0), np.where(axis == 2, 1, 2)
@@ -105,7 +103,7 @@ def _tiled(
     wide, tall = tile_size(pattern)
     u = corners[rows, :, first] / wide
     v = corners[rows, :, second] / tall
-    # Renderers keep more digits of small numbers, and whole tiles look the same.
+    # Offsets by whole tiles change nothing, and small numbers keep more digits in renderers.
     u = u - np.floor(u.min(axis=1, keepdims=True))
     v = v - np.floor(v.min(axis=1, keepdims=True))
     return np.round(np.stack([u, v], axis=-1), 6)

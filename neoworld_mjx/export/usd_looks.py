@@ -1,11 +1,12 @@
-"""Materials of USD: UsdPreviewSurface with UsdUVTexture where there is a pattern, and friction.
+"""USD materials: UsdPreviewSurface, UsdUVTexture for textured ones, and friction.
 
-A textured material states its plain colour besides, below the connection that is stronger.
+Textured materials also state their plain color, which the connection to the texture overrides.
 """
 
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdSemantics, UsdShade, Vt
 
+from ..render.appearance import linear
 from ..spec import Material
 from ..spec.finish import finish
 from .textures import texture_file
@@ -14,28 +15,28 @@ PRINT_NOTE = "window of the photograph, with its light, projected on what faced 
 
 
 def add_material(stage: Usd.Stage, base: Sdf.Path, material: Material, *, textured: bool) -> None:
-    """Define a material below an object's looks, for pictures and for physics.
+    """Define a material, for rendering and for physics, below an object's looks.
 
     Args:
         stage: the stage.
         base: path of the object.
         material: the material.
-        textured: whether a texture of it lies beside the object's files.
+        textured: True if the object has a texture file of the material.
     """
     path = base.AppendChild("looks").AppendChild(material.name)
     look = UsdShade.Material.Define(stage, path)
     shader = UsdShade.Shader.Define(stage, path.AppendChild("surface"))
     shader.CreateIdAttr("UsdPreviewSurface")
     diffuse = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
-    diffuse.Set(_colour(material))
-    made = finish(material)
+    diffuse.Set(_color(material))
+    surface = finish(material)
     if material.photo is not None:
         look.GetPrim().SetCustomDataByKey("neoworld:print", PRINT_NOTE)
     if textured:
         _add_texture(stage, path, diffuse, material)
     shader.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(material.rgba[3])
-    shader.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(made.metallic)
-    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(made.roughness)
+    shader.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(surface.metallic)
+    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(surface.roughness)
     look.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
     physics = UsdPhysics.MaterialAPI.Apply(look.GetPrim())
     physics.CreateStaticFrictionAttr(material.friction)
@@ -46,14 +47,14 @@ def add_material(stage: Usd.Stage, base: Sdf.Path, material: Material, *, textur
 
 
 def add_label(prim: Usd.Prim, kind: str, *labels: str) -> None:
-    """Say what a prim is, for those who learn from pictures."""
+    """Add semantic labels to a prim."""
     UsdSemantics.LabelsAPI.Apply(prim, kind).CreateLabelsAttr().Set(Vt.TokenArray(list(labels)))
 
 
 def _add_texture(
-    stage: Usd.Stage, path: Sdf.Path, colour: UsdShade.Input, material: Material
+    stage: Usd.Stage, path: Sdf.Path, diffuse: UsdShade.Input, material: Material
 ) -> None:
-    """Let a colour come from a picture, which repeats if it is a pattern's."""
+    """Connect a color to a texture, which repeats if it is a pattern."""
     reader = UsdShade.Shader.Define(stage, path.AppendChild("coordinates"))
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
@@ -68,16 +69,16 @@ def _add_texture(
             "repeat" if material.photo is None else "clamp"
         )
     texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(result)
-    colour.ConnectToSource(texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))
+    diffuse.ConnectToSource(texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))
 
 
-def dress(
+def bind_material(
     stage: Usd.Stage, path: Sdf.Path, base: Sdf.Path, material: Material, *, physical: bool
 ) -> None:
-    """Bind a material to a prim; to colliders for physics only."""
+    """Bind a material to a prim, for physics only if it is a collider."""
     prim = stage.GetPrimAtPath(path)
     look = UsdShade.Material.Get(stage, base.AppendChild("looks").AppendChild(material.name))
-    UsdGeom.Gprim(prim).CreateDisplayColorAttr(Vt.Vec3fArray([_colour(material)]))
+    UsdGeom.Gprim(prim).CreateDisplayColorAttr(Vt.Vec3fArray([_color(material)]))
     if material.rgba[3] < 1:
         UsdGeom.Gprim(prim).CreateDisplayOpacityAttr(Vt.FloatArray([material.rgba[3]]))
     binding = UsdShade.MaterialBindingAPI.Apply(prim)
@@ -87,8 +88,6 @@ def dress(
         binding.Bind(look)
 
 
-def _colour(material: Material) -> Gf.Vec3f:
-    """Return the colour as USD wants it: linear, where ours is for display."""
-    c = np.array(material.rgba[:3])
-    light = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
-    return Gf.Vec3f(*np.round(light, 6).tolist())
+def _color(material: Material) -> Gf.Vec3f:
+    """Return the color of a material in linear light."""
+    return Gf.Vec3f(*np.round(linear(np.array(material.rgba[:3])), 6).tolist())

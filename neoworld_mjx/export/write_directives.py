@@ -1,6 +1,6 @@
-"""Drake's model directives of a scene: the objects' URDF files in their places and joint states.
+"""Write Drake model directives of a scene: the URDF files of its objects, posed.
 
-They name files by a package, whose package.xml lies beside them:
+They refer to files by a package, whose package.xml is in the same folder:
 
     parser.package_map().AddPackageXml("out/package.xml")
     parser.AddModels("out/scene.dmd.yaml")
@@ -10,12 +10,12 @@ import numpy as np
 
 from ..spec import SceneObject, SceneSpec, joint_value, world_poses
 from ..spec.pose import Pose, to_rpy
+from .link_frames import link_name
 from .meshes import number
-from .write_urdf import link_name
 
 
 def directives_text(scene: SceneSpec) -> str:
-    """Return the scene as a .dmd.yaml."""
+    """Return the text of the .dmd.yaml file of a scene."""
     poses = world_poses(scene)
     lines = ["directives:"]
     for item in scene.objects:
@@ -24,7 +24,7 @@ def directives_text(scene: SceneSpec) -> str:
 
 
 def package_text(scene: SceneSpec) -> str:
-    """Return the package.xml that gives the scene's folder its name."""
+    """Return the package.xml that names the folder of a scene."""
     return (
         '<?xml version="1.0"?>\n<package format="2">\n'
         f" <name>{scene.name}</name>\n <version>0.0.0</version>\n"
@@ -34,7 +34,7 @@ def package_text(scene: SceneSpec) -> str:
     )
 
 
-def _add(scene: SceneSpec, item: SceneObject, at: Pose) -> list[str]:
+def _add(scene: SceneSpec, item: SceneObject, pose: Pose) -> list[str]:
     root = link_name(item.spec, item.spec.root)
     lines = [
         "- add_model:",
@@ -52,12 +52,15 @@ def _add(scene: SceneSpec, item: SceneObject, at: Pose) -> list[str]:
         lines += [f"      {name}: [{number(value)}]" for name, value in state.items()]
     if item.static:
         lines += ["- add_weld:", "    parent: world", f"    child: {item.name}::{root}"]
-        return [*lines, "    X_PC:", *_transform(at, 6)]
-    return [*lines, "    default_free_body_pose:", f"      {root}:", *_transform(at, 8)]
+        return [*lines, "    X_PC:", *_transform(pose, 6)]
+    return [*lines, "    default_free_body_pose:", f"      {root}:", *_transform(pose, 8)]
 
 
-def _transform(at: Pose, indent: int) -> list[str]:
+def _transform(pose: Pose, indent: int) -> list[str]:
     space = " " * indent
-    place = ", ".join(number(v) for v in at.pos)
-    turn = ", ".join(number(v) for v in np.degrees(to_rpy(at.quat)))
-    return [f"{space}translation: [{place}]", f"{space}rotation: !Rpy {{deg: [{turn}]}}"]
+    position = ", ".join(number(v) for v in pose.pos)
+    angles = ", ".join(number(v) for v in np.degrees(to_rpy(pose.quat)))
+    return [
+        f"{space}translation: [{position}]",
+        f"{space}rotation: !Rpy {{deg: [{angles}]}}",
+    ]

@@ -17,69 +17,76 @@ from .write_usd import usd_text
 
 def object_files(spec: ObjectSpec) -> dict[str, bytes]:
     """Return the files of one object: path relative to its folder, and content."""
-    files = {
-        "object.urdf": urdf_text(spec),
-        "object.srdf": srdf_text(spec),
-        "object.sdf": sdf_text(spec),
-        "object.usda": usd_text(spec),
-        "object.xml": mjcf_text(spec),
-        **mesh_files(spec),
+    return {
+        **encoded(
+            {
+                "object.urdf": urdf_text(spec),
+                "object.srdf": srdf_text(spec),
+                "object.sdf": sdf_text(spec),
+                "object.usda": usd_text(spec),
+                "object.xml": mjcf_text(spec),
+                **mesh_files(spec),
+                "drives.xml": drives_text(spec, "object.xml"),
+            }
+        ),
+        **texture_files(spec),
     }
-    drives = drives_text(spec, "object.xml")
-    if drives is not None:
-        files["drives.xml"] = drives
-    return _encoded(files) | texture_files(spec)
 
 
 def scene_files(scene: SceneSpec) -> dict[str, bytes]:
     """Return the files of a scene and its objects: path relative to its folder, and content."""
-    files = {
-        "scene.json": scene.to_json(),
-        "scene.xml": mjcf_text(scene),
-        "scene.usda": scene_usd_text(scene),
-        "scene.sdf": sdf_text(scene),
-        "scene.dmd.yaml": directives_text(scene),
-        "package.xml": package_text(scene),
-    }
-    drives = drives_text(scene, "scene.xml")
-    if drives is not None:
-        files["drives.xml"] = drives
-    result = _encoded(files)
-    for obj in scene.objects:
-        for path, content in object_files(obj.spec).items():
-            result[f"objects/{obj.name}/{path}"] = content
+    result = encoded(
+        {
+            "scene.json": scene.to_json(),
+            "scene.xml": mjcf_text(scene),
+            "scene.usda": scene_usd_text(scene),
+            "scene.sdf": sdf_text(scene),
+            "scene.dmd.yaml": directives_text(scene),
+            "package.xml": package_text(scene),
+            "drives.xml": drives_text(scene, "scene.xml"),
+        }
+    )
+    for item in scene.objects:
+        for path, content in object_files(item.spec).items():
+            result[f"objects/{item.name}/{path}"] = content
     return result
 
 
 def export_object(spec: ObjectSpec, out: Path) -> None:
     """Write object.urdf, .srdf, .sdf, .usda and .xml, drives.xml, meshes/, textures/ into a folder.
 
-    Files that are there are replaced; the same object gives the same bytes.
+    Existing files are replaced; the same object gives the same bytes.
 
     Raises:
         ExportError: a file cannot be written.
     """
-    _write(object_files(spec), out)
+    write_all(object_files(spec), out)
 
 
 def export_scene(scene: SceneSpec, out: Path) -> None:
     """Write scene.json, .xml, .usda, .sdf, .dmd.yaml and objects/<name>/ into a folder.
 
-    scene.xml refers to the objects' meshes and textures, scene.usda to the objects' USD files;
-    drives.xml, where there are joints, adds actuators to scene.xml. Objects are written as they
-    are in the scene, in their final size.
+    scene.xml refers to the meshes and textures of the objects, scene.usda to their USD files.
+    drives.xml, written where there are joints, adds actuators to scene.xml. Objects are written in
+    their final size.
 
     Raises:
         ExportError: a file cannot be written.
     """
-    _write(scene_files(scene), out)
+    write_all(scene_files(scene), out)
 
 
-def _encoded(files: dict[str, str]) -> dict[str, bytes]:
-    return {path: text.encode() for path, text in files.items()}
+def encoded(files: dict[str, str | None]) -> dict[str, bytes]:
+    """Encode texts as UTF-8; skip those that are None."""
+    return {path: text.encode() for path, text in files.items() if text is not None}
 
 
-def _write(files: dict[str, bytes], out: Path) -> None:
+def write_all(files: dict[str, bytes], out: Path) -> None:
+    """Write files, given by their paths relative to a folder.
+
+    Raises:
+        ExportError: a file cannot be written.
+    """
     for path, content in files.items():
         target = out / path
         try:

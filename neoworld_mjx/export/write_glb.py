@@ -1,4 +1,4 @@
-"""glTF of objects and scenes, for viewers: what is visible, posed, one node for every link."""
+"""Write glTF of the visible surfaces of objects and scenes, with one node for every link."""
 
 from io import BytesIO
 from typing import TYPE_CHECKING
@@ -17,8 +17,9 @@ from ..spec import (
     world_poses,
 )
 from ..spec.finish import finish
-from ..spec.pose import Pose, matrix
+from ..spec.pose import Pose
 from ..spec.triangles import corner_normals
+from .link_frames import transform
 from .textures import visible_surface
 
 if TYPE_CHECKING:
@@ -26,15 +27,15 @@ if TYPE_CHECKING:
 
 
 def glb_bytes(scene: SceneSpec | ObjectSpec) -> bytes:
-    """Return a binary glTF file, Y up and in metres, with colours, shine and textures."""
+    """Return a binary glTF file, Y up, in meters, with colors, gloss and textures."""
     import trimesh
 
     if isinstance(scene, ObjectSpec):
         scene = single_object_scene(scene)
-    # Names of objects have no hyphens, so these are free.
+    # Object names have no hyphens, so these names are unused.
     base = f"{scene.name}-scene"
     result = trimesh.Scene(base_frame=base)
-    # Ours has Z up: a quarter turn about x.
+    # A quarter turn about x takes Z up to Y up.
     up = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
     result.graph.update(frame_from=base, frame_to="z-up", matrix=up)
     poses = world_poses(scene)
@@ -42,41 +43,39 @@ def glb_bytes(scene: SceneSpec | ObjectSpec) -> bytes:
         _add_object(result, item, poses[item.name])
     content = result.export(file_type="glb")
     if not isinstance(content, bytes):
-        raise ExportError("trimesh writes no binary glTF")
+        raise ExportError("trimesh does not return binary glTF")
     return content
 
 
-def _add_object(result: "trimesh.Scene", item: SceneObject, at: Pose) -> None:
+def _add_object(result: "trimesh.Scene", item: SceneObject, pose: Pose) -> None:
     import trimesh
     from trimesh.visual import TextureVisuals
     from trimesh.visual.material import PBRMaterial
 
-    result.graph.update(frame_from="z-up", frame_to=item.name, matrix=_transform(at))
+    result.graph.update(frame_from="z-up", frame_to=item.name, matrix=transform(pose))
     moved = link_poses(item.spec, item.joint_state)
     materials = {}
     for material in item.spec.materials:
-        made = finish(material)
+        surface = finish(material)
         tile = tile_png(material)
-        # A texture is multiplied by the colour, so that is white.
-        colour = material.rgba if tile is None else (1.0, 1.0, 1.0, material.rgba[3])
+        # glTF multiplies a texture by the color, so the color is white.
+        color = material.rgba if tile is None else (1.0, 1.0, 1.0, material.rgba[3])
         materials[material.name] = PBRMaterial(
             name=f"{item.name}-{material.name}",
-            baseColorFactor=[round(255 * v) for v in colour],
+            baseColorFactor=[round(255 * v) for v in color],
             baseColorTexture=None if tile is None else Image.open(BytesIO(tile), formats=["PNG"]),
-            metallicFactor=made.metallic,
-            roughnessFactor=made.roughness,
+            metallicFactor=surface.metallic,
+            roughnessFactor=surface.roughness,
             alphaMode="BLEND" if material.rgba[3] < 1 else "OPAQUE",
         )
     for part in item.spec.parts:
         link = f"{item.name}-{part.name}"
-        result.graph.update(
-            frame_from=item.name, frame_to=link, matrix=_transform(moved[part.name])
-        )
+        result.graph.update(frame_from=item.name, frame_to=link, matrix=transform(moved[part.name]))
         for geom in part.geoms:
             if geom.role == "collision":
                 continue
             vertices, faces, uv = visible_surface(item.spec, part.name, geom)
-            # Corners of their own keep edges sharp.
+            # Separate vertices for every corner keep edges sharp.
             mesh = trimesh.Trimesh(
                 vertices[faces].reshape(-1, 3),
                 np.arange(faces.size).reshape(-1, 3),
@@ -92,11 +91,5 @@ def _add_object(result: "trimesh.Scene", item: SceneObject, at: Pose) -> None:
                 geom_name=name,
                 node_name=name,
                 parent_node_name=link,
-                transform=_transform(geom.pose()),
+                transform=transform(geom.pose()),
             )
-
-
-def _transform(at: Pose) -> np.ndarray:
-    result = np.eye(4)
-    result[:3, :3], result[:3, 3] = matrix(at.quat), at.pos
-    return result

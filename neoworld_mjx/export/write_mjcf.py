@@ -20,7 +20,7 @@ from ..physics.mjcf import COLLISION_GROUP, to_mjspec
 from ..spec import ObjectSpec, SceneSpec
 from .handles import frames
 from .meshes import FOLDER, numbers
-from .mjcf_looks import add_surfaces, dress_mjcf
+from .mjcf_looks import add_materials, add_surfaces
 
 HIDDEN_GROUP = 3
 """Group of colliders in exported files: viewers show groups 0 to 2 at first."""
@@ -90,7 +90,7 @@ def mjcf_text(
         if (name := str(mesh.get("name"))) not in lowered:
             _name_file(mesh, name, folders)
     for name, spec, folder in objects:
-        dress_mjcf(root, name, spec, folder, textured=target != "mjx")
+        add_materials(root, name, spec, folder, textured=target != "mjx")
     ET.indent(root, " ")
     return ET.tostring(root, encoding="unicode") + "\n"
 

@@ -1,13 +1,12 @@
-"""USD of a scene: objects as references, put in their places.
+"""Write USD of a scene, with posed references to its objects.
 
-    /<scene>/physics   gravity            /<scene>/<object>    reference to the object's own file
-    /<scene>/photo     the camera         /<scene>/fixtures    joints that hold fastened objects
+    /<scene>/physics   gravity            /<scene>/<object>    reference to the object's file
+    /<scene>/photo     the camera         /<scene>/fixtures    joints that fix objects in the world
     /<scene>/lights
 
-What cannot move has colliders and no rigid bodies; joints that are not at 0 say where they are, as
-PhysX and Newton read it (PhysicsJointStateAPI).
-
-The names after /<scene>/ that are no object's get underscores where an object has them.
+Static objects have colliders and no rigid bodies. Joints that are not at 0 state their position in
+PhysicsJointStateAPI, which PhysX and Newton read. A name in this list gets underscores if an object
+has the same name.
 """
 
 import math
@@ -17,7 +16,8 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdPhysics
 
 from ..spec import Camera, SceneObject, SceneSpec, joint_value, link_poses, world_poses
 from ..spec.pose import Pose, pose
-from .write_usd import link_origins, new_stage, quatd, quatf, set_pose
+from .link_frames import link_origins, unused
+from .write_usd import new_stage, quatd, quatf, set_float, set_pose
 
 
 def scene_usd_text(scene: SceneSpec) -> str:
@@ -43,7 +43,7 @@ def scene_usd_layer(scene: SceneSpec, suffix: str = "usda") -> Sdf.Layer:
         if fixture is not None:
             UsdGeom.Scope.Define(stage, fixture.GetParentPath())
             _fasten(stage, fixture, base, item, poses[item.name])
-    # References come last and on a layer that no stage composes: they would not resolve here.
+    # References are added to a layer without a stage, as their files do not exist yet.
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.TransferContent(stage.GetRootLayer())
     for item in scene.objects:
@@ -58,16 +58,14 @@ def physics_path(scene: SceneSpec) -> Sdf.Path:
 
 
 def fixture_path(scene: SceneSpec, item: SceneObject) -> Sdf.Path | None:
-    """Return the path of the joint that holds an articulated object in the world; else None."""
+    """Return the path of the joint that fixes an articulated object in the world, or None."""
     if not (item.static and _articulated(item)):
         return None
     return _free(scene, "fixtures").AppendChild(item.name)
 
 
 def _free(scene: SceneSpec, name: str) -> Sdf.Path:
-    taken = {item.name for item in scene.objects}
-    while name in taken:
-        name += "_"
+    name = unused(name, {item.name for item in scene.objects})
     return Sdf.Path(f"/{scene.name}").AppendChild(name)
 
 
@@ -106,28 +104,27 @@ def _add_camera(stage: Usd.Stage, path: Sdf.Path, camera: Camera) -> None:
     prim.CreateClippingRangeAttr(Gf.Vec2f(0.01, 1000.0))
 
 
-def _add_object(stage: Usd.Stage, path: Sdf.Path, item: SceneObject, at: Pose) -> None:
+def _add_object(stage: Usd.Stage, path: Sdf.Path, item: SceneObject, world: Pose) -> None:
     prim = UsdGeom.Xform.Define(stage, path)
-    set_pose(prim, at)
+    set_pose(prim, world)
     moved = link_poses(item.spec, item.joint_state)
     origins = link_origins(item.spec)
     for part in item.spec.parts:
-        place = moved[part.name].then(pose(origins[part.name]))
-        here = path.AppendChild("links").AppendChild(part.name)
-        displaced = not np.array_equal(place.pos, origins[part.name]) or place.quat[0] != 1.0
+        posed = moved[part.name].then(pose(origins[part.name]))
+        displaced = not np.array_equal(posed.pos, origins[part.name]) or posed.quat[0] != 1.0
         frozen = item.static and not _articulated(item)
         if not (displaced or frozen):
             continue
-        over = stage.OverridePrim(here)
+        over = stage.OverridePrim(path.AppendChild("links").AppendChild(part.name))
         if displaced:
-            _override(over, "xformOp:translate", Sdf.ValueTypeNames.Double3, Gf.Vec3d(*place.pos))
-            _override(over, "xformOp:orient", Sdf.ValueTypeNames.Quatd, quatd(place.quat))
+            _override(over, "xformOp:translate", Sdf.ValueTypeNames.Double3, Gf.Vec3d(*posed.pos))
+            _override(over, "xformOp:orient", Sdf.ValueTypeNames.Quatd, quatd(posed.quat))
         if frozen:
-            # What is no rigid body does not fall in any reader; a switched-off one does in some.
-            _withdraw(over, "PhysicsRigidBodyAPI", "PhysicsMassAPI")
+            # Some simulators let rigid bodies fall even if they are disabled.
+            remove_schemas(over, "PhysicsRigidBodyAPI", "PhysicsMassAPI")
     if item.static and not _articulated(item):
         if item.spec.joints:
-            _withdraw(stage.OverridePrim(path), "PhysicsArticulationRootAPI")
+            remove_schemas(stage.OverridePrim(path), "PhysicsArticulationRootAPI")
         for joint in item.spec.joints:
             over = stage.OverridePrim(path.AppendChild("joints").AppendChild(joint.name))
             _override(over, "physics:jointEnabled", Sdf.ValueTypeNames.Bool, False)
@@ -140,14 +137,13 @@ def _add_object(stage: Usd.Stage, path: Sdf.Path, item: SceneObject, at: Pose) -
             instance = "linear" if joint.type == "prismatic" else "angular"
             over = stage.OverridePrim(path.AppendChild("joints").AppendChild(joint.name))
             over.AddAppliedSchema(f"PhysicsJointStateAPI:{instance}")
-            stands = value if instance == "linear" else math.degrees(value)
-            for name, number in (("position", stands), ("velocity", 0.0)):
-                kind = Sdf.ValueTypeNames.Float
-                _override(over, f"state:{instance}:physics:{name}", kind, number)
+            position = value if instance == "linear" else math.degrees(value)
+            set_float(over, f"state:{instance}:physics:position", position)
+            set_float(over, f"state:{instance}:physics:velocity", 0.0)
 
 
-def _withdraw(prim: Usd.Prim, *names: str) -> None:
-    """Take applied schemas of a referenced prim away."""
+def remove_schemas(prim: Usd.Prim, *names: str) -> None:
+    """Remove applied schemas of a prim in a weaker layer."""
     removed = Sdf.TokenListOp()
     removed.deletedItems = list(names)
     prim.SetMetadata("apiSchemas", removed)
@@ -157,12 +153,14 @@ def _override(prim: Usd.Prim, name: str, kind: Sdf.ValueTypeName, value: object)
     prim.CreateAttribute(name, kind, custom=False).Set(value)
 
 
-def _fasten(stage: Usd.Stage, path: Sdf.Path, base: Sdf.Path, item: SceneObject, at: Pose) -> None:
-    """Hold an articulated object's root in the world; without joints it is simply no rigid body."""
+def _fasten(
+    stage: Usd.Stage, path: Sdf.Path, base: Sdf.Path, item: SceneObject, world: Pose
+) -> None:
+    """Fix the root of an articulated object in the world."""
     joint = UsdPhysics.FixedJoint.Define(stage, path)
     link = base.AppendChild(item.name).AppendChild("links").AppendChild(item.spec.root)
     joint.CreateBody1Rel().SetTargets([link])
-    joint.CreateLocalPos0Attr(Gf.Vec3f(*at.pos.tolist()))
-    joint.CreateLocalRot0Attr(quatf(at.quat))
+    joint.CreateLocalPos0Attr(Gf.Vec3f(*world.pos.tolist()))
+    joint.CreateLocalRot0Attr(quatf(world.quat))
     joint.CreateLocalPos1Attr(Gf.Vec3f(0.0))
     joint.CreateLocalRot1Attr(quatf((1.0, 0.0, 0.0, 0.0)))

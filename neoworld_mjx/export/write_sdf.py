@@ -1,8 +1,8 @@
-"""SDF of an object or a scene, for Gazebo and Drake.
+"""Write SDF of an object or a scene, for Gazebo and Drake.
 
-A link's frame has its origin at its joint's anchor and the object's orientation, as in URDF. All
-joints are at 0: SDF has no place for another state, nor for armature. A joint that has the name of
-a link gets an underscore, as all in a model share their names.
+Link frames are those of `link_frames`. All joints are at 0: SDF can store neither another joint
+state nor armature. Links, joints and frames of a model share one namespace, so a joint that has the
+name of a link gets an underscore.
 """
 
 import xml.etree.ElementTree as ET
@@ -23,18 +23,18 @@ from ..spec import (
 )
 from ..spec.convex import Piece
 from ..spec.finish import finish
-from ..spec.pose import Pose, matrix, pose, to_rpy
+from ..spec.pose import Pose, pose, to_rpy
 from .drake_contact import DRAKE, add_contact, add_filters, declare_convex
 from .handles import frames
+from .link_frames import TENSOR_ENTRIES, inertia_tensor, link_name, link_origins, unused
 from .meshes import collision_file, number, numbers, visual_file
-from .write_urdf import link_name
 
 VERSION = "1.11"
-"""The first that knows joints which follow others."""
+"""First SDF version with mimic joints."""
 
 
 def sdf_text(scene: SceneSpec | ObjectSpec) -> str:
-    """Return a scene as an SDF world, or an object as an SDF model; meshes are files beside it."""
+    """Return a scene as an SDF world, or an object as an SDF model; meshes are separate files."""
     root = ET.Element("sdf", {"version": VERSION, "xmlns:drake": DRAKE})
     if isinstance(scene, ObjectSpec):
         _add_model(root, scene.name, scene, "")
@@ -47,8 +47,7 @@ def sdf_text(scene: SceneSpec | ObjectSpec) -> str:
             model = _add_model(world, item.name, item.spec, f"objects/{item.name}/")
             _pose(model, poses[item.name])
             if item.static:
-                moves = any(joint.type != "fixed" for joint in item.spec.joints)
-                if moves:
+                if any(joint.type != "fixed" for joint in item.spec.joints):
                     hold = ET.SubElement(model, "joint", name="hold_in_world_", type="fixed")
                     ET.SubElement(hold, "parent").text = "world"
                     ET.SubElement(hold, "child").text = link_name(item.spec, item.spec.root)
@@ -64,8 +63,8 @@ def _put(parent: ET.Element, tag: str, values: Iterable[float] | float) -> ET.El
     return element
 
 
-def _pose(parent: ET.Element, at: Pose) -> ET.Element:
-    return _put(parent, "pose", (*at.pos, *to_rpy(at.quat)))
+def _pose(parent: ET.Element, local: Pose) -> ET.Element:
+    return _put(parent, "pose", (*local.pos, *to_rpy(local.quat)))
 
 
 def _add_sun(world: ET.Element) -> None:
@@ -76,8 +75,7 @@ def _add_sun(world: ET.Element) -> None:
 
 def _add_model(parent: ET.Element, name: str, spec: ObjectSpec, folder: str) -> ET.Element:
     model = ET.SubElement(parent, "model", name=name)
-    origins = {joint.child: np.array(joint.pos) for joint in spec.joints}
-    origins[spec.root] = np.zeros(3)
+    origins = link_origins(spec)
     for part, _ in spec.ordered:
         _add_link(model, spec, part, origins[part.name], folder)
     for joint in spec.joints:
@@ -85,13 +83,11 @@ def _add_model(parent: ET.Element, name: str, spec: ObjectSpec, folder: str) -> 
     taken = {link_name(spec, part.name) for part in spec.parts}
     taken |= {_joint_name(spec, joint.name) for joint in spec.joints}
     for frame in frames(spec):
-        label = frame.name
-        while label in taken:
-            label += "_"
+        label = unused(frame.name, taken)
         taken.add(label)
         attached = {"name": label, "attached_to": link_name(spec, frame.part)}
-        place = pose(np.array(frame.pos) - origins[frame.part])
-        _pose(ET.SubElement(model, "frame", attached), place)
+        offset = np.array(frame.pos) - origins[frame.part]
+        _pose(ET.SubElement(model, "frame", attached), pose(offset))
     add_filters(model, "sdf", spec, {p.name: link_name(spec, p.name) for p in spec.parts})
     return model
 
@@ -105,15 +101,9 @@ def _add_link(
     element = ET.SubElement(link, "inertial")
     _pose(element, pose(np.array(mass.pos) - origin))
     _put(element, "mass", mass.mass)
-    turn = matrix(mass.quat)
-    tensor = turn @ np.diag(mass.diagonal) @ turn.T
-    inertia = ET.SubElement(element, "inertia")
-    for key, at in zip(
-        ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
-        ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)),
-        strict=True,
-    ):
-        _put(inertia, key, float(tensor[at]))
+    tensor, inertia = inertia_tensor(spec, part), ET.SubElement(element, "inertia")
+    for key, index in TENSOR_ENTRIES.items():
+        _put(inertia, key, float(tensor[index]))
     for geom in part.geoms:
         material = spec.material(geom.material)
         local = Pose(np.array(geom.pos) - origin, np.array(geom.quat))
@@ -121,7 +111,7 @@ def _add_link(
             visual = ET.SubElement(link, "visual", name=geom.name)
             _pose(visual, local)
             _shape(visual, geom.shape.primitive(), f"{folder}{visual_file(geom)}")
-            _shine(visual, material)
+            _add_material(visual, material)
         if geom.role != "visual":
             for k, piece in enumerate(geom.shape.pieces()):
                 _add_collision(link, geom, k, piece, local, material, folder)
@@ -165,7 +155,7 @@ def _shape(parent: ET.Element, piece: Piece | None, file: str) -> None:
             _put(shape, "length", 2 * piece.size[1])
 
 
-def _shine(visual: ET.Element, material: Material) -> None:
+def _add_material(visual: ET.Element, material: Material) -> None:
     element = ET.SubElement(visual, "material")
     for tag in ("ambient", "diffuse"):
         _put(element, tag, material.rgba)
@@ -176,12 +166,10 @@ def _shine(visual: ET.Element, material: Material) -> None:
 
 
 def _joint_name(spec: ObjectSpec, name: str) -> str:
-    """Return a joint's name in a model, where links, joints and frames share their names."""
+    """Return the name of a joint, which differs from all links and other joints of the model."""
     taken = {link_name(spec, part.name) for part in spec.parts}
     taken |= {joint.name for joint in spec.joints if joint.name != name}
-    while name in taken:
-        name += "_"
-    return name
+    return unused(name, taken)
 
 
 def _add_joint(model: ET.Element, spec: ObjectSpec, joint: JointSpec) -> None:
@@ -194,12 +182,11 @@ def _add_joint(model: ET.Element, spec: ObjectSpec, joint: JointSpec) -> None:
     if joint.type != "ball":
         _put(axis, "xyz", joint.axis)
         if joint.mimic is not None:
-            tie = ET.SubElement(
-                axis, "mimic", joint=_joint_name(spec, joint.mimic.joint), axis="axis"
-            )
-            _put(tie, "multiplier", joint.mimic.multiplier)
-            _put(tie, "offset", joint.mimic.offset)
-            _put(tie, "reference", 0.0)
+            leader = _joint_name(spec, joint.mimic.joint)
+            mimic = ET.SubElement(axis, "mimic", joint=leader, axis="axis")
+            _put(mimic, "multiplier", joint.mimic.multiplier)
+            _put(mimic, "offset", joint.mimic.offset)
+            _put(mimic, "reference", 0.0)
         limit = ET.SubElement(axis, "limit")
         if joint.type != "continuous":
             _put(limit, "lower", joint.lower)

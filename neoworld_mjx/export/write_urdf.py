@@ -1,18 +1,18 @@
-"""URDF of one object.
+"""Write the URDF and SRDF of one object.
 
-A link's frame has its origin at its joint's anchor and the object's orientation, so origins are
-plain offsets. The root link has the object's name, as in MJCF. Sites and handles are links without
-geometry. Friction of surfaces is written for PyBullet (<contact>), and for Drake with more that it
-alone reads (drake_contact.py). What URDF has no place for is left out: joint stiffness and
-armature. Capsules become a cylinder and two balls, ellipsoids meshes. URDF knows no ball joint: it
-becomes three hinges <joint>_x, _y, _z through one point, with two links of tiny mass between them;
-each turns as far as the ball, the middle one at most a quarter turn. An element <neoworld>, which
-other readers ignore, names the balls, the links that are drawn in and the limits that are not
-stated, so that our reader restores them.
+Link frames are those of `link_frames`, so joint origins are plain offsets. Sites and handles are
+links without geometry. Surface friction is written for PyBullet (<contact>) and for Drake
+(`drake_contact`). Joint stiffness and armature have no place in URDF and are left out.
 
-Parts that a joint joins may touch in our scenes, where they never collide. URDF has no word for
-that, and some readers let a drawer jam in its case; so colliders of what moves are drawn in by half
-a millimetre on all sides, and an SRDF beside the file lists the pairs for planners.
+Capsules become a cylinder and two spheres, ellipsoids become meshes. A ball joint becomes three
+hinges <joint>_x, _y, _z through one point with two links of tiny mass between them; the middle
+hinge turns at most a quarter turn. An element <neoworld>, which other readers ignore, lists the
+ball joints, the shrunk links and the limits that the object does not state, so that `read_urdf`
+restores them.
+
+Parts that a joint connects may touch, as they never collide in MuJoCo. URDF cannot express that,
+and in some simulators a drawer jams in its case: the colliders of moving parts are shrunk by 0.5 mm
+on every side, and the SRDF lists the pairs for motion planners.
 """
 
 import xml.etree.ElementTree as ET
@@ -25,30 +25,25 @@ from ..physics.mjcf import excluded_pairs
 from ..spec import GeomSpec, JointSpec, ObjectSpec, PartSpec, inertial
 from ..spec.convex import Piece
 from ..spec.kinematics import welded
-from ..spec.pose import Pose, matrix, pose, to_rpy
+from ..spec.pose import Pose, pose, to_rpy
 from .drake_contact import DRAKE, add_contact, add_filters, declare_convex
 from .handles import Frame, frames
-from .meshes import (
-    collision_file,
-    number,
-    numbers,
-    piece_mesh,
-    urdf_primitive,
-    visual_file,
-)
+from .link_frames import TENSOR_ENTRIES, inertia_tensor, link_name, link_origins
+from .meshes import collision_file, number, numbers, piece_mesh, urdf_primitive, visual_file
 
 UNLIMITED_EFFORT, UNLIMITED_VELOCITY = 1000.0, 100.0
-"""URDF demands both of a limited joint; these stand for "not stated"."""
+"""Limits that are written where the object states none: URDF requires both."""
 BALL_LINK = 1e-6
-"""Mass and inertia of the links within a ball joint, over its child's."""
-CLEARANCE_M, MOST_OF_HALF = 0.0005, 0.1
-"""How far colliders of moving parts are drawn in on each side [m], and at most over half a size."""
+"""Mass and inertia of the links within a ball joint, relative to those of its child."""
+CLEARANCE_M, MAX_SHRINKAGE = 0.0005, 0.1
+"""Shrinkage of the colliders of moving parts on every side [m], and its limit relative to half a
+size."""
 
 
 def urdf_text(spec: ObjectSpec) -> str:
-    """Return an object as URDF; mesh paths are relative to its folder."""
+    """Return the URDF of an object; mesh paths are relative to its folder."""
     robot = ET.Element("robot", {"name": spec.name, "xmlns:drake": DRAKE})
-    # Without this MuJoCo's loader drops visuals, fuses fixed links and loses the meshes' folder.
+    # By default MuJoCo drops visuals, fuses fixed links and ignores the folder of meshes.
     ET.SubElement(
         ET.SubElement(robot, "mujoco"),
         "compiler",
@@ -58,11 +53,11 @@ def urdf_text(spec: ObjectSpec) -> str:
     )
     group = welded(spec)
     moving = {part.name for part in spec.parts if group[part.name] != group[spec.root]}
-    unstated = {joint.name: words for joint in spec.joints if (words := _unstated(joint))}
+    unstated = {joint.name: limits for joint in spec.joints if (limits := _unstated(joint))}
     if moving or unstated:
         mark = ET.SubElement(robot, "neoworld")
-        for name, words in unstated.items():
-            ET.SubElement(mark, "unstated", joint=name, limits=words)
+        for name, limits in unstated.items():
+            ET.SubElement(mark, "unstated", joint=name, limits=limits)
         for joint in spec.joints:
             if joint.type == "ball":
                 ET.SubElement(mark, "ball", joint=joint.name)
@@ -72,8 +67,7 @@ def urdf_text(spec: ObjectSpec) -> str:
     for material in spec.materials:
         look = ET.SubElement(robot, "material", name=material.name)
         ET.SubElement(look, "color", rgba=numbers(material.rgba))
-    origins = {joint.child: np.array(joint.pos) for joint in spec.joints}
-    origins[spec.root] = np.zeros(3)
+    origins = link_origins(spec)
     for part, _ in spec.ordered:
         clearance = CLEARANCE_M if part.name in moving else 0.0
         _add_link(robot, spec, part, origins[part.name], clearance)
@@ -97,7 +91,7 @@ def urdf_text(spec: ObjectSpec) -> str:
 
 
 def srdf_text(spec: ObjectSpec) -> str:
-    """Return which links of the URDF never collide, for MoveIt and Pinocchio."""
+    """Return the SRDF with the pairs of links that never collide, for MoveIt and Pinocchio."""
     robot = ET.Element("robot", name=spec.name)
     for one, other in excluded_pairs(spec):
         links = {"link1": link_name(spec, one), "link2": link_name(spec, other)}
@@ -106,27 +100,18 @@ def srdf_text(spec: ObjectSpec) -> str:
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 
 
-def link_name(spec: ObjectSpec, part: str) -> str:
-    """Return the name of a part's link: the root's is the object's, as that of its body in MJCF."""
-    name = spec.name if part == spec.root else part
-    taken = {other.name for other in spec.parts if other.name != spec.root}
-    while part == spec.root and name in taken:
-        name += "_"
-    return name
-
-
 def _add_frame(
     robot: ET.Element, spec: ObjectSpec, frame: Frame, origin: NDArray, taken: set[str]
 ) -> None:
-    """Add a site or handle: a link that has nothing but its place."""
+    """Add a site or handle: a link that has only a pose."""
     name = frame.name
     while name in taken or f"{name}_mount" in taken:
         name += "_"
     taken |= {name, f"{name}_mount"}
     inertia = ET.SubElement(ET.SubElement(robot, "link", name=name), "inertial")
-    # PyBullet takes 1 kg where nothing is stated.
+    # PyBullet assumes 1 kg where no mass is stated.
     ET.SubElement(inertia, "mass", value="0")
-    ET.SubElement(inertia, "inertia", {f"i{k}": "0" for k in ("xx", "xy", "xz", "yy", "yz", "zz")})
+    ET.SubElement(inertia, "inertia", dict.fromkeys(TENSOR_ENTRIES, "0"))
     joint = ET.SubElement(robot, "joint", name=f"{name}_mount", type="fixed")
     _origin(joint, pose(np.array(frame.pos) - origin))
     ET.SubElement(joint, "parent", link=link_name(spec, frame.part))
@@ -137,38 +122,32 @@ def _add_link(
     robot: ET.Element, spec: ObjectSpec, part: PartSpec, origin: NDArray, clearance: float
 ) -> None:
     link = ET.SubElement(robot, "link", name=link_name(spec, part.name))
-    solid = [spec.material(geom.material) for geom in part.geoms if geom.role != "visual"]
-    friction = round(float(np.mean([material.friction for material in solid])), 4)
+    colliding = [spec.material(geom.material) for geom in part.geoms if geom.role != "visual"]
+    friction = round(float(np.mean([material.friction for material in colliding])), 4)
     ET.SubElement(ET.SubElement(link, "contact"), "lateral_friction", value=number(friction))
     mass = inertial(spec, part)
     element = ET.SubElement(link, "inertial")
     _origin(element, pose(np.array(mass.pos) - origin))
     ET.SubElement(element, "mass", value=number(mass.mass))
-    rotation = matrix(mass.quat)
-    tensor = rotation @ np.diag(mass.diagonal) @ rotation.T
-    entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2)}
-    entries |= {"iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-    ET.SubElement(element, "inertia", {key: number(tensor[at]) for key, at in entries.items()})
+    tensor = inertia_tensor(spec, part)
+    entries = {key: number(tensor[index]) for key, index in TENSOR_ENTRIES.items()}
+    ET.SubElement(element, "inertia", entries)
     for geom in part.geoms:
         local = Pose(np.array(geom.pos) - origin, np.array(geom.quat))
         if geom.role != "collision":
             visual = ET.SubElement(link, "visual", name=geom.name)
             _origin(visual, local)
-            _visual_shape(ET.SubElement(visual, "geometry"), geom)
+            geometry = ET.SubElement(visual, "geometry")
+            if (primitive := urdf_primitive(geom.shape)) is not None:
+                _primitive(geometry, primitive)
+            else:
+                ET.SubElement(geometry, "mesh", filename=str(visual_file(geom)))
             ET.SubElement(visual, "material", name=geom.material)
         if geom.role != "visual":
             for k, piece in enumerate(geom.shape.pieces()):
-                at = local.then(pose(piece.pos, piece.quat))
-                for element in _add_collision(link, geom, k, piece, at, clearance):
+                placed = local.then(pose(piece.pos, piece.quat))
+                for element in _add_collision(link, geom, k, piece, placed, clearance):
                     add_contact(element, "urdf", piece, spec.material(geom.material).friction)
-
-
-def _visual_shape(geometry: ET.Element, geom: GeomSpec) -> None:
-    piece = urdf_primitive(geom.shape)
-    if piece is None:
-        ET.SubElement(geometry, "mesh", filename=str(visual_file(geom)))
-    else:
-        _primitive(geometry, piece)
 
 
 def _primitive(geometry: ET.Element, piece: Piece) -> None:
@@ -177,58 +156,56 @@ def _primitive(geometry: ET.Element, piece: Piece) -> None:
     elif piece.kind == "sphere":
         ET.SubElement(geometry, "sphere", radius=number(piece.size[0]))
     else:
-        _cylinder(geometry, piece.size[0], 2 * piece.size[1])
+        length = number(2 * piece.size[1])
+        ET.SubElement(geometry, "cylinder", radius=number(piece.size[0]), length=length)
 
 
 def _add_collision(
-    link: ET.Element, geom: GeomSpec, k: int, piece: Piece, at: Pose, clearance: float
+    link: ET.Element, geom: GeomSpec, k: int, piece: Piece, local: Pose, clearance: float
 ) -> list[ET.Element]:
-    """Add the elements of a piece, drawn in on each side by `clearance` [m], and return them."""
+    """Add the elements of a piece, shrunk on every side by `clearance` [m], and return them."""
     collisions: list[ET.Element] = []
 
-    def geometry(name: str, where: Pose) -> ET.Element:
+    def geometry(name: str, origin: Pose) -> ET.Element:
         collisions.append(ET.SubElement(link, "collision", name=name))
-        _origin(collisions[-1], where)
+        _origin(collisions[-1], origin)
         return ET.SubElement(collisions[-1], "geometry")
 
     name = f"{geom.name}-{k}"
-    size = tuple(drawn_in(v, clearance) for v in piece.size)
+    size = tuple(shrunk(v, clearance) for v in piece.size)
     if piece.kind in ("box", "sphere", "cylinder"):
-        _primitive(geometry(name, at), replace(piece, size=size))
+        _primitive(geometry(name, local), replace(piece, size=size))
     elif piece.kind == "capsule":
         radius, half = size[0], piece.size[1]
-        _cylinder(geometry(name, at), radius, 2 * half)
+        tube = replace(piece, kind="cylinder", size=(radius, half))
+        _primitive(geometry(name, local), tube)
         for end, z in (("low", -half), ("high", half)):
-            ball = geometry(f"{name}-{end}", at.then(pose((0, 0, z))))
+            ball = geometry(f"{name}-{end}", local.then(pose((0, 0, z))))
             ET.SubElement(ball, "sphere", radius=number(radius))
     else:
         mesh = piece_mesh(geom, piece)
         assert mesh is not None
         low, high = mesh[0].min(axis=0), mesh[0].max(axis=0)
         half = (high - low) / 2
-        factor = np.array([drawn_in(v, clearance) for v in half]) / half
+        factor = np.array([shrunk(v, clearance) for v in half]) / half
         middle = (low + high) / 2
         fields = {"filename": collision_file(geom, k)}
         if clearance:
-            at = at.then(pose(middle * (1 - factor)))
+            local = local.then(pose(middle * (1 - factor)))
             fields["scale"] = numbers(np.round(factor, 9))
-        declare_convex(ET.SubElement(geometry(name, at), "mesh", fields))
+        declare_convex(ET.SubElement(geometry(name, local), "mesh", fields))
     return collisions
 
 
-def drawn_in(half: float, clearance: float) -> float:
-    """Return half a size [m] after drawing in its sides; thin things lose a tenth at most."""
-    return half - min(clearance, MOST_OF_HALF * half)
+def shrunk(half: float, clearance: float) -> float:
+    """Shrink half a size [m] by a clearance, at most by a fraction of itself."""
+    return half - min(clearance, MAX_SHRINKAGE * half)
 
 
-def as_drawn(half: float, clearance: float) -> float:
-    """Return half a size [m] before its sides were drawn in."""
-    thick = half + clearance
-    return thick if MOST_OF_HALF * thick >= clearance else half / (1 - MOST_OF_HALF)
-
-
-def _cylinder(geometry: ET.Element, radius: float, length: float) -> None:
-    ET.SubElement(geometry, "cylinder", radius=number(radius), length=number(length))
+def unshrunk(half: float, clearance: float) -> float:
+    """Invert `shrunk`."""
+    original = half + clearance
+    return original if MAX_SHRINKAGE * original >= clearance else half / (1 - MAX_SHRINKAGE)
 
 
 def _add_joint(robot: ET.Element, joint: JointSpec, parent_origin: NDArray) -> None:
@@ -260,7 +237,7 @@ def _add_joint(robot: ET.Element, joint: JointSpec, parent_origin: NDArray) -> N
 
 
 def _unstated(joint: JointSpec) -> str:
-    """Name the limits that URDF demands of a joint and the object does not state."""
+    """Return the names of the limits that URDF requires and the object does not state."""
     if joint.type not in ("revolute", "prismatic", "continuous"):
         return ""
     names = [name for name in ("effort", "velocity") if getattr(joint, name) is None]
@@ -278,7 +255,7 @@ def _add_ball(
         if axis != "z":
             link = ET.SubElement(ET.SubElement(robot, "link", name=child), "inertial")
             _origin(link, pose())
-            # Nothing at all would be refused by simulators.
+            # Simulators refuse moving links without mass.
             ET.SubElement(link, "mass", value=number(BALL_LINK * mass.mass))
             tensor = {f"i{a}{b}": "0" for a, b in ("xy", "xz", "yz")}
             tensor |= {f"i{a}{a}": number(BALL_LINK * max(mass.diagonal)) for a in "xyz"}
@@ -299,5 +276,5 @@ def _add_ball(
         parent, origin = child, np.array(joint.pos)
 
 
-def _origin(element: ET.Element, at: Pose) -> None:
-    ET.SubElement(element, "origin", xyz=numbers(at.pos), rpy=numbers(to_rpy(at.quat)))
+def _origin(element: ET.Element, local: Pose) -> None:
+    ET.SubElement(element, "origin", xyz=numbers(local.pos), rpy=numbers(to_rpy(local.quat)))

@@ -1,17 +1,17 @@
-"""USD of one object, with UsdPhysics.
+"""Write USD of one object, with UsdPhysics.
 
-    /<object>                the object's frame; articulation root where there are joints
-    /<object>/links/<part>   rigid body; origin at its joint's anchor, the object's orientation
+    /<object>                the object's frame; articulation root if it has joints
+    /<object>/links/<part>   rigid body, in its frame of `link_frames`
         visuals/<geom>  collisions/<geom>_<k> (guides)  sites/<site or handle>
     /<object>/joints/<joint>   /<object>/looks/<material>
 
-A joint's axis lies in its local rotations unless it is +X, +Y or +Z: whoever reads only the axis
-token loses it. UsdPhysics counts angles in degrees: limits, and per degree stiffness and damping
-of drives. Armature, dry friction, velocity limits and mimics are written twice: by Newton's schemas
-(newton-usd-schemas) and by PhysX's, for Isaac; both count angles in degrees, and no number of one
-contradicts the other. A ball is a spherical joint with a cone; its damping and stiffness are our
-own attributes, in radians. Semantic labels name the object's class and category, its parts, their
-materials, and the purpose of its joints.
+The axis of a joint is +X, turned by its local rotations, unless it is +X, +Y or +Z itself: a reader
+that uses only the axis token gets it wrong. UsdPhysics measures angles in degrees, in limits and in
+the stiffness and damping of drives. Armature, dry friction, velocity limits and mimics are written
+in two schemas that agree: Newton's (newton-usd-schemas) and PhysX's, for Isaac; both use degrees. A
+ball is a spherical joint with a cone; its damping and stiffness are custom attributes, in radians.
+Semantic labels give the class and category of the object, its parts and materials, and the purpose
+of its joints.
 """
 
 import math
@@ -20,28 +20,21 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, Vt
 
-from ..spec import (
-    GeomSpec,
-    JointSpec,
-    ObjectSpec,
-    PartSpec,
-    inertial,
-)
+from ..spec import GeomSpec, JointSpec, ObjectSpec, PartSpec, inertial
 from ..spec.convex import Piece
 from ..spec.kinematics import welded
 from ..spec.pose import IDENTITY, Pose, pose
 from ..spec.semantics import category, purpose
 from ..spec.triangles import corner_normals
 from .handles import Frame, frames
+from .link_frames import link_origins
 from .meshes import piece_mesh
 from .textures import is_textured, visible_surface
-from .usd_looks import add_label, add_material, dress
+from .usd_looks import add_label, add_material, bind_material
 
 _AXES = {(1.0, 0.0, 0.0): "X", (0.0, 1.0, 0.0): "Y", (0.0, 0.0, 1.0): "Z"}
-
-
 FLAT = 1e-3
-"""Angle [rad] above which colliders' faces are shaded as meeting at an edge."""
+"""Angle [rad] between faces of colliders above which normals are split at their edge."""
 
 
 def usd_text(spec: ObjectSpec) -> str:
@@ -63,9 +56,9 @@ def usd_layer(spec: ObjectSpec) -> Sdf.Layer:
         UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
     base = root.GetPath()
     UsdGeom.Scope.Define(stage, base.AppendChild("looks"))
-    shown = {g.material for part in spec.parts for g in part.geoms if is_textured(spec, g)}
+    textured = {g.material for part in spec.parts for g in part.geoms if is_textured(spec, g)}
     for material in spec.materials:
-        add_material(stage, base, material, textured=material.name in shown)
+        add_material(stage, base, material, textured=material.name in textured)
     UsdGeom.Xform.Define(stage, base.AppendChild("links"))
     origins = link_origins(spec)
     points = frames(spec)
@@ -76,14 +69,14 @@ def usd_layer(spec: ObjectSpec) -> Sdf.Layer:
     for joint in spec.joints:
         _add_joint(stage, base, spec, joint, origins[joint.parent])
     _filter_pairs(stage, base, spec)
-    # A stage's own layer goes with it.
+    # The root layer expires with its stage.
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.TransferContent(stage.GetRootLayer())
     return layer
 
 
 def new_stage() -> Usd.Stage:
-    """Return an empty stage in metres and kilograms, Z up."""
+    """Return an empty stage in meters and kilograms, Z up."""
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -91,28 +84,21 @@ def new_stage() -> Usd.Stage:
     return stage
 
 
-def link_origins(spec: ObjectSpec) -> dict[str, NDArray]:
-    """Return where each link's frame has its origin [m], [3], in the object's frame at rest."""
-    origins = {joint.child: np.array(joint.pos) for joint in spec.joints}
-    origins[spec.root] = np.zeros(3)
-    return origins
-
-
-def set_pose(xform: UsdGeom.Xformable, at: Pose) -> None:
-    """Place a prim in its parent's frame."""
+def set_pose(xform: UsdGeom.Xformable, local: Pose) -> None:
+    """Set the pose of a prim in its parent's frame."""
     xform.ClearXformOpOrder()
-    xform.AddTranslateOp().Set(Gf.Vec3d(*map(float, at.pos)))
-    xform.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).Set(quatd(at.quat))
+    xform.AddTranslateOp().Set(Gf.Vec3d(*map(float, local.pos)))
+    xform.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).Set(quatd(local.quat))
 
 
 def quatd(quat: NDArray | tuple[float, ...]) -> Gf.Quatd:
-    """Turn (w, x, y, z) into USD's double quaternion."""
+    """Convert a quaternion (w, x, y, z) to USD's in double precision."""
     w, x, y, z = map(float, quat)
     return Gf.Quatd(w, x, y, z)
 
 
 def quatf(quat: NDArray | tuple[float, ...]) -> Gf.Quatf:
-    """Turn (w, x, y, z) into USD's single quaternion."""
+    """Convert a quaternion (w, x, y, z) to USD's in single precision."""
     return Gf.Quatf(quatd(quat))
 
 
@@ -141,13 +127,14 @@ def _add_link(
         if geom.role != "collision":
             folder = UsdGeom.Scope.Define(stage, path.AppendChild("visuals")).GetPath()
             _add_visual(stage, folder.AppendChild(geom.name), spec, part, geom, local)
-            dress(stage, folder.AppendChild(geom.name), base, material, physical=False)
+            bind_material(stage, folder.AppendChild(geom.name), base, material, physical=False)
         if geom.role != "visual":
             folder = UsdGeom.Scope.Define(stage, path.AppendChild("collisions")).GetPath()
             for k, piece in enumerate(geom.shape.pieces()):
-                at = folder.AppendChild(f"{geom.name}_{k}")
-                _add_collider(stage, at, geom, piece, local.then(pose(piece.pos, piece.quat)))
-                dress(stage, at, base, material, physical=True)
+                collider = folder.AppendChild(f"{geom.name}_{k}")
+                placed = local.then(pose(piece.pos, piece.quat))
+                _add_collider(stage, collider, geom, piece, placed)
+                bind_material(stage, collider, base, material, physical=True)
     for frame in points:
         if frame.part == part.name:
             folder = UsdGeom.Scope.Define(stage, path.AppendChild("sites")).GetPath()
@@ -192,7 +179,7 @@ def _add_collider(stage: Usd.Stage, path: Sdf.Path, geom: GeomSpec, piece: Piece
         prim = _gprim(stage, path, piece, at).GetPrim()
     else:
         mesh = _mesh(stage, path, *triangles, at)
-        # Validators ask for normals of whatever could be drawn.
+        # Validators require normals of every mesh.
         _shade(mesh, corner_normals(*triangles, crease=FLAT))
         prim = mesh.GetPrim()
         hull = UsdPhysics.MeshCollisionAPI.Apply(prim)
@@ -277,7 +264,7 @@ def _add_joint(
         usd_joint.CreateUpperLimitAttr(joint.upper * unit)
     prim = usd_joint.GetPrim()
     if joint.stiffness or joint.damping or joint.effort is not None:
-        # A drive towards 0 is the spring and damper of the joint itself.
+        # UsdPhysics models the spring and damper of a joint as a drive towards 0.
         drive = UsdPhysics.DriveAPI.Apply(prim, "angular" if turning else "linear")
         drive.CreateTypeAttr(UsdPhysics.Tokens.force)
         drive.CreateTargetPositionAttr(0.0)
@@ -292,7 +279,7 @@ def _add_joint(
 
 
 def _add_losses(prim: Usd.Prim, joint: JointSpec, instance: str, unit: float) -> None:
-    """Write what UsdPhysics has no attribute for, as Newton and as PhysX want it."""
+    """Write armature, dry friction and velocity limits in the schemas of Newton and PhysX."""
     newton = {"armature": joint.armature, "friction": joint.friction}
     physx = {
         "armature": joint.armature,
@@ -309,25 +296,27 @@ def _add_losses(prim: Usd.Prim, joint: JointSpec, instance: str, unit: float) ->
             prim.AddAppliedSchema(api)
         for name, value in values.items():
             if value:
-                _attribute(prim, f"{space}:{name}", value)
+                set_float(prim, f"{space}:{name}", value)
 
 
 def _add_mimic(prim: Usd.Prim, base: Sdf.Path, spec: ObjectSpec, joint: JointSpec) -> None:
-    """Let a joint follow another in Newton (q = c0 + c1 r) and PhysX (q + gear r + offset = 0)."""
+    """Write a mimic joint for Newton (q = c0 + c1 r) and PhysX (q + gear r + offset = 0)."""
     assert joint.mimic is not None
     leader = spec.joint(joint.mimic.joint)
-    unit, led = (1.0 if j.type == "prismatic" else math.degrees(1.0) for j in (joint, leader))
+    unit, leader_unit = (
+        1.0 if j.type == "prismatic" else math.degrees(1.0) for j in (joint, leader)
+    )
     target = base.AppendChild("joints").AppendChild(leader.name)
-    offset, factor = joint.mimic.offset * unit, joint.mimic.multiplier * unit / led
-    # Neither knows a mimic between turning and sliding joints; the numbers stay for others.
-    alike = unit == led
+    offset, factor = joint.mimic.offset * unit, joint.mimic.multiplier * unit / leader_unit
+    # Neither supports mimics between hinges and slides; the coefficients stay for other readers.
+    alike = unit == leader_unit
     prim.AddAppliedSchema("NewtonMimicAPI")
     prim.CreateRelationship("newton:mimicJoint", custom=False).SetTargets([target])
-    _attribute(prim, "newton:mimicCoef0", offset)
-    _attribute(prim, "newton:mimicCoef1", factor)
+    set_float(prim, "newton:mimicCoef0", offset)
+    set_float(prim, "newton:mimicCoef1", factor)
     prim.CreateAttribute("newton:mimicEnabled", Sdf.ValueTypeNames.Bool, custom=False).Set(alike)
     if alike and leader.type != "fixed":
-        # Of a joint with one axis PhysX asks for some name of it, whatever the token of its frame.
+        # PhysX requires an axis name, which it ignores for joints with one axis.
         prim.AddAppliedSchema("PhysxMimicJointAPI:rotX")
         space = "physxMimicJoint:rotX"
         prim.CreateRelationship(f"{space}:referenceJoint", custom=False).SetTargets([target])
@@ -335,12 +324,12 @@ def _add_mimic(prim: Usd.Prim, base: Sdf.Path, spec: ObjectSpec, joint: JointSpe
             f"{space}:referenceJointAxis", Sdf.ValueTypeNames.Token, custom=False
         )
         axis.Set("rotX")
-        _attribute(prim, f"{space}:gearing", -factor)
-        _attribute(prim, f"{space}:offset", -offset)
+        set_float(prim, f"{space}:gearing", -factor)
+        set_float(prim, f"{space}:offset", -offset)
 
 
 def _add_ball(usd_joint: UsdPhysics.SphericalJoint, joint: JointSpec) -> None:
-    """Write the cone that a ball stays in; its twist about +X is not limited in USD."""
+    """Write the cone of a ball joint; USD has no limit on its twist about +X."""
     usd_joint.CreateAxisAttr("X")
     cone = math.degrees(joint.upper) if joint.upper > 0 else -1.0
     usd_joint.CreateConeAngle0LimitAttr(cone)
@@ -348,21 +337,19 @@ def _add_ball(usd_joint: UsdPhysics.SphericalJoint, joint: JointSpec) -> None:
     prim = usd_joint.GetPrim()
     if joint.armature or joint.friction:
         prim.AddAppliedSchema("NewtonJointAPI")
-    for name in ("armature", "friction"):
-        if getattr(joint, name):
-            _attribute(prim, f"newton:{name}", getattr(joint, name))
-    # Spherical joints have no drive in UsdPhysics; these are of no one else's schema [N m, rad].
-    for name in ("damping", "stiffness"):
-        if getattr(joint, name):
-            _attribute(prim, f"neoworld:{name}", getattr(joint, name))
+    # UsdPhysics has no drive of spherical joints: damping and stiffness are custom [N m, rad].
+    for name in ("newton:armature", "newton:friction", "neoworld:damping", "neoworld:stiffness"):
+        if value := getattr(joint, name.partition(":")[2]):
+            set_float(prim, name, value)
 
 
-def _attribute(prim: Usd.Prim, name: str, value: float) -> None:
+def set_float(prim: Usd.Prim, name: str, value: float) -> None:
+    """Set an attribute of an applied schema, in single precision."""
     prim.CreateAttribute(name, Sdf.ValueTypeNames.Float, custom=False).Set(value)
 
 
 def axis_frame(axis: tuple[float, float, float]) -> tuple[str, tuple[float, ...]]:
-    """Return a UsdPhysics axis token and the rotation (w, x, y, z) that takes it to `axis`."""
+    """Return an axis token of UsdPhysics and the quaternion that rotates it to `axis`."""
     token = _AXES.get((float(axis[0]), float(axis[1]), float(axis[2])))
     if token is not None:
         return token, IDENTITY
@@ -375,7 +362,7 @@ def axis_frame(axis: tuple[float, float, float]) -> tuple[str, tuple[float, ...]
 
 
 def _filter_pairs(stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec) -> None:
-    """Keep what is fixed to either side of a joint from colliding, as the MuJoCo model does."""
+    """Filter collisions between the parts welded to either side of a joint, as in MJCF."""
     group = welded(spec)
     jointed = {(joint.parent, joint.child) for joint in spec.joints}
     links = base.AppendChild("links")

@@ -75,7 +75,7 @@ class ReadPrint:
         lower = c[low, left] * (1 - fx) + c[low, right] * fx
         return upper * (1 - fy) + lower * fy
 
-    def texture_places(self, at: NDArray, seen: NDArray) -> NDArray:
+    def texture_coordinates(self, at: NDArray, seen: NDArray) -> NDArray:
         """Return (u, v) [n, 2] on the texture of `print_png`, v upwards; unseen is plain colour."""
         rows = self.colours.shape[0]
         share = rows / (rows + STRIP)

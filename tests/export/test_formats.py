@@ -19,7 +19,7 @@ from neoworld_mjx.export import (
     read_usd,
     scene_files,
 )
-from neoworld_mjx.export.write_urdf import link_name
+from neoworld_mjx.export.link_frames import link_name
 from neoworld_mjx.physics.mjcf import START, body_name, to_mjspec
 from neoworld_mjx.spec import (
     Box,

@@ -86,7 +86,7 @@ def test_notes_name_what_was_left_out_or_assumed(tmp_path):
     reported = " / ".join(result.notes)
     for message in (
         "transmissions",
-        "floating: carried as fixed",
+        "floating: imported as fixed",
         "no mass",
         "tip has no geometry",
     ):
@@ -143,7 +143,7 @@ def test_impossible_inertias_are_imported_for_the_checks(tmp_path):
     path.write_text(text.format("0.001 0.001 0.1"))
     result = import_mjcf(path)
     assert result.spec.parts[0].inertia.moments == pytest.approx((0.001, 0.001, 0.1))
-    assert any("refuses it as it is" in note for note in result.notes)
+    assert any("MuJoCo refuses the stated inertias" in note for note in result.notes)
 
 
 def test_a_file_of_several_objects_is_refused_with_their_names(tmp_path):

@@ -174,7 +174,7 @@ def test_commands_take_usd(folder, scene, tmp_path, capfd):
     code, text = run("export", str(folder / "scene.usdc"), "--out", str(tmp_path / "a"),
                      "--format", "sdf")  # fmt: skip
     assert code == 0 and (tmp_path / "a" / "scene.sdf").exists()
-    assert "cameras are not carried" in text
+    assert "cameras are not imported" in text
     bowl = folder / "objects" / "bowl" / "object.usdc"
     assert run("build", str(bowl), "--out", str(tmp_path / "b"))[0] == 0
     assert {"object.urdf", "spec.json", "render.png"} <= {

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.export import export_object, import_mjcf, import_urdf, read_usd
-from neoworld_mjx.export.write_urdf import link_name
+from neoworld_mjx.export.link_frames import link_name
 from neoworld_mjx.spec import HollowBox, ObjectSpec, part_bounds, recentred
 from tests.support.mechanisms import WOOD, geom, joint, part
 

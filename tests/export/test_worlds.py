@@ -9,7 +9,8 @@ import pytest
 from neoworld_mjx.export import export_scene
 from neoworld_mjx.export.drake_contact import DRAKE
 from neoworld_mjx.export.write_sdf import sdf_text
-from neoworld_mjx.export.write_urdf import link_name, urdf_text
+from neoworld_mjx.export.link_frames import link_name
+from neoworld_mjx.export.write_urdf import urdf_text
 from neoworld_mjx.physics.mjcf import excluded_pairs
 from neoworld_mjx.spec import SceneSpec, world_poses
 from neoworld_mjx.spec.pose import from_matrix

@@ -19,13 +19,13 @@ MJCF = {
         '<flexcomp name="f" type="grid" count="200 200 200" spacing=".1 .1 .1" dim="3"/>',
         r"MuJoCo (takes over|cannot read)",
     ),
-    "sensor": ('<sensor><user dim="1000000000"/></sensor>', BALL, "at most 1000 are read"),
+    "sensor": ('<sensor><user dim="1000000000"/></sensor>', BALL, "the limit is 1000"),
     "size": ('<size memory="100000G"/>', BALL, "refused by MuJoCo|MuJoCo cannot read"),
-    "user data": ('<size nuserdata="1000000000"/>', BALL, "at most 10000 are read"),
+    "user data": ('<size nuserdata="1000000000"/>', BALL, "the limit is 10000"),
     "texture": (
         '<asset><texture name="t" type="2d" builtin="flat" width="99999" height="1"/></asset>',
         BALL,
-        "at most 16384 are read",
+        "the limit is 16384",
     ),
     "torus": (
         '<asset><mesh name="m" builtin="supertorus" params="4000 0.5 1 1"/></asset>',
@@ -106,24 +106,24 @@ def _glb(accessor: str) -> bytes:
 DAE = '<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema">'
 MESHES = {
     "a.ply": [
-        (_ply(4, "3 0 1 9\n"), "corner that is not there|no mesh"),
-        (_ply(4, "3 0 1 -7\n"), "corner that is not there|no mesh"),
-        (_ply(4, "3 0 1 2\n", 10**12), "claims more elements than it has bytes"),
+        (_ply(4, "3 0 1 9\n"), "missing vertex|not a mesh"),
+        (_ply(4, "3 0 1 -7\n"), "missing vertex|not a mesh"),
+        (_ply(4, "3 0 1 2\n", 10**12), "declares more elements than it has bytes"),
     ],
     "a.glb": [
-        (_glb('{"count":10000000000,"type":"VEC3","componentType":5126}'), "claims more vertices"),
-        (_glb('{"count":3,"type":"VEC3","componentType":5126}'), "claims more vertices"),
-        (b"glTF" + bytes(16), "no glTF"),
+        (_glb('{"count":10000000000,"type":"VEC3","componentType":5126}'), "declares more vertices"),
+        (_glb('{"count":3,"type":"VEC3","componentType":5126}'), "declares more vertices"),
+        (b"glTF" + bytes(16), "not glTF"),
     ],
-    "a.gltf": [(b'{"accessors": 3}', "no glTF|no mesh"), (b"[" * 100_000, "no glTF")],
+    "a.gltf": [(b'{"accessors": 3}', "not glTF|not a mesh"), (b"[" * 100_000, "not glTF")],
     "a.dae": [
         (f'<!DOCTYPE x [<!ENTITY a "b">]>{DAE}</COLLADA>'.encode(), "document type or entities"),
         ((DAE + '<instance_node url="#a"/>' * 40 + "</COLLADA>").encode(), "instances of nodes"),
     ],
-    "a.stl": [(bytes(80) + struct.pack("<I", 2**31) + bytes(50), "no mesh|no triangles")],
+    "a.stl": [(bytes(80) + struct.pack("<I", 2**31) + bytes(50), "not a mesh|no triangles")],
     "a.obj": [
-        (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99\n", "corner that is not there|no mesh"),
-        (b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "numbers that are none|no mesh"),
+        (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99\n", "missing vertex|not a mesh"),
+        (b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite|not a mesh"),
     ],
 }
 

@@ -1,0 +1,48 @@
+"""Frames, names and inertias of an object's links, as every writer needs them.
+
+The frame of a link has its origin at the anchor of its joint and the orientation of the object.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..spec import ObjectSpec, PartSpec, inertial
+from ..spec.pose import Pose, matrix
+
+TENSOR_ENTRIES = {
+    "ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2),
+}  # fmt: skip
+"""Names of the entries of an inertia tensor in URDF and SDF, with their indices."""
+
+
+def link_origins(spec: ObjectSpec) -> dict[str, NDArray]:
+    """Return the origin of each part's link in the object's frame with all joints at 0 [m], [3]."""
+    return {spec.root: np.zeros(3)} | {joint.child: np.array(joint.pos) for joint in spec.joints}
+
+
+def link_name(spec: ObjectSpec, part: str) -> str:
+    """Return the name of a part's link in URDF and SDF; the root link is named after the object."""
+    if part != spec.root:
+        return part
+    return unused(spec.name, {other.name for other in spec.parts if other.name != spec.root})
+
+
+def unused(name: str, taken: set[str]) -> str:
+    """Append underscores to a name until it is not taken."""
+    while name in taken:
+        name += "_"
+    return name
+
+
+def inertia_tensor(spec: ObjectSpec, part: PartSpec) -> NDArray:
+    """Return the inertia of a part about its center of mass, in the object's axes [kg m^2]."""
+    mass = inertial(spec, part)
+    rotation = matrix(mass.quat)
+    return rotation @ np.diag(mass.diagonal) @ rotation.T
+
+
+def transform(pose: Pose) -> NDArray:
+    """Return a pose as a homogeneous matrix [4, 4]."""
+    result = np.eye(4)
+    result[:3, :3], result[:3, 3] = matrix(pose.quat), pose.pos
+    return result
