@@ -1,6 +1,7 @@
 """Requests to the programmer: write an object's program, repair it, revise it; their schema."""
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -55,7 +56,7 @@ objects, which do not belong to it.
 _TILTED = "In the photo {way}. Box and axes are those of the upright object: draw it upright.\n"
 _HIDDEN = "In the crop it is {note}: complete it as such objects usually are."
 _WHOLE = "All of it is visible, with nothing in front of it."
-_MEND = """{ask}
+_REPAIR = """{ask}
 This is the program so far:
 
 ```python
@@ -82,44 +83,32 @@ This is the {file} program, which was run, checked and accepted:
 """
 
 
-def program_request(
-    subject: Subject,
-    file: str = "program",
-    before: Mapping[str, str] | None = None,
-    language: Language = "sdk",
-) -> Request[ProgramResponse]:
-    """Return the request for an object's first program.
+class StageInput(NamedTuple):
+    """Stage that a request is for, and the accepted texts of earlier stages."""
 
-    Args:
-        subject: the object.
-        file: name of the stage: program, or geometry, articulation, export.
-        before: accepted texts of the stages before it.
-        language: that the program is to be written in.
-    """
-    name, ask = _named(file, "program", subject), _ask(subject, file, before)
-    return _request(name, subject, file, ask, language)
+    file: str = "program"
+    """Name of the stage: program, or geometry, articulation, export."""
+    before: Mapping[str, str] = {}
+    """Accepted texts by the names of their stages."""
+    language: Language = "sdk"
+
+
+def program_request(subject: Subject, stage: StageInput) -> Request[ProgramResponse]:
+    """Return the request for an object's first program."""
+    return _request("program", subject, stage, _ask(subject, stage))
 
 
 def repair_request(
     subject: Subject,
+    stage: StageInput,
     program: str,
     signals: Sequence[Signal],
     earlier: Sequence[Signal] | None = None,
-    file: str = "program",
-    before: Mapping[str, str] | None = None,
-    language: Language = "sdk",
 ) -> Request[ProgramResponse]:
     """Return the request for a program without the signals of the last one.
 
-    Args:
-        subject: the object.
-        program: the last program.
-        signals: signals of the last program.
-        earlier: signals of the program before it; the request marks what is new, left and
-            repaired.
-        file: name of the stage.
-        before: accepted texts of the stages before it.
-        language: that the program is to be written in.
+    With `earlier`, the signals of the program before it, the request marks which signals are new
+    and which remain, and lists the codes of the repaired ones.
     """
     known = {signal.identity for signal in earlier or ()}
     lines = []
@@ -131,20 +120,17 @@ def repair_request(
         codes = sorted({str(identity[0]) for identity in repaired})
         lines.append(f"- (repaired since the last program: {', '.join(codes)})")
     heading = "It was run and checked. Repair this:"
-    ask = _ask(subject, file, before)
-    name, prompt = _named(file, "debug", subject), _mend(ask, program, heading, lines)
-    return _request(name, subject, file, prompt, language)
+    prompt = _repair_prompt(_ask(subject, stage), program, heading, lines)
+    return _request("debug", subject, stage, prompt)
 
 
 def revise_request(
     subject: Subject,
+    stage: StageInput,
     program: str,
     critiques: Sequence[Critique],
-    file: str = "program",
-    before: Mapping[str, str] | None = None,
-    language: Language = "sdk",
 ) -> Request[ProgramResponse]:
-    """Return the request for a program without the critics' faults; see `repair_request`."""
+    """Return the request for a program without the faults that the critics report."""
     lines = [
         f"- {fault.part}: {fault.what} -> {fault.change}"
         for critique in critiques
@@ -155,39 +141,36 @@ def revise_request(
             "- object: the measured box was wrong; it is corrected above -> fill the corrected box"
         )
     heading = "It runs. Rendered and compared with the photo, it differs:"
-    ask = _ask(subject, file, before)
-    name, prompt = _named(file, "revise", subject), _mend(ask, program, heading, lines)
-    return _request(name, subject, file, prompt, language)
+    prompt = _repair_prompt(_ask(subject, stage), program, heading, lines)
+    return _request("revise", subject, stage, prompt)
 
 
 def instructions(file: str, language: Language = "sdk") -> str:
-    """Return the system text of a stage: the guide to the language, and what it is to write."""
+    """Return the system text of a stage: the guide to the language and the stage's task."""
     prefix = "blender_" if language == "blender" else ""
     guide = package_text(__package__, f"{prefix}guide")
     return guide if file == "program" else f"{guide}\n{package_text(__package__, prefix + file)}"
 
 
 def _request(
-    name: str, subject: Subject, file: str, prompt: str, language: Language
+    kind: str, subject: Subject, stage: StageInput, prompt: str
 ) -> Request[ProgramResponse]:
+    """Return a request named after its kind, program, debug or revise, and its stage."""
+    name = kind if stage.file == "program" else f"{kind}-{stage.file}"
+    name = stage.file if kind == "program" else name
+    system = instructions(stage.file, stage.language)
     pictures: list[Picture] = [subject.crop]
-    system = instructions(file, language)
+    name = f"{name}:{subject.node.name}"
     return Request("programmer", name, system, prompt, ProgramResponse, pictures)
 
 
-def _named(file: str, stage: str, subject: Subject) -> str:
-    if file == "program":
-        return f"{stage}:{subject.node.name}"
-    return f"{file if stage == 'program' else f'{stage}-{file}'}:{subject.node.name}"
-
-
-def _mend(ask: str, program: str, heading: str, lines: list[str]) -> str:
-    return _MEND.format(
+def _repair_prompt(ask: str, program: str, heading: str, lines: list[str]) -> str:
+    return _REPAIR.format(
         ask=ask, program=program.strip(), heading=heading, findings="\n".join(lines)
     )
 
 
-def _ask(subject: Subject, file: str, before: Mapping[str, str] | None) -> str:
+def _ask(subject: Subject, stage: StageInput) -> str:
     node = subject.node
     x, y, z = node.box3d.size
     ask = _ASK.format(
@@ -203,9 +186,9 @@ def _ask(subject: Subject, file: str, before: Mapping[str, str] | None) -> str:
         posed=tilt_in_words(node, _TILTED),
         seen=_HIDDEN.format(note=subject.note) if subject.note else _WHOLE,
     )
-    if file == "program":
+    if stage.file == "program":
         return ask
     accepted = "".join(
-        _ACCEPTED.format(file=name, text=text.strip()) for name, text in (before or {}).items()
+        _ACCEPTED.format(file=name, text=text.strip()) for name, text in stage.before.items()
     )
-    return _STAGE.format(ask=ask, accepted=accepted, file=file)
+    return _STAGE.format(ask=ask, accepted=accepted, file=stage.file)

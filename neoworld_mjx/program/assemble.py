@@ -5,9 +5,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from .. import spec as S
-from ..checks.signals import Signal, has_errors
+from ..checks.signals import Signal, error_signal, has_errors
 from ..io.validation_message import validation_message
-from .exception_signals import error_signal
 from .joint_losses import default_losses
 from .sdk_object import Object
 

@@ -1,4 +1,4 @@
-"""Ends calls of the SDK that go on too long, while they run, and counts a worker's time."""
+"""Interruption of SDK calls that take too long, and the processor time of a worker process."""
 
 import contextlib
 import ctypes
@@ -12,32 +12,31 @@ from pathlib import Path
 
 _POLL_S = 0.05
 _AGAIN_S = 1.0
-"""Processor time after which a call that goes on is interrupted again: Python ignores what is
-raised in the callbacks of its garbage collector."""
+"""Processor time after which a call that continues is interrupted again: Python ignores exceptions
+in the callbacks of its garbage collector."""
 
 
 class CallInterrupted(BaseException):
-    """A call of the SDK has used up the time of its program; no `except Exception` takes it."""
+    """The program's time ran out during a call of the SDK; `except Exception` does not catch it."""
 
 
 class CallClock:
-    """Watches the processor time of the calls that one thread makes.
+    """Limit on the processor time of one thread's SDK calls.
 
-    Processor time of the calling thread alone counts: a program must not fail because the machine
-    is busy, and must end although it is.
+    Only processor time of that thread counts, so that a busy machine makes no program fail.
     """
 
     def __init__(self) -> None:
         self._thread = threading.get_ident()
         self._lock = threading.Lock()
         self._end: float | None = None
-        """Processor time [s] of the thread at which the call under way is ended."""
+        """Processor time [s] of the thread at which the current call ends."""
         self._interrupted = False
         self._closed = threading.Event()
         self._worker: tuple[int, float, float] | None = None
-        """Process, its processor time when it was handed over, and the limit; times in s."""
+        """Process, its processor time at the start of watching, and the limit; times in s."""
         self.worker_s: float | None = None
-        """Processor time [s] of the worker, as last read; None where the system does not tell."""
+        """Processor time [s] of the worker, as last read; None if the system does not report it."""
         self.worker_killed = False
 
     def watch_worker(self, pid: int | None, limit_s: float = float("inf")) -> None:
@@ -59,11 +58,7 @@ class CallClock:
 
     @contextmanager
     def limited(self, seconds: float) -> Iterator[None]:
-        """Interrupt the block once it has used up this much processor time [s].
-
-        Raises:
-            CallInterrupted: it has.
-        """
+        """Raise CallInterrupted in the block once it exceeds this much processor time [s]."""
         if threading.get_ident() != self._thread or seconds == float("inf"):
             yield
             return
@@ -75,7 +70,7 @@ class CallClock:
             with self._lock:
                 self._end = None
                 if self._interrupted:
-                    self._raise(None)  # It came too late: the block has ended by itself.
+                    self._raise(None)  # Cancel: the block has already ended.
 
     def _watch(self) -> None:
         clock = time.pthread_getcpuclockid(self._thread)
@@ -106,7 +101,7 @@ class CallClock:
 
 
 def process_time(pid: int) -> float | None:
-    """Return the processor time of a process [s]; None where the system does not tell."""
+    """Return the processor time of a process [s]; None if the system does not report it."""
     try:
         # The name in parentheses may hold spaces; user and system time are fields 14 and 15.
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()

@@ -6,10 +6,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ..checks.signals import Signal
+from ..checks.signals import Signal, error_signal
 from ..spec import ObjectSpec, TreeNode
 from ..spec.fit_to_box import fit_to_box
-from .exception_signals import error_signal
 
 PROPORTION_WARNS, PROPORTION_FAILS = 0.08, 0.25
 """Relative deviation of an edge from the parsed one, after the best uniform scale."""

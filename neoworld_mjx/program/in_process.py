@@ -4,9 +4,9 @@ import contextlib
 import io
 import traceback
 
-from ..checks.signals import Signal
+from ..checks.signals import Signal, error_signal
 from ..config import ProgramOptions
-from .exception_signals import error_signal, exception_signal, limit_signal
+from .exception_signals import exception_signal, limit_signal
 from .session import LimitExceeded, Session, entered
 
 

@@ -1,7 +1,7 @@
-"""Run a program in a worker process of the Monty sandbox.
+"""Execution of a program in a worker process of the Monty sandbox.
 
 The text is type-checked against the SDK's stubs first. A worker has no files, no network and no
-imports besides the SDK, `math` and a few like it; time, memory, recursion, output and calls are
+imports except the SDK, `math` and similar modules; time, memory, recursion, output and calls are
 limited. The SDK's objects stay in this process: a worker holds handles of them, and the SDK
 validates every value that a program passes.
 """
@@ -19,10 +19,15 @@ from typing import Any
 
 import pydantic_monty as monty
 
-from ..checks.signals import Signal
+from ..checks.signals import Signal, error_signal
 from ..config import ProgramOptions
 from .call_clock import CallClock
-from .exception_signals import ENDLESS_HINT, MODULE, exception_signal, limit_signal
+from .exception_signals import (
+    ENDLESS_HINT,
+    MODULE,
+    exception_signal,
+    limit_signal,
+)
 from .part import Geom, Joint, Part
 from .placing import Shape
 from .sdk_object import Object
@@ -38,9 +43,9 @@ def public_members(kind: type, select: Callable[[object], bool]) -> tuple[str, .
 
 _START_S, _GRACE_S = 10.0, 0.5
 _STARVED = 0.25
-"""Share of the time limit that a worker on a busy machine got, below which it runs once more."""
+"""Processor time over the time limit below which a worker that timed out runs once more."""
 _PATIENCE = 30.0
-"""Wall time of that run, in units of the limit, which then holds for processor time."""
+"""Wall time of the second run over the limit, which then applies to processor time."""
 _CLASSES = (Object, Part, Geom, Joint, Shape)
 _METHODS = {kind: frozenset(public_members(kind, inspect.isfunction)) for kind in _CLASSES}
 _PROPERTIES = {
@@ -53,7 +58,7 @@ _FIELDS = {
 
 
 class _Handle(monty.ClassInstance):
-    """Handle of an SDK object: exposes its public fields, properties and methods, nothing else."""
+    """Handle of an SDK object that exposes only its public fields, properties and methods."""
 
     session: Session
 
@@ -85,7 +90,7 @@ def _exposed(value: Any, session: Session) -> Any:
 
 
 def _module(session: Session) -> dict[str, monty.ExternalModule]:
-    """Build the one module that a program may import, bound to its session."""
+    """Return the SDK as the only module that a program may import, bound to its session."""
 
     def bound(function: Any) -> Any:
         def call(*args: Any, **kwargs: Any) -> Any:
@@ -109,26 +114,23 @@ def _module(session: Session) -> dict[str, monty.ExternalModule]:
 
 
 class Starved(Exception):
-    """A program's time ran out while the machine hardly let it run; nothing is known of it."""
+    """A program timed out on a machine too busy to run it, so that its time proves nothing."""
 
 
 def run_sandboxed(
     text: str, session: Session, options: ProgramOptions, *, patient: bool = False
 ) -> tuple[str, list[Signal]]:
-    """Run a program in a worker.
+    """Run a program in a worker and return its printed text and its errors.
 
     Args:
         text: the program.
-        session: collects the objects that the program makes, and counts what it uses.
+        session: collects the program's objects and counts the resources that it uses.
         options: the limits.
-        patient: count the limit of time in processor time of the worker, and wait for that.
-
-    Returns:
-        Printed text, and errors.
+        patient: True to apply the time limit to the worker's processor time.
 
     Raises:
-        Starved: the worker was stopped at the limit of wall time with little processor time; never
-            if `patient`.
+        Starved: the worker reached the limit of wall time with little processor time; never if
+            `patient`.
     """
     printed = monty.CollectString(max_bytes=options.max_output_bytes)
     limits: monty.ResourceLimits = {
@@ -138,7 +140,7 @@ def run_sandboxed(
         "max_suspensions": options.max_calls,
     }
     policy: monty.OSPolicy = {"sleep": "zero", "random_start": {"seed": 0}}
-    problems: list[Signal] = []
+    errors: list[Signal] = []
     starts = [0, *(match.end() for match in re.finditer(rb"\n", text.encode()))]
     clock = session.clock = CallClock()
     try:
@@ -162,30 +164,29 @@ def run_sandboxed(
                 if session.exceeded is not None:
                     raise session.exceeded
     except monty.MontyTypingError as error:
-        problems = type_signals(json.loads(error.display()))
+        errors = type_signals(json.loads(error.display()))
     except LimitExceeded:
-        pass  # Reported below, as it is when the program has caught it.
+        pass  # Reported below, whether or not the program caught it.
     except monty.MontyError as error:
-        problem = _monty_signal(error, options)
+        signal = _monty_signal(error, options)
         if clock.worker_killed:
-            problem = problem.model_copy(update={"code": "timeout"})
+            signal = signal.model_copy(update={"code": "timeout"})
         used = clock.worker_s
         starved = used is not None and used < _STARVED * options.timeout_s
-        if problem.code == "timeout" and starved and not patient:
+        if signal.code == "timeout" and starved and not patient:
             raise Starved from None
-        problems = [problem]
+        errors = [signal]
     except TimeoutError:
-        message = "all sandbox workers are busy"
         hint = "raise program.workers, or run fewer programs at once"
-        problems = [Signal(severity="error", code="busy", message=message, hint=hint)]
+        errors = [error_signal("busy", "all sandbox workers are busy", hint=hint)]
     if session.exceeded is not None:
-        problems = [limit_signal(session.exceeded, session)]
-    return printed.output, problems
+        errors = [limit_signal(session.exceeded, session)]
+    return printed.output, errors
 
 
 @lru_cache(maxsize=4)
 def _pool(workers: int, pid: int) -> monty.Monty:
-    """Start a pool of warm workers once; `pid` gives a forked process its own."""
+    """Return a pool of running workers; `pid` gives each forked process a pool of its own."""
     pool = monty.Monty(
         min_processes=1,
         max_processes=workers,
@@ -199,7 +200,7 @@ def _pool(workers: int, pid: int) -> monty.Monty:
 
 
 def stubs() -> str:
-    """Return the SDK's type stubs, as programs are checked against."""
+    """Return the type stubs that programs are checked against."""
     return resources.files("neoworld_mjx.program").joinpath("sdk.pyi").read_text(encoding="utf-8")
 
 
@@ -207,12 +208,13 @@ def _monty_signal(error: monty.MontyError, options: ProgramOptions) -> Signal:
     if isinstance(error, monty.MontyCrashedError):
         code = "timeout" if error.timed_out else "crashed"
         message = f"the sandbox had to be stopped: {error}"[:400]
-        return Signal(severity="error", code=code, message=message, hint=ENDLESS_HINT)
-    shows = isinstance(error, monty.MontySyntaxError | monty.MontyRuntimeError)
-    frames = error.traceback() if shows else []
-    own = [frame for frame in frames if frame.filename.startswith("<python-input")]
+        return error_signal(code, message, hint=ENDLESS_HINT)
+    located = isinstance(error, monty.MontySyntaxError | monty.MontyRuntimeError)
+    frames = error.traceback() if located else []
+    frames = [frame for frame in frames if frame.filename.startswith("<python-input")]
     inner = error.exception()
-    signal = exception_signal(inner, own[-1].line if own else None, own[-1].column if own else None)
+    position = (frames[-1].line, frames[-1].column) if frames else (None, None)
+    signal = exception_signal(inner, *position)
     update: dict[str, str] = {}
     if isinstance(error, monty.MontySyntaxError):
         update = {"code": "syntax", "hint": ""}

@@ -1,21 +1,19 @@
-"""Parts under construction, the shapes placed on them, and the joints between them."""
+"""Parts of a program's object, the shapes placed on them, and the joints between them."""
 
 from collections.abc import Sequence
 from typing import Any, Literal, no_type_check
 
-import numpy as np
-
 from .. import spec as S
 from ..errors import choices
 from . import validate
-from .placing import Bounds, Shape, anchor_of, bounds_at, hinge_of, is_hinge, placed
+from .placing import Bounds, Shape, anchor_of, bounds_at, enclosing, hinge_of, is_hinge, placed
 from .sdk_types import Vec3
 from .session import current, here
 
 
 @no_type_check
 class Geom:
-    """A shape in its place on a part."""
+    """A shape placed on a part."""
 
     name: str
 
@@ -31,7 +29,7 @@ class Geom:
 
 @no_type_check
 class Part:
-    """A rigid link; made by `Object.part`."""
+    """A rigid link, created by `Object.part`."""
 
     name: str
 
@@ -57,16 +55,16 @@ class Part:
         """Place a shape on the part.
 
         Args:
-            shape: what `box`, `cylinder`, `lathe` and the like returned.
-            at: where the shape's origin goes, in the object's frame [m].
+            shape: a result of `box`, `cylinder`, `lathe` and the like.
+            at: position of the shape's origin in the object's frame [m].
             rpy: fixed-axis roll, pitch, yaw [rad], applied about the shape's origin first.
-            by: an anchor of the turned shape's bounding box that goes to `at` instead of its
-                origin, such as "bottom" or "back.top".
+            by: an anchor of the rotated shape's bounding box that is placed at `at` instead of
+                its origin, such as "bottom" or "back.top".
             material: name of a material; the part's own by default.
-            rgb: colour in 0 to 1 that overrides the material's.
-            role: "both", or "visual" (seen only, no mass), or "collision".
-            name: unique in the part; numbered by default. Where another part has the name
-                already, this part's name is put before it.
+            rgb: color in 0 to 1 that overrides the material's.
+            role: "both", or "visual" (visible only, no mass), or "collision".
+            name: unique in the part; numbered by default. The part's name is prepended if
+                another part has a shape of this name.
         """
         context = f"part {self.name!r}, add"
         if not isinstance(shape, Shape):
@@ -88,15 +86,15 @@ class Part:
             material=self._owner._shade(material or self._material, rgb, context),
             role=role,
         )
-        account = current()
-        account.use("geoms", 1, account.max_geoms)
-        account.use("convex pieces", len(shape._spec.pieces()), account.max_pieces)
+        session = current()
+        session.use("geoms", 1, session.max_geoms)
+        session.use("convex pieces", len(shape._spec.pieces()), session.max_pieces)
         geom = Geom(spec, bounds_at(shape._spec, pose), here())
         self._geoms.append(geom)
         return geom
 
     def anchor(self, where: str) -> tuple[float, float, float]:
-        """Return a named point of the bounding box of what the part has so far.
+        """Return a named point of the bounding box of the part's shapes so far.
 
         "left.hinge" is the point that a flat part, hinged at its left edge, turns about: on that
         edge, on the face towards the object's other parts.
@@ -110,7 +108,7 @@ class Part:
         return x, y, z
 
     def set_mass(self, mass: float) -> None:
-        """State the part's mass [kg], where volume and density do not tell it."""
+        """Set the part's mass [kg] in place of the one from volume and density."""
         if validate.number(mass, f"part {self.name!r}: mass") <= 0:
             raise ValueError(f"part {self.name!r}: mass must be positive, got {mass!r}")
         self._mass = float(mass)
@@ -122,7 +120,7 @@ class Part:
         return extent
 
     def _geom_name(self, wanted: str | None, context: str) -> str:
-        """Return a name that no other shape of the object has, from the one wanted if any."""
+        """Return the wanted name, or one like it, that no other shape of the object has."""
         used = self._owner._geom_names
         if wanted is not None:
             if validate.name(wanted, f"{context}: name") in self._named:
@@ -146,14 +144,12 @@ class Part:
 def extent_of(parts: Sequence[Part]) -> Bounds | None:
     """Return the bounding box of the shapes of parts so far, None if they have none."""
     boxes = [geom._bounds for part in parts for geom in part._geoms]
-    if not boxes:
-        return None
-    return np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)
+    return enclosing(boxes) if boxes else None
 
 
 @no_type_check
 class Joint:
-    """A joint between two parts; made by `Object.revolute` and its like."""
+    """A joint between two parts, created by `Object.revolute` and similar methods."""
 
     name: str
 
@@ -170,7 +166,7 @@ class Joint:
         effort: float | None = None,
         velocity: float | None = None,
     ) -> None:
-        """State losses and limits of the joint; what is not given stays.
+        """Set losses and limits of the joint; values that are not given stay.
 
         Args:
             damping: [N m s/rad], or [N s/m] of a slide.
@@ -179,16 +175,8 @@ class Joint:
             effort: largest torque or force of a drive [N m or N].
             velocity: largest speed [rad/s or m/s].
         """
+        values = {k: v for k, v in locals().items() if k != "self" and v is not None}
         context = f"joint {self.name!r}"
-        given = {
-            "damping": damping,
-            "friction": friction,
-            "stiffness": stiffness,
-            "effort": effort,
-            "velocity": velocity,
-        }
-        numbers = {
-            k: validate.number(v, f"{context}: {k}") for k, v in given.items() if v is not None
-        }
+        numbers = {k: validate.number(v, f"{context}: {k}") for k, v in values.items()}
         validate.build_spec(S.JointSpec, context, **{**self._fields, **numbers})
         self._fields |= numbers

@@ -1,4 +1,4 @@
-"""Shapes as programs hold them: their poses, bounding boxes, and named points of boxes."""
+"""Shapes of programs, their poses and bounding boxes, and named points of bounding boxes."""
 
 from collections.abc import Sequence
 from typing import Any, no_type_check
@@ -25,18 +25,18 @@ _SIDES = {
     **{f"{sign}{axis}": (k, int(sign + "1")) for k, axis in enumerate("xyz") for sign in "+-"},
 }
 
-_WAYS = {**_SIDES, "up": _SIDES["top"], "down": _SIDES["bottom"]}
+_DIRECTIONS = {**_SIDES, "up": _SIDES["top"], "down": _SIDES["bottom"]}
 
 
 @no_type_check
 class Shape:
-    """A solid that a part may be given, with the size of its bounding box."""
+    """A solid that can be added to a part."""
 
     __slots__ = ("_pose", "_spec")
 
-    def __init__(self, described: Any, at: Pose | None = None) -> None:
-        self._spec: S.Shape = described
-        self._pose = pose() if at is None else at
+    def __init__(self, spec: Any, origin: Pose | None = None) -> None:
+        self._spec: S.Shape = spec
+        self._pose = pose() if origin is None else origin
 
     def __repr__(self) -> str:
         return repr(self._spec)
@@ -54,38 +54,37 @@ class Shape:
         return self._spec.volume()
 
     def distance(self, point: Vec3) -> float:
-        """Return how far [m] a point lies from the surface, negative inside."""
-        where = self._pose.inverse().apply(validate.vector(point, "distance: point"))
-        return float(self._spec.signed_distance(where)[0])
+        """Return the distance [m] of a point from the surface, negative inside."""
+        local = self._pose.inverse().apply(validate.vector(point, "distance: point"))
+        return float(self._spec.signed_distance(local)[0])
 
     def moved(
         self, at: Vec3 = (0.0, 0.0, 0.0), rpy: Vec3 = (0.0, 0.0, 0.0), *, by: str = ""
     ) -> "Shape":
-        """Return the shape turned by `rpy` and put at `at`, as `Part.add` would put it."""
+        """Return the shape rotated by `rpy` and placed at `at`, as `Part.add` places it."""
         return Shape(self._spec, placed(self, at, rpy, by, "moved"))
 
 
 @no_type_check
 def placed(shape: Shape, at: Sequence[float], rpy: Sequence[float], by: str, context: str) -> Pose:
-    """Return the pose of a shape's description when its origin, or its point `by`, goes to `at`.
+    """Return the pose of a shape's spec whose origin, or whose anchor `by`, lies at `at`.
 
     Args:
         shape: the shape.
         at: point in the object's frame [3] m.
         rpy: fixed-axis roll, pitch and yaw [3] rad.
-        by: anchor of the turned shape's bounding box; empty for its origin.
-        context: the call, for messages.
+        by: anchor of the rotated shape's bounding box; empty for its origin.
+        context: name of the call in messages.
     """
     position = np.array(validate.vector(at, f"{context}: at"))
     rotation = from_rpy(*validate.rotation(rpy, f"{context}: rpy"))
     if by:
         bounds = bounds_of(shape, pose((0, 0, 0), rotation))
         position = position - anchor_of(bounds, by, f"{context}: by")
-    of_origin = pose(position, rotation)
-    own = shape._pose
-    if tuple(own.quat.tolist()) == IDENTITY and not own.pos.any():
-        return of_origin
-    return of_origin.then(own)
+    origin, local = pose(position, rotation), shape._pose
+    if tuple(local.quat.tolist()) == IDENTITY and not local.pos.any():
+        return origin
+    return origin.then(local)
 
 
 def bounds_of(shape: Shape, at: Pose) -> Bounds:
@@ -93,22 +92,22 @@ def bounds_of(shape: Shape, at: Pose) -> Bounds:
     return bounds_at(shape._spec, at.then(shape._pose))
 
 
-def bounds_at(described: S.Shape, at: Pose) -> Bounds:
-    """Return the bounding box (low [3], high [3]) [m] of a described shape at a pose."""
-    boxes = [
-        box_around(piece, at.then(pose(piece.pos, piece.quat))) for piece in described.pieces()
-    ]
+def bounds_at(spec: S.Shape, at: Pose) -> Bounds:
+    """Return the bounding box (low [3], high [3]) [m] of a shape's spec at a pose."""
+    return enclosing(
+        [box_around(piece, at.then(pose(piece.pos, piece.quat))) for piece in spec.pieces()]
+    )
+
+
+def enclosing(boxes: Sequence[Bounds]) -> Bounds:
+    """Return the bounding box of bounding boxes."""
     return np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)
 
 
 def anchor_of(bounds: Bounds, where: Any, argument: str) -> NDArray:
     """Return a named point of a bounding box [3] m: "top", "left.front", "-x.bottom", "centre".
 
-    Along a direction that is not named the point lies in the middle.
-
-    Raises:
-        TypeError: the anchor is no string.
-        ValueError: it names no point, or one direction twice.
+    Along a direction that is not named, the point lies in the center.
     """
     if not isinstance(where, str):
         raise TypeError(f"{argument} must be a string such as 'top', got {validate.shown(where)}")
@@ -140,29 +139,26 @@ def _named(words: list[str], argument: str) -> dict[int, int]:
 
 
 def is_hinge(where: Any) -> bool:
-    """Tell whether an anchor names a hinge line, such as "left.hinge"."""
+    """Return True if an anchor names a hinge line, such as "left.hinge"."""
     return isinstance(where, str) and "hinge" in where.split(".")
 
 
 def hinge_of(
     bounds: Bounds, others: Bounds | None, where: str, argument: str
 ) -> tuple[NDArray, NDArray]:
-    """Find the hinge line of a flat part, such as a door or a lid, at one of its edges.
+    """Return the hinge line of a flat part, such as a door or a lid, at one of its edges.
 
-    The part opens away from the parts that it hangs on. The line runs along the named edge, on the
-    face towards those parts.
+    The line runs along the named edge, on the face towards the parts that it is attached to.
 
     Args:
         bounds: bounding box of the part, thin along one direction.
-        others: bounding box of what it hangs on; None opens it to the front, the left or upwards.
+        others: bounding box of the parts that it is attached to and opens away from; None opens
+            it to the front, the left or upwards.
         where: anchor such as "left.hinge".
-        argument: name of the anchor's argument, for messages.
+        argument: name of the anchor's argument in messages.
 
     Returns:
-        The middle of the edge [3] m, and the axis [3], about which positive opens.
-
-    Raises:
-        ValueError: the anchor names no edge of the part.
+        Center of the edge [3] m, and the axis [3] about which positive angles open.
     """
     words = [word for word in validate.text(where, argument).split(".") if word != "hinge"]
     edges = _named(words, argument)
@@ -182,25 +178,20 @@ def hinge_of(
     point = middle.copy()
     point[edge] = high[edge] if side > 0 else low[edge]
     point[thin] = low[thin] if outward > 0 else high[thin]
-    # Positive moves the far edge, opposite to the named one, outwards.
+    # Positive angles move the edge opposite to the named one outwards.
     axis = np.cross(-side * np.eye(3)[edge], outward * np.eye(3)[thin])
     return point, axis + 0.0
 
 
 def direction(value: Any, argument: str) -> tuple[float, float, float]:
-    """Validate an axis [3]: three numbers, or a word such as "front", "up" or "-y".
-
-    Raises:
-        TypeError: it is neither.
-        ValueError: the word is unknown, or a number is not finite.
-    """
+    """Return an axis [3] given as three numbers, or as a word such as "front", "up" or "-y"."""
     if not isinstance(value, str):
         return validate.vector(value, argument)
-    if value not in _WAYS:
+    if value not in _DIRECTIONS:
         raise ValueError(
-            f"{argument} must be (x, y, z) or one of {', '.join(_WAYS)}, "
+            f"{argument} must be (x, y, z) or one of {', '.join(_DIRECTIONS)}, "
             f"got {validate.shown(value)}"
         )
-    axis, sign = _WAYS[value]
+    axis, sign = _DIRECTIONS[value]
     x, y, z = (sign * np.eye(3)[axis] + 0.0).tolist()
     return x, y, z

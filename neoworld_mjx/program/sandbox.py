@@ -13,13 +13,12 @@ from importlib import import_module
 
 from ..checks.allowance import Allowance
 from ..checks.compile_checks import check
-from ..checks.signals import Signal, deduplicated, has_errors
+from ..checks.signals import Signal, deduplicated, error_signal, has_errors
 from ..config import ProgramOptions
 from ..spec import ObjectSpec
 from .assemble import assemble
 from .blender.blender_availability import require_blender
 from .blender.blender_objects import run_blender
-from .exception_signals import error_signal
 from .in_process import run_in_process
 from .monty_sandbox import Starved, run_sandboxed
 from .session import Session

@@ -1,11 +1,11 @@
 """The SDK of object programs: parts made of shapes, joints between parts, materials, sites.
 
-A program makes one `Object`, gives it parts, adds shapes to them and joins them. Everything is in
-one frame, the object's at rest, in metres and radians: +x its front, +y its left, +z up. Where the
-origin lies is up to the program; it is moved to the centre of the bounding box's bottom face.
-Wrong arguments raise ValueError or TypeError at the call; what can only be seen of the whole object
-comes back as signals from `neoworld_mjx.program.build`. Programs are type-checked against `sdk.pyi`
-beside this file, which `python -m neoworld_mjx.program.stubs --write` makes from the signatures.
+A program creates one `Object`, gives it parts, adds shapes to them and joins them. All coordinates
+are in the frame of the object at rest, in metres and radians: +x front, +y left, +z up. The program
+chooses the origin; the build moves it to the center of the bounding box's bottom face. Wrong
+arguments raise ValueError or TypeError at the call; checks of the whole object give signals of
+`neoworld_mjx.program.build`. Programs are type-checked against `sdk.pyi`, which
+`python -m neoworld_mjx.program.stubs --write` generates from the signatures.
 """
 
 from .part import Geom, Joint, Part

@@ -1,8 +1,7 @@
-"""One run of a program: the objects it made, its limits and counts, and its current line.
+"""Session of one run of a program: its objects, limits, counts and current line.
 
-The SDK gets its session from a context variable, so programs that run at once, or one after the
-other, share nothing. Outside a session, when a person runs a program's file with Python, the SDK
-works without limits on time.
+The SDK reads its session from a context variable, so programs share nothing. Outside a session,
+when a program's file is run by plain Python, the SDK has no time limit.
 """
 
 import sys
@@ -20,12 +19,7 @@ MAX_WARNINGS = 20
 
 
 class LimitExceeded(Exception):
-    """A program has used up a limit; a sandbox ends it, whatever the program catches.
-
-    Args:
-        code: the signal's code.
-        message: the limit, in words.
-    """
+    """A program exceeded a limit; the sandbox ends it, whatever the program catches."""
 
     def __init__(self, code: str, message: str) -> None:
         super().__init__(message)
@@ -49,14 +43,14 @@ class Session:
     objects: list[Any] = field(default_factory=list)
     seconds: float = 0.0
     warnings: list[Signal] = field(default_factory=list)
-    """What calls found doubtful; at most `MAX_WARNINGS`."""
+    """Warnings of calls; at most `MAX_WARNINGS`."""
     exceeded: LimitExceeded | None = None
     counts: dict[str, int] = field(default_factory=dict)
     clock: CallClock | None = None
-    """Ends calls that go on too long; None without a limit of time."""
+    """Interrupts calls that take too long; None without a time limit."""
 
     def use(self, resource: str, amount: int, limit: int) -> None:
-        """Count a resource that the program uses up.
+        """Count a resource that the program uses.
 
         Raises:
             LimitExceeded: the count exceeds its limit.
@@ -72,20 +66,18 @@ class Session:
 
     @contextmanager
     def call(self) -> Iterator[None]:
-        """Run one call of the SDK in this session, and count its processor time.
+        """Run one call of the SDK in this session and count its processor time.
 
         Raises:
             LimitExceeded: a limit was exceeded, now or before.
         """
         if self.exceeded is not None:
             raise self.exceeded
-        # Time of this thread alone: a program must not fail because the machine is busy.
         start = time.thread_time()
         token = _current.set(self)
         try:
-            with (
-                self.clock.limited(self.max_seconds - self.seconds) if self.clock else nullcontext()
-            ):
+            left = self.max_seconds - self.seconds
+            with self.clock.limited(left) if self.clock else nullcontext():
                 yield
         except CallInterrupted:
             self.seconds = max(self.seconds, self.max_seconds)
@@ -124,7 +116,7 @@ def entered(session: Session) -> Iterator[None]:
 
 
 def warn(code: str, message: str, hint: str) -> None:
-    """Keep a warning of the running call; without a session there is nobody to read it."""
+    """Add a warning of the current call to the session, if there is one."""
     session = _current.get()
     if session is not None and len(session.warnings) < MAX_WARNINGS:
         warning = Signal(severity="warning", code=code, message=message, line=here(), hint=hint)

@@ -1,8 +1,7 @@
-"""The shapes that programs place: functions from validated arguments to shapes.
+"""Functions that create the shapes of a program.
 
-Every function says where the shape's own origin lies. Sizes are full lengths in metres. A sandboxed
-program passes values of any type, so `validate` checks each argument and says what is wrong with
-it; `no_type_check` keeps other run-time type checkers from getting there first.
+Sizes are full lengths in metres. A sandboxed program passes values of any type, so `validate`
+checks each argument; `no_type_check` keeps other run-time type checkers from raising first.
 """
 
 import math
@@ -23,7 +22,7 @@ Point3 = tuple[float, float, float]
 MAX_POINTS = 64
 MAX_SHAPE_PIECES = 1200
 _CATMULL_ROM = np.array([[0, 2, 0, 0], [-1, 0, 1, 0], [2, -5, 4, -1], [-1, 3, -3, 1]]) / 2
-"""Weights of four successive points, for each power of the position between the middle two."""
+"""Weights of four successive points, by the power of the position between the inner two."""
 _FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
@@ -41,24 +40,14 @@ def sphere(radius: float) -> Shape:
 
 @no_type_check
 def capsule(radius: float, length: float) -> Shape:
-    """Make a capsule along z, centred; `length` leaves out the round ends."""
-    return _shape(
-        S.Capsule,
-        1,
-        radius=validate.length(radius, "capsule radius"),
-        length=validate.length(length, "capsule length"),
-    )
+    """Make a capsule along z, centred; `length` excludes the round ends."""
+    return _shape(S.Capsule, 1, **_lengths("capsule", radius=radius, length=length))
 
 
 @no_type_check
 def cylinder(radius: float, height: float) -> Shape:
     """Make a solid cylinder along z, centred."""
-    return _shape(
-        S.Cylinder,
-        1,
-        radius=validate.length(radius, "cylinder radius"),
-        height=validate.length(height, "cylinder height"),
-    )
+    return _shape(S.Cylinder, 1, **_lengths("cylinder", radius=radius, height=height))
 
 
 @no_type_check
@@ -70,12 +59,8 @@ def ellipsoid(radii: Vec3) -> Shape:
 @no_type_check
 def prism(outline: Sequence[Point2], height: float) -> Shape:
     """Extrude a convex outline of (x, y) points along z from -height/2 to height/2."""
-    return _shape(
-        S.Prism,
-        1,
-        outline=validate.points(outline, "prism outline", 3, MAX_POINTS),
-        height=validate.length(height, "prism height"),
-    )
+    points = validate.points(outline, "prism outline", 3, MAX_POINTS)
+    return _shape(S.Prism, 1, outline=points, height=validate.length(height, "prism height"))
 
 
 @no_type_check
@@ -106,8 +91,8 @@ def lathe(
     """Revolve a profile of (radius, z) points about the shape's z axis.
 
     With `thickness` the profile is the outer face of a shell, from the foot to the rim, and the
-    wall grows inwards and upwards: a cup, a bowl, a plate. Without it the profile bounds a solid.
-    `oval` stretches the whole along y.
+    wall lies inside and above it: a cup, a bowl, a plate. Without it the profile bounds a solid.
+    `oval` stretches the shape along y.
     """
     outline = validate.points(profile, "lathe profile", 2, MAX_POINTS)
     count = validate.integer(sectors, "lathe sectors", MIN_SECTORS, MAX_SECTORS)
@@ -125,7 +110,7 @@ def lathe(
 
 @no_type_check
 def frustum(bottom_radius: float, top_radius: float, height: float) -> Shape:
-    """Make a solid frustum along z, centred; one of the radii may be 0 for a cone."""
+    """Make a solid frustum along z, centred; a radius of 0 makes a cone."""
     radii = [
         0.0 if value == 0 else validate.length(value, f"frustum {name}")
         for value, name in ((bottom_radius, "bottom_radius"), (top_radius, "top_radius"))
@@ -150,12 +135,8 @@ def tube(radius: float, wall: float, height: float, sectors: int = 12) -> Shape:
 @no_type_check
 def rounded_box(size: Vec3, radius: float) -> Shape:
     """Make a box with full edge lengths, centred, with edges rounded by `radius`."""
-    return _shape(
-        S.RoundedBox,
-        1,
-        size=validate.lengths(size, "rounded_box size"),
-        radius=validate.length(radius, "rounded_box radius"),
-    )
+    edges = validate.lengths(size, "rounded_box size")
+    return _shape(S.RoundedBox, 1, size=edges, **_lengths("rounded_box", radius=radius))
 
 
 @no_type_check
@@ -172,8 +153,8 @@ def sweep(
     """Sweep a round or elliptic section along points (x, y, z): a handle, hook, stem, wire.
 
     Give `radius` for a round section, or `width` (across the plane of the path) and `thickness` (in
-    that plane), full diameters; one number, or one for each point, so that it tapers. `smooth`
-    divides every stretch into that many, on a curve through the points.
+    that plane), full diameters; one number, or one for each point of a tapered shape. `smooth` is
+    the number of segments between two points, on a curve through all of them.
     """
     track = tuple(
         validate.vector(point, f"sweep path[{i}]")
@@ -193,8 +174,8 @@ def sweep(
         S.Sweep,
         len(track),
         path=track,
-        width=_stretched(across, steps, closed),
-        thickness=_stretched(inward, steps, closed),
+        width=_interpolated(across, steps, closed),
+        thickness=_interpolated(inward, steps, closed),
         closed=closed,
         sectors=validate.integer(sectors, "sweep sectors", 4, 32),
     )
@@ -204,7 +185,7 @@ def sweep(
 def torus(radius: float, tube: float, arc: float = 2 * math.pi, sectors: int = 8) -> Shape:
     """Make a ring around z, or the part of it that spans `arc` [rad] about its +x side, centred.
 
-    `radius` goes to the middle of the bar, `tube` is the bar's own radius.
+    `radius` reaches to the center of the bar, `tube` is the radius of the bar.
     """
     big, small = validate.length(radius, "torus radius"), validate.length(tube, "torus tube")
     span = validate.number(arc, "torus arc", 7.0)
@@ -229,7 +210,7 @@ def torus(radius: float, tube: float, arc: float = 2 * math.pi, sectors: int = 8
 def extrusion(
     outline: Sequence[Point2], height: float, holes: Sequence[Sequence[Point2]] = ()
 ) -> Shape:
-    """Extrude any outline of (x, y) points, with holes, along z from -height/2 to height/2."""
+    """Extrude an outline of (x, y) points, with holes, along z from -height/2 to height/2."""
     border = validate.points(outline, "extrusion outline", 3, 2 * MAX_POINTS)
     loops = tuple(
         validate.points(hole, f"extrusion holes[{i}]", 3, MAX_POINTS)
@@ -244,7 +225,7 @@ def extrusion(
 def bail(width: float, height: float, radius: float) -> Shape:
     """Make a loop handle: a round bar that rises along z at y = -width/2 and returns at +width/2.
 
-    `height` goes to the middle of the bar at its top; the origin lies between its two feet.
+    `height` reaches to the center of the bar at its top; the origin lies between its two feet.
     """
     wide, high = validate.length(width, "bail width"), validate.length(height, "bail height")
     bar = validate.length(radius, "bail radius")
@@ -270,7 +251,7 @@ def panel(
 ) -> Shape:
     """Make a flat board of `size` (x, y), along z, centred, with holes through it.
 
-    A hole is (x, y, radius), or (x, y, width, depth) of a rectangle; both at its middle.
+    A hole is (x, y, radius), or (x, y, width, depth) of a rectangle, about its center.
     """
     x, y = (validate.length(v, "panel size") for v in validate.sequence(size, "panel size", 2, 2))
     facets = validate.integer(sectors, "panel sectors", MIN_SECTORS, MAX_SECTORS)
@@ -295,22 +276,22 @@ def panel(
 
 @no_type_check
 def union(first: Shape, *others: Shape, sectors: int = 16) -> Shape:
-    """Melt shapes into one solid, in the frame that they are placed in by `moved`."""
+    """Merge shapes into one solid, in the frame that `moved` places them in."""
     return _combined("union", (first, *others), sectors)
 
 
 @no_type_check
 def difference(first: Shape, *others: Shape, sectors: int = 16) -> Shape:
-    """Take other shapes away from the first one: bored holes, pockets, cut corners.
+    """Subtract other shapes from the first one: holes, pockets, cut corners.
 
-    What is taken away is really open. `sectors` counts the facets of round operands.
+    The cavities are open to collision, too. `sectors` is the number of facets of round operands.
     """
     return _combined("difference", (first, *others), sectors)
 
 
 @no_type_check
 def intersection(first: Shape, *others: Shape, sectors: int = 16) -> Shape:
-    """Keep what all shapes share."""
+    """Intersect shapes."""
     return _combined("intersection", (first, *others), sectors)
 
 
@@ -339,32 +320,27 @@ def _combined(operation: str, shapes: tuple[Any, ...], sectors: int) -> Shape:
 
 
 def _curved(track: tuple[Point3, ...], steps: int, closed: bool) -> tuple[Point3, ...]:
-    """Divide every stretch by a Catmull-Rom curve through the points."""
+    """Divide every segment of a path along a Catmull-Rom curve through its points."""
     if steps == 1:
         return track
     count = len(track)
     if (count if closed else count - 1) * steps + 1 > MAX_POINTS:
         raise ValueError(f"sweep would have over {MAX_POINTS} points: lower smooth")
-    ends = [track[-1], track[0]] if closed else [_beyond(*track[1::-1]), _beyond(*track[-2:])]
-    points = np.array(
-        [ends[0], *track, ends[1], *track[1:2]] if closed else [ends[0], *track, ends[1]]
-    )
+    if closed:
+        points = np.array([track[-1], *track, *track[:2]])
+    else:  # Extrapolate one point at either end.
+        inner = np.array(track)
+        points = np.array([2 * inner[0] - inner[1], *inner, 2 * inner[-1] - inner[-2]])
     divided: list[Point3] = []
     for i in range(count if closed else count - 1):
-        for share in np.arange(steps) / steps:
-            weights = share ** np.arange(4) @ _CATMULL_ROM
+        for fraction in np.arange(steps) / steps:
+            weights = fraction ** np.arange(4) @ _CATMULL_ROM
             x, y, z = np.round(weights @ points[i : i + 4], 9).tolist()
             divided.append((x, y, z))
     return tuple(divided) if closed else (*divided, track[-1])
 
 
-def _beyond(before: Point3, last: Point3) -> Point3:
-    """Return the point as far after the last one as that is after the one before."""
-    x, y, z = (2 * b - a for a, b in zip(before, last, strict=True))
-    return x, y, z
-
-
-def _stretched(values: tuple[float, ...], steps: int, closed: bool) -> tuple[float, ...]:
+def _interpolated(values: tuple[float, ...], steps: int, closed: bool) -> tuple[float, ...]:
     """Interpolate one value for each point to the divided path."""
     if len(values) == 1 or steps == 1:
         return values
@@ -386,14 +362,13 @@ def _each(value: Any, argument: str) -> tuple[float, ...]:
     return (validate.length(value, argument),)
 
 
-def _shape(model: Any, pieces: int, **fields: Any) -> Shape:
-    """Build a shape and count its convex pieces against the limits.
+def _lengths(shape: str, **values: Any) -> dict[str, float]:
+    """Validate lengths [m] by argument name."""
+    return {key: validate.length(value, f"{shape} {key}") for key, value in values.items()}
 
-    Args:
-        model: class of the description.
-        pieces: expected number of convex pieces.
-        **fields: validated fields of the description.
-    """
+
+def _shape(model: Any, pieces: int, **fields: Any) -> Shape:
+    """Build a shape from validated fields and count its expected number of convex pieces."""
     name = model.model_fields["type"].default
     if pieces > MAX_SHAPE_PIECES:
         raise ValueError(

@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from ..checks.compile_checks import check_geometry
-from ..checks.signals import Signal, deduplicated
+from ..checks.signals import Signal, deduplicated, error_signal
 from ..config import ProgramOptions
 from ..errors import NeoWorldError
 from ..export import export_object, import_urdf
 from ..spec import ObjectSpec, TreeNode, inertial
 from .attempt import joined
-from .exception_signals import error_signal
 from .sandbox import BuildResult, build, run
 
 LEAST_MASS_RATIO = 0.99

@@ -1,15 +1,15 @@
-"""Step 2, from the crop of an object to its program: ask, run, repair, draw, criticise, revise.
+"""Step 2: synthesis of an object's program from its crop, with debug and critic rounds.
 
-The request gives the model the object's measured box. Errors of the program or of its checks go
-back to the model (debug rounds); critics get pictures from the photo's view, and their faults go
-back to the programmer (critic rounds). The result is the best of all programs, not the last. With
-`program.stages: three` geometry, articulation and export are asked for one after the other, each
-on what was accepted before it, each with debug and critic rounds of its own.
+The request states the object's measured box. Errors of the program or of its checks return to the
+model (debug rounds); critics compare pictures rendered from the photo's view with the crop, and
+their faults return to the programmer (critic rounds). The result is the best of all programs. With
+`program.stages: three` the stages geometry, articulation and export follow one another, each with
+debug and critic rounds of its own.
 """
 
 import asyncio
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeVar, runtime_checkable
 
@@ -21,7 +21,14 @@ from ..checks.signals import Signal, deduplicated, has_errors
 from ..config import ProgramOptions
 from ..mllm import Model, Picture, Request, ask_or_record, package_text, revise
 from ..spec import Camera, TreeNode
-from .ask import ProgramResponse, instructions, program_request, repair_request, revise_request
+from .ask import (
+    ProgramResponse,
+    StageInput,
+    instructions,
+    program_request,
+    repair_request,
+    revise_request,
+)
 from .attempt import ProgramAttempt, Size, SynthesisResult, joined
 from .conformance import fit, fit_geometry, losses, lost_asserts
 from .critique import Critique, accepts, corrected_box, critic_request
@@ -48,7 +55,7 @@ class Cutout(Protocol):
 
     @property
     def note(self) -> str:
-        """Description of the parts that the picture does not show; empty if it shows all."""
+        """Description of the parts that the picture does not show; empty if there are none."""
         ...
 
     @property
@@ -66,22 +73,21 @@ async def synthesise(
     camera: Camera | None = None,
     colour: tuple[float, float, float] | None = None,
 ) -> SynthesisResult:
-    """Ask models for the program of an object, from its crop.
+    """Synthesize the program of an object from its crop.
 
-    A support of the environment that is no furniture gets a simple program from its box, without a
-    model.
+    A slab of the environment gets a program from its box, without a model.
 
     Args:
         node: the parsed object.
         crop: its picture.
         models: programmer and critic.
         options: rounds, critics, sandbox.
-        camera: the photo's camera, so that the critic sees the object from the same side.
-        colour: red, green, blue from 0 to 1 of a support; by default its surface's, or without a
-            declared surface the median of its crop.
+        camera: the photo's camera, for pictures from the same direction.
+        colour: red, green, blue of a slab in 0 to 1; by default its surface's, or the median of
+            its crop without a declared surface.
 
     Raises:
-        ModelError: the first request failed, a tape lacks an answer, or the cost cap is reached.
+        ModelError: the first request failed, a tape lacks a response, or the cost cap is reached.
     """
     plain = isinstance(crop, bytes)
     picture = Picture("crop", crop) if plain else crop.picture
@@ -97,7 +103,7 @@ async def synthesise(
     best: ProgramAttempt | None = None
     for stage in STAGES[options.stages]:
         last = best
-        best = await work.written(stage, last)
+        best = await work.stage_result(stage, last)
         if stage.file == "export" and last is not None and last.built.ok and not best.built.ok:
             reasons = "; ".join(s.phrase() for s in best.built.signals if s.severity == "error")
             work.fallbacks.append((f"{node.name}: no export program", reasons))
@@ -136,7 +142,7 @@ def unfenced(program: str) -> str:
 
 @dataclass
 class _Synthesis:
-    """One object's synthesis: its inputs, all attempts so far, and the rounds that failed."""
+    """Synthesis of one object: inputs, attempts so far, and failed rounds."""
 
     subject: Subject
     models: Model
@@ -147,22 +153,22 @@ class _Synthesis:
     """Edges of the box [m] as a model corrected them last; None for the parsed ones."""
     stage: Stage = STAGES["one"][0]
     accepted: ProgramAttempt | None = None
-    """Result of the stage before; None in the first."""
+    """Best attempt of the stage before; None in the first."""
 
-    async def written(self, stage: Stage, accepted: ProgramAttempt | None) -> ProgramAttempt:
-        """Ask for a stage's program, debug and criticise it, and return its best attempt."""
+    async def stage_result(self, stage: Stage, accepted: ProgramAttempt | None) -> ProgramAttempt:
+        """Request a stage's program, debug and criticize it, and return its best attempt."""
         self.stage, self.accepted = stage, accepted
         if accepted is not None:
             assert accepted.built.spec is not None
             if not needs_model(stage, accepted.built.spec, self.subject.node):
                 before = accepted.texts
                 return replace(accepted, text=NOTHING_MOVES, before=before, file=stage.file)
-        request = program_request(self.subject, stage.file, self._before, self.options.language)
+        request = program_request(self.subject, self._stage_input)
         answer = (await self.models.ask(request)).value
         await revise(
             await self.debugged("program", answer, None),
             rounds=self.options.critic_rounds,
-            accept=lambda attempt: all(map(accepts, self._own_critiques(attempt))),
+            accept=lambda attempt: all(map(accepts, self._stage_critiques(attempt))),
             next_attempt=self.revised,
             criticise=self.criticised,
         )
@@ -178,8 +184,7 @@ class _Synthesis:
             signals = attempts[-1].built.signals
             earlier = attempts[-2].built.signals if len(attempts) > 1 else None
             request = repair_request(
-                *(self.subject, attempts[-1].text, signals, earlier),
-                *(self.stage.file, self._before, self.options.language),
+                self.subject, self._stage_input, attempts[-1].text, signals, earlier
             )
             repair = await self._ask("debug", request)
             best = max(attempts, key=lambda attempt: attempt.rank)
@@ -194,20 +199,18 @@ class _Synthesis:
         return max(attempts, key=lambda attempt: attempt.rank)
 
     async def revised(self, attempts: Sequence[ProgramAttempt]) -> ProgramAttempt | None:
-        """Ask for a program without the faults that the critics reported, and debug it."""
+        """Request a program without the faults that the critics report, and debug it."""
         last = attempts[-1]
-        critiques = self._own_critiques(last)
+        critiques = self._stage_critiques(last)
         for box in filter(None, map(corrected_box, critiques)):
             self._resize(box, "the critic")
-        request = revise_request(
-            *(self.subject, last.text, [each for each in critiques if not accepts(each)]),
-            *(self.stage.file, self._before, self.options.language),
-        )
+        rejecting = [critique for critique in critiques if not accepts(critique)]
+        request = revise_request(self.subject, self._stage_input, last.text, rejecting)
         answer = await self._ask("revise", request)
         return None if answer is None else await self.debugged("revise", answer, last)
 
     async def criticised(self, attempt: ProgramAttempt) -> ProgramAttempt:
-        """Return an attempt with the verdict of each critic that is on, if it has an object."""
+        """Return an attempt with the verdicts of the enabled critics, if it has an object."""
         requests = self._critic_requests(attempt)
         answers = await asyncio.gather(
             *(self._ask(f"judge ({name})", request) for name, request in requests.items())
@@ -242,16 +245,17 @@ class _Synthesis:
         )
 
     @property
-    def _before(self) -> Mapping[str, str]:
-        """Texts of the stages before."""
-        return {} if self.accepted is None else self.accepted.texts
+    def _stage_input(self) -> StageInput:
+        """The current stage and the accepted texts of the stages before."""
+        before = {} if self.accepted is None else self.accepted.texts
+        return StageInput(self.stage.file, before, self.options.language)
 
-    def _own_critiques(self, attempt: ProgramAttempt) -> list[Critique]:
-        """Return the verdicts of the stage's own critics."""
+    def _stage_critiques(self, attempt: ProgramAttempt) -> list[Critique]:
+        """Return the verdicts of the stage's critics."""
         return [attempt.critiques[name] for name in self.stage.critics if name in attempt.critiques]
 
     def _critic_requests(self, attempt: ProgramAttempt) -> dict[str, Request[Critique]]:
-        """Return the request to each critic that has something to judge."""
+        """Return the request to each enabled critic that has something to judge."""
         spec, node, camera = attempt.built.spec, self.subject.node, self.subject.camera
         if spec is None:
             return {}
@@ -293,12 +297,11 @@ class _Synthesis:
             BuildResult(None),
             answer.notes,
             critiques={} if self.accepted is None else self.accepted.critiques,
-            before=self._before,
+            before=self._stage_input.before,
             file=self.stage.file,
         )
-        whole = joined(attempt.texts)
-        built = await asyncio.to_thread(self.stage.build, whole, self.options)
-        built = replace(built, signals=in_stage_lines(built.signals, self._before))
+        built = await asyncio.to_thread(self.stage.build, joined(attempt.texts), self.options)
+        built = replace(built, signals=in_stage_lines(built.signals, attempt.before))
         if built.spec is not None:
             compare = fit_geometry if self.stage.file == "geometry" else fit
             signals: list[Signal] = [*built.signals, *compare(built.spec, self.subject.node)]
@@ -311,7 +314,7 @@ class _Synthesis:
         return attempt
 
     def _resize(self, edges: Sequence[float], who: str) -> None:
-        """Take a model's correction of the measured box, unless it is out of all proportion."""
+        """Apply a model's correction of the measured box if it is within MOST_RESIZED."""
         node = self.subject.node
         x, y, z = edges
         ratio = np.array(edges) / np.array(node.box3d.size)

@@ -1,4 +1,4 @@
-"""Signals of the type check: which of its findings count, and a hint for each."""
+"""Signals of the type check, each with a hint."""
 
 import difflib
 import inspect
@@ -8,14 +8,14 @@ from functools import cache
 from importlib import import_module
 from typing import Any
 
-from ..checks.signals import Signal
+from ..checks.signals import Signal, error_signal
 from .exception_signals import IMPORT_HINT, MODULE
 from .part import Geom, Joint, Part
 from .placing import Shape
 from .sdk_object import Object
 
 MAX_TYPE_SIGNALS = 20
-_CLASSES = (Object, Part, Geom, Joint, Shape)
+_CLASSES = {kind.__name__: kind for kind in (Object, Part, Geom, Joint, Shape)}
 _TUPLE = re.compile(r"Expected `tuple\[((?:float, )*float)\]")
 _OWN_MODULES = ("neoworld_mjx", "sdk")
 _ELSEWHERE = {
@@ -25,19 +25,16 @@ _ELSEWHERE = {
     **dict.fromkeys(("weld", "attach"), "Object.fixed"),
     **dict.fromkeys(("translate", "rotate", "transform"), "Shape.moved"),
 }
-"""Names that other tools have, and the SDK's own."""
+"""Members of the SDK by their names in other tools."""
 _WORDS = {2: "two", 3: "three"}
 
 
 def type_signals(findings: Sequence[Mapping[str, Any]]) -> list[Signal]:
-    """Turn the findings of the type check into signals.
+    """Convert the findings of the type check, as the sandbox reports them, into signals.
 
-    Where the text does not parse, nothing else is known: the check then also says that the SDK
-    cannot be imported, which is not so. Of a call with numbers in place of a tuple it says two
-    things; the one that names the tuple stays.
-
-    Args:
-        findings: each with "code", "message" and "location", as the sandbox gives them.
+    Only syntax errors count in a text that does not parse, as the check then reports every import
+    of the SDK, too. Numbers in place of a tuple give two findings; the one that names the tuple
+    counts.
     """
     broken = [each for each in findings if each["code"] == "invalid-syntax"]
     tuples = {_line(each) for each in findings if _TUPLE.search(each["message"])}
@@ -47,10 +44,9 @@ def type_signals(findings: Sequence[Mapping[str, Any]]) -> list[Signal]:
         if not (each["code"] == "too-many-positional-arguments" and _line(each) in tuples)
     ]
     return [
-        Signal(
-            severity="error",
-            code="syntax" if broken else "type",
-            message=each["message"][:400],
+        error_signal(
+            "syntax" if broken else "type",
+            each["message"][:400],
             line=_line(each),
             column=each["location"]["column"],
             hint=_syntax_hint(each["message"]) if broken else _hint(each["code"], each["message"]),
@@ -91,7 +87,7 @@ def _hint(code: str, message: str) -> str:
 
 
 def _import_hint(named: Sequence[str]) -> str:
-    """Say where a name is, of an import that fails."""
+    """Return a hint for an import that fails."""
     names = import_module(MODULE).__all__
     module, name = named[0], named[-1] if len(named) > 1 else ""
     if module == MODULE:
@@ -108,8 +104,8 @@ def _nearest_member(name: str, kind: str) -> str:
 
 
 def _owner(name: str) -> str:
-    """Say which class of the SDK has a member of this name, or one like it."""
-    for kind in (each.__name__ for each in _CLASSES):
+    """Return a hint that names the class of the SDK with a member of a similar name."""
+    for kind in _CLASSES:
         near = difflib.get_close_matches(name, _members(kind), n=1, cutoff=0.8)
         if near:
             return f"{near[0]} belongs to {kind}"
@@ -121,25 +117,18 @@ def _nearest(name: str, valid: Sequence[str]) -> str:
     return f"did you mean {near[0]}?" if near else ""
 
 
-@cache
-def _members(kind: str) -> tuple[str, ...]:
+def _members(kind: str) -> list[str]:
     """Return the public members of a class of the SDK."""
-    return tuple(
-        name
-        for each in _CLASSES
-        if each.__name__ == kind
-        for name in (*dir(each), *inspect.get_annotations(each))
-        if not name.startswith("_")
-    )
+    sdk_class = _CLASSES.get(kind, object)
+    names = {*dir(sdk_class), *inspect.get_annotations(sdk_class)}
+    return sorted(name for name in names if not name.startswith("_"))
 
 
 @cache
 def _arguments(function: str) -> tuple[str, ...]:
     """Return the arguments of a function of the SDK, or of a method, "Class.method"."""
     owner, _, name = function.rpartition(".")
-    sdk = import_module(MODULE)
-    kinds = {each.__name__: each for each in _CLASSES}
-    found = getattr(kinds.get(owner), name, None) if owner else getattr(sdk, name, None)
-    if not callable(found):
+    member = getattr(_CLASSES.get(owner) if owner else import_module(MODULE), name, None)
+    if not callable(member):
         return ()
-    return tuple(key for key in inspect.signature(found).parameters if key != "self")
+    return tuple(key for key in inspect.signature(member).parameters if key != "self")
