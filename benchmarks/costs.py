@@ -22,9 +22,9 @@ PIXELS_A_TOKEN, LONGEST_PX = 750.0, 1568.0
 
 
 def answer(options: Costs) -> dict[str, Any]:
-    """Replay the examples, and estimate tokens and dollars from their requests and answers.
+    """Replay the examples, and estimate tokens and dollars from their requests and responses.
 
-    No answer's thinking and no server's count is known: text is taken as 4 characters a token,
+    No response's thinking and no server's count is known: text is taken as 4 characters a token,
     pictures as 750 pixels a token, and nothing as read from a cache.
     """
     rows = []

@@ -1,4 +1,4 @@
-"""Whether `neoworld check` of a scene's files decides as `neoworld refine` did that wrote them."""
+"""True if `neoworld check` of a scene's files decides as `neoworld refine` did that wrote them."""
 
 import logging
 import tempfile

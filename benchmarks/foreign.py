@@ -30,7 +30,7 @@ class Program(NamedTuple):
     scenes: tuple[str, ...] = ()
     """Files of a scene that it reads."""
     moves: bool = False
-    """Whether it simulates."""
+    """True if it simulates."""
     known: tuple[str, ...] = ()
     """Differences of its own, from the words of `readers.KNOWN`."""
 

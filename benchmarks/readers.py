@@ -96,7 +96,7 @@ def objects(o: Readers, scene: SceneSpec | None) -> Iterator[ObjectSpec]:
 
 
 def expectations(home: Path, specs: dict[str, ObjectSpec], scene: SceneSpec | None) -> Results:
-    """Return how things move in this environment's MuJoCo: by job, as `jobs_of` names them."""
+    """Return how objects move in this environment's MuJoCo: by job, as `jobs_of` names them."""
     result: Results = {}
     for dry in (True, False):
         jobs = jobs_of(home, specs, "object.xml", dry)

@@ -92,7 +92,7 @@ def scoring(
         iterations: iterations of the search.
         top: candidates of an iteration that are scored.
         delay_s: time of a call to the server [s].
-        at_once: calls that the server answers at once.
+        at_once: calls that the server responses at once.
         failing: share of its calls that fail.
         physics_s: time of physics in one iteration alone [s].
         real: whether physics is rollouts on all cores, repeated until `physics_s` are filled;

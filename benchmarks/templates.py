@@ -36,7 +36,7 @@ class TemplateRow(BaseModel):
     joints: int
     """That move."""
     passed: bool
-    """Whether it builds to its box and passes the compile checks and the battery."""
+    """True if it builds to its box and passes the compile checks and the battery."""
     failed: list[str] = []
     battery_s: float = 0.0
 

@@ -16,7 +16,7 @@ from neoworld_mjx.sweeps.cases import Case, Source
 from .dataset.declaration import declaration
 from .dataset.truth_scene import photographed
 from .engines.table_scenes import Noise, crowded, noisy_layouts
-from .fidelity.rendered_answers import exact_answer
+from .fidelity.rendered_responses import exact_response
 from .methods.layout_errors import layout_errors
 from .noise.initial_scenes import composed_start, noise_number
 from .photographs.real_scenes import FOLDER
@@ -35,7 +35,7 @@ def bench_case(name: str) -> Case:
         truth = photographed(declaration(name))
     except SpecError as error:
         raise SpecError(f"scene bench:{name}: {error}") from None
-    composed = composed_start(truth, exact_answer(truth), noise_number(name, seed=0, start=0))
+    composed = composed_start(truth, exact_response(truth), noise_number(name, seed=0, start=0))
     return Case(f"bench:{name}", composed, errors=partial(_layout_errors, truth))
 
 

@@ -12,6 +12,7 @@ from neoworld_bench.engines.agreement import ModelRow, VerdictRow, agreed, agree
 from neoworld_bench.engines.agreement_scenes import AGREEMENT
 from neoworld_bench.engines.growth import growth, growth_svg
 from neoworld_bench.engines.kernel_times import KernelRow, dispatch, kernels
+from neoworld_bench.engines.penetration import KINDS, accuracy, random_pairs
 from neoworld_bench.engines.table_scenes import COUNTS, Noise, crowded, noisy_layouts
 from neoworld_bench.engines.throughput import PhysicsRow, Task, measure, physics
 from neoworld_bench.engines.verdicts import compare, motion, naive_loop
@@ -215,6 +216,19 @@ def test_kernels_are_timed_and_held_against_the_reference():
     for row in rows:
         assert row.status != "ok" or (row.ms > 0 and row.max_error_m <= 1e-5)
     assert {row.implementation for row in rows if row.status == "ok"} >= {"jnp", "culled", "auto"}
+
+
+def test_deep_overlaps_are_found_and_ranked_as_mujoco_ranks_them():
+    rows = accuracy(random_pairs(4_000, each=4))
+    total = rows[0]
+    assert total.pairs == 4_000 and len(rows) == 1 + len(KINDS) * (len(KINDS) + 1) // 2
+    assert total.touching > 1600 and total.deep > 1000
+    assert total.missed_deep <= 0.02
+    assert total.spearman >= 0.95
+    assert total.false == 0, "nothing that MuJoCo calls apart"
+    for row in rows:
+        assert row.deep > 10 and row.missed_deep <= 0.02, row
+        assert row.spearman >= 0.9, row
 
 
 def test_the_kernel_is_taken_from_where_it_was_faster_for_good():

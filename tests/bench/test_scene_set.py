@@ -11,6 +11,7 @@ from neoworld_bench.dataset.make_dataset import rounded
 from neoworld_bench.dataset.settle_scene import failures
 from neoworld_bench.dataset.truth_scene import truth_scene
 from neoworld_bench.engines.table_scenes import crowded
+from neoworld_bench.fidelity.rendered_responses import exact_response
 from neoworld_bench.fidelity.rendered_scenes import see
 from neoworld_bench.methods.layout_errors import displaced, layout_errors, tilt_deg
 from neoworld_bench.methods.scene_methods import METHODS, USUAL, OneForAll
@@ -94,7 +95,7 @@ def test_unknown_scenes_and_programs_are_named(tmp_path):
 def test_a_perfect_answer_composes_to_the_truth():
     # An open drawer with something inside: joints and carriers must be answered, too.
     scene = see(truth_scene(declarations()["desk_drawers"]))
-    tree = exact_answer(scene)
+    tree = exact_response(scene)
     shapes = {item.name: item.spec for item in scene.objects}
     composed = compose(tree, shapes).scene
     errors = layout_errors(composed, scene)

@@ -14,6 +14,7 @@ from neoworld_bench.judge.joint_films import (
     object_pairs,
 )
 from neoworld_bench.judge.joint_hits import (
+    FilmComparison,
     comparison_request,
     joint_hit_figures,
     joint_hit_rows,
@@ -33,7 +34,7 @@ from PIL import Image
 from neoworld_mjx import cli
 from neoworld_mjx.config import MLLMOptions, ProgramOptions
 from neoworld_mjx.errors import ConfigError, MissingAnswerError, SpecError
-from neoworld_mjx.mllm import Panel
+from neoworld_mjx.mllm import Panel, Request
 from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
 from neoworld_mjx.mllm.replay import Replay, Tape
 from neoworld_mjx.render import render_scene, to_png
@@ -446,3 +447,13 @@ def test_what_is_hidden_is_filmed_with_the_others_open():
     pixels = np.asarray(Image.open(io.BytesIO(first.data)))
     expected = joint_frames(oven, "spin", np.radians(35), others_open=True)[-1]
     assert (pixels[:, -expected.shape[1] :] == expected).all()
+
+
+@pytest.mark.parametrize(
+    ("schema", "digest_start"),
+    [(SceneRating, "3319ccf4b8e2f3f7"), (FilmComparison, "ece876ddb29f5602")],
+)
+def test_schemas_of_responses_keep_their_digest(schema, digest_start):
+    # Names, docstrings and descriptions are part of them: a change here breaks recorded tapes.
+    request = Request("critic", "any", "", "", schema)
+    assert request.parts["schema"].startswith(digest_start)

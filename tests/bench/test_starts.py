@@ -9,13 +9,13 @@ from neoworld_bench.dataset.declaration import (
     template_of,
 )
 from neoworld_bench.dataset.truth_scene import built, truth_scene
-from neoworld_bench.fidelity.rendered_answers import (
+from neoworld_bench.fidelity.rendered_responses import (
     ASIDE,
     DEPTH,
     LOG_ASPECT,
     LOG_SIZE,
     YAW,
-    exact_answer,
+    exact_response,
 )
 from neoworld_bench.fidelity.rendered_scenes import see
 from neoworld_bench.measures.surface_measure import geometry_measure, surface_points
@@ -25,14 +25,14 @@ from neoworld_bench.noise import joint_noise, parse_noise
 from neoworld_bench.noise.environment_noise import with_other_supports
 from neoworld_bench.noise.initial_scenes import (
     composed_start,
-    fitted_answer,
+    fitted_response,
     wrong_shapes,
 )
 from neoworld_bench.noise.noise_draft import Draft
 from neoworld_bench.noise.parse_noise import (
     NoiseLog,
     with_copy,
-    with_other_carrier,
+    with_other_parent,
     with_other_relation,
     without,
     wrong_parse,
@@ -78,7 +78,7 @@ def desk():
 
 @pytest.fixture(scope="module")
 def answer(desk) -> SceneTree:
-    return exact_answer(desk)
+    return exact_response(desk)
 
 
 def rng() -> np.random.Generator:
@@ -168,7 +168,7 @@ def test_an_object_taken_for_two_is_cut_in_halves(desk, answer):
 
 
 def test_wrong_carriers_and_relations_leave_places_as_they_are(answer):
-    trees = list(with_other_carrier(answer, "book_0", rng()))
+    trees = list(with_other_parent(answer, "book_0", rng()))
     carriers = {tree.node("book_0").parent for tree in trees}
     assert carriers == {"chest", "dice", "tin", "carton", "file", "cup", "pen"}
     swapped = {"dice": "on", "tin": "in", "book_0": "leaning", "file": "on"}
@@ -229,7 +229,7 @@ def test_a_misjudged_view_keeps_the_layout(answer, monkeypatch):
 
 
 def test_supports_are_off_as_objects_are_and_tops_stay():
-    tree = exact_answer(see(truth_scene(declarations()["shelf_boxes"])))
+    tree = exact_response(see(truth_scene(declarations()["shelf_boxes"])))
     moved = [with_other_supports(tree, tree, number) for number in range(200)]
     assert all(answer.nodes != tree.nodes for answer in moved)
     assert moved[3] == with_other_supports(tree, tree, 3)
@@ -391,7 +391,7 @@ def test_a_start_with_all_noise_composes(desk):
     names = ("table", "chest", "dice", "carton", "tin", "cup")
     few = desk.model_copy(update={"objects": tuple(desk.object(name) for name in names)})
     log = NoiseLog()
-    start = composed_start(few, exact_answer(few), 0, noise="all", log=log)
+    start = composed_start(few, exact_response(few), 0, noise="all", log=log)
     missed, extra = unmatched(start, few)
     split = log.injected.count("split")
     assert len(missed) == log.injected.count("missed") + split
@@ -403,17 +403,17 @@ def test_a_start_with_all_noise_composes(desk):
 def test_what_the_checks_refuse_is_answered_once_more(desk, monkeypatch):
     names = ("table", "carton", "tin")
     few = desk.model_copy(update={"objects": tuple(desk.object(name) for name in names)})
-    tree = exact_answer(few)
+    tree = exact_response(few)
     box = tree.node("tin").box3d
     beside = box.model_copy(update={"position": (*box.position[:2], box.position[2] + 2.0)})
     nodes = tuple(
         n.model_copy(update={"box3d": beside}) if n.name == "tin" else n for n in tree.nodes
     )
     wrong = tree.model_copy(update={"nodes": nodes})
-    monkeypatch.setattr(starts, "disturbed_answer", lambda truth, number: wrong)
+    monkeypatch.setattr(starts, "noisy_response", lambda truth, number: wrong)
     monkeypatch.setattr(starts, "with_other_supports", lambda answer, truth, number: answer)
     monkeypatch.setattr(starts, "fit_tree", lambda answer: (answer, None))
-    kept = fitted_answer(tree, 4, {}, wrong_tree=False).tree
+    kept = fitted_response(tree, 4, {}, wrong_tree=False).tree
     assert any(i.node == "tin" and i.severity == "error" for i in check_tree(wrong))
     assert not [i for i in check_tree(kept) if i.severity == "error"]
     assert kept.node("carton") == tree.node("carton")
@@ -428,4 +428,4 @@ def test_what_the_checks_refuse_is_answered_once_more(desk, monkeypatch):
         }
     )
     monkeypatch.setattr(starts, "with_boxes_redrawn", worse)
-    assert fitted_answer(tree, 4, {}, wrong_tree=False).tree == wrong
+    assert fitted_response(tree, 4, {}, wrong_tree=False).tree == wrong

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from neoworld_bench.dataset.declaration import declarations
 from neoworld_bench.dataset.truth_scene import truth_scene
+from neoworld_bench.fidelity.rendered_responses import exact_response
 from neoworld_bench.fidelity.rendered_scenes import see
 from neoworld_bench.methods.layout_errors import displaced, layout_errors, unmatched
 from neoworld_bench.methods.scene_runs import known_rows, run_scenes
 from neoworld_bench.methods.submission import submission_name, submitted, submitted_starts
 from neoworld_bench.methods.validity import validity
-from neoworld_bench.fidelity.rendered_answers import exact_answer
 
 from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.errors import SpecError
@@ -139,7 +139,7 @@ def test_the_documented_program_submits_without_the_package(
     assert code is not None and "neoworld" not in code[1]
     monkeypatch.chdir(tmp_path)
     Path("data/scenes/dominoes").mkdir(parents=True)
-    Path("data/scenes/dominoes/tree.json").write_text(exact_answer(see(truth)).to_json())
+    Path("data/scenes/dominoes/tree.json").write_text(exact_response(see(truth)).to_json())
     exec(code[1], {})
     made = submitted(Path("boxes"), 0, truth, QUICK)
     assert unmatched(made.scene, truth) == ([], [])

@@ -175,7 +175,7 @@ def test_rows_are_kept_and_what_raises_is_a_failure(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_an_exact_answer_is_a_success(tmp_path):
+def test_an_exact_response_is_a_success(tmp_path):
     (row,) = _run(tmp_path)
     assert row.on_truth and row.in_scene and row.valid and row.missed == 0
     assert row.shift_m < 1e-3 and row.object_error_m < 1e-3 and row.reason == ""

@@ -4,9 +4,6 @@ import time
 
 import numpy as np
 import pytest
-from neoworld_bench.fidelity.rendered_answers import disturbed_answer, exact_answer
-from neoworld_bench.fidelity.rendered_scenes import photo_scene
-from neoworld_bench.measures import parse_measure
 
 from neoworld_mjx.fit.fit_tree import fit_tree
 from neoworld_mjx.fit.projection import visible_box
@@ -46,6 +43,18 @@ def mean_agreement(tree):
     return float(np.mean([agreement(tree, node) for node in things]))
 
 
+def position_error(tree, truth):
+    """Mean distance of the objects from their places in the truth, their common shift aside."""
+    offsets = np.array(
+        [
+            np.subtract(tree.node(node.name).box3d.position, node.box3d.position)
+            for node in truth.nodes
+            if not node.environment
+        ]
+    )
+    return np.linalg.norm(offsets - np.median(offsets, axis=0), axis=1).mean()
+
+
 def test_a_consistent_parse_stays_as_it_was():
     tree = answers.exact()
     fitted, report = fit_tree(tree)
@@ -64,8 +73,7 @@ def test_errors_as_models_make_them_shrink(seed):
     assert report.agreement_after == pytest.approx(mean_agreement(fitted))
     # What is left is within the noise of a 2D box.
     assert mean_agreement(fitted) > max(0.85, mean_agreement(wrong) + 0.1)
-    before, after = parse_measure(wrong, truth), parse_measure(fitted, truth)
-    assert after.iou_3d_scaled.value > before.iou_3d_scaled.value
+    assert position_error(fitted, truth) < position_error(wrong, truth)
     # Boxes in the picture, names and the hierarchy are what was seen: they do not move.
     assert [n.box2d for n in fitted.nodes] == [n.box2d for n in wrong.nodes]
     assert fitted.node("table") == wrong.node("table")
@@ -98,7 +106,7 @@ def test_notes_name_what_moved_far_and_what_was_refused():
     wrong = answers.moved(answers.exact(), "right", position=(0.11, 0.05, 0))
     _, report = fit_tree(wrong)
     ((instead, reason),) = report.notes()
-    assert instead == "right other than the answer has it"
+    assert instead == "right differs from the parse"
     assert re.search(r"moved it by 1\d.\d cm", reason)
 
 
@@ -232,33 +240,6 @@ def test_real_shapes_take_the_place_of_outlines():
     # A program's proportions are its own.
     ratio = np.array(again.node("toy").box3d.size) / np.array(once.node("toy").box3d.size)
     assert np.allclose(ratio, ratio[0], rtol=1e-3)
-
-
-@pytest.mark.parametrize("number", [9])
-def test_crowded_scenes_come_closer_to_the_truth(number):
-    """Hidden, cut, lying and leaning things, seen by rays and answered as models answer."""
-    scene = photo_scene(number)
-    truth = exact_answer(scene)
-    assert fit_tree(truth)[1].applied is False
-    raw = disturbed_answer(truth, number)
-    fitted, _ = fit_tree(raw)
-    again, _ = refit_tree(fitted, {obj.name: obj.spec for obj in scene.objects})
-
-    def errors(tree):
-        things = [node for node in truth.nodes if not node.environment]
-        return np.array(
-            [
-                np.linalg.norm(
-                    np.subtract(tree.node(node.name).box3d.position, node.box3d.position)
-                )
-                for node in things
-            ]
-        )
-
-    before, after, last = errors(raw), errors(fitted), errors(again)
-    assert np.median(last) <= np.median(after) + 1e-3 <= 0.7 * np.median(before)
-    assert np.all(last < before + 0.02)
-    assert sum(node.occluded for node in truth.nodes) >= 1
 
 
 def test_a_parse_of_supports_alone_has_nothing_to_fit():

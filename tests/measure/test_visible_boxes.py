@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from neoworld_bench.fidelity.rendered_scenes import photo_scene
 
 from neoworld_mjx.measure import box_iou, object_moves, shown_sides, visible_box_iou
 from neoworld_mjx.measure.boxes import iou_2d
@@ -10,7 +9,7 @@ from tests.support import scenes
 
 @pytest.fixture(scope="module")
 def scene():
-    return photo_scene(1, width=320)
+    return scenes.stored_scene("photo_1")
 
 
 def test_the_truth_overlaps_its_photograph_and_a_moved_object_does_not(scene):

@@ -5,18 +5,19 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-from neoworld_bench.photographs.real_scenes import FOLDER
 
 from neoworld_mjx.physics.native import NativeEngine
 
-PAGE = Path(__file__).parents[2] / "docs/how-to/simulate-with-mjx.md"
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs/how-to/simulate-with-mjx.md"
+SCENE = ROOT / "benchmarks/neoworld_bench/photographs/real/coffee.json"
 
 
 def test_the_pages_loop_steps_as_mujoco_does(tmp_path, monkeypatch, capsys):
     (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
     assert code.count("\n") <= 20
     (tmp_path / "out").mkdir()
-    shutil.copy(FOLDER / "coffee.json", tmp_path / "out" / "scene.json")
+    shutil.copy(SCENE, tmp_path / "out" / "scene.json")
     monkeypatch.chdir(tmp_path)
     space = {}
     exec(code, space)

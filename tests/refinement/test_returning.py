@@ -3,8 +3,6 @@
 import equinox as eqx
 import numpy as np
 import pytest
-from neoworld_bench.engines.table_scenes import TOP, block, standing, table
-from neoworld_bench.fidelity.rendered_scenes import see
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.measure import measured, passes
@@ -14,22 +12,9 @@ from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.scene_arrays import pad_scene
 from neoworld_mjx.refinement.choosing import Chosen
 from neoworld_mjx.refinement.returning import NOISE, Seen, _kept, _placed_seen, return_moved
-from neoworld_mjx.spec import Camera, SceneSpec
+from tests.support.scenes import stored_scene
 
 OPTIONS = RefineOptions(check_duration_s=0.3)
-CAMERA = Camera(width=320, height_px=240, fovy=0.6, height=0.7, pitch=0.6)
-
-
-def photographed(second_y, turned=0.0):
-    """Three blocks; the second is at `second_y`, where it overlaps the first if that is small.
-
-    The third is turned.
-    """
-    rows = [("first", 0.0), ("second", second_y), ("third", -0.2)]
-    items = [standing(block(n, 0.06, 0.06, 0.06), "table", (0.0, y), TOP) for n, y in rows]
-    items[2] = items[2].model_copy(update={"yaw": turned})
-    base = table(1.0, 1.0).model_copy(update={"xy": (0.95, 0.0)})
-    return see(SceneSpec(name="three", objects=(base, *items), camera=CAMERA))
 
 
 def winner(model, xy):
@@ -42,7 +27,7 @@ def winner(model, xy):
 
 @pytest.fixture(scope="module")
 def overlapping():
-    model = compile_scene(photographed(0.05))
+    model = compile_scene(stored_scene("three_overlapping"))
     return model, measured(snap_exactly(model.spec), OPTIONS)
 
 
@@ -83,7 +68,7 @@ def test_what_had_to_move_need_not_stay_turned_or_shrunk(overlapping):
 
 
 def test_a_return_that_the_photograph_contradicts_is_not_made():
-    truth = photographed(0.1)
+    truth = stored_scene("three_apart")
     moved = compile_scene(
         truth.model_copy(
             update={
@@ -103,7 +88,7 @@ def test_a_return_that_the_photograph_contradicts_is_not_made():
 
 def test_a_heading_that_boxes_hardly_show_goes_back():
     # The photograph was of the third turned by 11 degrees, which the answer did not see.
-    composed, seen = photographed(0.1), photographed(0.1, turned=0.2)
+    composed, seen = stored_scene("three_apart"), stored_scene("three_turned")
     boxes = {item.name: item.box2d for item in seen.objects}
     objects = [o.model_copy(update={"box2d": boxes[o.name]}) for o in composed.objects]
     model = compile_scene(composed.model_copy(update={"objects": tuple(objects)}))

@@ -4,7 +4,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from neoworld_bench.fidelity.rendered_scenes import photo_scene
 
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
@@ -12,6 +11,7 @@ from neoworld_mjx.physics.scene_arrays import pad_scene
 from neoworld_mjx.physics.visibility import visibility
 from neoworld_mjx.refinement.semantic import reprojection_error, semantic_score
 from neoworld_mjx.spec import Box2D
+from tests.support.scenes import stored_scene
 
 DRAWS = 64
 
@@ -39,9 +39,9 @@ def displaced(scene, draws, number, *, yaw=0.0):
     return Layout(f32(xy), f32(turn), jnp.zeros((draws, scene.count)))
 
 
-@pytest.fixture(scope="module", params=[1, 12])
+@pytest.fixture(scope="module", params=["photo_1", "photo_12"])
 def photographed(request):
-    spec = photo_scene(request.param, width=320)
+    spec = stored_scene(request.param)
     return spec, pad_scene(compile_scene(spec, samples=64))
 
 
@@ -87,7 +87,7 @@ def test_sides_that_the_photograph_does_not_show_count_nothing(photographed):
 
 
 def test_a_box_at_the_border_is_cut():
-    spec = photo_scene(1, width=320)
+    spec = stored_scene("photo_1")
     item = spec.objects[1]
     box = item.box2d.as_tuple()
     cut = item.model_copy(update={"box2d": Box2D(x0=0.0, y0=box[1], x1=box[2], y1=box[3])})

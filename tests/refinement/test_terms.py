@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from neoworld_bench.engines.table_scenes import crowded
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import ConfigError
@@ -21,6 +20,7 @@ from neoworld_mjx.refinement.scene_refinement import open_scene
 from neoworld_mjx.spec import Box, ObjectSpec
 from tests.support import scenes
 from tests.support.mechanisms import geom, joint, part
+from tests.support.scenes import stored_scene
 
 SMALL = {
     "cem": {"population": 12, "first": 0, "iterations": 2, "elite_ratio": 0.25},
@@ -37,7 +37,7 @@ def options(**change):
 
 @pytest.fixture(scope="module")
 def scene():
-    return compile_scene(crowded(2), samples=16)
+    return compile_scene(stored_scene("crowded_2"), samples=16)
 
 
 def right(scene, layouts, rollout):

@@ -1,8 +1,16 @@
 """Small furniture that passes the battery; tests change one joint field of it."""
 
-from neoworld_bench.engines.table_scenes import WOOD
+from neoworld_mjx.spec import (
+    Box,
+    GeomSpec,
+    JointSpec,
+    Material,
+    ObjectSpec,
+    PartSpec,
+    recentred,
+)
 
-from neoworld_mjx.spec import Box, GeomSpec, JointSpec, ObjectSpec, PartSpec, recentred
+WOOD = Material(name="wood", density=600, friction=0.5)
 
 
 def geom(name, size, pos, material="wood"):

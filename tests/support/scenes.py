@@ -1,10 +1,9 @@
-"""Small objects and scenes that tests share; larger ones: `neoworld_bench.engines`."""
+"""Small objects and scenes that tests share, and stored larger scenes."""
 
-import functools
 import math
+from pathlib import Path
 
 import numpy as np
-from neoworld_bench.engines import table_scenes as bench_scenes
 
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.spec import (
@@ -14,17 +13,20 @@ from neoworld_mjx.spec import (
     Capsule,
     Cylinder,
     Ellipsoid,
+    GeomSpec,
     HollowBox,
     Lathe,
     Material,
     Mimic,
     ObjectSpec,
     Operand,
+    PartSpec,
     Prism,
     SceneObject,
     SceneSpec,
     Site,
     Sphere,
+    read_scene,
     recentred,
 )
 from tests.support.mechanisms import geom, joint, part
@@ -34,8 +36,30 @@ CERAMIC = Material(name="ceramic", density=2300, friction=0.4, rgba=(0.9, 0.9, 0
 STEEL = Material(name="steel", density=7800, friction=0.3, rgba=(0.6, 0.6, 0.65, 1))
 
 
-single = functools.partial(bench_scenes.single, material=WOOD)
-"""One rigid object of shapes, each (shape, pos) or (shape, pos, quat)."""
+STORED = Path(__file__).parent / "stored_scenes"
+"""Tables with 2, 3 and 6 objects (crowded_*), scenes with visible boxes and depths (photo_*), and
+three blocks of which two overlap, none overlaps, or the third is turned (three_*)."""
+
+
+def stored_scene(name):
+    """Read a scene of STORED."""
+    return read_scene(STORED / f"{name}.json")
+
+
+def single(name, *shapes, material=WOOD):
+    """One rigid object of shapes, each (shape, pos) or (shape, pos, quat)."""
+    geoms = tuple(
+        GeomSpec(
+            name=f"g{k}",
+            shape=row[0],
+            pos=row[1],
+            quat=row[2] if len(row) > 2 else (1, 0, 0, 0),
+            material=material.name,
+        )
+        for k, row in enumerate(shapes)
+    )
+    part = PartSpec(name="body", geoms=geoms)
+    return recentred(ObjectSpec(name=name, materials=(material,), parts=(part,)))
 
 
 def table(size=(0.6, 0.8, 0.04)):
@@ -186,4 +210,18 @@ def random_layout(scene, pop, seed=0, spread=0.3):
         np.asarray(rng.normal(0, 0.01, (pop, n, 2)) * free[:, None], np.float32),
         np.asarray(rng.normal(0, 0.3, (pop, n)) * free, np.float32),
         np.asarray(rng.uniform(-spread, spread, (pop, n)) * free, np.float32),
+    )
+
+
+def noisy_layouts(scene, pop, *, seed=0, xy=0.14, yaw=np.pi / 12, log_scale=0.1):
+    """Layouts with Gaussian noise; xy is a share of the object's horizontal diagonal."""
+    free = np.asarray(scene.optimised, float)
+    normal = np.stack(
+        [np.random.default_rng((seed, k)).normal(size=(4, len(free))) for k in range(pop)]
+    )
+    offset = normal[:, :2].transpose(0, 2, 1) * (xy * np.asarray(scene.diagonal))[:, None]
+    return Layout(
+        np.asarray(offset * free[:, None], np.float32),
+        np.asarray(normal[:, 2] * yaw * free, np.float32),
+        np.asarray(normal[:, 3] * log_scale * free, np.float32),
     )

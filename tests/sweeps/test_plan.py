@@ -5,7 +5,7 @@ import yaml
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import ConfigError, SpecError
-from neoworld_mjx.sweeps.cases import case
+from neoworld_mjx.sweeps.cases import Case, case
 from neoworld_mjx.sweeps.plan import Ablation, Plan, points, read
 from tests.support.scenes import stored_scene
 
@@ -48,13 +48,13 @@ def test_terms_of_ones_own_are_values_as_a_whole():
     [
         ({"refine.cem.sigma_x": [1]}, "did you mean 'sigma_xy'"),
         ({"refine.cm.sigma_xy": [1]}, "did you mean 'cem'"),
-        ({"refine.cem.sigma_xy.deep": [1]}, "nothing lies under refine.cem.sigma_xy"),
+        ({"refine.cem.sigma_xy.deep": [1]}, "refine.cem.sigma_xy is not a group"),
         ({"refine.cem": [{}]}, "refine.cem is a group of options: name one of refine.cem.pop"),
         ({"render.width": [100]}, "paths begin with refine."),
         ({"refine.cem.sigma_xy": []}, "refine.cem.sigma_xy has no values"),
         ({"refine.cem.sigma_xy": ["wide"]}, "refine.cem.sigma_xy: Input should be a valid number"),
         ({"refine.cem.sigma_xy": [0.1, -1]}, "greater than or equal to 0, got -1"),
-        ({"refine.cem.sigma_xy": [1, 1.0]}, "comes twice"),
+        ({"refine.cem.sigma_xy": [1, 1.0]}, "appears twice"),
         ({"refine.cem.credit": ["nobody"]}, "refine.cem.credit: Input should be"),
     ],
 )
@@ -72,8 +72,8 @@ def test_variants_are_changes_of_the_base():
     for variants, message in (
         ({}, "name at least one"),
         ({"nothing": {}}, "changes nothing"),
-        ({"same": {"refine.reward.w_drift": 1}}, "what the base has already"),
-        ({"base": {"refine.reward.w_drift": 0}}, "name of the options without changes"),
+        ({"same": {"refine.reward.w_drift": 1}}, "equals the base"),
+        ({"base": {"refine.reward.w_drift": 0}}, "reserved for the options without changes"),
         ({"typo": {"refine.reward.w_drft": 0}}, "did you mean 'w_drift'"),
     ):
         with pytest.raises(ConfigError, match=message):

@@ -18,8 +18,8 @@ from neoworld_mjx.refinement.returning import choose_and_return
 from neoworld_mjx.refinement.scene_refinement import compile_for_search, refine
 from neoworld_mjx.refinement.search_run import SearchRun
 from neoworld_mjx.sweeps import winners as module
-from neoworld_mjx.sweeps.histories import summaries
-from neoworld_mjx.sweeps.run import in_few_batches
+from neoworld_mjx.sweeps.group_runs import in_few_batches
+from neoworld_mjx.sweeps.run_rows import summaries
 from neoworld_mjx.sweeps.winners import in_processes, processes_pay, winners
 from tests.support.scenes import noisy_layouts, stored_scene
 
@@ -213,7 +213,9 @@ def test_a_process_that_fails_leaves_the_checks_to_threads(model, monkeypatch):
     monkeypatch.setattr(sys, "executable", "/bin/false")
     (winner,) = winners(model.spec, options(), model, results)
     assert winner.chosen.tried > 0
-    assert lines == ["a process of final checks failed (exit status 1); they are made in this one"]
+    assert lines == [
+        "a process of final checks failed (exit status 1); checking in threads instead"
+    ]
 
 
 def test_processes_pay_for_many_runs_on_many_cores():

@@ -7,8 +7,8 @@ import yaml
 import neoworld_mjx
 from neoworld_mjx.errors import ConfigError, NeoWorldError, RunError
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.sweeps import Case, ablate, run, sweep
-from neoworld_mjx.sweeps.run_rows import COLUMNS, read_parquet
+from neoworld_mjx.sweeps import Case, ablate, group_runs, run, sweep
+from neoworld_mjx.sweeps.run_rows import COLUMNS, read_runs
 from tests.support.notebooks import run_small
 from tests.support.scenes import stored_scene
 
@@ -67,7 +67,7 @@ def test_the_public_name_is_a_function():
 
 def test_a_row_is_a_run(swept):
     out, result = swept
-    rows = read_parquet(out / "results.parquet")
+    rows = read_runs(out / "results.parquet")
     assert [(row[DRIFT], row[SIGMA], row["seed"]) for row in rows] == [
         (w, s, k) for w in (1.0, 2.0) for s in (5.0, 10.0) for k in (0, 1)
     ]
@@ -120,7 +120,7 @@ def test_the_notebook_runs_in_small_form():
 def test_a_sweep_is_not_lost(swept, tmp_path):
     out, _ = swept
     before = (out / "results.parquet").read_bytes()
-    with pytest.raises(RunError, match="holds a sweep: go on with --resume, begin anew"):
+    with pytest.raises(RunError, match="holds a sweep: continue with --resume, start over"):
         sweep(plan(drift=[1]), out, cases=[SCENE])
     with pytest.raises(RunError, match=r"has 4 rows that this plan does not contain.*--overwrite"):
         sweep(plan(drift=[1], sigma=[5, 10]), out, cases=[SCENE], resume=True)
@@ -148,14 +148,16 @@ def test_what_is_done_stays_and_is_not_done_again(tmp_path, monkeypatch):
     requests = plan(seeds=[0], static=[0.2, 0.3])
     with pytest.raises(KeyboardInterrupt):
         sweep(requests, tmp_path, cases=[SCENE], engine=Failing())
-    (row,) = read_parquet(tmp_path / "results.parquet")
+    (row,) = read_runs(tmp_path / "results.parquet")
     assert row["refine.rollout.duration_s"] == 0.2
     about = json.loads((tmp_path / "sweep.json").read_text())
     assert (about["finished"], len(about["groups"])) == (False, 1)
     completed = []
-    remaining = run.search
+    remaining = group_runs.search
     monkeypatch.setattr(
-        run, "search", lambda m, r, e, **o: completed.append(len(r)) or remaining(m, r, e, **o)
+        group_runs,
+        "search",
+        lambda m, r, e, **o: completed.append(len(r)) or remaining(m, r, e, **o),
     )
     result = sweep(requests, tmp_path, cases=[SCENE], engine=NativeEngine(), resume=True)
     assert completed == [1]
@@ -176,7 +178,7 @@ def test_an_ablation_tells_differences(tmp_path):
     variants = {"not pruned": {"refine.cem.prune": False}, "elsewhere": {SIGMA: 60}}
     requests = {"base": BASE, "seeds": [0, 1], "variants": variants}
     result = ablate(requests, tmp_path / "a", cases=[SCENE])
-    rows = read_parquet(tmp_path / "a" / "results.parquet")
+    rows = read_runs(tmp_path / "a" / "results.parquet")
     assert [row["variant"] for row in rows[::2]] == ["base", "not pruned", "elsewhere"]
     same, other = result.differences
     assert (same["point"], same["n"]) == ("not pruned", 2)
@@ -196,7 +198,7 @@ def test_an_ablation_tells_differences(tmp_path):
 def test_scenes_must_be_there_and_different():
     with pytest.raises(ConfigError, match="scenes: name at least one"):
         sweep(plan(drift=[1]))
-    with pytest.raises(ConfigError, match="two comes twice"):
+    with pytest.raises(ConfigError, match="two appears twice"):
         sweep(plan(drift=[1]), cases=[SCENE, SCENE])
 
 

@@ -54,36 +54,36 @@ class SupportDeclaration(Spec):
     label: str
     size: Vec3
     at: Vec3
-    """Middle of its bottom in the world [m]."""
+    """Center of its bottom in the world [m]."""
     yaw_deg: Number = 0.0
     outline: SupportOutline = SupportOutline()
     surface: SupportSurface = SupportSurface(material="oak", pattern=SurfacePattern(kind="grain"))
 
 
 class ObjectDeclaration(Spec):
-    """An object: the program it is an instance of, and where it is."""
+    """An object: its program and its pose."""
 
     name: Name
     program: Name
-    """Of `programs/`, or a template."""
+    """Name in `programs/`, or of a template."""
     set: dict[Name, Value] = {}
-    """Parameters of the program that are not its defaults."""
+    """Parameters of the program that differ from its defaults."""
     parent: Name
-    """What carries it."""
+    """Its parent."""
     link: Name | None = None
-    """The carrier's part that carries it, such as an open drawer."""
+    """Supporting part of the parent, such as an open drawer."""
     relation: Relation = "on"
     at: Vec3
-    """Origin in the carrier's frame [m]."""
+    """Origin in the parent's frame [m]."""
     yaw_deg: Number = 0.0
     tilt: Quat = IDENTITY
     """Rotation before yaw."""
     joints: dict[JointKey, Number] = {}
     """Joint values [rad or m]; the others are at 0."""
     fixed: bool = False
-    """Whether it is fastened to its carrier."""
+    """True if it is fixed to its parent."""
     environment: bool = False
-    """Whether it is furniture of the room, which nothing moves."""
+    """True if it is static furniture of the room."""
     scale: Annotated[float, Field(gt=0.05, lt=20)] = 1.0
     """Isotropic factor on the program's size, for toys."""
 
@@ -94,7 +94,7 @@ class SceneDeclaration(Spec):
     name: Name
     room: Room
     caption: str
-    """What is in it, in a sentence."""
+    """Contents, in one sentence."""
     camera: CameraDeclaration
     supports: tuple[SupportDeclaration, ...] = Field(min_length=1)
     objects: tuple[ObjectDeclaration, ...] = Field(min_length=1)
@@ -112,7 +112,7 @@ class SceneDeclaration(Spec):
 
     @property
     def tabletop(self) -> bool:
-        """Whether it is one of the tabletop subset."""
+        """True if it is one of the tabletop subset."""
         return self.room == "tabletop"
 
     def movable(self) -> tuple[ObjectDeclaration, ...]:
@@ -145,7 +145,7 @@ def declaration(name: str) -> SceneDeclaration:
     """Return a scene of the benchmark.
 
     Raises:
-        SpecError: there is none of the name.
+        SpecError: there is no such name.
     """
     every = declarations()
     if name not in every:
@@ -162,7 +162,7 @@ def template_of(item: ObjectDeclaration) -> Template:
     """Return the template that an object is an instance of.
 
     Raises:
-        SpecError: there is none of the name.
+        SpecError: there is no such name.
     """
     small = _small_programs()
     if item.program in small:
@@ -177,6 +177,6 @@ def program_of(item: ObjectDeclaration) -> str:
     """Return the text of an object's program.
 
     Raises:
-        SpecError: there is no such program or parameter, or a value is out of its range.
+        SpecError: there is no such program or parameter, or a value is out of range.
     """
     return template_of(item).program(item.set)

@@ -1,5 +1,4 @@
-"""Write the data set: objects of all categories, and the scenes as a camera and a simulator see
-them.
+"""Write the data set: objects of all categories, and scenes with images and annotations.
 
     DIR/dataset.json                        counts and the content hash
     DIR/scenes.jpg                          the pictures of all scenes on one sheet
@@ -7,8 +6,8 @@ them.
     DIR/scenes/NAME/scene.json, scene.usda, objects/, tree.json, joints.json,
                     picture.png, masks.png, depth.npz
 
-A folder that is written already, with the same content, is left alone, so a run goes on where it
-was stopped. The hash covers programs, objects, poses, cameras and tasks, with numbers rounded to
+Folders with the same content are not written again, so a run continues where it stopped. The hash
+covers programs, objects, poses, cameras and tasks, with numbers rounded to
 six digits; pictures and what is read off them follow from these.
 """
 
@@ -31,18 +30,18 @@ from neoworld_mjx.io.files import content_hash, write_atomic
 from neoworld_mjx.spec import ObjectSpec, SceneSpec
 from neoworld_mjx.templates import template, templates
 
-from ..fidelity.rendered_answers import exact_answer
+from ..fidelity.rendered_responses import exact_response
 from ..rows import log
 from .declaration import declaration, declarations
 from .truth_scene import built, photographed, truth_scene
 
 SUMMARY, DONE, SHEET = "dataset.json", "content.json", "scenes.jpg"
 THUMBNAIL, COLUMNS = (320, 240, 14), 5
-"""Width and height of a picture on the sheet and of its caption [px], and pictures in a row."""
+"""Width, height and caption height of a thumbnail [px]; thumbnails in a row."""
 DIGITS = 6
-"""Significant digits of numbers in hashes: another machine's last bits do not count."""
+"""Significant digits of numbers in hashes, so that machines agree."""
 TASKS = "neoworld_bench.tasks"
-"""Module whose `task_names()` lists the tasks; without it there are none."""
+"""Module whose `task_names()` lists the tasks."""
 
 
 def make_dataset(out: Path, *, seed: int | None = None, workers: int = 1) -> dict[str, Any]:
@@ -148,7 +147,7 @@ def _scene_files(name: str) -> dict[str, str | bytes]:
     from neoworld_mjx.render import render_scene, to_png
 
     scene = photographed(declaration(name))
-    tree = exact_answer(scene)
+    tree = exact_response(scene)
     image = render_scene(scene)
     depth = io.BytesIO()
     np.savez_compressed(depth, depth_m=image.depth.astype(np.float32))
@@ -184,7 +183,7 @@ def rounded(value: Any) -> Any:
     """Return a JSON value with its numbers rounded to DIGITS significant digits."""
     if isinstance(value, float):
         short = float(f"{value:.{DIGITS - 1}e}")
-        # What is nothing but rounding error of a computation is nothing.
+        # Rounding errors count as 0.
         return 0.0 if abs(short) < 1e-9 else short
     if isinstance(value, dict):
         return {key: rounded(inner) for key, inner in value.items()}

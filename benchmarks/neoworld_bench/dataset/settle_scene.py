@@ -1,7 +1,7 @@
-"""Let a declared scene come to rest, and write the poses at which it does into its file.
+"""Settle a declared scene, and write its resting poses into its file.
 
-`python -m neoworld_bench.dataset.settle_scene FILE.yaml ...` is how a scene that was placed by
-hand becomes truth: once, by who adds it, so that the data set never depends on a simulation.
+Run `python -m neoworld_bench.dataset.settle_scene FILE.yaml ...` once when a scene is added, so
+that the data set never depends on a simulation.
 """
 
 import math
@@ -21,11 +21,11 @@ from .declaration import ObjectDeclaration, SceneDeclaration, read_declaration
 from .truth_scene import truth_scene
 
 GROUND_TRUTH_PHASES = ((True, 3.0), (False, 2.0), (True, 1.0))
-"""Sink into place, move freely, and come to rest; see `at_rest`."""
+"""Phases of `at_rest`: sink into place, move freely, settle."""
 
 
 def settled(declared: SceneDeclaration) -> tuple[SceneDeclaration, SceneSpec]:
-    """Return a declaration with the poses at which everything rests, and its scene."""
+    """Return a declaration with resting poses, and its scene."""
     scene = at_rest(truth_scene(declared), GROUND_TRUTH_PHASES)
     objects = [_posed(item, scene.object(item.name)) for item in declared.objects]
     resting = declared.model_copy(update={"objects": tuple(objects)})
@@ -44,7 +44,7 @@ def _posed(item: ObjectDeclaration, at: SceneObject) -> ObjectDeclaration:
 
 
 def rewritten(text: str, declared: SceneDeclaration) -> str:
-    """Return a file's text with the poses of a declaration; nothing else of it changes.
+    """Return a file's text with the poses of a declaration; the rest is unchanged.
 
     Every object is a flow mapping on a line of its own, `- {name: ..., at: [...], ...}`.
     """

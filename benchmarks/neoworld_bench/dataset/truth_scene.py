@@ -1,4 +1,4 @@
-"""Build a declared scene: programs to objects, poses to a composed scene that is the truth."""
+"""Ground-truth scenes, built from declarations."""
 
 import functools
 import math

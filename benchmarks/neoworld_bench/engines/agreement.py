@@ -1,4 +1,4 @@
-"""Whether every engine says the same about the same layouts; no clock runs here.
+"""Agreement of engines with MuJoCo on the same layouts.
 
 (a) a candidate's model equals a recompiled scaled one, (b) `native` equals `mj_step` on it bit by
 bit, (c) motion equals that of the recompiled model as long as chaos allows, (d) verdicts are equal.
@@ -28,9 +28,9 @@ from .verdicts import compare, motion, naive_loop, started
 FIRST_STEP, FIRST_STEP_SHARE = 1e-6, 0.95
 """Largest difference after one step [m] or [rad], and the share of layouts that must keep it."""
 NUDGE = 1e-13
-"""Far below what any contact can tell [m]."""
+"""Perturbation far below the resolution of any contact [m]."""
 BIT_STEPS, FALL_STEPS, FALL = 100, 100, 2.0
-"""Steps compared bit by bit, steps of the contact-free fall, and the room under each object [m]."""
+"""Steps compared bit by bit, steps of the contact-free fall, and clearance under objects [m]."""
 
 
 class ModelRow(Row):
@@ -42,19 +42,19 @@ class ModelRow(Row):
     field_error: float
     """Largest relative difference of fields in double precision."""
     field_error_single: float
-    """The same, of what MuJoCo keeps in single precision."""
+    """The same for fields that MuJoCo stores in single precision."""
     loose_fields: list[str]
-    """Fields beyond 1e-9, or 1e-6 where single precision is all there is."""
+    """Fields beyond 1e-9, or beyond 1e-6 in single precision."""
     bit_equal_share: float
     """Share of layouts whose native trajectory is that of mj_step to the last bit."""
     first_step_share: float
     """Share of layouts within 1e-6 m of the recompiled model after one step."""
     first_step_control: float
-    """The same of the recompiled model and itself, started 1e-13 m away: what chaos alone does."""
+    """The same for the recompiled model and itself started 1e-13 m away: the effect of chaos."""
     fall_error_m: float
     """Largest difference from the recompiled model throughout a fall without contact."""
     passed: bool
-    """Whether fields, bits and fall agree; `first_step_share` is checked over all scenes."""
+    """True if fields, bits and fall agree; `first_step_share` is checked over all scenes."""
 
 
 class VerdictRow(Row):
@@ -72,7 +72,7 @@ class VerdictRow(Row):
     agreement_near_bound: float | None
     wanted: float
     passed: bool | None
-    """None where the engine cannot run."""
+    """None if the engine cannot run."""
     note: str = ""
 
 
@@ -86,7 +86,7 @@ def agreement(
     """Compare engines with MuJoCo on recompiled scenes, one row as soon as it is known.
 
     Args:
-        scenes: names in `AGREEMENT`; none takes all six.
+        scenes: names in `AGREEMENT`; none selects all six.
         engines: of which verdicts are compared.
         layouts: candidates of each scene.
         seed: of the layouts.
@@ -109,7 +109,7 @@ def agreement(
 
 
 def agreed(rows: Sequence[ModelRow | VerdictRow]) -> dict[str, Any]:
-    """Sum rows up: shares over all layouts, and whether everything that could run agrees.
+    """Summarize rows: shares over all layouts, and whether all engines that ran agree.
 
     Returns:
         "passed", "first_step_share" with its control, and under "agreement" the share of equal
@@ -215,7 +215,7 @@ def _differences(
     again: mujoco.MjModel,
     fresh: mujoco.MjData,
 ) -> _Differences:
-    """Hold a candidate's model against the recompiled one, and its native end against mj_step."""
+    """Compare a candidate's model with the recompiled one, and its native end with mj_step."""
     data = mujoco.MjData(model)
     data.qpos[:] = start
     mujoco.mj_step(model, data)
@@ -236,12 +236,12 @@ def _differences(
 
 
 def _fall(model: mujoco.MjModel, again: mujoco.MjModel, start: np.ndarray) -> float:
-    """Let both models fall with room under every object; return their largest difference.
+    """Return the largest difference between both models in a fall without contact.
 
-    Objects that are raised each to a height of its own fall side by side and meet nothing.
+    Every object is raised to a height of its own, so that none touches another.
 
     Raises:
-        EngineError: something touched; then this is no fall without contact.
+        EngineError: objects touched.
     """
     high = start.copy()
     for k, address in enumerate(model.jnt_qposadr[model.jnt_type == FREE]):

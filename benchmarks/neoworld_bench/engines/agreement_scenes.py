@@ -45,12 +45,12 @@ def stack() -> SceneSpec:
 
 
 def cluttered() -> SceneSpec:
-    """Six things close to each other on a table."""
+    """Six objects close to each other on a table."""
     return crowded(6, seed=3).model_copy(update={"name": "cluttered"})
 
 
 def cabinet() -> SceneSpec:
-    """A free cabinet with its drawer open, a block in the drawer and two things on its top."""
+    """A free cabinet with its drawer open, a block in the drawer and two objects on its top."""
     carcass = GeomSpec(
         name="carcass",
         shape=HollowBox(size=(0.3, 0.3, 0.24), wall=0.02, open=("+x",)),

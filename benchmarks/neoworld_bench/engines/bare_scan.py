@@ -1,4 +1,4 @@
-"""The least that any JAX engine can do: `jax.vmap` over `mjx_step` in a scan, and nothing else."""
+"""Lower bound for JAX engines: `jax.vmap` over `mjx.step` in a scan."""
 
 from collections.abc import Callable
 from typing import Any

@@ -1,4 +1,4 @@
-"""Growth of cost with the number of objects: exponents, and a chart of them as a file."""
+"""Growth of cost with the number of objects: power laws and a chart."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Whether two compiled models say the same, field by field."""
+"""Comparison of two compiled models, field by field."""
 
 import mujoco
 import numpy as np

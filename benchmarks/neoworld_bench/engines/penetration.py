@@ -75,7 +75,7 @@ class AccuracyRow(Row):
 
 
 def accuracy(pairs: Pairs) -> list[AccuracyRow]:
-    """Sum up pairs by kinds; the first row, of "all", is over all of them."""
+    """Summarize pairs by kinds; the first row, of "all", is over all of them."""
     low, high = pairs.kinds.min(axis=1), pairs.kinds.max(axis=1)
     rows = [_row("all", "all", pairs, np.ones(len(low), bool))]
     for a, b in itertools.combinations_with_replacement(range(len(KINDS)), 2):

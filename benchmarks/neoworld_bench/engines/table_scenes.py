@@ -1,7 +1,7 @@
-"""Scenes that benchmarks run on, and the noisy layouts that a parse would leave them in.
+"""Generated tables with any number of objects, and noisy layouts of them.
 
-`crowded` grows with the number of objects. Its gaps and the noise are set so that a good part of
-the layouts fails: where nothing falls, stopping early and telling verdicts costs nothing.
+Gaps and noise are chosen such that a large share of the layouts fails, as early stopping and
+verdicts are trivial otherwise.
 """
 
 import math
@@ -92,7 +92,7 @@ def noisy_layouts(
 
 
 def crowded(objects: int, *, seed: int = 0, gap: float | None = None) -> SceneSpec:
-    """Crowd boxes, cylinders, prisms, balls, rods and open containers onto a table.
+    """Return a table with boxes, cylinders, prisms, balls, rods and open containers.
 
     Args:
         objects: how many, without the table.
@@ -131,7 +131,7 @@ def _log_table(rows: tuple[tuple[int, float], ...]) -> tuple[list[float], list[f
 
 
 def _rows(radii: list[float], gap: float) -> tuple[list[tuple[float, float]], tuple[float, float]]:
-    """Set discs down in rows with a gap between them; return centres and the table's edges [m]."""
+    """Place discs in rows with a gap between them; return centers and the table's edges [m]."""
     width = math.ceil(math.sqrt(len(radii)))
     spots: list[tuple[float, float]] = []
     y = 0.0
@@ -151,7 +151,7 @@ def _rows(radii: list[float], gap: float) -> tuple[list[tuple[float, float]], tu
 
 
 def _thing(kind: str, name: str, rng: np.random.Generator) -> tuple[ObjectSpec, float]:
-    """Make an object; return it with the radius of the disc it covers [m]."""
+    """Return an object and the radius of the disc that it covers [m]."""
     a, b, c = (float(v) for v in rng.uniform(0.9, 1.15, 3))
     if kind in _EDGES:
         x, y, z = _EDGES[kind]
@@ -176,7 +176,7 @@ def _thing(kind: str, name: str, rng: np.random.Generator) -> tuple[ObjectSpec, 
 def single(
     name: str, *shapes: tuple[Any, ...], material: Material = WOOD, mass: float | None = None
 ) -> ObjectSpec:
-    """One rigid object of shapes, each (shape, pos) or (shape, pos, quat)."""
+    """Return a rigid object of shapes, each (shape, pos) or (shape, pos, quat)."""
     geoms = tuple(
         GeomSpec(
             name=f"g{k}",
@@ -192,7 +192,7 @@ def single(
 
 
 def table(x: float = 0.8, y: float = 0.8) -> SceneObject:
-    """A table whose top is the plane z = 0, with edges of these lengths [m]."""
+    """Return a table with its top in the plane z = 0 and edges of these lengths [m]."""
     spec = single("table", (Box(size=(x, y, TOP)), (0, 0, 0)))
     return SceneObject(name="table", spec=spec, environment=True, z=-TOP)
 
@@ -200,7 +200,7 @@ def table(x: float = 0.8, y: float = 0.8) -> SceneObject:
 def standing(
     spec: ObjectSpec, parent: str, xy: tuple[float, float], z: float, yaw: float = 0.0, **more: Any
 ) -> SceneObject:
-    """An object in its place on a parent; see SceneObject."""
+    """Return an object placed on a parent; see `SceneObject`."""
     return SceneObject(name=spec.name, spec=spec, parent=parent, xy=xy, z=z, yaw=yaw, **more)
 
 
@@ -210,7 +210,7 @@ def _height(item: SceneObject) -> float:
 
 
 def block(name: str, x: float, y: float, z: float, **more: Any) -> ObjectSpec:
-    """A wooden box with edges of these lengths [m]; more goes to `single`."""
+    """Return a wooden box with edges of these lengths [m]."""
     return single(name, (Box(size=(x, y, z)), (0, 0, 0)), **more)
 
 

@@ -1,8 +1,7 @@
-"""Candidates per second of each engine, beside the naive loop and a bare scan of MJX.
+"""Candidates per second of each engine, compared with the naive loop and a bare MJX scan.
 
-Every row runs in a process of its own, so that its peak memory is its own and a row that exceeds
-its budget can be ended and reported as skipped. The row's verdicts are compared with those of the
-naive loop; a row that disagrees gets no rates.
+Every row runs in its own process, so that its peak memory is measured and it can be stopped when it
+exceeds its budget. A row whose verdicts disagree with the naive loop has no rates.
 """
 
 import json
@@ -32,11 +31,11 @@ from .verdicts import Loop, compare, motion, naive_loop
 
 POPULATIONS = (64, 256, 1024, 4096, 16384)
 NAIVE_CANDIDATES = 128
-"""Candidates that the naive loop is timed on, and that verdicts are held against."""
+"""Candidates that the naive loop is timed on, and that verdicts are compared with."""
 REPEATS = 5
-"""Rollouts that a steady rate is the median of; fewer, but one at least, when time is short."""
+"""Maximum number of rollouts that a steady rate is the median of."""
 SANE_AGREEMENT, SANE_FAILED = 0.9, 0.01
-"""A row whose verdicts agree less, or whose share of failed candidates is larger, has no rate."""
+"""Bounds of verdict agreement and share of failed candidates beyond which a row has no rate."""
 _START_S = 30.0
 """Time granted to a row's process to start and to compile the scene [s]."""
 
@@ -56,7 +55,7 @@ class Task(BaseModel):
 
 
 class PhysicsRow(Row):
-    """A row of the table; None where a column does not apply or was not reached."""
+    """A row of the table; None if a column does not apply or was not reached."""
 
     engine: str
     objects: int
@@ -69,8 +68,8 @@ class PhysicsRow(Row):
     bare_scan_candidates_per_s: float | None = None
     """Rate of `jax.vmap` over `mjx.step` alone, with the same batched fields; engine mjx only."""
     core_ms: float | None = None
-    """Processor time of a candidate [ms], all threads together; engine native only. Unlike rates it
-    does not suffer from other processes."""
+    """Processor time of a candidate [ms], all threads together; engine native only. Other
+    processes do not affect it."""
     naive_core_ms: float | None = None
     compile_s: float | None = None
     """First rollout less a steady one: tracing, compiling, filling caches."""
@@ -87,7 +86,7 @@ class PhysicsRow(Row):
     """Largest resident memory of the row's process, imports included."""
     device_peak_mib: float | None = None
     others_cores: float | None = None
-    """Cores that other processes kept busy while this row was timed; rates suffer from them."""
+    """Mean number of cores that other processes kept busy while this row was timed."""
     verdict_agreement: float | None = None
     """Agreement with the naive loop over `compared` layouts, including those near a bound."""
     verdict_agreement_clear: float | None = None

@@ -1,4 +1,4 @@
-"""Stable or not: verdicts of rollouts, and those of the obvious loop that they are held against."""
+"""Stability verdicts of rollouts and of the naive loop."""
 
 import time
 from typing import NamedTuple
@@ -19,8 +19,8 @@ _BOUNDS = RewardOptions()
 DISTANCE, ANGLE = _BOUNDS.drift_scale_m, float(np.radians(_BOUNDS.tilt_scale_deg))
 """Bounds of stability [m], [rad]."""
 NEAR = (0.5, 2.0)
-"""Layouts whose motion lies between these multiples of a bound are counted apart: the same program
-on the same numbers, nudged by 1e-13, decides them either way."""
+"""Multiples of a bound between which a layout is borderline and counted separately: a perturbation
+of 1e-13 can change its verdict."""
 
 
 def motion(scene: SceneModel, rollout: Rollout) -> Float[np.ndarray, " pop"]:
@@ -65,10 +65,9 @@ def naive_loop(
     record_every: float = 0.1,
     budget: float = float("inf"),
 ) -> Loop:
-    """Compile each candidate's own model, step it to the end, and go on to the next; one thread.
+    """Compile and step the model of each candidate in turn, on one thread.
 
-    The clock runs while MuJoCo compiles and steps. That the scaled description is ready in memory,
-    and that the verdict costs nothing, is granted to the loop.
+    Only the time in which MuJoCo compiles and steps counts.
 
     Args:
         scene: the compiled scene.
@@ -101,7 +100,7 @@ def naive_loop(
 def started(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """Compile a description and put it into its start state."""
     model = spec.compile()
-    # As in compile_scene: what diverges must not be put back to its start.
+    # As in compile_scene: a diverged state must not be reset.
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     data = mujoco.MjData(model)
     if model.nkey:
@@ -138,7 +137,7 @@ class Compared(NamedTuple):
     """Comparison of two verdicts on the same layouts."""
 
     stable: Bool[np.ndarray, " pop"]
-    """Whether each layout is stable by the reference."""
+    """True if each layout is stable by the reference."""
     near: Bool[np.ndarray, " pop"]
     """Within `NEAR` of a bound by the reference."""
     same: Bool[np.ndarray, " pop"]
@@ -152,8 +151,7 @@ class Compared(NamedTuple):
 def compare(reference: Float[np.ndarray, " pop"], ours: Float[np.ndarray, " pop"]) -> Compared:
     """Compare verdicts by motion in units of the bounds.
 
-    A layout is near a bound by the reference's motion alone, so that an engine cannot excuse its
-    own errors.
+    Only the reference's motion decides which layouts are borderline.
     """
     near = (reference > NEAR[0]) & (reference < NEAR[1])
     stable = reference < 1.0

@@ -1,7 +1,7 @@
-"""Forty scenes as a camera shows them: hidden, cut by the border, tilted, nested, leaning things.
+"""Forty rendered scenes with occluded, cropped, tilted, nested and leaning objects.
 
-Boxes are of what is visible, taken from ray-cast pictures, so with no noise the scene itself agrees
-with its photograph. Low cameras hide most; near ones cut things off; every third one is rolled.
+Boxes are of the visible pixels of ray-cast images, so the ground truth agrees with its image. Low
+cameras occlude, near ones crop, and every third one is rolled.
 """
 
 import math
@@ -30,11 +30,11 @@ from ..engines.table_scenes import CERAMIC, FLAT, STEEL, TOP, block, single, sta
 TUNED_ON, HELD_OUT = range(20), range(20, 40)
 """Numbers of the scenes that scores and fits are tuned on, and of those kept for measuring."""
 SPREAD = 0.24
-"""Half the edge of the square that things stand on [m]."""
+"""Half the edge of the square that objects stand on [m]."""
 LEAST_PX = 6.0
-"""Sides of a visible box that a parse would still list."""
+"""Minimum side of a visible box that a parse lists [px]."""
 BEHIND = 0.03
-"""Share of an object that another must hide to be named as an occluder."""
+"""Share of an object that an occluder hides at least."""
 KINDS = ("box", "tall", "can", "lying", "ball", "mug", "bin", "plate", "leaning")
 
 
@@ -50,7 +50,7 @@ def photo_scene(number: int, *, width: int = 640) -> SceneSpec:
     away = float(rng.uniform(0.75, 1.2))
     base = table(1.0, 1.0).model_copy(update={"xy": (away, 0.0)})
     scene = SceneSpec(name=f"photo_{number}", objects=(base, *_things(rng)))
-    # The smallest opening shows all things; narrower ones cut some off.
+    # The smallest opening shows all objects; narrower ones cut some off.
     fovy = 2 * math.atan(0.3 / math.hypot(away, away * math.tan(pitch))) * rng.uniform(0.75, 1.4)
     camera = Camera(
         width=width,
@@ -66,7 +66,7 @@ def photo_scene(number: int, *, width: int = 640) -> SceneSpec:
 
 
 def _without_unseen(scene: SceneSpec) -> SceneSpec:
-    """Leave out what the photograph hardly shows, as a parse would, and what that carries."""
+    """Remove objects that the image hardly shows, and what they support."""
     kept: dict[str, SceneObject] = {}
     camera = scene.camera
     assert camera is not None
@@ -106,7 +106,7 @@ def _standing(row: dict[str, Any], xy: tuple[float, float], yaw: float) -> Scene
 
 
 def _thing(kind: str, name: str, rng: np.random.Generator) -> tuple[list[dict[str, Any]], float]:
-    """Return rows of what stands in one place, and the radius of the disc that it covers [m]."""
+    """Return the objects of one place, and the radius of the disc that they cover [m]."""
     a, b, c = (float(v) for v in rng.uniform(0.8, 1.3, 3))
     if kind in ("box", "tall"):
         x, y, z = (0.08 * a, 0.06 * b, (0.05 if kind == "box" else 0.16) * c)
@@ -161,9 +161,9 @@ def _thing(kind: str, name: str, rng: np.random.Generator) -> tuple[list[dict[st
 
 
 def see(scene: SceneSpec, *, finer: int = 1) -> SceneSpec:
-    """Return a scene with what its camera sees: boxes of what is visible, depths, hidden flags.
+    """Return a scene with visible boxes, depths and occlusion flags of its camera.
 
-    An object of which nothing is visible gets a box without area and counts as hidden.
+    An invisible object gets a box without area and counts as occluded.
 
     Args:
         scene: with a camera.
@@ -178,12 +178,12 @@ def see(scene: SceneSpec, *, finer: int = 1) -> SceneSpec:
         pixels, _ = camera.project(poses[item.name].apply(np.vstack(points)))
         full = np.array([*pixels.min(axis=0), *pixels.max(axis=0)])
         rows, columns = np.nonzero(owners == names.index(item.name))
-        # A spot where nothing is visible, so that it is left out.
+        # Invisible objects get a spot, and are removed later.
         box = np.array([0.0, 0.0, 1e-3, 1e-3])
         if len(rows):
             ends = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
             box = np.array(ends, float) / finer
-            # Where the object itself ends, its outline says it exactly.
+            # At the edge of the object itself, its projected outline is exact.
             near = np.abs(box - full) < 1.5
             box = np.where(near, full, box)
         hidden = bool(np.abs(box - full).max() > 2.0) or not len(rows)
@@ -196,7 +196,7 @@ def see(scene: SceneSpec, *, finer: int = 1) -> SceneSpec:
 
 
 def occluders(scene: SceneSpec) -> dict[str, tuple[str, ...]]:
-    """Return by object the others that hide a noticeable part of it from the scene's camera."""
+    """Return the occluders of each object that hide a noticeable part of it."""
     camera = scene.camera
     assert camera is not None
     first, names = _owners(scene, camera, 2.0)
@@ -213,9 +213,9 @@ def occluders(scene: SceneSpec) -> dict[str, tuple[str, ...]]:
 
 
 def visible_shares(scene: SceneSpec) -> dict[str, float]:
-    """Return by object the share of it that the scene's camera sees, 0 to 1.
+    """Return the share of each object that the camera sees, 0 to 1.
 
-    What lies outside the picture is not asked of; an object that is whole outside has 0.
+    Parts outside of the image do not count; an object outside of it has 0.
     """
     camera = scene.camera
     assert camera is not None

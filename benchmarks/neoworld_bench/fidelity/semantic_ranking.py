@@ -1,4 +1,4 @@
-"""How often the truth scores higher by S_sem than the same scene with one object displaced."""
+"""Share of displacements of one object that S_sem scores lower than the ground truth."""
 
 from collections.abc import Iterator, Sequence
 
@@ -24,9 +24,9 @@ class SemanticRow(Row):
 
     scene: int
     truth: float
-    """S_sem of the truth."""
+    """S_sem of the ground truth."""
     lower: float
-    """Share of the displacements that score lower than the truth."""
+    """Share of the displacements that score lower than the ground truth."""
     higher: dict[str, int]
     """Displacements that do not, by the object that they move."""
 
@@ -35,7 +35,7 @@ def semantic_rows(scenes: Sequence[int] = (), *, draws: int = 200) -> Iterator[S
     """Compare the truth of scenes, as photographed without noise, with displacements.
 
     Args:
-        scenes: numbers; none takes all forty.
+        scenes: numbers; none selects all forty.
         draws: displacements of each scene, each of one object along the ground.
 
     Raises:
@@ -64,7 +64,8 @@ def _scores(scene: SceneArrays, layouts: Layout) -> Float[Array, " pop"]:
 def _displaced(
     scene: SceneArrays, draws: int, number: int
 ) -> tuple[Layout, Int[np.ndarray, " draw"]]:
-    """Return the truth and displacements [1 + draws], and which object each of them moves."""
+    """Return the ground truth and displacements [1 + draws], and which object each of them
+    moves."""
     rng = np.random.default_rng((number, 47))
     objects = rng.choice(np.flatnonzero(np.asarray(scene.photo.judged)), draws)
     angle, far = rng.uniform(0, 2 * np.pi, draws), rng.uniform(NEAR_M, FAR_M, draws)

@@ -1,8 +1,8 @@
-"""Error of every step from an answer to a refined scene, over forty scenes with exact truth.
+"""Errors of every step from a response to a refined scene, on the forty rendered scenes.
 
-Answers are the truth disturbed as models' are, and programs are the true shapes, so no model is
-needed. The steps are those of a run: the answer, its fit, the scene composed from the fit with the
-built shapes, and the refined scene; beside them the scene composed from the answer as it is.
+Responses are the ground truth with measured errors, and programs have the true shapes, so no model
+is needed. The steps are those of a run: the response, its fit, the scene composed from the fit,
+and the refined scene; in addition the scene composed from the response without a fit.
 """
 
 import math
@@ -25,36 +25,35 @@ from neoworld_mjx.spec import Box3D, SceneSpec
 
 from ..measures.symmetry import symmetry
 from ..rows import Row
-from .rendered_answers import disturbed_answer, exact_answer, upright_boxes
+from .rendered_responses import exact_response, noisy_response, upright_boxes
 from .rendered_scenes import HELD_OUT, TUNED_ON, photo_scene
 
 STEPS = ("answer", "as_answered", "fit", "composed", "refined")
-"""What errors are given of; `as_answered` is composed from the answer without any fit."""
+"""Steps with errors; `as_answered` is composed from the response without a fit."""
 COMPARED = (
     ("answer", "fit", "as_answered"),
     ("fit", "composed", "as_answered"),
     ("composed", "refined", "composed"),
 )
-"""Steps, each after the one that it starts from, and the scene in which unsound objects may move
-far."""
+"""Steps before and after, and the scene whose invalid objects may move far."""
 MEASURES = ("position_mm", "layout_mm", "heading_deg", "size_percent")
 WORSE = {"position_mm": 20.0, "heading_deg": 3.0, "size_percent": 3.0}
-"""Growth of an object's error from which a step has made it worse."""
+"""Growth of an error from which a step counts as having made an object worse."""
 QUICK = (0, 20)
 """Scenes of a quick run, one of each part."""
 
 
 class PoseError(Row):
-    """How far an object is from the truth after a step."""
+    """Errors of an object after a step."""
 
     position_mm: float
-    """Distance of the middle of its foot, in the world of the camera."""
+    """Distance of the center of its foot, in the camera's world frame."""
     layout_mm: float
-    """The same but for what all objects are off by, as they are if the answer's camera is."""
+    """The same without the offset that all objects share."""
     heading_deg: float | None
-    """Up to its symmetry; None for what looks the same from all around."""
+    """Up to its symmetry; None for round objects."""
     size_percent: float
-    """Of the mean edge."""
+    """Error of the mean edge."""
 
 
 class PhotoRow(Row):
@@ -64,10 +63,10 @@ class PhotoRow(Row):
     name: str
     occluded: bool
     unsound: dict[str, bool]
-    """Whether it overlapped another one, or did not hold still, in the scene composed from the
-    answer as it is, and in the composed one that the search starts at: then it may move far."""
+    """True if it overlapped another object or moved in free fall, in the scene composed from the
+    response and in the one that the search starts from; it may then move far."""
     valid: dict[str, bool]
-    """Whether its scene passes the final check, by step."""
+    """True if its scene passes the final check, by step."""
     box_iou: dict[str, float]
     """Overlap of its visible box with the photograph's, by step."""
     errors: dict[str, PoseError]
@@ -83,10 +82,10 @@ def photo_rows(
     refine_options: RefineOptions | None = None,
     engine: str = "native",
 ) -> Iterator[PhotoRow]:
-    """Take answers through all steps, one row an object as soon as its scene is done.
+    """Run all steps on noisy responses; yield a row for each object.
 
     Args:
-        scenes: numbers; none takes all forty.
+        scenes: numbers; none selects all forty.
         search: whether to refine the composed scenes.
         seed: of the searches.
         compose_options: of composition; `refit` says whether it fits again.
@@ -101,9 +100,9 @@ def photo_rows(
     runner = open_engine(engine) if search else None  # pyright: ignore[reportArgumentType]
     for number in scenes or (*TUNED_ON, *HELD_OUT):
         scene = photo_scene(number)
-        truth = exact_answer(scene)
+        truth = exact_response(scene)
         shapes = {item.name: item.spec for item in scene.objects}
-        answer = disturbed_answer(truth, number)
+        answer = noisy_response(truth, number)
         fitted, _ = fit_tree(answer)
         as_answered = compose(answer, shapes, c).scene
         again = fitted
@@ -145,7 +144,7 @@ def photo_rows(
 
 
 def searching_little(options: RefineOptions) -> RefineOptions:
-    """Return options of a search that takes seconds."""
+    """Return options of a small search."""
     cem = {"population": min(48, options.cem.population), "iterations": 3}
     return options.model_copy(update={"cem": options.cem.model_copy(update=cem)})
 
@@ -180,7 +179,7 @@ def _error(box: Box3D, right: Box3D, common: Float[np.ndarray, " 3"], period: fl
 
 
 def _unsound(scene: SceneSpec, check: SceneMeasure, o: RefineOptions) -> set[str]:
-    """Return the objects of a scene that overlap others, or that do not hold still."""
+    """Return the objects of a scene that overlap others or do not stay in place."""
     names = {
         name
         for pair, depth in check.depths_m.items()
@@ -189,7 +188,7 @@ def _unsound(scene: SceneSpec, check: SceneMeasure, o: RefineOptions) -> set[str
     }
     still = lambda n: check.drift_m[n] < o.max_drift_m and check.tilt_deg[n] < o.max_tilt_deg
     names |= {name for name in check.drift_m if not still(name)}
-    # What is carried goes where its carrier goes.
+    # Children move with their parents.
     for item in scene.objects:
         if item.parent in names:
             names.add(item.name)
@@ -197,7 +196,7 @@ def _unsound(scene: SceneSpec, check: SceneMeasure, o: RefineOptions) -> set[str
 
 
 def photo_summary(rows: Sequence[PhotoRow]) -> dict[str, Any]:
-    """Sum rows up for each part: errors by step, and the objects that a step made worse."""
+    """Summarize rows for each part: errors by step, and the objects that a step made worse."""
     parts = {"tuned_on": TUNED_ON, "held_out": HELD_OUT}
     return {
         part: _figures(own)
@@ -241,7 +240,7 @@ def _step_figures(rows: Sequence[PhotoRow], step: str) -> dict[str, Any]:
 
 
 def _growths(row: PhotoRow, before: str, after: str, excused: str) -> Iterator[str]:
-    """Yield a line for each error that a step made worse; none for what was unsound."""
+    """Yield a line for each error that a step made worse, invalid objects excepted."""
     if row.unsound[excused]:
         return
     for name, bound in WORSE.items():

@@ -1,4 +1,4 @@
-"""Answers of a judge: all asked side by side, and kept as they came."""
+"""Responses of a judge: all asked side by side, and kept as they came."""
 
 import asyncio
 import json
@@ -17,11 +17,11 @@ ANSWERS = "answers.json"
 
 
 def answers_to(models: Panel, requests: Sequence[Request[T]]) -> list[Answer[T] | ModelError]:
-    """Ask requests side by side; a refusal or an answer that does not fit is its error.
+    """Ask requests side by side; a refusal or a response that does not fit is its error.
 
     Raises:
         BudgetError: the cost cap is reached.
-        MissingAnswerError: a tape lacks an answer.
+        MissingAnswerError: a tape lacks a response.
     """
 
     async def one(request: Request[T]) -> Answer[T] | ModelError:
@@ -54,10 +54,10 @@ def save_pictures(folder: Path, name: str, pictures: Sequence[Picture]) -> None:
 
 
 class AnswerFile:
-    """Writes answers.json: of each request its name, its key, the model, and the raw answers.
+    """Writes answers.json: of each request its name, its key, the model, and the raw responses.
 
     Args:
-        folder: where the file is written after every answer; None writes none.
+        folder: where the file is written after every response; None writes none.
     """
 
     def __init__(self, folder: Path | None) -> None:

@@ -1,4 +1,4 @@
-"""Film strips of a true joint's motion and of the made joint that is held against it."""
+"""Film strips of the motion of a ground-truth joint and of its reconstructed partner."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -38,25 +38,25 @@ WHOLE_TURN = 0.8
 
 @dataclass(frozen=True)
 class JointedPair:
-    """A made object, the true one, and which of their joints are held against each other."""
+    """A reconstructed object, the ground-truth object, and the pairing of their joints."""
 
     name: str
     made: ObjectSpec | None
-    """None where nothing was made."""
+    """None if it was not reconstructed."""
     true: ObjectSpec
     front: Front
-    """Of the true object."""
+    """Of the ground-truth object."""
     why: str = "there is no made object of this name"
-    """The reason where nothing was made."""
+    """Reason why it was not reconstructed."""
 
     @property
     def truth(self) -> ObjectTruth:
-        """The true joints, as the measures by geometry take them."""
+        """The ground-truth joints, as the measures by geometry take them."""
         return truth_of(self.true).model_copy(update={"front": self.front})
 
     @property
     def partners(self) -> dict[str, str]:
-        """The made joint by the true joint's name."""
+        """The reconstructed joint by the ground-truth joint's name."""
         return {} if self.made is None else joint_partners(self.made, self.truth)
 
     def geometry(self) -> JointMeasure:
@@ -65,11 +65,11 @@ class JointedPair:
         return joint_measure(self.made if self.made is not None else empty, self.truth)
 
     def strips(self, true: str, made: str) -> list[Picture]:
-        """Draw the strips of a true joint ("first") and a made one ("second").
+        """Draw the strips of a ground-truth joint ("first") and a reconstructed one ("second").
 
-        Both are seen from the same side: that of the true joint's part. Where nothing is seen to
-        move in the first, as it is inside, all other joints of both objects are open, and if that
-        does not help, the objects are seen from the other side.
+        Both are seen from the side of the ground-truth joint's part. If its motion is not visible
+        because the part is inside, all other joints of both objects are opened; if that does not
+        help, the objects are seen from the other side.
         """
         assert self.made is not None
         turns = np.pi / 2 * quarter_turns(self.front)
@@ -82,11 +82,11 @@ class JointedPair:
         return [Picture.of("first", _beside(first)), Picture.of("second", _beside(second))]
 
     def true_joint(self, name: str) -> JointSpec:
-        """Return a true joint by name."""
+        """Return a ground-truth joint by name."""
         return _joint(self.true, name)
 
     def made_type(self, name: str) -> str:
-        """Return the type of a made joint."""
+        """Return the type of a reconstructed joint."""
         assert self.made is not None
         return _joint(self.made, name).type
 
@@ -94,20 +94,19 @@ class JointedPair:
 def object_pairs(
     made: Path | None, truth: Path | None, options: ProgramOptions, *, front: Front = "+x"
 ) -> list[JointedPair]:
-    """Read a made and a true object, or two folders of objects with the same names.
+    """Read a reconstructed and a ground-truth object, or two folders of them with the same names.
 
-    A true object without a made one, or whose made one gives no object, is a pair too: all of its
-    joints are missed.
+    A ground-truth object without a valid reconstruction is a pair too: all its joints are missed.
 
     Args:
         made: file of an object, or folder of files or of folders such as a run's `objects`.
-        truth: the same of the true objects.
+        truth: the same of the ground-truth objects.
         options: of programs.
-        front: direction in the true objects' frame in which their fronts face.
+        front: direction in the ground-truth objects' frame in which their fronts face.
 
     Raises:
         ConfigError: a path is not given, or only one of them is a folder.
-        SpecError: a path is missing, or a true object cannot be read.
+        SpecError: a path is missing, or a ground-truth object cannot be read.
     """
     if made is None or truth is None:
         raise ConfigError("joint-videos needs --made and --truth: objects, or folders of objects")
@@ -136,9 +135,9 @@ def object_pairs(
 def joint_frames(
     spec: ObjectSpec, name: str, azimuth: float, *, others_open: bool = False
 ) -> list[NDArray]:
-    """Draw a joint from closed to open.
+    """Render a joint from closed to open.
 
-    Joints that it waits for are open. Of a joint that follows another, the other is moved.
+    Prerequisite joints are open. For a mimic joint, the joint that it follows moves.
 
     Args:
         spec: the object.
@@ -175,7 +174,7 @@ def joint_frames(
 
 
 def motion_is_seen(frames: Sequence[NDArray]) -> bool:
-    """Return whether a frame differs from the first in more than a few pixels."""
+    """Return True if a frame differs from the first in more than a few pixels."""
     changed = [(frame != frames[0]).any(axis=2).mean() for frame in frames[1:]]
     return bool(max(changed) > LEAST_CHANGED)
 

@@ -1,7 +1,7 @@
-"""Hits of joints as the paper decides them: a model compares films of paired joints.
+"""Joint hits as the paper defines them: a model compares film strips of paired joints.
 
-The total is the number of true joints that move. Those without a made joint to be held against
-are missed; of the others the model says whether both films show the same joint.
+The total is the number of moving ground-truth joints. Those without a reconstructed partner are
+missed; for the others the model decides whether both strips show the same joint.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,13 +14,13 @@ from neoworld_mjx.errors import ConfigError, ModelError
 from neoworld_mjx.mllm import Panel, Picture, Request, package_text
 
 from ..measures import pooled
+from ..paper_figures import PAPER_JOINTS
 from ..rows import Row
 from .answer_file import AnswerFile, answers_to, save_pictures
 from .joint_films import JointedPair
-from ..paper_figures import PAPER_JOINTS
 
 MOST_LABEL = 80
-"""Characters of an object's label that are told."""
+"""Maximum length of an object's label in a request."""
 NOTE = "NeoWorld-Pro as the paper reports it: 216 hits of its 245 joints, miss 0.1183"
 
 
@@ -34,27 +34,27 @@ class FilmComparison(BaseModel):
 
 
 class JointHitRow(Row):
-    """One true joint."""
+    """One ground-truth joint."""
 
     object: str
     joint: str
     made_joint: str
-    """That it is held against; empty if there is none."""
+    """Its partner; empty if there is none."""
     answers: int
-    """Valid ones."""
+    """Number of valid responses."""
     same: int
-    """Of them those that say it is the same joint."""
+    """Number of valid responses that call the joints the same."""
     hit: bool | None
-    """Whether more than half say so; None without a valid answer."""
+    """True if the majority calls them the same; None without a valid response."""
     geometric_hit: bool
-    """Whether the measure by geometry pairs it with any made joint."""
+    """True if the measure by geometry pairs it with any reconstructed joint."""
     why: str
 
 
 def comparison_request(
     pair: JointedPair, joint: str, films: Sequence[Picture], repeat: int, repeats: int
 ) -> Request[FilmComparison]:
-    """Return the request about a true joint; repeats differ by their number."""
+    """Return the request about a ground-truth joint; repeats differ by their number."""
     kind = " ".join((pair.true.label or pair.true.name).split())[:MOST_LABEL]
     prompt = (
         f"The object: {kind}.\n\nThis is answer {repeat} of {repeats} "
@@ -72,18 +72,18 @@ def joint_hit_rows(
     repeats: int = 1,
     out: Path | None = None,
 ) -> Iterator[JointHitRow]:
-    """Yield a row for every true joint that moves something.
+    """Yield a row for every ground-truth joint that moves something.
 
     Args:
-        models: the critic answers.
+        models: provides the critic.
         pairs: the objects.
-        repeats: answers about each joint.
-        out: folder for answers.json, with every answer as it came, and the films.
+        repeats: responses about each joint.
+        out: folder for answers.json, with every response as it came, and the films.
 
     Raises:
         ConfigError: `repeats` is out of range.
         BudgetError: the cost cap is reached.
-        MissingAnswerError: a tape lacks an answer.
+        MissingAnswerError: a tape lacks a response.
         RunError: a file cannot be written.
     """
     if not 1 <= repeats <= 20:

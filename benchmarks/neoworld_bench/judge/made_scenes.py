@@ -1,4 +1,4 @@
-"""Made scenes with their photographs: run folders, the data set, and scenes of other methods."""
+"""Reconstructed scenes with their photographs: run folders, the data set, and submissions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ Rgb = UInt8[np.ndarray, "h w 3"]
 
 @dataclass(frozen=True)
 class MadeScene:
-    """A made scene and the photograph that it was made from."""
+    """A reconstructed scene and the photograph that it was made from."""
 
     number: int
     """Of the scene among those that were opened, from 0."""
@@ -39,9 +39,7 @@ class MadeScene:
     camera: Camera
     photo: Photo
     boxes: dict[str, tuple[float, float, float, float]]
-    """What the photograph shows of each object but the environment, made or not, where a tree says:
-    a box in the camera's pixels.
-    """
+    """2D boxes [px] of the tree's objects other than the environment, reconstructed or not."""
 
     @property
     def numbered(self) -> str:

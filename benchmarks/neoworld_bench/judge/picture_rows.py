@@ -1,4 +1,4 @@
-"""Picture measures of made scenes and their objects, against the photographs."""
+"""Picture measures of reconstructed scenes and their objects, against the photographs."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -16,9 +16,9 @@ from ..measures.picture_similarity import (
     picture_measure,
 )
 from ..measures.point_clouds import Cloud, coloured_points
+from ..paper_figures import PAPER_OBJECTS, of_scenes
 from ..rows import Row
 from .made_scenes import MadeScene, Rgb, made_scenes
-from ..paper_figures import PAPER_OBJECTS, of_scenes
 
 NOTE = (
     "NeoWorld-Pro as the paper reports it, of its own 30 scenes: clip 0.9128, dino 0.7855; of its "
@@ -30,7 +30,7 @@ OBJECT_PX = 256
 
 
 class PictureRow(Row):
-    """A scene or an object of it, held against the photograph."""
+    """A scene or an object of it, compared with the photograph."""
 
     folder: str
     kind: Literal["scene", "object"]

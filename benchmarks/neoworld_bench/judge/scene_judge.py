@@ -1,7 +1,7 @@
-"""A model as judge of made scenes: completeness, layout and function from 1 to 7.
+"""A model as judge of reconstructed scenes: completeness, layout and function from 1 to 7.
 
-One scene a request, by an absolute rubric, several times. An answer is valid only if all three
-scores are whole numbers from 1 to 7; a refusal or another answer is missing, and no score.
+Each request shows one scene and is repeated. A response is valid only if all three scores are whole
+numbers from 1 to 7; other responses and refusals count as missing.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,10 +19,10 @@ from neoworld_mjx.render import View, render_scene
 from neoworld_mjx.render.viewpoints import opened, subject_points
 from neoworld_mjx.spec import SceneSpec
 
+from ..paper_figures import of_scenes
 from ..rows import Row
 from .answer_file import AnswerFile, answers_to, save_pictures
 from .made_scenes import MadeScene
-from ..paper_figures import of_scenes
 
 QUESTIONS = ("completeness", "layout", "function")
 NOTE = (
@@ -77,12 +77,12 @@ class RatingRow(Row):
     function: int | None
     model: str
     why: str
-    """The reason of a missing answer."""
+    """Reason for a missing response."""
 
 
 @dataclass(frozen=True)
 class JudgedPictures:
-    """What the judge sees of a scene, by label."""
+    """Images of a scene that the judge sees, by label."""
 
     shown: Mapping[str, np.ndarray]
 
@@ -92,7 +92,7 @@ class JudgedPictures:
 
 
 def judged_pictures(made: MadeScene, side: int = SHOWN_PX) -> JudgedPictures:
-    """Draw what the judge sees of a scene."""
+    """Render the images of a scene for the judge."""
     photo, scene = made.whole(side)
     height, width = photo.shape[:2]
     half_open = opened(made.scene, 0.5)
@@ -104,7 +104,7 @@ def judged_pictures(made: MadeScene, side: int = SHOWN_PX) -> JudgedPictures:
 
 
 def _aside(made: MadeScene, half_open: SceneSpec, width: int, height: int) -> View:
-    """Return the view from the one of two sides from which more objects are seen."""
+    """Return the view from the side, of two, from which more objects are visible."""
     subjects = np.vstack([subject_points(made.scene), subject_points(half_open)])
     backward = -made.camera.axes()[:, 2]
     azimuth = float(np.arctan2(backward[1], backward[0]))
@@ -155,15 +155,15 @@ def rating_rows(
     """Yield the judgements of each scene, repeat by repeat.
 
     Args:
-        models: the critic answers.
+        models: provides the critic.
         scenes: the scenes.
         repeats: judgements of each.
-        out: folder for answers.json, with every answer as it came, and the pictures.
+        out: folder for answers.json, with every response as it came, and the pictures.
 
     Raises:
         ConfigError: `repeats` is out of range.
         BudgetError: the cost cap is reached.
-        MissingAnswerError: a tape lacks an answer.
+        MissingAnswerError: a tape lacks a response.
         RunError: a file cannot be written.
     """
     if not 1 <= repeats <= 20:
@@ -180,10 +180,11 @@ def rating_rows(
 
 
 def rating_figures(rows: Sequence[RatingRow]) -> dict[str, Any]:
-    """Return each question's mean over the n scenes with a valid answer, beside the paper's.
+    """Return each question's mean over the n scenes with a valid response, beside the paper's.
 
-    A scene's score is the mean of its valid answers. "sd_scenes" is the standard deviation of these
-    scores, "sd_repeats" the mean one of the answers about one scene; None where there is none.
+    A scene's score is the mean of its valid responses. "sd_scenes" is the standard deviation of
+    these scores, "sd_repeats" the mean one of the responses about one scene; None where there is
+    none.
     """
     by_scene: dict[int, list[RatingRow]] = {}
     for row in rows:

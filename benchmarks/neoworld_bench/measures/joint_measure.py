@@ -1,4 +1,5 @@
-"""Agreement of an object's joints with the truth: matched, missed and extra joints, and errors.
+"""Agreement of an object's joints with the ground truth: matched, missed and extra joints, and
+errors.
 
 Joints are matched by the parts that they move and their motion, never by name. Both objects are in
 the canonical frame (origin at the centre of the box's bottom, +x the front) and divided by their
@@ -31,7 +32,7 @@ CORRECT_AXIS_DEG, CORRECT_PIVOT = 10.0, 0.1
 
 
 class JointPair(Spec):
-    """A true joint and the predicted one that was matched with it."""
+    """A ground-truth joint and the predicted one that was matched with it."""
 
     true: str
     predicted: str
@@ -47,11 +48,11 @@ class JointPair(Spec):
     """Distance of the two lines over the diagonal; None unless both turn."""
     limits: float | None
     """Intersection over union of the ranges, as one direction of motion; None where one turns and
-    the other slides, or the truth gives no range."""
+    the other slides, or the ground truth gives no range."""
 
     @property
     def correct(self) -> bool:
-        """Whether type, axis and pivot are right."""
+        """True if type, axis and pivot are right."""
         return (
             self.true_type == self.predicted_type
             and (self.axis_deg is None or self.axis_deg <= CORRECT_AXIS_DEG)
@@ -60,11 +61,11 @@ class JointPair(Spec):
 
 
 class JointMeasure(Spec):
-    """Joints held against the truth, of one object or of several together."""
+    """Joints compared with the ground truth, of one object or of several together."""
 
     name: str
     total: int
-    """True joints."""
+    """Ground-truth joints."""
     predicted: int
     hits: int
     missed: tuple[str, ...]
@@ -73,9 +74,9 @@ class JointMeasure(Spec):
     """Hits of the true type, with the axis within 10 degrees and the pivot within a tenth of the
     diagonal."""
     miss: float | None
-    """1 - hits / total; None without true joints, as all shares of them."""
+    """1 - hits / total; None without ground-truth joints, as all shares of them."""
     type_error: float | None
-    """Share of all true joints that were missed or got another type (the paper's)."""
+    """Share of all ground-truth joints that were missed or got another type (the paper's)."""
     type_error_hits: float | None
     """Share of the hits that got another type."""
     axis_deg: Mean
@@ -88,7 +89,7 @@ class JointMeasure(Spec):
 
 
 def joint_measure(predicted: ObjectSpec | ObjectTruth, truth: ObjectTruth) -> JointMeasure:
-    """Hold an object's joints against the true ones (paper Section 4, articulation).
+    """Compare an object's joints with the ground-truth ones (paper Section 4, articulation).
 
     Two joints may be one if the boxes of what they carry, grown by 2 % of the diagonal, meet in all
     three directions and agree in the better two (the depth behind a front is not seen in a
@@ -97,7 +98,7 @@ def joint_measure(predicted: ObjectSpec | ObjectTruth, truth: ObjectTruth) -> Jo
     joint's box, so it knows of type, axis and pivot at once.
 
     Args:
-        predicted: the made object, or its joints in the form of a truth.
+        predicted: the reconstructed object, or its joints in the form of a truth.
         truth: the real ones.
     """
     own = truth_of(predicted) if isinstance(predicted, ObjectSpec) else predicted
@@ -110,10 +111,11 @@ def joint_measure(predicted: ObjectSpec | ObjectTruth, truth: ObjectTruth) -> Jo
 
 
 def joint_partners(predicted: ObjectSpec, truth: ObjectTruth) -> dict[str, str]:
-    """Return the made joint that is held against each true one, by name, however poorly they agree.
+    """Return the reconstructed joint that is compared with each ground truth, by name, however
+    poorly they agree.
 
-    The assignment is that of `joint_measure` without its least overlap. True joints are left out
-    only where there are fewer made ones.
+    The assignment is that of `joint_measure` without its least overlap. Ground-truth joints are
+    left out only where there are fewer made ones.
     """
     ours, theirs = _normalised(truth_of(predicted)), _normalised(truth)
     return {theirs[i].name: ours[j].name for i, j in _assigned(ours, theirs, -1.0)}

@@ -98,7 +98,7 @@ def truth_from(data: Any, name: str = "truth") -> ObjectTruth:
 
 
 def truth_of(spec: ObjectSpec) -> ObjectTruth:
-    """Describe a made object as if it were the truth; fixed joints are left out."""
+    """Describe a reconstructed object as if it were the ground truth; fixed joints are left out."""
     low, high = bounds(spec)
     joints = []
     for joint in spec.joints:
@@ -155,7 +155,7 @@ def canonical(truth: ObjectTruth) -> ObjectTruth:
 
 
 def canonical_points(points: NDArray, truth: ObjectTruth) -> NDArray:
-    """Move points [n, 3] m of a truth's frame as `canonical` moves the truth."""
+    """Move points [n, 3] m of a truth's frame as `canonical` moves the ground truth."""
     turn = quarter_turn(_TURNS[truth.front])
     box = _turned(truth.box, turn)
     origin = np.array([(box[0, 0] + box[1, 0]) / 2, (box[0, 1] + box[1, 1]) / 2, box[0, 2]])

@@ -1,5 +1,5 @@
-"""The truth about an object that somebody published as MJCF: its joints, and samples of what it
-shows.
+"""The ground truth about an object that somebody published as MJCF: its joints, and samples of what
+it shows.
 """
 
 from pathlib import Path
@@ -48,7 +48,7 @@ def truth_of_mjcf(
         seed: seed of the samples.
 
     Returns:
-        The truth, and samples [samples, 3] m in the same frame.
+        The ground truth, and samples [samples, 3] m in the same frame.
 
     Raises:
         SpecError: the file cannot be read, or shows nothing.
@@ -103,7 +103,7 @@ def truth_of_mjcf(
 
 
 def _hangs(model: mujoco.MjModel, geom: int, body: int) -> bool:
-    """Tell whether a geom belongs to a body or to one below it."""
+    """Return True if a geom belongs to a body or to one below it."""
     at = int(model.geom_bodyid[geom])
     while at not in (body, 0):
         at = int(model.body_parentid[at])

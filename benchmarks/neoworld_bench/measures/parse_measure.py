@@ -1,4 +1,4 @@
-"""Agreement of a parse with the truth: boxes, supports, sizes, depths and camera.
+"""Agreement of a parse with the ground truth: boxes, supports, sizes, depths and camera.
 
 Nodes are matched by their boxes alone, never by name or label. Each mean has the number of its
 values, and is None without any: no match is not a zero error.
@@ -31,7 +31,8 @@ class Mean(Spec):
 
 
 class ParseMeasure(Spec):
-    """Comparison of a parse with the truth; objects are nodes that are no environment there."""
+    """Comparison of a parse with the ground truth; objects are nodes that are no environment
+    there."""
 
     matched: dict[str, str]
     """True node to parsed node, all nodes."""
@@ -57,13 +58,13 @@ class ParseMeasure(Spec):
     edge_precision: float | None
     edge_recall: float | None
     edge_f1: float | None
-    """F1 of support edges (carrier to child), without those of the world."""
+    """F1 of support edges (parent to child), without those of the world."""
     edges_true: int
     edges_parsed: int
     relations: Mean
     """Share of correct edges whose relation is correct as well."""
     tree_distance: int
-    """Missed nodes, plus extra nodes, plus matched nodes whose carrier is another one."""
+    """Missed nodes, plus extra nodes, plus matched nodes whose parent is another one."""
     nodes_true: int
     nodes_parsed: int
     depth_order: Mean
@@ -86,7 +87,7 @@ class ParseMeasure(Spec):
 
 
 def parse_measure(parsed: SceneTree, truth: SceneTree) -> ParseMeasure:
-    """Hold a parse against the truth, both of the same picture."""
+    """Hold a parse against the ground truth, both of the same picture."""
     pairs = match(parsed, truth)
     back = {guess: true for true, guess in pairs.items()}
     objects = [

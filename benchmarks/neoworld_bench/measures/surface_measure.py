@@ -1,4 +1,4 @@
-"""Distance of an object's surface from the true one: Chamfer distance and F-score of samples.
+"""Distance of an object's surface from the ground truth: Chamfer distance and F-score of samples.
 
 Both surfaces are sampled evenly by area; lengths are divided by a diagonal, so thresholds are
 shares of the object's size. Samples are of all faces, the insides of drawers and cupboards
@@ -40,12 +40,13 @@ class Closeness(Spec):
 
 
 class GeometryMeasure(Spec):
-    """Comparison of an object's surface with the true one."""
+    """Comparison of an object's surface with the ground truth."""
 
     unaligned: Closeness
     """Both in the canonical frame, in metres, over the true diagonal: size and front count."""
     aligned: Closeness
-    """After the best fit of the predicted samples to the true ones, over the true diagonal."""
+    """After the best fit of the predicted samples to the ground-truth ones, over the true
+    diagonal."""
     turn_deg: float
     """Rotation of the fit about the vertical."""
     scale: float
@@ -58,7 +59,7 @@ class GeometryMeasure(Spec):
 def geometry_measure(
     predicted: ObjectSpec | NDArray, truth: NDArray, *, samples: int = SAMPLES, seed: int = 0
 ) -> GeometryMeasure:
-    """Compare an object's surface with samples of the true one (paper Section 4, geometry).
+    """Compare an object's surface with samples of the ground truth (paper Section 4, geometry).
 
     The fit starts from each of the four quarter turns about the vertical, with both boxes' centres
     in one place and both diagonals equal; from there nearest samples pull the made ones by a turn
@@ -66,9 +67,9 @@ def geometry_measure(
     that ends with the least Chamfer distance counts. Nothing is mirrored or tilted.
 
     Args:
-        predicted: the made object, or samples of it [n, 3] m in its canonical frame.
+        predicted: the reconstructed object, or samples of it [n, 3] m in its canonical frame.
         truth: samples [n, 3] m of the real one in its canonical frame (`truth.canonical_points`).
-        samples: how many to take of the made object.
+        samples: how many to take of the reconstructed object.
         seed: of the samples.
     """
     own = (
@@ -150,7 +151,7 @@ def samples_of_each(meshes: "Sequence[trimesh.Trimesh]", count: int, seed: int) 
 
 
 def _fitted(own: NDArray, true: NDArray, tree: KDTree, size: float) -> tuple[NDArray, float, float]:
-    """Fit samples to the true ones; return them over the diagonal, the turn [rad] and the
+    """Fit samples to the ground-truth ones; return them over the diagonal, the turn [rad] and the
     factor.
     """
     goal = true / size

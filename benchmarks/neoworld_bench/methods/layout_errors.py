@@ -1,4 +1,4 @@
-"""How far a scene's layout is from the truth, over the objects that may move."""
+"""How far a scene's layout is from the ground truth, over the objects that may move."""
 
 import math
 from collections.abc import Sequence
@@ -14,17 +14,17 @@ from ..measures.symmetry import symmetry
 
 MOST_TILT_DEG = 15.0
 MOST_HEIGHT, MOST_HEIGHT_M = 0.1, 0.01
-"""Bounds of `displaced`; answers' sizes alone move a middle by a few percent of its height."""
+"""Bounds of `displaced`; responses' sizes alone move a middle by a few percent of its height."""
 LEAST_M = 1e-3
 """Sides of boxes below it are no measure of scale."""
 Bounds = tuple[np.ndarray, np.ndarray]
 
 
 def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
-    """Compare a scene with the truth, over the objects that both have.
+    """Compare a scene with the ground truth, over the objects that both have.
 
     What all objects are off by alike, their median shift, is not counted: it is that of the
-    answer's camera, and no layout shows it.
+    response's camera, and no layout shows it.
 
     Returns:
         "xy_error_m", horizontal distance of the objects' middles; "yaw_error_deg", up to an
@@ -53,7 +53,7 @@ def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
 def offsets(
     scene: SceneSpec, truth: SceneSpec, names: Sequence[str]
 ) -> Float[np.ndarray, "object 2"]:
-    """Return how far the middles of objects are from the truth's, horizontally [m]."""
+    """Return how far the middles of objects are from the ground truth's, horizontally [m]."""
     ends, starts = world_poses(scene), world_poses(truth)
     middles = [
         [_middle(s.object(name), at[name]) for name in names]
@@ -63,7 +63,8 @@ def offsets(
 
 
 def unmatched(scene: SceneSpec, truth: SceneSpec) -> tuple[list[str], list[str]]:
-    """Return the movable objects of the truth that a scene misses, and those that it has besides.
+    """Return the movable objects of the ground truth that a scene misses, and those that it has
+    besides.
 
     No search can put them right, so they count apart, in no error and in no verdict.
     """
@@ -74,15 +75,16 @@ def unmatched(scene: SceneSpec, truth: SceneSpec) -> tuple[list[str], list[str]]
 
 
 def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
-    """Return the objects that a scene shows in another way than the truth: toppled or fallen down.
+    """Return the objects that a scene shows in another way than the ground truth: toppled or fallen
+    down.
 
-    Whatever has come to rest is stable, a toppled book as well; this tells the two apart. An object
-    is displaced if it is tilted by MOST_TILT_DEG from the truth, see `tilt_deg`, or if its lowest
-    point and its middle are both higher or lower than they should be by MOST_HEIGHT of its diagonal
-    and MOST_HEIGHT_M. They should be where the truth has them on the object below: how large that
-    is and how it stands in the scene are no faults of what is on it. What a scene misses is not
-    displaced, see `unmatched`, nor is what the truth has on it: without the one below it no layout
-    shows it.
+    Whatever has settle is stable, a toppled book as well; this tells the two apart. An object
+    is displaced if it is tilted by MOST_TILT_DEG from the ground truth, see `tilt_deg`, or if its
+    lowest point and its middle are both higher or lower than they should be by MOST_HEIGHT of its
+    diagonal and MOST_HEIGHT_M. They should be where the ground truth has them on the object below:
+    how large that is and how it stands in the scene are no faults of what is on it. What a scene
+    misses is not displaced, see `unmatched`, nor is what the ground truth has on it: without the
+    one below it no layout shows it.
     """
     ends, starts = world_poses(scene), world_poses(truth)
     names, without = [], {item.name for item in truth.objects if item.name not in ends}

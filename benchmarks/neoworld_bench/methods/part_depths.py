@@ -15,7 +15,7 @@ _DEEPEST_M = 10.0
 
 
 def articulated(spec: ObjectSpec) -> bool:
-    """Tell whether an object has a joint that moves."""
+    """Return True if an object has a joint that moves."""
     return any(joint.type != "fixed" for joint in spec.joints)
 
 

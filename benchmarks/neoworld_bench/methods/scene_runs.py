@@ -15,7 +15,7 @@ from neoworld_mjx.spec import SceneSpec
 
 from ..dataset.declaration import declaration, declarations
 from ..dataset.truth_scene import photographed
-from ..fidelity.rendered_answers import exact_answer
+from ..fidelity.rendered_responses import exact_response
 from ..noise.initial_scenes import (
     NoiseLevel,
     composed_start,
@@ -42,7 +42,7 @@ class SceneRow(Row):
     room: str
     tabletop: bool
     objects: int
-    """Movable objects of the truth."""
+    """Movable objects of the ground truth."""
     noise: str
     """Level of the start's noise."""
     injected: str
@@ -52,24 +52,24 @@ class SceneRow(Row):
     missed: int
     """Of them, those that the start does not have."""
     extra: int
-    """Movable objects of the start that the truth does not have."""
+    """Movable objects of the start that the ground truth does not have."""
     start: int
     seed: int
     evaluation: bool
-    """Whether the start is of the evaluation half."""
+    """True if the start is of the evaluation half."""
     method: str
     valid: bool
-    """Whether the result passes the final check, no object is displaced, and none that the method
+    """True if the result passes the final check, no object is displaced, and none that the method
     was given is missed; see `validity`.
     """
     check_passed: bool
-    """Whether it passes the final check alone."""
+    """True if it passes the final check alone."""
     accepted: bool | None
-    """A search's own verdict, which also asks that nothing came to rest away from where it was
+    """A search's own verdict, which also asks that nothing settled away from where it was
     composed; None of other methods.
     """
     displaced: int
-    """Objects that are toppled or have fallen from where the truth has them."""
+    """Objects that are toppled or have fallen from where the ground truth has them."""
     s_pen: int
     """1 if two objects are deeper than the bound in the result."""
     s_stab: bool
@@ -86,7 +86,7 @@ class SceneRow(Row):
     yaw_error_deg: float
     scale_error: float
     box_iou: float
-    """Overlap of visible boxes with the truth's, mean over objects."""
+    """Overlap of visible boxes with the ground truth's, mean over objects."""
     seconds_to_valid: float | None
     """Time at the first valid candidate; None where the result is not valid."""
     seconds: float | None
@@ -97,7 +97,8 @@ class SceneRow(Row):
 
     @property
     def found(self) -> int:
-        """Number of the truth's movable objects that the start has, over which errors are means."""
+        """Number of the ground truth's movable objects that the start has, over which errors are
+        means."""
         return self.objects - self.missed
 
 
@@ -233,7 +234,7 @@ def _outcomes(
         return
     number = noise_number(task.scene, task.seed, task.start)
     composed = composed_start(
-        truth, exact_answer(truth), number, task.compose, noise=task.noise, log=log_of_noise
+        truth, exact_response(truth), number, task.compose, noise=task.noise, log=log_of_noise
     )
     engine = NativeEngine(threads=task.threads)
     for method, result in outcomes_of(task.methods, composed, task.refine, engine, seed=task.seed):
@@ -254,11 +255,11 @@ def _row(
     still = [
         m.drift_m[name] < o.max_drift_m and m.tilt_deg[name] < o.max_tilt_deg for name in m.drift_m
     ]
-    # Its own camera: that of the answer, as fitted.
+    # Its own camera: that of the response, as fitted.
     seen = {item.name: item for item in truth.objects}
     shown = []
     for item in result.scene.objects:
-        # What is not in the truth has no box to agree with, but hides others.
+        # What is not in the ground truth has no box to agree with, but hides others.
         true = seen.get(item.name)
         box = {"box2d": None} if true is None else {"box2d": true.box2d, "occluded": true.occluded}
         shown.append(item.model_copy(update=box))

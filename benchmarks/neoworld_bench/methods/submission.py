@@ -4,8 +4,8 @@
     DIR/SCENE/result.json            optional: {"seconds": 12.5}
     DIR/SCENE/start_0/...            the same for each start, where a method begins at starts
 
-Names of objects are those of the truth, and their poses are in the truth's world. Files are a
-stranger's: they are read within bounds and nothing in them is run.
+Names of objects are those of the ground truth, and their poses are in the ground truth's world.
+Files are a stranger's: they are read within bounds and nothing in them is run.
 """
 
 from pathlib import Path
@@ -27,7 +27,7 @@ FILES = ("scene.json", "scene.xml", "scene.usda", "scene.usd", "scene.usdc")
 """Names of a submitted scene; of several the first counts."""
 RESULT = "result.json"
 HELD = "held_"
-"""Before the name of an object that is fixed where the truth's is free to move."""
+"""Before the name of an object that is fixed where the ground truth's is free to move."""
 
 
 class SubmittedResult(Spec):
@@ -69,8 +69,8 @@ def submitted_starts(folder: Path, scene: str, starts: int) -> tuple[int, ...]:
 def submitted(folder: Path, start: int, truth: SceneSpec, o: RefineOptions) -> MethodResult:
     """Read and measure what a folder has for a start of a scene.
 
-    An object that the truth has free to move and the file fixed is missed, and its like in the
-    scene gets another name. Without a camera the scene has the truth's.
+    An object that the ground truth has free to move and the file fixed is missed, and its like in
+    the scene gets another name. Without a camera the scene has the ground truth's.
 
     Args:
         folder: of the submission.
@@ -79,7 +79,7 @@ def submitted(folder: Path, start: int, truth: SceneSpec, o: RefineOptions) -> M
         o: options of the final check.
 
     Raises:
-        SpecError: a file is broken or hostile, or holds none of the truth's objects.
+        SpecError: a file is broken or hostile, or holds none of the ground truth's objects.
     """
     place = _place(folder, truth.name, start)
     file = scene_file(place)
@@ -126,7 +126,7 @@ def read_scene_file(file: Path) -> SceneSpec:
 
 
 def _renamed(scene: SceneSpec, truth: SceneSpec) -> SceneSpec:
-    """Rename what is fixed here and free in the truth."""
+    """Rename what is fixed here and free in the ground truth."""
     free = {item.name for item in truth.objects if not item.static}
     names = {
         item.name: identifier(HELD + item.name, "object", {other.name for other in scene.objects})

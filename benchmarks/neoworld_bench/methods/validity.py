@@ -1,4 +1,4 @@
-"""Whether a final scene is valid: one verdict, for every method and for submissions."""
+"""True if a final scene is valid: one verdict, for every method and for submissions."""
 
 from typing import NamedTuple
 
@@ -13,19 +13,19 @@ class Validity(NamedTuple):
     """The verdict on a final scene, and what it is made of."""
 
     check_passed: bool
-    """Whether the final check passes."""
+    """True if the final check passes."""
     displaced: tuple[str, ...]
-    """Objects that are toppled or have fallen from where the truth has them."""
+    """Objects that are toppled or have fallen from where the ground truth has them."""
     missed: tuple[str, ...]
-    """Movable objects of the truth that the scene does not have."""
+    """Movable objects of the ground truth that the scene does not have."""
     extra: tuple[str, ...]
-    """Movable objects that the truth does not have."""
+    """Movable objects that the ground truth does not have."""
     lost: tuple[str, ...]
     """Missed objects that the method was given."""
 
     @property
     def valid(self) -> bool:
-        """Whether the final check passes, nothing is displaced, and nothing given is missed."""
+        """True if the final check passes, nothing is displaced, and nothing given is missed."""
         return self.check_passed and not self.displaced and not self.lost
 
 
@@ -45,7 +45,7 @@ def validity(
         truth: the scene's.
         o: options with the bounds of the final check.
         given: the start that the method had; None where it had the picture, which shows every
-            object of the truth.
+            object of the ground truth.
     """
     missed, extra = unmatched(scene, truth)
     had = {item.name for item in (given or truth).objects if not item.static}

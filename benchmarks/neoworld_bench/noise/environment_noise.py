@@ -1,7 +1,7 @@
-"""Errors of an answer's supports: how large tables are, where walls and furniture stand.
+"""Errors of a response's supports: how large tables are, where walls and furniture stand.
 
 Nobody measured supports by themselves; they are off as objects that are placed in space. The top
-of a table or floor is where an answer's heights begin, so it stays.
+of a table or floor is where a response's heights begin, so it stays.
 """
 
 import numpy as np
@@ -9,21 +9,21 @@ from jaxtyping import Float
 
 from neoworld_mjx.spec import SceneTree, TreeNode
 
-from ..fidelity.rendered_answers import ASIDE, DEPTH, LOG_ASPECT, LOG_SIZE, YAW
+from ..fidelity.rendered_responses import ASIDE, DEPTH, LOG_ASPECT, LOG_SIZE, YAW
 
 
-def with_other_supports(answer: SceneTree, truth: SceneTree, number: int) -> SceneTree:
-    """Return an answer whose supports are off as its objects are.
+def with_other_supports(response: SceneTree, truth: SceneTree, number: int) -> SceneTree:
+    """Return a response whose supports are off as its objects are.
 
     Args:
-        answer: with noise in its objects' numbers.
+        response: with noise in its objects' numbers.
         truth: the exact one.
         number: of the noise.
     """
     rng = np.random.default_rng((number, 49))
     eye = truth.camera.position()
-    nodes = [_disturbed(node, eye, rng) if node.environment else node for node in answer.nodes]
-    return answer.model_copy(update={"nodes": tuple(nodes)})
+    nodes = [_disturbed(node, eye, rng) if node.environment else node for node in response.nodes]
+    return response.model_copy(update={"nodes": tuple(nodes)})
 
 
 def _disturbed(node: TreeNode, eye: Float[np.ndarray, " 3"], rng: np.random.Generator) -> TreeNode:

@@ -1,8 +1,9 @@
-"""Where methods start: the truth disturbed as answers are, fitted and composed as a run does it.
+"""Where methods start: the ground truth disturbed as responses are, fitted and composed as a run
+does it.
 
-Every start of every scene has noise of its own, with spreads and rates of measured answers: of the
-numbers of a parse (`photo_answers`, `environment_noise`), of its tree (`parse_noise`), of programs
-(`program_noise`, `joint_noise`). Sizes are what composition makes of the answer's boxes.
+Every start of every scene has noise of its own, with spreads and rates of measured responses: of
+the numbers of a parse (`photo_answers`, `environment_noise`), of its tree (`parse_noise`), of
+programs (`program_noise`, `joint_noise`). Sizes are what composition makes of the response's boxes.
 """
 
 import zlib
@@ -17,7 +18,7 @@ from neoworld_mjx.fit.tree_checks import SceneIssue, check_score, check_tree
 from neoworld_mjx.spec import ObjectSpec, SceneSpec, SceneTree
 
 from ..dataset.declaration import declaration
-from ..fidelity.rendered_answers import disturbed_answer, with_boxes_redrawn
+from ..fidelity.rendered_responses import noisy_response, with_boxes_redrawn
 from .environment_noise import with_other_supports
 from .parse_noise import NoiseLog, refusals, wrong_parse
 from .program_noise import wrong_program
@@ -43,13 +44,14 @@ def composed_start(
     noise: NoiseLevel = "all",
     log: NoiseLog | None = None,
 ) -> SceneSpec:
-    """Compose a scene from a disturbed answer, as a run would.
+    """Compose a scene from a disturbed response, as a run would.
 
     Args:
-        scene: the truth, as photographed; where programs have noise, objects of a scene of the
-            benchmark.
-        tree: its exact answer.
-        number: of the noise. All levels of one number have the same noise in the answer's numbers.
+        scene: the ground truth, as photographed; where programs have noise, objects of a scene of
+            the benchmark.
+        tree: its exact response.
+        number: of the noise. All levels of one number have the same noise in the response's
+            numbers.
         options: of composition.
         noise: its level.
         log: to which the errors beside the numbers are added.
@@ -62,7 +64,7 @@ def composed_start(
     # A fit of what is exact would only move what is right, by up to some millimetres.
     if noise != "exact":
         wrong_tree = noise in ("parse", "all")
-        kept = fitted_answer(tree, number, shapes, wrong_tree=wrong_tree)
+        kept = fitted_response(tree, number, shapes, wrong_tree=wrong_tree)
         log.injected += kept.log.injected
         log.refused += kept.log.refused
         shapes |= kept.shapes
@@ -73,8 +75,8 @@ def composed_start(
 
 
 @dataclass(frozen=True)
-class FittedAnswer:
-    """An answer as a parse keeps it."""
+class FittedResponse:
+    """A response as a parse keeps it."""
 
     tree: SceneTree
     """Fitted."""
@@ -87,45 +89,45 @@ class FittedAnswer:
 
     @property
     def score(self) -> float:
-        """By which a parse takes the best of its answers."""
+        """By which a parse takes the best of its responses."""
         return check_score(self.tree, self.issues)
 
 
-def fitted_answer(
+def fitted_response(
     tree: SceneTree, number: int, shapes: dict[str, ObjectSpec], *, wrong_tree: bool
-) -> FittedAnswer:
+) -> FittedResponse:
     """Answer as a parse does: what the checks refuse is answered once more, the best is kept.
 
     Args:
-        tree: the exact answer.
+        tree: the exact response.
         number: of the noise.
         shapes: programs of its objects.
         wrong_tree: whether the tree has errors, too.
     """
-    answer = with_other_supports(disturbed_answer(tree, number), tree, number)
-    attempts = [_attempt(answer, number, shapes, wrong_tree)]
+    response = with_other_supports(noisy_response(tree, number), tree, number)
+    attempts = [_attempt(response, number, shapes, wrong_tree)]
     known = refusals(check_tree(tree))
     for _ in range(ParseOptions().critic_rounds):
         last = attempts[-1]
         refused = {name for name, _ in refusals(last.issues) - known}
         # What it invents has no true box about which it could think again.
-        names = refused & {node.name for node in answer.nodes if not node.environment}
+        names = refused & {node.name for node in response.nodes if not node.environment}
         if not names:
             break
-        answer = with_boxes_redrawn(answer, tree, names, number)
-        attempts.append(_attempt(answer, number, shapes, wrong_tree))
+        response = with_boxes_redrawn(response, tree, names, number)
+        attempts.append(_attempt(response, number, shapes, wrong_tree))
     return max(attempts, key=lambda attempt: attempt.score)
 
 
 def _attempt(
-    answer: SceneTree, number: int, shapes: dict[str, ObjectSpec], wrong_tree: bool
-) -> FittedAnswer:
+    response: SceneTree, number: int, shapes: dict[str, ObjectSpec], wrong_tree: bool
+) -> FittedResponse:
     log, made = NoiseLog(), dict[str, ObjectSpec]()
     if wrong_tree:
-        parsed = wrong_parse(answer, number, log, shapes)
-        answer, made = parsed.tree, parsed.shapes
-    fitted, _ = fit_tree(answer)
-    return FittedAnswer(fitted, made, log, check_tree(fitted))
+        parsed = wrong_parse(response, number, log, shapes)
+        response, made = parsed.tree, parsed.shapes
+    fitted, _ = fit_tree(response)
+    return FittedResponse(fitted, made, log, check_tree(fitted))
 
 
 def wrong_shapes(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, ObjectSpec]:
@@ -141,11 +143,11 @@ def wrong_shapes(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, Obje
     for item in declaration(scene.name).movable():
         if item.name in names:
             links = (o.parent_link for o in scene.objects if o.parent == item.name)
-            carriers = frozenset(link for link in links if link is not None)
-            shapes[item.name] = wrong_program(item, number, carriers, log)
+            parents = frozenset(link for link in links if link is not None)
+            shapes[item.name] = wrong_program(item, number, parents, log)
     return shapes
 
 
 def is_evaluation(start: int) -> bool:
-    """Tell whether a start is of the evaluation half."""
+    """Return True if a start is of the evaluation half."""
     return start % 2 == EVALUATION

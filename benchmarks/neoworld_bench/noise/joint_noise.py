@@ -23,7 +23,7 @@ from neoworld_mjx.spec import (
 from .noise_draft import Draft
 
 MISSED = 2 / 29
-"""Share of true joints without a made one: 27 of 29 were hit, in each of three runs."""
+"""Share of ground-truth joints without a made one: 27 of 29 were hit, in each of three runs."""
 EXTRA = 4 / 12
 """Extra joints an object with joints: four in twelve objects."""
 OTHER_TYPE = 1 / (27 + 2)
@@ -37,10 +37,10 @@ PIVOT = 0.0102
 """Spread of an axis' place in either direction across it, over the object's diagonal: the mean
 distance of the 16 hits that turn was .0128."""
 RANGE = 0.26
-"""Spread of the logarithm of a range: mean overlap with the true one .82 in the first run, .84 and
-.81 in the others, as of ranges from the same end with this spread."""
+"""Spread of the logarithm of a range: mean overlap with the ground truth .82 in the first run, .84
+and .81 in the others, as of ranges from the same end with this spread."""
 TURN_RAD, SLIDE = 0.5, 0.3
-"""Range of a joint that is not in the truth: an angle [rad], or a share of what slides."""
+"""Range of a joint that is not in the ground truth: an angle [rad], or a share of what slides."""
 
 
 def wrong_joints(draft: Draft) -> None:

@@ -1,9 +1,9 @@
-"""Errors of a parse beyond its numbers: objects, carriers, relations, openings, field of view.
+"""Errors of a parse beyond its numbers: objects, parents, relations, openings, field of view.
 
 Rates come from five rendered pictures with 30 objects, parsed by a model: none missed, none
-extra, all support edges right, the field of view misjudged in two; and from the answers to four
+extra, all support edges right, the field of view misjudged in two; and from the responses to four
 photographs. Of what was not seen in n cases the rate is 1/(n + 2), the mean of Laplace's rule of
-succession. An answer with an error that the checks of the parse refuse is sent back in a run, so
+succession. A response with an error that the checks of the parse refuse is sent back in a run, so
 here it is drawn again.
 """
 
@@ -23,19 +23,19 @@ from .split_noise import SPLIT, with_halves
 
 UNSEEN = 1 / (30 + 2)
 """Rate by object of what none of 30 objects of five rendered pictures had: being missed, an
-extra one beside it, a wrong carrier, a wrong relation. Of seven photographs' scenes six were
+extra one beside it, a wrong parent, a wrong relation. Of seven photographs' scenes six were
 complete; with 8 objects a scene this rate leaves 78 % complete."""
 CLOSED = 1 / (15 + 2)
-"""Rate by open joint of being answered as closed: in four photographs' answers none of 15 joints
+"""Rate by open joint of being answered as closed: in four photographs' responses none of 15 joints
 was in a wrong state."""
 OPENING = 0.06
 """Standard deviation of an opening, a ratio of two lengths in the picture; that of edges, see
-`program_noise.EDGE`. No answer's openings were measured by themselves."""
+`program_noise.EDGE`. No response's openings were measured by themselves."""
 MISJUDGED, LEAST_DEG, MOST_DEG = 2 / 5, 12.0, 16.0
-"""Share of answers with a misjudged field of view, and by how much: 12 and 16 degrees in two of
+"""Share of responses with a misjudged field of view, and by how much: 12 and 16 degrees in two of
 five rendered pictures. To which side was not noted; here either."""
 NARROWEST_DEG = 12.0
-"""No answer's field of view is narrower."""
+"""No response's field of view is narrower."""
 COPY = "_again"
 """End of the name of an invented object, behind that of the one that it resembles."""
 APART = 1.15
@@ -54,7 +54,7 @@ class NoiseLog:
 
 @dataclass(frozen=True)
 class WrongParse:
-    """An answer with errors."""
+    """A response with errors."""
 
     tree: SceneTree
     shapes: dict[str, ObjectSpec]
@@ -67,7 +67,7 @@ Edit = Callable[[SceneTree, str, np.random.Generator], Iterator[SceneTree]]
 def with_misjudged_view(tree: SceneTree, rng: np.random.Generator, log: NoiseLog) -> SceneTree:
     """Take the field of view for wider or narrower, or leave it.
 
-    As sizes of things are known, the camera then is nearer or farther in the ratio of the focal
+    As sizes of objects are known, the camera then is nearer or farther in the ratio of the focal
     lengths: a dolly zoom, which keeps the layout, and what is at the objects' mean depth in its
     pixels.
     """
@@ -93,24 +93,24 @@ def with_misjudged_view(tree: SceneTree, rng: np.random.Generator, log: NoiseLog
 
 
 def wrong_parse(
-    answer: SceneTree, number: int, log: NoiseLog, shapes: Mapping[str, ObjectSpec]
+    response: SceneTree, number: int, log: NoiseLog, shapes: Mapping[str, ObjectSpec]
 ) -> WrongParse:
-    """Put errors into an answer.
+    """Put errors into a response.
 
     Args:
-        answer: with noise in its numbers.
+        response: with noise in its numbers.
         number: of the noise.
         log: to which kinds are added: "view", "closed", "missed", "extra", "carrier", "relation",
             "split".
-        shapes: programs of the answer's objects.
+        shapes: programs of the response's objects.
     """
-    tree = with_misjudged_view(answer, np.random.default_rng((number, 47)), log)
+    tree = with_misjudged_view(response, np.random.default_rng((number, 47)), log)
     tree = _openings(tree, np.random.default_rng((number, 44)), log)
     halves: dict[str, ObjectSpec] = {}
     kinds: tuple[tuple[str, Edit, float], ...] = (
         ("missed", without, UNSEEN),
         ("extra", with_copy, UNSEEN),
-        ("carrier", with_other_carrier, UNSEEN),
+        ("carrier", with_other_parent, UNSEEN),
         ("relation", with_other_relation, UNSEEN),
         ("split", partial(with_halves, shapes=shapes, made=halves), SPLIT),
     )
@@ -120,7 +120,7 @@ def wrong_parse(
             changed = _first_accepted(tree, edit, rng)
             (log.refused if changed is None else log.injected).append(kind)
             tree = changed or tree
-    known = {node.name for node in answer.nodes}
+    known = {node.name for node in response.nodes}
     new = [node.name for node in tree.nodes if node.name not in known]
     own = {name: halves.get(name) or shapes[name.removesuffix(COPY)] for name in new}
     return WrongParse(tree, own)
@@ -137,7 +137,7 @@ def _first_accepted(tree: SceneTree, edit: Edit, rng: np.random.Generator) -> Sc
 
 
 def refusals(issues: Sequence[SceneIssue]) -> set[tuple[str, str]]:
-    """Return object and code of each issue for which a run sends an answer back."""
+    """Return object and code of each issue for which a run sends a response back."""
     return {(issue.node, issue.code) for issue in issues if issue.severity == "error"}
 
 
@@ -206,8 +206,8 @@ def with_copy(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[
         yield _tree(tree, [*tree.nodes, other.model_copy(update={"box2d": Box2D(**edges)})])
 
 
-def with_other_carrier(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[SceneTree]:
-    """Yield trees in which an object rests on a neighbour or on its carrier's carrier.
+def with_other_parent(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[SceneTree]:
+    """Yield trees in which an object rests on a neighbour or on its parent's parent.
 
     Its place stays as it was.
     """

@@ -10,8 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
-from neoworld_mjx.program.sandbox import build
-from neoworld_mjx.program.sandbox import BuildResult
+from neoworld_mjx.program.sandbox import BuildResult, build
 from neoworld_mjx.spec import (
     Box,
     Capsule,
@@ -40,7 +39,7 @@ worst edge of twelve objects was off by 5.5 % (median; 1 to 11 %) once the size 
 fitted, and the worst of three edges with this spread is so in the median."""
 WALL = 0.26
 """Spread of the logarithm of the thickness of walls. Nobody measured walls; they are taken as
-usual things have them, as ranges of joints were, and have the spread of those."""
+usual objects have them, as ranges of joints were, and have the spread of those."""
 REPLACED, MISSING = 1 / (12 + 2), 1 / (12 + 2)
 """Rates by object of a shape that is another primitive, and of a small part that is missing: no
 body or visible part of twelve objects was; 1/(n + 2) is the mean of Laplace's rule."""
@@ -51,14 +50,14 @@ NEARLY_SQUARE = 1.25
 
 
 def wrong_program(
-    item: ObjectDeclaration, number: int, carriers: frozenset[str], log: NoiseLog
+    item: ObjectDeclaration, number: int, parents: frozenset[str], log: NoiseLog
 ) -> ObjectSpec:
     """Return an object as a programmer would make it from a picture.
 
     Args:
         item: the object's declaration, which is true.
         number: of the noise; every object has a stream of its own.
-        carriers: its parts that carry other objects, which are never missing.
+        parents: its parts that carry other objects, which are never missing.
         log: to which "shape", "part", and the kinds of `joint_noise` are added.
     """
     rng = np.random.default_rng((number, 45, zlib.crc32(item.name.encode())))
@@ -69,7 +68,7 @@ def wrong_program(
     if rng.uniform() < REPLACED:
         draft.change("shape", with_other_shape)
     if rng.uniform() < MISSING:
-        draft.change("part", lambda spec, rng: without_part(spec, rng, carriers))
+        draft.change("part", lambda spec, rng: without_part(spec, rng, parents))
     wrong_joints(draft)
     axes = iter(AXES)
     draft.change("shares", lambda spec, rng: with_other_shares(spec, rng, next(axes)), noted=False)
@@ -79,7 +78,8 @@ def wrong_program(
 def _drawn(
     template: Template, given: dict[str, Value], rng: np.random.Generator, log: NoiseLog
 ) -> BuildResult:
-    """Run the program with parameters near the true ones; the true ones where none passes."""
+    """Run the program with parameters near the ground-truth ones; the ground-truth ones where none
+    passes."""
     for _ in range(TRIES):
         values = near_parameters(template, given, rng)
         built = build(template.program(values))
@@ -153,11 +153,11 @@ def _others(shape: Shape) -> Iterator[Shape]:
 
 
 def without_part(
-    spec: ObjectSpec, rng: np.random.Generator, carriers: frozenset[str]
+    spec: ObjectSpec, rng: np.random.Generator, parents: frozenset[str]
 ) -> ObjectSpec | None:
     """Return an object without a small part, or a small shape of one, that carries nothing."""
     total = sum(geom.shape.volume() for part in spec.parts for geom in part.geoms)
-    holding = {joint.parent for joint in spec.joints} | carriers | {spec.root}
+    holding = {joint.parent for joint in spec.joints} | parents | {spec.root}
     referenced = {name for joint in spec.joints for name in joint.after} | {
         joint.mimic.joint for joint in spec.joints if joint.mimic is not None
     }

@@ -20,7 +20,7 @@ from neoworld_mjx.spec.extent import part_bounds, recentred
 from neoworld_mjx.spec.pose import IDENTITY, from_yaw, matrix, rotate
 
 SPLIT = 1 / (61 + 2)
-"""Rate by object of being taken for two: none of the 61 movable objects in the answers to four
+"""Rate by object of being taken for two: none of the 61 movable objects in the responses to four
 photographs is half of a thing; 1/(n + 2) is the mean of Laplace's rule. One support is a part of
 one: the writing tablet of a chair that is mostly out of the picture."""
 HALVES = ("_half_1", "_half_2")
@@ -48,7 +48,7 @@ def with_halves(
     both are extra.
 
     Args:
-        tree: an answer.
+        tree: a response.
         name: of the object.
         rng: draws the order of the axes.
         shapes: programs of the objects.

@@ -1,4 +1,4 @@
-"""Rows of made objects held against true ones, and what they come to together."""
+"""Rows of reconstructed objects compared with ground-truth ones, and what they come to together."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -27,12 +27,12 @@ SURFACE = ("chamfer_x10", "f_01", "f_05")
 
 
 class ObjectScoreRow(Row):
-    """One made object against the true one."""
+    """One reconstructed object against the ground truth."""
 
     object: str
     category: str
     total: int
-    """True joints."""
+    """Ground-truth joints."""
     predicted: int
     hits: int
     correct: int
@@ -48,7 +48,7 @@ class ObjectScoreRow(Row):
     limits: float | None
     limits_n: int
     chamfer_x10: float | None
-    """Of surfaces after the fit; None without samples of the true one, or without an object."""
+    """Of surfaces after the fit; None without samples of the ground truth, or without an object."""
     f_01: float | None
     f_05: float | None
     raw_chamfer_x10: float | None
@@ -63,7 +63,7 @@ class ObjectScoreRow(Row):
 
 
 def true_folder(path: Path) -> Mapping[str, Path]:
-    """Return the truth files of a folder by object, see `measure.truth`.
+    """Return the ground truth files of a folder by object, see `measure.truth`.
 
     Raises:
         SpecError: there are none.
@@ -102,20 +102,20 @@ def score_objects(
     out: Path | None = None,
     samples: int = SAMPLES,
 ) -> Iterator[ObjectScoreRow]:
-    """Yield a row for each true object that was made, or for all that are named.
+    """Yield a row for each ground-truth object that was made, or for all that are named.
 
     Args:
-        made: folder of made objects, by the names of the true ones.
+        made: folder of reconstructed objects, by the names of the ground-truth ones.
         partnet: folder of PartNet-Mobility.
         truth: folder of truth files instead.
-        objects: names of true objects; one that was not made is missed whole.
+        objects: names of ground-truth objects; one that was not made is missed whole.
         front: direction in which objects of PartNet-Mobility face.
         options: of made programs.
         out: folder of `joints.parquet`, in which rows replace those of the same objects.
         samples: of each surface.
 
     Raises:
-        SpecError: there is no truth, or none of a made object.
+        SpecError: there is no truth, or none of a reconstructed object.
     """
     if (partnet is None) == (truth is None):
         raise SpecError("name the truth: --partnet PATH, or --truth DIR")

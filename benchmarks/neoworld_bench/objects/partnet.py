@@ -1,4 +1,4 @@
-"""True joints and surfaces of objects in the layout of PartNet-Mobility.
+"""Ground-truth joints and surfaces of objects in the layout of PartNet-Mobility.
 
     PATH/ID/mobility.urdf            links, joints and their meshes
     PATH/ID/meta.json                "model_cat": the category
@@ -62,7 +62,8 @@ def partnet_object(
         folder: of the object; its name is the object's.
         front: direction in the URDF's world in which the object's front faces.
         samples: number of samples of the surface.
-        seed: of the samples, another than that of made objects: the same surface is sampled twice.
+        seed: of the samples, another than that of reconstructed objects: the same surface is
+            sampled twice.
 
     Raises:
         SpecError: a file cannot be read, or the object shows nothing.

@@ -30,7 +30,7 @@ class RealRow(Row):
     movable: int
     """Objects that the search may move."""
     valid: bool
-    """Whether the result passes the final check."""
+    """True if the result passes the final check."""
     kept: int
     """Objects that were sound where they stood, and were left there."""
     first_s: float
@@ -59,7 +59,7 @@ def real_refinements(
     """Refine the scenes of photographs, one row as soon as it is known.
 
     Args:
-        scenes: names in REAL; none takes all.
+        scenes: names in REAL; all by default.
         seed: of the searches.
         options: of the refinement.
         engine: that rolls candidates out.

@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 from typing import Any
 
-from ..paper_figures import PAPER_JOINTS, PAPER_SURFACES
-from .text_tables import TextTable
+from neoworld_mjx.io.text_tables import TextTable
+
 from ..objects.object_scores import ObjectScoreRow, score_figures
+from ..paper_figures import PAPER_JOINTS, PAPER_SURFACES
 
 PAPER = {name: PAPER_JOINTS[name] | PAPER_SURFACES[name] for name in PAPER_JOINTS}
 NOTE = (

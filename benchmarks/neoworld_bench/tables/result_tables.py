@@ -7,11 +7,11 @@ from neoworld_mjx.errors import RunError
 from neoworld_mjx.io.files import write_atomic
 
 from ..methods.scene_runs import RESULTS
-from .joint_table import joint_table
 from ..objects.object_scores import SCORES, stored_scores
 from ..tasks.success_runs import SUCCESSES, known_successes
-from .success_table import success_table
+from .joint_table import joint_table
 from .scene_table import scene_tables
+from .success_table import success_table
 
 
 def write_tables(folder: Path) -> dict[str, Any]:

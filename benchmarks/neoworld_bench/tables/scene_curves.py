@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from neoworld_mjx.render.plots import plot_svg
+from neoworld_mjx.sweeps.intervals import ratio_interval
 
-from ..bootstrap import ratio_interval
 from ..methods.scene_objects import ObjectRow
 
 

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from ..bootstrap import DRAWS, ratio_interval
+from neoworld_mjx.sweeps.intervals import DRAWS, ratio_interval
+
 from ..methods.scene_runs import SceneRow
 
 BOUNDS = {"open_loop": 0.1, "gravity": 0.5, "gradient": 0.5, "no_simulation": 0.7}
@@ -35,12 +36,12 @@ OF_OBJECTS: dict[str, Callable[[SceneRow], int]] = {
     "o_stab": lambda r: r.found + r.extra,
     "p_pen": lambda r: r.articulated,
 }
-"""Measures whose mean is over objects: those found, the truth's, all that the scene has, or those
-of them with joints."""
+"""Measures whose mean is over objects: those found, the ground truth's, all that the scene has, or
+those of them with joints."""
 
 
 def summarise(rows: Sequence[SceneRow]) -> dict[str, Any]:
-    """Sum rows up: all starts by method, the evaluation half apart, and the difficulty."""
+    """Summarize rows: all starts by method, the evaluation half apart, and the difficulty."""
     return {
         "scenes": len({row.scene for row in rows}),
         "starts": len({row.start for row in rows}),
@@ -59,9 +60,9 @@ def by_method(rows: Sequence[SceneRow]) -> dict[str, Any]:
 def figures(rows: Sequence[SceneRow]) -> dict[str, Any]:
     """Return the figures of rows of one method.
 
-    "objects" is the number of the truth's movable objects over all rows, "found" of those that
-    starts have, over which errors are means; O-Stab is over these and the extra ones, P-Pen over
-    "articulated". A mean over nothing is None.
+    "objects" is the number of the ground truth's movable objects over all rows, "found" of those
+    that starts have, over which errors are means; O-Stab is over these and the extra ones, P-Pen
+    over "articulated". A mean over nothing is None.
     "seconds_to_valid" is the median over the valid ones, None without any.
     """
     times = [row.seconds_to_valid for row in rows if row.seconds_to_valid is not None]
@@ -78,7 +79,7 @@ def figures(rows: Sequence[SceneRow]) -> dict[str, Any]:
 
 
 def difficulty(rows: Sequence[SceneRow]) -> dict[str, Any]:
-    """Hold the easy methods against BOUNDS, and gravity's errors against ours."""
+    """Compare the easy methods against BOUNDS, and gravity's errors with ours."""
     by = by_method(rows)
     checks: dict[str, Any] = {
         name: {"n": by[name]["n"], "valid_rate": by[name]["valid_rate"], "at_most": most}

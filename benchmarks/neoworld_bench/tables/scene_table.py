@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..bootstrap import LEVEL
+from neoworld_mjx.sweeps.intervals import LEVEL
+
 from ..methods.scene_objects import read_object_rows
 from ..methods.scene_runs import SceneRow, known_rows
 from .scene_curves import curve_records, curves_csv, curves_svg

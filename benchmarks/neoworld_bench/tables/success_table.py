@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from .text_tables import TextTable
+from neoworld_mjx.io.text_tables import TextTable
+
 from ..tasks.success_runs import SuccessRow
 from ..tasks.success_summary import OF_THE_PAPER, PAPER, SHARES, success_interval
 

@@ -23,13 +23,13 @@ class PlanRow(Row):
     plans: int
     """Plans that the model gave."""
     in_scene: bool
-    """Whether one of them succeeds in the scene that the model was told."""
+    """True if one of them succeeds in the scene that the model was told."""
     after_feedback: bool
-    """Whether the best succeeds there after the layout was refined by its outcome."""
+    """True if the best succeeds there after the layout was refined by its outcome."""
     executions: int
     """Executions of the refinement."""
     on_truth: bool
-    """Whether the best plan succeeds in the true scene."""
+    """True if the best plan succeeds in the true scene."""
     reason: str
 
 

@@ -5,7 +5,7 @@ the scene layout until the placement succeeds". How is not said. Here the Cross-
 the scene refinement moves the objects that the task names; a candidate's reward is the progress of
 the plan carried out in it, 1 more if it succeeds, less the prior that holds layouts near where they
 were. Nothing but the outcome is asked, so a layout in which the plan succeeds may be found that is
-not the truth: the same plan in the true scene is the measure of that.
+not the ground truth: the same plan in the true scene is the measure of that.
 """
 
 from dataclasses import dataclass, replace

@@ -121,14 +121,14 @@ async def ask_for_plan(
     """Ask for a plan, carry it out in the scene, and ask again with the outcome while it fails.
 
     Args:
-        models: the reasoner answers.
+        models: provides the reasoner.
         task: what is to be done.
         scene: where the plans are carried out, such as a reconstruction.
         rounds: most revisions.
 
     Raises:
         BudgetError: the cost cap is reached.
-        MissingAnswerError: a tape lacks the answer.
+        MissingAnswerError: a tape lacks the response.
     """
     fallbacks: list[tuple[str, str]] = []
 

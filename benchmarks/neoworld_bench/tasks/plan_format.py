@@ -2,7 +2,7 @@
 
 Section 4.4 of the paper: for a task, a model "specifies the initial end-effector position and
 displacement". A plan with one move is that; several moves in a row, turns, and the opening of the
-fingers let one format serve doors, knobs and things that are picked up.
+fingers let one format serve doors, knobs and objects that are picked up.
 
 The tool frame lies between the pads of the fingers: `approach` points out of the palm, `closing`
 is the line along which the fingers close.

@@ -1,4 +1,4 @@
-"""A task planned in a reconstruction, and carried out there and in the truth."""
+"""A task planned in a reconstruction, and carried out there and in the ground truth."""
 
 import time
 from dataclasses import dataclass
@@ -19,15 +19,16 @@ class PlannedThere:
     """What came of planning in a reconstruction."""
 
     on_truth: Outcome
-    """In the truth, by the plan less the shift that all objects share: the figure."""
+    """In the ground truth, by the plan less the shift that all objects share: the figure."""
     in_scene: Outcome
     """In the reconstruction itself."""
     unaligned: Outcome
-    """In the truth, by the plan as it is."""
+    """In the ground truth, by the plan as it is."""
     shift_m: float
     """Length of the shift."""
     object_error_m: float | None
-    """Horizontal distance of the object concerned from the truth, less the shift; None without."""
+    """Horizontal distance of the object concerned from the ground truth, less the shift; None
+    without."""
     seconds: float
     """Time of planning and the three executions [s]."""
 
@@ -35,7 +36,7 @@ class PlannedThere:
 def planned_there(task: ManipulationTask, made: SceneSpec) -> PlannedThere:
     """Plan a task in a reconstruction and carry the plan out; nothing that fails raises.
 
-    What all objects but supports are off by alike, their median shift, is that of the answer's
+    What all objects but supports are off by alike, their median shift, is that of the response's
     camera, and a robot is calibrated to its camera: the plan is moved back by it. Of two objects it
     is the mean, which takes half of what they are off by against each other.
 

@@ -1,4 +1,5 @@
-"""Reference plans, computed from the truth: poses of objects, grasps, handles and joint axes."""
+"""Reference plans, computed from the ground truth: poses of objects, grasps, handles and joint
+axes."""
 
 import math
 from collections.abc import Iterator, Sequence

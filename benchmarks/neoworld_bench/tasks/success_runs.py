@@ -1,8 +1,8 @@
 """Task success of methods: each task reconstructed from noisy starts, planned there, carried out.
 
-As the scene benchmark does it: the true scene is photographed, its answer disturbed and composed,
+As the scene benchmark does it: the true scene is photographed, its response disturbed and composed,
 and a method makes a layout of it. A row tells whether the plan made in this layout does the task
-in the truth.
+in the ground truth.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,7 +15,7 @@ from neoworld_mjx.io.files import content_hash
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.spec import SceneSpec
 
-from ..fidelity.rendered_answers import exact_answer
+from ..fidelity.rendered_responses import exact_response
 from ..methods.scene_methods import MethodResult, check_methods, in_order, outcomes_of
 from ..methods.validity import validity
 from ..noise.initial_scenes import (
@@ -41,7 +41,7 @@ class SuccessRow(Row):
     task: str
     kind: str
     objects: int
-    """Objects of the truth without its table."""
+    """Objects of the ground truth without its table."""
     noise: str
     """Level of the start's noise."""
     injected: str
@@ -51,26 +51,26 @@ class SuccessRow(Row):
     start: int
     seed: int
     evaluation: bool
-    """Whether the start is of the evaluation half."""
+    """True if the start is of the evaluation half."""
     method: str
     on_truth: bool
-    """Whether the plan made in the result does the task in the truth: task success."""
+    """True if the plan made in the result does the task in the ground truth: task success."""
     in_scene: bool
-    """Whether it does it in the result."""
+    """True if it does it in the result."""
     unaligned: bool
-    """Whether it does it in the truth without removing the shift that all objects share."""
+    """True if it does it in the ground truth without removing the shift that all objects share."""
     reason: str
-    """Why not in the truth; empty if it does."""
+    """Why not in the ground truth; empty if it does."""
     scene_reason: str
     """Why not in the result."""
     progress: float
-    """How near the end in the truth was to success, in [0, 1]."""
+    """How near the end in the ground truth was to success, in [0, 1]."""
     valid: bool
-    """Whether the result passes the final check, and no object is displaced."""
+    """True if the result passes the final check, and no object is displaced."""
     shift_m: float
     """Length of the shift that all objects share."""
     object_error_m: float | None
-    """Horizontal distance of the object concerned from the truth, less the shift."""
+    """Horizontal distance of the object concerned from the ground truth, less the shift."""
     seconds: float
     """Time of the method, compiling included."""
     executing_s: float
@@ -155,7 +155,7 @@ def success_rows(job: SuccessJob) -> Iterator[SuccessRow]:
     try:
         photo = photographed_task(task.scene)
         number = noise_number(f"task/{job.task}", job.seed, job.start)
-        tree = exact_answer(photo.scene)
+        tree = exact_response(photo.scene)
         composed = composed_start(
             photo.scene, tree, number, job.compose, noise=job.noise, log=errors
         )

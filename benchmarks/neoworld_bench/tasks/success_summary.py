@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from ..bootstrap import ratio_interval
+from neoworld_mjx.sweeps.intervals import ratio_interval
+
 from .success_runs import SuccessRow
 
 SHARES: dict[str, Callable[[SuccessRow], bool]] = {
@@ -30,7 +31,8 @@ OF_THE_PAPER = (
 
 
 def success_summary(rows: Sequence[SuccessRow]) -> dict[str, Any]:
-    """Sum rows up: all starts by method, the evaluation half apart, kinds of tasks, the paper."""
+    """Summarize rows: all starts by method, the evaluation half apart, kinds of tasks, the
+    paper."""
     return {
         "tasks": len({row.task for row in rows}),
         "starts": len({row.start for row in rows}),

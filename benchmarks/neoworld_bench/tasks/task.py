@@ -69,7 +69,7 @@ class ManipulationTask:
 
     @cached_property
     def plan(self) -> TaskPlan:
-        """The reference plan, from the truth."""
+        """The reference plan, from the ground truth."""
         return self.plan_in(self.scene)
 
     def plan_in(self, scene: SceneSpec) -> TaskPlan:
@@ -96,7 +96,7 @@ class ManipulationTask:
     def displaced(self, heading: float) -> SceneSpec:
         """Move the object concerned by half its largest horizontal edge.
 
-        What carries it, but for the table, moves with it: a pencil that stands in a holder would
+        Its parent, but for the table, moves with it: a pencil that stands in a holder would
         else stand in the holder's wall.
 
         Args:

@@ -22,11 +22,11 @@ class TaskRow(Row):
     task: str
     kind: str
     reference: bool
-    """Whether the reference plan succeeds."""
+    """True if the reference plan succeeds."""
     reason: str
     """Why not; empty if it does."""
     waiting: bool
-    """Whether success is there after 2 s without a plan."""
+    """True if success is there after 2 s without a plan."""
     drift_mm: float
     """Farthest that an object moves in the 2 s without a plan."""
     displaced: int

@@ -21,7 +21,7 @@ PITCH, FOVY = math.radians(28.0), math.radians(34.0)
 MARGIN = 1.1
 """Room about the sphere that holds all objects, which fills the picture's height otherwise."""
 BESIDE_DEG = (0.0, 30.0, -30.0, 60.0, -60.0)
-"""Views, counted from the front of things, which is +x in a task's scene."""
+"""Views, counted from the front of objects, which is +x in a task's scene."""
 LEAST_SHOWN = 0.5
 """Share of every object that a view should show: the first that does is taken."""
 VIEW = (PITCH, FOVY, MARGIN, *BESIDE_DEG, LEAST_SHOWN)

@@ -56,10 +56,10 @@ def put(
 
     Args:
         program: a template, or a program of this package.
-        xy: in the frame of what carries it [m].
+        xy: in the frame of its parent [m].
         name: of the object; that of the program by default.
-        on: what carries it.
-        z: height of its lowest point above the frame of what carries it [m]; the table's top by
+        on: its parent.
+        z: height of its lowest point above the frame of its parent [m]; the table's top by
             default.
         yaw: heading there [rad].
         tilt: rotation before the heading, for what lies.
@@ -99,7 +99,8 @@ def size_of(scene: SceneSpec, name: str) -> np.ndarray:
 
 
 def grown(truth: SceneSpec, scene: SceneSpec, name: str) -> np.ndarray:
-    """Return an object's edges in a scene over those in the truth [3]; 1 in the truth itself."""
+    """Return an object's edges in a scene over those in the ground truth [3]; 1 in the ground truth
+    itself."""
     return size_of(scene, name) / size_of(truth, name)
 
 

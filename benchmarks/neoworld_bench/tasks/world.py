@@ -78,7 +78,7 @@ class World:
         return Pose(body.xpos.copy(), body.xquat.copy())
 
     def at_rest(self, name: str, linear: float, angular: float) -> bool:
-        """Whether an object's root moves by less than these [m/s], [rad/s]."""
+        """True if an object's root moves by less than these [m/s], [rad/s]."""
         velocity = np.zeros(6)
         body = self.model.body(name).id
         mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_BODY, body, velocity, 0)
@@ -127,7 +127,7 @@ class World:
         return float(value), abs(float(self.data.qvel[dof])), bool(kind == _SLIDE)
 
     def diverged(self) -> bool:
-        """Whether the state is no longer made of finite numbers."""
+        """True if the state is no longer made of finite numbers."""
         return not (np.isfinite(self.data.qpos).all() and np.isfinite(self.data.qvel).all())
 
 
