@@ -1,7 +1,7 @@
-"""Fit camera and poses again, with the built objects in place of outlines of their categories.
+"""Second fit of camera and boxes, with built shapes in place of the outlines of categories.
 
-After Step 2 the silhouette of an object is known, so its 2D box says more: scale, place and
-heading are fitted to what its surface covers; its proportions are the program's.
+After Step 2 the silhouette of an object is known, so its 2D box determines more: scale, position
+and heading are fitted to the pixels that its surface covers; the program gives its proportions.
 """
 
 from collections.abc import Mapping
@@ -14,8 +14,9 @@ from ..measure import SidesShown
 from ..render import visible_surface
 from ..spec import ObjectSpec, SceneTree, TreeNode
 from ..spec.fit_to_box import fit_to_box
-from .fit_tree import FitReport, fit_tree
-from .supports_by_picture import other_carriers, with_carriers
+from .fit_report import FitReport
+from .fit_tree import fit_tree
+from .support_selection import other_supports, with_supports
 from .wireframe import Wireframe, edges_of, hull_wireframe
 
 
@@ -24,16 +25,16 @@ def refit_tree(
     objects: Mapping[str, ObjectSpec],
     shown: Mapping[str, SidesShown] | None = None,
     *,
-    carriers: bool = True,
+    change_supports: bool = True,
 ) -> tuple[SceneTree, FitReport]:
-    """Fit a tree to its 2D boxes by the shapes of its objects.
+    """Fit a tree to its 2D boxes with the built shapes of its objects.
 
     Args:
         tree: the scene tree of Step 1.
         objects: the built objects by name, at any size.
         shown: which sides of their visible boxes they show, by `measure.shown_sides` of the scene
-            composed from the tree; without it boxes tell what is before what.
-        carriers: whether another object may carry one than the tree says; see `other_carriers`.
+            composed from the tree; without it occlusion is estimated from boxes.
+        change_supports: allow other supports than those of the tree; see `other_supports`.
 
     Returns:
         The fitted tree, and the report; see `fit_tree`.
@@ -41,11 +42,11 @@ def refit_tree(
     nodes = [node for node in tree.nodes if not node.environment]
     surfaces = {node.name: surface_of(objects[node.name], node) for node in nodes}
     fitted, report = fit_tree(tree, surfaces, shown)
-    changes = other_carriers(tree, fitted, objects, surfaces) if carriers else {}
+    changes = other_supports(tree, fitted, objects, surfaces) if change_supports else {}
     if not changes:
         return fitted, report
-    fitted, report = fit_tree(with_carriers(tree, changes), surfaces, shown)
-    return fitted, replace(report, carriers=changes)
+    fitted, report = fit_tree(with_supports(tree, changes), surfaces, shown)
+    return fitted, replace(report, supports=changes)
 
 
 def surface_of(spec: ObjectSpec, node: TreeNode) -> Wireframe:

@@ -24,7 +24,7 @@ from ..measure.boxes import (
 from ..spec import Box3D, SceneTree, TreeNode
 from .categories import size_range
 from .projection import expected_box, outline_of
-from .sides import EDGE, hidden_sides
+from .visible_sides import EDGE, hidden_sides
 
 AGREEMENT_WARNS, AGREEMENT_FAILS = 0.6, 0.35
 """Agreement of the projected 3D box with the 2D box, see `agreement`."""

@@ -13,7 +13,8 @@ from dataclasses import dataclass, field, replace
 
 from ..config import ParseOptions
 from ..errors import ModelError, SpecError
-from ..fit.fit_tree import FitReport, fit_tree
+from ..fit.fit_report import FitReport
+from ..fit.fit_tree import fit_tree
 from ..fit.tree_checks import SceneIssue, check_score, check_tree
 from ..mllm import Model, ask_or_record, revise
 from ..spec import SceneTree

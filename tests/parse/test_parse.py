@@ -94,7 +94,7 @@ def test_errors_of_the_checks_go_back_even_if_the_critic_is_content():
     wrong["objects"][3]["parent"] = "right"  # the can, far from it
     parsed, names, requests = run(wrong, GOOD, consistent(), GOOD)
     assert names[2] == "parse:mend"
-    assert "can: only 0% of its footprint lies in that of right" in requests[2].prompt
+    assert "can: only 0% of its footprint lies in that of its support right" in requests[2].prompt
     assert parsed.kept == 1
     assert parsed.tree.node("can").parent == "left"
 

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
+from neoworld_mjx.fit.fit_report import OtherSupport
 from neoworld_mjx.fit.refit import refit_tree, surface_of
-from neoworld_mjx.fit.supports_by_picture import OtherCarrier, with_carriers, without_circles
+from neoworld_mjx.fit.support_selection import with_supports, without_cycles
 from neoworld_mjx.spec import Box, Box2D, HollowBox
 from tests.support import answers, scenes
 
@@ -60,7 +61,7 @@ def test_what_stands_in_or_on_another_thing_is_not_on_the_table(below, z, relati
     assert (node.parent, node.relation) == (below["name"], relation)
     assert node.box3d.position == pytest.approx((0.85, 0, z), abs=0.005)
     assert "cube" in report.to_json()["carriers"]
-    assert "on table" in report.carriers["cube"].phrase()
+    assert "on table" in report.supports["cube"].phrase()
 
 
 def test_what_is_answered_on_a_thing_elsewhere_is_on_what_is_below_it():
@@ -85,25 +86,25 @@ def test_a_right_carrier_stays(things, off):
     truth, shapes = photographed(*things)
     answer = answers.moved(truth, "cube", (*off, 0.0))
     fitted, report = refit_tree(answer, shapes)
-    assert report.carriers == {}
+    assert report.supports == {}
     assert fitted.node("cube").parent == truth.node("cube").parent
 
 
 def test_a_person_may_have_said_it():
     truth, shapes = photographed(tray(), cube(0.85, 0, 0.01, parent="tray", relation="in"))
-    fitted, report = refit_tree(on_table(truth), shapes, carriers=False)
+    fitted, report = refit_tree(on_table(truth), shapes, change_supports=False)
     assert fitted.node("cube").parent == "table"
-    assert report.carriers == {}
+    assert report.supports == {}
 
 
 def test_of_two_things_that_would_carry_each_other_the_clearer_change_stays():
     tree = answers.exact()
     changes = {
-        "left": OtherCarrier("on table", "right", "on", 0.12, 20.0),
-        "right": OtherCarrier("on table", "left", "on", 0.08, 30.0),
+        "left": OtherSupport("on table", "right", "on", 0.12, 20.0),
+        "right": OtherSupport("on table", "left", "on", 0.08, 30.0),
     }
-    kept = without_circles(tree, changes)
+    kept = without_cycles(tree, changes)
     assert list(kept) == ["right"]
     # What stands on another one is lifted with it.
-    lifted = with_carriers(tree, {"left": changes["left"]})
+    lifted = with_supports(tree, {"left": changes["left"]})
     assert lifted.node("can").box3d.position[2] == pytest.approx(0.08 + 0.12)

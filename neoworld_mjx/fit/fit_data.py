@@ -1,0 +1,151 @@
+"""Constants of the fit, one row per object: 2D boxes, outlines, priors and links to supports."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..measure import SidesShown
+from ..spec import Camera, SceneTree, TreeNode
+from .priors import (
+    camera_sd,
+    position_whitening,
+    side_sd,
+    size_sd,
+    wall_normal,
+    yaw_sd,
+)
+from .projection import Silhouette
+from .visible_sides import hidden_sides
+from .wireframe import Wireframe
+
+CAMERA = 2
+"""Unknowns of the camera; each object has seven."""
+
+
+@dataclass(frozen=True)
+class FitData:
+    """The scene tree and the objects to fit, as arrays.
+
+    Unknowns are the camera's pitch [rad] and log height, each over its prior standard deviation,
+    then per object x, y, z [m], log length, width, height, and yaw [rad]. A rigid object keeps its
+    proportions: its log length is that of its scale, and the next two stay 0.
+    """
+
+    tree: SceneTree
+    objects: tuple[TreeNode, ...]
+    parents: Int[np.ndarray, " n"]
+    """Index of the parent among the objects; -1 for the environment."""
+    levels: Int[np.ndarray, " n"]
+    """Number of objects below an object in the hierarchy."""
+    rigid: Bool[np.ndarray, " n"]
+    """True for objects with a built shape."""
+    round: Bool[np.ndarray, " n"]
+    """True for outlines that do not show their heading."""
+    sizes: Float[np.ndarray, "n 3"]
+    """Size [m] of the outlines' unit boxes; 1 for built shapes, which are in metres."""
+    values: Float[np.ndarray, "n 7"]
+    """Unknowns of the objects in the tree."""
+    tilts: Float[np.ndarray, "n 4"]
+    boxes: Float[np.ndarray, "n 4"]
+    """2D boxes [px]."""
+    contacts: Float[np.ndarray, "n 2"]
+    """Pixels at which objects touch their supports; NaN if unknown."""
+    inner: Float[np.ndarray, "n a 3"]
+    """Points of the smallest outline; next those of the largest, and those that can be lowest."""
+    outer: Float[np.ndarray, "n b 3"]
+    lowest: Float[np.ndarray, "n c 3"]
+    hidden: Bool[np.ndarray, "n 4"]
+    """True for sides of a 2D box that may not be the object's own outline."""
+    normals: Float[np.ndarray, "n 3"]
+    """Normal of the wall that an object is attached to; 0 for other objects."""
+    camera_sd: Float[np.ndarray, "2"]
+    side_sd: Float[np.ndarray, "n 4"]
+    scale_sd: Float[np.ndarray, " n"]
+    edge_sd: Float[np.ndarray, "n 3"]
+    yaw_sd: Float[np.ndarray, " n"]
+    whitening: Float[np.ndarray, "n 3 3"]
+    """Matrices that map changes of position [m] to standard deviations."""
+    cut: Mapping[int, tuple[Wireframe, ...]] = field(default_factory=dict)
+    """Surfaces of the objects that the picture's border may cut, the smallest outline first."""
+
+    @cached_property
+    def heights(self) -> Float[np.ndarray, " n"]:
+        """Heights [m] of the objects' boxes in the tree."""
+        return np.array([node.box3d.size[2] for node in self.objects])
+
+    def initial_unknowns(self) -> Float[np.ndarray, " u"]:
+        """Return the unknowns of the tree."""
+        return np.concatenate([np.zeros(CAMERA), self.values.ravel()])
+
+    def log_sizes(self, values: Float[np.ndarray, "k 7"], rows: object) -> Float[np.ndarray, "k 3"]:
+        """Return the logarithms of edge lengths over their initial ones, of some objects."""
+        return np.where(self.rigid[rows][:, None], values[:, 3:4], values[:, 3:6])
+
+    def unpacked(self, x: Float[np.ndarray, " u"]) -> tuple[Camera, Float[np.ndarray, "n 7"]]:
+        """Return the camera and the unknowns of the objects, held in the planes of their walls."""
+        camera = self.tree.camera
+        pitch, log_height = x[:CAMERA] * self.camera_sd
+        moved = camera.model_copy(
+            update={
+                "pitch": float(np.clip(camera.pitch + pitch, -1.55, 1.55)),
+                "height": camera.height * math.exp(np.clip(log_height, -2, 2)),
+            }
+        )
+        values = x[CAMERA:].reshape(len(self.objects), 7).copy()
+        off = np.sum((values[:, :3] - self.values[:, :3]) * self.normals, axis=1, keepdims=True)
+        values[:, :3] -= off * self.normals
+        return moved, values
+
+
+def object_data(
+    tree: SceneTree,
+    objects: Sequence[TreeNode],
+    shapes: Mapping[str, Wireframe],
+    shown: Mapping[str, SidesShown],
+    silhouettes: Sequence[Silhouette],
+) -> FitData:
+    """Collect the data of some objects, parents first; see `fit_problem`."""
+    names = [node.name for node in objects]
+    parents = [names.index(n.parent) if n.parent in names else -1 for n in objects]
+    levels = np.zeros(len(objects), int)
+    for i, parent in enumerate(parents):
+        levels[i] = levels[parent] + 1 if parent >= 0 else 0
+    rigid = np.array([name in shapes for name in names])
+    positions = np.array([node.box3d.position for node in objects])
+    yaws = np.array([node.box3d.yaw for node in objects])
+    scale_sds, edge_sds = zip(*(size_sd(node) for node in objects), strict=True)
+    contacts = [node.cues.contact or (np.nan, np.nan) for node in objects]
+    return FitData(
+        tree=tree,
+        objects=tuple(objects),
+        parents=np.array(parents),
+        levels=levels,
+        rigid=rigid,
+        round=~rigid & np.array([silhouette.round for silhouette in silhouettes]),
+        sizes=np.where(rigid[:, None], 1.0, np.array([node.box3d.size for node in objects])),
+        values=np.column_stack([positions, np.zeros((len(objects), 3)), yaws]),
+        tilts=np.array([node.base_tilt for node in objects]),
+        boxes=np.array([node.box2d.as_tuple() for node in objects]),
+        contacts=np.array(contacts, float),
+        inner=_stacked([silhouette.inner for silhouette in silhouettes]),
+        outer=_stacked([silhouette.outer for silhouette in silhouettes]),
+        lowest=_stacked([silhouette.lowest for silhouette in silhouettes]),
+        hidden=np.array([hidden_sides(tree, node, shown.get(node.name)) for node in objects]),
+        normals=np.array([wall_normal(tree, node) for node in objects]),
+        camera_sd=camera_sd(tree),
+        side_sd=np.array([side_sd(tree.camera, node) for node in objects]),
+        scale_sd=np.array(scale_sds),
+        edge_sd=np.array(edge_sds),
+        yaw_sd=np.array([yaw_sd(node) for node in objects]),
+        whitening=np.array([position_whitening(tree, node) for node in objects]),
+    )
+
+
+def _stacked(points: list[Float[np.ndarray, "_ 3"]]) -> Float[np.ndarray, "n m 3"]:
+    """Stack sets of points; shorter ones repeat points, which changes no extent."""
+    longest = max(len(p) for p in points)
+    return np.array([np.resize(p, (longest, 3)) for p in points])

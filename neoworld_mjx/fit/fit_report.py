@@ -1,0 +1,110 @@
+"""Report of a fit: changes of the camera and of each object's box, and of supports."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..spec import Box3D
+from ..spec.tree import Relation
+
+NOTED_M, NOTED_SIZE = 0.10, 0.10
+"""Changes of position [m] and size from which on a note reports them."""
+MIN_GAIN = 2 * math.log(31)
+"""Least fall of the sum of squared residuals for another support, twice a log-likelihood ratio.
+
+One object in 32 is taken to have a wrong support in a response: of 30 objects in five rendered
+pictures none had one, by Laplace's rule of succession."""
+
+
+@dataclass(frozen=True)
+class BoxChange:
+    """Change of one object's box by the fit."""
+
+    before: Box3D
+    after: Box3D
+    distance_m: float
+    size_ratio: tuple[float, float, float]
+    """New over old size along x, y, z."""
+    yaw_deg: float
+    agreement_before: float
+    agreement_after: float
+    hidden: tuple[bool, bool, bool, bool]
+    """True for sides of its 2D box (left, top, right, bottom) that are not its own outline."""
+    refused: str = ""
+    """Reason why the fit was refused, so that the box is as parsed."""
+
+
+@dataclass(frozen=True)
+class OtherSupport:
+    """Support of an object that the picture shows, in place of the parsed one."""
+
+    before: str
+    """Parsed relation and parent."""
+    parent: str
+    relation: Relation
+    z: float
+    """Height of its lowest point [m]."""
+    gain: float
+    """Fall of the sum of squared residuals of its fit."""
+
+    def phrase(self) -> str:
+        """Return the reason in words."""
+        return (
+            f"{self.before} it would penetrate another object or rest on nothing; "
+            f"{self.relation} {self.parent} its fit to the photo is better by {self.gain:.0f} "
+            f"squared standard deviations, of which {MIN_GAIN:.0f} are needed"
+        )
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """Outcome of a fit."""
+
+    applied: bool
+    """True if anything moved."""
+    reason: str
+    agreement_before: float
+    """Mean agreement of projected 3D boxes with 2D boxes, 0 to 1."""
+    agreement_after: float
+    pitch_deg: float = 0.0
+    """Change of the camera's pitch; the next is also a change of the camera."""
+    height_m: float = 0.0
+    objects: dict[str, BoxChange] = field(default_factory=dict)
+    supports: dict[str, OtherSupport] = field(default_factory=dict)
+    """Other supports of objects, by the picture, where the parsed support is not possible."""
+
+    def notes(self) -> Iterator[tuple[str, str]]:
+        """Yield what a person should know: objects that were refused, or that moved far."""
+        for name, change in self.objects.items():
+            ratio = math.prod(change.size_ratio) ** (1 / 3)
+            if change.refused:
+                yield f"{name} kept as parsed", f"its fit was refused: {change.refused}"
+            elif change.distance_m > NOTED_M or abs(ratio - 1) > NOTED_SIZE:
+                yield (
+                    f"{name} differs from the parse",
+                    f"the fit to the photo moved it by {100 * change.distance_m:.1f} cm, scaled "
+                    f"it by {ratio:.2f} and turned it by {change.yaw_deg:.0f} deg",
+                )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain data, numbers rounded to four decimals."""
+        groups = {"objects": self.objects, "carriers": self.supports}
+        return {
+            **{k: _plain(v) for k, v in vars(self).items() if k not in ("objects", "supports")},
+            **{
+                group: {
+                    name: {key: _plain(value) for key, value in vars(change).items()}
+                    for name, change in changes.items()
+                }
+                for group, changes in groups.items()
+            },
+        }
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Box3D):
+        return value.model_dump(mode="json")
+    if isinstance(value, tuple):
+        return [_plain(entry) for entry in value]
+    return round(value, 4) if isinstance(value, float) else value

@@ -1,0 +1,63 @@
+"""Vertical columns through an object's collision shapes, for overlaps and heights of support."""
+
+import numpy as np
+from jaxtyping import Float
+
+from ..measure.boxes import footprint, upright
+from ..physics.support import column, posed_pieces
+from ..spec import ObjectSpec, SceneObject, TreeNode
+from ..spec.fit_to_box import fit_to_box
+from ..spec.pose import from_yaw, pose, rotate
+
+SAMPLES = 15
+"""Columns along each side of a footprint."""
+
+
+class SolidColumns:
+    """Vertical columns [m] in the world through an object that is scaled to its parsed box.
+
+    Attributes:
+        xy: positions of the columns that meet the object.
+        bottom: the object's lowest height in each column.
+        top: its highest one.
+    """
+
+    def __init__(self, node: TreeNode, spec: ObjectSpec) -> None:
+        fit = fit_to_box(spec, node)
+        middle = fit.factor * fit.bottom_center
+        scaled, state = fit.scaled()
+        item = SceneObject(name=node.name, spec=scaled, base_tilt=node.base_tilt, joint_state=state)
+        x, y, z = node.box3d.position
+        to = pose((x, y, 0.0), from_yaw(node.box3d.yaw)).then(pose(-rotate(node.base_tilt, middle)))
+        self._pieces = [(piece, to.then(local)) for piece, local in posed_pieces(item)]
+        self.articulated = any(joint.type != "fixed" for joint in spec.joints)
+        self._lift = 0.0
+        corners = footprint(upright(node))
+        sides = np.linspace(corners.min(axis=0), corners.max(axis=0), SAMPLES).T
+        xy = np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 2)
+        lows, highs = self.spans(xy)
+        bottom, top = lows.min(axis=0), highs.max(axis=0)
+        met = np.isfinite(bottom)
+        if met.any():
+            self._lift = float(z - bottom.min())
+        self.xy = xy[met]
+        self.bottom, self.top = bottom[met] + self._lift, top[met] + self._lift
+
+    def spans(
+        self, xy: Float[np.ndarray, "k 2"]
+    ) -> tuple[Float[np.ndarray, "p k"], Float[np.ndarray, "p k"]]:
+        """Return the lowest and highest height [m] of each convex piece in columns.
+
+        (inf, -inf) where a piece does not meet the column.
+        """
+        columns = [column(piece, placed, xy) for piece, placed in self._pieces]
+        return (
+            np.array([low for low, _ in columns]) + self._lift,
+            np.array([high for _, high in columns]) + self._lift,
+        )
+
+    def depth(self, other: "SolidColumns", shift: Float[np.ndarray, " 3"]) -> float:
+        """Return the largest vertical overlap [m] with another object, after a shift."""
+        lows, highs = other.spans(self.xy + shift[:2])
+        top, bottom = self.top + shift[2], self.bottom + shift[2]
+        return float(np.max(np.minimum(highs, top) - np.maximum(lows, bottom), initial=-np.inf))

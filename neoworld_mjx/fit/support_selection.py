@@ -1,0 +1,220 @@
+"""Selection of another support for an object whose parsed support is not possible.
+
+A response may state that a sponge is on the table although its position is in a basket: as parsed,
+it would penetrate the basket's floor. Either the position is wrong, and the sponge is next to the
+basket, or the support is wrong. Both are fitted to the 2D box with built shapes: on the parsed
+support, at the nearest position without overlap, and in or on the other object. The support changes
+only where the picture favours that more clearly than responses are rarely wrong about supports.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..measure.boxes import footprint, polygon_area, shared_footprint, support_footprint, upright
+from ..spec import ObjectSpec, SceneTree, TreeNode
+from ..spec.pose import from_yaw, matrix
+from ..spec.tree import Relation
+from .fit_report import MIN_GAIN, OtherSupport
+from .solid_columns import SolidColumns
+from .support_fit import SupportFit
+from .tree_checks import INSIDE_WARNS
+from .wireframe import Wireframe
+
+DEEP_M = 0.002
+"""Overlap of built shapes from which on an object cannot be at its parsed position."""
+BESIDE = 0.01
+"""Fraction of a footprint over its support below which the object is not on it at all."""
+LEVEL_M = 0.004
+"""Surfaces within this height count as one."""
+BELOW_RIM = 0.1
+"""Depth below an object's top, over the height of the lower of both, from which on a relation is
+`in`."""
+POSITIONS = 9
+"""Positions along each side of a square around an object's own."""
+FITTED = 3
+"""Number of positions or heights that are fitted: those with the least unfitted cost."""
+DIRECTIONS, STEPS = 16, 40
+"""Directions out of another object, and positions along each."""
+
+
+class _Level(NamedTuple):
+    """A surface in or on another object where an object may rest."""
+
+    support: TreeNode
+    relation: Relation
+    z: float
+    xy: Float[np.ndarray, " 2"]
+
+
+def other_supports(
+    parsed: SceneTree,
+    fitted: SceneTree,
+    objects: Mapping[str, ObjectSpec],
+    surfaces: Mapping[str, Wireframe],
+) -> dict[str, OtherSupport]:
+    """Return the objects that the picture shows on another support than the parsed one.
+
+    Args:
+        parsed: the scene tree before the fit.
+        fitted: the same fitted with built shapes.
+        objects: the built objects by name, at any size.
+        surfaces: their visible surfaces, see `fit_problem`.
+    """
+    nodes = [node for node in fitted.nodes if not node.environment]
+    solids = {node.name: SolidColumns(node, objects[node.name]) for node in nodes}
+    supports = {}
+    for node in nodes:
+        if node.parent is None or node.relation not in ("on", "in"):
+            continue
+        candidates = _candidates(fitted, node, solids)
+        if not candidates:
+            continue
+        fit = SupportFit(parsed, fitted, node, surfaces[node.name])
+        position = np.array(node.box3d.position[:2])
+        levels = [level for c in candidates for level in _levels(node, position, c, solids)]
+        levels.sort(key=lambda level: fit.cost_unfitted(level.support.name, *level[1:]))
+        costs = [(_cost_at(fit, level), level) for level in levels[:FITTED]]
+        cost, level = min(costs, key=lambda entry: entry[0], default=(np.inf, None))
+        if level is None or cost == np.inf:
+            continue
+        gain = _cost_as_parsed(fit, solids, candidates) - cost
+        if MIN_GAIN < gain < np.inf:
+            supports[node.name] = OtherSupport(
+                f"{node.relation} {node.parent}", level.support.name, level.relation, level.z, gain
+            )
+    return without_cycles(fitted, supports)
+
+
+def without_cycles(
+    tree: SceneTree, supports: Mapping[str, OtherSupport]
+) -> dict[str, OtherSupport]:
+    """Leave out changes that close a cycle of supports; the ones with larger gains stay."""
+    parents = {node.name: node.parent for node in tree.nodes}
+    kept = {}
+    for name, change in sorted(supports.items(), key=lambda entry: -entry[1].gain):
+        below: str | None = change.parent
+        while below not in (None, name):
+            below = parents[below]
+        if below is None:
+            parents[name], kept[name] = change.parent, change
+    return kept
+
+
+def with_supports(tree: SceneTree, changes: Mapping[str, OtherSupport]) -> SceneTree:
+    """Return a tree in which objects, and what rests on them, are on other supports."""
+    lifts: dict[str, float] = {}
+    nodes = {node.name: node for node in tree.nodes}
+    for node in tree.top_down():
+        change = changes.get(node.name)
+        lift = lifts.get(node.parent or "", 0.0)
+        update: dict[str, object] = {}
+        if change is not None:
+            lift = change.z - node.box3d.position[2]
+            update = {"parent": change.parent, "parent_link": None, "relation": change.relation}
+        lifts[node.name] = lift
+        x, y, z = node.box3d.position
+        update["box3d"] = node.box3d.model_copy(update={"position": (x, y, z + lift)})
+        nodes[node.name] = node.model_copy(update=update)
+    return SceneTree.model_validate({**dict(tree), "nodes": tuple(nodes.values())})
+
+
+def _candidates(
+    tree: SceneTree, node: TreeNode, solids: Mapping[str, SolidColumns]
+) -> list[TreeNode]:
+    """Return possible supports of an object in place of its parent; none if the parent is one."""
+    excluded = {node.name, node.parent}
+    for other in tree.top_down():
+        excluded |= {other.name} if other.parent in excluded - {node.parent} else set()
+    others = [
+        other
+        for other in tree.nodes
+        if other.name not in excluded and not (other.environment or solids[other.name].articulated)
+    ]
+    assert node.parent is not None
+    if node.parent in solids and _share_over(node, tree.node(node.parent)) < BESIDE:
+        return [other for other in others if _share_over(node, other) >= INSIDE_WARNS]
+    solid, still = solids[node.name], np.zeros(3)
+    return [other for other in others if solid.depth(solids[other.name], still) > DEEP_M]
+
+
+def _share_over(node: TreeNode, support: TreeNode) -> float:
+    """Return the fraction of an object's footprint that is over another object's."""
+    feet = footprint(upright(node))
+    return shared_footprint(support_footprint(support), feet) / polygon_area(feet)
+
+
+def _cost_at(fit: SupportFit, level: _Level) -> float:
+    """Return the cost of an object's fit on a level; infinite if it does not stay over it."""
+    support, relation, z, xy = level
+    cost, fitted_xy = fit.cost(support.name, relation, z)
+    if _share_over(fit.placed(fitted_xy, z), support) >= INSIDE_WARNS:
+        return cost
+    if _share_over(fit.placed(xy, z), support) >= INSIDE_WARNS:
+        return fit.cost(support.name, relation, z, xy)[0]
+    return np.inf
+
+
+def _cost_as_parsed(
+    fit: SupportFit, solids: Mapping[str, SolidColumns], others: Sequence[TreeNode]
+) -> float:
+    """Return the cost of an object's fit at the nearest feasible position on its parsed support."""
+    node = fit.node
+    assert node.parent is not None
+    parent = fit.fitted.node(node.parent)
+    if node.parent in solids and _share_over(node, parent) < BESIDE:
+        nearest = _nearest_over(node, parent)
+        levels = _levels(node, nearest, parent, solids)
+        costs = (fit.cost(parent.name, each.relation, each.z, nearest)[0] for each in levels)
+        return min(costs, default=np.inf)
+    solid, z = solids[node.name], node.box3d.position[2]
+    position, free = np.array(node.box3d.position[:2]), []
+    reach = max(math.hypot(*other.box3d.size[:2]) for other in others)
+    reach += math.hypot(*node.box3d.size[:2])
+    for angle in np.linspace(0, 2 * np.pi, DIRECTIONS, endpoint=False):
+        direction = np.array([math.cos(angle), math.sin(angle)])
+        for step in np.linspace(0, reach, STEPS):
+            shift = np.array([*(step * direction), 0.0])
+            if all(solid.depth(solids[other.name], shift) <= DEEP_M for other in others):
+                free.append(position + shift[:2])
+                break
+    free.sort(key=lambda xy: fit.cost_unfitted(parent.name, node.relation, z, xy))
+    costs = (fit.cost(parent.name, node.relation, z, xy)[0] for xy in free[:FITTED])
+    return min(costs, default=np.inf)
+
+
+def _nearest_over(node: TreeNode, support: TreeNode) -> Float[np.ndarray, " 2"]:
+    """Return the position [m] nearest to an object's own that is over another object's box."""
+    box, axes = upright(support), matrix(from_yaw(support.box3d.yaw))[:2, :2]
+    half = np.array(box.size[:2]) / 2
+    offset = axes.T @ np.subtract(node.box3d.position[:2], box.position[:2])
+    return np.array(box.position[:2]) + axes @ np.clip(offset, -half, half)
+
+
+def _levels(
+    node: TreeNode,
+    xy: Float[np.ndarray, " 2"],
+    support: TreeNode,
+    solids: Mapping[str, SolidColumns],
+) -> Iterator[_Level]:
+    """Yield the levels in or on another object with the nearest position [m] on each.
+
+    Positions up to half a width around `xy` are tried, as a hole may be a centimetre off.
+    """
+    solid, other = solids[node.name], solids[support.name]
+    away = np.linspace(-0.5, 0.5, POSITIONS) * min(node.box3d.size[:2])
+    shifts = np.stack(np.meshgrid(away, away, indexing="ij"), -1).reshape(-1, 2)
+    shifts = shifts[np.argsort(np.linalg.norm(shifts, axis=1), kind="stable")]
+    columns = solid.xy + (xy - np.array(node.box3d.position[:2]))
+    _, highs = other.spans((columns + shifts[:, None]).reshape(-1, 2))
+    tops = highs.max(axis=0).reshape(len(shifts), -1)
+    heights = (tops - (solid.bottom - solid.bottom.min())).max(axis=1)
+    rim = float(other.top.max()) - BELOW_RIM * min(node.box3d.size[2], support.box3d.size[2])
+    levels: list[float] = []
+    for height, shift in zip(heights.tolist(), shifts, strict=True):
+        if math.isfinite(height) and all(abs(height - level) > LEVEL_M for level in levels):
+            levels.append(height)
+            yield _Level(support, "in" if height < rim else "on", height, xy + shift)
