@@ -1,4 +1,4 @@
-"""The folder of the cache of compiled programs and results."""
+"""Cache folder of compiled programs and results, and bounds of JAX's caches."""
 
 import os
 from pathlib import Path
@@ -7,7 +7,7 @@ VARIABLE = "NEOWORLD_CACHE"
 
 
 def cache_folder() -> Path:
-    """Return $NEOWORLD_CACHE, else `neoworld` in the user's cache folder; it need not exist."""
+    """Return $NEOWORLD_CACHE, or else `neoworld` in the user's cache folder; it may not exist."""
     if os.environ.get(VARIABLE):
         return Path(os.environ[VARIABLE])
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
@@ -15,10 +15,10 @@ def cache_folder() -> Path:
 
 
 def keep_compilations() -> Path | None:
-    """Let JAX keep what it compiles on disk; a folder that was set already is left alone.
+    """Enable JAX's persistent compilation cache, unless its folder is already set.
 
     Returns:
-        The folder in use; None if it cannot be written, which costs time only.
+        The folder; None if it cannot be written, which only costs time.
     """
     import jax
 
@@ -37,17 +37,11 @@ def keep_compilations() -> Path | None:
 
 
 def make_room(share: float = 0.5) -> bool:
-    """Drop what JAX has compiled before the process runs out of memory maps.
+    """Clear JAX's caches before the process runs out of memory maps; return True if cleared.
 
-    On CPUs every program maps memory some hundred times, JAX keeps programs of scenes that are
-    gone, and Linux allows 65 530 maps a process: after some thirty scenes compiling would fail.
-    A program that is needed again is compiled again.
-
-    Args:
-        share: of the allowed maps from which programs are dropped.
-
-    Returns:
-        Whether they were; never where the system does not tell.
+    On CPUs every compiled program maps some hundred regions, JAX keeps the programs of past scenes,
+    and Linux allows 65 530 maps per process: compilation would fail after some thirty scenes.
+    Caches are cleared at a share of the allowed maps, never where the system does not report them.
     """
     import jax
 

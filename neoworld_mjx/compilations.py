@@ -1,4 +1,4 @@
-"""Counting and timing what JAX compiles."""
+"""Number and time of JAX compilations."""
 
 from typing import NamedTuple
 
@@ -9,10 +9,10 @@ _PROGRAM = _PREFIX + "backend_compile_duration"
 
 
 class Compiled(NamedTuple):
-    """What JAX has compiled since the first call of `compiled`."""
+    """Compilations since the first call of `compiled`."""
 
     programs: int = 0
-    """Programs built, or read from the cache."""
+    """Programs compiled, or read from the cache."""
     seconds: float = 0.0
     """Time of tracing, lowering and compiling them [s]."""
 
@@ -23,19 +23,19 @@ class _Count:
 
 
 def compiled() -> Compiled:
-    """Return the programs that JAX has built or read from a cache since the first call."""
+    """Return the compilations, and reads from a cache, since the first call."""
     if not _Count.listening:
         _Count.listening = True
-        jax.monitoring.register_event_duration_secs_listener(_heard)
+        jax.monitoring.register_event_duration_secs_listener(_on_event)
     return _Count.so_far
 
 
 def compilations() -> int:
-    """Count the programs that JAX has built or read from a cache since the first call."""
+    """Return the number of programs compiled, or read from a cache, since the first call."""
     return compiled().programs
 
 
-def _heard(event: str, duration_secs: float, **_: str | int) -> None:
+def _on_event(event: str, duration_secs: float, **_: str | int) -> None:
     if event.startswith(_PREFIX):
         programs, seconds = _Count.so_far
         _Count.so_far = Compiled(programs + (event == _PROGRAM), seconds + duration_secs)

@@ -1,7 +1,7 @@
-"""The table of physics engines: the only list of their names. It imports no simulator.
+"""Table of physics engines; importing it loads no simulator.
 
-To add an engine, write a module with a class that implements `physics.engine.Engine`, raises
-EngineError from its constructor where it cannot run, and add its row here.
+To add an engine, write a class that implements `physics.engine.Engine` and raises EngineError from
+its constructor where it cannot run, and add its row here.
 """
 
 import importlib.util
@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 
 class EngineEntry(NamedTuple):
-    """A row of the table."""
+    """Row of the table."""
 
     location: str
     """Location of the class: "module:Class", the module relative to this package."""
     purpose: str
-    """Purpose of the engine, in words."""
+    """Hardware and simulator of the engine, in words."""
     accelerator: bool
-    """Whether `auto` takes the engine only where JAX has an accelerator."""
+    """True if `auto` uses the engine only where JAX has an accelerator."""
     agreement: float
-    """Smallest share of verdicts on clear layouts that must equal MuJoCo's."""
+    """Least required share of verdicts that equal MuJoCo's, on layouts away from the thresholds."""
 
 
 ENGINES: dict[str, EngineEntry] = {
@@ -33,8 +33,7 @@ ENGINES: dict[str, EngineEntry] = {
         ".physics.native:NativeEngine", "CPUs, by C MuJoCo on all cores", False, 0.99
     ),
 }
-"""Engines by name. `auto` takes, for each rollout, the one that costs least of those that can run
-here."""
+"""Engines by name. `auto` uses, for each rollout, the available one of least cost."""
 
 ENGINES_HELP = "Physics engine; auto takes the one that costs least here: " + "; ".join(
     f"{name}: {entry.purpose}" for name, entry in ENGINES.items()
@@ -49,10 +48,10 @@ else:
 
 
 def share_gpu_memory() -> None:
-    """Let JAX take a GPU's memory as it needs it, so that Warp finds some beside it.
+    """Let JAX allocate GPU memory on demand, so that some remains for Warp.
 
-    JAX takes three quarters when it starts by default. Nothing changes where the variable is set,
-    where Warp is not installed, or once JAX has started.
+    By default JAX preallocates three quarters. Has no effect if the environment variable is set,
+    Warp is not installed, or JAX has started.
     """
     if importlib.util.find_spec("mujoco_warp") is not None:
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")

@@ -1,9 +1,8 @@
-"""Programs kept as they were traced and lowered, so that a new process does neither again.
+"""Persistent cache of lowered programs, which saves tracing and lowering in a new process.
 
-JAX keeps what it compiles on disk, but finds it by the lowered program, and tracing and lowering
-one takes longer than reading it. Beside that cache the lowered programs themselves are kept, by
-`jax.export`. They are found by the sources that they come from, the versions of the libraries, and
-the shapes of what they take; a program gives the same bits whether it was read or traced.
+JAX's compilation cache is keyed by the lowered program, and tracing and lowering takes longer than
+reading it. This cache stores lowered programs by `jax.export`, keyed by their sources, the versions
+of libraries and the shapes of arguments; results are bit-identical.
 """
 
 import contextlib
@@ -23,36 +22,36 @@ from jax.core import Tracer
 
 from .io.files import MIB, read_bytes, write_atomic
 
-_ROOMS = ("config", "measure", "physics", "refinement", "spec")
-SOURCES = (*(f"neoworld_mjx/{room}" for room in _ROOMS), "neoworld_kernels")
-"""Packages that programs are traced from, with those whose constants they may hold."""
+_PACKAGES = ("config", "measure", "physics", "refinement", "spec")
+SOURCES = (*(f"neoworld_mjx/{name}" for name in _PACKAGES), "neoworld_kernels")
+"""Packages from which programs are traced, and whose constants they may contain."""
 TRACED_LIBRARIES = ("jax", "jaxlib", "equinox", "optax", "numpy")
 MOST_PROGRAMS, MAX_BYTES = 64, 64 * MIB
-"""Programs that are kept, of more the oldest are removed; and the largest that is read."""
+"""Number of stored programs, beyond which the oldest are removed; and the largest one read."""
 _Program = Callable[..., Any]
 
 
-def kept(fn: Callable[..., Any], like: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a jitted function whose traces are kept on disk.
+def stored_trace(fn: Callable[..., Any], like: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a jitted function whose lowered programs are stored on disk.
 
-    They are kept on CPUs, where tracing takes seconds of few cores, and only where JAX keeps what
-    it compiles. Within another traced function it is `fn` itself.
+    They are stored on CPUs only, where tracing takes seconds, and only with a compilation cache of
+    JAX. Within another traced function the result is `fn` itself.
 
     Args:
-        fn: a jitted function of arrays, and of keywords that are compiled in.
-        like: given the same arrays, returns a tree of the form of its result; traced.
+        fn: a jitted function of arrays and static keywords.
+        like: returns, given the same arrays, a tree with the structure of the result; traced.
     """
     programs: dict[Any, tuple[_Program, Any]] = {}
 
     @functools.wraps(fn)
     def call(*args: Any, **static: Any) -> Any:
         leaves, tree = jax.tree.flatten(args)
-        if not _keeps(leaves):
+        if not _is_stored(leaves):
             return fn(*args, **static)
         avals = tuple((np.shape(x), str(jax.dtypes.canonicalize_dtype(x.dtype))) for x in leaves)
         form, options = str(tree), tuple(sorted(static.items()))
         if " at 0x" in form:
-            # Data of the host are compiled in, which only this process knows.
+            # Objects of this process are compiled in.
             return fn(*args, **static)
         key = (form, avals, options)
         if key not in programs:
@@ -66,18 +65,18 @@ def kept(fn: Callable[..., Any], like: Callable[..., Any]) -> Callable[..., Any]
 
 
 def computes_on_cpu() -> bool:
-    """Whether JAX computes on the CPU now: it has nothing else, or `jax.default_device` says so."""
+    """Return whether JAX computes on the CPU, as the only backend or by `jax.default_device`."""
     chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
     if chosen is None:
         return jax.default_backend() == "cpu"
     return (chosen if isinstance(chosen, str) else chosen.platform).startswith("cpu")
 
 
-def _keeps(leaves: list[Any]) -> bool:
-    """Whether arrays are those of a call on a CPU, by a process that keeps what it compiles."""
-    for x in leaves:
-        if isinstance(x, Tracer) or not isinstance(x, np.ndarray | np.generic | jax.Array):
-            return False
+def _is_stored(leaves: list[Any]) -> bool:
+    """Return whether the program of a call with these arguments is stored."""
+    concrete = (np.ndarray, np.generic, jax.Array)
+    if any(isinstance(x, Tracer) or not isinstance(x, concrete) for x in leaves):
+        return False
     return _folder() is not None and computes_on_cpu()
 
 
@@ -87,23 +86,23 @@ def _folder() -> Path | None:
 
 
 def _open(flat: _Program, name: str, avals: tuple[Any, ...]) -> _Program:
-    """Read a program, or trace it and keep it."""
+    """Read a program, or trace and store it."""
     folder = _folder()
     assert folder is not None
     path = folder / f"{_fingerprint(name)}.bin"
     exported = None
-    # Whatever a damaged file does: it is traced again, and written anew.
+    # A damaged file is traced again, and overwritten.
     with contextlib.suppress(Exception):
         exported = jax.export.deserialize(bytearray(read_bytes(path, MAX_BYTES)))
     if exported is None:
         shapes = [jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in avals]
         exported = jax.export.export(jax.jit(flat), platforms=("cpu",))(*shapes)
-        _keep(path, exported)
+        _store(path, exported)
     return jax.jit(exported.call)
 
 
-def _keep(path: Path, exported: jax.export.Exported) -> None:
-    # Where it cannot be written it costs time only.
+def _store(path: Path, exported: jax.export.Exported) -> None:
+    # A failed write only costs time.
     with contextlib.suppress(OSError, ImportError):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(path, bytes(exported.serialize()))

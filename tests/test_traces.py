@@ -22,7 +22,7 @@ def counted(tmp_path, monkeypatch):
     return (
         calls,
         tmp_path / "traces",
-        lambda: traces.kept(turned, lambda tree: {"out": tree["a"]}),
+        lambda: traces.stored_trace(turned, lambda tree: {"out": tree["a"]}),
         turned,
     )
 

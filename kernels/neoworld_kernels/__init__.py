@@ -1,4 +1,4 @@
-"""Array operations of neoworld_mjx, one a module: a plain `jnp` reference and faster kernels."""
+"""Array operations of neoworld_mjx: `jnp` references and faster kernels."""
 
 from .blocks import sorted_samples
 from .convex_pieces import SPARE, Colliders, PieceGroup, signed_distance

@@ -1,4 +1,4 @@
-"""Surface samples in blocks of ones that lie near one another, with bounding spheres."""
+"""Surface samples in blocks of neighbours, with bounding spheres."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
 BLOCK = 32
-"""Samples in a block, at most."""
+"""Largest number of samples in a block."""
 
 
 class Blocks(NamedTuple):
@@ -22,11 +22,9 @@ class Blocks(NamedTuple):
 def sorted_samples(
     samples: Float[NDArray, "object sample 3"], first: int = 2 * BLOCK
 ) -> Float[NDArray, "object sample 3"]:
-    """Order each object's samples so that every BLOCK consecutive ones lie near one another.
+    """Order each object's samples so that every BLOCK consecutive ones are close together.
 
-    Args:
-        samples: surface points, the most important ones first.
-        first: so many stay the first ones, in another order among themselves.
+    The `first` most important samples stay in front, in another order.
     """
 
     def halved(points: NDArray) -> NDArray:
@@ -52,5 +50,5 @@ def bounding_sphere(points: Float[Array, "... sample 3"]) -> tuple[Array, Array]
     """Return centres [..., 3] and radii [...] of spheres about points [m]."""
     centre = (points.min(axis=-2) + points.max(axis=-2)) / 2
     radius = jnp.sqrt(jnp.max(jnp.sum((points - centre[..., None, :]) ** 2, axis=-1), axis=-1))
-    # A hair more, so that rounding never culls what touches.
+    # Slightly larger, so that rounding never culls a contact.
     return centre, radius * 1.00001 + 1e-6

@@ -1,7 +1,7 @@
-"""Depths as a search for the deepest sample needs them: cheap, and rough outside of a solid.
+"""Depths for the search of the deepest sample: cheap, and approximate outside a solid.
 
-Everything takes coordinates apart and works on arrays of any shape that broadcast, so that a kernel
-and plain XLA share it. `plane(f, k)` gives component k of a piece's plane f.
+Functions take separate coordinates as broadcastable arrays of any shape, so a kernel and plain XLA
+share them. `plane(f, k)` returns component k of a piece's plane f.
 """
 
 import math
@@ -17,10 +17,10 @@ Plane = Callable[[Array, int], Array]
 def depths(
     kind: str, local: list[list[Array]], size: list[Array], plane: Plane, faces: int | Array
 ) -> list[Array]:
-    """Depths below the surface of points given by components; rough or unfinished outside.
+    """Return depths of points below the surface; approximate outside.
 
-    What is outside does not matter, so norms to edges and corners are left out, and for a capsule
-    minus the squared distance to the axis is returned; see `finished`.
+    Norms to edges and corners, which matter only outside, are omitted. For a capsule the result is
+    minus the squared distance to the axis; see `finished`.
 
     Args:
         kind: a field name of `Colliders`.
@@ -75,7 +75,7 @@ def depths(
 def bound(
     kind: str, point: list[Array], size: list[Array], plane: Plane, faces: int | Array
 ) -> Array:
-    """Bound the distance to the surface from below; grows no faster than the way covered."""
+    """Return a lower bound of the distance to the surface, with a Lipschitz constant of 1."""
     if kind == "capsule":
         return -finished(kind, depths(kind, [point], size, plane, faces)[0], size)
     if kind == "ellipsoid":
@@ -87,14 +87,14 @@ def bound(
 
 
 def finished(kind: str, best: Array, size: list[Array]) -> Array:
-    """Turn the largest value of `depths` into a depth."""
+    """Convert the largest value of `depths` to a depth."""
     return size[0] - _root(-best) if kind == "capsule" else best
 
 
 def folded(x: Array, y: Array, times: Array) -> tuple[Array, Array]:
-    """Turn points about z into the sector from 0 to 2 pi / times."""
+    """Rotate points about z into the sector from 0 to 2 pi / times."""
     inverse = times * (1 / (2 * math.pi))
-    # Mosaic GPU has no floor; angles are shifted so that cutting off rounds down.
+    # Mosaic GPU has no floor; angles are shifted so that truncation rounds down.
     index = (_angle(y, x) * inverse + times).astype(jnp.int32).astype(jnp.float32) - times
     turn = index * (2 * math.pi / times)
     c, s = jnp.cos(turn), jnp.sin(turn)
@@ -108,7 +108,7 @@ def _root(square: Array) -> Array:
 def _angle(y: Array, x: Array) -> Array:
     """Compute atan2, which Mosaic GPU lacks, to 1e-5 (Abramowitz and Stegun, 4.4.47).
 
-    That is enough to tell sectors apart: both give the same depth where they meet.
+    That suffices for sectors, since neighbours give the same depth where they meet.
     """
     across, along = jnp.abs(x), jnp.abs(y)
     large = jnp.maximum(jnp.maximum(across, along), 1e-15)

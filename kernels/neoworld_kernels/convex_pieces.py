@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 SPARE = 1e6
-"""Offset of a spare half-space, which holds every point [m]."""
+"""Offset of a spare half-space, which contains every point [m]."""
 
 
 class PieceGroup(NamedTuple):
@@ -27,7 +27,7 @@ class PieceGroup(NamedTuple):
 
 
 class Colliders(NamedTuple):
-    """All convex pieces of a scene, by kind; a kind that does not occur has zero pieces."""
+    """All convex pieces of a scene, by kind; absent kinds have zero pieces."""
 
     box: PieceGroup
     capsule: PieceGroup
@@ -36,15 +36,15 @@ class Colliders(NamedTuple):
     ellipsoid: PieceGroup
     polytope: PieceGroup
     sector: PieceGroup
-    """Polytopes repeated about their frame's z axis: `size[0]` times around, of which the one that
-    spans the angles from 0 to 2 pi / size[0] is given, its two halves mirror images. A point is
-    turned into it first."""
+    """Polytopes repeated `size[0]` times about their frame's z axis. The stored one spans the
+    angles from 0 to 2 pi / size[0], with mirror-symmetric halves; points are first rotated into
+    it."""
 
 
 def signed_distance(
     kind: str, x: Float[Array, "*batch 3"], piece: PieceGroup
 ) -> Float[Array, "*batch"]:
-    """Signed distance [m] from points in a piece's frame, negative inside.
+    """Return the signed distance [m] of points in a piece's frame, negative inside.
 
     Exact for boxes, capsules and cylinders; first order in the distance for ellipsoids; for
     polytopes the largest plane distance, which is exact inside and a lower bound outside.
@@ -58,7 +58,7 @@ def signed_distance(
 
 
 def distance(kind: str, x: Array, y: Array, z: Array, piece: PieceGroup) -> Array:
-    """Compute `signed_distance` of points given by components, which XLA fuses into one pass."""
+    """Compute `signed_distance` from separate coordinates, which XLA fuses into one pass."""
     size = piece.size
     if kind == "box":
         a, b, c = jnp.abs(x) - size[0], jnp.abs(y) - size[1], jnp.abs(z) - size[2]
@@ -89,7 +89,7 @@ def distance(kind: str, x: Array, y: Array, z: Array, piece: PieceGroup) -> Arra
 
 
 def _norm(*parts: Array) -> Array:
-    # The gradient of a norm at zero is taken as zero instead of NaN.
+    # The gradient of the norm at zero is zero instead of NaN.
     square = sum(v * v for v in parts)
     positive = square > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)

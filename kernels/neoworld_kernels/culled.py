@@ -1,18 +1,17 @@
-"""Deepest penetration, looked for only where something can touch: for CPUs.
+"""Deepest penetration with culling by bounding volumes, for CPUs.
 
-Objects of a scene are mostly apart, and of two that touch most surface samples are far from the
-contact. A piece and an object are looked at only if, for some candidate, the bounding box of the
-one reaches the bounding sphere of the other; of that object's samples only the blocks of BLOCK
-consecutive ones whose bounding spheres reach it, too. So it is fastest when samples that follow one
-another lie near one another; see `sorted_samples`.
+Most objects of a scene are apart, and if two touch, most surface samples are far from the contact.
+A piece and an object are tested only if, in some candidate, the bounding box of the piece
+intersects the bounding sphere of the object; and of the object's samples only those blocks of BLOCK
+consecutive ones whose bounding spheres intersect it. Consecutive samples should therefore be close
+together; see `sorted_samples`.
 
-The search says which sample is deepest in which piece. Its depth is then computed anew, which makes
-the result differentiable at the cost of one distance a pair of objects.
+The search returns the deepest sample and its piece. Its depth is then recomputed, which makes the
+result differentiable at the cost of one distance per pair of objects.
 
-What is near is known only at run time, so loops have as many turns as needed, and what is padded
-costs next to nothing. All kinds of pieces are two families, since XLA's time grows with the number
-of branches: those that sizes define, whose few formulas are all computed and one chosen, and those
-that planes define.
+Loops run only over pairs found near at run time, so padding costs almost nothing. Pieces form two
+families, since XLA's time grows with the number of branches: those defined by sizes, for which all
+formulas are evaluated and one selected, and those defined by planes.
 """
 
 from collections.abc import Callable
@@ -29,17 +28,17 @@ from .coarse_distance import depths, finished, folded
 from .convex_pieces import SPARE, Colliders, PieceGroup, distance
 
 UNROLL = 4
-"""Planes that one pass over a block's samples looks at."""
+"""Planes per pass over a block's samples."""
 PAIRS = 32
 """Pairs of objects whose gradients are computed at once."""
 SIZE_KINDS = ("box", "capsule", "cylinder", "ellipsoid")
-"""Kinds that sizes define; the others are polytopes, repeated or not."""
+"""Kinds of pieces defined by sizes; the others are polytopes, repeated or not."""
 
 Index = Int[Array, "object object pop"]
 
 
 class ObjectPoses(NamedTuple):
-    """Poses of all candidates' objects; candidates last, so that vectors run along them."""
+    """Poses of all candidates' objects; the last axis is the population, for vectorization."""
 
     pos: Float[Array, "object 3 pop"]
     rot: Float[Array, "object 3 3 pop"]
@@ -47,7 +46,7 @@ class ObjectPoses(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """Pieces of all kinds: first those that sizes define, then those that planes define."""
+    """Pieces of all kinds: first those defined by sizes, then those defined by planes."""
 
     all: PieceGroup
     """Without planes."""
@@ -55,20 +54,20 @@ class Pieces(NamedTuple):
     """Index in SIZE_KINDS of each of the first."""
     planes: Float[Array, "flat face 4"]
     times: Float[Array, " flat"]
-    """How often each of the rest is repeated about its frame's z axis; 1 is not at all."""
+    """Number of repeats of each polytope about its frame's z axis."""
     faces: Int[Array, " flat"]
-    """Planes of each that are not spare."""
+    """Number of planes of each polytope, without spare ones."""
 
 
 class Deepest(NamedTuple):
-    """Which sample of i is deepest in which piece of j; all zero where none is inside."""
+    """Deepest sample of object i in the pieces of object j; all zero where none is inside."""
 
     depth: Float[Array, "object object pop"]
     sample: Index
     piece: Index
-    """Counted through all kinds."""
+    """Index over all kinds."""
     face: Index
-    """Plane of a polytope that the sample is next to."""
+    """Plane of a polytope nearest to the sample."""
 
 
 def pair_depth_culled(
@@ -78,17 +77,10 @@ def pair_depth_culled(
     samples: Float[Array, "object sample 3"],
     colliders: Colliders,
 ) -> Float[Array, "pop object object"]:
-    """Compute what `pair_depth_reference` does, culling by bounding volumes. Differentiable.
+    """Compute `pair_depth` with culling by bounding volumes. Differentiable.
 
-    Of samples that are equally deep one gives the gradient. Every depth of an object whose pose is
-    not finite is NaN.
-
-    Args:
-        pos: object origins in the world [m].
-        rot: object rotations.
-        scale: isotropic scale of each object about its origin.
-        samples: surface points in object frames at scale 1 [m]; repeat a point to pad.
-        colliders: convex pieces in object frames at scale 1.
+    Of equally deep samples one determines the gradient. The depths of an object whose pose is not
+    finite are NaN.
     """
     pop, count = scale.shape
     if not any(len(group.owner) for group in colliders) or not pop or not samples.size:
@@ -128,9 +120,9 @@ def join_pieces(colliders: Colliders) -> Pieces:
 def touching(
     placed: ObjectPoses, blocks: Blocks, pieces: PieceGroup
 ) -> Bool[Array, "piece object"]:
-    """Tell whether an object's bounding sphere reaches a piece's bounding box in any candidate.
+    """Return a mask of objects whose bounding sphere meets a piece's bounding box in any candidate.
 
-    A pose that is not a number touches nothing.
+    A pose with NaN touches nothing.
     """
     centre, radius = bounding_sphere(blocks.points.reshape(blocks.points.shape[0], -1, 3))
     at = jnp.sum(placed.rot * centre[:, None, :, None], axis=2) * placed.scale[:, None] + placed.pos
@@ -169,7 +161,7 @@ def _search(placed: ObjectPoses, blocks: Blocks, pieces: Pieces) -> Deepest:
 
 
 def true_indices(mask: Bool[Array, "*shape"]) -> tuple[Int[Array, " flat"], Int[Array, ""]]:
-    """Return the flat indices of what is true, in order, and how many there are."""
+    """Return the flat indices of true elements, in order, and their number."""
     flat = mask.reshape(-1)
     place = jnp.where(flat, jnp.cumsum(flat, dtype=jnp.int32) - 1, flat.size)
     order = jnp.zeros(flat.size, jnp.int32)
@@ -190,17 +182,7 @@ def _deeper(
     i: Int[Array, ""],
     planes: bool,
 ) -> Deepest:
-    """Look for deeper samples of object i in a piece, for all candidates.
-
-    Args:
-        deepest: so far.
-        placed: all objects of all candidates.
-        blocks: all samples.
-        pieces: all pieces.
-        piece: index of the piece.
-        i: index of the object.
-        planes: whether planes define the piece, and not its size.
-    """
+    """Search deeper samples of object i in a piece, for all candidates."""
     o = pieces.all.owner[piece]
     pos, rot, size = pieces.all.pos[piece], pieces.all.rot[piece], placed.scale[o]
     low, high = pieces.all.extent[piece]
@@ -257,7 +239,7 @@ def _deeper(
 
 def _by_size(pieces: Pieces, piece: Array) -> DepthOf:
     size, code = pieces.all.size[piece], pieces.code[piece]
-    # Sizes of other kinds may be zero, by which ellipsoids divide.
+    # Ellipsoids divide by sizes, which may be zero for other kinds.
     safe = jnp.where(code == SIZE_KINDS.index("ellipsoid"), size, 1.0)
 
     def depth(local: list[Array]) -> Array:
@@ -284,7 +266,7 @@ def _by_planes(pieces: Pieces, piece: Array) -> DepthOf:
                 least = jnp.minimum(least, ((d - a * x) - b * y) - c * z)
             return least, following(k + 1)
 
-        # Taken a turn ahead: XLA vectorises no loop that looks an index up.
+        # Loaded one iteration ahead, since XLA does not vectorize a loop with a dynamic index.
         following = lambda k: lax.dynamic_slice_in_dim(planes, k * UNROLL, UNROLL)
         turns = -(-pieces.faces[row] // UNROLL)
         return lax.fori_loop(0, turns, nearer, (x * 0.0 + SPARE, following(0)))[0]
@@ -295,7 +277,7 @@ def _by_planes(pieces: Pieces, piece: Array) -> DepthOf:
 def _nearest_plane(
     pieces: Pieces, piece: Array, local: list[Float[Array, " pop"]]
 ) -> Int[Array, " pop"]:
-    """Return the plane that each point in a piece's frame is next to."""
+    """Return the nearest plane of each point in a piece's frame."""
     row = piece - len(pieces.code)
     planes, times = pieces.planes[row], pieces.times[row]
     x, y, z = lax.cond(times > 1.0, lambda p: _folded(p, times), list, local)
@@ -312,7 +294,7 @@ def _folded(local: list[Array], times: Array) -> list[Array]:
 def _value(
     deepest: Deepest, placed: ObjectPoses, samples: Float[Array, "object sample 3"], pieces: Pieces
 ) -> Float[Array, "object object pop"]:
-    """Return the depths that were found; their gradient is that of `_depth_at`."""
+    """Return the depths of the search, with the gradient of `_depth_at`."""
     del placed, samples, pieces
     return deepest.depth
 
@@ -350,19 +332,10 @@ def _depth_at(
     samples: Float[Array, "object sample 3"],
     pieces: Pieces,
 ) -> Float[Array, "pair pop"]:
-    """Compute the depth of the deepest samples of pairs, as `pair_depth_reference` does of all.
-
-    Args:
-        deepest: of each pair, arrays [pair, pop].
-        i: objects whose samples they are.
-        j: objects whose pieces they are in.
-        placed: all objects of all candidates.
-        samples: of all objects.
-        pieces: of all objects.
-    """
+    """Compute the depth of the deepest samples of pairs (i, j) of objects."""
     first = lambda x: jnp.moveaxis(x, -1, 0)
     x = first(samples[i[:, None], deepest.sample])
-    # One row a piece, since a CPU gathers rows much faster than their numbers one by one.
+    # One row per piece, since a CPU gathers rows much faster than single numbers.
     a = pieces.all
     cut, flat = len(pieces.code), len(pieces.times)
     code = jnp.concatenate([pieces.code.astype(a.pos.dtype), jnp.full(flat, -1.0)])
@@ -371,8 +344,8 @@ def _depth_at(
     row = first(jnp.concatenate(columns, axis=1)[deepest.piece])
     pos, rot, size = row[:3], row[3:12].reshape(3, 3, *row.shape[1:]), row[12:15]
     code, times = row[15], row[16]
-    # Sums of products, since matrix products may be TF32. World to piece: undo the owner's pose and
-    # scale, then the piece's own pose.
+    # Sums of products, since matrix products may use TF32. World to piece: invert the owner's pose
+    # and scale, then the piece's pose.
     one, two = (
         jnp.transpose(placed.rot[i], (1, 2, 0, 3)),
         jnp.transpose(placed.rot[j], (1, 2, 0, 3)),
@@ -385,7 +358,7 @@ def _depth_at(
     local = jnp.sum(rot * d[:, None], axis=0)
     far = jnp.zeros_like(local[0])
     for c, kind in enumerate(SIZE_KINDS if cut else ()):
-        # Sizes of other kinds may be zero, by which gradients would not be numbers.
+        # Zero sizes of other kinds would make gradients NaN.
         sizes = jnp.where(code == c, size, 1.0)
         group = PieceGroup(code, pos, rot, sizes, code, code)
         far = jnp.where(code == c, distance(kind, local[0], local[1], local[2], group), far)
@@ -401,5 +374,5 @@ def _depth_at(
 
 
 def dot(a: Any, b: Any) -> Array:
-    """Multiply threes of arrays elementwise and add up; not a matrix product, which may be TF32."""
+    """Return the dot product of two triples of arrays; a matrix product might use TF32."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

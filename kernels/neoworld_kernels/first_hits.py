@@ -1,11 +1,10 @@
 """First hits of camera rays on convex pieces, for a population of poses: a z-buffer without pixels.
 
-Along a ray, the inverse of the depth at which it crosses a plane is linear in the ray's place in
-the picture. So a convex polytope is hit where the least of the planes that face the eye exceeds the
-greatest of the others, and its front is there; a quadric adds a square root. Rays come in blocks; a
-piece is compared with a block only if their boxes in the picture overlap for some candidate. What
-is near is known only at run time, so loops have as many turns as needed, and what is padded costs
-next to nothing.
+The inverse depth at which a ray crosses a plane is linear in the ray's image position. A ray hits a
+convex polytope where the minimum over planes that face the camera exceeds the maximum over the
+others, at that minimum; a quadric adds a square root. A piece is tested against a block of rays
+only if their image boxes overlap for some candidate. Loops run only over pieces found near at run
+time, so padding costs almost nothing.
 """
 
 import math
@@ -20,22 +19,23 @@ from .convex_pieces import SPARE, Colliders, PieceGroup
 from .culled import ObjectPoses, dot, true_indices
 
 UNROLL = 4
-"""Planes that one pass over a block's rays looks at."""
+"""Planes per pass over a block's rays."""
 NEAREST = 1e5
-"""Inverse depth [1/m] from which the eye counts as inside a piece, which then hides nothing."""
+"""Inverse depth [1/m] from which the camera counts as inside a piece, which then occludes
+nothing."""
 CLOSE = 1e-2
-"""Depth [m] within which a box is taken to fill the picture."""
+"""Depth [m] within which a box fills the image."""
 
 
 class Rays(NamedTuple):
-    """Rays in blocks: the ray through (x, y, 1) in the camera's frame, right, down and forward."""
+    """Rays in blocks, through (x, y, 1) in the camera's frame: right, down and forward."""
 
     x: Float[Array, "block ray pop"]
     y: Float[Array, "block ray pop"]
 
 
 class ConvexRows(NamedTuple):
-    """Pieces of one family, as the loops take them."""
+    """Pieces of one family."""
 
     owner: Int[Array, " row"]
     pos: Float[Array, "row 3"]
@@ -45,12 +45,12 @@ class ConvexRows(NamedTuple):
     weights: Float[Array, "row 3"]
     """A quadric: the sum of weights times squared coordinates is at most 1; zero for polytopes."""
     times: Float[Array, " row"]
-    """How often a row is repeated about its z axis."""
+    """Number of repeats about the z axis."""
     used: Bool[Array, " row"]
 
 
 def flat_rows(colliders: Colliders) -> ConvexRows:
-    """List the pieces that planes define: boxes, polytopes and repeated polytopes."""
+    """Return the pieces defined by planes: boxes, polytopes and repeated polytopes."""
     box, groups = colliders.box, (colliders.polytope, colliders.sector)
     most = max(6, *(g.planes.shape[1] for g in groups))
     most += -most % UNROLL
@@ -82,7 +82,7 @@ def flat_rows(colliders: Colliders) -> ConvexRows:
 
 
 def round_rows(colliders: Colliders) -> ConvexRows:
-    """List the pieces that quadrics define; a capsule is a cylinder and two balls."""
+    """Return the pieces defined by quadrics; a capsule is a cylinder and two spheres."""
     rod, can, egg = colliders.capsule, colliders.cylinder, colliders.ellipsoid
     zero = lambda n: jnp.zeros(n)
     long = rod.size[:, 1] > 0
@@ -130,18 +130,11 @@ def round_rows(colliders: Colliders) -> ConvexRows:
 def picture_boxes(
     placed: ObjectPoses, owner: Array, pos: Array, rot: Array, extent: Array
 ) -> Float[Array, "row 5 pop"]:
-    """Return boxes of rows in the picture and their greatest inverse depth.
-
-    Args:
-        placed: objects in the camera's frame.
-        owner: object of each row.
-        pos: of each row in its object's frame [m].
-        rot: of each row in its object's frame.
-        extent: lowest and highest corner in each row's frame [m].
+    """Return image boxes of rows, posed in the camera's frame, and their greatest inverse depth.
 
     Returns:
         left, top, right, bottom and the inverse depth [1/m] of the nearest corner; a box that
-        reaches the eye's plane fills the picture.
+        meets the camera's plane fills the image.
     """
     # Coordinates first: [3, corner, row, pop].
     own = jnp.transpose(placed.rot[owner], (1, 2, 0, 3))
@@ -176,18 +169,18 @@ def first_hits(
     layer: Int[Array, " object"],
     layers: int,
 ) -> Float[Array, "layer block ray pop"]:
-    """Return where rays first hit the objects of each layer.
+    """Return the first hits of rays on the objects of each layer.
 
     Args:
         placed: objects in the camera's frame: right, down, forward.
         families: of `flat_rows` and `round_rows`.
-        near: rows of each family to look at.
-        rays: through the picture.
-        layer: of each object; layers do not hide one another.
+        near: masks of the rows of each family that are tested.
+        rays: the camera rays.
+        layer: of each object; layers do not occlude one another.
         layers: number of layers.
 
     Returns:
-        Inverse depths [1/m] of the nearest surfaces along the view; 0 where nothing is hit.
+        Inverse depths [1/m] of the nearest surfaces along the view; 0 for no hit.
     """
     hits = jnp.zeros((layers, *rays.x.shape), jnp.float32)
     bounds = [
@@ -225,7 +218,7 @@ def _cast_row(
     low, high = rows.extent[row]
     step = 2 * math.pi / rows.times[row]
     if not curved:
-        # A wedge lies within angles 0 to `step`, so its box is narrower than the whole's.
+        # A wedge within angles 0 to `step` has a narrower box than the whole.
         narrow = step <= math.pi / 2
         low = jnp.where(narrow, jnp.maximum(low, jnp.array([0.0, 0.0, -jnp.inf])), low)
         wedge = high.at[1].multiply(jnp.sin(step))
@@ -267,12 +260,13 @@ def _cast_row(
                     lower = jnp.maximum(lower, sloped + down)
                 return upper, lower, following(j + 1)
 
-            # Taken a turn ahead: XLA vectorises no loop that looks an index up.
+            # Loaded one iteration ahead: XLA does not vectorize a loop with a dynamic index.
             following = lambda j: lax.dynamic_slice_in_dim(table, j * UNROLL, UNROLL)
             turns = -(-faces // UNROLL)
             upper, lower, _ = lax.fori_loop(0, turns, cut, (upper, lower, following(0)))
             covered = (upper > lower) & (upper < NEAREST)
-            # One array that is read and written in one place, else XLA copies it at every turn.
+            # Read and written in one place, since XLA otherwise copies the array in every
+            # iteration.
             nearest = jnp.maximum(hits[layer[owner], b], jnp.where(covered, upper, 0.0))
             return hits.at[layer[owner], b].set(nearest)
 
@@ -284,7 +278,7 @@ def _cast_row(
 
 
 def _listed(mask: Bool[Array, " block"]) -> tuple[Int[Array, " block"], Int[Array, ""]]:
-    """Return the indices of what is true, in order, and how many there are; for short masks."""
+    """Return the indices of true elements, in order, and their number; for short masks."""
     index = np.arange(mask.shape[0], dtype=np.int32)
     place = jnp.sum((index < index[:, None]) & mask, axis=1, dtype=jnp.int32)
     chosen = (place == index[:, None]) & mask
@@ -294,16 +288,16 @@ def _listed(mask: Bool[Array, " block"]) -> tuple[Int[Array, " block"], Int[Arra
 def _bounds_of_planes(
     planes: Float[Array, "face 4"], turn: Float[Array, "3 3 pop"], eye: Float[Array, "3 pop"]
 ) -> Float[Array, "face 4 pop"]:
-    """Return slopes in x and y and offsets of the bounds that planes set to the inverse depth.
+    """Return slopes in x and y and offsets of the planes' bounds of the inverse depth.
 
-    Those that face the eye bound it from above, the others from below.
+    Planes that face the camera are upper bounds, the others lower bounds.
     """
-    # Sums of products: XLA hands short reductions to a library that is slow on small arrays.
+    # Sums of products, since XLA delegates short reductions to a library slow on small arrays.
     *normal, far = planes[:, :, None].swapaxes(0, 1)
-    room = far - dot(normal, eye)
-    facing = room < 0
-    room = jnp.where(jnp.abs(room) < 1e-9, 1e-9, room)
-    x, y, end = (dot(normal, turn[:, k]) / room for k in range(3))
+    gap = far - dot(normal, eye)
+    facing = gap < 0
+    gap = jnp.where(jnp.abs(gap) < 1e-9, 1e-9, gap)
+    x, y, end = (dot(normal, turn[:, k]) / gap for k in range(3))
     large = 2 * NEAREST
     up, down = jnp.where(facing, end, large), jnp.where(facing, -large, end)
     return jnp.stack([x, y, up, down], axis=1)
@@ -331,6 +325,6 @@ def _through_quadric(quadric: Array, x: Array, y: Array) -> tuple[Array, Array]:
     root = jnp.sqrt(jnp.maximum(square, 0.0))
     missed = square <= 0.0
     large = 2 * NEAREST
-    # From within an infinite cylinder it ends, and does not begin, where its side is met.
+    # Inside an infinite cylinder the ray leaves at the side.
     upper = jnp.where(missed, -large, jnp.where(outside, root - f, large))
     return upper, jnp.where(outside, -f - root, root - f)

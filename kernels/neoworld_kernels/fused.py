@@ -1,4 +1,4 @@
-"""Deepest penetration as one Pallas kernel, for NVIDIA GPUs from Hopper on."""
+"""Deepest penetration in one Pallas kernel, for NVIDIA GPUs from Hopper on."""
 
 import dataclasses
 import functools
@@ -15,7 +15,7 @@ from .coarse_distance import bound, depths, finished
 from .convex_pieces import SPARE, Colliders
 
 GRANULE = 4
-"""Samples that lie side by side in memory."""
+"""Number of samples adjacent in memory."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -23,18 +23,14 @@ class PairDepthTuning:
     """Block sizes of the kernel."""
 
     block: int = 256
-    """Candidates a program works on; a thread holds block / 128 of them."""
+    """Candidates per program; a thread processes block / 128 of them."""
     unroll: int = 8
-    """Samples a loop iteration works on."""
+    """Samples per loop iteration."""
     fused: bool = True
-    """Whether one kernel takes all kinds of colliders, rather than one each."""
+    """True for one kernel over all kinds of colliders, False for one each."""
 
     def __post_init__(self) -> None:
-        """Check the cut.
-
-        Raises:
-            ValueError: block is no multiple of 128, or unroll none of 8.
-        """
+        """Raise a ValueError unless block is a multiple of 128 and unroll one of 8."""
         if self.block < 128 or self.block % 128:
             raise ValueError(f"block must be a positive multiple of 128, got {self.block}")
         if self.unroll < 8 or self.unroll % 8:
@@ -77,21 +73,12 @@ def pair_depth_kernel(
     tuning: PairDepthTuning | None = None,
     interpret: bool = False,
 ) -> Float[Array, "pop object object"]:
-    """Compute what `pair_depth_reference` does, in one Pallas kernel.
+    """Compute `pair_depth` in one Pallas kernel.
 
-    A program takes a block of candidates, one to a lane, and one ordered pair of objects. It
-    composes the motion from i's frame into each of j's pieces once, culls the piece if i's bounding
-    sphere is outside of it for the whole block, and else runs through the samples, which all lanes
-    share. Nothing but poses is read per candidate and nothing but depths is written.
-
-    Args:
-        pos: object origins in the world [m].
-        rot: object rotations.
-        scale: isotropic scale of each object about its origin.
-        samples: surface points in object frames at scale 1 [m].
-        colliders: convex pieces in object frames at scale 1.
-        tuning: how the work is cut up.
-        interpret: run it on any device, slowly; for tests.
+    A program processes a block of candidates, one per lane, and one ordered pair of objects. It
+    composes the transform from i's frame into each of j's pieces once, skips the piece if i's
+    bounding sphere is outside for the whole block, and otherwise loops over the samples, which all
+    lanes share. Per candidate it reads only poses and writes only depths.
     """
     t = tuning or PairDepthTuning()
     pop, count = scale.shape
@@ -125,12 +112,12 @@ def pair_depth_kernel(
 def _padded(
     samples: Float[Array, "object sample 3"], unroll: int
 ) -> tuple[Float[Array, "object granule 3 four"], Float[Array, "object 4"]]:
-    """Samples in granules, their number a multiple of `unroll`, and their bounding spheres."""
+    """Return samples in granules, padded to a multiple of `unroll`, and their bounding spheres."""
     spare = -samples.shape[1] % unroll
     points = jnp.pad(samples, ((0, 0), (0, spare), (0, 0)), mode="edge").astype(jnp.float32)
     centre = (points.min(axis=1) + points.max(axis=1)) / 2
     radius = jnp.sqrt(jnp.max(jnp.sum((points - centre[:, None]) ** 2, axis=-1), axis=1))
-    # A hair more, so that rounding never culls what touches.
+    # Slightly larger, so that rounding never culls a contact.
     sphere = jnp.concatenate([centre, radius[:, None] * 1.00001 + 1e-6], axis=1)
     points = points.reshape(len(points), -1, GRANULE, 3)
     return jnp.swapaxes(points, 2, 3), sphere
@@ -203,7 +190,7 @@ def _pair_depth_kernel(
         shift = [shrink * sum(ro[3 * k + r] * gap[k] for k in range(3)) for r in range(3)]
         centre = [sphere_ref[i, c] for c in range(3)]
         reach = sphere_ref[i, 3] * ratio
-        # Computed zeros have the layout of what is loaded, which loops must keep.
+        # Computed zeros have the layout of loaded values, which loops must preserve.
         depth = size * 0.0
         for g, kind in enumerate(kinds):
             first_ref, table_ref = refs[2 * g], refs[2 * g + 1]
@@ -231,7 +218,7 @@ def _pair_depth_kernel(
                 near = bound(kind, at(centre), p[12:15], plane, faces)
 
                 def deepest(depth: Array) -> Array:
-                    # Constant last indices keep address arithmetic out of the loop.
+                    # Constant last indices avoid address arithmetic in the loop.
                     granules = tuning.unroll // GRANULE
 
                     def some(s: Array, best: Array) -> Array:
@@ -248,7 +235,7 @@ def _pair_depth_kernel(
                     best = lax.fori_loop(0, samples // (granules * GRANULE), some, low)
                     return jnp.maximum(depth, finished(kind, best, p[12:15]) * size)
 
-                # A pose that is not a number counts as touching: its own depth then is none either.
+                # A pose with NaN counts as touching, so that its depth is NaN.
                 touched = jnp.max(jnp.where(near >= reach, 0.0, 1.0)) > 0.0
                 return lax.cond(touched, deepest, lambda depth: depth, depth)
 

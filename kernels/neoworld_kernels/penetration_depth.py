@@ -1,8 +1,8 @@
 """Deepest penetration of surface samples into convex colliders, for a population of poses.
 
-`pair_depth` answers, for every candidate and every ordered pair of objects (i, j), how deep the
-deepest surface sample of i lies inside a convex piece of j. It is a maximum over samples and pieces
-of the negated signed distance, clipped at zero, and differentiable almost everywhere.
+For every candidate and ordered pair of objects (i, j), `pair_depth` is the depth of the deepest
+surface sample of i in the convex pieces of j: the maximum over samples and pieces of the negated
+signed distance, clipped at zero. It is differentiable almost everywhere.
 """
 
 import functools
@@ -23,7 +23,7 @@ __all__ = ["PairDepthTuning", "choose", "pair_depth", "pair_depth_culled", "pair
 Impl = Literal["auto", "jnp", "culled", "pallas"]
 
 KERNEL_TIMES = json.loads((Path(__file__).parent / "penetration_measured.json").read_text())
-"""Measured sizes at which the kernel is faster than plain XLA; see the file."""
+"""Measured problem sizes at which the kernel is faster than plain XLA."""
 
 
 def pair_depth_reference(
@@ -33,20 +33,9 @@ def pair_depth_reference(
     samples: Float[Array, "object sample 3"],
     colliders: Colliders,
 ) -> Float[Array, "pop object object"]:
-    """Compute the depth [m] of i's samples in j's colliders, at [candidate, i, j], in plain jnp.
-
-    Args:
-        pos: object origins in the world [m].
-        rot: object rotations.
-        scale: isotropic scale of each object about its origin.
-        samples: surface points in object frames at scale 1 [m]; repeat a point to pad.
-        colliders: convex pieces in object frames at scale 1.
-
-    Returns:
-        Depths, zero where nothing penetrates; the diagonal is zero.
-    """
+    """Compute `pair_depth` in plain jnp."""
     pop, count = scale.shape
-    # Candidates last: the maximum over samples then runs along vectors of candidates.
+    # Population last, for vectorization of the maximum over samples.
     pos, rot, scale = jnp.moveaxis(pos, 0, -1), jnp.moveaxis(rot, 0, -1), scale.T
     at = jnp.swapaxes(samples, 0, 1)[..., None]
     points = [
@@ -58,11 +47,11 @@ def pair_depth_reference(
         if group.owner.shape[0] == 0:
             continue
 
-        # Its gradient computes distances anew: kept for all pieces, they can exceed any memory.
+        # The gradient recomputes distances, which for all pieces can exceed memory.
         @jax.checkpoint
         def deepest(piece: PieceGroup, kind: str = kind) -> Float[Array, "object pop"]:
             o = piece.owner
-            # World to piece: undo the owner's pose and scale, then the piece's own pose.
+            # World to piece: invert the owner's pose and scale, then the piece's pose.
             turn = [[dot(rot[o, i], piece.rot[:, k]) for k in range(3)] for i in range(3)]
             origin = [pos[o, i] + scale[o] * dot(rot[o, i], piece.pos) for i in range(3)]
             d = [points[i] - origin[i] for i in range(3)]
@@ -89,7 +78,7 @@ def _fast_forward(pos, rot, scale, samples, colliders, tuning, interpret):
 
 
 def _fast_backward(tuning, interpret, inputs, grad):
-    # The reference is differentiated: it finds the same deepest samples, up to rounding.
+    # The reference has the same deepest samples, up to rounding.
     return jax.vjp(pair_depth_reference, *inputs)[1](grad)
 
 
@@ -115,11 +104,10 @@ def pair_depth(
         scale: isotropic scale of each object about its origin.
         samples: surface points in object frames at scale 1 [m]; repeat a point to pad.
         colliders: convex pieces in object frames at scale 1.
-        impl: `jnp` looks at everything in plain XLA, `culled` only where something can touch,
-            `pallas` is the kernel for NVIDIA GPUs from Hopper on, `auto` the one that was measured
-            to be fastest; see `choose`.
+        impl: `jnp` evaluates all pairs in plain XLA, `culled` only those that can touch; `pallas`
+            is the kernel for NVIDIA GPUs from Hopper on; `auto` selects by `choose`.
         tuning: of the kernel.
-        interpret: run the kernel on any device, slowly.
+        interpret: True runs the kernel on any device, slowly.
 
     Returns:
         Depths, zero where nothing penetrates; the diagonal is zero.
@@ -136,16 +124,10 @@ def pair_depth(
 def choose(
     pop: int, objects: int, samples: int, colliders: Colliders
 ) -> Literal["jnp", "culled", "pallas"]:
-    """Pick the fastest implementation on JAX's default device, by `KERNEL_TIMES`.
+    """Select the fastest implementation on JAX's default device, by `KERNEL_TIMES`.
 
-    CPUs take `culled`, which is slower for a single candidate only, by a millisecond; GPUs that
-    were not measured take plain XLA.
-
-    Args:
-        pop: number of candidates.
-        objects: number of objects.
-        samples: surface samples of each.
-        colliders: the pieces.
+    CPUs use `culled`, which is slower only for a single candidate, by a millisecond; GPUs without
+    measurements use plain XLA.
     """
     pieces = sum(group.owner.shape[0] for group in colliders)
     work = pop * objects * samples * pieces
@@ -158,6 +140,6 @@ def choose(
 
 
 def _device() -> Any:
-    """Return the device that JAX puts new arrays on, `jax.default_device` included."""
+    """Return the device of new arrays, respecting `jax.default_device`."""
     chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
     return jax.devices(chosen)[0] if chosen is None or isinstance(chosen, str) else chosen

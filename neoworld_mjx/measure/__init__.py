@@ -1,4 +1,4 @@
-"""The metrics of the paper's tables; each says over how many things it was taken."""
+"""Metrics of the paper's tables."""
 
 from .boxes import iou_2d, iou_3d
 from .moves import Move, object_moves

@@ -1,4 +1,4 @@
-"""Overlap of boxes: upright in pictures, and in space turned about the vertical."""
+"""Overlap of boxes: 2D boxes in images, and upright 3D boxes with a yaw."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +17,14 @@ def iou_2d(a: Box2D | ArrayLike, b: Box2D | ArrayLike) -> float:
 
 
 def shared_2d(a: Box2D | ArrayLike, b: Box2D | ArrayLike) -> float:
-    """Return the area [px^2] that two boxes in pixels have in common."""
+    """Return the intersection area [px^2] of two boxes in pixels."""
     first, second = _four(a), _four(b)
     sides = np.minimum(first[2:], second[2:]) - np.maximum(first[:2], second[:2])
     return float(np.prod(np.maximum(sides, 0.0)))
 
 
 def footprint(box: Box3D) -> NDArray:
-    """Return the corners [4, 2] m of an upright box's footprint, anticlockwise."""
+    """Return the corners [4, 2] m of an upright box's footprint, counterclockwise."""
     half = np.array(box.size[:2]) / 2
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     c, s = np.cos(box.yaw), np.sin(box.yaw)
@@ -32,9 +32,9 @@ def footprint(box: Box3D) -> NDArray:
 
 
 def support_footprint(node: TreeNode) -> NDArray:
-    """Return the corners [n, 2] m of a node's footprint, anticlockwise, by its outline.
+    """Return the corners [n, 2] m of a node's footprint, counterclockwise, from its outline.
 
-    A tilted node has that of the upright box that holds it.
+    A tilted node has the footprint of its upright bounding box.
     """
     box = upright(node)
     if node.outline.shape == "rectangle" or box is not node.box3d:
@@ -45,30 +45,31 @@ def support_footprint(node: TreeNode) -> NDArray:
 
 
 def shared_footprint(a: NDArray, b: NDArray) -> float:
-    """Return the area [m^2] that two polygons [n, 2] m have in common.
-
-    Both run anticlockwise; the second is convex.
+    """Return the intersection area [m^2] of two counterclockwise polygons [n, 2] m, of which the
+    second is convex.
     """
-    kept = a
+    clipped = a
     for start, end in zip(b, np.roll(b, -1, axis=0), strict=True):
-        if len(kept) == 0:
+        if len(clipped) == 0:
             return 0.0
         edge = end - start
         inward = np.array([-edge[1], edge[0]])
-        height = (kept - start) @ inward
+        height = (clipped - start) @ inward
         points = []
-        for k in range(len(kept)):
-            j = (k + 1) % len(kept)
+        for k in range(len(clipped)):
+            j = (k + 1) % len(clipped)
             if height[k] >= 0:
-                points.append(kept[k])
+                points.append(clipped[k])
             if (height[k] >= 0) != (height[j] >= 0):
-                points.append(kept[k] + height[k] / (height[k] - height[j]) * (kept[j] - kept[k]))
-        kept = np.array(points).reshape(-1, 2)
-    return max(polygon_area(kept), 0.0)
+                points.append(
+                    clipped[k] + height[k] / (height[k] - height[j]) * (clipped[j] - clipped[k])
+                )
+        clipped = np.array(points).reshape(-1, 2)
+    return max(polygon_area(clipped), 0.0)
 
 
 def shared_3d(a: Box3D, b: Box3D) -> float:
-    """Return the volume [m^3] that two upright boxes have in common."""
+    """Return the intersection volume [m^3] of two upright boxes."""
     low = max(a.position[2], b.position[2])
     high = min(a.position[2] + a.size[2], b.position[2] + b.size[2])
     if high <= low:
@@ -84,7 +85,7 @@ def iou_3d(a: Box3D, b: Box3D) -> float:
 
 
 def upright(node: TreeNode) -> Box3D:
-    """Return the upright box that holds a node's box as it leans or lies, along the same yaw."""
+    """Return the upright bounding box, at the same yaw, of a node's tilted box."""
     box = node.box3d
     if abs(node.base_tilt[0]) > 1 - 1e-12:
         return box

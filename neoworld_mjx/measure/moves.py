@@ -1,4 +1,4 @@
-"""How far objects are moved, scaled and turned from one scene to another."""
+"""Displacement, scaling and rotation of objects between two scenes."""
 
 import math
 from typing import NamedTuple
@@ -13,14 +13,14 @@ class Move(NamedTuple):
     """The change of one object."""
 
     distance_m: float
-    """Between its origins in the world."""
+    """Distance between its origins in the world."""
     size_ratio: float
-    """New over old size, mean of the axes."""
+    """New size over old size, geometric mean of the axes."""
     yaw_deg: float
 
 
 def object_moves(before: SceneSpec, after: SceneSpec) -> dict[str, Move]:
-    """Return the changes of the objects that are in both scenes, environment supports left out."""
+    """Return the changes of the objects in both scenes, without environment supports."""
     old, new = ({item.name: item for item in scene.objects} for scene in (before, after))
     poses_before, poses_after = world_poses(before), world_poses(after)
     result = {}
@@ -28,7 +28,7 @@ def object_moves(before: SceneSpec, after: SceneSpec) -> dict[str, Move]:
         if item.environment or name not in new:
             continue
         a, b = poses_before[name], poses_after[name]
-        sizes = [np.subtract(*bounds(of.spec, of.joint_state)) for of in (new[name], item)]
+        sizes = [np.subtract(*bounds(o.spec, o.joint_state)) for o in (new[name], item)]
         turn = math.remainder(yaw_of(b.quat) - yaw_of(a.quat), 2 * math.pi)
         result[name] = Move(
             float(np.linalg.norm(np.subtract(b.pos, a.pos))),

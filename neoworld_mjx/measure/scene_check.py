@@ -1,4 +1,4 @@
-"""Whether a scene passes: each bound by itself. `check`, `refine` and their answers share it."""
+"""Validity of a scene: each measure compared with its bound, as in `check` and `refine`."""
 
 import math
 
@@ -8,14 +8,14 @@ from .stability import SceneMeasure, scene_measure
 
 
 class SceneCheck(Spec):
-    """One bound of a scene."""
+    """One measure of a scene and its bound."""
 
     name: str
     value: float
     threshold: float
     passed: bool
     where: str = ""
-    """The object, pair or joint of the value; empty where nothing moves or overlaps."""
+    """Object, pair or joint of the value; empty if nothing moves or overlaps."""
 
     def phrase(self) -> str:
         """Return one line, such as "max_tilt_deg 12.3 of mug, over 5"."""
@@ -38,10 +38,10 @@ def measured(scene: SceneSpec, o: RefineOptions, *, sleeps: bool = False) -> Sce
 
 
 def scene_checks(measure: SceneMeasure, o: RefineOptions) -> tuple[SceneCheck, ...]:
-    """Hold every measure against its bound.
+    """Compare every measure with its bound.
 
-    A joint that slides by itself may go as far as an object, one that turns as wide.
-    A value that is not finite passes nothing: what diverged fails by every bound of its motion.
+    Sliding joints have the bound of translation, turning joints that of rotation. A diverged
+    simulation fails every bound of motion.
     """
     depth, drift, tilt = o.max_depth_m, o.max_drift_m, o.max_tilt_deg
     rows = (
@@ -54,19 +54,19 @@ def scene_checks(measure: SceneMeasure, o: RefineOptions) -> tuple[SceneCheck, .
     )
     checks = []
     for name, value, threshold, places in rows:
-        # Depths may reach their bound, as they do in S-Pen; motions may not.
-        kept = value <= threshold if "depth" in name else value < threshold
+        # Depths may equal their bound, as in S-Pen; motions may not.
+        passed = value <= threshold if "depth" in name else value < threshold
         if measure.diverged and "max_depth" not in name:
-            value, kept = math.inf, False
+            value, passed = math.inf, False
         where = max(places, key=places.__getitem__, default="")
         checks.append(
-            SceneCheck(name=name, value=value, threshold=threshold, passed=kept, where=where)
+            SceneCheck(name=name, value=value, threshold=threshold, passed=passed, where=where)
         )
     return tuple(checks)
 
 
 def passes(measure: SceneMeasure, o: RefineOptions) -> bool:
-    """Tell whether a scene keeps every bound."""
+    """Return whether a scene satisfies every bound."""
     return all(check.passed for check in scene_checks(measure, o))
 
 

@@ -1,6 +1,4 @@
-"""S-Pen and S-Stab of one scene (the physical measures of the paper's scene table), by C MuJoCo
-alone.
-"""
+"""S-Pen and S-Stab of a scene, the physical measures of the paper's scene table, in C MuJoCo."""
 
 import mujoco
 import numpy as np
@@ -18,29 +16,29 @@ class SceneMeasure(Spec):
 
     objects: int
     movable: int
-    """Objects with a free base; without any there is no stability to speak of."""
+    """Number of objects with a free base; stability is undefined without any."""
     s_pen: int | None
-    """1 if two objects are deeper than the bound in the composed pose, else 0."""
+    """1 if two objects penetrate deeper than the bound in the composed pose, else 0."""
     max_depth_m: float
-    """Deepest penetration of two objects in the composed pose."""
+    """Largest penetration of two objects in the composed pose."""
     settled_depth_m: float
-    """The same at the end of the free fall, where contacts bear weight."""
+    """Largest penetration at the end of the free fall, where contacts bear weight."""
     depths_m: dict[str, float] = Field(default_factory=dict)
     """Penetrating pairs in the composed pose, "a|b"."""
     settled_depths_m: dict[str, float] = Field(default_factory=dict)
     """Penetrating pairs at the end of the free fall."""
     s_stab: bool | None
-    """Whether every object stayed within the bounds at all times; None without movable objects."""
+    """True if every object stayed within the bounds at all times; None without movable objects."""
     max_drift_m: float
     max_tilt_deg: float
     drift_m: dict[str, float] = Field(default_factory=dict)
     tilt_deg: dict[str, float] = Field(default_factory=dict)
     drop_m: dict[str, float] = Field(default_factory=dict)
-    """How far each movable object went down at most."""
+    """Largest descent of each movable object."""
     joint_slide_m: dict[str, float] = Field(default_factory=dict)
-    """How far each joint that slides moved by itself at most, by "object-joint"."""
+    """Largest motion of each sliding joint, by "object-joint"."""
     joint_turn_deg: dict[str, float] = Field(default_factory=dict)
-    """How far each joint that turns moved by itself at most."""
+    """Largest motion of each turning joint."""
     duration_s: float
     diverged: bool = False
 
@@ -57,8 +55,8 @@ def scene_measure(
 ) -> SceneMeasure:
     """Measure penetration in the composed pose and drift over a free fall from it.
 
-    No damping is added beyond what joints have; poses are compared after every step. Releases the
-    interpreter while it steps, so scenes may be measured in threads.
+    No damping is added to that of joints; poses are compared after every step. Releases the GIL
+    while stepping, so scenes may be measured in threads.
 
     Args:
         scene: the scene.
@@ -67,7 +65,7 @@ def scene_measure(
         max_depth: penetration bound [m].
         max_drift: translation bound [m].
         max_tilt: rotation bound [deg].
-        sleeps: whether islands at rest sleep, which is faster, but not the paper's measure.
+        sleeps: True lets contact components at rest sleep: faster, but not the paper's measure.
     """
     model, data = start_state(scene, timestep)
     if sleeps:
@@ -113,15 +111,15 @@ def scene_measure(
 def _joint_motion(
     model: mujoco.MjModel, start: NDArray[np.float64], qpos: NDArray[np.float64]
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Return how far each joint moved at most: those that slide [m], those that turn [deg]."""
+    """Return the largest motion of each sliding joint [m] and of each turning joint [deg]."""
     slide, turn = {}, {}
     for k in range(model.njnt):
         kind, address, name = model.jnt_type[k], model.jnt_qposadr[k], model.joint(k).name
         if kind == mujoco.mjtJoint.mjJNT_FREE:
             continue
         if kind == mujoco.mjtJoint.mjJNT_BALL:
-            where = slice(address, address + 4)
-            angle = angle_between(start[where], qpos[:, where])
+            quat = slice(address, address + 4)
+            angle = angle_between(start[quat], qpos[:, quat])
             turn[name] = float(np.degrees(angle).max(initial=0.0))
             continue
         moved = float(np.abs(qpos[:, address] - start[address]).max(initial=0.0))
@@ -138,7 +136,7 @@ def _free_fall(
     """Step a scene from its state, without Python between steps.
 
     Returns:
-        qpos after each step [step, nq], and whether the simulation stayed finite; `data` is in the
+        qpos after each step [step, nq], and True if the simulation stayed finite; `data` holds the
         last state.
     """
     kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -146,9 +144,9 @@ def _free_fall(
     mujoco.mj_getState(model, data, state, kind)
     states, _ = rollout.rollout(model, data, initial_state=state[None], nstep=steps)
     states = np.asarray(states).reshape(steps, -1)
-    bad = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL)
-    bad += (mujoco.mjtWarning.mjWARN_BADQACC,)
-    finite = bool(np.isfinite(states).all()) and not any(data.warning[w].number for w in bad)
+    w = mujoco.mjtWarning
+    bad = (w.mjWARN_BADQPOS, w.mjWARN_BADQVEL, w.mjWARN_BADQACC)
+    finite = bool(np.isfinite(states).all()) and not any(data.warning[k].number for k in bad)
     if finite:
         mujoco.mj_setState(model, data, states[-1], kind)
         mujoco.mj_forward(model, data)

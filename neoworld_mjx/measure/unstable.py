@@ -1,4 +1,4 @@
-"""Names the objects of a scene that do not stay where they were composed, and says why."""
+"""Objects of a scene that leave their composed poses, with the reasons."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -7,7 +7,7 @@ from ..spec import SceneObject, SceneSpec, Spec
 from .stability import SceneMeasure
 
 FALLS_M = 0.03
-"""Descent from which an object falls, rather than settles or tips."""
+"""Least descent of a falling object, as opposed to one that settles or topples."""
 
 
 class UnstableObject(Spec):
@@ -16,29 +16,28 @@ class UnstableObject(Spec):
     name: str
     kind: Literal["falls", "topples", "slides", "diverges"]
     drop_m: float
-    """How far it went down [m]."""
+    """Largest descent [m]."""
     drift_m: float
     tilt_deg: float
     held: bool
-    """Whether anything in the scene may hold it: False for what is attached but not fastened,
-    which no layout can hold."""
+    """False for an object that is attached but not fastened, which no layout can hold."""
     why: str
 
     def phrase(self) -> str:
         """Return one line, such as "frame falls 1.64 m: it is attached to wall, but ..."."""
-        how = {
+        motion = {
             "falls": f"falls {self.drop_m:.2g} m",
             "topples": f"topples by {self.tilt_deg:.0f} deg",
             "slides": f"moves {1e3 * self.drift_m:.0f} mm",
             "diverges": "makes the simulation diverge",
         }[self.kind]
-        return f"{self.name} {how}: {self.why}"
+        return f"{self.name} {motion}: {self.why}"
 
 
 def unstable_objects(
     scene: SceneSpec, measure: SceneMeasure, *, max_drift: float = 0.01, max_tilt: float = 5.0
 ) -> tuple[UnstableObject, ...]:
-    """Name the objects that a check found moving, those that fall first, and give the reasons.
+    """Return the moving objects of a check with the reasons, falling ones first.
 
     Args:
         scene: the scene that was measured.
@@ -94,9 +93,9 @@ def _why(
         host = None if obj.parent is None else scene.object(obj.parent)
         free = "" if host is None or host.static else ", which is free to move"
         return f"it is attached to {obj.parent or 'the world'}{free}, but not fastened there"
-    carrier = obj.parent
-    if carrier in moving:
-        return f"{carrier}, which carries it, moves"
+    parent = obj.parent
+    if parent in moving:
+        return f"{parent}, which supports it, moves"
     deep = {pair: depth for pair, depth in measure.depths_m.items() if obj.name in pair.split("|")}
     if deep:
         pair = max(deep, key=deep.__getitem__)
@@ -104,7 +103,7 @@ def _why(
         if deep[pair] > 1e-3:
             return f"it begins {1e3 * deep[pair]:.1f} mm deep in {other}"
     if obj.relation == "leaning":
-        return f"it stands on {carrier}, and nothing that it leans against holds it"
+        return f"it stands on {parent}, and nothing that it leans against holds it"
     if kind == "falls":
-        return f"{carrier} is not below it, or does not hold it"
-    return f"it does not rest on {carrier}"
+        return f"{parent} is not below it, or does not hold it"
+    return f"it does not rest on {parent}"

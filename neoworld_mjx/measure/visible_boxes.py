@@ -1,4 +1,4 @@
-"""Overlap of what a scene shows of its objects with what the parse saw in the photograph."""
+"""Overlap of the visible boxes of a scene's objects with the parsed boxes of the photograph."""
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -17,25 +17,30 @@ class SidesShown(NamedTuple):
     """Sides of an object's visible box in a scene: left, top, right, bottom."""
 
     own: Bool[np.ndarray, "4"]
-    """Whether the object itself ends there: in the picture, and nothing is before it."""
+    """True where the object itself ends, within the image and not occluded."""
     inside: Bool[np.ndarray, "4"]
-    """Whether the extreme point of the whole object lies in the picture."""
+    """True where the extreme point of the whole object lies within the image."""
 
 
-def shown_sides(scene: SceneSpec) -> dict[str, SidesShown]:
-    """Return which sides of its visible box each object's own outline makes, as the camera sees it.
-
-    Environment supports are left out, and so is everything if the scene has no camera.
-    """
-    if scene.camera is None:
-        return {}
+def _visible(scene: SceneSpec) -> "tuple[SceneArrays, Visible]":
+    """Return a scene's padded arrays, and the visible parts of its objects."""
     from ..physics.layout import Layout
     from ..physics.model import compile_scene
     from ..physics.placed import placed_in_chunks
     from ..physics.scene_arrays import pad_scene
 
     padded = pad_scene(compile_scene(scene))
-    visible = placed_in_chunks(padded, Layout.zero(1, padded.count)).visible
+    return padded, placed_in_chunks(padded, Layout.zero(1, padded.count)).visible
+
+
+def shown_sides(scene: SceneSpec) -> dict[str, SidesShown]:
+    """Return the sides of each object's visible box at which the object itself ends.
+
+    Environment supports are omitted; the result is empty if the scene has no camera.
+    """
+    if scene.camera is None:
+        return {}
+    padded, visible = _visible(scene)
     own, whole = np.asarray(visible.own_sides)[0], np.asarray(visible.outlines.boxes)[0]
     half = np.tile(np.asarray(padded.photo.half_size), 2)
     return {
@@ -48,33 +53,18 @@ def shown_sides(scene: SceneSpec) -> dict[str, SidesShown]:
 def visible_box_iou(scene: SceneSpec) -> dict[str, float]:
     """Return the intersection over union of each object's visible box with its parsed one.
 
-    Both are of what the photograph's camera sees: hidden parts and what lies beyond the picture's
-    border are left out. An object that cannot be seen has 0. Environment supports and objects
-    without a parsed box are left out, and so is everything if the scene has no camera.
+    Both bound the part that the photograph's camera sees, without occluded parts and parts beyond
+    the image border. An invisible object has 0. Environment supports and objects without a parsed
+    box are omitted; the result is empty if the scene has no camera.
     """
+    return {} if scene.camera is None else seen_box_iou(scene, *_visible(scene))
+
+
+def seen_box_iou(scene: SceneSpec, padded: "SceneArrays", visible: "Visible") -> dict[str, float]:
+    """Return `visible_box_iou` of a compiled scene, given the visible parts of its objects."""
     if scene.camera is None:
         return {}
-    from ..physics.layout import Layout
-    from ..physics.model import compile_scene
-    from ..physics.placed import placed_in_chunks
-    from ..physics.scene_arrays import pad_scene
-
-    padded = pad_scene(compile_scene(scene))
-    seen = placed_in_chunks(padded, Layout.zero(1, padded.count)).visible
-    return seen_box_iou(scene, padded, seen)
-
-
-def seen_box_iou(scene: SceneSpec, padded: "SceneArrays", seen: "Visible") -> dict[str, float]:
-    """Return `visible_box_iou` of a compiled scene of which it is known what the camera sees.
-
-    Args:
-        scene: the description that was compiled.
-        padded: its arrays, padded to their bucket.
-        seen: of a single candidate.
-    """
-    if scene.camera is None:
-        return {}
-    boxes, parsed = np.asarray(seen.boxes)[0], np.asarray(padded.photo.boxes)
+    boxes, parsed = np.asarray(visible.boxes)[0], np.asarray(padded.photo.boxes)
     return {
         item.name: iou_2d(boxes[k], parsed[k])
         for k, item in enumerate(scene.objects)
@@ -83,9 +73,10 @@ def seen_box_iou(scene: SceneSpec, padded: "SceneArrays", seen: "Visible") -> di
 
 
 def parsed_box_iou(tree: SceneTree) -> dict[str, float]:
-    """Return the same of the parse's 3D boxes, cut at the picture's border.
+    """Return the intersection over union of each parsed 3D box, clipped at the image border, with
+    the parsed 2D box.
 
-    They hide nothing from one another, since boxes of open things would hide what is in them.
+    The boxes do not occlude one another, since a container's box would occlude its contents.
     """
     size = np.array([tree.camera.width, tree.camera.height_px])
     ious = {}

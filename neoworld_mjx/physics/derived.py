@@ -60,12 +60,6 @@ def static_geoms(
 ) -> tuple[Any, Any]:
     """Return the world poses of the geoms that are welded to the world; zero for the others.
 
-    Args:
-        static: the scene.
-        body_pos: [pop, nbody, 3] in parent frames [m].
-        body_quat: [pop, nbody, 4].
-        geom_pos: [pop, ngeom, 3] in body frames [m].
-
     Returns:
         Positions [pop, ngeom, 3] and rotations [pop, ngeom, 3, 3].
     """

@@ -36,14 +36,7 @@ class EngineCost:
     """Measured seconds by class of scenes and number of candidates."""
 
     def predict(self, scenes: str, candidates: int, steps: int, *, started: bool) -> float:
-        """Return a rollout's predicted seconds, linear between sizes and proportional beyond.
-
-        Args:
-            scenes: class of the scene, by `scene_class`.
-            candidates: number of candidates.
-            steps: of the simulation.
-            started: True if the engine has rolled this scene out before.
-        """
+        """Return a rollout's predicted seconds, linear between sizes and proportional beyond."""
         table = self.tables.get(scenes) or dict(self.prior)
         sizes = sorted(table)
         predicted = float(np.interp(candidates, sizes, [table[size] for size in sizes]))

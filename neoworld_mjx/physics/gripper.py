@@ -22,7 +22,7 @@ CLOSED_M = -0.02
 
 @dataclass(frozen=True)
 class Gripper:
-    """Initial state of a gripper; +z of its tool frame leaves the palm, and fingers close along y."""
+    """Initial state of a gripper; its tool frame has +z out of the palm, fingers close along y."""
 
     pos: tuple[float, float, float]
     """[m]"""

@@ -175,14 +175,7 @@ def _map_candidates(one: Callable[..., Any], *candidates: Any) -> Any:
 def compose_poses(
     arrangement: Arrangement, layouts: Layout, height: Float[AnyArray, "pop object"], xp: Any = jnp
 ) -> Poses:
-    """Compose poses along the chain of support frames.
-
-    Args:
-        arrangement: the composed scene.
-        layouts: the candidates.
-        height: snapped heights [m].
-        xp: `jnp`, or `numpy` for double precision on the host.
-    """
+    """Compose poses along the chain of support frames."""
     a = arrangement if xp is np else _single(arrangement)
     size = xp.exp(layouts.log_scale)
     parent_size = _of_parent(a, size, 1.0, xp)[..., None]

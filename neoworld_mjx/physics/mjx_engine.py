@@ -170,13 +170,6 @@ def bare_scan(
 ) -> tuple[Float[Array, "pop time nq"], Bool[Array, " pop"]]:
     """Scan `mjx_step`, vmapped over all candidates.
 
-    Args:
-        model: the scene's model.
-        fields: per-candidate values of its fields.
-        qpos: initial states.
-        records: number of returned states.
-        every: steps between them.
-
     Returns:
         The states, and a mask of candidates in which a pair of geoms that may touch was dropped.
     """

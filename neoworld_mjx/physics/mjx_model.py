@@ -151,10 +151,6 @@ def with_fields(model: MjxModel, fields: Fields) -> MjxModel:
 def mjx_batch(scene: SceneModel, layouts: Layout) -> tuple[MjxModel, MjxModel, mjx.Data]:
     """Prepare candidates for `jax.vmap(mjx_step, in_axes=(axes, 0))`.
 
-    Args:
-        scene: the compiled scene.
-        layouts: the candidates.
-
     Returns:
         The model, whose fields that depend on the layout have a leading axis [pop]; its axes for
         `vmap`; and the candidates' data, at rest at their poses.

@@ -45,11 +45,6 @@ def constraint_rows(d: MjxState) -> Rows:
 def solve(d: MjxState, iterations: int) -> MjxState:
     """Solve for the accelerations and constraint forces of a step.
 
-    Args:
-        d: after `mjx.make_constraint` and `mjx.fwd_acceleration`, with a dense mass matrix and
-            pyramidal cones.
-        iterations: of Newton's method, from the last step's accelerations.
-
     Returns:
         Data with `qacc`, `qfrc_constraint` and `efc_force`.
     """
@@ -67,13 +62,6 @@ def newton(
     iterations: int,
 ) -> tuple[Float[Array, " nv"], Float[Array, " row"]]:
     """Minimize the primal function of MuJoCo's constraints over accelerations.
-
-    Args:
-        rows: the constraints.
-        inertia: mass matrix.
-        smooth: forces other than the constraints'.
-        start: initial accelerations.
-        iterations: of Newton's method.
 
     Returns:
         Accelerations, and the rows' forces.

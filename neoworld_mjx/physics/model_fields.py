@@ -18,11 +18,6 @@ def model_fields(scene: SceneModel, poses: Poses, xp: Any = jnp) -> dict[str, An
 
     Of the fields that MuJoCo derives from these (mj_setConst, bounding volumes) only the bounding
     radii and boxes of geoms are included. "qpos" is the initial state.
-
-    Args:
-        scene: the compiled scene.
-        poses: initial poses of the candidates' objects.
-        xp: `numpy` for double precision on the host, or `jnp`.
     """
     s, m = scene.static, scene.static.mjm
     pop = poses.scale.shape[0]

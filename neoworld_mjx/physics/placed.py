@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from neoworld_kernels import pair_depth
 
-from ..traces import kept
+from ..traces import stored_trace
 from .array_types import AnyArray
 from .layout import Layout, Poses, rotation
 from .scene_arrays import SceneArrays
@@ -76,7 +76,9 @@ def measured_poses(
     return _stored_measure(scene, poses)
 
 
-_stored_measure = kept(_measure, lambda scene, poses: (poses.scale, as_parsed(scene.photo, 1)))
+_stored_measure = stored_trace(
+    _measure, lambda scene, poses: (poses.scale, as_parsed(scene.photo, 1))
+)
 
 
 def placed(scene: SceneArrays, layouts: Layout) -> Placed:
@@ -101,13 +103,7 @@ def approximated(scene: SceneArrays, poses: Poses) -> Placed:
 
 
 def placed_at_rest(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
-    """Measure settled candidates; may be vmapped.
-
-    Args:
-        scene: the scene's arrays.
-        start: placed poses.
-        end: settled poses; see `settling.settle`.
-    """
+    """Measure settled candidates; may be vmapped."""
     return Placed(end, *measured_poses(scene, end), settled_by(scene, start, end))
 
 
@@ -118,12 +114,6 @@ def settled_by(
 
     Beyond 1 an object is no longer where the photograph shows it: it has toppled or fallen off. A
     ball has no tilt.
-
-    Args:
-        scene: the scene's arrays.
-        start: placed poses.
-        end: settled poses.
-        xp: `numpy` on the host.
     """
     corners = xp.asarray(scene.corners)
     box = xp.max(corners, axis=1) - xp.min(corners, axis=1)

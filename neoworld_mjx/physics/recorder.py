@@ -26,14 +26,7 @@ class Recorder:
     def __init__(
         self, static: StaticScene, start: Poses, schedule: Schedule, failed: NDArray | None = None
     ) -> None:
-        """Start with every candidate active, except those that have failed already.
-
-        Args:
-            static: static data of the scene.
-            start: initial poses of the candidates' objects.
-            schedule: of the rollout.
-            failed: mask [pop] of candidates that cannot be placed; see `unplaceable`.
-        """
+        """Start with every candidate active, except those that have failed already."""
         self.static, self.start = static, start
         records, self.every, self.rule = schedule
         pop = start.scale.shape[0]
@@ -191,12 +184,6 @@ def record_times(static: StaticScene, records: int, every: int) -> NDArray:
 def read_states(static: StaticScene, start: Poses, qpos: Any, xp: Any) -> tuple[Any, Any, Any]:
     """Extract object poses and joint shifts from recorded coordinates; static objects stay.
 
-    Args:
-        static: static data of the scene.
-        start: initial poses of the candidates' objects.
-        qpos: coordinates [pop, time, nq].
-        xp: `numpy`, or `jnp` for traced coordinates.
-
     Returns:
         `pos`, `quat` and `joint_shift` of a `Rollout`, in single precision.
     """
@@ -247,13 +234,6 @@ def in_chunks(
     """Roll out the placeable candidates in chunks; the others fail at no cost.
 
     Populations of several runs are padded with unplaceable candidates to few distinct sizes.
-
-    Args:
-        static: static data of the scene.
-        poses: of all candidates, on the host.
-        size: largest number of candidates in a chunk.
-        schedule: of the rollout.
-        run: rolls a chunk out.
 
     Returns:
         The rollout of all candidates, on the host.

@@ -55,13 +55,7 @@ class Support(NamedTuple):
 def posed_shapes(
     item: SceneObject, links: set[str] | None = None, *, tilted: bool = False
 ) -> list[tuple[Shape, Pose]]:
-    """List an object's collision shapes with their poses at its joint state.
-
-    Args:
-        item: the placed object.
-        links: names of the parts; None takes all.
-        tilted: True rotates the poses by the object's tilt; False leaves them in its frame.
-    """
+    """List an object's collision shapes with their poses at its joint state."""
     moved = link_poses(item.spec, item.joint_state)
     tilt = pose((0, 0, 0), item.base_tilt) if tilted else pose()
     return [
@@ -223,11 +217,6 @@ def support(scene: SceneSpec, item: SceneObject, reach: float) -> Support:
     lifted onto a wall; it penetrates the wall instead, where D_pen has a gradient that leads out. A
     wall is any surface above the middle of the composed object with relation "in", WALL_M above the
     top of another, or SOLE_M above the lowest point of one that leans in its parent on a floor.
-
-    Args:
-        scene: the composed scene.
-        item: the object, which has a parent.
-        reach: largest distance of the object from its composed position [m].
     """
     parent = scene.object(str(item.parent))
     links = {item.parent_link} if item.parent_link else None
@@ -303,13 +292,6 @@ def height_above(
     parent_size: Float[Array, ""],
 ) -> Float[Array, ""]:
     """Return the height of an object's origin at which it touches its support.
-
-    Args:
-        table: the support.
-        xy: position in the support frame [m], at the support's present size.
-        yaw: yaw in the support frame [rad].
-        size: scale of the object.
-        parent_size: scale of the support.
 
     Returns:
         Height [m] in the support frame; below NO_SURFACE / 2 if no point of the underside is above

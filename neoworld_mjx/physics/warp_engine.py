@@ -149,13 +149,6 @@ def _advance(
 ) -> tuple[np.ndarray, bool]:
     """Simulate until all candidates have stopped or the time is over.
 
-    Args:
-        worlds: memory and compiled steps.
-        fields: of the candidates, padded to a power of two.
-        start: initial states of the candidates, likewise padded.
-        recorder: of the candidates.
-        schedule: of the rollout.
-
     Returns:
         A mask [pop] of candidates that ran out of constraints; and True if a pool that all worlds
         share was full, which invalidates all of them.

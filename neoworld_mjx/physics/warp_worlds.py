@@ -165,7 +165,7 @@ class Worlds:
     def read(
         self, *, moving: bool = True
     ) -> tuple[NDArray, NDArray | None, NDArray | None, NDArray]:
-        """Return qpos, qvel and qacc (None unless `moving`) and overflow flags of the used worlds."""
+        """Return qpos, qvel, qacc (None unless `moving`) and overflow flags of the used worlds."""
         d, n = self.data, self.count
         qvel, qacc = (x[:n].numpy() if moving else None for x in (d.qvel, d.qacc_warmstart))
         return d.qpos[:n].numpy(), qvel, qacc, d.overflow[:n].numpy()

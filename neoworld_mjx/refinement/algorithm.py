@@ -18,7 +18,7 @@ from ..errors import ConfigError
 from ..physics.array_types import AnyArray
 from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays, on_device
-from ..traces import kept
+from ..traces import stored_trace
 from .cem import elite_count, elite_rows, initial_sigma
 from .credit import assigned_credit, contact_components
 from .gradient import refine_by_gradient
@@ -26,7 +26,7 @@ from .objective import Objective, Scores, open_objective
 from .optimizer import Optimizer, open_optimizer, with_sigma
 from .rewards import Term
 
-by_gradient = kept(refine_by_gradient, lambda scene, layouts, sigma: layouts)
+by_gradient = stored_trace(refine_by_gradient, lambda scene, layouts, sigma: layouts)
 """`refine_by_gradient`, whose traces are kept."""
 
 

@@ -31,10 +31,6 @@ class Poly(NamedTuple):
 def poly(piece: Piece, at: Pose) -> tuple[Poly, NDArray]:
     """Place a "box" or "mesh" piece.
 
-    Args:
-        piece: the solid.
-        at: where it is, its own pose included.
-
     Returns:
         The polyhedron and the half-spaces n.x <= d that it is the intersection of, [f, 4].
     """
@@ -55,12 +51,6 @@ def poly(piece: Piece, at: Pose) -> tuple[Poly, NDArray]:
 
 def split(solid: Poly, plane: NDArray, slack: float) -> tuple[Poly | None, Poly | None]:
     """Cut a polyhedron by a plane.
-
-    Args:
-        solid: what is cut.
-        plane: (n, d) of n.x = d.
-        slack: distance [m] from the plane that counts as on it; slivers thinner than this do not
-            arise.
 
     Returns:
         What lies on the side n.x <= d, and what lies beyond; None for nothing.

@@ -149,12 +149,7 @@ def _mesh_properties(piece: Piece) -> tuple[float, NDArray, NDArray]:
 
 
 def extent(piece: Piece, direction: NDArray) -> float:
-    """Return the support max(x . direction) of the piece's own solid, without its pose.
-
-    Args:
-        piece: the solid.
-        direction: unit vector [3] in the piece's frame.
-    """
+    """Return the support max(x . direction) of the piece's own solid, without its pose."""
     s, d = np.array(piece.size), np.asarray(direction, float)
     if piece.kind == "box":
         return float(np.abs(d) @ s)
@@ -170,12 +165,7 @@ def extent(piece: Piece, direction: NDArray) -> float:
 
 
 def box_around(piece: Piece, at: Pose) -> tuple[NDArray, NDArray]:
-    """Return the exact bounds (low [3], high [3]) [m] of a piece's solid.
-
-    Args:
-        piece: the solid.
-        at: where it is, its own pose included.
-    """
+    """Return the exact bounds (low [3], high [3]) [m] of a piece's solid."""
     turn = matrix(at.quat)
     if piece.kind == "mesh":
         points = np.array(piece.vertices) @ turn.T

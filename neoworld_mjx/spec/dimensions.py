@@ -75,10 +75,6 @@ RATIO = Scaling(POSITION.turning, sliding=POSITION.sliding, per_leader=POSITION)
 def declared_scaling(annotation: Any, metadata: Iterable[object] = ()) -> Scaling | None:
     """Return how a field scales by its annotation; None for one without numbers of its own.
 
-    Args:
-        annotation: type of the field.
-        metadata: what `Annotated` adds to it.
-
     Raises:
         TypeError: a number has no `Scaling`, or numbers of one field have different ones.
     """

@@ -13,12 +13,7 @@ from .pose import IDENTITY, Pose, pose
 
 
 def pieces(part: PartSpec, role: Role = "collision") -> list[tuple[GeomSpec, Piece, Pose]]:
-    """List a part's convex pieces with their poses in the object's frame.
-
-    Args:
-        part: the part.
-        role: "collision" or "visual"; geoms of role "both" belong to either.
-    """
+    """List a part's convex pieces with their poses in the object's frame."""
     return list(_placed_pieces(part, role))  # pyright: ignore[reportArgumentType] it has a hash
 
 

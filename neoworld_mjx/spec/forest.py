@@ -4,11 +4,7 @@ from collections.abc import Mapping
 
 
 def parents_first(parents: Mapping[str, str | None]) -> list[str]:
-    """Return the names, each after its parent, else in the given order.
-
-    Args:
-        parents: the parent of each name, None for a root; without cycles.
-    """
+    """Return the names, each after its parent, else in the given order."""
     ordered: dict[str | None, None] = {None: None}
     while len(ordered) <= len(parents):
         for name, parent in parents.items():
@@ -18,11 +14,7 @@ def parents_first(parents: Mapping[str, str | None]) -> list[str]:
 
 
 def name_on_cycle(parents: Mapping[str, str | None]) -> str | None:
-    """Return a name that is its own ancestor; None where there is none.
-
-    Args:
-        parents: the parent of each name; a name that is missing has none.
-    """
+    """Return a name that is its own ancestor; None where there is none."""
     for start in parents:
         visited, at = {start}, parents[start]
         while at is not None:

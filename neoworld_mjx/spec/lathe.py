@@ -131,12 +131,7 @@ class Lathe(BaseShape):
         return [(polytope(np.vstack(stack)), 1) for stack in stacks]
 
     def _joined(self, bands: list[NDArray], most: int) -> list[NDArray]:
-        """Join neighbouring convex (r, z) polygons as the class says; return their corners.
-
-        Args:
-            bands: corners of each.
-            most: bands of a piece.
-        """
+        """Join neighbouring convex (r, z) polygons as the class says; return their corners."""
         runs: list[list[NDArray]] = []
         for band in bands:
             if runs:

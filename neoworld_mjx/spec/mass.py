@@ -99,10 +99,6 @@ def inertia_about(joint: JointSpec, child: Inertial) -> float:
     """Return the inertia of a joint's child about its axis [kg m2], or its mass [kg] if it slides.
 
     A ball turns about any axis; its slowest counts.
-
-    Args:
-        joint: the joint, not fixed.
-        child: mass and inertia of the part that it carries.
     """
     if joint.type == "prismatic":
         return child.mass

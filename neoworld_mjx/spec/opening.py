@@ -46,10 +46,6 @@ def opening_share(joint: JointSpec, value: float) -> float:
 def parsed_state(spec: ObjectSpec, node: TreeNode) -> tuple[dict[str, float], list[PartState]]:
     """Return the joint values that the photograph shows.
 
-    Args:
-        spec: the object, at any size.
-        node: its parse.
-
     Returns:
         Joint values [rad or m], and the parts of the parse that no joint fits.
     """

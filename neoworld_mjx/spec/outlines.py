@@ -53,11 +53,7 @@ def inside_edges(p: NDArray, a: NDArray, b: NDArray) -> NDArray:
 
 
 def filled(polygons: list[NDArray]) -> float:
-    """Return how far the convex hull of convex polygons reaches from them, at most.
-
-    Args:
-        polygons: corners [n, 2] in order, of polygons that neighbour one another.
-    """
+    """Return how far the convex hull of convex polygons reaches from them, at most."""
     from scipy.spatial import ConvexHull
 
     corners = np.vstack(polygons)

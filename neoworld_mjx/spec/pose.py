@@ -174,10 +174,6 @@ def tilt_between(a: ArrayLike, b: ArrayLike) -> NDArray:
     """Return how far [rad] what points up at orientation a leans over at orientation b.
 
     Turns about the vertical do not count.
-
-    Args:
-        a: quaternions [..., 4].
-        b: quaternions [..., 4]; leading axes broadcast.
     """
     turn = quat_mul(b, conjugate(a))
     return 2 * np.arctan2(

@@ -159,13 +159,7 @@ def read_scene(path: Path) -> SceneSpec:
 
 
 def support_frame(parent: SceneObject, parent_pose: Pose, link: str | None) -> Pose:
-    """Return the world frame that a parent's children are placed in.
-
-    Args:
-        parent: the parent.
-        parent_pose: world pose of the parent's object frame, tilt included.
-        link: the parent's part that carries the child, or None.
-    """
+    """Return the world frame that a parent's children are placed in."""
     frame = pose(parent_pose.pos, from_yaw(yaw_of(parent_pose.quat)))
     if link is None:
         return frame

@@ -74,9 +74,6 @@ class Sweep(BaseShape):
     def rings(self, sectors: int) -> tuple[NDArray, NDArray]:
         """Return the mitred sections.
 
-        Args:
-            sectors: corners of each section.
-
         Returns:
             corners [point, sectors, 3] m and the normals [point, 3] of the planes they lie in.
         """

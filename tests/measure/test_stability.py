@@ -100,7 +100,7 @@ def test_moving_objects_are_named_with_the_reason_those_that_fall_first():
     entries = unstable_objects(scene, scene_measure(scene, duration=1.0))
     reasons = {entry.name: (entry.kind, entry.why) for entry in entries}
     assert reasons["beside"] == ("falls", "table is not below it, or does not hold it")
-    assert reasons["rider"] == ("falls", "beside, which carries it, moves")
+    assert reasons["rider"] == ("falls", "beside, which supports it, moves")
     assert reasons["pole"] == ("topples", "it does not rest on table")
     assert "rests" not in reasons
     assert [entry.kind for entry in entries[:2]] == ["falls", "falls"]
