@@ -1,4 +1,4 @@
-"""Picture of an object that fails its checks: what can be drawn, with overlaps in red."""
+"""Picture of an object that fails its checks, with overlaps in red."""
 
 import itertools
 
@@ -10,7 +10,7 @@ from ..checks.joint_sweep import Overlap, Pair, State, sweep_joints
 from ..checks.part_distances import OutOfTime, Probe
 from ..config import ProgramOptions
 from ..render import render_object, to_png
-from ..spec import GeomSpec, ObjectSpec, PartSpec, link_poses
+from ..spec import GeomSpec, ObjectSpec, PartSpec, link_poses, pieces
 from ..spec.convex import Piece
 from ..spec.csg import faceted
 from ..spec.mesh import Mesh
@@ -27,14 +27,9 @@ _LEAST_M3 = 1e-12
 def failed_picture(
     spec: ObjectSpec, options: ProgramOptions, allowances: tuple[Allowance, ...] = ()
 ) -> bytes:
-    """Return a PNG of an object; where parts overlap too deep, see-through with the overlap in red.
+    """Return a PNG of an object, see-through with the overlap in red if parts overlap too deeply.
 
-    Joints are in the state in which the overlap is deepest, or closed if nothing overlaps.
-
-    Args:
-        spec: the object.
-        options: thresholds of the joint sweep.
-        allowances: overlaps that the program declares.
+    Joints are in the state of the deepest overlap, or closed if nothing overlaps.
     """
     pairs, state = deepest_overlap(spec, options, allowances)
     marks = overlap_meshes(spec, pairs, state)
@@ -44,9 +39,9 @@ def failed_picture(
 def deepest_overlap(
     spec: ObjectSpec, options: ProgramOptions, allowances: tuple[Allowance, ...] = ()
 ) -> tuple[list[Pair], State]:
-    """Return the pairs of parts that overlap too deep together, and the joint state they do so in.
+    """Return the pairs of parts that overlap too deeply in one joint state, and this state.
 
-    Overlaps at rest come first; else the deepest one over the range of any joint.
+    These are all pairs that overlap at rest, else the deepest one over the range of any joint.
     """
     try:
         sweep = sweep_joints(Probe(spec, options.check_timeout_s), options, allowances)
@@ -65,7 +60,7 @@ def deepest_overlap(
 
 
 def overlap_meshes(spec: ObjectSpec, pairs: list[Pair], state: State) -> list[Mesh]:
-    """Return what pairs of parts share, as posed, in the object's frame."""
+    """Return the intersections of pairs of parts, as posed, in the object's frame."""
     import manifold3d
 
     poses = link_poses(spec, state)
@@ -73,36 +68,24 @@ def overlap_meshes(spec: ObjectSpec, pairs: list[Pair], state: State) -> list[Me
     for first, second in pairs:
         solids = [_hulls(spec.parts[k], poses[spec.parts[k].name]) for k in (first, second)]
         for one, other in itertools.product(*solids):
-            if (one.min(axis=0) >= other.max(axis=0)).any():
-                continue
-            if (other.min(axis=0) >= one.max(axis=0)).any():
+            apart = (one.min(axis=0) >= other.max(axis=0)) | (other.min(axis=0) >= one.max(axis=0))
+            if apart.any():
                 continue
             hulls = [manifold3d.Manifold.hull_points(points) for points in (one, other)]
             shared = hulls[0] ^ hulls[1]
             if shared.volume() < _LEAST_M3:
                 continue
             triangles = shared.to_mesh64()
-            corners = np.asarray(triangles.vert_properties)[:, :3].tolist()
+            vertices = np.asarray(triangles.vert_properties)[:, :3].tolist()
             faces = np.asarray(triangles.tri_verts).tolist()
-            meshes.append(
-                Mesh(
-                    vertices=tuple((x, y, z) for x, y, z in corners),
-                    faces=tuple((a, b, c) for a, b, c in faces),
-                )
-            )
+            mesh = Mesh(vertices=tuple(map(tuple, vertices)), faces=tuple(map(tuple, faces)))
+            meshes.append(mesh)
     return meshes
 
 
 def _hulls(part: PartSpec, at: Pose) -> list[NDArray]:
-    """Return the corners [n, 3] m of a part's convex pieces in the object's frame."""
-    return [
-        at.then(geom.pose())
-        .then(Pose(np.array(piece.pos), np.array(piece.quat)))
-        .apply(_corners(piece))
-        for geom in part.geoms
-        if geom.role != "visual"
-        for piece in geom.shape.pieces()
-    ]
+    """Return the corners [n, 3] m of each of a part's convex pieces in the object's frame."""
+    return [at.then(local).apply(_corners(piece)) for _, piece, local in pieces(part)]
 
 
 def _corners(piece: Piece) -> NDArray:
@@ -114,7 +97,7 @@ def _corners(piece: Piece) -> NDArray:
 
 
 def _marked(spec: ObjectSpec, marks: list[Mesh], state: State) -> ObjectSpec:
-    """Return the object see-through, with the marks on its first part."""
+    """Return the object see-through, with the overlap meshes on its first part."""
     ghosts = tuple(
         material.model_copy(update={"rgba": (*material.rgba[:3], GHOST_ALPHA), "pattern": None})
         for material in spec.materials

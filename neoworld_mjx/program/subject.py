@@ -1,9 +1,10 @@
-"""An object to be programmed, and what requests say of it: its parts, view and tilt, in words."""
+"""An object to be programmed, and the phrases about its parts, view and tilt in requests."""
 
 import math
 from typing import Annotated, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from ..mllm import Picture
@@ -12,9 +13,9 @@ from ..spec.pose import conjugate, from_yaw, quat_mul, rotate
 
 MIN_TILT_DEG = 1.0
 LIES_DEG, OVER_DEG = 60.0, 120.0
-"""Tilts from which a thing lies, and beyond which it is turned over."""
+"""Tilts from which an object lies, and beyond which it is turned over."""
 STEP_DEG = 5
-"""Directions are told in steps of so many degrees."""
+"""Directions are rounded to multiples of this."""
 Edge = Annotated[float, Field(gt=0, le=100)]
 Edges = Annotated[list[Edge], Field(min_length=3, max_length=3)]
 VIEW = (
@@ -32,9 +33,9 @@ class Subject(NamedTuple):
     node: TreeNode
     crop: Picture
     note: str = ""
-    """Description of the parts that the crop does not show; empty if it shows all."""
+    """Description of the parts that the crop does not show; empty if there are none."""
     camera: Camera | None = None
-    """The photo's camera, for the direction of view; None leaves it out."""
+    """The photo's camera; None omits the direction of view."""
     window: tuple[float, float, float, float] | None = None
     """Original pixels (x0, y0, x1, y1) that the crop shows; None if unknown."""
 
@@ -47,13 +48,13 @@ def moving_parts(node: TreeNode) -> str:
 
 
 def opened_parts(node: TreeNode) -> str:
-    """Describe which parts were open when the box was measured; "" if none."""
+    """Describe the parts that were open when the box was measured; "" if there are none."""
     parts = [f"{part.part} {part.opening:.0%} open" for part in node.articulation if part.opening]
     return OPENED.format(parts=", ".join(parts)) if parts else ""
 
 
 def view_in_words(node: TreeNode, camera: Camera | None) -> str:
-    """Describe from where the photo sees an object, in the object's own frame."""
+    """Describe the photo's direction of view in the object's frame."""
     if camera is None:
         return ""
     azimuth, elevation = seen_from(node, camera)
@@ -74,14 +75,19 @@ def seen_from(node: TreeNode, camera: Camera) -> tuple[float, float]:
     Returns:
         Azimuth about its z [deg], 0 at its front and 90 at its own left, and elevation [deg].
     """
-    turn = conjugate(quat_mul(from_yaw(node.box3d.yaw), np.array(node.base_tilt)))
-    middle = np.array(node.box3d.position) + [0, 0, node.box3d.size[2] / 2]
-    x, y, z = rotate(turn, camera.position() - middle).tolist()
+    x, y, z = to_camera(node, camera).tolist()
     return math.degrees(math.atan2(y, x)), math.degrees(math.atan2(z, math.hypot(x, y)))
 
 
+def to_camera(node: TreeNode, camera: Camera) -> NDArray:
+    """Return the vector from an object's center to the camera [3] m, in the object's frame."""
+    turn = conjugate(quat_mul(from_yaw(node.box3d.yaw), np.array(node.base_tilt)))
+    center = np.array(node.box3d.position) + [0, 0, node.box3d.size[2] / 2]
+    return rotate(turn, camera.position() - center)
+
+
 def _tilt_deg(node: TreeNode) -> float:
-    """Return an object's tilt [deg]; 0 if it is too little to mention."""
+    """Return an object's tilt [deg]; 0 below MIN_TILT_DEG."""
     z = float(rotate(node.base_tilt, (0.0, 0.0, 1.0))[2])
     degrees = math.degrees(math.acos(max(-1.0, min(1.0, z))))
     return 0.0 if degrees < MIN_TILT_DEG else degrees

@@ -1,4 +1,4 @@
-"""Pictures of a programmed object for the critic, seen from the photo's camera."""
+"""Pictures of a programmed object for critics, rendered from the direction of the photo."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -19,29 +19,29 @@ from ..spec import (
 )
 from ..spec.fit_to_box import fit_to_box
 from ..spec.opening import with_prerequisites
-from ..spec.pose import conjugate, from_yaw, quat_mul, rotate
+from ..spec.pose import from_yaw, quat_mul, rotate
+from .subject import to_camera
 
 WIDTH, HEIGHT = 448, 384
 OPENED = 0.8
-"""Share of their range by which joints are open in the second picture."""
+"""Opening of joints in the second picture, as a share of their range."""
 FRAME = (255, 255, 255)
-LEAST_SEEN = 0.1
-"""Share of the object's box that must lie in the crop for both to have one frame."""
+LEAST_VISIBLE = 0.1
+"""Share of the object's 2D box that must lie in the crop for both to share a frame."""
 NEAR_M = 0.02
 
 Window = tuple[float, float, float, float]
 
 
 class DescribedPicture(Picture):
-    """A picture that tapes identify by a description of its content, not by its pixels.
+    """A picture that tapes identify by a description of its content instead of its pixels.
 
     Ray casting rounds differently from one processor to the next, so a tape keyed by pixels would
-    not replay on another machine. The picture is drawn when its data is first needed: never, where
-    a tape answers.
+    not replay on another machine. The picture is rendered when its data is first needed.
 
     Args:
         label: name of the picture in the prompt.
-        draw: returns the picture as PNG.
+        draw: renders the picture as PNG.
         shows: description of the object, its state and the view.
     """
 
@@ -54,7 +54,7 @@ class DescribedPicture(Picture):
 
     @cached_property
     def data(self) -> bytes:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The PNG file, drawn once."""
+        """The PNG file, rendered once."""
         return self._draw()
 
     @property
@@ -66,47 +66,53 @@ class DescribedPicture(Picture):
 def draw(
     spec: ObjectSpec, node: TreeNode, camera: Camera | None, *, opened: bool = False
 ) -> DescribedPicture:
-    """Return a picture of an object from the direction of the photo's camera, filling the picture.
+    """Return a picture that an object fills, from the direction of the photo's camera.
 
     Args:
         spec: the object.
         node: its pose in the scene.
-        camera: the photo's camera; None looks at the front from the right and above.
-        opened: whether joints are open.
+        camera: the photo's camera; None for a view of the front from the right and above.
+        opened: True to open the joints.
     """
     state = opened_state(spec) if opened else {}
-    view = view_from(spec, state, node, camera)
-
-    def drawn() -> bytes:
-        return to_png(render_object(spec, state, view, width=WIDTH, height=HEIGHT))
-
-    shows = f"{spec.to_json()}{sorted(state.items())}{_numbers(view)}{WIDTH}x{HEIGHT}"
-    return DescribedPicture("opened" if opened else "made", drawn, shows)
+    return _picture(
+        "opened" if opened else "made", spec, state, view_from(spec, state, node, camera)
+    )
 
 
 def draw_exported(
     spec: ObjectSpec, read: ObjectSpec, node: TreeNode, camera: Camera | None
 ) -> list[Picture]:
-    """Return "exported", and "opened" if it moves: an object as its URDF gives it back.
+    """Return "exported", and "opened" if it moves: an object as read back from its URDF.
 
     Args:
-        spec: the object that was exported, by which tapes know the pictures.
+        spec: the exported object, by which tapes identify the pictures.
         read: the object as read back.
         node: its pose in the scene.
         camera: the photo's camera.
     """
-    pictures: list[Picture] = []
-    for label, state in (("exported", {}), ("opened", opened_state(spec))):
-        if label == "opened" and not state:
-            continue
-        view = view_from(spec, state, node, camera)
-        shows = f"urdf{spec.to_json()}{sorted(state.items())}{_numbers(view)}{WIDTH}x{HEIGHT}"
+    states = {"exported": {}, "opened": opened_state(spec)}
+    return [
+        _picture(label, spec, state, view_from(spec, state, node, camera), read)
+        for label, state in states.items()
+        if label == "exported" or state
+    ]
 
-        def drawn(state: Mapping[str, float] = state, view: View = view) -> bytes:
-            return to_png(render_object(read, state, view, width=WIDTH, height=HEIGHT))
 
-        pictures.append(DescribedPicture(label, drawn, shows))
-    return pictures
+def _picture(
+    label: str,
+    spec: ObjectSpec,
+    state: Mapping[str, float],
+    view: View,
+    exported: ObjectSpec | None = None,
+) -> DescribedPicture:
+    shows = f"{spec.to_json()}{sorted(state.items())}{_numbers(view)}{WIDTH}x{HEIGHT}"
+    shows = shows if exported is None else f"urdf{shows}"
+
+    def render_png() -> bytes:
+        return to_png(render_object(exported or spec, state, view, width=WIDTH, height=HEIGHT))
+
+    return DescribedPicture(label, render_png, shows)
 
 
 def draw_in_place(
@@ -114,25 +120,27 @@ def draw_in_place(
 ) -> DescribedPicture:
     """Return a picture of an object in its parsed pose, in the frame of its crop.
 
-    Where the object reaches beyond the crop, the picture does as well, and a white line in it is
-    the crop's frame. An object that would hardly be in the picture is drawn by itself.
+    If the object extends beyond the crop, so does the picture, with a white line as the crop's
+    frame. An object of which the crop would show less than LEAST_VISIBLE is rendered alone.
 
     Args:
-        spec: the object, at any size; it is scaled to its parsed box.
+        spec: the object at any size; it is scaled to its parsed box.
         node: its pose in the scene; parts are as open as parsed.
         camera: the photo's camera.
-        window: what the crop shows, in original pixels (x0, y0, x1, y1).
+        window: original pixels (x0, y0, x1, y1) of the crop.
     """
     obj, points = _placed(spec, node)
     pixels, depth = camera.project(points)
-    seen = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+    extent = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
     frame = np.array(window)
-    low, high = np.maximum(seen[:2], frame[:2]), np.minimum(seen[2:], frame[2:])
-    share = float(np.prod(np.maximum(high - low, 0)) / max(float(np.prod(seen[2:] - seen[:2])), 1))
-    if depth.min() < NEAR_M or share < LEAST_SEEN:
+    low, high = np.maximum(extent[:2], frame[:2]), np.minimum(extent[2:], frame[2:])
+    share = float(
+        np.prod(np.maximum(high - low, 0)) / max(float(np.prod(extent[2:] - extent[:2])), 1)
+    )
+    if depth.min() < NEAR_M or share < LEAST_VISIBLE:
         return draw(spec, node, camera)
     x0, y0, x1, y1 = (
-        np.concatenate([np.minimum(seen[:2], frame[:2]), np.maximum(seen[2:], frame[2:])])
+        np.concatenate([np.minimum(extent[:2], frame[:2]), np.maximum(extent[2:], frame[2:])])
         .round(1)
         .tolist()
     )
@@ -155,10 +163,7 @@ def draw_in_place(
 
 
 def _placed(spec: ObjectSpec, node: TreeNode) -> tuple[SceneObject, NDArray]:
-    """Return an object scaled to its parsed box and in its parsed pose, and its vertices [n, 3] m.
-
-    The vertices are in the world.
-    """
+    """Return an object scaled to its parsed box in its pose, and its world vertices [n, 3] m."""
     fit = fit_to_box(spec, node)
     scaled, state = fit.scaled()
     low, high = fit.low * fit.factor, fit.high * fit.factor
@@ -181,7 +186,7 @@ def _placed(spec: ObjectSpec, node: TreeNode) -> tuple[SceneObject, NDArray]:
 
 
 def _outline(canvas: NDArray, box: NDArray) -> None:
-    """Draw a frame of one pixel onto a picture, as far as it lies inside."""
+    """Draw a frame of one pixel onto a picture, clipped to it."""
     height, width = canvas.shape[:2]
     x0, y0, x1, y1 = box.tolist()
     columns, rows = np.clip([x0, x1], 0, width), np.clip([y0, y1], 0, height)
@@ -201,36 +206,34 @@ def _numbers(view: View) -> list[float]:
 def view_from(
     spec: ObjectSpec, state: Mapping[str, float], node: TreeNode, camera: Camera | None
 ) -> View:
-    """Return a view of an object in its own frame, from the direction of the camera."""
+    """Return a view of an object, in the object's frame, from the direction of the camera."""
     points = visible_vertices(spec, state)
     if camera is None:
         return View.framing(points, width=WIDTH, height=HEIGHT)
-    turn = conjugate(quat_mul(from_yaw(node.box3d.yaw), np.array(node.base_tilt)))
-    middle = np.array(node.box3d.position) + [0, 0, node.box3d.size[2] / 2]
-    away = rotate(turn, camera.position() - middle)
+    away = to_camera(node, camera)
     away = away / np.linalg.norm(away)
     return View.framing(
         points,
         width=WIDTH,
         height=HEIGHT,
         azimuth=float(np.arctan2(away[1], away[0])),
-        # From below the floor would hide the object.
+        # Below this the floor would hide the object.
         elevation=float(np.clip(np.arcsin(away[2]), np.radians(5), np.radians(85))),
     )
 
 
 def opened_state(spec: ObjectSpec) -> dict[str, float]:
-    """Return the open position [rad or m] of every joint that follows no other."""
+    """Return the open position [rad or m] of every joint that follows no other joint."""
     state = {}
     for joint in spec.joints:
         if joint.type == "fixed" or joint.mimic is not None:
             continue
         if joint.type == "ball":
-            # A pitch towards the front shows the motion best.
+            # Tilt it towards the front.
             state[f"{joint.name}.y"] = OPENED * min(joint.upper or 1.0, 1.0)
             continue
         turns = joint.type == "continuous"
         far = joint.upper if abs(joint.upper) >= abs(joint.lower) else joint.lower
         state[joint.name] = 0.8 if turns else OPENED * far
-    # A joint that others wait for is opened fully.
+    # Joints that others require to be open are opened fully.
     return with_prerequisites(spec, state, opening=True)

@@ -1,4 +1,4 @@
-"""Write the files and pictures of a built program, again whenever its text changes."""
+"""Files and pictures of a built program, rewritten whenever its text changes."""
 
 import logging
 import time
@@ -10,6 +10,7 @@ from ..checks.signals import Signal
 from ..config import ProgramOptions
 from ..errors import ExportError, SpecError
 from ..export import object_files
+from ..io.files import write_inside
 from ..render import render_object, to_png
 from ..spec import ObjectSpec
 from .failed_picture import FAILED, failed_picture
@@ -19,7 +20,7 @@ from .views import opened_state
 log = logging.getLogger(__name__)
 
 MAX_PRINTED = 20
-"""Lines of a program's own output that are shown."""
+"""Number of lines of a program's output that are logged."""
 POLL_S = 0.2
 """Interval at which a watched program's file is checked for changes."""
 
@@ -31,7 +32,7 @@ class BuiltProgram:
     text: str
     built: BuildResult
     beside: Mapping[str, str] = field(default_factory=dict)
-    """Further files that go with the program, by name."""
+    """Further files that belong to the program, by name."""
     notes: tuple[str, ...] = ()
     """Further lines to log."""
 
@@ -40,19 +41,10 @@ Builder = Callable[[Path], BuiltProgram]
 """Reads and builds the program in a file."""
 
 
-def built_files(program: BuiltProgram) -> Mapping[str, bytes]:
-    """Return the files of a built object: its formats, program, description and pictures."""
-    spec = program.built.spec
-    assert spec is not None
-    files = spec_files(spec)
-    files["program.py"] = program.text.encode()
-    return files | {name: content.encode() for name, content in program.beside.items()}
-
-
 def spec_files(spec: ObjectSpec) -> dict[str, bytes]:
-    """Return the files of an object: its formats, description and pictures.
+    """Return the files of an object: its formats, spec and pictures.
 
-    render.png shows it at rest; opened.png, written if any joint moves, with all joints open.
+    render.png shows it at rest; opened.png, if any joint moves, with all joints open.
     """
     files = object_files(spec)
     files["spec.json"] = spec.to_json().encode()
@@ -69,7 +61,9 @@ def write_built(program: BuiltProgram, out: Path) -> frozenset[str]:
     Raises:
         ExportError: a file cannot be written.
     """
-    files = built_files(program)
+    assert program.built.spec is not None
+    files = spec_files(program.built.spec) | {"program.py": program.text.encode()}
+    files |= {name: content.encode() for name, content in program.beside.items()}
     write_files(files, out)
     return frozenset(files)
 
@@ -77,7 +71,7 @@ def write_built(program: BuiltProgram, out: Path) -> frozenset[str]:
 def write_failed(program: BuiltProgram, out: Path, options: ProgramOptions) -> Path | None:
     """Write the picture of an object that fails its checks, and return its path.
 
-    None where the program gave no object to draw. Other files of the folder stay.
+    Returns None without an object. Other files of the folder stay.
 
     Raises:
         ExportError: it cannot be written.
@@ -90,20 +84,8 @@ def write_failed(program: BuiltProgram, out: Path, options: ProgramOptions) -> P
     return out / FAILED
 
 
-def signal_lines(program: BuiltProgram, file: Path) -> list[str]:
-    """Return what a program printed and its signals, as terminals show them."""
-    return listings(program.built.printed, program.built.signals, file, program.text)
-
-
 def listings(printed: str, signals: Iterable[Signal], file: Path, text: str) -> list[str]:
-    """Return what a program printed and signals of it, as terminals show them.
-
-    Args:
-        printed: the program's own output.
-        signals: what was found.
-        file: the program.
-        text: of the program, for its lines.
-    """
+    """Return lines for a terminal: a program's printed output and its signals."""
     lines = printed.splitlines()
     return [
         *(f"{file.name} printed: {line}" for line in lines[:MAX_PRINTED]),
@@ -113,44 +95,38 @@ def listings(printed: str, signals: Iterable[Signal], file: Path, text: str) -> 
 
 
 def write_files(files: Mapping[str, bytes], out: Path) -> None:
-    """Write files into a folder, each whole or not at all.
+    """Write files into a folder, each atomically.
 
     Raises:
         ExportError: a file cannot be written.
     """
-    for path, content in files.items():
-        part = out / f"{path}.part"
-        try:
-            part.parent.mkdir(parents=True, exist_ok=True)
-            part.write_bytes(content)
-            # A reader gets the old file or the new one, never half of one.
-            part.replace(out / path)
-        except OSError as error:
-            raise ExportError(f"cannot write {out / path}: {error.strerror}") from None
+    path = ""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for path, content in files.items():
+            write_inside(out, path, content)
+    except OSError as error:
+        raise ExportError(f"cannot write {out / path}: {error.strerror}") from None
 
 
 def watch(
     program: Path,
     out: Path,
-    make: Builder,
+    build: Builder,
     beside: tuple[Path, ...] = (),
     options: ProgramOptions | None = None,
 ) -> int:
-    """Build a program now and after every change of its files, until interrupted.
+    """Build a program now and after every change of its files, and return the number of builds.
 
-    Logs one line for each build, then its signals. A program with errors replaces no file and adds
-    failed.png, if there is anything to draw; the folder stays unchanged while the program's file is
-    missing.
+    Ctrl-C ends it. Each build logs one line and its signals. A program with errors replaces no
+    file and adds failed.png, if there is an object; a missing program changes no file.
 
     Args:
-        program: the file.
+        program: the program's file.
         out: folder to write into.
-        make: reads and builds the program.
+        build: reads and builds the program.
         beside: other files that the result depends on; they need not exist.
-        options: thresholds, for the picture of an object that fails.
-
-    Returns:
-        The number of builds, after Ctrl-C.
+        options: thresholds for the picture of an object that fails.
     """
     count, stamps = 0, ()
     written: frozenset[str] = frozenset()
@@ -160,7 +136,7 @@ def watch(
             if current != stamps:
                 stamps = current
                 count += current[0] is not None
-                written = _rebuild(program, out, make, count, written, options)
+                written = _rebuild(program, out, build, count, written, options)
             time.sleep(POLL_S)
     except KeyboardInterrupt:
         return count
@@ -178,7 +154,7 @@ def _stamp(program: Path) -> tuple[int, int] | None:
 def _rebuild(
     program: Path,
     out: Path,
-    make: Builder,
+    build: Builder,
     count: int,
     written: frozenset[str],
     options: ProgramOptions | None,
@@ -186,7 +162,7 @@ def _rebuild(
     """Build a program, write its files, log the outcome, and return the paths now in the folder."""
     start = time.monotonic()
     try:
-        result = make(program)
+        result = build(program)
     except SpecError as error:
         log.warning(f"{error}; waiting")
         return written
@@ -207,6 +183,6 @@ def _rebuild(
         except ExportError as error:
             outcome, fresh = str(error), written
     log.info(f"build {count} in {time.monotonic() - start:.2f} s: {outcome}")
-    for line in (*signal_lines(result, program), *result.notes):
+    for line in (*listings(built.printed, built.signals, program, result.text), *result.notes):
         log.info(line)
     return fresh
