@@ -1,91 +1,71 @@
-"""What the paper reports of pictures, judgements and joints: its own scenes, objects and models."""
+"""Results that the paper reports of images, judgements and joints, on its own scenes and objects."""
 
-PAPER_SCENES: dict[str, dict[str, dict[str, float]]] = {
-    "full": {
-        "VIGA": {
-            "clip": 0.8831,
-            "dino": 0.6087,
-            "complete": 4.70,
-            "layout": 3.95,
-            "function": 3.45,
+Rows = dict[str, tuple[float | None, ...]]
+
+
+def _table(columns: str, rows: Rows) -> dict[str, dict[str, float]]:
+    """Return rows as mappings from column to value, without missing values."""
+    names = columns.split()
+    return {
+        method: {n: v for n, v in zip(names, values, strict=True) if v is not None}
+        for method, values in rows.items()
+    }
+
+
+_SCENE_COLUMNS = "clip dino complete layout function"
+PAPER_SCENES = {
+    "full": _table(
+        _SCENE_COLUMNS,
+        {
+            "VIGA": (0.8831, 0.6087, 4.7, 3.95, 3.45),
+            "SAGE": (0.8729, 0.5379, 3.8, 2.6, 2.9),
+            "NeoWorld-Pro": (0.9128, 0.7855, 6.2, 5.35, 5.58),
         },
-        "SAGE": {
-            "clip": 0.8729,
-            "dino": 0.5379,
-            "complete": 3.80,
-            "layout": 2.60,
-            "function": 2.90,
+    ),
+    "tabletop": _table(
+        _SCENE_COLUMNS,
+        {
+            "VIGA": (0.8764, 0.595, 4.55, 3.91, 3.0),
+            "TabletopGen": (0.8917, 0.6266, 4.36, 3.73, 3.64),
+            "SAGE": (0.8741, 0.4742, 3.45, 2.64, 2.73),
+            "NeoWorld-Pro": (0.9205, 0.7166, 6.1, 5.7, 5.58),
         },
-        "NeoWorld-Pro": {
-            **{"clip": 0.9128, "dino": 0.7855},
-            **{"complete": 6.20, "layout": 5.35, "function": 5.58},
-        },
-    },
-    "tabletop": {
-        "VIGA": {
-            "clip": 0.8764,
-            "dino": 0.5950,
-            "complete": 4.55,
-            "layout": 3.91,
-            "function": 3.00,
-        },
-        "TabletopGen": {
-            **{"clip": 0.8917, "dino": 0.6266},
-            **{"complete": 4.36, "layout": 3.73, "function": 3.64},
-        },
-        "SAGE": {
-            "clip": 0.8741,
-            "dino": 0.4742,
-            "complete": 3.45,
-            "layout": 2.64,
-            "function": 2.73,
-        },
-        "NeoWorld-Pro": {
-            **{"clip": 0.9205, "dino": 0.7166},
-            **{"complete": 6.10, "layout": 5.70, "function": 5.58},
-        },
-    },
+    ),
 }
-"""Table of scenes: pictures of 30 scenes and 11 tabletop scenes, and scores from 1 to 7."""
-PAPER_OBJECTS: dict[str, dict[str, float]] = {
-    "Articulate-Anything": {"ssim": 0.7646, "lpips": 0.2930, "clip": 0.7056, "uni3d": 0.2125},
-    "PhysX-Anything": {"ssim": 0.7657, "lpips": 0.2991, "clip": 0.7937, "uni3d": 0.2709},
-    "URDF-Anything+": {"uni3d": 0.1638},
-    "Articraft": {"ssim": 0.8926, "lpips": 0.2149, "clip": 0.8999, "uni3d": 0.2566},
-    "NeoWorld-Pro": {"ssim": 0.8894, "lpips": 0.1989, "clip": 0.9042, "uni3d": 0.2812},
-}
-"""Table of objects: appearance and similarity."""
-PAPER_SURFACES: dict[str, dict[str, float]] = {
-    "Articulate-Anything": {"chamfer_x10": 0.3989, "f_01": 10.76, "f_05": 41.07},
-    "PhysX-Anything": {"chamfer_x10": 0.7150, "f_01": 4.61, "f_05": 24.72},
-    "URDF-Anything+": {"chamfer_x10": 0.1696, "f_01": 24.30, "f_05": 65.18},
-    "Articraft": {"chamfer_x10": 0.2155, "f_01": 22.14, "f_05": 62.25},
-    "NeoWorld-Pro": {"chamfer_x10": 0.1809, "f_01": 25.77, "f_05": 67.06},
-}
-"""Table of objects: geometry."""
-PAPER_JOINTS: dict[str, dict[str, float]] = {
-    "Articulate-Anything": {
-        **{"total": 245, "predicted": 170, "hits": 95, "miss": 0.6122},
-        **{"type_error": 0.6939, "axis_deg": 63.25, "pivot": 0.32},
+"""Image similarities and scores from 1 to 7 of 30 scenes and of 11 tabletop scenes."""
+PAPER_OBJECTS = _table(
+    "ssim lpips clip uni3d",
+    {
+        "Articulate-Anything": (0.7646, 0.293, 0.7056, 0.2125),
+        "PhysX-Anything": (0.7657, 0.2991, 0.7937, 0.2709),
+        "URDF-Anything+": (None, None, None, 0.1638),
+        "Articraft": (0.8926, 0.2149, 0.8999, 0.2566),
+        "NeoWorld-Pro": (0.8894, 0.1989, 0.9042, 0.2812),
     },
-    "PhysX-Anything": {
-        **{"total": 245, "predicted": 192, "hits": 126, "miss": 0.4857},
-        **{"type_error": 0.5878, "axis_deg": 45.80, "pivot": 0.37},
+)
+"""Appearance of objects."""
+PAPER_SURFACES = _table(
+    "chamfer_x10 f_01 f_05",
+    {
+        "Articulate-Anything": (0.3989, 10.76, 41.07),
+        "PhysX-Anything": (0.715, 4.61, 24.72),
+        "URDF-Anything+": (0.1696, 24.3, 65.18),
+        "Articraft": (0.2155, 22.14, 62.25),
+        "NeoWorld-Pro": (0.1809, 25.77, 67.06),
     },
-    "URDF-Anything+": {
-        **{"total": 245, "predicted": 96, "hits": 74, "miss": 0.6980},
-        **{"type_error": 0.8286, "axis_deg": 50.41, "pivot": 0.40},
+)
+"""Geometry of objects."""
+PAPER_JOINTS = _table(
+    "total predicted hits miss type_error axis_deg pivot",
+    {
+        "Articulate-Anything": (245, 170, 95, 0.6122, 0.6939, 63.25, 0.32),
+        "PhysX-Anything": (245, 192, 126, 0.4857, 0.5878, 45.8, 0.37),
+        "URDF-Anything+": (245, 96, 74, 0.698, 0.8286, 50.41, 0.4),
+        "Articraft": (245, 304, 190, 0.2245, 0.2939, 30.14, 0.23),
+        "NeoWorld-Pro": (245, 268, 216, 0.1183, 0.1878, 28.52, 0.19),
     },
-    "Articraft": {
-        **{"total": 245, "predicted": 304, "hits": 190, "miss": 0.2245},
-        **{"type_error": 0.2939, "axis_deg": 30.14, "pivot": 0.23},
-    },
-    "NeoWorld-Pro": {
-        **{"total": 245, "predicted": 268, "hits": 216, "miss": 0.1183},
-        **{"type_error": 0.1878, "axis_deg": 28.52, "pivot": 0.19},
-    },
-}
-"""Table of joints, decided by paired videos; miss = 1 - hits / total, "type_error" is over all."""
+)
+"""Joints, decided by paired videos; miss = 1 - hits / total, and "type_error" is over all joints."""
 
 
 def of_scenes(*measures: str) -> dict[str, dict[str, dict[str, float]]]:

@@ -11,7 +11,7 @@ from neoworld_bench.tasks.plan_format import rotation
 from neoworld_bench.tasks.reconstructed_plans import planned_there
 from neoworld_bench.tasks.success_runs import SuccessRow, known_successes, run_successes
 from neoworld_bench.tasks.success_summary import success_interval, success_summary
-from neoworld_bench.tasks.success_table import success_table
+from neoworld_bench.tables.success_table import success_table
 from neoworld_bench.tasks.task_photo import moved_whole, photographed_task
 
 from neoworld_mjx.config import ComposeOptions, RefineOptions

@@ -3,7 +3,6 @@
 import json
 import math
 from collections.abc import Iterable, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,12 +11,10 @@ from pydantic import ValidationError
 
 from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.io.files import write_atomic
+from neoworld_mjx.render.plots import plot_svg
 
 from .throughput import PhysicsRow
 
-_WIDTH, _HEIGHT = 640, 400
-_LEFT, _RIGHT, _TOP, _BOTTOM = 70, 190, 24, 52
-_COLOURS = ("#1b6ca8", "#d1495b", "#3d8b40", "#8f5fb0", "#c77d0a", "#5b6770")
 _LOOP = "naive loop"
 
 
@@ -76,13 +73,38 @@ def read_rows(file: Path) -> list[PhysicsRow]:
 
 
 def write_chart(file: Path, curves: Sequence[Growth], *, core: bool = False) -> None:
-    """Write the chart of curves as an SVG file; see `growth_svg`.
+    """Draw cost over the number of objects on logarithmic axes as an SVG file.
+
+    Args:
+        file: to write.
+        curves: of `growth`.
+        core: True if the costs are processor time.
 
     Raises:
-        ConfigError: the file cannot be written.
+        ConfigError: matplotlib is not installed, or the file cannot be written.
     """
+    cost = "processor time" if core else "time"
+
+    def draw(figure: Any) -> None:
+        axes = figure.subplots()
+        axes.set(xscale="log", yscale="log", xlabel="objects")
+        axes.set_ylabel(f"{cost} of a candidate [ms]")
+        for g in curves:
+            law = "" if math.isnan(g.exponent) else f" ~ objects^{g.exponent:.2f}"
+            style = "--" if "early" in g.label else "-"
+            axes.plot(g.objects, g.cost_ms, style, marker="o", label=g.label + law)
+        counts = sorted({n for g in curves for n in g.objects})
+        axes.set_xticks(counts, [str(n) for n in counts], minor=False)
+        axes.minorticks_off()
+        axes.grid(axis="y", color="0.9")
+        if curves:
+            figure.legend(loc="outside right upper")
+
+    svg = plot_svg((6.4, 4.0), draw)
+    if svg is None:
+        raise ConfigError("charts need matplotlib: uv sync --inexact --extra plot")
     try:
-        write_atomic(file, growth_svg(curves, core=core).encode())
+        write_atomic(file, svg.encode())
     except OSError as error:
         raise ConfigError(f"cannot write {file}: {error.strerror}") from None
 
@@ -108,79 +130,3 @@ def _exponent(costs: dict[int, float]) -> float:
     if len(costs) < 2:
         return math.nan
     return float(np.polyfit(np.log(list(costs)), np.log(list(costs.values())), 1)[0])
-
-
-def growth_svg(curves: Sequence[Growth], *, core: bool = False) -> str:
-    """Draw cost over objects with both axes logarithmic, as a whole SVG file on white.
-
-    Args:
-        curves: what to draw.
-        core: whether the costs are of processor time.
-    """
-    objects = sorted({n for g in curves for n in g.objects})
-    costs = [c for g in curves for c in g.cost_ms]
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" '
-        'font-family="sans-serif" font-size="12" role="img" '
-        'aria-label="Time of a candidate over number of objects">'
-        f'<rect width="{_WIDTH}" height="{_HEIGHT}" fill="#fff"/>'
-    ]
-    if costs:
-        low, high = math.floor(math.log10(min(costs))), math.ceil(math.log10(max(costs)) + 1e-9)
-        left, right = math.log(objects[0] * 0.9), math.log(objects[-1] * 1.1)
-        px = lambda n: (
-            _LEFT + (_WIDTH - _LEFT - _RIGHT) * (math.log(n) - left) / max(right - left, 1e-9)
-        )
-        py = lambda c: (
-            _HEIGHT
-            - _BOTTOM
-            - (_HEIGHT - _TOP - _BOTTOM) * (math.log10(c) - low) / max(high - low, 1)
-        )
-        cost = "processor time" if core else "time"
-        parts += _axes(f"{cost} of a candidate [ms]", objects, low, max(high, low + 1), px, py)
-        for k, g in enumerate(curves):
-            parts += _curve(g, _COLOURS[k % len(_COLOURS)], k, px, py)
-    return "".join(parts) + "</svg>\n"
-
-
-def _axes(label: str, objects: list[int], low: int, high: int, px, py) -> list[str]:
-    parts = []
-    for power in range(low, high + 1):
-        y = py(10.0**power)
-        parts.append(
-            f'<line x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{y:.1f}" y2="{y:.1f}" stroke="#ddd"/>'
-            f'<text x="{_LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">{10.0**power:g}</text>'
-        )
-    for n in objects:
-        parts.append(
-            f'<text x="{px(n):.1f}" y="{_HEIGHT - _BOTTOM + 18}" text-anchor="middle">{n}</text>'
-        )
-    middle = (_HEIGHT - _BOTTOM + _TOP) / 2
-    parts.append(
-        f'<text x="{(_WIDTH - _RIGHT + _LEFT) / 2}" y="{_HEIGHT - 12}" text-anchor="middle">'
-        "objects</text>"
-        f'<text transform="translate(18 {middle}) rotate(-90)" text-anchor="middle">'
-        f"{label}</text>"
-    )
-    return parts
-
-
-def _curve(g: Growth, colour: str, index: int, px, py) -> list[str]:
-    points = [(px(n), py(c)) for n, c in zip(g.objects, g.cost_ms, strict=True)]
-    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-    dash = ' stroke-dasharray="5 4"' if "early" in g.label else ""
-    parts = [f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="2"{dash}/>']
-    for (x, y), n, cost in zip(points, g.objects, g.cost_ms, strict=True):
-        parts.append(
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{colour}">'
-            f"<title>{escape(g.label)}, {n} objects: {cost:.3g} ms</title></circle>"
-        )
-    at = _TOP + 12 + 34 * index
-    law = "" if math.isnan(g.exponent) else f"objects^{g.exponent:.2f}"
-    parts.append(
-        f'<line x1="{_WIDTH - _RIGHT + 14}" x2="{_WIDTH - _RIGHT + 40}" y1="{at}" y2="{at}" '
-        f'stroke="{colour}" stroke-width="2"{dash}/>'
-        f'<text x="{_WIDTH - _RIGHT + 46}" y="{at + 4}">{escape(g.label)}</text>'
-        f'<text x="{_WIDTH - _RIGHT + 46}" y="{at + 18}" fill="#666">{law}</text>'
-    )
-    return parts
