@@ -67,11 +67,11 @@ COMMANDS: dict[str, CommandEntry] = {
     ),
     "sweep": CommandEntry(
         ".sweep_commands:SweepCommand",
-        "Refine scenes with every combination of some options' values, with several seeds.",
+        "Refine scenes with every combination of some options' values and several seeds.",
     ),
     "ablate": CommandEntry(
         ".sweep_commands:AblateCommand",
-        "Refine scenes with a base and named changes of it, and list their differences.",
+        "Refine scenes with base options and named variants, and list the differences.",
     ),
     "doctor": CommandEntry(
         ".doctor_command:DoctorCommand",

@@ -1,9 +1,9 @@
-"""Commands that refine scenes many times: sweep, ablate."""
+"""Commands of sweeps and ablations."""
 
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
@@ -12,62 +12,71 @@ from .result_lines import sweep_lines
 
 if TYPE_CHECKING:
     from ..sweeps.cases import Source
+    from ..sweeps.run import SweepResult
 
 SCENE_SOURCES = "neoworld_bench.named_scenes:SOURCES"
-"""Location of the named scenes that a plan can use as KIND:NAME."""
+"""Location of the sources of named scenes, which plans use as KIND:NAME."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanCommand(Command):
-    """What running any plan takes."""
+    """Options of the commands that run a plan."""
 
     plan: Positional[Path]
-    """YAML that names scenes, base options, seeds, and the axes or variants."""
+    """YAML file of scenes, base options, seeds, and axes or variants."""
     out: Path
-    """Folder to write results.parquet, table.md and sweep.json into; a new or empty one."""
+    """Folder for results.parquet, table.md and sweep.json; new or empty."""
     resume: bool = False
-    """Go on with the runs in --out: keep those that are there."""
+    """Continue the sweep in --out."""
     overwrite: bool = False
-    """Replace the runs in --out."""
+    """Replace the sweep in --out."""
 
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
         return sweep_lines(result)
 
+    def _arguments(self) -> dict[str, Any]:
+        from ..cache import keep_compilations
+
+        keep_compilations()
+        module, name = SCENE_SOURCES.split(":")
+        sources: dict[str, Source] = getattr(import_module(module), name)
+        return {"sources": sources, "resume": self.resume, "overwrite": self.overwrite}
+
 
 @dataclass(frozen=True, kw_only=True)
 class SweepCommand(PlanCommand):
-    """Refine scenes with every combination of some options' values, with several seeds."""
+    """Refine scenes with every combination of some options' values and several seeds."""
 
     def run(self) -> CommandResult:
         """Run the sweep."""
-        return _run_plan(self, ablation=False)
+        from ..sweeps import sweep
+
+        return _summary(sweep(self.plan, self.out, **self._arguments()), self.out)
 
 
 @dataclass(frozen=True, kw_only=True)
 class AblateCommand(PlanCommand):
-    """Refine scenes with a base and named changes of it, and list their differences."""
+    """Refine scenes with base options and named variants, and list the differences."""
 
     def run(self) -> CommandResult:
         """Run the ablation."""
-        return _run_plan(self, ablation=True)
+        from ..sweeps import ablate
+
+        return _summary(ablate(self.plan, self.out, **self._arguments()), self.out)
 
 
-def _run_plan(command: PlanCommand, *, ablation: bool) -> CommandResult:
-    from ..cache import keep_compilations
-    from ..sweeps import ablate, answer, sweep
+def _summary(result: "SweepResult", out: Path) -> CommandResult:
+    from ..sweeps.folder import TABLE
+    from ..sweeps.table import flat
 
-    keep_compilations()
-    result = (ablate if ablation else sweep)(
-        command.plan,
-        command.out,
-        sources=_scene_sources(),
-        resume=command.resume,
-        overwrite=command.overwrite,
-    )
-    return answer(result, command.out)
-
-
-def _scene_sources() -> "dict[str, Source]":
-    module, name = SCENE_SOURCES.split(":")
-    return getattr(import_module(module), name)
+    names = ("seconds", "compile_s", "compilations", "static", "mllm")
+    return {
+        "folder": str(out),
+        "table": str(out / TABLE),
+        "figure": result.about.get("figure"),
+        "runs": len(result.rows),
+        **{name: result.about[name] for name in names if name in result.about},
+        "points": flat(result.points),
+        **({"differences": flat(result.differences)} if result.differences else {}),
+    }

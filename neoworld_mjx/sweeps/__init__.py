@@ -1,7 +1,7 @@
-"""Sweeps over the settings of the search, and ablations."""
+"""Sweeps over the options of the search, and ablations."""
 
 from .cases import Case, Source
 from .plan import Ablation, Plan
-from .run import Swept, ablate, answer, sweep
+from .run import SweepResult, ablate, sweep
 
-__all__ = ["Ablation", "Case", "Plan", "Source", "Swept", "ablate", "answer", "sweep"]
+__all__ = ["Ablation", "Case", "Plan", "Source", "SweepResult", "ablate", "sweep"]

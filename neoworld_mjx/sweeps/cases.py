@@ -1,4 +1,4 @@
-"""The scenes of a sweep: files, run folders, and scenes that a program makes by name."""
+"""Scenes of a sweep: files, run folders, and named scenes of a source."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -11,36 +11,36 @@ from ..refinement.scene_refinement import read_composed
 from ..spec import SceneSpec
 
 PHOTO = "photo.png"
-"""Where a run folder keeps its photograph."""
+"""Name of the photograph in a run folder."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """A scene to search."""
+    """Scene to refine."""
 
     name: str
     scene: SceneSpec
     start: Callable[[SceneModel, int], Layout] | None = None
-    """Gives the layout at which the search with a seed starts, pop axis of length 1.
+    """Function that returns the initial layout for a seed, with a population axis of length 1.
 
-    None starts at the composed scene."""
+    None starts the search at the composed scene."""
     errors: Callable[[SceneModel, Layout], dict[str, float]] | None = None
-    """Measures the errors of a layout from the truth; None where that is unknown."""
+    """Function that returns the errors of a layout; None without ground truth."""
     photo: Path | None = None
-    """The photograph's file, for scores by a model; None without one."""
+    """File of the photograph, for scores by a model; None if there is none."""
 
 
 Source = Callable[[str], Case]
-"""Makes a scene from the name after the colon."""
+"""Function that returns a scene from the name after the colon."""
 
 
 def case(name: str, sources: Mapping[str, Source]) -> Case:
-    """Find a scene: KIND:NAME of a source, else a scene.json or run folder.
+    """Return a scene by name: KIND:NAME of a source, a scene.json or a run folder.
 
-    A run folder gives the scene as composed, before it was refined.
+    A run folder gives the composed scene, before refinement.
 
     Raises:
-        SpecError: there is no such scene.
+        SpecError: the scene does not exist.
     """
     kind, colon, inner = name.partition(":")
     if colon and kind in sources:

@@ -1,7 +1,8 @@
-"""One figure of a sweep: convergence of its points, the effect of its axes, terms side by side."""
+"""Figure of a sweep: convergence of the points, effect of the axes, and terms of the winners."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,21 +10,21 @@ import numpy as np
 from ..render.plots import plot_svg
 from .run_rows import Row
 
-MOST_CELLS = 64
-"""Combinations of values that a heat map writes as numbers."""
-MOST_LINES = 8
-"""Points whose convergence is drawn; of more, the best by median reward."""
+MAX_CELLS = 64
+"""Maximum number of heat map cells that are annotated with numbers."""
+MAX_LINES = 8
+"""Maximum number of points whose convergence is drawn, best median reward first."""
 
 
 class Effect(NamedTuple):
-    """A column that the axes may change, whatever the weights of the reward."""
+    """Column whose dependence on the axes is drawn; independent of the reward's weights."""
 
     name: str
     label: str
     factor: float = 1.0
     low: float | None = None
     high: float | None = None
-    """Ends of the scale; None takes those of the values."""
+    """Ends of the scale; None uses those of the values."""
 
 
 EFFECTS = (
@@ -34,136 +35,106 @@ EFFECTS = (
 
 
 def draw(rows: Sequence[Row], axes: Sequence[str]) -> str | None:
-    """Draw a sweep as SVG; return None, and say so in the log, without matplotlib.
+    """Draw a sweep as SVG; without matplotlib, log that and return None.
 
-    Left: the best reward so far, by iteration, the median over scenes and seeds with the middle
-    half. Middle: what the first two axes with several values change, as lines with all runs or as
-    heat maps. Right: S_sem beside D_drift of every run.
+    Left: best reward so far by iteration, median and interquartile range over scenes and seeds.
+    Middle: dependence on the first two axes with several values, as lines with all runs or as heat
+    maps. Right: S_sem over D_drift of every run.
 
     Args:
         rows: the runs, each with its iterations under "history".
         axes: columns that distinguish points.
     """
-    axes = [name for name in axes if len({row[name] for row in rows}) > 1]
+    axes = [name for name in axes if len({row[name] for row in rows}) > 1][:2]
     effects = EFFECTS if axes else ()
-    columns = 2 + len(effects)
 
     def fill(figure: Any) -> None:
-        places = figure.subplots(1, columns)
-        _convergence(places[0], rows)
-        for place, effect in zip(places[1:-1], effects, strict=True):
-            _effect(figure, place, rows, axes[:2], effect)
-        _terms(places[-1], rows)
+        first, *middle, last = figure.subplots(1, 2 + len(effects))
+        _convergence(first, rows)
+        for plot, effect in zip(middle, effects, strict=True):
+            _effect(figure, plot, rows, axes, effect)
+        _terms(last, rows)
 
-    return plot_svg((3.4 * columns, 3.2), fill)
+    return plot_svg((3.4 * (2 + len(effects)), 3.2), fill)
 
 
-def _points(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    points: dict[str, list[Row]] = {}
+def _convergence(plot: Any, rows: Sequence[Row]) -> None:
+    curves = defaultdict(list)
     for row in rows:
-        points.setdefault(row["point"], []).append(row)
-    return points
-
-
-def _convergence(place: Any, rows: Sequence[Row]) -> None:
-    curves = {}
-    for point, runs in _points(rows).items():
-        longest = max((len(run.get("history", ())) for run in runs), default=0)
-        best = np.full((len(runs), longest), np.nan)
-        for line, run in zip(best, runs, strict=True):
-            values = [step["best"] for step in run.get("history", ())]
-            line[: len(values)] = [math.nan if value is None else value for value in values]
-            line[len(values) :] = line[len(values) - 1] if values else math.nan  # It has stopped.
+        steps = row.get("history", ())
+        curves[row["point"]].append([np.nan if s["best"] is None else s["best"] for s in steps])
+    quartiles = {}
+    for point, runs in curves.items():
+        length = max(map(len, runs))
+        # A run that has stopped keeps its last value.
+        best = np.array([run + [run[-1] if run else np.nan] * (length - len(run)) for run in runs])
         if np.isfinite(best).any():
-            curves[point] = best
-    final = {point: float(np.nanmedian(best[:, -1])) for point, best in curves.items()}
-    shown = sorted(final, key=final.__getitem__, reverse=True)[:MOST_LINES]
-    for point in sorted(shown, key=list(curves).index):
-        low, middle, high = _quantiles(curves[point])
-        t = np.arange(1, len(middle) + 1)
-        (line,) = place.plot(t, middle, marker=".", label=_short(point))
-        place.fill_between(t, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
-    left_out = len(curves) - len(shown)
-    place.set_title(
-        "convergence" if not left_out else f"convergence of the best {len(shown)} of {len(curves)}"
-    )
-    place.set(xlabel="iteration", ylabel="best reward so far")
-    place.xaxis.get_major_locator().set_params(integer=True)
+            known = [column[np.isfinite(column)] for column in best.T]
+            quartiles[point] = np.array(
+                [np.quantile(c, (0.25, 0.5, 0.75)) if len(c) else [np.nan] * 3 for c in known]
+            ).T
+    ranked = sorted(quartiles, key=lambda point: quartiles[point][1, -1], reverse=True)
+    shown = ranked[:MAX_LINES]
+    for point in (point for point in quartiles if point in shown):
+        low, median, high = quartiles[point]
+        t = np.arange(1, len(median) + 1)
+        (line,) = plot.plot(t, median, marker=".", label=_short(point))
+        plot.fill_between(t, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
+    best_of = f" of the best {len(shown)} of {len(ranked)}" if len(shown) < len(ranked) else ""
+    plot.set(title=f"convergence{best_of}", xlabel="iteration", ylabel="best reward so far")
+    plot.xaxis.get_major_locator().set_params(integer=True)
     if shown:
-        place.legend(fontsize=6)
-
-
-def _quantiles(values: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return the quartiles of each iteration; NaN where no run has a value."""
-    finite = [column[np.isfinite(column)] for column in values.T]
-    return tuple(
-        np.array([np.quantile(column, q) if len(column) else np.nan for column in finite])
-        for q in (0.25, 0.5, 0.75)
-    )
+        plot.legend(fontsize=6)
 
 
 def _effect(
-    figure: Any, place: Any, rows: Sequence[Row], axes: Sequence[str], effect: Effect
+    figure: Any, plot: Any, rows: Sequence[Row], axes: Sequence[str], effect: Effect
 ) -> None:
     name, label, factor, low, high = effect
-    value = lambda row: None if row.get(name) is None else factor * float(row[name])
     levels = [sorted({row[axis] for row in rows}, key=_order) for axis in axes]
-    means = _means(rows, axes, levels, value)
+    cells = defaultdict(list)
+    for row in rows:
+        if row.get(name) is not None and math.isfinite(row[name]):
+            cell = tuple(level.index(row[axis]) for axis, level in zip(axes, levels, strict=True))
+            cells[cell].append(factor * float(row[name]))
+    means = np.full([len(level) for level in levels], np.nan)
+    for cell, values in cells.items():
+        means[cell] = np.mean(values)
     if len(axes) == 1:
-        known = [(levels[0].index(row[axes[0]]), value(row)) for row in rows]
-        known = [(x, y) for x, y in known if y is not None]
-        if known:
-            place.plot(*zip(*known, strict=True), ".", color="0.7")
-        place.plot(range(len(means)), means, "o-", label="mean")
+        points = [(x, value) for (x,), values in cells.items() for value in values]
+        if points:
+            plot.plot(*zip(*points, strict=True), ".", color="0.7")
+        plot.plot(range(len(means)), means, "o-", label="mean")
         if low is not None:
-            margin = 0.05 * ((high or place.get_ylim()[1]) - low)
-            place.set_ylim(low - margin, None if high is None else high + margin)
+            margin = 0.05 * ((high or plot.get_ylim()[1]) - low)
+            plot.set_ylim(low - margin, None if high is None else high + margin)
     else:
-        image = place.imshow(means, origin="lower", aspect="auto", vmin=low, vmax=high)
-        figure.colorbar(image, ax=place)
-        place.set_yticks(range(len(levels[0])), [_short(v) for v in levels[0]])
-        if means.size <= MOST_CELLS:
+        image = plot.imshow(means, origin="lower", aspect="auto", vmin=low, vmax=high)
+        figure.colorbar(image, ax=plot)
+        plot.set_yticks(range(len(levels[0])), [_short(v) for v in levels[0]])
+        if means.size <= MAX_CELLS:
             middle = np.mean(image.get_clim())
             for (y, x), mean in np.ndenumerate(means):
-                colour = "black" if mean > middle else "white"
-                place.text(x, y, f"{mean:.3g}", ha="center", va="center", color=colour)
-    place.set_xticks(range(len(levels[-1])), [_short(v) for v in levels[-1]])
-    place.set_xlabel(_short(axes[-1]))
-    place.set_ylabel(label if len(axes) == 1 else _short(axes[0]))
-    place.set_title(label)
+                color = "black" if mean > middle else "white"
+                plot.text(x, y, f"{mean:.3g}", ha="center", va="center", color=color)
+    plot.set_xticks(range(len(levels[-1])), [_short(v) for v in levels[-1]])
+    plot.set(title=label, xlabel=_short(axes[-1]))
+    plot.set_ylabel(label if len(axes) == 1 else _short(axes[0]))
 
 
-def _means(
-    rows: Sequence[Row],
-    axes: Sequence[str],
-    levels: Sequence[Sequence[Any]],
-    value: Callable[[Row], float | None],
-) -> np.ndarray:
-    """Return the mean over runs at each combination of the axes' values; NaN where none has one."""
-    total = np.zeros([len(level) for level in levels])
-    count = np.zeros_like(total)
-    for row in rows:
-        number = value(row)
-        if number is not None and math.isfinite(number):
-            at = tuple(level.index(row[axis]) for axis, level in zip(axes, levels, strict=True))
-            total[at] += number
-            count[at] += 1
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
-def _terms(place: Any, rows: Sequence[Row]) -> None:
-    for passed, marker, colour in ((True, "o", "C2"), (False, "x", "C3")):
-        known = [
+def _terms(plot: Any, rows: Sequence[Row]) -> None:
+    for passed, marker, color in ((True, "o", "C2"), (False, "x", "C3")):
+        points = [
             (row["d_drift"], row["s_sem"])
             for row in rows
             if bool(row["passed"]) is passed and None not in (row["d_drift"], row["s_sem"])
         ]
-        if known:
-            name = "passed" if passed else "not passed"
-            place.scatter(*zip(*known, strict=True), s=14, marker=marker, c=colour, label=name)
-    place.set(xlabel="D_drift, stability bounds", ylabel="S_sem", title="terms of the winners")
-    if place.collections:
-        place.legend(fontsize=6)
+        if points:
+            label = "passed" if passed else "not passed"
+            plot.scatter(*zip(*points, strict=True), s=14, marker=marker, c=color, label=label)
+    plot.set(xlabel="D_drift", ylabel="S_sem", title="terms of the winners")
+    if plot.collections:
+        plot.legend(fontsize=6)
 
 
 def _order(value: Any) -> tuple[bool, Any]:
@@ -171,7 +142,7 @@ def _order(value: Any) -> tuple[bool, Any]:
 
 
 def _short(value: Any) -> str:
-    """Return a label that fits: the last part of an option's path, a number in short."""
+    """Return a short label: the last part of an option's path, or a number."""
     if isinstance(value, float):
         return f"{value:g}"
     text = str(value)

@@ -1,6 +1,4 @@
-"""The folder of a sweep, rewritten after every group: runs and their iterations as Parquet, tables,
-a figure, and sweep.json.
-"""
+"""Output folder of a sweep, which is rewritten after every group of runs."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -9,28 +7,27 @@ from typing import Any
 
 from ..errors import RunError
 from ..io import read_object
-from ..io.files import write_atomic
+from ..io.files import write_output
 from ..run_folder import refuse_links
 from .figure import draw
-from .histories import HISTORIES, with_histories, write_histories
-from .run_rows import Row, key, read_parquet, write_parquet
+from .run_rows import Key, Row, add_iterations, read_runs, row_key, write_iterations, write_runs
 
-RESULTS, TABLE, ABOUT = "results.parquet", "table.md", "sweep.json"
-CSV, LATEX, FIGURE = "table.csv", "table.tex", "figure.svg"
+RESULTS, HISTORIES, ABOUT = "results.parquet", "histories.parquet", "sweep.json"
+TABLE, CSV, LATEX, FIGURE = "table.md", "table.csv", "table.tex", "figure.svg"
 FORMAT = "neoworld-sweep/1"
 
 
 class SweepFolder:
-    """The output folder of a sweep; `rows` holds the rows of an earlier part of it."""
+    """Output folder of a sweep, with the runs of an earlier part of the sweep in `rows`."""
 
     def __init__(self, path: Path, kind: str, *, resume: bool, overwrite: bool) -> None:
         """Create the folder, or continue in an existing one.
 
         Args:
             path: the folder.
-            kind: sweep or ablation.
-            resume: keep existing rows that the plan asks for again.
-            overwrite: delete the files of an earlier sweep, and no others.
+            kind: "sweep" or "ablation".
+            resume: keep existing rows that the plan contains.
+            overwrite: delete the files of an earlier sweep, but no others.
 
         Raises:
             RunError: the path is a file, cannot be written, or holds files that must stay.
@@ -38,51 +35,48 @@ class SweepFolder:
         self.path = Path(path)
         self.rows: list[Row] = []
         self.groups: list[dict[str, Any]] = []
-        """The computations that made `rows`, as sweep.json lists them."""
+        """Computations that produced `rows`, as listed in sweep.json."""
         self.ledger: dict[str, Any] = {}
-        """Calls and costs of the models that were asked for `rows`."""
+        """Calls and costs of the models that scored `rows`."""
         if self.path.exists() and not self.path.is_dir():
             raise RunError(f"{path} is a file; name a folder")
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             refuse_links(self.path)
             if any(self.path.iterdir()):
-                self._enter(kind, resume, overwrite)
-            if not self.rows:
-                self.write_about({"format": FORMAT, "kind": kind, "finished": False})
+                self._open_existing(kind, resume, overwrite)
         except OSError as error:
             raise RunError(f"cannot write {path}: {error.strerror}") from None
+        if not self.rows:
+            self.write_about({"format": FORMAT, "kind": kind, "finished": False})
 
-    def _enter(self, kind: str, resume: bool, overwrite: bool) -> None:
+    def _open_existing(self, kind: str, resume: bool, overwrite: bool) -> None:
         try:
             about = read_object(self.path / ABOUT, RunError)
-            is_sweep = about["format"] == FORMAT and isinstance(about["kind"], str)
-        except (RunError, KeyError):
-            is_sweep, about = False, {}
-        if not is_sweep:
+        except RunError:
+            about = {}
+        if about.get("format") != FORMAT or not isinstance(about.get("kind"), str):
             raise RunError(f"{self.path} is not empty and holds no {kind}: name a new folder")
-        existing_kind = about["kind"]
-        if existing_kind != kind:
+        if about["kind"] != kind:
             raise RunError(
-                f"{self.path} holds another kind of run, {existing_kind}: name a new folder"
+                f"{self.path} holds another kind of run, {about['kind']}: name a new folder"
             )
         if overwrite:
             for name in (RESULTS, HISTORIES, TABLE, CSV, LATEX, FIGURE):
                 (self.path / name).unlink(missing_ok=True)
-            return
-        if not resume:
+        elif not resume:
             raise RunError(
-                f"{self.path} holds a {kind}: go on with --resume, begin anew with --overwrite, or "
-                "name a new folder"
+                f"{self.path} holds a {kind}: continue with --resume, start over with --overwrite, "
+                "or name a new folder"
             )
-        ledger = about.get("mllm")
-        self.ledger = ledger if isinstance(ledger, dict) else {}
-        if (self.path / RESULTS).exists():
-            rows = read_parquet(self.path / RESULTS)
-            self.rows = with_histories(self.path / HISTORIES, rows)
-            self.groups = list(about.get("groups", []))
+        else:
+            ledger = about.get("mllm")
+            self.ledger = ledger if isinstance(ledger, dict) else {}
+            if (self.path / RESULTS).exists():
+                self.rows = add_iterations(self.path / HISTORIES, read_runs(self.path / RESULTS))
+                self.groups = list(about.get("groups", []))
 
-    def keep(self, expected: dict[tuple[str, str, int], str]) -> dict[tuple[str, str, int], Row]:
+    def completed(self, expected: Mapping[Key, str]) -> dict[Key, Row]:
         """Return the rows that need not be computed again.
 
         Args:
@@ -91,26 +85,26 @@ class SweepFolder:
         Raises:
             RunError: the folder has rows of runs that are not requested, which would be lost.
         """
-        existing = {key(row): row for row in self.rows}
-        lost = [run for run in existing if run not in expected]
+        rows = {row_key(row): row for row in self.rows}
+        lost = [run for run in rows if run not in expected]
         if lost:
             scene, point, seed = lost[0]
             raise RunError(
                 f"{self.path} has {len(lost)} rows that this plan does not contain, such as scene "
                 f"{scene}, point {point}, seed {seed}: use --overwrite, or name a new folder"
             )
-        return {run: row for run, row in existing.items() if row["fingerprint"] == expected[run]}
+        return {run: row for run, row in rows.items() if row["fingerprint"] == expected[run]}
 
     def write(self, rows: Sequence[Row], values: Sequence[str], texts: Mapping[str, str]) -> None:
-        """Write all rows so far, and their tables by the names of their files.
+        """Write all rows so far, and further text files by name.
 
         Raises:
             RunError: a file cannot be written.
         """
-        write_parquet(self.path / RESULTS, rows, values)
-        write_histories(self.path / HISTORIES, rows)
+        write_runs(self.path / RESULTS, rows, values)
+        write_iterations(self.path / HISTORIES, rows)
         for name, text in texts.items():
-            self._text(name, text)
+            write_output(self.path / name, text, RunError)
 
     def write_figure(self, rows: Sequence[Row], axes: Sequence[str]) -> str | None:
         """Draw the sweep; return the figure's path, or None without matplotlib.
@@ -118,10 +112,10 @@ class SweepFolder:
         Raises:
             RunError: the file cannot be written.
         """
-        drawn = draw(rows, axes)
-        if drawn is None:
+        drawing = draw(rows, axes)
+        if drawing is None:
             return None
-        self._text(FIGURE, drawn)
+        write_output(self.path / FIGURE, drawing, RunError)
         return str(self.path / FIGURE)
 
     def write_about(self, about: dict[str, Any]) -> None:
@@ -130,10 +124,4 @@ class SweepFolder:
         Raises:
             RunError: it cannot be written.
         """
-        self._text(ABOUT, json.dumps(about, indent=1) + "\n")
-
-    def _text(self, name: str, text: str) -> None:
-        try:
-            write_atomic(self.path / name, text)
-        except OSError as error:
-            raise RunError(f"cannot write {self.path / name}: {error.strerror}") from None
+        write_output(self.path / ABOUT, json.dumps(about, indent=1) + "\n", RunError)

@@ -1,4 +1,4 @@
-"""Semantic scores by a model in a sweep: one panel, ledger and cap, or scores recorded before."""
+"""Semantic scores by a model in a sweep: one panel, ledger and cost cap, or recorded scores."""
 
 import hashlib
 import re
@@ -13,28 +13,28 @@ from ..parse.photo import load_photo
 from ..refinement.outcome import Refined
 from .cases import Case
 
-SCORES, ANSWERS = "scores", "answers.tape.json"
-"""In the folder of a sweep: each run's scores, and the models' answers."""
+SCORES, RESPONSES = "scores", "answers.tape.json"
+"""Names in the folder of a sweep: scores of the runs, and tape of the models' responses."""
 
 
-def asks_a_model(options: RefineOptions) -> bool:
-    """Tell whether a run's S_sem is a model's, and counts."""
+def scored_by_model(options: RefineOptions) -> bool:
+    """Return True if a model scores the run's S_sem and S_sem has a weight."""
     return options.semantic.scorer == "mllm" and options.reward.w_sem > 0
 
 
 class ModelScores:
-    """Gives the runs of a sweep what they need for semantic scores by a model.
+    """Source of the semantic scores of a sweep's runs.
 
     Args:
-        config: models, provider and cost cap, of the sweep as a whole.
-        recorded: folder of scores that an earlier sweep recorded; followed, and nobody is asked.
+        config: models, provider and cost cap of the sweep as a whole.
+        recorded: folder of scores that an earlier sweep recorded; replaces model calls.
         tapes: tapes, or folders of tapes, for the provider `replay`.
-        out: folder of the sweep, into which scores and answers are recorded; None records none.
-        earlier: ledger of the part of the sweep that is continued, as sweep.json has it.
+        out: folder of the sweep, which records scores and responses; None records nothing.
+        earlier: ledger of the part of the sweep that is resumed, from sweep.json.
 
     Raises:
-        ConfigError: `recorded` is no folder, or the provider is wrong.
-        ModelError: nobody can be asked.
+        ConfigError: `recorded` is not a folder, or the provider is invalid.
+        ModelError: no model is available.
         RunError: the earlier ledger is damaged.
     """
 
@@ -48,7 +48,7 @@ class ModelScores:
         earlier: dict[str, Any],
     ) -> None:
         if recorded is not None and not recorded.is_dir():
-            raise ConfigError(f"scores: {recorded} is no folder of recorded scores")
+            raise ConfigError(f"scores: {recorded} is not a folder of recorded scores")
         self._recorded, self._out = recorded, out
         self._photos: dict[Path, Picture] = {}
         self._panel: Panel | None = None
@@ -58,7 +58,7 @@ class ModelScores:
                 config.provider,
                 tapes=tuple(tapes),
                 mailbox=None if out is None else out / "mailbox",
-                record=None if out is None else out / ANSWERS,
+                record=None if out is None else out / RESPONSES,
                 made=f"recorded by a sweep from provider {config.provider}",
             )
         if self._panel is not None and earlier:
@@ -78,7 +78,7 @@ class ModelScores:
         return {"provider": self._panel.name, **self._panel.ledger.to_json()}
 
     def check(self, case: Case) -> None:
-        """Refuse a scene that no model can score.
+        """Reject a scene that a model cannot score.
 
         Raises:
             ConfigError: its photograph or its camera is missing.
@@ -90,39 +90,39 @@ class ModelScores:
             )
 
     def of(self, case: Case, point: str, seed: int) -> dict[str, Any]:
-        """Return what `refine` takes for the scores of one run."""
+        """Return the arguments of `refine` for the scores of one run."""
         name = file_name(case.name, point, seed)
-        given: dict[str, Any] = {}
+        arguments: dict[str, Any] = {}
         if self._out is not None:
-            given["scores"] = self._out / SCORES / name
+            arguments["scores"] = self._out / SCORES / name
         if self._recorded is not None:
-            return given | {"recorded": self._recorded / name}
+            return arguments | {"recorded": self._recorded / name}
         assert case.photo is not None
         if case.photo not in self._photos:
             self._photos[case.photo] = Picture.of("photo", load_photo(case.photo).rgb)
-        return given | {"photo": self._photos[case.photo], "panel": self._panel}
+        return arguments | {"photo": self._photos[case.photo], "panel": self._panel}
 
     def refuse_partial(self, refined: Refined, case: Case, point: str, seed: int) -> None:
-        """Refuse the result of a run whose requests ended early: it would not be the plan's.
+        """Reject the result of a run whose requests were stopped, such as by the cost cap.
 
         Raises:
-            BudgetError: they did, as at the cost cap.
+            BudgetError: the requests were stopped.
         """
         stopped = (refined.scoring or {}).get("stopped")
         if stopped:
             raise BudgetError(
-                f"scene {case.name}, point {point}, seed {seed}: {stopped}; the runs before it are "
-                "kept: raise the cap and go on with --resume"
+                f"scene {case.name}, point {point}, seed {seed}: {stopped}; earlier runs are "
+                "saved: raise the cap and continue with --resume"
             )
 
     def close(self) -> None:
-        """End the panel's connections."""
+        """Close the panel's connections."""
         if self._panel is not None:
             self._panel.close()
 
 
 def file_name(scene: str, point: str, seed: int) -> str:
-    """Return the name of the file of a run's scores; names of scenes never become paths."""
+    """Return the file name of a run's scores; scene names never become paths."""
     short = hashlib.sha256(f"{scene}\n{point}".encode()).hexdigest()[:8]
     words = re.sub(r"[^a-z0-9]+", "_", f"{Path(scene).name} {point}".lower()).strip("_")
     return f"{words[:60]}_{short}_{seed}.jsonl"

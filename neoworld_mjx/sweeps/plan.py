@@ -1,4 +1,4 @@
-"""Plans of sweeps and ablations: YAML files, validated in full before anything runs."""
+"""Plans of sweeps and ablations: YAML files that are fully validated before the first run."""
 
 import itertools
 import json
@@ -20,16 +20,16 @@ MAX_POINTS, MAX_SEEDS = 10_000, 10_000
 
 class _Request(Options):
     scenes: tuple[str, ...] = ()
-    """scene.json files, run folders, or generated scenes as KIND:NAME."""
+    """scene.json files, run folders, or named scenes as KIND:NAME."""
     config: Path | None = None
     """YAML file of options that all points share."""
     base: dict[str, Any] = {}
     """Options that override those of `config`."""
     seeds: tuple[int, ...] = Field(default=(0, 1, 2, 3), min_length=1)
     scores: Path | None = None
-    """Folder of semantic scores that an earlier run of the plan recorded; no model is asked."""
+    """Folder of semantic scores recorded by an earlier run of the plan; replaces model calls."""
     tapes: tuple[Path, ...] = ()
-    """Tapes of answers, or folders of tapes, for the provider `replay`."""
+    """Tapes of responses, or folders of tapes, for the provider `replay`."""
 
 
 class Plan(_Request):
@@ -38,16 +38,16 @@ class Plan(_Request):
     axes: dict[str, list[Any]] = {}
     """Values by the path of an option, such as `refine.reward.w_drift`."""
     fold: bool = True
-    """Whether runs that differ in traced options alone are one computation."""
+    """True if runs that differ only in traced options share a computation."""
 
 
 class Ablation(_Request):
-    """A base and named changes of it, with every seed, on every scene."""
+    """An ablation: base options and named variants, with every seed, on every scene."""
 
     variants: dict[str, dict[str, Any]] = {}
-    """Values by the path of an option, for each variant by name."""
+    """Values by the path of an option, for each variant."""
     fold: bool = False
-    """As in `Plan`; without it every run is timed and pruned like a single refinement."""
+    """As in `Plan`; if False, every run is timed and pruned like a single refinement."""
 
 
 class Point(NamedTuple):
@@ -55,7 +55,7 @@ class Point(NamedTuple):
 
     label: str
     values: dict[str, Any]
-    """The values that distinguish it, by column."""
+    """Values that distinguish the point, by column."""
     options: RefineOptions
 
 
@@ -66,10 +66,10 @@ Request = TypeVar("Request", Plan, Ablation)
 
 
 def read(source: Request | Mapping[str, Any] | Path | str, kind: type[Request]) -> Request:
-    """Read a plan from a YAML file or a mapping; an instance of `kind` is returned as it is.
+    """Read a plan from a YAML file or a mapping; an instance of `kind` is returned unchanged.
 
     Raises:
-        ConfigError: the file is missing or no YAML mapping, or a key or value is wrong.
+        ConfigError: the file is missing or not a YAML mapping, or a key or value is invalid.
     """
     if isinstance(source, kind):
         return source
@@ -84,42 +84,42 @@ def read(source: Request | Mapping[str, Any] | Path | str, kind: type[Request]) 
     except ValidationError as error:
         raise ConfigError(f"{where}: {validation_message(error, kind)}") from None
     if len(plan.seeds) > MAX_SEEDS:
-        raise ConfigError(f"{where}: {len(plan.seeds)} seeds, at most {MAX_SEEDS} are taken")
+        raise ConfigError(f"{where}: {len(plan.seeds)} seeds, at most {MAX_SEEDS} are allowed")
     if len(set(plan.seeds)) < len(plan.seeds) or min(plan.seeds) < 0:
         raise ConfigError(f"{where}: seeds must be different and not negative, got {plan.seeds}")
     return plan
 
 
 def shared_config(plan: Plan | Ablation) -> Config:
-    """Return the options that all points share, those of models among them.
+    """Return the options that all points share, including those of models.
 
     Raises:
-        ConfigError: an option is wrong.
+        ConfigError: an option is invalid.
     """
     return load_config(plan.config, plan.base)
 
 
 def points(plan: Plan | Ablation) -> list[Point]:
-    """Validate and list the points of a plan.
+    """Validate a plan and return its points.
 
     Raises:
-        ConfigError: an axis names no option, has no values or one of a wrong type, or a value comes
-            twice; the message names the option's neighbours.
+        ConfigError: an axis is not an option, has no values or an invalid one, or a value repeats;
+            the message suggests similar options.
     """
     shared = shared_config(plan)
-    # Points override the complete options of the base, defaults included.
+    # Points override the complete options of the base, including defaults.
     base = shared.model_dump(mode="json")
     if isinstance(plan, Plan):
         return _grid(plan.axes, base)
     variants = [Point(BASE, {"variant": BASE}, shared.refine)]
     for name, values in plan.variants.items():
         if name == BASE:
-            raise ConfigError(f"variants: {BASE!r} is the name of the options without changes")
+            raise ConfigError(f"variants: {BASE!r} is reserved for the options without changes")
         if not values:
             raise ConfigError(f"variants: {name!r} changes nothing")
         options = _with_values(base, values, f"variants: {name}")
         if options == shared.refine:
-            raise ConfigError(f"variants: {name!r} sets options to what the base has already")
+            raise ConfigError(f"variants: {name!r} equals the base")
         variants.append(Point(name, {"variant": name}, options))
     if len(variants) == 1:
         raise ConfigError("variants: name at least one, with the options that it changes")
@@ -135,20 +135,20 @@ def _grid(axes: dict[str, list[Any]], base: dict[str, Any]) -> list[Point]:
     count = math.prod(map(len, axes.values()))
     if count > MAX_POINTS:
         raise ConfigError(
-            f"axes: {count} points, at most {MAX_POINTS} are taken; give fewer values, or several "
-            "plans"
+            f"axes: {count} points, at most {MAX_POINTS} are allowed; use fewer values or "
+            "several plans"
         )
     grid: dict[str, Point] = {}
     for combination in itertools.product(*axes.values()):
         options = _with_values(base, dict(zip(axes, combination, strict=True)), "axes")
-        # Validated values, so that 1 and 1.0 are the same point.
+        # Validated values make 1 and 1.0 the same point.
         dump = {ROOT: options.model_dump(mode="json")}
         values = {path: _at(dump, path) for path in axes}
         label = ", ".join(
             f"{path.removeprefix(ROOT + '.')} {_shown(values[path])}" for path in axes
         )
         if label in grid:
-            raise ConfigError(f"axes: the point {label} comes twice")
+            raise ConfigError(f"axes: the point {label} appears twice")
         grid[label] = Point(label or BASE, values, options)
     return list(grid.values())
 
@@ -171,7 +171,7 @@ def _with_values(base: dict[str, Any], values: Mapping[str, Any], where: str) ->
 def _replaced(base: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
     result = merged(base, overrides)
     terms = overrides.get(ROOT, {}).get("reward", {}).get("terms")
-    if isinstance(terms, dict):  # Terms replace those of the base; they are not merged.
+    if isinstance(terms, dict):  # Terms replace those of the base.
         result[ROOT]["reward"]["terms"] = terms
     return result
 
@@ -179,11 +179,13 @@ def _replaced(base: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]
 def _check_path(path: str, where: str) -> None:
     head, *names = path.split(".")
     if head != ROOT:
-        raise ConfigError(f"{where}: {path} is no option of the search; paths begin with {ROOT}.")
+        raise ConfigError(
+            f"{where}: {path} is not an option of the search; paths begin with {ROOT}."
+        )
     group: Any = RefineOptions
     for name in names:
         if not (isinstance(group, type) and issubclass(group, BaseModel)):
-            raise ConfigError(f"{where}: {path}: nothing lies under {head}")
+            raise ConfigError(f"{where}: {path}: {head} is not a group")
         if name not in group.model_fields:
             raise ConfigError(f"{where}: no option {path}: {choices(name, group.model_fields)}")
         head = f"{head}.{name}"
@@ -205,5 +207,5 @@ def _shown(value: Any) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Return a value that a column can hold: a number, a string or a Boolean."""
+    """Return a value that a column can hold: a number, a string or a boolean."""
     return value if isinstance(value, bool | int | float | str) else json.dumps(value)

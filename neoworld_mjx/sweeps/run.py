@@ -1,6 +1,5 @@
-"""Sweeps and ablations: settings of the search, on scenes, with seeds, into one table."""
+"""Sweeps and ablations: refinements of scenes with several options and seeds, in one table."""
 
-import json
 import os
 import platform
 import time
@@ -12,47 +11,50 @@ from typing import Any
 import jax
 
 from ..compilations import compiled
-from ..config import RefineOptions, option_values
+from ..config import option_values
 from ..errors import ConfigError
 from ..io.files import content_hash
 from ..physics.engine import Engine
 from ..physics.model import SceneModel
 from ..physics.simulate import open_engine
 from ..progress import report
-from ..refinement.loop import search
-from ..refinement.scene_refinement import compile_for_search, refine
+from ..refinement.scene_refinement import compile_for_search
 from ..refinement.search_run import SearchRun
 from ..run_folder import versions
 from ..spec import SceneSpec
 from .cases import Case, Source, case
 from .folder import CSV, FORMAT, LATEX, TABLE, SweepFolder
-from .grouping import TRACED, PointGroup, grouped, reasons
-from .histories import so_far, summaries
-from .model_scores import ModelScores, asks_a_model
-from .plan import Ablation, Plan, Point, points, read, shared_config
-from .run_rows import Key, Row, row_of_refined, row_of_search
-from .table import comma_separated, differences, flat, latex, markdown, summary
-from .winners import winners
+from .group_runs import refine_separately, search_together
+from .grouping import PointGroup, grouped, reasons
+from .model_scores import ModelScores, scored_by_model
+from .plan import Ablation, Plan, points, read, shared_config
+from .run_rows import Key, Row
+from .table import comma_separated, differences, summary, text_table
 
-BATCHES = 4
-"""Batches of a population, at most, that are rolled out one after the other on an accelerator."""
+NOTES = (
+    "Means over scenes and seeds with 95 % intervals: Wilson's for rates, Student's t for the "
+    "others. n is the number of runs. Runs on one scene are correlated, so intervals over few "
+    "scenes are too narrow to generalize. The reward uses each point's own weights: if weights "
+    "differ, compare the terms."
+)
+DIFFERENCE_NOTES = "Paired over scenes and seeds; a positive value is larger than the base."
 
 
 @dataclass(frozen=True)
-class Swept:
-    """The result of a sweep or an ablation."""
+class SweepResult:
+    """Result of a sweep or an ablation."""
 
     rows: list[Row]
-    """One row of each scene, point and seed; columns as in `run_rows.COLUMNS`, and under "history"
-    the iterations with the columns of `histories.COLUMNS`."""
+    """One row per scene, point and seed with the columns `run_rows.COLUMNS`, and under "history"
+    the iterations with the columns `run_rows.ITERATION_COLUMNS`."""
     points: list[dict[str, Any]]
     """Summary of each point over scenes and seeds; see `table.summary`."""
     differences: list[dict[str, Any]]
     """Differences of an ablation's variants from the base; see `table.differences`."""
     table: str
-    """Both, as Markdown."""
+    """Both summaries as Markdown."""
     about: dict[str, Any] = field(default_factory=dict)
-    """The content of sweep.json."""
+    """Content of sweep.json."""
 
 
 def sweep(
@@ -64,26 +66,27 @@ def sweep(
     engine: Engine | None = None,
     resume: bool = False,
     overwrite: bool = False,
-) -> Swept:
-    """Refine scenes with every combination of some options' values, with several seeds.
+) -> SweepResult:
+    """Refine scenes with every combination of some options' values and several seeds.
 
-    Runs that differ in traced options alone are one computation; see `refinement.loop.search`.
+    Runs that differ only in traced options are one computation; see `refinement.loop.search`.
 
     Args:
         plan: a plan, or its YAML file or mapping.
-        out: folder to write results.parquet, table.md and sweep.json into; None writes nothing.
-        cases: scenes besides those that the plan names.
-        sources: by KIND, functions that make the scenes named as KIND:NAME.
-        engine: the physics engine; opened from the options by default.
-        resume: go on with the sweep in `out`.
+        out: folder for results.parquet, table.md, sweep.json and others; None writes no files.
+        cases: scenes in addition to those of the plan.
+        sources: functions that return the scenes named KIND:NAME, by KIND.
+        engine: physics engine; chosen by the options by default.
+        resume: continue the sweep in `out`.
         overwrite: replace the sweep in `out`.
 
     Raises:
-        ConfigError: the plan is wrong; raised before anything runs.
-        SpecError: there is no such scene.
+        ConfigError: the plan is invalid; raised before any run.
+        SpecError: a scene does not exist.
         RunError: the folder cannot be written, or holds files that must stay.
     """
-    return _run(read(plan, Plan), out, cases, sources or {}, engine, resume, overwrite)
+    runner = _Runner(read(plan, Plan), cases, sources or {}, engine)
+    return runner.run(out, resume=resume, overwrite=overwrite)
 
 
 def ablate(
@@ -95,314 +98,237 @@ def ablate(
     engine: Engine | None = None,
     resume: bool = False,
     overwrite: bool = False,
-) -> Swept:
-    """Refine scenes with a base and named changes of it, and estimate their differences.
+) -> SweepResult:
+    """Refine scenes with base options and named variants, and estimate the differences.
 
-    Each run is a refinement of its own unless the plan sets `fold`; the first of a kind runs twice,
-    so that no time includes compilation. See `sweep` for arguments and errors.
+    Unless the plan sets `fold`, runs are separate refinements; the first of each kind runs twice,
+    so that times exclude compilation. Arguments and errors are those of `sweep`.
     """
-    return _run(read(plan, Ablation), out, cases, sources or {}, engine, resume, overwrite)
+    runner = _Runner(read(plan, Ablation), cases, sources or {}, engine)
+    return runner.run(out, resume=resume, overwrite=overwrite)
 
 
-def _run(
-    plan: Plan | Ablation,
-    out: Path | str | None,
-    scenes: Sequence[Case | SceneSpec],
-    sources: Mapping[str, Source],
-    engine: Engine | None,
-    resume: bool,
-    overwrite: bool,
-) -> Swept:
-    settings = points(plan)
-    cases = _cases(plan, scenes, sources)
-    options = [point.options for point in settings]
-    by_model = [point for point in settings if asks_a_model(point.options)]
-    # A run that a model scores is searched by itself, as its answers come when they come.
-    fold = plan.fold and not by_model
-    groups = grouped(options, fold=fold)
-    kind = "sweep" if isinstance(plan, Plan) else "ablation"
-    total = len(cases) * len(settings) * len(plan.seeds)
-    report(
-        f"{kind}: {len(settings)} points x {len(plan.seeds)} seeds x {len(cases)} scenes = "
-        f"{total} runs",
-        step=f"{kind} of {total} runs",
-    )
-    lines = reasons(options, fold=fold)
-    if plan.fold and by_model:
-        lines = [*lines, "a model scores candidates: every run is a refinement of its own"]
-    for line in lines:
-        report(f"static: {line}")
-    fingerprints = _fingerprints(plan, settings, cases, groups, engine, fold)
-    folder = None
-    completed: dict[Key, Row] = {}
-    if out is not None:
-        folder = SweepFolder(Path(out), kind, resume=resume, overwrite=overwrite)
-        completed = folder.keep(fingerprints)
-        if completed:
-            report(f"{len(completed)} of {total} runs are there already")
-    scores = None
-    if by_model:
-        scores = ModelScores(
-            shared_config(plan),
-            recorded=plan.scores,
-            tapes=plan.tapes,
-            out=None if folder is None else folder.path,
-            earlier={} if folder is None else folder.ledger,
+class _Runner:
+    """A validated plan with its scenes, points and groups, and the rows computed so far."""
+
+    def __init__(
+        self,
+        plan: Plan | Ablation,
+        scenes: Sequence[Case | SceneSpec],
+        sources: Mapping[str, Source],
+        engine: Engine | None,
+    ) -> None:
+        self.plan, self.engine = plan, engine
+        self.kind = "sweep" if isinstance(plan, Plan) else "ablation"
+        self.points = points(plan)
+        self.cases = _cases(plan, scenes, sources)
+        self.by_model = any(scored_by_model(point.options) for point in self.points)
+        # Responses of a model arrive at any time, so such runs cannot share a computation.
+        self.fold = plan.fold and not self.by_model
+        options = [point.options for point in self.points]
+        self.groups = grouped(options, fold=self.fold)
+        self.static = reasons(options, fold=self.fold)
+        if plan.fold and self.by_model:
+            self.static.append("scores by a model: every run is a separate refinement")
+        self.fingerprints = self._fingerprints()
+        self.total = len(self.fingerprints)
+        self.completed: dict[Key, Row] = {}
+        self.folder: SweepFolder | None = None
+        self.scores: ModelScores | None = None
+        self.about: dict[str, Any] = {}
+
+    def run(self, out: Path | str | None, *, resume: bool, overwrite: bool) -> SweepResult:
+        """Compute all runs that `out` does not hold yet, saving after each group."""
+        report(
+            f"{self.kind}: {len(self.points)} points x {len(self.plan.seeds)} seeds x "
+            f"{len(self.cases)} scenes = {self.total} runs",
+            step=f"{self.kind} of {self.total} runs",
         )
-        for scene in cases:
-            scores.check(scene)
-    columns = list(settings[0].values)
-    about = _about(kind, plan, settings, lines)
-    about["groups"] = folder.groups if folder is not None else []
+        for line in self.static:
+            report(f"static: {line}")
+        if out is not None:
+            self.folder = SweepFolder(Path(out), self.kind, resume=resume, overwrite=overwrite)
+            self.completed = self.folder.completed(self.fingerprints)
+            if self.completed:
+                report(f"{len(self.completed)} of {self.total} runs are complete")
+        if self.by_model:
+            self.scores = self._open_scores()
+        self.about = self._about()
+        began, before = time.perf_counter(), len(self.completed)
+        for scene in self.cases:
+            models: dict[tuple[float, int], SceneModel] = {}
+            compiled_kinds: set[str] = set()
+            for number, group in enumerate(self.groups, start=1):
+                timing = self._run_group(scene, group, models, compiled_kinds)
+                if timing is None:
+                    continue
+                done = len(self.completed)
+                rate = (time.perf_counter() - began) / (done - before)
+                left = (self.total - done) * rate
+                report(
+                    f"{scene.name}, group {number} of {len(self.groups)}: {timing['runs']} runs in "
+                    f"{timing['seconds']:.1f} s, {timing['compile_s']:.1f} s of it compiling "
+                    f"{timing['compilations']} programs; {done} of {self.total} runs done, about "
+                    f"{left:.0f} s left",
+                    step=f"{self.kind} of {self.total} runs, {done} done, {left:.0f} s left",
+                )
+                self._save(finished=False)
+        result = self._save(finished=True)
+        if self.scores is not None:
+            self.scores.close()
+        return result
 
-    def save(finished: bool) -> Swept:
-        rows = [completed[key] for key in fingerprints if key in completed]
-        about["finished"] = finished
+    def _run_group(
+        self,
+        scene: Case,
+        group: PointGroup,
+        models: dict[tuple[float, int], SceneModel],
+        compiled_kinds: set[str],
+    ) -> dict[str, Any] | None:
+        """Compute the missing runs of a group on a scene; return its timing, None if none missed.
+
+        Args:
+            scene: the scene.
+            group: the points.
+            models: compiled models of the scene, by time step and samples; updated in place.
+            compiled_kinds: see `refine_separately`.
+        """
+        pending = [
+            (point, seed)
+            for point in (self.points[k] for k in group.members)
+            for seed in self.plan.seeds
+            if (scene.name, point.label, seed) not in self.completed
+        ]
+        if not pending:
+            return None
+        start, before = time.perf_counter(), compiled()
+        rollout = group.compile_options.rollout
+        shape = (rollout.timestep_s, rollout.samples_per_object)
+        if shape not in models:
+            models[shape] = compile_for_search(scene.scene, group.compile_options)
+        model = models[shape]
+        engine = self.engine or open_engine(rollout.engine)
+        runs = [
+            SearchRun(
+                point.options, seed, None if scene.start is None else scene.start(model, seed)
+            )
+            for point, seed in pending
+        ]
+        if self.fold:
+            rows = search_together(scene, group.compile_options, model, runs, engine)
+        else:
+            pairs = [(point, run) for (point, _), run in zip(pending, runs, strict=True)]
+            try:
+                rows = refine_separately(scene, model, pairs, engine, compiled_kinds, self.scores)
+            except BaseException:
+                self._save(finished=False)  # Record the costs so far.
+                raise
+        for (point, seed), row in zip(pending, rows, strict=True):
+            key = (scene.name, point.label, seed)
+            head = {"scene": scene.name, "point": point.label, "seed": seed, **point.values}
+            self.completed[key] = head | row | {"fingerprint": self.fingerprints[key]}
+        programs, compile_s = (a - b for a, b in zip(compiled(), before, strict=True))
+        timing = {
+            "scene": scene.name,
+            "points": [self.points[k].label for k in group.members],
+            "runs": len(runs),
+            "seconds": time.perf_counter() - start,
+            "compilations": int(programs),
+            "compile_s": compile_s,
+        }
+        self.about["groups"].append(timing)
+        return timing
+
+    def _save(self, *, finished: bool) -> SweepResult:
+        """Return the result so far, and write it into the folder."""
+        about = self.about | {"finished": finished}
         for name in ("seconds", "compilations", "compile_s"):
             about[name] = sum(group.get(name, 0) for group in about["groups"])
-        if scores is not None:
-            about["mllm"] = scores.ledger
-        swept = _swept(kind, rows, [point.label for point in settings], about)
-        if folder is not None:
-            folder.write(rows, columns, _tables(kind.capitalize(), swept))
-            folder.write_about(about)
+        if self.scores is not None:
+            about["mllm"] = self.scores.ledger
+        rows = [self.completed[key] for key in self.fingerprints if key in self.completed]
+        present = {row["point"] for row in rows}
+        labels = [point.label for point in self.points if point.label in present]
+        summaries = summary(rows, labels)
+        compared = differences(rows, labels) if self.kind == "ablation" else []
+        title = self.kind.capitalize()
+        markdown = f"# {title}\n\n{text_table(NOTES, summaries).markdown()}"
+        tex = text_table(f"{title}. {NOTES}", summaries).latex()
+        if compared:
+            table = text_table(DIFFERENCE_NOTES, compared, signed=True)
+            markdown += f"\n## Differences from the base\n\n{table.markdown()}"
+            tex += "\n" + table.latex()
+        if self.folder is not None:
+            axes = list(self.points[0].values)
+            texts = {TABLE: markdown, CSV: comma_separated(summaries), LATEX: tex}
+            self.folder.write(rows, axes, texts)
+            self.folder.write_about(about)
             if finished:
-                about["figure"] = folder.write_figure(rows, columns)
-        return swept
+                about["figure"] = self.folder.write_figure(rows, axes)
+        return SweepResult(rows, summaries, compared, markdown, about)
 
-    began, computed = time.perf_counter(), 0
-    for scene in cases:
-        models: dict[tuple[float, int], SceneModel] = {}
-        warm: set[str] = set()
-        for number, group in enumerate(groups, start=1):
-            pending = [
-                (settings[k], seed)
-                for k in group.members
-                for seed in plan.seeds
-                if (scene.name, settings[k].label, seed) not in completed
-            ]
-            if not pending:
-                continue
-            start, before = time.perf_counter(), compiled()
-            reach = group.reach
-            shape = (reach.rollout.timestep_s, reach.rollout.samples_per_object)
-            if shape not in models:
-                models[shape] = compile_for_search(scene.scene, reach)
-            model = models[shape]
-            rollout_engine = engine or open_engine(reach.rollout.engine)
-            runs = [
-                SearchRun(
-                    point.options, seed, None if scene.start is None else scene.start(model, seed)
-                )
-                for point, seed in pending
-            ]
-            if fold:
-                rows = _folded(scene, reach, model, runs, rollout_engine)
-            else:
-                labels = [point.label for point, _ in pending]
-                try:
-                    rows = _one_by_one(scene, model, runs, labels, rollout_engine, warm, scores)
-                except BaseException:
-                    save(False)  # What was paid for is on record.
-                    raise
-            for (point, seed), row in zip(pending, rows, strict=True):
-                key = (scene.name, point.label, seed)
-                head = {"scene": scene.name, "point": point.label, "seed": seed}
-                fingerprint = {"fingerprint": fingerprints[key]}
-                completed[key] = head | point.values | row | fingerprint
-            elapsed = time.perf_counter() - start
-            programs, compile_s = (a - b for a, b in zip(compiled(), before, strict=True))
-            about["groups"].append(
-                {
-                    "scene": scene.name,
-                    "points": [settings[k].label for k in group.members],
-                    "runs": len(runs),
-                    "seconds": elapsed,
-                    "compilations": int(programs),
-                    "compile_s": compile_s,
-                }
-            )
-            computed += len(runs)
-            left = (total - len(completed)) * (time.perf_counter() - began) / computed
-            report(
-                f"{scene.name}, group {number} of {len(groups)}: {len(runs)} runs in "
-                f"{elapsed:.1f} s, {compile_s:.1f} s of it compiling {programs:.0f} programs; "
-                f"{len(completed)} of {total} runs done, about {left:.0f} s left",
-                step=f"{kind} of {total} runs, {len(completed)} done, {left:.0f} s left",
-            )
-            save(False)
-    result = save(True)
-    if scores is not None:
-        scores.close()
-    return result
+    def _open_scores(self) -> ModelScores:
+        scores = ModelScores(
+            shared_config(self.plan),
+            recorded=self.plan.scores,
+            tapes=self.plan.tapes,
+            out=None if self.folder is None else self.folder.path,
+            earlier={} if self.folder is None else self.folder.ledger,
+        )
+        for scene in self.cases:
+            scores.check(scene)
+        return scores
 
+    def _fingerprints(self) -> dict[Key, str]:
+        """Return a hash of the inputs of every run, in the order of the table's rows."""
+        shared = {
+            "versions": versions(),
+            "fold": self.fold,
+            "engine": None if self.engine is None else self.engine.name,
+            "sigma_xy": self.groups[0].compile_options.cem.sigma_xy,
+        }
+        config = shared_config(self.plan)
+        scoring = {"provider": config.provider, "model": config.mllm.critic.model}
+        if self.plan.scores is not None:
+            scoring = {"recorded": str(self.plan.scores)}
+        fingerprints = {}
+        for scene in self.cases:
+            scene_hash = content_hash(scene.scene)
+            for point in self.points:
+                options = option_values(point.options)
+                for seed in self.plan.seeds:
+                    inputs = [shared, scene.name, scene_hash, options, seed]
+                    inputs += [scoring] if scored_by_model(point.options) else []
+                    fingerprints[scene.name, point.label, seed] = content_hash(inputs)[:16]
+        return fingerprints
 
-def _folded(
-    scene: Case,
-    reach: RefineOptions,
-    model: SceneModel,
-    runs: Sequence[SearchRun],
-    engine: Engine,
-) -> list[Row]:
-    """Search all runs at once, in few large rollouts."""
-    clock: dict[str, float] = {}
-    before = compiled().seconds
-    results = search(model, [in_few_batches(run) for run in runs], engine, keep=False, clock=clock)
-    seconds = max(clock["search"] - (compiled().seconds - before), 0.0) / len(runs)
-    timing = {"seconds": seconds, "to_valid_s": None, "engine": engine.name}
-
-    chosen = winners(scene.scene, reach, model, results)
-    return [
-        row_of_search(scene, model, result, winner) | timing | {"history": so_far(result.summaries)}
-        for result, winner in zip(results, chosen, strict=True)
-    ]
-
-
-def in_few_batches(run: SearchRun) -> SearchRun:
-    """Return the run with larger batches where an accelerator rolls them out.
-
-    Pruning then leaves out a few candidates less, and no elite is another.
-    """
-    c = run.options.cem
-    if jax.default_backend() == "cpu":
-        return run
-    cem = c.model_copy(update={"batch": max(c.batch, -(-c.population // BATCHES))})
-    return run._replace(options=run.options.model_copy(update={"cem": cem}))
-
-
-def _one_by_one(
-    scene: Case,
-    model: SceneModel,
-    runs: Sequence[SearchRun],
-    labels: Sequence[str],
-    engine: Engine,
-    warm: set[str],
-    scores: ModelScores | None,
-) -> list[Row]:
-    """Refine runs one by one; the first of each kind runs twice, to leave compilation untimed.
-
-    What a model would score is compiled by a run that geometry scores, which costs no call.
-    """
-    rows = []
-    for run, label in zip(runs, labels, strict=True):
-        kind = {name: v for name, v in option_values(run.options).items() if name not in TRACED}
-        text = json.dumps([kind, list(run.options.reward.terms)], sort_keys=True)
-        if text not in warm:
-            warm.add(text)
-            geometric = run.options.semantic.model_copy(update={"scorer": "geometric"})
-            unscored = run.options.model_copy(update={"semantic": geometric})
-            refine(model, unscored, seed=run.seed, start=run.start, engine=engine)
-        given: dict[str, Any] = {}
-        if scores is not None and asks_a_model(run.options):
-            given = scores.of(scene, label, run.seed)
-        refined = refine(model, run.options, seed=run.seed, start=run.start, engine=engine, **given)
-        if scores is not None:
-            scores.refuse_partial(refined, scene, label, run.seed)
-        history = so_far(summaries(refined.history))
-        rows.append(row_of_refined(scene, model, refined) | {"history": history})
-    return rows
+    def _about(self) -> dict[str, Any]:
+        return {
+            "format": FORMAT,
+            "kind": self.kind,
+            "plan": self.plan.model_dump(mode="json"),
+            "points": [{"label": point.label, **point.values} for point in self.points],
+            "options": {"refine": self.points[0].options.model_dump(mode="json")},
+            "static": self.static,
+            "versions": versions(),
+            "machine": {
+                "system": platform.platform(),
+                "cores": os.cpu_count(),
+                "devices": [f"{d.platform}: {d.device_kind}" for d in jax.devices()],
+            },
+            "groups": [] if self.folder is None else self.folder.groups,
+        }
 
 
 def _cases(
     plan: Plan | Ablation, scenes: Sequence[Case | SceneSpec], sources: Mapping[str, Source]
 ) -> list[Case]:
     cases = [case(name, sources) for name in plan.scenes]
-    cases += [entry if isinstance(entry, Case) else Case(entry.name, entry) for entry in scenes]
+    cases += [scene if isinstance(scene, Case) else Case(scene.name, scene) for scene in scenes]
     if not cases:
         raise ConfigError("scenes: name at least one, as a scene.json, a run folder or KIND:NAME")
-    names = [entry.name for entry in cases]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise ConfigError(f"scenes: {', '.join(twice)} comes twice")
+    names = [case.name for case in cases]
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise ConfigError(f"scenes: {', '.join(repeated)} appears twice")
     return cases
-
-
-def _fingerprints(
-    plan: Plan | Ablation,
-    settings: Sequence[Point],
-    cases: Sequence[Case],
-    groups: Sequence[PointGroup],
-    engine: Engine | None,
-    fold: bool,
-) -> dict[Key, str]:
-    """Return a hash of every run's inputs, in the order of the table's rows."""
-    shared = {
-        "versions": versions(),
-        "fold": fold,
-        "engine": None if engine is None else engine.name,
-        "sigma_xy": groups[0].reach.cem.sigma_xy,
-    }
-    config = shared_config(plan)
-    asked = {"provider": config.provider, "model": config.mllm.critic.model}
-    asked = {"recorded": str(plan.scores)} if plan.scores is not None else asked
-    fingerprints = {}
-    for scene in cases:
-        scene_hash = content_hash(scene.scene)
-        for point in settings:
-            options = option_values(point.options)
-            for seed in plan.seeds:
-                inputs = [shared, scene.name, scene_hash, options, seed]
-                inputs += [asked] if asks_a_model(point.options) else []
-                fingerprints[scene.name, point.label, seed] = content_hash(inputs)[:16]
-    return fingerprints
-
-
-def _about(
-    kind: str, plan: Plan | Ablation, settings: Sequence[Point], lines: list[str]
-) -> dict[str, Any]:
-    return {
-        "format": FORMAT,
-        "kind": kind,
-        "plan": plan.model_dump(mode="json"),
-        "points": [{"label": point.label, **point.values} for point in settings],
-        "options": _shown(settings[0].options),
-        "static": lines,
-        "versions": versions(),
-        "machine": {
-            "system": platform.platform(),
-            "cores": os.cpu_count(),
-            "devices": [f"{d.platform}: {d.device_kind}" for d in jax.devices()],
-        },
-    }
-
-
-def _shown(options: RefineOptions) -> dict[str, Any]:
-    return {"refine": options.model_dump(mode="json")}
-
-
-def _swept(kind: str, rows: list[Row], labels: list[str], about: dict[str, Any]) -> Swept:
-    labels = [label for label in labels if any(row["point"] == label for row in rows)]
-    summed = summary(rows, labels)
-    against = differences(rows, labels) if kind == "ablation" else []
-    notes = (
-        "Means over scenes and seeds with 95 % intervals: Wilson's for rates, Student's t for the "
-        "others. n counts runs. Runs on one scene are alike, so intervals over few scenes are too "
-        "narrow for others. The reward is by each point's own weights: where weights differ, "
-        "compare what it is made of."
-    )
-    return Swept(rows, summed, against, markdown(kind.capitalize(), summed, against, notes), about)
-
-
-def _tables(title: str, swept: Swept) -> dict[str, str]:
-    """Return the tables by the names of their files."""
-    tex = latex(title, swept.points)
-    if swept.differences:
-        tex += "\n" + latex(f"{title}: differences", swept.differences, signed=True)
-    return {TABLE: swept.table, CSV: comma_separated(swept.points), LATEX: tex}
-
-
-def answer(swept: Swept, out: Path) -> dict[str, Any]:
-    """Return the JSON answer of the command."""
-    return {
-        "folder": str(out),
-        "table": str(out / TABLE),
-        "figure": swept.about.get("figure"),
-        "runs": len(swept.rows),
-        "seconds": swept.about["seconds"],
-        "compile_s": swept.about["compile_s"],
-        "compilations": swept.about["compilations"],
-        "static": swept.about["static"],
-        **({"mllm": swept.about["mllm"]} if "mllm" in swept.about else {}),
-        "points": flat(swept.points),
-        **({"differences": flat(swept.differences)} if swept.differences else {}),
-    }

@@ -1,7 +1,7 @@
-"""Winners of many runs, chosen and checked side by side.
+"""Selection and final checks of the winners of many runs, in processes or threads.
 
-A final check simulates in C MuJoCo, which lets other threads run, but a third of it is Python's own
-work. So many runs on many cores are checked in processes, and few of them in threads.
+A final check simulates in C MuJoCo, which releases the GIL, but a third of its time is Python code.
+Many runs on many cores are therefore checked in processes, and few runs in threads.
 """
 
 import os
@@ -28,12 +28,12 @@ from ..refinement.search_run import SearchResult
 from ..spec import SceneSpec
 
 CHECK_S, SERIAL_S, START_S = 0.9, 0.35, 10.0
-"""Seconds of a core that a run's winner takes, those of them in which only one thread of a process
-can work, and those that a process takes to start; the first two of coffee, on an AMD EPYC."""
+"""Core time of one run's winner, the part of it that holds the GIL, and the start-up time of a
+process [s]; the first two measured for coffee on an AMD EPYC."""
 
 
 class _Job(NamedTuple):
-    """What the choice of a winner needs; see `choose_and_return`."""
+    """Arguments of `choose_and_return` for one run."""
 
     options: RefineOptions
     rounds: list[Round]
@@ -42,76 +42,77 @@ class _Job(NamedTuple):
 
 
 def winners(
-    scene: SceneSpec, reach: RefineOptions, model: SceneModel, results: Sequence[SearchResult]
+    scene: SceneSpec,
+    compile_options: RefineOptions,
+    model: SceneModel,
+    results: Sequence[SearchResult],
 ) -> list[Winner]:
-    """Choose every run's winner, and put back what it moved without need.
+    """Choose the winner of every run, and return objects that moved unnecessarily.
 
     Args:
-        scene: the scene as composed.
-        reach: the options that it was compiled with.
+        scene: the composed scene.
+        compile_options: options that the scene was compiled with.
         model: the compiled scene.
-        results: the runs' searches.
+        results: the searches of the runs.
     """
     cores = os.cpu_count() or 1
-    # Terms of the user's own may be known to this process alone.
-    known = all(photograph_decides(r.problem.objective) for r in results)
-    if known and processes_pay(len(results), cores):
-        found = in_processes(scene, reach, results, min(cores, len(results)))
-        if found is not None:
-            return found
+    # Custom reward terms may be defined in this process only.
+    portable = all(photograph_decides(result.problem.objective) for result in results)
+    if portable and processes_pay(len(results), cores):
+        chosen = in_processes(scene, compile_options, results, min(cores, len(results)))
+        if chosen is not None:
+            return chosen
     with ThreadPoolExecutor(cores) as pool:
         return list(pool.map(lambda r: _winner(model, _job(r), r.problem.objective), results))
 
 
 def processes_pay(runs: int, cores: int) -> bool:
-    """Tell whether processes choose the winners of so many runs sooner than threads."""
+    """Return True if processes choose the winners of so many runs faster than threads."""
     return START_S + runs * CHECK_S / cores < runs * max(SERIAL_S, CHECK_S / cores)
 
 
 def in_processes(
-    scene: SceneSpec, reach: RefineOptions, results: Sequence[SearchResult], processes: int
+    scene: SceneSpec,
+    compile_options: RefineOptions,
+    results: Sequence[SearchResult],
+    processes: int,
 ) -> list[Winner] | None:
-    """Choose winners in processes on the CPU; None where one of them failed.
+    """Choose winners in CPU processes; return None if a process fails.
 
-    They are no children of `multiprocessing`, which would run the caller's script again.
+    The processes are not children of `multiprocessing`, which would import the caller's script.
     """
-    jobs = [_job(r) for r in results]
-    shares = [jobs[k::processes] for k in range(processes)]
-    command = [sys.executable, "-m", __name__]
-    folders = [os.getcwd(), *filter(None, sys.path)]
-    limits = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    environment = os.environ | limits | {"PYTHONPATH": os.pathsep.join(folders)}
-    environment["JAX_PLATFORMS"] = "cpu"
+    jobs = [_job(result) for result in results]
+    path = os.pathsep.join([os.getcwd(), *filter(None, sys.path)])
+    environment = os.environ | {"PYTHONPATH": path, "JAX_PLATFORMS": "cpu"}
+    environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
     def choose(share: list[_Job]) -> list[Winner] | str:
-        ran = subprocess.run(
-            command,
-            input=pickle.dumps((scene, reach, share)),
+        process = subprocess.run(
+            [sys.executable, "-m", __name__],
+            input=pickle.dumps((scene, compile_options, share)),
             capture_output=True,
             env=environment,
             check=False,
         )
-        if ran.returncode:
-            lines = ran.stderr.decode(errors="replace").strip().splitlines()
-            return lines[-1] if lines else f"exit status {ran.returncode}"
-        return pickle.loads(ran.stdout)
+        if process.returncode:
+            lines = process.stderr.decode(errors="replace").strip().splitlines()
+            return lines[-1] if lines else f"exit status {process.returncode}"
+        return pickle.loads(process.stdout)
 
     with ThreadPoolExecutor(processes) as pool:
-        found = list(pool.map(choose, shares))
+        outcomes = list(pool.map(choose, [jobs[k::processes] for k in range(processes)]))
     chosen: list[Any] = [None] * len(jobs)
-    for k, own in enumerate(found):
-        if isinstance(own, str):
-            report(f"a process of final checks failed ({own}); they are made in this one")
+    for k, outcome in enumerate(outcomes):
+        if isinstance(outcome, str):
+            report(f"a process of final checks failed ({outcome}); checking in threads instead")
             return None
-        chosen[k::processes] = own
+        chosen[k::processes] = outcome
     return chosen
 
 
 def _job(result: SearchResult) -> _Job:
-    host = lambda tree: jax.tree.map(np.asarray, tree)
-    run = result.run
-    start = None if run.start is None else host(run.start)
-    return _Job(run.options, [host(r) for r in result.rounds], start, result.checked)
+    start, rounds = jax.tree.map(np.asarray, (result.run.start, list(result.rounds)))
+    return _Job(result.run.options, rounds, start, result.checked)
 
 
 def _winner(model: SceneModel, job: _Job, objective: Any) -> Winner:
@@ -123,12 +124,11 @@ def _choose_share() -> None:
     from ..cache import keep_compilations
 
     out = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # Whatever prints must not get between.
+    os.dup2(2, 1)  # Other output must not mix with the winners.
     keep_compilations()
-    scene, reach, share = pickle.load(sys.stdin.buffer)
-    model = compile_for_search(scene, reach)
-    found = [_winner(model, job, open_objective(job.options)) for job in share]
-    out.write(pickle.dumps(found))
+    scene, compile_options, jobs = pickle.load(sys.stdin.buffer)
+    model = compile_for_search(scene, compile_options)
+    out.write(pickle.dumps([_winner(model, job, open_objective(job.options)) for job in jobs]))
     out.close()
 
 

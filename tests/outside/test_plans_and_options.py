@@ -13,7 +13,7 @@ from neoworld_mjx.errors import ConfigError, RunError
 from neoworld_mjx.refinement.objective import named_terms
 from neoworld_mjx.sweeps.folder import SweepFolder
 from neoworld_mjx.sweeps.plan import Plan, points, read
-from neoworld_mjx.sweeps.run_rows import read_parquet, write_parquet
+from neoworld_mjx.sweeps.run_rows import read_runs, write_runs
 
 LIBRARY = Path(__file__).parents[2] / "neoworld_mjx"
 
@@ -74,19 +74,19 @@ def test_a_module_that_ends_the_process_is_an_error(tmp_path, monkeypatch):
 
 def _rows(path: Path) -> bytes:
     row = {"scene": "a", "point": "base", "seed": 0, "fingerprint": "x"}
-    write_parquet(path, [row], [])
+    write_runs(path, [row], [])
     return path.read_bytes()
 
 
 def test_results_that_are_cut_or_none(tmp_path):
     path = tmp_path / "results.parquet"
     whole = _rows(path)
-    assert read_parquet(path)[0]["scene"] == "a"
+    assert read_runs(path)[0]["scene"] == "a"
     for cut in (20, len(whole) // 3, len(whole) // 2):
         for data in (whole[:cut] + whole[-8:], whole[:4] + whole[cut:], whole[:cut]):
             path.write_bytes(data)
             with pytest.raises(RunError, match=r"results\.parquet (is|has)"):
-                read_parquet(path)
+                read_runs(path)
 
 
 def test_a_foreign_sweep_with_links_is_refused(tmp_path):

@@ -345,13 +345,13 @@ def _tape(draw: random.Random, home: Path) -> None:
 
 
 def _results(draw: random.Random, home: Path) -> None:
-    from neoworld_mjx.sweeps.run_rows import read_parquet, write_parquet
+    from neoworld_mjx.sweeps.run_rows import read_runs, write_runs
 
     path = home / "results.parquet"
     row = {"scene": "a", "point": "base", "seed": 0, "fingerprint": "x"}
-    write_parquet(path, [row] * 3, [])
+    write_runs(path, [row] * 3, [])
     path.write_bytes(mutated_bytes(draw, path.read_bytes()))
-    read_parquet(path)
+    read_runs(path)
 
 
 KINDS: dict[str, Callable[[random.Random, Path], None]] = {

@@ -8,11 +8,10 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from neoworld_mjx.sweeps.figure import MOST_LINES, draw
+from neoworld_mjx.sweeps.figure import MAX_LINES, draw
 from neoworld_mjx.sweeps.folder import SweepFolder
-from neoworld_mjx.sweeps.histories import so_far, summaries
-from neoworld_mjx.sweeps.run_rows import read_parquet, write_parquet
-from neoworld_mjx.sweeps.table import comma_separated, differences, latex, summary
+from neoworld_mjx.sweeps.run_rows import iteration_rows, read_runs, summaries, write_runs
+from neoworld_mjx.sweeps.table import comma_separated, differences, summary, text_table
 
 SIGMA, DRIFT = "refine.cem.sigma_xy", "refine.reward.w_drift"
 
@@ -43,7 +42,7 @@ def test_iterations_are_of_the_candidates_that_have_a_reward():
         "status": np.array([[0, 5, 0], [0, 0, -1]]),
         "s_sem": np.array([[0.5, np.nan, 0.9], [0.6, 0.7, np.nan]]),
     }
-    first, second = so_far(summaries(history | {"term_names": np.array(["s_sem"])}))
+    first, second = iteration_rows(summaries(history | {"term_names": np.array(["s_sem"])}))
     assert (first["iteration"], second["iteration"]) == (1, 2)
     assert first["best"] == second["best"] == 0.4
     assert first["mean"] == pytest.approx(0.3) and second["mean"] == pytest.approx(0.2)
@@ -51,10 +50,10 @@ def test_iterations_are_of_the_candidates_that_have_a_reward():
     assert (first["s_sem"], second["s_sem"]) == (0.9, 0.6)
 
 
-def test_an_iteration_in_which_all_failed_has_no_reward():
+def test_an_iteration_without_a_scored_candidate_has_no_reward():
     history = {"absolute": np.full((1, 2), -np.inf), "valid": np.zeros((1, 2), bool)}
     history |= {"status": np.array([[2, 2]]), "s_sem": np.full((1, 2), np.nan)}
-    (only,) = so_far(summaries(history | {"term_names": np.array(["s_sem"])}))
+    (only,) = iteration_rows(summaries(history | {"term_names": np.array(["s_sem"])}))
     assert only["best"] is None and only["mean"] is None and only["s_sem"] is None
 
 
@@ -67,7 +66,7 @@ def test_a_folder_keeps_the_iterations(tmp_path):
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["sweep.json"]
 
 
-def test_terms_of_the_users_own_are_kept(tmp_path):
+def test_custom_terms_are_saved(tmp_path):
     rows = [
         row | {"history": [step | {"upright": 0.25} for step in row["history"]]} for row in ROWS
     ]
@@ -76,33 +75,33 @@ def test_terms_of_the_users_own_are_kept(tmp_path):
     assert [row["history"] for row in again.rows] == [row["history"] for row in rows]
 
 
-def test_runs_of_a_sweep_without_iterations_are_kept_too(tmp_path):
+def test_runs_without_iterations_are_saved(tmp_path):
     folder = SweepFolder(tmp_path, "sweep", resume=False, overwrite=False)
-    write_parquet(tmp_path / "results.parquet", ROWS, [SIGMA, DRIFT])
+    write_runs(tmp_path / "results.parquet", ROWS, [SIGMA, DRIFT])
     again = SweepFolder(folder.path, "sweep", resume=True, overwrite=False)
     assert len(again.rows) == len(ROWS) and not again.rows[0]["history"]
-    assert read_parquet(tmp_path / "results.parquet")[0][SIGMA] == 0.03
+    assert read_runs(tmp_path / "results.parquet")[0][SIGMA] == 0.03
 
 
-def test_tables_say_the_same_in_each_form():
+def test_csv_and_latex_agree():
     summed = summary(ROWS, [ROWS[0]["point"], ROWS[2]["point"]])
     first, second = csv.DictReader(io.StringIO(comma_separated(summed)))
     assert first["point"] == "s 0.03, d 0.5" and second["n"] == "2"
     assert float(first["passed"]) == 0.5 and float(second["d_drift"]) == pytest.approx(0.1)
-    text = latex("Sweep", summed)
+    text = text_table("Sweep", summed).latex()
     assert text.count(r"\\") == 3 and r"D\_drift" in text and "0.050 [" in text
     assert text.count("&") == 3 * text.splitlines()[3].count("&")
 
 
-def test_what_latex_would_run_is_text():
+def test_latex_commands_in_cells_are_escaped():
     summed = summary([run(r"\input{x} 50 % & _", 0, 1, 1)], [r"\input{x} 50 % & _"])
-    line = latex("Ablation", summed).splitlines()[5]
+    line = text_table("Ablation", summed).latex().splitlines()[5]
     assert line.startswith(r"\textbackslash{}input\{x\} 50 \% \& \_ & 1 & 100.0")
 
 
 def test_differences_are_signed():
     rows = [run("base", 0, 1, 1), run("more", 0, 1, 1, reward=0.9)]
-    assert "+0.400" in latex("x", differences(rows, ["base", "more"]), signed=True)
+    assert "+0.400" in text_table("x", differences(rows, ["base", "more"]), signed=True).latex()
 
 
 def test_a_figure_shows_points_axes_and_terms():
@@ -117,13 +116,13 @@ def test_a_figure_of_one_axis_none_and_many_points():
     one = "".join(ET.fromstring(draw(ROWS[:4], [SIGMA, DRIFT])).itertext())
     assert "w_drift" in one and "sigma_xy" not in one
     assert "passed, %" not in draw(ROWS[:1], [SIGMA, DRIFT])
-    many = [run(f"point {k}", 0, 0.1, float(k), reward=k / 20) for k in range(MOST_LINES + 3)]
+    many = [run(f"point {k}", 0, 0.1, float(k), reward=k / 20) for k in range(MAX_LINES + 3)]
     text = draw(many, [DRIFT])
-    assert f"best {MOST_LINES} of {len(many)}" in text
+    assert f"best {MAX_LINES} of {len(many)}" in text
     assert "point 10<" in text and "point 2<" not in text
 
 
-def test_without_matplotlib_there_is_no_figure_and_that_is_said(monkeypatch, caplog):
+def test_without_matplotlib_the_log_says_why_there_is_no_figure(monkeypatch, caplog):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with caplog.at_level("INFO", logger="neoworld_mjx"):
         assert draw(ROWS, [SIGMA]) is None

@@ -110,7 +110,7 @@ def test_other_options_are_no_leaf(name):
     assert any(name in line for line in reasons([RefineOptions(), changed])) == split
 
 
-def test_what_ends_rollouts_is_shared_while_they_end_early():
+def test_options_of_the_early_stop_rule_split_groups_only_with_early_stop():
     early = [RefineOptions(), put("reward.d_drift_cap", 5.0)]
     assert len(grouped(early)) == 2
     assert "refine.reward.d_drift_cap = 3.0, 5.0 (sets the early-stop rule)" in reasons(early)[0]
@@ -122,8 +122,8 @@ def test_what_ends_rollouts_is_shared_while_they_end_early():
     assert reasons(late) == []
 
 
-def test_one_compiled_scene_reaches_as_far_as_the_widest_point():
+def test_scenes_are_compiled_with_the_widest_sigma_xy():
     points = [put("cem.sigma_xy", 0.03), put("cem.sigma_xy", 0.2)]
     (group,) = grouped(points)
-    assert group.reach.cem.sigma_xy == 0.2
-    assert [g.reach.cem.sigma_xy for g in grouped(points, fold=False)] == [0.2, 0.2]
+    assert group.compile_options.cem.sigma_xy == 0.2
+    assert [g.compile_options.cem.sigma_xy for g in grouped(points, fold=False)] == [0.2, 0.2]

@@ -109,13 +109,13 @@ def test_one_cap_holds_for_the_whole_sweep_and_a_higher_one_resumes_it(recorded,
         ledger = done.about["mllm"]
         assert len(done.rows) == 4 and ledger["calls"] == server.calls
         assert ledger["known_cost_usd"] > spent["known_cost_usd"]
-    assert any("every run is a refinement of its own" in line for line in done.about["static"])
+    assert any("every run is a separate refinement" in line for line in done.about["static"])
 
 
 def test_a_scene_without_a_photograph_is_refused_before_anything_runs(tmp_path):
     with pytest.raises(ConfigError, match="scene blocks: scores by a model need a photograph"):
         ablate(plan("http://127.0.0.1:9", variants=WITHOUT), cases=[scenes.blocks()])
-    with pytest.raises(ConfigError, match="no folder of recorded scores"):
+    with pytest.raises(ConfigError, match="not a folder of recorded scores"):
         ablate(plan(variants=WITHOUT, scores=str(tmp_path / "none")), cases=[scenes.blocks()])
 
 

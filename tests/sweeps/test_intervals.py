@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats as known
 
-from neoworld_mjx.sweeps.stats import mean, rate, rate_difference
+from neoworld_mjx.sweeps.intervals import mean, rate, rate_difference
 
 
 @pytest.mark.parametrize(("hits", "n"), [(0, 5), (3, 7), (20, 20), (99, 100)])
