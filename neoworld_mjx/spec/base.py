@@ -1,4 +1,4 @@
-"""Bases of host-side descriptions, and the types of their fields."""
+"""Base classes of host-side descriptions, and types of their fields."""
 
 import math
 from typing import Annotated, Any, ClassVar, TypeVar
@@ -9,7 +9,7 @@ from .dimensions import LENGTH, NO_JOINT, UNSCALED, Motion, Scaling, declared_sc
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=48)]
 JointKey = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*(\.[xyz])?$", max_length=50)]
-"""A joint's name, or that of one of a ball's three values."""
+"""Name of a joint, or of one of the three values of a ball joint."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Length = Annotated[float, Field(gt=0, allow_inf_nan=False), LENGTH]
 Vec3 = tuple[Number, Number, Number]
@@ -38,7 +38,7 @@ class ScalableSpec(Spec):
     """
 
     scalings: ClassVar[dict[str, Scaling | None]] = {}
-    """Scaling of each field; None for fields without numbers, whose parts have their own."""
+    """Scaling of each field; None for fields without numbers, whose parts declare their own."""
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
@@ -52,7 +52,7 @@ class ScalableSpec(Spec):
                 raise TypeError(f"{cls.__name__}.{name} {error}") from None
 
     def scaled(self: _Scalable, s: float, motion: Motion = NO_JOINT) -> _Scalable:
-        """Return a copy with every number multiplied by the power of `s` of its field."""
+        """Return a copy with every number multiplied by its field's power of `s`."""
         update: dict[str, object] = {}
         for name, scaling in self.scalings.items():
             value = getattr(self, name)

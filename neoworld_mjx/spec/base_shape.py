@@ -1,4 +1,4 @@
-"""Base of all shapes: convex pieces, a surface, a volume, a signed distance."""
+"""Base of all shapes, with their convex pieces, surface, volume and signed distance."""
 
 from functools import lru_cache
 from typing import Annotated, Literal
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from .base import Number, ScalableSpec
-from .convex import Piece
+from .convex import Piece, mass_properties
 from .dimensions import LENGTH, UNSCALED
 from .pose import ArrayLike
 from .triangles import distance_to_triangles, enclosed_volume
@@ -28,7 +28,7 @@ class BaseShape(ScalableSpec):
     """
 
     def build_pieces(self) -> list[Piece]:
-        """Compute what `pieces` returns."""
+        """Compute the convex pieces; see `pieces`."""
         raise NotImplementedError
 
     def pieces(self) -> list[Piece]:
@@ -36,17 +36,17 @@ class BaseShape(ScalableSpec):
         return list(_shared_pieces(self))  # pyright: ignore[reportArgumentType] as in `surface`
 
     def primitive(self) -> Piece | None:
-        """Return the one piece that is the shape exactly and no mesh; None where there is none."""
+        """Return the primitive piece that equals the shape; None without one."""
         return None
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
-        """Compute what `surface` returns."""
+        """Compute the surface; see `surface`."""
         raise NotImplementedError
 
     def surface(self) -> tuple[NDArray, NDArray]:
         """Return the closed outward surface, in the shape's frame.
 
-        Only pictures and exported visuals use it, never physics: colliders may be coarser and in
+        Rendering and exported visuals use it, physics does not: colliders may be coarser and in
         pieces, a surface is one watertight mesh of the whole shape.
 
         Returns:
@@ -72,8 +72,12 @@ class Primitive(BaseShape):
         raise NotImplementedError
 
     def build_pieces(self) -> list[Piece]:
-        """Return the shape itself."""
+        """Return the primitive."""
         return [self.primitive()]
+
+    def volume(self) -> float:
+        """Return the volume [m^3]."""
+        return mass_properties(self.primitive())[0]
 
 
 @lru_cache(maxsize=1024)

@@ -1,4 +1,4 @@
-"""The pinhole camera that a photograph was taken with, in the world frame."""
+"""The pinhole camera of a photograph, in the world frame."""
 
 import math
 from typing import Annotated
@@ -25,9 +25,9 @@ class Camera(Spec):
     height: Number
     """Height of the camera above z = 0 [m]."""
     pitch: Annotated[float, Field(ge=-math.pi / 2, le=math.pi / 2)]
-    """Angle [rad] that the view is turned down from the horizontal."""
+    """Downward angle of the view from the horizontal [rad]."""
     roll: Number = 0.0
-    """Angle [rad] that the camera is turned clockwise about its view, as seen from behind it."""
+    """Clockwise rotation about the view direction, as seen from behind the camera [rad]."""
 
     @property
     def focal(self) -> float:

@@ -1,4 +1,4 @@
-"""Convex polyhedra and their cuts by planes: what exact convex decompositions are made of."""
+"""Convex polyhedra and their cuts by planes, for exact convex decompositions."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ class Poly(NamedTuple):
     corners: NDArray
     """Vertices [v, 3] m."""
     faces: tuple[tuple[int, ...], ...]
-    """Loops of corners, one for each face, in either sense."""
+    """Loops of corners, one per face, in either orientation."""
 
     def volume(self) -> float:
         """Return the volume [m^3]."""
@@ -29,10 +29,10 @@ class Poly(NamedTuple):
 
 
 def poly(piece: Piece, at: Pose) -> tuple[Poly, NDArray]:
-    """Place a "box" or "mesh" piece.
+    """Return a "box" or "mesh" piece at a pose, which includes the piece's own.
 
     Returns:
-        The polyhedron and the half-spaces n.x <= d that it is the intersection of, [f, 4].
+        The polyhedron, and its half-spaces n.x <= d, [f, 4].
     """
     half = planes(piece)
     if piece.kind == "box":
@@ -50,10 +50,12 @@ def poly(piece: Piece, at: Pose) -> tuple[Poly, NDArray]:
 
 
 def split(solid: Poly, plane: NDArray, slack: float) -> tuple[Poly | None, Poly | None]:
-    """Cut a polyhedron by a plane.
+    """Cut a polyhedron by a plane (n, d) of n.x = d.
+
+    Points within `slack` [m] of the plane count as on it, which prevents thinner slivers.
 
     Returns:
-        What lies on the side n.x <= d, and what lies beyond; None for nothing.
+        The parts with n.x <= d and n.x > d; None for an empty part.
     """
     height = solid.corners @ plane[:3] - plane[3]
     if height.max() <= slack:
@@ -64,7 +66,7 @@ def split(solid: Poly, plane: NDArray, slack: float) -> tuple[Poly | None, Poly 
 
 
 def _side(solid: Poly, height: NDArray, slack: float, normal: NDArray) -> Poly:
-    """Keep what lies below height 0."""
+    """Return the part below height 0."""
     where = np.where(height > slack, 1, np.where(height < -slack, -1, 0)).tolist()
     points: list[NDArray] = []
     index: dict[tuple[int, int], int] = {}

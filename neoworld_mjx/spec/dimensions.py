@@ -1,9 +1,9 @@
-"""Physical dimensions of fields, and how each follows the size of its object.
+"""Physical dimensions of fields, and their scaling with the size of an object.
 
-Gravity and densities do not scale, so time goes with sqrt(s) (Froude similarity): a quantity of
-dimension mass^a length^b time^c goes with s^(a m + b + c / 2), where m is 3 for a mass derived from
-volume and density, and 0 for an authored one. Every numeric field of a `ScalableSpec` declares its
-`Scaling` in its annotation.
+Gravity and densities are constant, so time scales with sqrt(s) (Froude similarity): a quantity of
+dimension mass^a length^b time^c scales with s^(a m + b + c / 2), where m is 3 for a mass derived
+from volume and density, and 0 for an authored one. Every numeric field of a `ScalableSpec` declares
+its `Scaling` in its annotation.
 """
 
 from collections.abc import Iterable
@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
 DERIVED_MASS, AUTHORED_MASS = 3.0, 0.0
-"""Powers of s that a mass follows."""
+"""Exponents of s for masses."""
 
 
 class Dimension(NamedTuple):
-    """Powers of mass, length and time in a quantity's unit."""
+    """Exponents of mass, length and time in a quantity's unit."""
 
     mass: int = 0
     length: int = 0
@@ -23,14 +23,14 @@ class Dimension(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """The circumstances that a joint's quantities scale by; the default is that of no joint."""
+    """Properties of a joint that determine the scaling of its quantities; no joint by default."""
 
     mass: float = AUTHORED_MASS
-    """Power of s that the mass of the joint's child follows."""
+    """Exponent of s of the mass of the joint's child."""
     slides: bool = False
-    """Whether the joint is prismatic."""
+    """True for a prismatic joint."""
     leader_slides: bool = False
-    """Whether the joint that it follows is prismatic."""
+    """True if the joint that it follows is prismatic."""
 
 
 NO_JOINT = Motion()
@@ -41,16 +41,16 @@ class Scaling:
     """Dimension of a field; metadata for `Annotated`."""
 
     turning: Dimension
-    """For what turns, and for whatever belongs to no joint."""
+    """For turning joints, and for quantities without a joint."""
     sliding: Dimension | None = None
-    """For prismatic joints, where that differs."""
+    """For prismatic joints; None if the same."""
     per_leader: "Scaling | None" = None
-    """Divided by this quantity of the joint that is followed."""
+    """Quantity of the followed joint by which this one is divided."""
 
     def exponent(self, motion: Motion = NO_JOINT) -> float:
-        """Return the power of s that the field follows."""
-        own = self.sliding if motion.slides and self.sliding is not None else self.turning
-        power = own.mass * motion.mass + own.length + own.time / 2
+        """Return the exponent of s of the field."""
+        dimension = self.sliding if motion.slides and self.sliding is not None else self.turning
+        power = dimension.mass * motion.mass + dimension.length + dimension.time / 2
         if self.per_leader is not None:
             leader = Motion(mass=motion.mass, slides=motion.leader_slides)
             power -= self.per_leader.exponent(leader)
@@ -58,7 +58,7 @@ class Scaling:
 
 
 UNSCALED = Scaling(Dimension())
-"""Ratios, directions, colours, counts, densities, authored masses; and parts left at size 1."""
+"""Ratios, directions, colours, counts, densities, authored masses; parts described at size 1."""
 LENGTH = Scaling(Dimension(length=1))
 INERTIA = Scaling(Dimension(mass=1, length=2))
 POSITION = Scaling(Dimension(), sliding=Dimension(length=1))
@@ -73,7 +73,7 @@ RATIO = Scaling(POSITION.turning, sliding=POSITION.sliding, per_leader=POSITION)
 
 
 def declared_scaling(annotation: Any, metadata: Iterable[object] = ()) -> Scaling | None:
-    """Return how a field scales by its annotation; None for one without numbers of its own.
+    """Return the scaling in a field's annotation; None for a field without numbers of its own.
 
     Raises:
         TypeError: a number has no `Scaling`, or numbers of one field have different ones.

@@ -1,4 +1,4 @@
-"""Convex pieces of parts, and bounds of objects as posed."""
+"""Convex pieces of parts, and bounds of objects at a joint state."""
 
 from functools import lru_cache
 
@@ -13,7 +13,9 @@ from .pose import IDENTITY, Pose, pose
 
 
 def pieces(part: PartSpec, role: Role = "collision") -> list[tuple[GeomSpec, Piece, Pose]]:
-    """List a part's convex pieces with their poses in the object's frame."""
+    """List a part's convex pieces of a role, or of role "both", with their poses in the object's
+    frame.
+    """
     return list(_placed_pieces(part, role))  # pyright: ignore[reportArgumentType] it has a hash
 
 
@@ -33,21 +35,21 @@ def bounds(
     tilt: Quat = IDENTITY,
     role: Role = "collision",
 ) -> tuple[NDArray, NDArray]:
-    """Return the exact axis-aligned bounds (low [3], high [3]) [m] of an object as posed.
+    """Return the exact axis-aligned bounds (low [3], high [3]) [m] of an object.
 
     Args:
         spec: the object.
         joint_state: joint values; at rest by default.
-        tilt: rotation of the whole object before measuring.
-        role: whose extent to take.
+        tilt: rotation of the whole object.
+        role: "collision" or "visual" geoms.
     """
     moved = link_poses(spec, joint_state or {})
     base = pose((0, 0, 0), tilt)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for part in spec.parts:
         for _, piece, at in pieces(part, role):
-            one, other = box_around(piece, base.then(moved[part.name]).then(at))
-            low, high = np.minimum(low, one), np.maximum(high, other)
+            lower, upper = box_around(piece, base.then(moved[part.name]).then(at))
+            low, high = np.minimum(low, lower), np.maximum(high, upper)
     return low, high
 
 
@@ -85,5 +87,4 @@ def recentred(spec: ObjectSpec) -> ObjectSpec:
 
 def part_bounds(spec: ObjectSpec, part: PartSpec) -> tuple[NDArray, NDArray]:
     """Return the bounds (low [3], high [3]) [m] of a part's colliders at rest."""
-    alone = spec.model_copy(update={"parts": (part,), "joints": (), "sites": ()})
-    return bounds(alone)
+    return bounds(spec.model_copy(update={"parts": (part,), "joints": (), "sites": ()}))

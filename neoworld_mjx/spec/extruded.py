@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from .base import Length
 from .base_shape import BaseShape, Point2, rows
-from .convex import Piece, hull, polytope
+from .convex import Piece, hull, polytope, prism
 from .outlines import box_distance, extruded_distance, loops_distance, polygon_area
 from .pose import ArrayLike
 
@@ -61,13 +61,7 @@ class Extrusion(BaseShape):
 
     def build_pieces(self) -> list[Piece]:
         """Return one prism for each convex tile."""
-        h = self.height / 2
-        prisms = []
-        for tile in self.tiles():
-            flat = np.array(tile)
-            top = np.column_stack([flat, np.full(len(flat), h)])
-            prisms.append(polytope(np.vstack([top, top * [1, 1, -1]])))
-        return prisms
+        return [prism(np.array(tile), self.height) for tile in self.tiles()]
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
         """Triangulate both ends and join them."""
@@ -116,7 +110,7 @@ class RoundedBox(BaseShape):
         return [polytope(self._points(2))]
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
-        """Take the hull of more points than the collider has."""
+        """Return the hull of more points than the collider has."""
         return hull(tuple(map(tuple, np.unique(self._points(6), axis=0).tolist())))
 
     def volume(self) -> float:
@@ -132,7 +126,7 @@ class RoundedBox(BaseShape):
 
     def _points(self, steps: int) -> NDArray:
         angle = np.linspace(0, np.pi / 2, steps + 1)
-        # Sines and cosines of a quarter mirror each other, so that opposite corners match exactly.
+        # Mirrored sines and cosines, so that opposite corners match exactly.
         c = np.cos(angle)
         c[-1] = 0.0
         s = c[::-1]
@@ -151,7 +145,7 @@ def _tiles(outline: Loop, holes: tuple[Loop, ...]) -> tuple[Loop, ...]:
     loops = _wound(outline, holes)
     flat = np.vstack(loops)
     polygons = [list(map(int, t)) for t in _triangles(loops)]
-    # Edges that no merge removes, until one of their two polygons changes.
+    # Edges whose polygons cannot be merged, until one of the two changes.
     refused: set[tuple[int, int]] = set()
     merged = True
     while merged:
@@ -192,7 +186,7 @@ def _convex(p: NDArray) -> bool:
 
 
 def _triangles(loops: list[NDArray]) -> NDArray:
-    """Triangulate an outline with holes: corners [f, 3] counted through all loops."""
+    """Triangulate an outline with holes: corners [f, 3], indexed over all loops."""
     import manifold3d
 
     return np.asarray(manifold3d.triangulate(loops))
@@ -208,9 +202,9 @@ def _wound(outline: Loop, holes: tuple[Loop, ...]) -> list[NDArray]:
 
 
 def crossing_edges(loops: list[NDArray]) -> tuple[int, int] | None:
-    """Return two edges that meet other than as neighbours at their common corner, if any do.
+    """Return two edges that meet elsewhere than at a common corner of neighbours, or None.
 
-    An edge has the index of the point that it begins at, counted through all loops.
+    An edge has the index of its first point, counted over all loops.
     """
     a = np.vstack(loops)
     b = np.vstack([np.roll(loop, -1, axis=0) for loop in loops])

@@ -1,4 +1,4 @@
-"""Finish of materials: metallic, roughness and pattern, as stated or by a material's name."""
+"""Finish of materials: metallic, roughness and pattern, as stated or from a material's name."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -33,37 +33,37 @@ _PATTERNS: dict[str, PatternKind] = {
     "fabric": "weave", "cloth": "weave", "upholstery": "weave", "stainless_steel": "brushed",
 }  # fmt: skip
 UNKNOWN_ROUGHNESS = 0.5
-"""Roughness of a material whose name says nothing."""
+"""Roughness of a material with an unknown name."""
 _WHOLE = 4
-"""Letters from which on a name may be a part of a word at its beginning or end: hardwood."""
+"""Least length of a name that may be a prefix or suffix of a word, as in hardwood."""
 
 
 class Finish(NamedTuple):
-    """How a surface looks, beside its colour and opacity."""
+    """Appearance of a surface, apart from its colour and opacity."""
 
     metallic: float
     """From 0 to 1."""
     roughness: float
     """From 0 to 1."""
     pattern: SurfacePattern | None
-    """None is plain."""
+    """None if plain."""
 
 
 def finish(material: Material) -> Finish:
-    """Return how a material looks: what it states itself, and the rest by its name.
+    """Return the finish of a material: stated values, and others from its name.
 
-    A name tells by its words, apart by "_", what it is made of: "steel_b0b0b0", "dark_oak". The
-    longest name that fits decides.
+    The words of a name, separated by "_", identify the substance: "steel_b0b0b0", "dark_oak". The
+    longest match applies.
     """
-    made_of = _made_of(material.name.lower())
+    substance = _substance(material.name.lower())
     metallic, roughness = 0.0, UNKNOWN_ROUGHNESS
-    if made_of in _METALS:
-        metallic, roughness = 1.0, _METALS[made_of]
-    elif made_of is not None:
-        roughness = _OTHERS[made_of]
+    if substance in _METALS:
+        metallic, roughness = 1.0, _METALS[substance]
+    elif substance is not None:
+        roughness = _OTHERS[substance]
     pattern = material.pattern
-    if pattern is None and made_of in _PATTERNS:
-        pattern = SurfacePattern(kind=_PATTERNS[made_of])
+    if pattern is None and substance in _PATTERNS:
+        pattern = SurfacePattern(kind=_PATTERNS[substance])
     return Finish(
         metallic if material.metallic is None else material.metallic,
         roughness if material.roughness is None else material.roughness,
@@ -72,12 +72,12 @@ def finish(material: Material) -> Finish:
 
 
 def named_finish(name: str) -> bool:
-    """Return whether a material's name says what it is made of."""
-    return _made_of(name.lower()) is not None
+    """Return whether a material's name identifies a substance."""
+    return _substance(name.lower()) is not None
 
 
 @lru_cache(maxsize=1024)
-def _made_of(words: str) -> str | None:
+def _substance(words: str) -> str | None:
     split, framed = words.split("_"), f"_{words}_"
     fits = [
         name

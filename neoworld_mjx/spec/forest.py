@@ -1,10 +1,10 @@
-"""Trees that are given as a map from each name to its parent's: order and cycles."""
+"""Order and cycles of forests, given as a map from each name to its parent's."""
 
 from collections.abc import Mapping
 
 
 def parents_first(parents: Mapping[str, str | None]) -> list[str]:
-    """Return the names, each after its parent, else in the given order."""
+    """Return the names of an acyclic forest: parents first, otherwise in the given order."""
     ordered: dict[str | None, None] = {None: None}
     while len(ordered) <= len(parents):
         for name, parent in parents.items():
@@ -14,12 +14,12 @@ def parents_first(parents: Mapping[str, str | None]) -> list[str]:
 
 
 def name_on_cycle(parents: Mapping[str, str | None]) -> str | None:
-    """Return a name that is its own ancestor; None where there is none."""
+    """Return a name that is its own ancestor, or None; missing names have no parent."""
     for start in parents:
-        visited, at = {start}, parents[start]
-        while at is not None:
-            if at in visited:
-                return at
-            visited.add(at)
-            at = parents.get(at)
+        visited, name = {start}, parents[start]
+        while name is not None:
+            if name in visited:
+                return name
+            visited.add(name)
+            name = parents.get(name)
     return None

@@ -32,9 +32,9 @@ class Intent(ScalableSpec):
 
     type: JointType | None = None
     opens: Direction3 | None = None
-    """Direction in which the child sets out when the joint leaves 0 in the positive sense."""
+    """Initial direction of the child's motion when the joint leaves 0 in the positive sense."""
     travel: Annotated[Positive, POSITION] | None = None
-    """Least range that it must have to be of use [rad or m]."""
+    """Least useful range [rad or m]."""
 
 
 class JointSpec(ScalableSpec):
@@ -65,7 +65,7 @@ class JointSpec(ScalableSpec):
     velocity: Annotated[Positive, SPEED] | None = None
     mimic: Mimic | None = None
     after: tuple[Name, ...] = Field(default=(), exclude_if=_is_empty)
-    """Joints that must be fully open whenever this one is away from 0: a rack's, its door.
+    """Joints that must be fully open whenever this one is away from 0, as the door of a rack.
 
     Checks test it; physics ignores it."""
     intent: Intent | None = Field(default=None, exclude_if=_is_empty)
@@ -93,10 +93,10 @@ class JointSpec(ScalableSpec):
 
 
 def check_prerequisites(joint: JointSpec, by_name: dict[str, JointSpec]) -> None:
-    """Refuse a joint whose `after` names an unknown joint, one without a far end, or itself.
+    """Validate the joints in `after`.
 
     Raises:
-        ValueError: it does.
+        ValueError: one is unknown, has no limits, or is the joint itself.
     """
     if joint.after and (joint.type == "fixed" or joint.mimic is not None):
         raise ValueError(f"joint {joint.name}: what is fixed or follows another cannot wait")
@@ -117,10 +117,6 @@ def check_prerequisites(joint: JointSpec, by_name: dict[str, JointSpec]) -> None
 
 
 def require_known(subject: str, name: str, valid: Collection[str]) -> None:
-    """Refuse a name that is not among the valid ones.
-
-    Raises:
-        ValueError: it is not; the message begins with `subject`.
-    """
+    """Raise a ValueError that begins with `subject` if a name is not among the valid ones."""
     if name not in valid:
         raise ValueError(f"{subject}: {choices(name, sorted(valid))}")

@@ -1,4 +1,4 @@
-"""Kinematics of an object: where its joints and links are, and which parts move together."""
+"""Kinematics of an object: positions of joints and links, and parts that move together."""
 
 from collections.abc import Mapping
 
@@ -13,10 +13,10 @@ _AT_REST = pose()
 
 
 def link_poses(spec: ObjectSpec, joint_state: Mapping[str, float]) -> dict[str, Pose]:
-    """Return how each part is displaced from rest when joints stand at `joint_state` [rad or m].
+    """Return the displacement of each part from rest at `joint_state` [rad or m].
 
-    A joint not named stands at 0; a mimic joint follows its leader. The result maps the object's
-    frame at rest to the object's frame as posed.
+    Joints not named are at 0; a mimic joint follows its leader. Displacements are transforms in the
+    object's frame.
     """
     values = {joint.name: joint_position(spec, joint, joint_state) for joint in spec.joints}
     moved: dict[str, Pose] = {}
@@ -31,7 +31,7 @@ def link_poses(spec: ObjectSpec, joint_state: Mapping[str, float]) -> dict[str, 
 
 
 def joint_value(spec: ObjectSpec, joint: JointSpec, joint_state: Mapping[str, float]) -> float:
-    """Return where a joint stands, following mimics [rad or m]."""
+    """Return the position of a joint, following mimics [rad or m]."""
     visited = set()
     factor, offset = 1.0, 0.0
     while joint.mimic is not None and joint.name not in visited:
@@ -49,7 +49,7 @@ def ball_vector(joint: JointSpec, joint_state: Mapping[str, float]) -> Vec3:
 
 
 def joint_keys(joint: JointSpec) -> tuple[str, ...]:
-    """Return the keys of a joint in a joint state: its name, or three of a ball's."""
+    """Return the keys of a joint in a joint state: its name, or the three of a ball."""
     if joint.type == "ball":
         return tuple(f"{joint.name}.{axis}" for axis in "xyz")
     return (joint.name,)
@@ -58,7 +58,7 @@ def joint_keys(joint: JointSpec) -> tuple[str, ...]:
 def joint_position(
     spec: ObjectSpec, joint: JointSpec, joint_state: Mapping[str, float]
 ) -> float | Vec3:
-    """Return where a joint stands, following mimics: one value, or a ball's rotation vector."""
+    """Return the position of a joint, following mimics: one value, or a ball's rotation vector."""
     if joint.type == "ball":
         return ball_vector(joint, joint_state)
     return joint_value(spec, joint, joint_state)
@@ -81,7 +81,7 @@ def joint_motion(joint: JointSpec, value: float | Vec3) -> Pose:
 
 
 def welded(spec: ObjectSpec) -> dict[str, str]:
-    """Map each part to the part that it moves with: itself, or across fixed joints its ancestor."""
+    """Map each part to the root of its group of parts connected by fixed joints."""
     group: dict[str, str] = {}
     for part, joint in spec.ordered:
         rigid = joint is not None and joint.type == "fixed"
@@ -90,7 +90,7 @@ def welded(spec: ObjectSpec) -> dict[str, str]:
 
 
 def followers(spec: ObjectSpec, joint: JointSpec) -> set[str]:
-    """Return the names of the joints that follow a joint (mimic), also by way of others."""
+    """Return the names of the joints that follow a joint (mimic), directly or not."""
     leaders = {joint.name}
     for _ in spec.joints:
         leaders |= {j.name for j in spec.joints if j.mimic is not None and j.mimic.joint in leaders}
@@ -101,13 +101,13 @@ def carried(spec: ObjectSpec, joint: JointSpec) -> set[str]:
     """Return the names of the parts that move with a joint and its followers."""
     moving_joints = {joint.name} | followers(spec, joint)
     moved: set[str] = set()
-    for part, carrier in spec.ordered:
-        if carrier is not None and (carrier.name in moving_joints or carrier.parent in moved):
+    for part, own_joint in spec.ordered:
+        if own_joint and (own_joint.name in moving_joints or own_joint.parent in moved):
             moved.add(part.name)
     return moved
 
 
 def with_joint(spec: ObjectSpec, joint: JointSpec) -> ObjectSpec:
-    """Return the object with a joint in place of its namesake."""
+    """Return the object with the joint of the same name replaced."""
     joints = tuple(joint if j.name == joint.name else j for j in spec.joints)
     return spec.model_copy(update={"joints": joints})

@@ -16,7 +16,7 @@ from .pose import ArrayLike
 from .triangles import SECTORS, revolved
 
 FACETS = 64
-"""Most facets of a piece of joined bands: what pieces of other shapes have, too."""
+"""Largest number of facets of a piece of joined bands, as in pieces of other shapes."""
 
 
 class Lathe(BaseShape):
@@ -60,7 +60,7 @@ class Lathe(BaseShape):
         return self
 
     def inner(self) -> NDArray:
-        """Return the inner face of the shell, shape [len(profile), 2]: the profile, offset."""
+        """Return the inner face of the shell, the offset profile, shape [len(profile), 2]."""
         p = np.array(self.profile)
         d = np.diff(p, axis=0)
         n = np.column_stack([-d[:, 1], d[:, 0]]) / np.linalg.norm(d, axis=1, keepdims=True)
@@ -87,9 +87,9 @@ class Lathe(BaseShape):
         return pieces
 
     def distinct_pieces(self) -> list[tuple[Piece, int]]:
-        """Return the pieces up to turns about z, with how many times each goes around.
+        """Return the pieces up to rotations about z, with the number of repeats of each.
 
-        One that goes around is the wedge that spans the angles from 0 to 2 pi / sectors.
+        A repeated piece is the wedge that spans the angles from 0 to 2 pi / sectors.
         """
         p = np.array(self.profile)
         angles = 2 * np.pi * np.arange(self.sectors) / self.sectors
@@ -98,15 +98,15 @@ class Lathe(BaseShape):
         q = self.inner()
         floor = self.floor()
         if floor is not None:
-            # A scaled copy differs in the last bits and must give the same pieces: heights within
-            # rounding of the floor's become equal to it.
+            # Heights within rounding of the floor's are set to it, so that a scaled copy, which
+            # differs in the last bits, has the same pieces.
             for points in (p, q):
                 points[np.abs(points[:, 1] - floor[1]) < self._rounding(), 1] = floor[1]
         quads = [np.array([p[i], p[i + 1], q[i + 1], q[i]]) for i in range(len(p) - 1)]
         pieces = []
         if floor is not None:
-            # Below the inner floor all is solid: one stack of frusta, so that what stands on the
-            # ground stands on one piece and not on every wedge.
+            # One stack of frusta below the inner floor, so that a shell stands on a single piece
+            # instead of every wedge.
             pieces = self._frusta(np.array([*(c for c in p[1:] if c[1] < floor[1]), floor]))
             quads = [_above(quad, floor[1]) for quad in quads[1:]]
         elif p[0, 0] == 0 and p[0, 1] == p[1, 1]:
@@ -131,7 +131,7 @@ class Lathe(BaseShape):
         return [(polytope(np.vstack(stack)), 1) for stack in stacks]
 
     def _joined(self, bands: list[NDArray], most: int) -> list[NDArray]:
-        """Join neighbouring convex (r, z) polygons as the class says; return their corners."""
+        """Join runs of at most `most` neighbouring convex (r, z) polygons; return their corners."""
         runs: list[list[NDArray]] = []
         for band in bands:
             if runs:
@@ -158,7 +158,7 @@ class Lathe(BaseShape):
         return np.array([a[0] + share * (b[0] - a[0]), top])
 
     def _rounding(self) -> float:
-        """Return a height [m] that is nothing beside the wall."""
+        """Return a negligible height [m] relative to the wall."""
         return 1e-6 * (self.thickness or 0.0)
 
     def _ring(self, corner: NDArray, angles: NDArray) -> NDArray:
@@ -168,7 +168,7 @@ class Lathe(BaseShape):
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
         """Revolve the section, more finely than the colliders."""
-        # A multiple of the colliders' sectors: their corners are corners of the surface too.
+        # A multiple of the colliders' sectors, so that their corners lie on the surface's.
         sectors = self.sectors * math.ceil(SECTORS / self.sectors)
         vertices, faces = revolved(self.section(), sectors, closed=self.is_ring())
         return vertices * [1.0, self.oval, 1.0], faces
@@ -177,7 +177,7 @@ class Lathe(BaseShape):
         """Return the volume [m^3]."""
         p = self.section()
         q = np.roll(p, -1, axis=0)
-        # Pappus: the area's moment about the axis goes once around.
+        # Pappus's theorem.
         moment = np.sum((p[:, 0] + q[:, 0]) * (p[:, 0] * q[:, 1] - q[:, 0] * p[:, 1])) / 6
         return 2 * math.pi * abs(float(moment)) * self.oval
 
@@ -189,22 +189,22 @@ class Lathe(BaseShape):
         flat = np.column_stack([np.hypot(p[:, 0], p[:, 1]), p[:, 2]])
         if self.is_ring():
             return loops_distance(flat, [chain])
-        # The edge along the axis closes the outline, but is no surface.
+        # The edge along the axis closes the outline, but is not part of the surface.
         inside = inside_edges(flat, chain, np.roll(chain, -1, axis=0))
         return edges_distance(flat, chain[:-1], chain[1:]) * np.where(inside, -1.0, 1.0)
 
     def is_ring(self) -> bool:
-        """Tell whether the section is a loop that stays off the axis."""
+        """Return whether the section is a loop apart from the axis."""
         return self.thickness is not None and self.profile[0][0] > 0
 
     def section(self) -> NDArray:
         """Return the chain of (r, z) corners [n, 2] m that bounds the section.
 
-        It begins and ends on the axis, unless it is a ring's: then it is a loop.
+        It begins and ends on the axis, or is a loop for a ring.
         """
         profile = np.array(self.profile)
         if self.thickness is None:
-            # Radii that change at one height bound no volume at the ends and only once in between.
+            # Skip corners at equal heights that bound no volume.
             z = profile[:, 1]
             keep = [
                 i
@@ -221,22 +221,22 @@ class Lathe(BaseShape):
             return np.array([*foot, *p.tolist(), *head])
         outer, floor = profile, self.floor()
         if floor is not None and np.linalg.norm(profile - floor, axis=1).min() > 1e-9:
-            # The colliders are cut at the inner floor; their corners there are the surface's too.
+            # Add the colliders' corners at the inner floor.
             outer = np.insert(profile, np.flatnonzero(profile[:, 1] >= floor[1])[0], floor, axis=0)
         return np.vstack([outer, self.inner()[::-1]])
 
 
 def _above(polygon: NDArray, z: float) -> NDArray:
-    """Cut a convex (r, z) polygon off below a height."""
+    """Return the part of a convex (r, z) polygon above a height."""
     points = []
     for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         if a[1] >= z:
             points.append(a)
         if (a[1] - z) * (b[1] - z) < 0:
             points.append(a + (z - a[1]) / (b[1] - a[1]) * (b - a))
-    kept = np.array(points).reshape(-1, 2)
-    # What merely touches the cut, by rounding or in truth, is no piece.
-    return kept if len(kept) >= 3 and np.ptp(kept[:, 1]) > 1e-9 * max(1.0, abs(z)) else kept[:0]
+    above = np.array(points).reshape(-1, 2)
+    # A polygon that merely touches the cut is empty.
+    return above if len(above) >= 3 and np.ptp(above[:, 1]) > 1e-9 * max(1.0, abs(z)) else above[:0]
 
 
 def _first(flags: NDArray) -> int | None:

@@ -1,4 +1,4 @@
-"""Mass properties of parts: authored, or summed over colliding pieces."""
+"""Mass properties of parts: authored, or summed over collision pieces."""
 
 from functools import lru_cache
 from typing import Any
@@ -28,21 +28,18 @@ class Inertial(Spec):
 
 
 LEAST_KG, LEAST_KG_M2 = 1e-9, 1e-14
-"""Least mass and principal moment that a part may have; MuJoCo takes none below 1e-15, and the
-search makes objects smaller."""
+"""Least mass and principal moment of a part; MuJoCo rejects values below 1e-15, and the search may
+shrink objects."""
 
 
-def is_too_light(own: Inertial) -> bool:
-    """Tell whether a part has less mass or a smaller moment than can be simulated."""
-    return not (own.mass >= LEAST_KG and min(own.diagonal) >= LEAST_KG_M2)
+def is_too_light(inertial: Inertial) -> bool:
+    """Return whether a part has too little mass or inertia for simulation."""
+    return not (inertial.mass >= LEAST_KG and min(inertial.diagonal) >= LEAST_KG_M2)
 
 
 def inertial(spec: ObjectSpec, part: PartSpec) -> Inertial:
-    """Sum a part's mass properties over its colliding pieces (MuJoCo's body inertial).
-
-    Authored values are taken as they are.
-    """
-    return _kept(spec, part)
+    """Return a part's mass properties: authored, or summed over its collision pieces."""
+    return _cached(spec, part)
 
 
 def _summed(spec: ObjectSpec, part: PartSpec) -> Inertial:
@@ -61,7 +58,7 @@ def _summed(spec: ObjectSpec, part: PartSpec) -> Inertial:
         bodies.append((m, geom.pose().apply(centre), tensor))
         mass += m
         moment += m * bodies[-1][1]
-    # A mass of zero is reported by `is_too_light`, not by a division.
+    # `is_too_light` reports a mass of zero.
     com = moment / max(mass, 1e-300)
     total = np.zeros((3, 3))
     for m, centre, tensor in bodies:
@@ -76,18 +73,18 @@ def _summed(spec: ObjectSpec, part: PartSpec) -> Inertial:
     )
 
 
-_kept: Any = lru_cache(maxsize=512)(_summed)
+_cached: Any = lru_cache(maxsize=512)(_summed)
 
 
 def _principal(tensor: NDArray) -> tuple[NDArray, Quat]:
     size = float(np.trace(tensor)) or 1.0
-    # Rounded, so that a scaled copy of the object gets the very same axes although its tensor
-    # differs in the last bits; symmetric objects would otherwise get arbitrary ones.
+    # Rounded, so that a scaled copy, whose tensor differs in the last bits, has the same axes even
+    # for symmetric objects.
     unit = np.round(tensor / size, 10)
     if np.allclose(unit, np.diag(np.diag(unit)), atol=1e-9):
         return np.diag(tensor).copy(), IDENTITY
     _, axes = np.linalg.eigh(unit)
-    # Eigenvectors have no sign of their own: let the largest component of each be positive.
+    # Make the largest component of each eigenvector positive.
     for k in (0, 1):
         axes[:, k] *= np.sign(axes[np.argmax(np.abs(np.round(axes[:, k], 6))), k])
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
@@ -98,7 +95,7 @@ def _principal(tensor: NDArray) -> tuple[NDArray, Quat]:
 def inertia_about(joint: JointSpec, child: Inertial) -> float:
     """Return the inertia of a joint's child about its axis [kg m2], or its mass [kg] if it slides.
 
-    A ball turns about any axis; its slowest counts.
+    For a ball the largest moment counts.
     """
     if joint.type == "prismatic":
         return child.mass

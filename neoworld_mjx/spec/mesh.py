@@ -1,4 +1,4 @@
-"""A shape given by triangles, as files from elsewhere bring it, with its convex pieces."""
+"""A triangle mesh, from imported files, with its convex pieces."""
 
 from typing import Annotated, Literal
 
@@ -13,8 +13,8 @@ from .dimensions import UNSCALED
 
 MAX_VERTICES, MAX_HULLS = 200_000, 512
 UNKNOWN, HELPER = "unknown", "helper"
-"""Prefixes of the materials of imported objects: of unstated density, and of the small balls that
-stand for links without geometry."""
+"""Prefixes of materials of imported objects: without a density, and of the small spheres of links
+without geometry."""
 
 
 class Mesh(BaseShape):
@@ -34,7 +34,7 @@ class Mesh(BaseShape):
     def _whole(self) -> "Mesh":
         corners = np.array(self.faces)
         if corners.min() < 0 or corners.max() >= len(self.vertices):
-            raise ValueError("mesh faces name vertices that are not there")
+            raise ValueError("mesh faces refer to vertices that do not exist")
         self.pieces()
         return self
 

@@ -1,8 +1,8 @@
-"""ObjectSpec: one object as parts, joints and materials; what a program compiles to.
+"""The description of one object as parts, joints and materials; the output of object programs.
 
-Everything is written in the object's frame at rest (all joints at 0): origin at the centre of the
-bounding box's bottom face, +x its front, +z up. Part geometry, joint anchors and axes share that
-one frame, so a reader needs no chain of transforms.
+All coordinates are in the object's frame at rest (all joints at 0): origin at the centre of the
+bounding box's bottom face, +x its front, +z up. Part geometry, joint anchors and axes share this
+frame.
 """
 
 from typing import Annotated, Literal
@@ -28,7 +28,7 @@ from .shapes import Shape
 from .surface_pattern import Share, SurfacePattern
 
 OPAQUE_ALPHA = 0.99
-"""Opacity from which on a material hides what is behind it."""
+"""Least opacity of an opaque material."""
 
 Role = Literal["both", "visual", "collision"]
 
@@ -43,21 +43,21 @@ class Material(ScalableSpec):
     """Sliding friction coefficient."""
     rgba: Annotated[tuple[Share, Share, Share, Share], UNSCALED] = (0.7, 0.7, 0.7, 1.0)
     pattern: SurfacePattern | None = Field(default=None, exclude_if=lambda value: value is None)
-    """None is what is usual by the name (`finish`): grain of wood, plain of most others."""
+    """None uses the pattern of the name (`finish`): grain for wood, plain for most others."""
     metallic: Annotated[Share, UNSCALED] | None = Field(
         default=None, exclude_if=lambda value: value is None
     )
-    """From 0 to 1; None is what is usual by the name."""
+    """From 0 to 1; None uses the value of the name."""
     roughness: Annotated[Share, UNSCALED] | None = Field(
         default=None, exclude_if=lambda value: value is None
     )
-    """From 0 to 1; None is what is usual by the name."""
+    """From 0 to 1; None uses the value of the name."""
     photo: PhotoPrint | None = Field(default=None, exclude_if=lambda value: value is None)
-    """What the photograph shows of it, in place of a pattern."""
+    """Print of the photograph, instead of a pattern."""
 
     @property
     def see_through(self) -> bool:
-        """Whether what is behind it shows."""
+        """True if the material is not opaque."""
         return self.rgba[3] < OPAQUE_ALPHA
 
 
@@ -70,7 +70,7 @@ class GeomSpec(ScalableSpec):
     quat: Rotation = IDENTITY
     material: Name
     role: Role = "both"
-    """Whether it is visible, collides, or both; only "both" and "collision" geoms have mass."""
+    """Visual, collision, or both; only "both" and "collision" geoms have mass."""
 
     @field_validator("quat")
     @classmethod
@@ -110,7 +110,7 @@ class PartSpec(ScalableSpec):
     name: Name
     geoms: tuple[GeomSpec, ...] = Field(min_length=1)
     mass: Annotated[float, Field(gt=0), UNSCALED] | None = None
-    """Authored mass [kg]; None derives it from volume and density. It survives rescaling."""
+    """Authored mass [kg], which rescaling keeps; None derives it from volume and density."""
     inertia: AuthoredInertia | None = Field(default=None, exclude_if=lambda value: value is None)
     """Authored centre of mass and inertia, with an authored mass; None derives them from volume."""
 
@@ -185,7 +185,7 @@ class ObjectSpec(ScalableSpec):
 
     @property
     def ordered(self) -> tuple[tuple[PartSpec, JointSpec | None], ...]:
-        """Parts with the joint that carries each, parents before children, else in given order."""
+        """Parts with the joint of each, parents before children, otherwise in the given order."""
         parts = {part.name: part for part in self.parts}
         joints = {joint.child: joint for joint in self.joints}
         parents = {name: joints[name].parent if name in joints else None for name in parts}
@@ -204,7 +204,7 @@ class ObjectSpec(ScalableSpec):
         return next(joint for joint in self.joints if joint.name == name)
 
     def joint_motion_scaling(self, joint: JointSpec) -> Motion:
-        """Return the circumstances that the quantities of one of the joints scale by."""
+        """Return the properties that determine the scaling of a joint's quantities."""
         leader = joint if joint.mimic is None else self.joint(joint.mimic.joint)
         return Motion(
             mass=mass_exponent(self.part(joint.child)),
@@ -218,12 +218,12 @@ class ObjectSpec(ScalableSpec):
         return super().scaled(s, motion).model_copy(update={"joints": joints})
 
     def to_json(self) -> str:
-        """Serialise, the same bytes for the same object."""
+        """Serialize deterministically."""
         return self.model_dump_json(indent=1) + "\n"
 
 
 def mass_exponent(part: PartSpec) -> float:
-    """Return the power of s that the part's mass follows."""
+    """Return the exponent of s of the part's mass."""
     return DERIVED_MASS if part.mass is None else AUTHORED_MASS
 
 

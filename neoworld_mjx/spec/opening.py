@@ -10,10 +10,9 @@ from .tree import PartState, TreeNode
 
 
 def matching_joint(spec: ObjectSpec, part: str, kind: str) -> JointSpec | None:
-    """Return the joint that moves a part of the parse: by name, or the only one of its kind."""
-    # A ball has no "open": it stays as it is drawn.
-    still = ("fixed", "ball")
-    moving = [joint for joint in spec.joints if joint.type not in still and joint.mimic is None]
+    """Return the joint of a parsed part: by name, or the only one of its kind."""
+    # A ball joint has no open position.
+    moving = [j for j in spec.joints if j.type not in ("fixed", "ball") and j.mimic is None]
     for joint in moving:
         if part in (joint.name, joint.child):
             return joint
@@ -24,8 +23,8 @@ def matching_joint(spec: ObjectSpec, part: str, kind: str) -> JointSpec | None:
 def opening_value(joint: JointSpec, opening: float) -> float:
     """Return the position of a joint opened by a share of its range [rad or m].
 
-    Closed is 0, or the limit nearest to it; open is the limit furthest from that, by convention the
-    positive one. A continuous joint turns once.
+    The closed position is 0, or the limit nearest to it; the open one is the limit farthest from
+    that. The range of a continuous joint is one revolution.
     """
     if joint.type == "continuous":
         return float(2 * np.pi * opening)
@@ -35,33 +34,29 @@ def opening_value(joint: JointSpec, opening: float) -> float:
 
 
 def opening_share(joint: JointSpec, value: float) -> float:
-    """Return the share of a joint's range by which a position opens it, from 0 to 1.
+    """Return the share of its range, from 0 to 1, by which a joint is open at a position.
 
-    The inverse of `opening_value`; positions on the other side of 0 count as closed.
+    The inverse of `opening_value`, clipped to the range.
     """
     span = opening_value(joint, 1.0) - opening_value(joint, 0.0)
     return float(np.clip((value - opening_value(joint, 0.0)) / span, 0.0, 1.0)) if span else 0.0
 
 
 def parsed_state(spec: ObjectSpec, node: TreeNode) -> tuple[dict[str, float], list[PartState]]:
-    """Return the joint values that the photograph shows.
-
-    Returns:
-        Joint values [rad or m], and the parts of the parse that no joint fits.
-    """
+    """Return the parsed joint values [rad or m], and the parsed parts without a joint."""
     state: dict[str, float] = {}
-    left = []
+    unmatched = []
     for part in node.articulation:
         joint = matching_joint(spec, part.part, part.type)
         if joint is None:
-            left.append(part)
+            unmatched.append(part)
         else:
             state[joint.name] = opening_value(joint, part.opening)
-    return state, left
+    return state, unmatched
 
 
 def prerequisite_state(spec: ObjectSpec, joint: JointSpec) -> dict[str, float]:
-    """Return the positions of the joints that must be open for a joint, recursively [rad or m]."""
+    """Return the positions [rad or m] of the prerequisites of a joint, recursively."""
     by_name = {other.name: other for other in spec.joints}
     state: dict[str, float] = {}
     waiting = list(joint.after)
@@ -81,40 +76,39 @@ def with_prerequisites(
     Args:
         spec: the object.
         state: joint values [rad or m].
-        opening: whether to open missing prerequisites; else the joint goes back to 0.
+        opening: True opens missing prerequisites; False returns the joint to 0.
     """
     state = dict(state)
     waiting = [joint for joint in spec.joints if joint.after]
     for _ in waiting:
         for joint in waiting:
-            own = [name for name in state if name.partition(".")[0] == joint.name]
+            keys = [name for name in state if name.partition(".")[0] == joint.name]
             needed = prerequisite_state(spec, joint)
-            if opening and any(state[name] for name in own):
+            if opening and any(state[name] for name in keys):
                 state |= needed
             elif any(state.get(name, 0.0) != value for name, value in needed.items()):
-                state |= dict.fromkeys(own, 0.0)
+                state |= dict.fromkeys(keys, 0.0)
     return state
 
 
 MIN_TRAVEL = 0.15
-"""Least displacement of the middle, over that of the part's furthest point, with a direction."""
+"""Least displacement of a part's centre, relative to its farthest point, that has a direction."""
 
 
 def opening_alignment(spec: ObjectSpec, joint: JointSpec) -> float | None:
-    """Return the cosine between a child's first displacement and its intended direction.
+    """Return the cosine between a child's initial displacement and its intended direction.
 
-    The middle of its bounding box is followed over the first tenth of its range; None where the
-    axis runs through that middle.
+    The displacement is that of its bounding box's centre over the first tenth of its range; None if
+    the axis passes through that centre.
     """
     low, high = part_bounds(spec, spec.part(joint.child))
     width = 2 * np.pi if joint.type == "continuous" else joint.upper - joint.lower
     middle = (low + high) / 2
-    # A tenth of the way is still straight, yet more than rounding.
-    way = joint_motion(joint, 0.1 * min(width, 1.0)).apply(middle) - middle
-    length = float(np.linalg.norm(way))
+    displacement = joint_motion(joint, 0.1 * min(width, 1.0)).apply(middle) - middle
+    length = float(np.linalg.norm(displacement))
     if joint.type != "prismatic":
         reach = 0.1 * min(width, 1.0) * float(np.linalg.norm(high - low)) / 2
         if length < MIN_TRAVEL * reach:
             return None
     goal = np.array(joint.intent.opens if joint.intent and joint.intent.opens else (0, 0, 0), float)
-    return float(way @ goal / max(length * float(np.linalg.norm(goal)), 1e-12))
+    return float(displacement @ goal / max(length * float(np.linalg.norm(goal)), 1e-12))

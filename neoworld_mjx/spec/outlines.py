@@ -1,4 +1,4 @@
-"""Signed distances of points to outlines in the plane, and to boxes and extrusions."""
+"""Polygons in the plane: areas, and signed distances to outlines, boxes and extrusions."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from .triangles import DISTANCE_CHUNK
 
 LID_POINTS = 17
-"""Points of a hull's edge at which its distance to what it spans is taken."""
+"""Points of a hull's edge at which its distance to the polygons is measured."""
 
 
 def box_distance(p: NDArray, half: NDArray) -> NDArray:
@@ -44,7 +44,7 @@ def edges_distance(p: NDArray, a: NDArray, b: NDArray) -> NDArray:
 
 
 def inside_edges(p: NDArray, a: NDArray, b: NDArray) -> NDArray:
-    """Tell which points [n, 2] closed edges surround: an odd number of edges to their right."""
+    """Return a mask of points [n, 2] inside closed edges, by the parity of edges to their right."""
     x, y = p[:, :1], p[:, 1:]
     crosses = (a[:, 1] > y) != (b[:, 1] > y)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -53,13 +53,13 @@ def inside_edges(p: NDArray, a: NDArray, b: NDArray) -> NDArray:
 
 
 def filled(polygons: list[NDArray]) -> float:
-    """Return how far the convex hull of convex polygons reaches from them, at most."""
+    """Return the largest distance of the convex hull of neighbouring polygons [n, 2] from them."""
     from scipy.spatial import ConvexHull
 
     corners = np.vstack(polygons)
     low, span = corners.min(axis=0), np.ptp(corners, axis=0).max()
     around = corners[ConvexHull((corners - low) / span).vertices]
-    # What the hull adds lies farthest off where an edge of the hull spans a gap.
+    # The largest distance is at edges of the hull that span a gap.
     along = np.linspace(0.0, 1.0, LID_POINTS)[:, None, None]
     lids = around + along * (np.roll(around, -1, axis=0) - around)
     a, b = corners, np.vstack([np.roll(polygon, -1, axis=0) for polygon in polygons])

@@ -1,4 +1,4 @@
-"""A print of the photograph on a material: what a camera saw of the surfaces that bear it."""
+"""A print of the photograph on a material."""
 
 from typing import Annotated
 
@@ -21,9 +21,9 @@ class PhotoPrint(ScalableSpec):
     """
 
     image: Encoded
-    """Window of the photograph: PNG in base64; where others covered the object it is filled in."""
+    """Window of the photograph: PNG in base64; inpainted where others occluded the object."""
     depth: Encoded
-    """Depths: PNG of 16 bits in base64; 0 where the object was not seen, else near to far."""
+    """Depths: PNG of 16 bits in base64; 0 where not visible, otherwise near to far."""
     near: Annotated[float, Field(gt=0, allow_inf_nan=False), UNSCALED]
     """Depth of a 1 [m of the photographed scene]."""
     far: Annotated[float, Field(gt=0, allow_inf_nan=False), UNSCALED]

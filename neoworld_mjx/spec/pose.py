@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 ArrayLike = NDArray | Sequence[Any] | float
-"""Numbers that become an array; NumPy's own ArrayLike cannot be checked at run time."""
+"""Input of np.asarray; NumPy's own ArrayLike cannot be checked at run time."""
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
@@ -25,7 +25,7 @@ class Pose(NamedTuple):
         return rotate(self.quat, points) + self.pos
 
     def then(self, inner: "Pose") -> "Pose":
-        """Compose: first `inner`, then this one."""
+        """Return the composition that applies `inner` first."""
         return Pose(self.apply(inner.pos), quat_mul(self.quat, inner.quat))
 
     def inverse(self) -> "Pose":
@@ -35,7 +35,7 @@ class Pose(NamedTuple):
 
 
 def pose(pos: ArrayLike = (0.0, 0.0, 0.0), quat: ArrayLike = IDENTITY) -> Pose:
-    """Build a pose from a position [m] and a quaternion, which is normalised."""
+    """Build a pose from a position [m] and a quaternion, which is normalized."""
     q = np.asarray(quat, float)
     return Pose(np.asarray(pos, float), q / np.linalg.norm(q))
 
@@ -57,7 +57,7 @@ def quat_mul(a: Any, b: Any, xp: Any = np) -> Any:
 
 
 def _product(a: list[Any], b: list[Any]) -> list[Any]:
-    """Multiply quaternions given as four arrays, or as four numbers, which is six times as fast."""
+    """Multiply quaternions given as four arrays, or as four floats, which is six times as fast."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return [
@@ -83,7 +83,7 @@ def rotate(quat: ArrayLike, points: ArrayLike) -> NDArray:
 
 
 def cross(a: NDArray, b: NDArray) -> NDArray:
-    """Multiply vectors [..., 3]; np.cross does the same at ten times the cost for single ones."""
+    """Return the cross product of vectors [..., 3]; ten times as fast as np.cross for single ones."""
     if a.ndim == b.ndim == 1:
         (a0, a1, a2), (b0, b1, b2) = a.tolist(), b.tolist()
         return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
@@ -93,12 +93,12 @@ def cross(a: NDArray, b: NDArray) -> NDArray:
 
 
 def matrix(quat: ArrayLike) -> NDArray:
-    """Turn a unit quaternion [4] into a rotation matrix [3, 3]."""
+    """Convert a unit quaternion [4] to a rotation matrix [3, 3]."""
     return rotate(np.asarray(quat, float), np.eye(3)).T
 
 
 def from_matrix(rotation: ArrayLike) -> NDArray:
-    """Turn a rotation matrix [3, 3] into a quaternion [4] with w >= 0."""
+    """Convert a rotation matrix [3, 3] to a quaternion [4] with w >= 0."""
     r = np.asarray(rotation, float)
     # The column with the largest diagonal is the numerically safe one (Shepperd's method).
     four = np.array(
@@ -122,19 +122,19 @@ def from_matrix(rotation: ArrayLike) -> NDArray:
 
 
 def from_axis_angle(axis: ArrayLike, angle: float) -> NDArray:
-    """Rotation by `angle` [rad] about `axis`, which is normalised."""
+    """Return the rotation by `angle` [rad] about `axis`, which is normalized."""
     a = np.asarray(axis, float)
     a = a / np.linalg.norm(a)
     return np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * a])
 
 
 def from_yaw(yaw: float) -> NDArray:
-    """Rotation by `yaw` [rad] about +z."""
+    """Return the rotation by `yaw` [rad] about +z."""
     return np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
 
 
 def from_rpy(roll: float, pitch: float, yaw: float) -> NDArray:
-    """URDF's fixed-axis roll, pitch, yaw [rad]: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Convert URDF's fixed-axis roll, pitch, yaw [rad]: R = Rz(yaw) Ry(pitch) Rx(roll)."""
     q = quat_mul(from_axis_angle((0, 1, 0), pitch), from_axis_angle((1, 0, 0), roll))
     return quat_mul(from_yaw(yaw), q)
 
@@ -149,7 +149,7 @@ def to_rpy(quat: ArrayLike) -> NDArray:
 
 
 def yaw_of(quat: ArrayLike) -> float:
-    """Heading [rad] of a rotation: the yaw of its swing-twist decomposition about +z."""
+    """Return the yaw [rad] of a rotation, by its swing-twist decomposition about +z."""
     w, _, _, z = np.asarray(quat, float)
     return float(2.0 * np.arctan2(z, w))
 
@@ -171,10 +171,7 @@ def angle_between(a: Any, b: Any, xp: Any = np) -> Any:
 
 
 def tilt_between(a: ArrayLike, b: ArrayLike) -> NDArray:
-    """Return how far [rad] what points up at orientation a leans over at orientation b.
-
-    Turns about the vertical do not count.
-    """
+    """Return the tilt [rad] from orientations a to b [..., 4], without their relative yaw."""
     turn = quat_mul(b, conjugate(a))
     return 2 * np.arctan2(
         np.hypot(turn[..., 1], turn[..., 2]), np.hypot(turn[..., 0], turn[..., 3])

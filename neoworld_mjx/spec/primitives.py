@@ -1,6 +1,5 @@
 """Primitive shapes: box, ball, capsule, cylinder, ellipsoid, convex prism and hollow box."""
 
-import math
 from typing import Literal
 
 import numpy as np
@@ -9,7 +8,7 @@ from pydantic import Field, model_validator
 
 from .base import Length
 from .base_shape import BaseShape, Face, Point2, Primitive, rows
-from .convex import Piece, polytope
+from .convex import Piece, prism
 from .outlines import box_distance, extruded_distance, loops_distance, polygon_area
 from .pose import ArrayLike
 from .triangles import BALL_SECTORS, SECTORS, extruded_outline, meridian, revolved
@@ -25,17 +24,13 @@ class Box(Primitive):
     size: Edges
 
     def primitive(self) -> Piece:
-        """Return the box itself."""
+        """Return the box."""
         return Piece("box", tuple(v / 2 for v in self.size))
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
         """Build 12 triangles."""
         x, y, z = self.size
         return extruded_outline(np.array([[-x, -y], [x, -y], [x, y], [-x, y]]) / 2, z)
-
-    def volume(self) -> float:
-        """Return the volume [m^3]."""
-        return math.prod(self.size)
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
         """Return exact distances."""
@@ -49,16 +44,12 @@ class Sphere(Primitive):
     radius: Length
 
     def primitive(self) -> Piece:
-        """Return the ball itself."""
+        """Return the sphere."""
         return Piece("sphere", (self.radius, 0.0, 0.0))
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
         """Revolve a meridian."""
         return revolved(meridian(self.radius, 0.0), BALL_SECTORS)
-
-    def volume(self) -> float:
-        """Return the volume [m^3]."""
-        return 4 / 3 * math.pi * self.radius**3
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
         """Return exact distances."""
@@ -79,10 +70,6 @@ class Capsule(Primitive):
     def build_surface(self) -> tuple[NDArray, NDArray]:
         """Revolve a meridian."""
         return revolved(meridian(self.radius, self.length / 2), BALL_SECTORS)
-
-    def volume(self) -> float:
-        """Return the volume [m^3]."""
-        return math.pi * self.radius**2 * (self.length + 4 / 3 * self.radius)
 
     def signed_distance(self, points: ArrayLike) -> NDArray:
         """Return exact distances."""
@@ -107,10 +94,6 @@ class Cylinder(Primitive):
         r, h = self.radius, self.height / 2
         return revolved(np.array([[0, -h], [r, -h], [r, h], [0, h]]), SECTORS)
 
-    def volume(self) -> float:
-        """Return the volume [m^3]."""
-        return math.pi * self.radius**2 * self.height
-
     def signed_distance(self, points: ArrayLike) -> NDArray:
         """Return exact distances."""
         p = rows(points)
@@ -133,10 +116,6 @@ class Ellipsoid(Primitive):
         vertices, faces = revolved(meridian(1.0, 0.0), BALL_SECTORS)
         return vertices * np.array(self.radii), faces
 
-    def volume(self) -> float:
-        """Return the volume [m^3]."""
-        return 4 / 3 * math.pi * math.prod(self.radii)
-
     def signed_distance(self, points: ArrayLike) -> NDArray:
         """Return exact distances."""
         return _ellipsoid_distance(rows(points), np.array(self.radii))
@@ -158,17 +137,14 @@ class Prism(BaseShape):
             raise ValueError(
                 "prism outline must be strictly convex, without repeated or collinear points"
             )
-        # A star polygon turns the same way at every corner too, but more than once around.
+        # A star polygon turns the same way at every corner, but winds more than once.
         if abs(np.sum(np.arctan2(turn, np.sum(edge * np.roll(edge, -1, axis=0), axis=1)))) > 7:
             raise ValueError("prism outline must go around once")
         return self
 
     def build_pieces(self) -> list[Piece]:
         """Return the prism itself."""
-        p = np.array(self.outline)
-        h = self.height / 2
-        top = np.column_stack([p, np.full(len(p), h)])
-        return [polytope(np.vstack([top, top * [1, 1, -1]]))]
+        return [prism(np.array(self.outline), self.height)]
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
         """Build both ends and the sides."""
@@ -212,18 +188,18 @@ class HollowBox(BaseShape):
                 a, b = low.copy(), high.copy()
                 if sign == "-":
                     b[axis] = a[axis] + self.wall
-                    low_next = b[axis]
+                    inner = b[axis]
                 else:
                     a[axis] = b[axis] - self.wall
-                    low_next = a[axis]
+                    inner = a[axis]
                 half, centre = (b - a) / 2, (a + b) / 2
                 walls.append(Piece("box", tuple(half.tolist()), tuple(centre.tolist())))
-                # What remains for the walls still to come is the inside of this one.
-                side[axis] = low_next
+                # Later walls lie between the earlier ones.
+                side[axis] = inner
         return walls
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
-        """Skin the box's filled cells, on the grid that the walls cut it into."""
+        """Return the faces of filled cells, on the grid of the walls."""
         grid, cavity = [], []
         for axis, letter in enumerate("xyz"):
             half = self.size[axis] / 2
@@ -249,11 +225,11 @@ class HollowBox(BaseShape):
                     u, v = (axis + 1) % 3, (axis + 2) % 3
                     quad = []
                     for du, dv in ((0, 0), (1, 0), (1, 1), (0, 1)):
-                        at = cell - 1
-                        at[axis] += side
-                        at[u] += du
-                        at[v] += dv
-                        key = (int(at[0]), int(at[1]), int(at[2]))
+                        corner = cell - 1
+                        corner[axis] += side
+                        corner[u] += du
+                        corner[v] += dv
+                        key = (int(corner[0]), int(corner[1]), int(corner[2]))
                         if key not in corners:
                             corners[key] = len(points)
                             points.append([float(grid[i][key[i]]) for i in range(3)])
@@ -265,7 +241,7 @@ class HollowBox(BaseShape):
 
 
 def _ellipsoid_distance(p: NDArray, radii: NDArray) -> NDArray:
-    """Find the nearest point by bisection (Eberly, Distance from a Point to an Ellipsoid)."""
+    """Return signed distances by bisection (Eberly, Distance from a Point to an Ellipsoid)."""
     order = np.argsort(-radii, kind="stable")
     r = radii[order]
     y = np.maximum(np.abs(p[:, order]), 1e-9 * r)

@@ -1,4 +1,4 @@
-"""What a support of the room looks like: its outline from above, and its surface."""
+"""Appearance of environment supports: outline from above, and surface."""
 
 from typing import Annotated, Literal
 
@@ -12,14 +12,14 @@ from .outlines import polygon_area
 from .surface_pattern import RGB, SurfacePattern
 
 ROUND_CORNERS = 32
-"""Corners of the polygon that stands for an ellipse."""
+"""Corners of the polygon that approximates an ellipse."""
 MOST_CORNERS = 24
 LEAST_AREA = 0.05
-"""Least area of a polygon, over that of its box."""
+"""Least area of a polygon, relative to its box."""
 LEAST_EDGE = 0.005
 """Least length of an edge, in units of the box."""
 OUTLINE_SLACK = 0.02
-"""How far a polygon may stay within its box, or reach beyond it, in units of the box."""
+"""Largest distance between a polygon's extent and its box, in units of the box."""
 
 Coordinate = Annotated[float, Field(ge=-0.5 - OUTLINE_SLACK, le=0.5 + OUTLINE_SLACK)]
 
@@ -70,7 +70,7 @@ class SupportOutline(Spec):
         return self
 
     def corners(self) -> NDArray:
-        """Return the corners [n, 2] in units of the box, anticlockwise; of an ellipse 32 points."""
+        """Return the corners [n, 2] in units of the box, counterclockwise."""
         if self.shape == "rectangle":
             return np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
         if self.shape == "round":
@@ -92,4 +92,4 @@ class SupportSurface(Spec):
     """A named material of programs."""
     pattern: SurfacePattern
     rgb: RGB | None = None
-    """Colour by the answer; the photograph's is taken where it shows the support alone."""
+    """Parsed colour; the photograph's colour applies where it shows the support alone."""

@@ -1,7 +1,7 @@
-"""The one law of isotropic scaling: how every physical quantity of an object follows its size.
+"""Isotropic scaling of objects, with the exponents of every physical quantity.
 
 Each field of a description declares its dimension (`dimensions.py`); with the mass exponent m (3
-for a derived mass, 0 for an authored one) that gives
+for a derived mass, 0 for an authored one) the exponents of s are
 
     quantity                     turning joint       sliding joint
     position, limits             0                   1
@@ -11,8 +11,8 @@ for a derived mass, 0 for an authored one) that gives
     friction loss, effort        m + 1  (torque)     m      (force)
     velocity limit               -1/2                1/2
 
-where torque = mass g length and force = mass g. Lengths go with s, inertia with m + 2. A joint
-takes the mass exponent of its child part.
+where torque = mass g length and force = mass g. Lengths scale with s, inertia with s^(m + 2). A
+joint has the mass exponent of its child part.
 """
 
 from collections.abc import Mapping
@@ -34,13 +34,13 @@ def scale(spec: ObjectSpec, s: float) -> ObjectSpec:
 
 
 def scaled_state(spec: ObjectSpec, state: Mapping[str, float], s: float) -> dict[str, float]:
-    """Return joint values [rad or m] of an object as they are when it is scaled by `s`."""
+    """Return the joint values [rad or m] of an object scaled by `s`."""
     slides = {joint.name for joint in spec.joints if joint.type == "prismatic"}
     return {name: value * (s if name in slides else 1.0) for name, value in state.items()}
 
 
 def joint_exponents(joint: JointSpec, child: PartSpec) -> dict[str, float]:
-    """Return the power of s that each quantity of a joint follows, by field of `JointSpec`."""
+    """Return the exponent of s of each quantity of a joint, by field of `JointSpec`."""
     motion = Motion(mass=mass_exponent(child), slides=joint.type == "prismatic")
     return {
         name: scaling.exponent(motion)
@@ -50,15 +50,8 @@ def joint_exponents(joint: JointSpec, child: PartSpec) -> dict[str, float]:
 
 
 def mimic_exponents(joint: JointSpec, leader: JointSpec) -> tuple[float, float]:
-    """Return the powers of s of a mimic's (multiplier, offset).
-
-    q = multiplier * q_leader + offset, where sliding joints count in metres.
-    """
-    slides = [one.type == "prismatic" for one in (joint, leader)]
-    motion = Motion(slides=slides[0], leader_slides=slides[1])
+    """Return the exponents of s of a mimic's multiplier and offset."""
+    motion = Motion(slides=joint.type == "prismatic", leader_slides=leader.type == "prismatic")
     powers = (Mimic.scalings[name] for name in ("multiplier", "offset"))
     multiplier, offset = (0.0 if p is None else p.exponent(motion) for p in powers)
     return multiplier, offset
-
-
-__all__ = ["joint_exponents", "mass_exponent", "mimic_exponents", "scale", "scaled_state"]

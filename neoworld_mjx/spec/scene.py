@@ -1,8 +1,8 @@
-"""SceneSpec: objects composed into one scene (Step 4), and what a layout does to it.
+"""The description of a scene of objects (Step 4), and the application of layouts.
 
 A pose is (x, y, yaw) in the parent's frame plus a snapped height; children move with their parent.
-The frame of a parent has its origin at the parent's origin and its yaw, but not its tilt; with
-`parent_link` it also takes the link's displacement at the parent's joint state.
+The frame of a parent has its origin and yaw, but not its tilt; with `parent_link` it also follows
+the link's displacement at the parent's joint state.
 """
 
 import json
@@ -38,7 +38,7 @@ class SceneObject(Spec):
     parent_link: Name | None = None
     relation: Relation = "on"
     environment: bool = False
-    """A static support, not optimised."""
+    """True for a static support, which is not optimized."""
     fixed_base: bool = False
     xy: tuple[Number, Number] = (0.0, 0.0)
     """Position in the parent's frame [m]."""
@@ -50,9 +50,9 @@ class SceneObject(Spec):
     joint_state: dict[JointKey, Number] = {}
     """Joint values [rad or m]; joints not named are at 0. A ball has name.x, name.y, name.z."""
     box2d: Box2D | None = None
-    """Its box in the photograph."""
+    """Box in the photograph."""
     occluded: bool = False
-    """Whether `box2d` shows only a part of it."""
+    """True if `box2d` bounds only a part of the object."""
     depth: Number | None = None
     """Parsed distance of its centre along the view [m]."""
     parsed_size: Vec3 | None = None
@@ -62,7 +62,7 @@ class SceneObject(Spec):
 
     @property
     def static(self) -> bool:
-        """Whether the base cannot move: an environment support or a fastened object."""
+        """True for environment supports and fastened objects, whose base cannot move."""
         return self.environment or self.fixed_base
 
 
@@ -116,22 +116,20 @@ class SceneSpec(Spec):
         return next(obj for obj in self.objects if obj.name == name)
 
     def index(self, name: str) -> int:
-        """Return an object's place in `objects`."""
+        """Return the index of an object."""
         return [obj.name for obj in self.objects].index(name)
 
     def to_json(self) -> str:
-        """Serialise, the same bytes for the same scene.
-
-        Poses in the world and what things are are written besides, for other programs; they are
-        not read again.
-        """
+        """Serialize deterministically, with world poses and semantics for other programs."""
         poses = {
             name: {"pos": at.pos.tolist(), "quat": at.quat.tolist()}
             for name, at in world_poses(self).items()
         }
         content = self.model_dump_json(indent=1).removesuffix("\n}")
-        meant = {item.name: described(item.spec) for item in self.objects}
-        derived = json.dumps({WORLD_POSES: poses, SEMANTICS: meant}, indent=1).removeprefix("{\n")
+        semantics = {item.name: described(item.spec) for item in self.objects}
+        derived = json.dumps({WORLD_POSES: poses, SEMANTICS: semantics}, indent=1).removeprefix(
+            "{\n"
+        )
         return f"{content},\n{derived}\n"
 
 
@@ -145,7 +143,7 @@ def read_scene(path: Path) -> SceneSpec:
     """Read the scene of a run folder, or a scene.json.
 
     Raises:
-        SpecError: there is no such file, or it holds no scene; the message says where it breaks.
+        SpecError: there is no such file, or it is not a scene.
     """
     path = Path(path)
     file = path / "scene.json" if path.is_dir() else path
@@ -159,7 +157,10 @@ def read_scene(path: Path) -> SceneSpec:
 
 
 def support_frame(parent: SceneObject, parent_pose: Pose, link: str | None) -> Pose:
-    """Return the world frame that a parent's children are placed in."""
+    """Return the world frame of the children of a parent, or of one of its parts.
+
+    `parent_pose` is the world pose of the parent's object frame, tilt included.
+    """
     frame = pose(parent_pose.pos, from_yaw(yaw_of(parent_pose.quat)))
     if link is None:
         return frame
@@ -194,11 +195,11 @@ def rearranged(
         xy: offset of each object in its parent's frame at the parent's old size [m].
         yaw: offset of each object's yaw [rad].
         log_scale: log of each object's isotropic scale factor.
-        z: new snapped height of each object above its parent's origin [m].
+        z: snapped height of each object above its parent's origin [m].
 
     Returns:
-        A scene whose zero layout is the given layout. Offsets in a parent's frame have grown with
-        the parent, sizes of children have not.
+        A scene whose zero layout is the given one. Offsets scale with the parent, sizes of children
+        do not.
     """
     size = np.exp(np.asarray(log_scale, float))
     objects = []

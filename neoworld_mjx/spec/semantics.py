@@ -1,4 +1,4 @@
-"""What things are, in words: the category of an object, and the purpose of its joints."""
+"""Semantics of objects: their category, and the purposes of their joints."""
 
 import re
 from typing import Any
@@ -16,9 +16,9 @@ _AFTER_HEAD = re.compile(r"\b(with|of|on|in|for|from|that|to|and|by|without)\b|[
 
 
 def category(spec: ObjectSpec) -> str:
-    """Return the head noun of an object's label: "chest" of "oak chest with a drawer".
+    """Return the head noun of an object's label, or of its name if it has none.
 
-    Without a label its name says it, without a number at its end.
+    For example, "chest" for "oak chest with a drawer".
     """
     words = re.findall(r"[a-z]+", _AFTER_HEAD.split(spec.label.lower())[0])
     if not words:
@@ -27,10 +27,7 @@ def category(spec: ObjectSpec) -> str:
 
 
 def purpose(spec: ObjectSpec, joint: JointSpec) -> str:
-    """Return what a joint is for: what its child is called, else how it moves.
-
-    "drawer", "door", "knob" and the like; "fixed" for what does not move.
-    """
+    """Return a joint's purpose, such as "drawer" or "knob", from its names or its type."""
     if joint.type == "fixed":
         return "fixed"
     geoms = (geom.name for geom in spec.part(joint.child).geoms)

@@ -27,7 +27,7 @@ STEPS_M: dict[PatternKind, float] = {
     "weave": 0.008,
     "brushed": 0.002,
 }
-"""Usual step of each kind [m]."""
+"""Default step of each kind [m]."""
 
 
 class SurfacePattern(ScalableSpec):
@@ -35,16 +35,16 @@ class SurfacePattern(ScalableSpec):
 
     kind: PatternKind
     rgb: Annotated[RGB, UNSCALED] | None = None
-    """Colour of joints, veins, speckles, scratches or the weave's gaps; None is darker than the
-    material."""
+    """Colour of joints, veins, speckles, scratches or the weave's gaps; None darkens the material's
+    colour."""
     step: Annotated[float, Field(gt=0, le=10), LENGTH] | None = None
     """Width of a board, edge of a tile, height of a brick, distance of veins, speckles, scratches
-    or threads [m]; None is what is usual."""
+    or threads [m]; None uses the default."""
     along: Literal["x", "y"] = "x"
-    """Whether boards and courses run along the first axis of a face, or its second: on top x or y,
-    on the front and the back y or z, on the sides x or z."""
+    """Direction of boards and courses: the first or second axis of a face, which are x and y on top,
+    y and z on front and back, x and z on the sides."""
 
     @property
     def length(self) -> float:
-        """The step, or the usual one [m]."""
+        """The step, or its default [m]."""
         return self.step or STEPS_M[self.kind]

@@ -133,7 +133,7 @@ def _first_side(unit: NDArray) -> NDArray:
         k = np.cross(a, b)
         if np.linalg.norm(k) > 1e-6:
             k = k / np.linalg.norm(k)
-            # The first stretch may be before a later bend; only what is across it counts.
+            # Project onto the plane across the first stretch, which may precede the bend.
             k = k - (k @ unit[0]) * unit[0]
             if np.linalg.norm(k) > 1e-6:
                 return k / np.linalg.norm(k)
@@ -146,7 +146,7 @@ def _first_side(unit: NDArray) -> NDArray:
 
 
 def _transported(side: NDArray, before: NDArray, after: NDArray) -> NDArray:
-    """Carry a direction around a bend without twist."""
+    """Transport a direction around a bend without twist."""
     k = np.cross(before, after)
     size = np.linalg.norm(k)
     if size < 1e-12:

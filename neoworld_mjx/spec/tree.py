@@ -1,4 +1,4 @@
-"""SceneTree: what Step 1 sees in the photograph (paper Section 3.2, "Scene parsing")."""
+"""Scene tree of Step 1 (paper Section 3.2, "Scene parsing")."""
 
 from typing import Annotated, Literal
 
@@ -72,18 +72,18 @@ class Cues(Spec):
 
     contact: tuple[Number, Number] | None = None
     """Original pixel (x to the right, y down) of the visible contact with the support that is
-    nearest to the camera; None if no contact is seen."""
+    nearest to the camera; None if no contact is visible."""
     cut_sides: tuple[Literal["left", "top", "right", "bottom"], ...] | None = None
-    """Sides of `box2d` at which the object goes on, hidden or outside the picture; None if the
-    answer does not tell."""
+    """Sides of `box2d` beyond which the object continues, occluded or outside the image; None if not
+    stated."""
     known_size: tuple[Literal["x", "y", "z"], ...] = ()
-    """Edges of `box3d` that all such things have, not judged from the photograph."""
+    """Edges of `box3d` with a standard size, independent of the photograph."""
     position_sd: Spread | None = None
-    """Standard deviation of the position over the ground, by the answer's own judgement [m]."""
+    """Standard deviation of the horizontal position, as estimated by the parse [m]."""
     size_sd: Spread | None = None
-    """The same of the size, as a share of it."""
+    """Relative standard deviation of the size."""
     yaw_sd: Spread | None = None
-    """The same of the heading [rad]."""
+    """Standard deviation of the yaw [rad]."""
 
 
 class TreeNode(Spec):
@@ -93,42 +93,42 @@ class TreeNode(Spec):
     label: str
     """Kind of object, in a few words."""
     description: str = ""
-    """Shape, material and colours, for whoever programs it."""
+    """Shape, material and colours, for the object program."""
     parent: Name | None = None
-    """Node that carries it; None for the world."""
+    """Supporting node; None for the world."""
     relation: Relation = "on"
     parent_link: Name | None = None
-    """The parent's movable part that carries it, such as an open drawer."""
+    """Supporting movable part of the parent, such as an open drawer."""
     environment: bool = False
-    """Whether it is a support of the environment (table, floor, shelf, wall): static."""
+    """True for a static support of the environment (table, floor, shelf, wall)."""
     fixed_base: bool = False
-    """Whether it is built in or mounted; see `fastened`."""
+    """True if built in or mounted; see `fastened`."""
     occluded: bool = False
     occluded_by: tuple[Name, ...] = ()
     box2d: Box2D
-    """Tight box of what is visible."""
+    """Tight box of the visible part."""
     box3d: Box3D
     base_tilt: Quat = IDENTITY
-    """Rotation before yaw, for things that lean or lie."""
+    """Rotation before yaw, for objects that lean or lie."""
     articulation: tuple[PartState, ...] = ()
     held_by: str | None = None
-    """What holds an attached object that may come off; None if it is fastened."""
+    """Means of attachment of an object that may come off; None if fastened."""
     cues: Cues = Cues()
     outline: SupportOutline = RECTANGLE
     """Outline of an environment support within `box3d`, seen from above."""
     furniture: bool = False
-    """Whether an environment support is programmed from its picture, as objects are."""
+    """True for an environment support with an object program."""
     surface: SupportSurface | None = None
-    """Surface of an environment support; None takes its material from words and a plain pattern."""
+    """Surface of an environment support; None derives the material from its words, without pattern."""
 
     @property
     def slab(self) -> bool:
-        """Whether it is an environment support that is made from its box, so flat on top."""
+        """True for an environment support without a program: a box, so flat on top."""
         return self.environment and not self.furniture
 
     @property
     def fastened(self) -> bool:
-        """Whether it is fast to what carries it: fixed, or attached by what does not come off."""
+        """True if fixed to its parent, or attached permanently."""
         return self.fixed_base or (self.relation == "attached" and self.held_by is None)
 
 
@@ -137,7 +137,7 @@ class SceneTree(Spec):
 
     camera: Camera
     camera_measured: tuple[Literal["pitch", "height", "fovy", "roll"], ...] = ()
-    """Numbers of the camera that the answer measured in the picture; the others are guesses."""
+    """Camera parameters that the parse measured in the image; the others are rough estimates."""
     nodes: tuple[TreeNode, ...] = Field(min_length=1)
 
     @model_validator(mode="after")
@@ -185,9 +185,9 @@ class SceneTree(Spec):
         return next(node for node in self.nodes if node.name == name)
 
     def top_down(self) -> tuple[TreeNode, ...]:
-        """Return the nodes, parents before children, else in given order."""
+        """Return the nodes, parents before children, otherwise in the given order."""
         return tuple(map(self.node, parents_first({n.name: n.parent for n in self.nodes})))
 
     def to_json(self) -> str:
-        """Serialise, the same bytes for the same tree."""
+        """Serialize deterministically."""
         return self.model_dump_json(indent=1) + "\n"

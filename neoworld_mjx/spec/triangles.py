@@ -1,4 +1,4 @@
-"""Closed triangle meshes: made by turning and extruding, their normals, volume and distance."""
+"""Closed triangle meshes: revolution and extrusion, normals, volume and distance."""
 
 import math
 
@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 SECTORS = 64
-"""Facets around a round shape, at least."""
+"""Least number of facets around a round shape."""
 BALL_SECTORS, RINGS = 32, 16
-"""Facets around a ball, and from pole to pole; exports alone show them, and want small files."""
+"""Facets around a sphere, and from pole to pole; few, since only exports show them."""
 CREASE = math.radians(40.0)
-"""Faces that meet at a smaller angle [rad] are shaded as one smooth surface."""
+"""Largest angle [rad] between faces with smooth shading."""
 DISTANCE_CHUNK = 400_000
-"""Points times triangles (or edges) that are worked on at once."""
+"""Number of pairs of points and triangles (or edges) processed at once."""
 
 
 def corner_normals(vertices: NDArray, faces: NDArray, crease: float = CREASE) -> NDArray:
@@ -73,7 +73,7 @@ def extruded_outline(outline: NDArray, height: float) -> tuple[NDArray, NDArray]
 
 
 def meridian(radius: float, half_length: float) -> NDArray:
-    """Return the (r, z) chain [n, 2] of a capsule from pole to pole; of a ball at length 0."""
+    """Return the (r, z) chain [n, 2] of a capsule from pole to pole; a sphere at length 0."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, RINGS + 1)
     p = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
     p[[0, -1], 0] = 0.0
@@ -87,7 +87,7 @@ def meridian(radius: float, half_length: float) -> NDArray:
 
 
 def revolved(chain: NDArray, sectors: int, *, closed: bool = False) -> tuple[NDArray, NDArray]:
-    """Turn a chain of (r, z) corners [n, 2] about z; points on the axis become one vertex."""
+    """Revolve a chain of (r, z) corners [n, 2] about z; points on the axis become one vertex."""
     angle = 2 * np.pi * np.arange(sectors) / sectors
     points, rings = [], []
     total = 0
@@ -147,7 +147,7 @@ def _to_triangles(p: NDArray, corners: NDArray) -> NDArray:
 
 
 def _winding(p: NDArray, corners: NDArray) -> NDArray:
-    """Return how often a surface winds around points (Van Oosterom and Strackee, 1983)."""
+    """Return the winding number of a surface around points (Van Oosterom and Strackee, 1983)."""
     a, b, c = (corners[:, k] - p for k in range(3))
     la, lb, lc = (np.linalg.norm(v, axis=2) for v in (a, b, c))
     dot = lambda u, v: np.sum(u * v, axis=2)
