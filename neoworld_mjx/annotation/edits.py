@@ -1,4 +1,4 @@
-"""Edits of an annotation, one at a time: each gives a whole new annotation or says why not."""
+"""Edits of an annotation; each returns a new, validated annotation."""
 
 from typing import Any
 
@@ -9,28 +9,28 @@ from ..spec import Box2D
 from .annotation import GROUND, AnnotatedObject, Annotation
 
 
-def object_of(annotation: Annotation, name: str) -> AnnotatedObject | None:
-    """Return the object of a name; None where there is none."""
+def find_object(annotation: Annotation, name: str) -> AnnotatedObject | None:
+    """Return the object with a name, or None."""
     return next((obj for obj in annotation.objects if obj.name == name), None)
 
 
 def with_box(annotation: Annotation, box: Box2D) -> tuple[Annotation, str]:
-    """Return an annotation with one more object, of which only the box is known, and its name."""
+    """Return an annotation with a new object that has only a box, and its name."""
     names = {obj.name for obj in annotation.objects}
     name = next(f"object_{k}" for k in range(1, len(names) + 2) if f"object_{k}" not in names)
     return _checked(annotation, (*annotation.objects, AnnotatedObject(name=name, box=box))), name
 
 
 def with_change(annotation: Annotation, name: str, change: dict[str, Any]) -> Annotation:
-    """Return an annotation with fields of one object changed; what stands on it follows its name.
+    """Return an annotation with changed fields of one object; its children follow a new name.
 
     Args:
-        annotation: the one before.
-        name: of the object.
+        annotation: the current annotation.
+        name: name of the object.
         change: values by field of `AnnotatedObject`.
 
     Raises:
-        SpecError: a value cannot be, or objects would carry each other in a circle.
+        SpecError: a value is invalid, or objects would support each other in a circle.
     """
     new = change.get("name", name)
     objects = []
@@ -45,7 +45,7 @@ def with_change(annotation: Annotation, name: str, change: dict[str, Any]) -> An
 
 
 def without(annotation: Annotation, name: str) -> Annotation:
-    """Return an annotation without an object; what stood on it stands on the ground."""
+    """Return an annotation without an object; its children move to the ground."""
     kept = (obj for obj in annotation.objects if obj.name != name)
     return _checked(
         annotation,

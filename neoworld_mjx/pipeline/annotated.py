@@ -3,14 +3,9 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from ..annotation.annotation import (
-    KEPT,
-    MODEL,
-    Annotation,
-    annotated_tree,
-    opened_annotation,
-    program_of,
-)
+from ..annotation.annotated_program import program_of
+from ..annotation.annotated_tree import annotated_tree, opened_annotation
+from ..annotation.annotation import KEPT, MODEL, Annotation
 from ..config import Config
 from ..errors import ProgramError, RunError, SpecError
 from ..io import bounded_by, read_model

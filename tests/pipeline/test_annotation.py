@@ -5,17 +5,15 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from neoworld_mjx.annotation.annotated_program import program_of
+from neoworld_mjx.annotation.annotated_tree import annotated_tree, opened_annotation, placed_box
 from neoworld_mjx.annotation.annotation import (
     GROUND,
     KEPT,
     MODEL,
-    PLAIN,
+    SHAPES,
     AnnotatedObject,
     Annotation,
-    annotated_tree,
-    opened_annotation,
-    placed_box,
-    program_of,
 )
 from neoworld_mjx.errors import RunError, SpecError
 from neoworld_mjx.parse.photo import load_photo
@@ -68,7 +66,7 @@ def test_a_box_above_the_horizon_is_refused_by_name():
         )
 
 
-@pytest.mark.parametrize("kind", sorted(PLAIN))
+@pytest.mark.parametrize("kind", sorted(SHAPES))
 def test_every_plain_shape_builds_at_its_size(kind):
     obj = _object(Box2D(x0=0, y0=0, x1=9, y1=9), kind=kind, material="ceramic")
     text = program_of(obj, (0.08, 0.08, 0.08), (0.5, 0.2, 0.1))

@@ -6,8 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from neoworld_mjx.annotation.annotation import GROUND, KEPT, annotated_tree, opened_annotation
-from neoworld_mjx.annotation.edits import object_of, with_box, with_change, without
+from neoworld_mjx.annotation.annotated_tree import annotated_tree, opened_annotation
+from neoworld_mjx.annotation.annotation import GROUND, KEPT
+from neoworld_mjx.annotation.edits import find_object, with_box, with_change, without
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec import Box2D
 from neoworld_mjx.view.pages.annotation_drawing import pixel_of
@@ -16,9 +17,9 @@ from tests.support.annotations import coffee
 
 def test_what_stands_on_an_object_follows_its_name():
     renamed = with_change(coffee(), "saucer", {"name": "plate"})
-    cup = object_of(renamed, "cup")
+    cup = find_object(renamed, "cup")
     assert cup is not None and cup.parent == "plate"
-    assert object_of(renamed, "saucer") is None
+    assert find_object(renamed, "saucer") is None
 
 
 def test_what_stood_on_a_deleted_object_stands_on_the_ground():
@@ -113,7 +114,7 @@ def test_what_is_typed_at_once_is_all_kept(opened_page):
                 done += [threads.submit(call, event) for call in control._impl.update_cb]
             for future in done:
                 future.result()
-        obj = object_of(page.annotation, f"saucer_{k}")
+        obj = find_object(page.annotation, f"saucer_{k}")
         assert obj is not None
         assert (obj.kind, obj.material, obj.label) == ("bowl", "ceramic", "a saucer")
         assert obj.size == (0.12, 0.13, 0.016)

@@ -13,7 +13,7 @@ from neoworld_mjx.spec.shapes import Cylinder
 from neoworld_mjx.spec.triangles import enclosed_volume
 from neoworld_mjx.view.pages import part_glb as module
 from neoworld_mjx.view.pages.part_glb import Detail, detail_of, part_glb
-from neoworld_mjx.view.pages.scene_nodes import ScenePage
+from neoworld_mjx.view.pages.scene_nodes import SceneNodes
 from neoworld_mjx.view.pages.view_target import alone
 
 UPRIGHT = np.array([1.0, 0, 0, 0])
@@ -107,21 +107,21 @@ def test_see_through_copies_take_the_place_of_the_surfaces(aquarium_like):
 
     server = open_server("test", port=0)
     try:
-        page = ScenePage(server, lambda _: None)
+        page = SceneNodes(server, lambda _: None)
         page.show(alone(aquarium_like))
-        assert len(page._visible) == 2 and page._clear == []
+        assert len(page._visible) == 2 and page._transparent_copies == []
         shown = lambda: tuple(
-            {node.visible for node in nodes} for nodes in (page._visible, page._clear)
+            {node.visible for node in nodes} for nodes in (page._visible, page._transparent_copies)
         )
-        page.see_through(True)
+        page.set_transparent(True)
         assert shown() == ({False}, {True})
         page.show_visible(False)
         assert shown() == ({False}, {False})
-        page.see_through(False)
+        page.set_transparent(False)
         page.show_visible(True)
         assert shown() == ({True}, {False})
-        page.see_through(True)
+        page.set_transparent(True)
         page.show(alone(aquarium_like.model_copy(update={"label": "another tank"})))
-        assert shown() == ({False}, {True}) and len(page._clear) == 2
+        assert shown() == ({False}, {True}) and len(page._transparent_copies) == 2
     finally:
         close_server(server)

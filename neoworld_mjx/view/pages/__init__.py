@@ -1,5 +1,5 @@
-"""The pages that `neoworld view` and `neoworld annotate` serve: a scene to look at and change.
+"""Browser pages of `neoworld view` and `neoworld annotate`.
 
-The page is viser's, one file that loads nothing from the network. Everything that it shows of a
-file is escaped, and what it sends back is bounded; programs run in the sandbox as elsewhere.
+Viser serves each page as one file that loads nothing from the network. All text from files is
+escaped, all input from the page is bounded, and programs run in the sandbox.
 """

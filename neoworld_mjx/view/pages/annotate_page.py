@@ -8,8 +8,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from ...annotation.annotation import GROUND, KEPT, MODEL, PLAIN, AnnotatedObject, Annotation
-from ...annotation.edits import object_of, with_box, with_change, without
+from ...annotation.annotation import GROUND, KEPT, MODEL, SHAPES, AnnotatedObject, Annotation
+from ...annotation.edits import find_object, with_box, with_change, without
 from ...config import Config
 from ...errors import SpecError
 from ...fit.vanishing_points import camera_of_lines
@@ -21,10 +21,10 @@ from ...spec import Box2D, Camera, PartState, read_scene
 from ...templates import templates
 from .annotation_drawing import draw_boxes, draw_grid, draw_photo
 from .line_picker import LinePicker
-from .page_html import told
-from .page_jobs import Tell, work
+from .page_html import message
+from .page_jobs import ShowLine, run_job
 from .rectangle_picker import RectanglePicker
-from .scene_nodes import ScenePage, look_through
+from .scene_nodes import SceneNodes, look_through
 from .view_target import shown_picture
 
 FOVY_DEG, PITCH_DEG, HEIGHT_M = 45.0, 35.0, 0.6
@@ -70,7 +70,7 @@ class Annotator:
         """Put a photograph with its annotation on the page.
 
         Args:
-            server: of viser.
+            server: the viser server.
             photo: the picture file.
             out: the run folder to write.
             annotation: what is known already.
@@ -81,7 +81,7 @@ class Annotator:
         self._server, self._photo, self._out, self._config = server, photo, out, config
         self.annotation = annotation
         self._picture = shown_picture(load_photo(photo, config.parse.max_side_px).rgb)
-        self._page = ScenePage(server, lambda _: None)
+        self._page = SceneNodes(server, lambda _: None)
         self._chosen = ""
         self._rectangle = RectanglePicker(server, lambda: self.annotation.camera, self._set_box)
         self._editing, self._busy = threading.Lock(), threading.Lock()
@@ -103,9 +103,9 @@ class Annotator:
 
     def _build_camera_tab(self) -> None:
         gui, camera = self._server.gui, self.annotation.camera
-        gui.add_html(told("Move these until the grid lies on the ground, or show lines on it."))
-        self._lines_said = gui.add_html("")
-        self._picker = LinePicker(self._server, self._say_of_lines, self._take_lines)
+        gui.add_html(message("Move these until the grid lies on the ground, or show lines on it."))
+        self._lines_message = gui.add_html("")
+        self._picker = LinePicker(self._server, self._show_lines_message, self._take_lines)
         lines = gui.add_button("Show lines on the ground")
         lines.on_click(lambda event: self._begin_lines(event.client))
         pitch, roll = math.degrees(camera.pitch), math.degrees(camera.roll)
@@ -128,9 +128,9 @@ class Annotator:
         self._chooser = gui.add_dropdown("Object", (NEW,))
         self._on_edit(self._chooser, self._choose)
         gui.add_button("Draw its box").on_click(lambda event: self._begin_box(event.client))
-        self._said = gui.add_html("")
+        self._message = gui.add_html("")
         self._about = gui.add_folder("This object")
-        kinds = (*PLAIN, MODEL, KEPT, *templates())
+        kinds = (*SHAPES, MODEL, KEPT, *templates())
         with self._about:
             self._fields = {
                 "name": gui.add_text("Name", ""),
@@ -162,7 +162,7 @@ class Annotator:
         gui = self._server.gui
         gui.add_button("Save").on_click(lambda _: self._write(simulate=False))
         gui.add_button("Build the scene").on_click(lambda _: self._write(simulate=True))
-        self._log = gui.add_html(told(f"Files go to {self._out}."))
+        self._log = gui.add_html(message(f"Files go to {self._out}."))
 
     def _on_edit(self, control: Any, edit: Callable[[Any], None]) -> None:
         """Let an edit follow what a person does to a control, not what the page writes into it."""
@@ -174,7 +174,7 @@ class Annotator:
                 try:
                     edit(_within(event.target))
                 except SpecError as error:
-                    self._said.content = told(str(error), bad=True)
+                    self._message.content = message(str(error), bad=True)
 
         control.on_update(edited) if hasattr(control, "on_update") else control.on_click(edited)
 
@@ -188,8 +188,8 @@ class Annotator:
         for client in self._server.get_clients().values():
             look_through(client, camera)
 
-    def _say_of_lines(self, line: str, *, bad: bool = False) -> None:
-        self._lines_said.content = told(line, bad=bad)
+    def _show_lines_message(self, line: str, *, bad: bool = False) -> None:
+        self._lines_message.content = message(line, bad=bad)
 
     def _begin_lines(self, client: Any) -> None:
         """Let the next clicks on the photograph be the ends of lines on the ground."""
@@ -203,7 +203,7 @@ class Annotator:
             try:
                 camera, finds_lens = camera_of_lines(self.annotation.camera, along, across)
             except SpecError as error:
-                self._say_of_lines(str(error), bad=True)
+                self._show_lines_message(str(error), bad=True)
                 return
             for field in ("pitch", "roll", "fovy"):
                 degrees = math.degrees(getattr(camera, field))
@@ -211,7 +211,9 @@ class Annotator:
             self.annotation = self.annotation.model_copy(update={"camera": camera})
             self._draw_camera()
         lens = "with its field of view" if finds_lens else "the field of view stays yours to set"
-        self._say_of_lines(f"The camera is that of the lines, {lens}; the height is yours to set.")
+        self._show_lines_message(
+            f"The camera is that of the lines, {lens}; the height is yours to set."
+        )
         for client in self._server.get_clients().values():
             look_through(client, camera)
 
@@ -221,7 +223,9 @@ class Annotator:
     def _begin_box(self, client: Any) -> None:
         """Let the next rectangle that is dragged on the photograph be the object's box."""
         with self._editing:
-            self._said.content = told("Drag a rectangle around all that is seen of the object.")
+            self._message.content = message(
+                "Drag a rectangle around all that is seen of the object."
+            )
             self._rectangle.begin(client)
 
     def _set_box(self, box: Box2D | None) -> None:
@@ -230,7 +234,7 @@ class Annotator:
 
     def _take_box(self, box: Box2D | None) -> None:
         if box is None:
-            self._said.content = told("That box is too small: draw it again.", bad=True)
+            self._message.content = message("That box is too small: draw it again.", bad=True)
             return
         if self._chosen:
             self._change({"box": box})
@@ -271,14 +275,14 @@ class Annotator:
         parts = (*(p for p in self._object().parts if p.part != part), state)
         self._change({"parts": parts})
         listed = ", ".join(f"{p.part} {p.type} {p.opening:.0%}" for p in parts)
-        self._said.content = told(f"Parts: {listed}")
+        self._message.content = message(f"Parts: {listed}")
 
     def _delete(self) -> None:
         self.annotation = without(self.annotation, self._chosen)
         self._choose("")
 
     def _object(self) -> AnnotatedObject:
-        obj = object_of(self.annotation, self._chosen)
+        obj = find_object(self.annotation, self._chosen)
         if obj is None:
             raise SpecError("choose an object, or draw the box of a new one")
         return obj
@@ -290,7 +294,7 @@ class Annotator:
 
     def _choose(self, name: str) -> None:
         """Show the fields of an object, or none for a new one."""
-        obj = object_of(self.annotation, name)
+        obj = find_object(self.annotation, name)
         self._chosen = "" if obj is None else obj.name
         self._list_objects()
         self._about.visible = obj is not None
@@ -307,7 +311,7 @@ class Annotator:
         names = [obj.name for obj in self.annotation.objects]
         parent = self._fields["parent"]
         _offer(self._chooser, (NEW, *names), self._chosen or NEW)
-        obj = object_of(self.annotation, self._chosen)
+        obj = find_object(self.annotation, self._chosen)
         others = (GROUND, *(name for name in names if name != self._chosen))
         _offer(parent, others, GROUND if obj is None else obj.parent)
 
@@ -323,20 +327,20 @@ class Annotator:
         try:
             said = draw_boxes(self._server, self.annotation, self._chosen)
         except SpecError as error:
-            self._said.content = told(str(error), bad=True)
+            self._message.content = message(str(error), bad=True)
         else:
-            self._said.content = told(said) if said else ""
+            self._message.content = message(said) if said else ""
 
     # The run.
 
     def _write(self, *, simulate: bool) -> None:
-        def job(tell: Tell) -> None:
-            tell("at work ...")
+        def job(show_line: ShowLine) -> None:
+            show_line("at work ...")
             with self._editing:
                 annotation = self.annotation
             self._show(self._write_annotated(annotation, simulate))
 
-        work(self._busy, self._log, job)
+        run_job(self._busy, self._log, job)
 
     def _show(self, result: Result) -> None:
         scene = self._out / "scene.json"
@@ -344,9 +348,11 @@ class Annotator:
             self._page.show(read_scene(scene))
             self._page.show_visible(True)
             verdict = "the scene is stable" if result.passed else "the scene fails its checks"
-            self._log.content = told(f"Done: {verdict}. {result!r}", bad=not result.passed)
+            self._log.content = message(f"Done: {verdict}. {result!r}", bad=not result.passed)
         else:
-            self._log.content = told(f"Saved in {self._out}; neoworld reconstruct --resume goes on")
+            self._log.content = message(
+                f"Saved in {self._out}; neoworld reconstruct --resume goes on"
+            )
 
 
 def _within(control: Any) -> Any:

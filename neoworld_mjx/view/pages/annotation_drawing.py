@@ -1,4 +1,4 @@
-"""What the page of `neoworld annotate` shows: photograph, grid, boxes, and the boxes they give."""
+"""Drawing of the page of `neoworld annotate`: photograph, grid, 2D boxes and 3D boxes."""
 
 import math
 from collections.abc import Sequence
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
 
 CHOSEN, OTHER, SOLID, GRID = (255, 210, 60), (90, 170, 255), (120, 230, 140), (255, 255, 255)
 FAR, FARTHEST_M = 40.0, 800.0
-"""Distance of the photograph behind the scene in heights of the camera, and its bound."""
+"""Distance of the photograph behind the scene, in heights of the camera, and its limit [m]."""
 _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
 
 
 def draw_photo(server: Any, camera: Camera, picture: NDArray) -> None:
-    """Put the photograph behind all else, as the camera sees it.
+    """Show the photograph behind the scene, as seen from its camera.
 
     Args:
-        server: of viser.
-        camera: of the photograph.
+        server: the viser server.
+        camera: camera of the photograph.
         picture: uint8 [h, w, 3].
     """
-    axes, far = camera.axes(), _far(camera)
-    tall = 2 * far * math.tan(camera.fovy / 2)
+    axes, distance = camera.axes(), _distance(camera)
+    tall = 2 * distance * math.tan(camera.fovy / 2)
     server.scene.add_image(
         "/photo",
         picture,
@@ -39,13 +39,13 @@ def draw_photo(server: Any, camera: Camera, picture: NDArray) -> None:
         cast_shadow=False,
         receive_shadow=False,
         wxyz=from_matrix(axes),
-        position=camera.position() + far * axes[:, 2],
+        position=camera.position() + distance * axes[:, 2],
     )
 
 
 def draw_grid(server: Any, camera: Camera, step: float) -> None:
     """Draw lines on the ground, `step` m apart."""
-    reach = min(40 * step, _far(camera) / 2)
+    reach = min(40 * step, _distance(camera) / 2)
     ticks = np.arange(-reach, reach + step / 2, step)
     lines = [[[0.0, y, 0.0], [2 * reach, y, 0.0]] for y in ticks]
     lines += [[[x + reach, -reach, 0.0], [x + reach, reach, 0.0]] for x in ticks]
@@ -53,26 +53,26 @@ def draw_grid(server: Any, camera: Camera, step: float) -> None:
 
 
 def draw_boxes(server: Any, annotation: "Annotation", chosen: str) -> str:
-    """Draw the boxes in the picture, and those that they give in the world.
+    """Draw the 2D boxes in the picture, and the resulting 3D boxes in the world.
 
     Args:
-        server: of viser.
-        annotation: what to draw.
-        chosen: name of the object to stress.
+        server: the viser server.
+        annotation: the annotation.
+        chosen: name of the object to highlight.
 
     Returns:
-        How large the chosen object is; empty where there is none.
+        The size of the chosen object; empty if none is chosen.
 
     Raises:
-        SpecError: the boxes give no scene; those in the picture are drawn.
+        SpecError: the boxes give no valid scene; the 2D boxes are drawn.
     """
-    from ...annotation.annotation import annotated_tree
+    from ...annotation.annotated_tree import annotated_tree
 
     with server.atomic():
         hide_boxes(server)
         for obj in annotation.objects:
-            colour = CHOSEN if obj.name == chosen else OTHER
-            draw_box(server, annotation.camera, obj.name, obj.box, colour)
+            color = CHOSEN if obj.name == chosen else OTHER
+            draw_box(server, annotation.camera, obj.name, obj.box, color)
         if not annotation.objects:
             return ""
         tree = annotated_tree(annotation)
@@ -90,9 +90,9 @@ def draw_marks(server: Any, camera: Camera, ends: Sequence[NDArray]) -> None:
     """Draw crosses at pixels of the photograph, and a line between every two.
 
     Args:
-        server: of viser.
-        camera: of the photograph.
-        ends: pixels [2], ends of lines in turn.
+        server: the viser server.
+        camera: camera of the photograph.
+        ends: end points [2] of successive lines, in pixels.
     """
     cross, lines = camera.height_px / 80, []
     for pixel in ends:
@@ -106,23 +106,23 @@ def draw_marks(server: Any, camera: Camera, ends: Sequence[NDArray]) -> None:
     _add_lines(server, "/marks", points.reshape(-1, 2, 3), CHOSEN, 3)
 
 
-def pixel_of(view: Any, camera: Camera, at: tuple[float, float]) -> NDArray:
-    """Return the pixel [2] of the photograph at a place of a window that looks through its camera.
+def pixel_of(view: Any, camera: Camera, position: tuple[float, float]) -> NDArray:
+    """Return the pixel [2] of the photograph at a position in a window that shows its camera's view.
 
     Args:
         view: camera of the client.
-        camera: of the photograph.
-        at: across and down the window, 0 to 1.
+        camera: camera of the photograph.
+        position: horizontal and vertical position in the window, 0 to 1.
     """
     window = np.array([view.image_width, view.image_height])
     focal = view.image_height / 2 / math.tan(view.fov / 2)
-    offset = (np.array(at) - 0.5) * window * camera.focal / focal
+    offset = (np.array(position) - 0.5) * window * camera.focal / focal
     size = np.array([camera.width, camera.height_px])
     return np.clip(size / 2 + offset, 0.0, size)
 
 
 def draw_box(server: Any, camera: Camera, name: str, box: Box2D, rgb: RGB) -> None:
-    """Draw an object's box in the photograph, just in front of its camera."""
+    """Draw an object's 2D box in front of the photograph's camera."""
     x0, y0, x1, y1 = box.as_tuple()
     rays = camera.rays(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]))
     depth = rays @ camera.axes()[:, 2]
@@ -132,7 +132,7 @@ def draw_box(server: Any, camera: Camera, name: str, box: Box2D, rgb: RGB) -> No
 
 
 def hide_boxes(server: Any) -> None:
-    """Take all boxes away."""
+    """Remove all boxes."""
     server.scene.remove_by_name("/boxes")
 
 
@@ -140,5 +140,5 @@ def _add_lines(server: Any, name: str, lines: NDArray, rgb: Any, thickness: floa
     server.scene.add_line_segments(name, lines, rgb, thickness=thickness, thickness_units="screen")
 
 
-def _far(camera: Camera) -> float:
+def _distance(camera: Camera) -> float:
     return min(FAR * max(camera.height, 0.05), FARTHEST_M)

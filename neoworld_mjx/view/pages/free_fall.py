@@ -1,4 +1,4 @@
-"""Free fall of the scene shown, in C MuJoCo, at the pace of the clock where that can be kept."""
+"""Simulation of the shown scene in C MuJoCo, in real time if the machine is fast enough."""
 
 import threading
 import time
@@ -28,36 +28,36 @@ class Contacts(NamedTuple):
     normals: NDArray
     """[n, 3]."""
     pairs: tuple[tuple[str, str], ...]
-    """Objects of each."""
+    """Objects of each contact."""
 
     def summary(self) -> str:
-        """Return how many there are and the four pairs of objects that overlap most."""
+        """Return the number of contacts and the four pairs of objects with the deepest overlap."""
         deepest: dict[tuple[str, str], float] = {}
         for depth, pair in zip(self.depths, self.pairs, strict=True):
             deepest[pair] = max(deepest.get(pair, 0.0), float(depth))
         worst = sorted(deepest.items(), key=lambda entry: -entry[1])[:4]
         named = [f"{a} and {b} {1000 * d:.2f} mm" for (a, b), d in worst if d > 0]
-        return f"{len(self.depths)} contacts. Deepest: {'; '.join(named) or 'none overlaps'}"
+        return f"{len(self.depths)} contacts. Deepest: {'; '.join(named) or 'no overlap'}"
 
 
 class FreeFall:
-    """A simulation of a scene that can be started, stopped and pushed from any thread."""
+    """Simulation of a scene that any thread may start, stop or push."""
 
-    def __init__(self, scene: SceneSpec, shown: Callable[["FreeFall"], None]):
-        """Compile a scene at its own poses and joint states.
+    def __init__(self, scene: SceneSpec, on_frame: Callable[["FreeFall"], None]):
+        """Compile a scene at its poses and joint states.
 
         Args:
             scene: the scene.
-            shown: called after each frame while it plays.
+            on_frame: called after each frame while it plays.
 
         Raises:
             SpecError: a part is too light to be simulated.
-            ValueError: MuJoCo refuses the scene.
+            ValueError: MuJoCo rejects the scene.
         """
         self.scene = scene
-        self._shown = shown
+        self._on_frame = on_frame
         self._model = to_mjspec(scene, timestep=TIMESTEP_S).compile()
-        # Without this MuJoCo puts a diverged simulation back to its start, where it looks stable.
+        # Otherwise MuJoCo resets a diverged simulation, which then looks stable.
         self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._data = mujoco.MjData(self._model)
         self._lock = threading.RLock()
@@ -73,7 +73,7 @@ class FreeFall:
 
     @property
     def playing(self) -> bool:
-        """Whether time passes."""
+        """True while the simulation runs."""
         return self._playing.is_set()
 
     @property
@@ -82,7 +82,7 @@ class FreeFall:
         return float(self._data.time)
 
     def reset(self) -> None:
-        """Go back to the scene as given."""
+        """Reset to the initial state."""
         with self._lock:
             if self._model.nkey:
                 key = self._model.key(START).id
@@ -92,7 +92,7 @@ class FreeFall:
             mujoco.mj_forward(self._model, self._data)
 
     def play(self) -> None:
-        """Let time pass in a thread, until `pause`."""
+        """Run in a thread until `pause`."""
         if self.playing:
             return
         self._playing.set()
@@ -100,30 +100,30 @@ class FreeFall:
         self._thread.start()
 
     def pause(self) -> None:
-        """Stop time."""
+        """Stop the simulation."""
         self._playing.clear()
         thread = self._thread
         if thread is not None and thread is not threading.current_thread():
             thread.join()
 
     def step(self, seconds: float) -> None:
-        """Let some time pass at once."""
+        """Simulate a duration [s] without waiting."""
         with self._lock:
             for _ in range(max(1, round(seconds / self._model.opt.timestep))):
                 mujoco.mj_step(self._model, self._data)
 
     def push(self, name: str, velocity: NDArray) -> bool:
-        """Give a movable object a velocity [3] m/s; return False for a static one."""
+        """Add a velocity [3] m/s to a movable object; return False for a static one."""
         with self._lock:
             joint = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_JOINT, name)
             if joint < 0:
                 return False
-            at = int(self._model.jnt_dofadr[joint])
-            self._data.qvel[at : at + 3] += velocity
+            address = int(self._model.jnt_dofadr[joint])
+            self._data.qvel[address : address + 3] += velocity
             return True
 
     def poses(self) -> PartPoses:
-        """Return where the parts are."""
+        """Return the pose of every part."""
         with self._lock:
             quat = self._data.xquat.copy()
             pos = self._data.xpos.copy()
@@ -135,14 +135,14 @@ class FreeFall:
     def contacts(self) -> Contacts:
         """Return the contacts between objects, as of the last step."""
         with self._lock:
-            found = self._data.contact
-            geoms = np.array(found.geom).reshape(-1, 2)
+            contact = self._data.contact
+            geoms = np.array(contact.geom).reshape(-1, 2)
             objects = [tuple(self._owner[self._model.geom_bodyid[g]] for g in row) for row in geoms]
             rows = [k for k, (a, b) in enumerate(objects) if a != b]
             return Contacts(
-                np.array(found.pos).reshape(-1, 3)[rows],
-                -np.array(found.dist)[rows],
-                np.array(found.frame).reshape(-1, 9)[rows, :3],
+                np.array(contact.pos).reshape(-1, 3)[rows],
+                -np.array(contact.dist)[rows],
+                np.array(contact.frame).reshape(-1, 9)[rows, :3],
                 tuple((objects[k][0], objects[k][1]) for k in rows),
             )
 
@@ -153,7 +153,7 @@ class FreeFall:
             if not np.isfinite(self._data.qpos).all():
                 self._playing.clear()
                 return
-            self._shown(self)
+            self._on_frame(self)
             due = max(due + FRAME_S, time.perf_counter() - FRAME_S)
             time.sleep(max(0.0, due - time.perf_counter()))
 

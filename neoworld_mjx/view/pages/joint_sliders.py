@@ -7,20 +7,20 @@ from typing import Any
 from ...spec import SceneSpec
 from .scene_editor import joint_range, sliding_keys
 
-Moved = Callable[[str, str, float], None]
-"""Called with the object, the key of the joint's value, and the value [rad or m]."""
+OnMove = Callable[[str, str, float], None]
+"""Receives the object, the key of the joint value, and the value [rad or m]."""
 
 
 class JointSliders:
-    """The sliders of the scene shown, in a folder of the page."""
+    """Sliders of the shown scene, in a folder of the page."""
 
-    def __init__(self, server: Any, folder: Any, moved: Moved):
-        """Begin without sliders."""
-        self._server, self._folder, self._moved = server, folder, moved
+    def __init__(self, server: Any, folder: Any, on_move: OnMove):
+        """Create the folder's controls without sliders."""
+        self._server, self._folder, self._on_move = server, folder, on_move
         self._sliders: list[Any] = []
 
     def show(self, scene: SceneSpec) -> None:
-        """Put the sliders of a scene in the place of those before."""
+        """Replace the sliders by those of a scene."""
         for slider in self._sliders:
             slider.remove()
         self._sliders = []
@@ -29,7 +29,7 @@ class JointSliders:
                 for joint, key in sliding_keys(obj):
                     slides = joint.type == "prismatic"
                     factor, unit = (1000.0, "mm") if slides else (math.degrees(1.0), "deg")
-                    # A tenth, rounded inwards: the page writes the ends out with all their digits.
+                    # Round the limits inwards to tenths: the page shows all their digits.
                     low, high = (factor * v for v in joint_range(joint))
                     low, high = math.ceil(10 * low - 1e-4) / 10, math.floor(10 * high + 1e-4) / 10
                     if not low < high:
@@ -43,4 +43,4 @@ class JointSliders:
         self._folder.visible = bool(self._sliders)
 
     def _moving(self, slider: Any, name: str, key: str, factor: float) -> Callable[[Any], None]:
-        return lambda _: self._moved(name, key, slider.value / factor)
+        return lambda _: self._on_move(name, key, slider.value / factor)

@@ -1,4 +1,4 @@
-"""Clicks on a photograph that give the ends of four lines, for the camera of `annotate`."""
+"""Selection of four lines on a photograph by their end points, for the camera of `annotate`."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,34 +11,34 @@ from .annotation_drawing import draw_marks, pixel_of
 
 ENDS = 8
 ORDER = (
-    "two lines that run away from you and are parallel on the floor or table",
-    "two lines across them, at right angles",
+    "two lines that recede from you and are parallel on the floor or table",
+    "two lines perpendicular to them",
 )
 
 
 class LinePicker:
-    """Collects the ends of two lines, then of two across them, by clicks on the photograph.
+    """Collects the end points of two parallel lines, then of two perpendicular ones, by clicks.
 
     Args:
-        server: of viser.
-        tell: shows what is to be clicked next.
-        done: called with the ends of both pairs, each [2, 2, 2] pixels.
+        server: the viser server.
+        show_line: shows the next instruction.
+        done: receives the end points of both pairs, each [2, 2, 2] pixels.
     """
 
     def __init__(
         self,
         server: Any,
-        tell: Callable[[str], None],
+        show_line: Callable[[str], None],
         done: Callable[[NDArray, NDArray], None],
     ) -> None:
-        self._server, self._tell, self._done = server, tell, done
+        self._server, self._show_line, self._done = server, show_line, done
         self._ends: list[NDArray] = []
         self._click: Callable[[Any], None] | None = None
 
     def begin(self, camera: Camera) -> None:
-        """Let the next eight clicks be ends of lines; earlier ones count no more."""
+        """Take the next eight clicks as end points; discard earlier ones."""
         self.end()
-        self._say()
+        self._show_prompt()
 
         @self._server.scene.on_click()
         def clicked(event: Any) -> None:
@@ -47,7 +47,7 @@ class LinePicker:
         self._click = clicked
 
     def end(self) -> None:
-        """Take no more clicks, and take the marks away."""
+        """Stop taking clicks, and remove the marks."""
         if self._click is not None:
             self._server.scene.remove_click_callback(self._click)
             self._click = None
@@ -60,12 +60,12 @@ class LinePicker:
         self._ends.append(pixel)
         if len(self._ends) < ENDS:
             draw_marks(self._server, camera, self._ends)
-            self._say()
+            self._show_prompt()
             return
         along, across = np.array(self._ends).reshape(2, 2, 2, 2)
         self.end()
         self._done(along, across)
 
-    def _say(self) -> None:
+    def _show_prompt(self) -> None:
         count = len(self._ends)
-        self._tell(f"Click both ends of {ORDER[count // 4]}: {count} of {ENDS} points.")
+        self._show_line(f"Click both ends of {ORDER[count // 4]}: {count} of {ENDS} points.")

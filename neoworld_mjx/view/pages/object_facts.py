@@ -1,4 +1,4 @@
-"""What is known of one object, as HTML for the page; every word of a file is escaped."""
+"""Properties, checks and photograph of one object, as HTML for the page."""
 
 import io
 from collections.abc import Sequence
@@ -18,19 +18,19 @@ from ...spec import SceneObject, SceneTree, bounds, inertial
 from ..report.changes import all_moves
 from ..report.formatting import read_json, with_unit
 from ..report.page import elements
-from .page_html import framed, told
+from .page_html import framed, message
 from .view_target import ViewTarget
 
 
 def facts(target: ViewTarget, obj: SceneObject) -> str:
-    """Return what an object is, weighs, was judged, and how each step moved it."""
+    """Return the properties of an object, the changes by each step, and its checks."""
     low, high = bounds(obj.spec, obj.joint_state)
     masses = [(part.name, inertial(obj.spec, part).mass) for part in obj.spec.parts]
     size = " x ".join(f"{100 * v:.1f}" for v in high - low)
-    stands = f"{obj.relation} {obj.parent}" if obj.parent else "the world"
+    support = f"{obj.relation} {obj.parent}" if obj.parent else "world"
     rows: list[Sequence[object]] = [
         ["label", obj.spec.label or "none"],
-        ["stands", stands + (", fixed" if obj.static else "")],
+        ["support", support + (", fixed" if obj.static else "")],
         ["size", f"{size} cm"],
         ["mass", f"{sum(mass for _, mass in masses):.3g} kg"],
     ]
@@ -48,13 +48,13 @@ def facts(target: ViewTarget, obj: SceneObject) -> str:
 def signals_of(built: BuildResult) -> str:
     """Return the signals of a build as HTML."""
     if not built.signals:
-        return told("Built: no signals.")
+        return message("Built: no signals.")
     rows = [[signal.severity, signal.phrase()] for signal in built.signals]
     return framed(elements.table(["", "signal"], rows))
 
 
 def crop_of(target: ViewTarget, name: str) -> NDArray | None:
-    """Return the part of the photograph that shows an object, uint8 [h, w, 3]."""
+    """Return the crop of an object in the photograph, uint8 [h, w, 3]."""
     if target.run is None or not (target.run / "tree.json").is_file():
         return None
     try:

@@ -1,4 +1,4 @@
-"""Text on the pages, as HTML in their style; what is not ours is escaped."""
+"""HTML of the pages' text; it is escaped."""
 
 from html import escape
 
@@ -11,10 +11,10 @@ STYLE = (
 
 
 def framed(*parts: str) -> str:
-    """Return HTML in the style of the page."""
+    """Return HTML parts in the style of the pages."""
     return f'{STYLE}<div class="nw">{"".join(parts)}</div>'
 
 
-def told(message: str, *, bad: bool = False) -> str:
-    """Return a line of plain text as HTML."""
-    return framed(f'<p class="{"fail" if bad else ""}">{escape(message)}</p>')
+def message(text: str, *, bad: bool = False) -> str:
+    """Return a line of plain text as HTML, in red if `bad`."""
+    return framed(f'<p class="{"fail" if bad else ""}">{escape(text)}</p>')

@@ -1,4 +1,4 @@
-"""Long work of a page: one job at a time, its log and its error shown in words."""
+"""Long jobs of a page: one at a time, with the last line of the log and the error on the page."""
 
 import logging
 import threading
@@ -6,42 +6,45 @@ from collections.abc import Callable
 from typing import Any
 
 from ...errors import NeoWorldError
-from .page_html import told
+from .page_html import message
 
-Tell = Callable[[str], None]
-"""Shows one line of text on the page."""
+ShowLine = Callable[[str], None]
+"""Shows a line of text on the page."""
 
 
-def work(busy: threading.Lock, shown: Any, job: Callable[[Tell], None]) -> None:
-    """Do a job unless another one is going on; show the lines of its log, and its error.
+def run_job(busy: threading.Lock, element: Any, job: Callable[[ShowLine], None]) -> None:
+    """Run a job unless another one is running; show its log and its error.
 
     Args:
-        busy: held while a job is done.
-        shown: element of the page that shows text.
-        job: called with what shows a line.
+        busy: lock that is held while a job runs.
+        element: element of the page that shows text.
+        job: the job; receives a function that shows a line of text.
     """
-    tell = lambda line: setattr(shown, "content", told(line))
+
+    def show_line(line: str) -> None:
+        element.content = message(line)
+
     if not busy.acquire(blocking=False):
-        tell("Still at work on what was asked before.")
+        show_line("Another job is still running.")
         return
-    page = _PageLog(tell)
+    page = _PageLog(show_line)
     package = logging.getLogger("neoworld_mjx")
     package.addHandler(page)
     try:
-        job(tell)
+        job(show_line)
     except NeoWorldError as error:
-        shown.content = told(str(error), bad=True)
+        element.content = message(str(error), bad=True)
     finally:
         package.removeHandler(page)
         busy.release()
 
 
 class _PageLog(logging.Handler):
-    """Shows the last line of the package's log."""
+    """Log handler that shows the last line of the package's log."""
 
-    def __init__(self, tell: Tell):
+    def __init__(self, show_line: ShowLine):
         super().__init__(logging.INFO)
-        self._tell = tell
+        self._show_line = show_line
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._tell(record.getMessage())
+        self._show_line(record.getMessage())

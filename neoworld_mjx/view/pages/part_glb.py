@@ -1,8 +1,8 @@
-"""A part of an object as one glTF mesh with a colour at every vertex: one draw call on the page.
+"""Export of an object part as one glTF mesh with vertex colors: one draw call on the page.
 
-A large scene is drawn with its light in its colours, and with fewer triangles where that does not
-show from where the photograph was taken: a browser without a GPU spends most of a frame on light
-and on triangles.
+In a large scene the vertex colors contain the lighting, and surfaces are simplified as far as the
+photograph's camera cannot resolve: a browser without a GPU spends most of a frame on lighting and
+triangles.
 """
 
 import json
@@ -19,34 +19,34 @@ from ...spec import ObjectSpec, PartSpec, SceneSpec
 from ...spec.pose import rotate
 
 LIT_TRIANGLES = 20_000
-"""Most triangles of a scene that is drawn with all of them, and lit by the browser."""
+"""Maximum number of triangles of a scene that the browser lights and draws unsimplified."""
 TOLERANCE = 5e-4
-"""Deviation of simplified surfaces as a share of the distance from the camera: a third of a pixel
+"""Deviation of simplified surfaces relative to the distance from the camera: a third of a pixel
 in a picture of 640 rows."""
 SKY, SUN, GROUND = 1.2, 3.0, 0.4
-"""Intensities of the page's lights: from all around, from above, and from below."""
+"""Intensities of the page's lights: ambient, from above, and from below."""
 TO_SUN = np.array([-0.19, -0.19, 0.96])
 SHEEN = 0.015
-"""Share of the light that a dielectric reflects without its colour."""
+"""Uncolored reflectance of a dielectric."""
 _GLTF, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
 _FLOAT, _UINT = 5126, 5125
 
 
 class Detail(NamedTuple):
-    """How much of a scene's surfaces the page draws."""
+    """Level of detail of a scene's surfaces."""
 
     tolerance: float = 0.0
     """Deviation of simplified surfaces [m]; 0 keeps every triangle."""
     lit: bool = True
-    """Whether the browser lights surfaces; else their colours hold the light."""
+    """True if the browser lights surfaces; otherwise vertex colors contain the lighting."""
 
 
 def detail_of(scene: SceneSpec, distance: float) -> Detail:
     """Return the detail at which a scene is drawn.
 
     Args:
-        scene: what is drawn.
-        distance: of the objects from the camera [m].
+        scene: the scene.
+        distance: distance of the objects from the camera [m].
     """
     count = sum(visible_triangles(part) for obj in scene.objects for part in obj.spec.parts)
     return Detail() if count <= LIT_TRIANGLES else Detail(TOLERANCE * distance, lit=False)
@@ -57,31 +57,31 @@ def part_glb(spec: ObjectSpec, part: PartSpec, quat: NDArray, detail: Detail) ->
 
     Args:
         spec: the object.
-        part: of it.
-        quat: orientation of the part's rest frame in the world; light comes from above.
-        detail: of the surfaces.
+        part: a part of the object.
+        quat: orientation of the part's rest frame in the world.
+        detail: level of detail.
 
     Returns:
-        None where the part shows nothing opaque.
+        None if the part has no opaque surface.
     """
     meshes = visible_meshes(spec, part, opaque=True, tolerance=detail.tolerance)
     if not meshes:
         return None
     normals = np.vstack([vertex_normals(mesh) for mesh in meshes])
-    colours = np.repeat(
+    colors = np.repeat(
         linear(np.array([mesh.rgb for mesh in meshes]) / 255),
         [len(mesh.vertices) for mesh in meshes],
         axis=0,
     )
     if not detail.lit:
-        colours = _light(rotate(quat, normals))[:, None] * ((1 - SHEEN) * colours + SHEEN)
+        colors = _light(rotate(quat, normals))[:, None] * ((1 - SHEEN) * colors + SHEEN)
     starts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
     faces = np.vstack([mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)])
-    return _glb(np.vstack([mesh.vertices for mesh in meshes]), normals, colours, faces, detail.lit)
+    return _glb(np.vstack([mesh.vertices for mesh in meshes]), normals, colors, faces, detail.lit)
 
 
 def vertex_normals(mesh: PartMesh) -> NDArray:
-    """Return unit normals [v, 3], means of the faces around each vertex by area."""
+    """Return unit normals [v, 3], the area-weighted mean of the adjacent faces."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(float) for k in range(3))
     areas = np.repeat(np.cross(b - a, c - a), 3, axis=0)
     index, count = mesh.faces.ravel(), len(mesh.vertices)
@@ -90,13 +90,13 @@ def vertex_normals(mesh: PartMesh) -> NDArray:
 
 
 def _light(normals: NDArray) -> NDArray:
-    """Return the light [n] that surfaces with normals [n, 3] in the world give back."""
+    """Return the brightness [n] of white surfaces with normals [n, 3] in the world."""
     sun = np.clip(normals @ (TO_SUN / np.linalg.norm(TO_SUN)), 0.0, None)
     return (SKY + SUN * sun + GROUND * np.clip(-normals[:, 2], 0.0, None)) / np.pi
 
 
-def _glb(vertices: NDArray, normals: NDArray, colours: NDArray, faces: NDArray, lit: bool) -> bytes:
-    arrays = [np.asarray(array, "<f4") for array in (vertices, normals, colours)]
+def _glb(vertices: NDArray, normals: NDArray, colors: NDArray, faces: NDArray, lit: bool) -> bytes:
+    arrays = [np.asarray(array, "<f4") for array in (vertices, normals, colors)]
     buffers = [array.tobytes() for array in (*arrays, faces.astype("<u4"))]
     starts = np.cumsum([0] + [len(buffer) for buffer in buffers]).tolist()
     accessors: list[dict[str, object]] = [

@@ -1,7 +1,7 @@
-"""The search on the page: the population of an iteration as ghosts, and terms by iteration."""
+"""Search on the page: candidates of an iteration as ghosts, and reward terms by iteration."""
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,38 +10,36 @@ from numpy.typing import NDArray
 from ...errors import NeoWorldError, RunError
 from ...render.part_meshes import visible_meshes
 from ...spec import SceneSpec
-from ..report.convergence import best_candidates, over_finite, term_histories
+from ..report.convergence import History, best_candidates, over_finite, term_histories
 
 GHOSTS = 24
-"""Most candidates shown at once: the best of them."""
+"""Maximum number of candidates that are drawn."""
 GOOD, POOR = np.array([40, 170, 90]), np.array([215, 120, 60])
-
-History = Mapping[str, NDArray]
 
 
 def ranked_candidates(history: History, iteration: int) -> NDArray:
-    """Return the candidates of an iteration that have a reward, the best first."""
+    """Return the candidates of an iteration with a finite reward, best first."""
     rewards = np.asarray(history["absolute"][iteration], float)
     order = np.argsort(-np.where(np.isfinite(rewards), rewards, -np.inf), kind="stable")
     return order[np.isfinite(rewards[order])]
 
 
 def show_ghosts(server: Any, scene: SceneSpec, history: History, iteration: int) -> int:
-    """Draw the best candidates of an iteration, see-through, from green (best) to orange.
+    """Draw the best candidates of an iteration transparently, from green (best) to orange.
 
-    Objects that every one of them leaves in place are not drawn.
+    Objects that no candidate moves are not drawn.
 
     Args:
-        server: of viser.
-        scene: the scene that the search began at.
-        history: of the search.
-        iteration: from 0.
+        server: the viser server.
+        scene: the initial scene of the search.
+        history: history of the search.
+        iteration: index from 0.
 
     Returns:
-        How many candidates are drawn.
+        The number of candidates drawn.
 
     Raises:
-        RunError: the history is of another scene.
+        RunError: the history belongs to another scene.
     """
     import jax
 
@@ -51,12 +49,12 @@ def show_ghosts(server: Any, scene: SceneSpec, history: History, iteration: int)
 
     names = [obj.name for obj in scene.objects]
     if [str(name) for name in history.get("object_names", names)] != names:
-        raise RunError("refine/history.npz is of another scene than compose/scene.json")
+        raise RunError("refine/history.npz does not belong to compose/scene.json")
     chosen = ranked_candidates(history, iteration)[:GHOSTS]
     xy, yaw, log_scale = (history[key][iteration][chosen] for key in ("xy", "yaw", "log_scale"))
     moved = np.abs(np.concatenate([xy, yaw[..., None], log_scale[..., None]], axis=2)) > 1e-5
-    share = np.linspace(0.0, 1.0, len(chosen))[:, None]
-    colours = np.round(GOOD + share * (POOR - GOOD)).astype(np.uint8)
+    rank = np.linspace(0.0, 1.0, len(chosen))[:, None]
+    colors = np.round(GOOD + rank * (POOR - GOOD)).astype(np.uint8)
     arrangement = arrange(snap(scene))
     layouts = Layout(
         xy=np.asarray(xy, float), yaw=np.asarray(yaw, float), log_scale=np.asarray(log_scale, float)
@@ -82,7 +80,7 @@ def show_ghosts(server: Any, scene: SceneSpec, history: History, iteration: int)
                     np.asarray(poses.quat[:, k], np.float32),
                     np.asarray(poses.pos[:, k], np.float32),
                     batched_scales=np.exp(np.asarray(log_scale[:, k], np.float32)),
-                    batched_colors=colours,
+                    batched_colors=colors,
                     opacity=0.18,
                     cast_shadow=False,
                     receive_shadow=False,
@@ -91,52 +89,54 @@ def show_ghosts(server: Any, scene: SceneSpec, history: History, iteration: int)
 
 
 def hide_ghosts(server: Any) -> None:
-    """Take the ghosts away."""
+    """Remove the ghosts."""
     server.scene.remove_by_name("/ghosts")
 
 
 class Ghosts:
-    """The ghosts on a page: what was asked last is shown, however fast controls are moved."""
+    """Ghosts on a page; the last request is shown, however fast controls move."""
 
-    def __init__(self, server: Any, tell: Callable[[str], None]):
-        """Begin without ghosts.
+    def __init__(self, server: Any, show_line: Callable[[str], None]):
+        """Create without ghosts.
 
         Args:
-            server: of viser.
-            tell: shows a line.
+            server: the viser server.
+            show_line: shows a line of text.
         """
-        self._server, self._tell = server, tell
+        self._server, self._show_line = server, show_line
         self._lock = threading.Lock()
-        self._wanted = self._shown = 0
+        self._requested = self._shown = 0
 
     def show(self, scene: SceneSpec, history: History | None, iteration: int) -> None:
-        """Show the population of an iteration, from 1; 0 shows none."""
-        self._wanted = iteration
+        """Show the candidates of an iteration, counted from 1; 0 shows none."""
+        self._requested = iteration
         with self._lock:
-            wanted = self._wanted
-            if wanted == self._shown:
+            requested = self._requested
+            if requested == self._shown:
                 return
-            self._shown = wanted
+            self._shown = requested
             hide_ghosts(self._server)
-            if not wanted or history is None:
+            if not requested or history is None:
                 return
-            wanted = min(wanted, len(history["absolute"]))
+            requested = min(requested, len(history["absolute"]))
             try:
-                count = show_ghosts(self._server, scene, history, wanted - 1)
+                count = show_ghosts(self._server, scene, history, requested - 1)
             except NeoWorldError as error:
-                self._tell(str(error))
+                self._show_line(str(error))
                 return
-            self._tell(f"iteration {wanted}: the best {count} candidates that were rolled out")
+            self._show_line(
+                f"iteration {requested}: the best {count} candidates that were rolled out"
+            )
 
     def forget(self) -> None:
-        """Take ghosts away: they are of a search that is no longer the last."""
+        """Remove the ghosts after a new search."""
         with self._lock:
-            self._wanted = self._shown = 0
+            self._requested = self._shown = 0
             hide_ghosts(self._server)
 
 
 def term_chart(server: Any, history: History) -> Any:
-    """Draw the terms of the best candidate, and the mean reward, by iteration."""
+    """Add a chart of the best candidate's reward terms, and of the mean reward, by iteration."""
     from viser import uplot
 
     best = best_candidates(history)
@@ -149,10 +149,10 @@ def term_chart(server: Any, history: History) -> Any:
     for term in term_histories(history):
         weight = abs(term.weight) if np.isfinite(term.weight) else 1.0
         lines.append((f"{term.name} x {weight:g}", term.raw[rows, best] * weight))
-    colours = ("#2a9d5c", "#9bc9ae", "#4287f5", "#d68c45", "#b854a8", "#7a6cdc", "#c4625a")
+    colors = ("#2a9d5c", "#9bc9ae", "#4287f5", "#d68c45", "#b854a8", "#7a6cdc", "#c4625a")
     series = [uplot.Series(label="iteration")]
     series += [
-        uplot.Series(label=label, stroke=colours[k % len(colours)], width=2)
+        uplot.Series(label=label, stroke=colors[k % len(colors)], width=2)
         for k, (label, _) in enumerate(lines)
     ]
     return server.gui.add_uplot(

@@ -1,4 +1,4 @@
-"""A rectangle that is dragged on the page, as a box in pixels of the photograph."""
+"""Selection of a rectangle on the page, as a box in pixels of the photograph."""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,12 +9,12 @@ from ...spec import Box2D, Camera
 from .annotation_drawing import pixel_of
 from .scene_nodes import look_through
 
-LEAST_PX = 2.0
-"""Shortest edge of a box."""
+MIN_EDGE_PX = 2.0
+"""Minimum edge of a box."""
 
 
 class RectanglePicker:
-    """Waits for one rectangle at a time."""
+    """Picker of one rectangle at a time."""
 
     def __init__(
         self,
@@ -22,18 +22,18 @@ class RectanglePicker:
         camera: Callable[[], Camera | None],
         picked: Callable[[Box2D | None], None],
     ):
-        """Wait for nothing yet.
+        """Create an inactive picker.
 
         Args:
-            server: of viser.
-            camera: returns the photograph's camera; None, where there is none, picks nothing.
-            picked: called with the box; None where it is too small.
+            server: the viser server.
+            camera: returns the photograph's camera, if any; without it, nothing is picked.
+            picked: receives the box, or None if it is too small.
         """
         self._server, self._camera, self._picked = server, camera, picked
         self._waiting = False
 
     def begin(self, client: Any) -> None:
-        """Take a client to the photograph's camera, and wait for its next rectangle."""
+        """Move a client to the photograph's camera, and take its next rectangle."""
         camera = self._camera()
         if camera is None:
             return
@@ -46,9 +46,10 @@ class RectanglePicker:
         def drawn(event: Any) -> None:
             self._server.scene.remove_rect_select_callback(drawn)
             self._waiting = False
-            view, now = event.client.camera, self._camera() or camera
-            low, high = (pixel_of(view, now, at) for at in (event.screen_min, event.screen_max))
-            if (np.asarray(high) - low < LEAST_PX).any():
+            view, current = event.client.camera, self._camera() or camera
+            corners = (event.screen_min, event.screen_max)
+            low, high = (pixel_of(view, current, corner) for corner in corners)
+            if (np.asarray(high) - low < MIN_EDGE_PX).any():
                 self._picked(None)
                 return
             x0, y0, x1, y1 = (round(float(v), 1) for v in (*low, *high))

@@ -1,4 +1,4 @@
-"""Changes by hand to the scene shown: poses and joint states, kept as a layout patch."""
+"""Edits of the shown scene by a person: poses, boxes and joint states, as a layout patch."""
 
 import math
 
@@ -18,14 +18,14 @@ from ...spec import (
 from ...spec.pose import Pose, from_yaw, pose, yaw_of
 
 FREE_RANGE = math.pi
-"""Range of a slider of a joint without limits, either way [rad]."""
+"""Limit of the slider of an unlimited joint, in both directions [rad]."""
 
 
 class SceneEditor:
-    """The scene as a person has changed it, and the changes."""
+    """The edited scene, and the edits."""
 
     def __init__(self, scene: SceneSpec, patch: LayoutPatch):
-        """Begin with a scene in which the patch is contained already."""
+        """Start with a scene that already includes the patch."""
         self.scene, self.patch = scene, patch
 
     def handle_pose(self, name: str) -> Pose:
@@ -34,12 +34,12 @@ class SceneEditor:
         return pose(at.pos, from_yaw(self._frame_yaw(name) + self.scene.object(name).yaw))
 
     def place(self, name: str, pos: ArrayLike, quat: ArrayLike) -> None:
-        """Put an object where its handle was dragged; the height stays that of its support.
+        """Move an object to the pose of its handle; its height stays that of its support.
 
         Args:
-            name: of the object.
-            pos: of the handle [3] m.
-            quat: of the handle (w, x, y, z); its heading counts.
+            name: name of the object.
+            pos: position of the handle [3] m.
+            quat: orientation of the handle (w, x, y, z), of which only the heading is used.
         """
         obj = self.scene.object(name)
         frame = self._frame(name)
@@ -55,12 +55,12 @@ class SceneEditor:
         self.patch = self.patch.merged(name, ObjectPlacement(joint_state={key: value}))
 
     def set_box(self, name: str, box: Box2D) -> None:
-        """Set an object's box in the photograph, which the search compares it with."""
+        """Set an object's box in the photograph, which the search compares with its projection."""
         self._replace(self.scene.object(name).model_copy(update={"box2d": box}))
         self.patch = self.patch.merged(name, ObjectPlacement(box2d=box))
 
     def snap(self) -> None:
-        """Set every object down on what is under it."""
+        """Snap every object onto its support."""
         from ...compose.compose import snap
 
         self.scene = snap(self.scene)
@@ -83,15 +83,15 @@ class SceneEditor:
 def joint_range(joint: JointSpec) -> tuple[float, float]:
     """Return the range of a joint's slider [rad or m]."""
     if joint.type == "ball":
-        most = joint.upper or FREE_RANGE
-        return -most, most
+        limit = joint.upper or FREE_RANGE
+        return -limit, limit
     if joint.type == "continuous":
         return -FREE_RANGE, FREE_RANGE
     return joint.lower, joint.upper
 
 
 def sliding_keys(obj: SceneObject) -> list[tuple[JointSpec, str]]:
-    """Return the joints of an object that can be set, with the keys of their values."""
+    """Return the settable joints of an object, with the keys of their values."""
     return [
         (joint, key)
         for joint in obj.spec.joints

@@ -1,4 +1,4 @@
-"""The scene on the page: a node for each part, its colliders, contacts, and the photograph."""
+"""Nodes of a scene on the page: parts, colliders, contacts, and the photograph."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -15,7 +15,7 @@ NEAR_M = 0.06
 """Distance of the photograph's plane in front of the camera [m]."""
 TOUCHING, DEEP = (70, 200, 90), (235, 60, 50)
 PENETRATION_M = 1e-3
-"""Depth from which on a contact is a penetration [m]."""
+"""Minimum depth of a penetration [m]."""
 CLEAR = 0.3
 """Opacity of objects while contacts are shown."""
 
@@ -24,7 +24,7 @@ PartPoses = dict[tuple[str, str], Pose]
 
 
 def part_poses(scene: SceneSpec) -> PartPoses:
-    """Return where a scene's own poses and joint states put each part."""
+    """Return the pose of each part for the scene's poses and joint states."""
     poses = world_poses(scene)
     return {
         (obj.name, part): poses[obj.name].then(moved)
@@ -33,23 +33,23 @@ def part_poses(scene: SceneSpec) -> PartPoses:
     }
 
 
-class ScenePage:
-    """The nodes of one scene on a page."""
+class SceneNodes:
+    """Nodes of one scene on a page."""
 
     def __init__(self, server: Any, picked: Callable[[str], None]):
-        """Begin with nothing on the page.
+        """Create without nodes.
 
         Args:
-            server: of viser.
-            picked: called with the name of an object that is clicked.
+            server: the viser server.
+            picked: receives the name of an object that is clicked.
         """
         self._server, self._picked = server, picked
         self._frames: dict[tuple[str, str], Any] = {}
         self._shown: PartPoses = {}
         self._visible: list[Any] = []
-        self._clear: list[Any] = []
+        self._transparent_copies: list[Any] = []
         self._clickable = self._surfaces = True
-        self._see_through = False
+        self._transparent = False
         self._pieces: list[Any] = []
         self._contacts: list[Any] = []
         self._photo: Any = None
@@ -57,7 +57,7 @@ class ScenePage:
         self.scene: SceneSpec | None = None
 
     def show(self, scene: SceneSpec) -> None:
-        """Put a scene in the place of the one before."""
+        """Replace the shown scene."""
         api = self._server.scene
         old = {} if self.scene is None else {obj.name: obj.spec for obj in self.scene.objects}
         new = {obj.name: obj.spec for obj in scene.objects}
@@ -65,12 +65,12 @@ class ScenePage:
             for key in [key for key in self._frames if old[key[0]] is not new.get(key[0])]:
                 self._frames.pop(key).remove()
                 self._shown.pop(key, None)
-            self._visible = [h for h in self._visible if self._is_there(h)]
+            self._visible = [h for h in self._visible if self._exists(h)]
             self.hide_pieces()
-            for node in self._clear:
-                if self._is_there(node):
+            for node in self._transparent_copies:
+                if self._exists(node):
                     node.remove()
-            self._clear = []
+            self._transparent_copies = []
             self.scene, kept, poses = scene, len(self._visible), part_poses(scene)
             detail = detail_of(scene, _distance(scene, poses))
             for obj in scene.objects:
@@ -91,7 +91,7 @@ class ScenePage:
             self._update_surfaces()
 
     def pose(self, poses: PartPoses) -> None:
-        """Move parts; those that stay cost nothing."""
+        """Move parts; those with an unchanged pose are skipped."""
         with self._server.atomic():
             for key, at in poses.items():
                 before = self._shown.get(key)
@@ -103,24 +103,24 @@ class ScenePage:
 
     @property
     def poses(self) -> PartPoses:
-        """Where the parts are shown."""
+        """Poses of the shown parts."""
         return dict(self._shown)
 
     def show_visible(self, visible: bool) -> None:
-        """Show or hide what is seen of the objects."""
+        """Show or hide the visible surfaces."""
         self._surfaces = visible
         self._update_surfaces()
 
-    def see_through(self, seen: bool) -> None:
-        """Make objects transparent, so that contacts inside of them show, or as they are."""
-        self._see_through = seen
+    def set_transparent(self, transparent: bool) -> None:
+        """Make objects transparent, so that contacts inside them are visible, or opaque again."""
+        self._transparent = transparent
         self._update_surfaces()
 
     def _update_surfaces(self) -> None:
-        """Show the surfaces, their transparent copies, or neither; copies are made when asked."""
-        clear = self._see_through and self._surfaces
+        """Show the surfaces, their transparent copies, or neither; create the copies on demand."""
+        clear = self._transparent and self._surfaces
         with self._server.atomic():
-            if clear and not self._clear and self.scene is not None:
+            if clear and not self._transparent_copies and self.scene is not None:
                 for obj in self.scene.objects:
                     for part in obj.spec.parts:
                         path = f"/scene/{obj.name}/{part.name}/clear"
@@ -128,14 +128,14 @@ class ScenePage:
                             mesh = mesh._replace(alpha=CLEAR)
                             node = _add_mesh(self._server.scene, f"{path}/{k}", mesh)
                             self._pickable(node, obj.name)
-                            self._clear.append(node)
+                            self._transparent_copies.append(node)
             for node in self._visible:
-                node.visible = self._surfaces and not self._see_through
-            for node in self._clear:
+                node.visible = self._surfaces and not self._transparent
+            for node in self._transparent_copies:
                 node.visible = clear
 
     def show_pieces(self) -> None:
-        """Show the convex pieces that collide, in colours."""
+        """Show the convex collision pieces, each in a color."""
         if self.scene is None or self._pieces:
             return
         with self._server.atomic():
@@ -148,56 +148,56 @@ class ScenePage:
                         self._pieces.append(node)
 
     def hide_pieces(self) -> None:
-        """Take the convex pieces away."""
+        """Remove the convex pieces."""
         for node in self._pieces:
-            if self._is_there(node):
+            if self._exists(node):
                 node.remove()
         self._pieces = []
 
     def show_contacts(self, points: NDArray, depths: NDArray, normals: NDArray) -> None:
-        """Mark contacts: green where two pieces touch, red where they overlap.
+        """Mark contacts: green if two pieces touch, red if they overlap.
 
         Args:
             points: [n, 3] m.
-            depths: overlap of each [n] m; negative is a gap.
+            depths: penetration depths [n] m; negative for gaps.
             normals: [n, 3].
         """
         self.hide_contacts()
         if not len(points):
             return
-        colours = np.where((depths > PENETRATION_M)[:, None], DEEP, TOUCHING).astype(np.uint8)
+        colors = np.where((depths > PENETRATION_M)[:, None], DEEP, TOUCHING).astype(np.uint8)
         size = 0.004 * self.extent()
-        # A line makes a contact visible that lies inside of both.
+        # A line makes contacts inside both objects visible.
         ends = np.stack([points, points + normals * np.maximum(depths, size)[:, None] * 4], axis=1)
         api = self._server.scene
         self._contacts = [
             api.add_point_cloud(
-                "/contacts/points", points, colours, point_size=size, point_shape="circle"
+                "/contacts/points", points, colors, point_size=size, point_shape="circle"
             ),
             api.add_line_segments(
                 "/contacts/lines",
                 ends,
-                np.repeat(colours[:, None], 2, axis=1),
+                np.repeat(colors[:, None], 2, axis=1),
                 thickness=3.0,
                 thickness_units="screen",
             ),
         ]
 
     def hide_contacts(self) -> None:
-        """Take the marks of contacts away."""
+        """Remove the marks of contacts."""
         for node in self._contacts:
             node.remove()
         self._contacts = []
 
     def extent(self) -> float:
-        """Return a length to draw marks by: the median distance of objects from the camera [m]."""
+        """Return the median distance of objects from the camera [m], which scales the marks."""
         return 1.0 if self.scene is None else _distance(self.scene, self._shown)
 
     def blend(self, camera: Camera, picture: NDArray, share: float) -> None:
-        """Lay the photograph over the scene, as seen from its camera.
+        """Blend the photograph over the scene, as seen from its camera.
 
         Args:
-            camera: of the photograph.
+            camera: camera of the photograph.
             picture: uint8 [h, w, 3].
             share: 0 shows the scene alone, 1 the photograph alone.
         """
@@ -218,10 +218,10 @@ class ScenePage:
         )
 
     def pickable(self, pickable: bool) -> None:
-        """Let objects be clicked or not; a handle behind a clickable object cannot be dragged."""
+        """Make objects clickable or not; a handle behind a clickable object cannot be dragged."""
         self._clickable = pickable
         with self._server.atomic():
-            for node in (*self._visible, *self._clear, *self._pieces):
+            for node in (*self._visible, *self._transparent_copies, *self._pieces):
                 node.remove_click_callback("all")
                 self._pickable(node, node.name.split("/")[2])
 
@@ -229,13 +229,13 @@ class ScenePage:
         if self._clickable:
             node.on_click(lambda _: self._picked(name))
 
-    def _is_there(self, node: Any) -> bool:
+    def _exists(self, node: Any) -> bool:
         _, _, obj, part, *_ = node.name.split("/")
         return (obj, part) in self._frames
 
 
 def look_through(client: Any, camera: Camera) -> None:
-    """Take a client to a photograph's camera, the whole picture in view."""
+    """Move a client to a photograph's camera, with the whole picture in view."""
     axes = camera.axes()
     view = client.camera
     window = view.image_width / max(view.image_height, 1)
@@ -251,12 +251,12 @@ def look_through(client: Any, camera: Camera) -> None:
 
 
 def look_at(client: Any, low: NDArray, high: NDArray) -> None:
-    """Take a client to where it sees a box [3], [3] m from its front, a little from above."""
-    centre = (low + high) / 2
-    away = 1.8 * float(np.linalg.norm(high - low)) * np.array([0.8, -0.45, 0.42])
+    """Move a client to a view of a box [3], [3] m from the front, slightly from above."""
+    center = (low + high) / 2
+    offset = 1.8 * float(np.linalg.norm(high - low)) * np.array([0.8, -0.45, 0.42])
     with client.atomic():
-        client.camera.position = centre + away
-        client.camera.look_at = centre
+        client.camera.position = center + offset
+        client.camera.look_at = center
 
 
 def _distance(scene: SceneSpec, poses: Mapping[tuple[str, str], Pose]) -> float:
@@ -270,7 +270,7 @@ def _add_glb(api: Any, path: str, glb: bytes) -> Any:
 
 
 def _add_mesh(api: Any, path: str, mesh: PartMesh) -> Any:
-    """Add a mesh; surfaces are closed, so that their insides need not be drawn."""
+    """Add a mesh of closed surfaces; back faces are not drawn."""
     return api.add_mesh_simple(
         path,
         mesh.vertices,
@@ -287,7 +287,7 @@ def _same(a: Pose, b: Pose) -> bool:
 
 
 def bounds_of(scene: SceneSpec, poses: Mapping[tuple[str, str], Pose]) -> tuple[NDArray, NDArray]:
-    """Return the corners of the box around all that is seen and not of the environment [m]."""
+    """Return the corners of the bounding box of all visible non-environment objects [m]."""
     points = [
         poses[obj.name, part.name].apply(mesh.vertices)
         for obj in scene.objects
@@ -295,5 +295,5 @@ def bounds_of(scene: SceneSpec, poses: Mapping[tuple[str, str], Pose]) -> tuple[
         for part in obj.spec.parts
         for mesh in visible_meshes(obj.spec, part)
     ]
-    every = np.concatenate(points)
-    return every.min(axis=0), every.max(axis=0)
+    vertices = np.concatenate(points)
+    return vertices.min(axis=0), vertices.max(axis=0)

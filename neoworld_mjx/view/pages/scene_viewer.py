@@ -17,12 +17,12 @@ from ...run_folder import Result
 from ...spec import Box2D
 from .annotation_drawing import CHOSEN, draw_box, hide_boxes
 from .joint_sliders import JointSliders
-from .page_html import told
-from .page_jobs import Tell, work
+from .page_html import message
+from .page_jobs import ShowLine, run_job
 from .population import Ghosts, term_chart
 from .rectangle_picker import RectanglePicker
 from .scene_editor import SceneEditor
-from .scene_nodes import ScenePage, bounds_of, look_at, look_through, part_poses
+from .scene_nodes import SceneNodes, bounds_of, look_at, look_through, part_poses
 from .view_target import ViewTarget, open_target
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class SceneViewer:
         """Put a target on the page.
 
         Args:
-            server: of viser.
+            server: the viser server.
             path: of what is shown, to read it again after a change.
             target: what is there.
             config: options of programs, and of the search of a scene without a run.
@@ -61,11 +61,11 @@ class SceneViewer:
         self._server, self._path, self._config = server, path, config
         self._busy, self._drawing = threading.Lock(), threading.Lock()
         self._target = target
-        self._stage = ScenePage(server, self.pick)
+        self._stage = SceneNodes(server, self.pick)
         self._fall: "FreeFall | None" = None
         self._handle: Any = None
         self._chart: Any = None
-        self._picked = ""
+        self._selected = ""
         self._rectangle = RectanglePicker(
             server, lambda: self._target.after.camera, self._set_photo_box
         )
@@ -117,7 +117,7 @@ class SceneViewer:
         self._drag.on_update(lambda _: self._toggle_drag())
         self._box = gui.add_button("Draw its box in the photograph")
         self._box.on_click(lambda event: self._begin_box(event.client))
-        self._facts = gui.add_html(told("Click an object, or choose one."))
+        self._facts = gui.add_html(message("Click an object, or choose one."))
         self._crop = gui.add_image(np.zeros((1, 1, 3), np.uint8), label="In the photograph")
         self._crop.visible = False
         self._text = gui.add_text("Program", "", multiline=True, visible=False)
@@ -134,7 +134,9 @@ class SceneViewer:
         gui.add_button(SEARCH).on_click(lambda _: self._search())
         gui.add_button("Take back what I moved").on_click(lambda _: self._take_back())
         self._log = gui.add_html("")
-        self._ghosts = Ghosts(self._server, lambda line: setattr(self._log, "content", told(line)))
+        self._ghosts = Ghosts(
+            self._server, lambda line: setattr(self._log, "content", message(line))
+        )
         self._charts = gui.add_folder("Rewards")
 
     # What is shown.
@@ -156,8 +158,8 @@ class SceneViewer:
         self._load_history()
         self._show_colliders()
         names = [obj.name for obj in target.after.objects]
-        if self._picked in names:
-            self.pick(self._picked)
+        if self._selected in names:
+            self.pick(self._selected)
         elif len(names) == 1:
             self.pick(names[0])
 
@@ -212,7 +214,7 @@ class SceneViewer:
                 self._stage.hide_pieces()
 
     def _toggle_contacts(self) -> None:
-        self._stage.see_through(self._contacts.value)
+        self._stage.set_transparent(self._contacts.value)
         self._show_contacts()
 
     def _show_contacts(self) -> None:
@@ -225,7 +227,7 @@ class SceneViewer:
         contacts = fall.contacts()
         self._stage.show_contacts(contacts.points, contacts.depths, contacts.normals)
         if not fall.playing:
-            self._status.content = told(contacts.summary())
+            self._status.content = message(contacts.summary())
 
     def _move_joint(self, name: str, key: str, value: float) -> None:
         self._drop_fall()
@@ -242,7 +244,7 @@ class SceneViewer:
             try:
                 self._fall = FreeFall(self._editor.scene, self._show_frame)
             except (NeoWorldError, ValueError) as error:
-                self._status.content = told(f"MuJoCo cannot simulate it: {error}", bad=True)
+                self._status.content = message(f"MuJoCo cannot simulate it: {error}", bad=True)
         return self._fall
 
     def _drop_fall(self) -> None:
@@ -270,7 +272,7 @@ class SceneViewer:
 
     def _show_frame(self, fall: "FreeFall") -> None:
         self._stage.pose(fall.poses())
-        self._status.content = told(f"{fall.seconds:.2f} s simulated")
+        self._status.content = message(f"{fall.seconds:.2f} s simulated")
         if self._contacts.value:
             self._show_contacts()
 
@@ -278,10 +280,10 @@ class SceneViewer:
         fall = self._falling()
         towards = math.radians(self._towards.value)
         velocity = self._speed.value * np.array([math.cos(towards), math.sin(towards), 0.0])
-        if not self._picked:
-            self._status.content = told("Pick an object first: click it.")
-        elif fall is not None and not fall.push(self._picked, velocity):
-            self._status.content = told(f"{self._picked} is fixed.")
+        if not self._selected:
+            self._status.content = message("Pick an object first: click it.")
+        elif fall is not None and not fall.push(self._selected, velocity):
+            self._status.content = message(f"{self._selected} is fixed.")
 
     # One object.
 
@@ -291,9 +293,9 @@ class SceneViewer:
         from .object_facts import crop_of, facts
 
         if name not in {obj.name for obj in self._editor.scene.objects}:
-            self._picked = ""
+            self._selected = ""
             return
-        self._picked = name
+        self._selected = name
         if self._chooser.value != name:
             self._chooser.value = name
         self._facts.content = facts(self._target, self._editor.scene.object(name))
@@ -316,12 +318,14 @@ class SceneViewer:
         if self._handle is not None:
             self._handle.remove()
             self._handle = None
-        if not (self._drag.value and self._picked):
+        if not (self._drag.value and self._selected):
             return
-        if self._editor.scene.object(self._picked).environment:
-            self._facts.content = told(f"{self._picked} is a support of the environment: it stays.")
+        if self._editor.scene.object(self._selected).environment:
+            self._facts.content = message(
+                f"{self._selected} is a support of the environment: it stays."
+            )
             return
-        at, name = self._editor.handle_pose(self._picked), self._picked
+        at, name = self._editor.handle_pose(self._selected), self._selected
         low, high = bounds_of(self._editor.scene, self._stage.poses)
         self._handle = self._server.scene.add_transform_controls(
             "/handle",
@@ -343,43 +347,45 @@ class SceneViewer:
         self._stage.pose(part_poses(self._editor.scene))
 
     def _begin_box(self, client: Any) -> None:
-        if not self._picked:
-            self._facts.content = told("Pick an object first: click it, or choose it.")
+        if not self._selected:
+            self._facts.content = message("Pick an object first: click it, or choose it.")
             return
         self._blend.value = max(self._blend.value, 0.6)
         self._show_photo()
-        self._signals.content = told(f"Drag a rectangle around all that is seen of {self._picked}.")
+        self._signals.content = message(
+            f"Drag a rectangle around all that is seen of {self._selected}."
+        )
         self._rectangle.begin(client)
 
     def _set_photo_box(self, box: Box2D | None) -> None:
-        if box is None or not self._picked:
-            self._signals.content = told("That box is too small: draw it again.", bad=True)
+        if box is None or not self._selected:
+            self._signals.content = message("That box is too small: draw it again.", bad=True)
             return
-        self._editor.set_box(self._picked, box)
+        self._editor.set_box(self._selected, box)
         self._show_photo_box()
-        self._signals.content = told(f"The search follows this box: {SEARCH}, on its tab.")
+        self._signals.content = message(f"The search follows this box: {SEARCH}, on its tab.")
 
     def _show_photo_box(self) -> None:
         """Show the box of the object picked while the photograph is shown."""
         camera = self._editor.scene.camera
-        obj = next((o for o in self._editor.scene.objects if o.name == self._picked), None)
+        obj = next((o for o in self._editor.scene.objects if o.name == self._selected), None)
         shown = obj is not None and self._blend.visible and self._blend.value > 0
         hide_boxes(self._server)
         if shown and camera is not None and obj is not None and obj.box2d is not None:
             draw_box(self._server, camera, obj.name, obj.box2d, CHOSEN)
 
     def _rebuild(self) -> None:
-        work(self._busy, self._signals, self._build_again)
+        run_job(self._busy, self._signals, self._build_again)
 
-    def _build_again(self, tell: Tell) -> None:
+    def _build_again(self, show_line: ShowLine) -> None:
         from ...program import build
         from .object_facts import signals_of
 
-        name, text = self._picked, self._text.value
+        name, text = self._selected, self._text.value
         program = self._target.program_of(name)
         if program is None:
             return
-        tell("building ...")
+        show_line("building ...")
         if self._target.run is not None:
             built, result = self._rebuild_object(self._target.run, name, text)
             self._reload(result)
@@ -402,12 +408,12 @@ class SceneViewer:
 
     def _search(self) -> None:
         self._drop_fall()
-        work(self._busy, self._log, self._search_on)
+        run_job(self._busy, self._log, self._search_on)
 
-    def _search_on(self, tell: Tell) -> None:
+    def _search_on(self, show_line: ShowLine) -> None:
         from ...refinement import refine
 
-        tell("searching ...")
+        show_line("searching ...")
         if self._target.run is not None:
             self._reload(self._search_again(self._target.run, self._editor.patch))
             return
@@ -420,12 +426,12 @@ class SceneViewer:
             said += f"; {self._target.scene_file.name} is the new scene"
             self._target = open_target(self._path, self._config)
             self._load()
-        self._log.content = told(said, bad=not refined.passed)
+        self._log.content = message(said, bad=not refined.passed)
 
     def _take_back(self) -> None:
-        work(self._busy, self._log, self._without_patch)
+        run_job(self._busy, self._log, self._without_patch)
 
-    def _without_patch(self, tell: Tell) -> None:
+    def _without_patch(self, show_line: ShowLine) -> None:
 
         had, self._editor.patch = self._editor.patch, LayoutPatch()
         if self._target.run is not None and had.objects:
@@ -437,4 +443,4 @@ class SceneViewer:
         if result is not None:
             self._target = open_target(self._path, self._config)
             self._load()
-            self._log.content = told(repr(result), bad=result.passed is False)
+            self._log.content = message(repr(result), bad=result.passed is False)

@@ -1,4 +1,4 @@
-"""What `neoworld view` opens: a run folder, a scene, an object or a program."""
+"""Target of `neoworld view`: a run folder, a scene, an object or a program."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,42 +16,42 @@ from ...run_folder import refuse_links
 from ...spec import ObjectSpec, SceneObject, SceneSpec, read_scene
 
 OBJECT_FILES = (".urdf", ".xml", ".mjcf")
-"""Suffixes of files that contain an object."""
+"""Suffixes of object files."""
 SHOWN_PX = 1024
 """Longest side of the photograph on the page, in pixels."""
-HISTORY_PLACE = "refine/history.npz"
+HISTORY = "refine/history.npz"
 
 
 @dataclass(frozen=True)
 class ViewTarget:
-    """A scene with what is known about it."""
+    """A scene and the files that belong to it."""
 
     title: str
     after: SceneSpec
-    """The scene: refined, where there was a search."""
+    """The scene; the refined one if a search has run."""
     before: SceneSpec | None = None
-    """The scene before the search; None where only one is known."""
+    """The scene before the search, if any."""
     run: Path | None = None
-    """Folder of the run that the scene is of."""
+    """Run folder of the scene, if any."""
     scene_file: Path | None = None
-    """The scene.json, where it is no part of a run."""
+    """The scene.json, if it is not part of a run."""
     program: Path | None = None
-    """The program, where it is no part of a run."""
+    """The program, if it is not part of a run."""
     picture: NDArray | None = None
     """The photograph, uint8 [h, w, 3]."""
 
     def history(self) -> dict[str, Any] | None:
-        """Read the history of the search; None if there is none.
+        """Read the history of the search, if there is one.
 
         Raises:
             RunError: the file is damaged.
         """
-        if self.run is None or not (self.run / HISTORY_PLACE).is_file():
+        if self.run is None or not (self.run / HISTORY).is_file():
             return None
-        return read_arrays(self.run / HISTORY_PLACE, RunError)
+        return read_arrays(self.run / HISTORY, RunError)
 
     def program_of(self, name: str) -> Path | None:
-        """Return the file of an object's program; None where it is not known."""
+        """Return the file of an object's program, if known."""
         if self.program is not None:
             return self.program
         home = self.home_of(name)
@@ -59,7 +59,7 @@ class ViewTarget:
         return path if path is not None and path.is_file() else None
 
     def home_of(self, name: str) -> Path | None:
-        """Return the folder of an object's files; None if there is none."""
+        """Return the folder of an object's files, if it exists."""
         base = self.run or (None if self.scene_file is None else self.scene_file.parent)
         home = None if base is None else base / "objects" / name
         return home if home is not None and home.is_dir() else None
@@ -69,50 +69,50 @@ def open_target(path: Path, config: Config) -> ViewTarget:
     """Read a run folder, a scene.json, an object's folder, a URDF or MJCF file, or a program.
 
     Raises:
-        SpecError: there is nothing of these at the path, or it cannot be read.
-        ProgramError: the program gives no object.
+        SpecError: the path contains none of these, or cannot be read.
+        ProgramError: the program builds no object.
         RunError: the run folder holds links or damaged files.
     """
     if path.is_dir():
         refuse_links(path)
         if (path / "run.json").is_file():
-            return _of_run(path)
+            return _run_target(path)
         for name in ("scene.json", "program.py", "verified.json", "spec.json"):
             if (path / name).is_file():
                 return open_target(path / name, config)
         raise SpecError(
-            f"{path} is no run folder and holds no scene.json, program.py or spec.json: name a "
+            f"{path} is not a run folder and contains no scene.json, program.py or spec.json: name a "
             "run folder, a scene.json, a program (.py), or a URDF or MJCF file"
         )
-    of_spec = path.name in ("spec.json", "verified.json")
-    if of_spec or path.suffix == ".py" or path.suffix.lower() in OBJECT_FILES:
+    is_spec = path.name in ("spec.json", "verified.json")
+    if is_spec or path.suffix == ".py" or path.suffix.lower() in OBJECT_FILES:
         from ...verify.checking import object_of_file
 
         spec = object_of_file(path, config.program)
         program = path if path.suffix == ".py" else None
-        return ViewTarget(spec.name if of_spec else path.name, alone(spec), program=program)
+        return ViewTarget(spec.name if is_spec else path.name, alone(spec), program=program)
     if path.exists() and path.suffix != ".json":
         raise SpecError(
             f"{path}: expected a run folder, a scene.json, an object's folder, a program (.py), a "
             "URDF or an MJCF file"
         )
     scene = read_scene(path)
-    around = (path.parent, path.parent.parent) if path.parent.name == "compose" else (path.parent,)
-    picture = next((p for folder in around if (p := _picture(folder)) is not None), None)
+    folders = (path.parent, path.parent.parent) if path.parent.name == "compose" else (path.parent,)
+    picture = next((p for folder in folders if (p := _picture(folder)) is not None), None)
     return ViewTarget(path.name, scene, scene_file=path, picture=picture)
 
 
 def alone(spec: ObjectSpec) -> SceneSpec:
-    """Return a scene of one object on the floor, which stays where it is."""
+    """Return a scene with one object, fixed on the floor."""
     return SceneSpec(objects=(SceneObject(name=spec.name, spec=spec, fixed_base=True),))
 
 
-def _of_run(folder: Path) -> ViewTarget:
+def _run_target(folder: Path) -> ViewTarget:
     composed, refined = folder / "compose" / "scene.json", folder / "scene.json"
     scenes = [read_scene(path) for path in (composed, refined) if path.is_file()]
     if not scenes:
         raise SpecError(
-            f"{folder} has no scene yet: go on with reconstruct --resume, or view one of its "
+            f"{folder} has no scene yet: continue with reconstruct --resume, or view one of its "
             "objects, such as objects/NAME"
         )
     return ViewTarget(
@@ -125,7 +125,7 @@ def _of_run(folder: Path) -> ViewTarget:
 
 
 def _picture(folder: Path) -> NDArray | None:
-    """Return the photograph of a run at the size of the page; None if there is none."""
+    """Return the photograph of a run, reduced for the page; None if it is missing."""
     path = folder / "photo.png"
     if not path.is_file():
         return None
@@ -137,7 +137,7 @@ def _picture(folder: Path) -> NDArray | None:
 
 
 def shown_picture(rgb: NDArray) -> NDArray:
-    """Return a picture no larger than the page needs, uint8 [h, w, 3]."""
+    """Return a picture of at most `SHOWN_PX` per side, uint8 [h, w, 3]."""
     image = Image.fromarray(rgb)
     image.thumbnail((SHOWN_PX, SHOWN_PX))
     return np.asarray(image)

@@ -1,0 +1,44 @@
+"""Programs of annotated objects, from templates and simple shapes."""
+
+from ..templates import template
+from .annotation import KEPT, MODEL, SHAPES, AnnotatedObject
+
+RGB = tuple[float, float, float]
+_LATHE = "body.add(lathe([(0, 0), ({inner!r}, 0), ({r!r}, {z!r})], thickness={wall!r}))"
+_CALLS = {
+    "box": ("box", "body.add(box(({x!r}, {y!r}, {z!r})), by='bottom')"),
+    "cylinder": ("cylinder", "body.add(cylinder({r!r}, {z!r}), by='bottom')"),
+    "ball": ("sphere", "body.add(sphere({r!r}), by='bottom')"),
+    "bowl": ("lathe", _LATHE),
+    "cup": ("lathe", _LATHE),
+}
+"""SDK function of each shape, and the line of its program."""
+
+
+def program_of(obj: AnnotatedObject, size: tuple[float, float, float], rgb: RGB) -> str | None:
+    """Return the program of an annotated object; None if it has none or a model writes it.
+
+    Args:
+        obj: the object.
+        size: edges of its box [m].
+        rgb: its color, 0 to 1.
+    """
+    if obj.kind in (MODEL, KEPT) or obj.support:
+        return None
+    if obj.kind not in SHAPES:
+        chosen = template(obj.kind)
+        return chosen.program(dict(chosen.of_box(size)))
+    x, y, z = (round(v, 4) for v in size)
+    r = round(min(x, y) / 2, 4)
+    wall = round(min(max(0.06 * r, 0.002), 0.6 * r, 0.4 * z), 4)
+    inner = round((0.5 if obj.kind == "bowl" else 0.75) * r, 4)
+    red, green, blue = (round(v, 3) for v in rgb)
+    function, line = _CALLS[obj.kind]
+    return (
+        f"from neoworld_mjx.program.sdk import Object, {function}\n\n"
+        f'thing = Object("{obj.name}")\n'
+        f'look = thing.material("{obj.material}_seen", like="{obj.material}", '
+        f"rgb=({red}, {green}, {blue}))\n"
+        'body = thing.part("body", material=look)\n'
+        f"{line.format(x=x, y=y, z=z, r=r, wall=wall, inner=inner)}\n"
+    )

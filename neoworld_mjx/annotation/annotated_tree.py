@@ -1,0 +1,197 @@
+"""Scene tree of an annotation.
+
+The 2D box of an object, the camera and the height of its support leave its depth along the view
+undetermined. The kind of the object determines it: a template has a ratio of depth to width, shapes
+are as deep as wide, and a known size is used unchanged.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from ..errors import SpecError
+from ..spec import Box2D, Box3D, Camera, Cues, SceneTree, TreeNode
+from ..spec.forest import parents_first
+from ..spec.pose import from_yaw, rotate
+from ..templates import template
+from ..templates.template import BOX
+from .annotation import GROUND, KEPT, MODEL, SHAPES, AnnotatedObject, Annotation
+
+THICKNESS_M = 0.03
+"""Thickness of the ground [m]."""
+_MIN_EDGE_M, _MAX_DISTANCE_M = 0.004, 100.0
+
+
+def annotated_tree(annotation: Annotation) -> SceneTree:
+    """Return the scene tree that an annotation describes.
+
+    Raises:
+        SpecError: there is no object, a box lies above the horizon, or the tree is invalid.
+    """
+    if not annotation.objects:
+        raise SpecError("the annotation has no object: draw a box first")
+    camera = annotation.camera
+    by_name = {obj.name: obj for obj in annotation.objects}
+    boxes: dict[str, Box3D] = {}
+    for name in parents_first(annotation.parents()):
+        obj = by_name[name]
+        level = 0.0
+        if obj.parent != GROUND:
+            parent = boxes[obj.parent]
+            inside = obj.relation == "in" or by_name[obj.parent].kind == "bowl"
+            level = parent.position[2] + (0.0 if inside else parent.size[2])
+        boxes[name] = placed_box(obj, camera, level)
+    nodes = [_ground(annotation, list(boxes.values()))]
+    nodes += [
+        TreeNode(
+            name=obj.name,
+            label=obj.label or obj.name,
+            parent=obj.parent,
+            relation=obj.relation,
+            environment=obj.support,
+            fixed_base=obj.fixed_base,
+            box2d=obj.box,
+            box3d=boxes[obj.name],
+            articulation=obj.parts,
+            cues=Cues(known_size=("x", "y", "z") if obj.size else ()),
+        )
+        for obj in annotation.objects
+    ]
+    try:
+        return SceneTree(camera=camera, nodes=tuple(nodes))
+    except ValueError as error:
+        raise SpecError(f"the annotation: {error}") from None
+
+
+def placed_box(obj: AnnotatedObject, camera: Camera, level: float) -> Box3D:
+    """Return the 3D box of an object whose projection fills its 2D box.
+
+    Args:
+        obj: the object.
+        camera: camera of the photograph.
+        level: height of its support surface [m].
+
+    Raises:
+        SpecError: the lower edge of its 2D box is above the horizon of the support surface.
+    """
+    left, top, right, bottom = obj.box.as_tuple()
+    ray = camera.rays([(left + right) / 2, bottom])
+    drop = camera.height - level
+    if ray[2] >= -1e-3 or drop <= 0 or drop / -ray[2] > _MAX_DISTANCE_M:
+        raise SpecError(
+            f"object {obj.name}: the lower edge of its box is above the horizon of its parent: "
+            "draw the box again, or increase the pitch of the camera"
+        )
+    foot = camera.position() + ray * (drop / -ray[2])
+    _, depth = camera.project(foot)
+    scale = float(depth) / camera.focal
+    yaw = math.radians(obj.yaw_deg)
+    ratio = _depth_ratio(obj)
+    width, height = (
+        max((right - left) * scale, _MIN_EDGE_M),
+        max((bottom - top) * scale, _MIN_EDGE_M),
+    )
+    direction = foot[:2] / max(float(np.linalg.norm(foot[:2])), 1e-6)
+    target = np.array([left, top, right, bottom])
+    known = None if obj.size is None else np.array(obj.size)
+
+    def box(u: NDArray) -> tuple[NDArray, NDArray]:
+        size = known
+        if size is None:
+            size = np.exp(u[2]) * np.array([ratio, 1.0, np.exp(u[3])])
+        return np.array([u[0], u[1], level]), size
+
+    def residuals(u: NDArray) -> NDArray:
+        position, size = box(u)
+        pixels, depths = camera.project(_outline(obj.kind, size, yaw) + position)
+        if (depths <= 1e-3).any():
+            return np.full(len(u), 1e4)
+        projected = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+        error = (projected - target) / max(right - left, bottom - top)
+        # With a known size only the position is unknown, otherwise also width and height.
+        return error if known is None else np.array([error[[0, 2]].sum(), error[3]])
+
+    center = foot[:2] + direction * width / 2
+    shape = [] if known is not None else [np.log(width), np.log(0.5 * height / width)]
+    initial = np.array([*center, *shape])
+    solution = least_squares(residuals, initial, x_scale="jac", max_nfev=200)
+    position, size = box(solution.x)
+    x, y, z = (float(round(max(v, _MIN_EDGE_M), 5)) for v in size)
+    return Box3D(
+        position=(round(float(position[0]), 5), round(float(position[1]), 5), level),
+        size=(x, y, z),
+        yaw=yaw,
+    )
+
+
+def opened_annotation(tree: SceneTree) -> Annotation:
+    """Return the annotation of an existing scene tree.
+
+    Its objects keep their sizes and programs; supports of the environment other than the lowest
+    become supports on the ground.
+    """
+    ground = next((n for n in tree.top_down() if n.environment), None)
+    others = {n.name for n in tree.nodes if n is not ground} - {GROUND}
+    objects = tuple(
+        AnnotatedObject(
+            name=n.name,
+            label=n.label[:100],
+            kind=KEPT,
+            box=n.box2d,
+            parent=n.parent if n.parent in others else GROUND,
+            relation=n.relation,
+            support=n.environment,
+            fixed_base=n.fixed_base,
+            size=n.box3d.size,
+            yaw_deg=math.degrees(math.remainder(n.box3d.yaw, 2 * math.pi)),
+            parts=n.articulation,
+        )
+        for n in tree.top_down()
+        if n is not ground
+    )
+    return Annotation(camera=tree.camera, objects=objects)
+
+
+def _depth_ratio(obj: AnnotatedObject) -> float:
+    """Return the ratio of depth to width."""
+    if obj.kind in (*SHAPES, MODEL, KEPT):
+        return 1.0
+    depth, width, _ = (float(template(obj.kind).parameters[name].default) for name in BOX)
+    return depth / width
+
+
+def _outline(kind: str, size: NDArray, yaw: float) -> NDArray:
+    """Return points [n, 3] on the silhouette of an object at the origin."""
+    if kind in ("cylinder", "ball", "bowl", "cup"):
+        angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+        ring = np.column_stack([np.cos(angle), np.sin(angle)]) * size[:2] / 2
+        low = {"bowl": 0.5, "cup": 0.75, "ball": 0.7}.get(kind, 1.0)
+        rings = [(low, 0.0), (1.0, 0.5 if kind == "ball" else 1.0)]
+        rings += [(low, 1.0)] if kind == "ball" else []
+        local = np.concatenate(
+            [np.column_stack([ring * r, np.full(24, h * size[2])]) for r, h in rings]
+        )
+    else:
+        corners = [(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)]
+        local = np.array(corners) * size
+    return rotate(from_yaw(yaw), local)
+
+
+def _ground(annotation: Annotation, boxes: list[Box3D]) -> TreeNode:
+    """Return the support at z = 0, sized to the objects on it."""
+    camera = annotation.camera
+    corners = np.concatenate([box.corners()[:, :2] for box in boxes])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    margin = 0.6 * float(np.max(high - low)) + 0.02
+    x, y = (high - low + 2 * margin).round(4).tolist()
+    cx, cy = ((low + high) / 2).round(4).tolist()
+    whole = Box2D(x0=0, y0=0, x1=camera.width, y1=camera.height_px)
+    return TreeNode(
+        name=GROUND,
+        label=annotation.ground,
+        environment=True,
+        box2d=whole,
+        box3d=Box3D(position=(cx, cy, -THICKNESS_M), size=(x, y, THICKNESS_M)),
+    )
