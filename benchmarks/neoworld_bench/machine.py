@@ -1,4 +1,4 @@
-"""The machine that figures are measured on, its load, and the peak memory."""
+"""Description of the machine, its load and the peak memory."""
 
 import os
 import platform
@@ -42,11 +42,11 @@ class Others:
     """Mean number of cores that other processes keep busy, from its creation on."""
 
     def __init__(self) -> None:
-        """Begin to measure."""
+        """Start measuring."""
         self._began = self._now()
 
     def cores(self) -> float | None:
-        """Return the mean so far; None where the system does not report it."""
+        """Return the mean so far; None if the system does not report it."""
         if self._began is None or (now := self._now()) is None:
             return None
         wall, busy, own = (b - a for a, b in zip(self._began, now, strict=True))

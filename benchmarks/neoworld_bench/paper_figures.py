@@ -1,4 +1,4 @@
-"""Results that the paper reports of images, judgements and joints, on its own scenes and objects."""
+"""Results of the paper on its own scenes and objects: images, judgements, surfaces and joints."""
 
 Rows = dict[str, tuple[float | None, ...]]
 
@@ -65,7 +65,7 @@ PAPER_JOINTS = _table(
         "NeoWorld-Pro": (245, 268, 216, 0.1183, 0.1878, 28.52, 0.19),
     },
 )
-"""Joints, decided by paired videos; miss = 1 - hits / total, and "type_error" is over all joints."""
+"""Joints, decided by paired videos; miss = 1 - hits / total, "type_error" is over all joints."""
 
 
 def of_scenes(*measures: str) -> dict[str, dict[str, dict[str, float]]]:

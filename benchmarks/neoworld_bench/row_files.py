@@ -1,4 +1,4 @@
-"""Rows kept in Parquet files as they are made, and the processes that make them."""
+"""Parquet files of rows, and processes that compute rows."""
 
 import os
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
@@ -20,10 +20,10 @@ Made = TypeVar("Made")
 
 
 class RowFile(Generic[R]):
-    """Rows of one kind, in a file that is written with every row that comes; None keeps no file."""
+    """Rows of one kind, in a file that is rewritten with every new row; None stores no file."""
 
     def __init__(self, file: Path | None, kind: type[R], key: Callable[[R], Hashable]) -> None:
-        """Read the rows that are there; the folder is made.
+        """Read existing rows, and create the folder.
 
         Raises:
             RunError: the folder cannot be made, or the file cannot be read.
@@ -41,7 +41,7 @@ class RowFile(Generic[R]):
             raise RunError(f"cannot make {file.parent}: {error.strerror}") from None
 
     def put(self, rows: Sequence[R], *, in_place_of: Hashable) -> None:
-        """Put rows in, in place of those of a key.
+        """Add rows in place of those with a key.
 
         Raises:
             RunError: the file cannot be written.
@@ -63,7 +63,7 @@ def stored_rows(file: Path, kind: type[R]) -> list[R]:
 
 
 def check_level(kept: RowFile[Any], noise: str) -> None:
-    """Raise a RunError if a file has rows, each with its `noise`, of another level of noise."""
+    """Raise a RunError if a file has rows with another noise level."""
     for other in sorted({row.noise for row in kept.rows} - {noise}):
         raise RunError(
             f"{kept.file} has rows of --noise {other}: take another folder for --noise {noise}"
@@ -71,7 +71,7 @@ def check_level(kept: RowFile[Any], noise: str) -> None:
 
 
 def sized(workers: int) -> tuple[int, int]:
-    """Return a number of processes, one for every two cores if it is 0, and the threads of each."""
+    """Return the number of processes, one for every two cores if 0, and the threads of each."""
     cores = os.cpu_count() or 1
     workers = workers or max(1, cores // 2)
     return workers, max(1, cores // workers)
@@ -80,7 +80,7 @@ def sized(workers: int) -> tuple[int, int]:
 def made_by_jobs(
     work: Callable[[Job], Iterable[Made]], jobs: Sequence[Job], workers: int
 ) -> Iterator[Made]:
-    """Do jobs in processes of their own, and yield what comes of them as each is done.
+    """Run jobs in separate processes, and yield results as they complete.
 
     Args:
         work: what to do, a function of a module; with one worker it is done here.

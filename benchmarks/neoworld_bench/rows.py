@@ -1,4 +1,4 @@
-"""Rows of a benchmark: log each as soon as it is measured, and turn them into JSON."""
+"""Rows of a benchmark: logging and conversion to JSON."""
 
 import logging
 from collections.abc import Iterable
@@ -19,7 +19,7 @@ _Row = TypeVar("_Row", bound=BaseModel)
 
 
 def collect(rows: Iterable[_Row]) -> list[_Row]:
-    """Measure all rows, and log each as soon as it is there."""
+    """Return all rows, and log each as soon as it is known."""
     collected = []
     for row in rows:
         collected.append(row)
@@ -29,7 +29,7 @@ def collect(rows: Iterable[_Row]) -> list[_Row]:
 
 
 def column_types(row: type[BaseModel]) -> dict[str, type]:
-    """Return the columns of a kind of row with their plain types: bool, int, float or str."""
+    """Return the columns of a kind of row with their types: bool, int, float or str."""
     return {
         name: next(
             kind for kind in (bool, int, float, str) if field.annotation in (kind, kind | None)

@@ -8,31 +8,31 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
-from neoworld_mjx.errors import BudgetError, MissingAnswerError, ModelError, RunError
+from neoworld_mjx.errors import BudgetError, MissingResponseError, ModelError, RunError
 from neoworld_mjx.io.files import write_atomic
-from neoworld_mjx.mllm import Answer, Panel, Picture, Request
+from neoworld_mjx.mllm import Panel, Picture, Request, Response
 
 T = TypeVar("T", bound=BaseModel)
 ANSWERS = "answers.json"
 
 
-def answers_to(models: Panel, requests: Sequence[Request[T]]) -> list[Answer[T] | ModelError]:
+def answers_to(models: Panel, requests: Sequence[Request[T]]) -> list[Response[T] | ModelError]:
     """Ask requests side by side; a refusal or a response that does not fit is its error.
 
     Raises:
         BudgetError: the cost cap is reached.
-        MissingAnswerError: a tape lacks a response.
+        MissingResponseError: a tape lacks a response.
     """
 
-    async def one(request: Request[T]) -> Answer[T] | ModelError:
+    async def one(request: Request[T]) -> Response[T] | ModelError:
         try:
             return await models.ask(request)
-        except (BudgetError, MissingAnswerError):
+        except (BudgetError, MissingResponseError):
             raise
         except ModelError as error:
             return error
 
-    async def together() -> list[Answer[T] | ModelError]:
+    async def together() -> list[Response[T] | ModelError]:
         return await asyncio.gather(*map(one, requests))
 
     return models.run(together())
@@ -64,7 +64,7 @@ class AnswerFile:
         self._file = None if folder is None else folder / ANSWERS
         self._entries: list[dict[str, Any]] = []
 
-    def add(self, request: Request[Any], answer: Answer[Any] | ModelError) -> None:
+    def add(self, request: Request[Any], answer: Response[Any] | ModelError) -> None:
         """Add what came of a request.
 
         Raises:

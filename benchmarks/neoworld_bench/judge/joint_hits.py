@@ -83,7 +83,7 @@ def joint_hit_rows(
     Raises:
         ConfigError: `repeats` is out of range.
         BudgetError: the cost cap is reached.
-        MissingAnswerError: a tape lacks a response.
+        MissingResponseError: a tape lacks a response.
         RunError: a file cannot be written.
     """
     if not 1 <= repeats <= 20:

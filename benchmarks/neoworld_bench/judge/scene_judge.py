@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from neoworld_mjx.errors import ConfigError, ModelError
-from neoworld_mjx.mllm import Answer, Panel, Picture, Request, package_text
+from neoworld_mjx.mllm import Panel, Picture, Request, Response, package_text
 from neoworld_mjx.render import View, render_scene
 from neoworld_mjx.render.viewpoints import opened, subject_points
 from neoworld_mjx.spec import SceneSpec
@@ -163,7 +163,7 @@ def rating_rows(
     Raises:
         ConfigError: `repeats` is out of range.
         BudgetError: the cost cap is reached.
-        MissingAnswerError: a tape lacks a response.
+        MissingResponseError: a tape lacks a response.
         RunError: a file cannot be written.
     """
     if not 1 <= repeats <= 20:
@@ -211,7 +211,7 @@ def rating_figures(rows: Sequence[RatingRow]) -> dict[str, Any]:
     }
 
 
-def _row(made: MadeScene, repeat: int, answer: Answer[SceneRating] | ModelError) -> RatingRow:
+def _row(made: MadeScene, repeat: int, answer: Response[SceneRating] | ModelError) -> RatingRow:
     if isinstance(answer, ModelError):
         scores, model, why = dict.fromkeys(QUESTIONS), "", str(answer)
     else:

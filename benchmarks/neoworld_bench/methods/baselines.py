@@ -18,11 +18,11 @@ from neoworld_mjx.spec.scene import rearranged
 from ..engines.verdicts import started
 
 CMA_POPULATION = 16
-"""Candidates that CMA-ES draws at once; 4 + 3 ln n is 13 to 15 for its 16 to 40 numbers."""
+"""Population of CMA-ES; 4 + 3 ln n is 13 to 15 for its 16 to 40 variables."""
 
 
 class OneByOne:
-    """The obvious engine: compile a candidate's scaled model, step it to the end, take the next."""
+    """Engine that compiles and steps one candidate after another."""
 
     name = "sequential"
 
@@ -54,7 +54,8 @@ class OneByOne:
 
 
 def _placed_scene(scene: SceneModel, poses: Poses) -> SceneSpec:
-    """Describe the one candidate of a population, its objects placed in the world, on no parent."""
+    """Return the scene of a single candidate, with its objects placed in the world without
+    parents."""
     alone = {"parent": None, "parent_link": None, "xy": (0.0, 0.0), "yaw": 0.0}
     objects = tuple(
         obj.model_copy(update={**alone, "base_tilt": tuple(poses.quat[0, i].tolist())})
@@ -66,9 +67,7 @@ def _placed_scene(scene: SceneModel, poses: Poses) -> SceneSpec:
 
 
 def algorithm1(options: RefineOptions) -> RefineOptions:
-    """Return the options of Algorithm 1 as the paper has it, with the N, T, weights and terms
-    given.
-    """
+    """Return the options of Algorithm 1 as in the paper, with the given N, T, weights and terms."""
     o = options
     cem = {"first": 0, "credit": "scene", "prune": False, "zero_candidate": False}
     cem |= {"sigma_floor": 0.0, "smoothing": 0.0, "patience": 1}

@@ -1,4 +1,4 @@
-"""How far a scene's layout is from the ground truth, over the objects that may move."""
+"""Errors of a scene's layout over its movable objects."""
 
 import math
 from collections.abc import Sequence
@@ -16,15 +16,15 @@ MOST_TILT_DEG = 15.0
 MOST_HEIGHT, MOST_HEIGHT_M = 0.1, 0.01
 """Bounds of `displaced`; responses' sizes alone move a middle by a few percent of its height."""
 LEAST_M = 1e-3
-"""Sides of boxes below it are no measure of scale."""
+"""Minimum side of a box for a scale [m]."""
 Bounds = tuple[np.ndarray, np.ndarray]
 
 
 def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
-    """Compare a scene with the ground truth, over the objects that both have.
+    """Compare a scene with the ground truth, over the objects that both contain.
 
-    What all objects are off by alike, their median shift, is not counted: it is that of the
-    response's camera, and no layout shows it.
+    The median offset of all objects does not count: it comes from the response's camera, and no
+    layout can correct it.
 
     Returns:
         "xy_error_m", horizontal distance of the objects' middles; "yaw_error_deg", up to an
@@ -53,7 +53,7 @@ def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
 def offsets(
     scene: SceneSpec, truth: SceneSpec, names: Sequence[str]
 ) -> Float[np.ndarray, "object 2"]:
-    """Return how far the middles of objects are from the ground truth's, horizontally [m]."""
+    """Return the horizontal offsets of the objects' centers from the ground truth [m]."""
     ends, starts = world_poses(scene), world_poses(truth)
     middles = [
         [_middle(s.object(name), at[name]) for name in names]
@@ -63,10 +63,10 @@ def offsets(
 
 
 def unmatched(scene: SceneSpec, truth: SceneSpec) -> tuple[list[str], list[str]]:
-    """Return the movable objects of the ground truth that a scene misses, and those that it has
-    besides.
+    """Return the movable objects of the ground truth that a scene lacks, and those that it has in
+    addition.
 
-    No search can put them right, so they count apart, in no error and in no verdict.
+    No search can correct these, so they are counted separately and affect no error.
     """
     real, own = ([item for item in s.objects if not item.static] for s in (truth, scene))
     names, known = {item.name for item in own}, {item.name for item in truth.objects}
@@ -75,16 +75,13 @@ def unmatched(scene: SceneSpec, truth: SceneSpec) -> tuple[list[str], list[str]]
 
 
 def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
-    """Return the objects that a scene shows in another way than the ground truth: toppled or fallen
-    down.
+    """Return the objects that toppled or fell, compared with the ground truth.
 
-    Whatever has settle is stable, a toppled book as well; this tells the two apart. An object
-    is displaced if it is tilted by MOST_TILT_DEG from the ground truth, see `tilt_deg`, or if its
-    lowest point and its middle are both higher or lower than they should be by MOST_HEIGHT of its
-    diagonal and MOST_HEIGHT_M. They should be where the ground truth has them on the object below:
-    how large that is and how it stands in the scene are no faults of what is on it. What a scene
-    misses is not displaced, see `unmatched`, nor is what the ground truth has on it: without the
-    one below it no layout shows it.
+    A toppled book is stable as well, so stability does not show it. An object is displaced if it is
+    tilted by MOST_TILT_DEG from the ground truth, see `tilt_deg`, or if its lowest point and its
+    center are both higher or lower than expected by MOST_HEIGHT of its diagonal plus MOST_HEIGHT_M.
+    The expected heights are those of the ground truth on the object below, with the size and pose
+    that this has in the scene. Missed objects and what stands on them do not count.
     """
     ends, starts = world_poses(scene), world_poses(truth)
     names, without = [], {item.name for item in truth.objects if item.name not in ends}
@@ -109,8 +106,8 @@ def displaced(scene: SceneSpec, truth: SceneSpec) -> list[str]:
 def tilt_deg(item: SceneObject, end: Pose, start: Pose) -> float:
     """Return the angle between the poses of an object, whatever its heading [deg].
 
-    It is that between the verticals as the object sees them, up to its symmetry: a pencil that
-    leans as much but to another side is turned, not tilted. A ball has no tilt.
+    It is the angle between the verticals in the object's frame, up to its symmetry: a pencil that
+    leans as much to another side is turned, not tilted. A ball has no tilt.
     """
     if _is_ball(item):
         return 0.0
@@ -127,14 +124,14 @@ def tilt_deg(item: SceneObject, end: Pose, start: Pose) -> float:
 def _carried(
     points: Float[np.ndarray, "n 3"], true: Bounds, own: Bounds
 ) -> Float[np.ndarray, "n 3"]:
-    """Carry points over from one object's frame to another's, as boxes are to each other."""
+    """Map points between the frames of two objects by their boxes."""
     true_size, own_size = (np.subtract(high, low) for low, high in (true, own))
     ratio = own_size / np.maximum(true_size, LEAST_M)
     return np.asarray(own[0]) + (points - np.asarray(true[0])) * ratio
 
 
 def _heights(item: SceneObject, at: Pose) -> Float[np.ndarray, "2 3"]:
-    """Return points at the height of an object's lowest point and of its middle."""
+    """Return points at the height of an object's lowest point and of its center."""
     low, high = bounds(item.spec, item.joint_state, tuple(at.quat.tolist()))
     middle = (low + high) / 2
     return at.pos + np.array([[*middle[:2], low[2]], middle])

@@ -1,4 +1,4 @@
-"""P-Pen: how deep the parts of an articulated object enter each other as its joints move."""
+"""P-Pen: penetration of the parts of an articulated object as its joints move."""
 
 from dataclasses import replace
 

@@ -1,4 +1,5 @@
-"""Methods that make a layout from a start: ours, its ablations and baselines, gravity, nothing."""
+"""Methods that turn an initial scene into a layout: the search, its ablations and baselines,
+gravity."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -27,17 +28,17 @@ from .baselines import algorithm1, with_budget
 
 @dataclass(frozen=True)
 class MethodResult:
-    """What a method made of a start."""
+    """Result of a method."""
 
     scene: SceneSpec
     measure: SceneMeasure
     seconds_to_result: float | None
-    """Until the first candidate that a search takes for valid was known; otherwise `seconds`."""
+    """Time to the first candidate that a search accepts; otherwise `seconds`."""
     seconds: float | None
-    """Of the method; None where a submission does not say."""
+    """Time of the method; None if a submission does not state it."""
     rollouts: int = 0
     accepted: bool | None = None
-    """A search's own verdict; None of what gives none."""
+    """Verdict of a search itself; None for other methods."""
 
 
 def ours(o: RefineOptions) -> RefineOptions:
@@ -62,7 +63,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "without_d_drift": {"reward": {"w_drift": 0.0}},
     "no_simulation": {"rollout": {"duration_s": 0.0}, "finalists": 1},
 }
-"""What each ablation changes of the refinement's options, as configs/ablations/refine.yaml does."""
+"""Changes of the refinement's options by ablation, as in configs/ablations/refine.yaml."""
 SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
     "ours": ours,
     "gradient": gradient,
@@ -71,7 +72,7 @@ SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
 }
 """Methods that are a refinement with other options."""
 BUDGETED = ("random", "cma_es")
-"""Other optimizers, with as many rollouts as ours made from the same start."""
+"""Other optimizers, with as many rollouts as ours from the same initial scene."""
 METHODS = (
     "open_loop",
     "gravity",
@@ -80,7 +81,7 @@ METHODS = (
     "ours",
 )
 USUAL = ("ours", "open_loop", "gravity", "gradient", "no_simulation", "algorithm1")
-"""Methods that a run takes by default."""
+"""Default methods of a run."""
 
 
 def outcome_of(
@@ -93,7 +94,7 @@ def outcome_of(
     rollouts: int = 0,
     warm: bool = True,
 ) -> MethodResult:
-    """Run a method from a start.
+    """Run a method from an initial scene.
 
     Args:
         method: of METHODS.
@@ -137,9 +138,9 @@ def outcome_of(
 
 
 class OneForAll:
-    """An engine that simulates the first candidate and says the same of all others.
+    """An engine that simulates the first candidate and repeats its result for all others.
 
-    A search with it compiles what one with the engine itself does, and costs little else.
+    A search with it compiles the same programs as one with the engine itself, at little cost.
     """
 
     name = "one for all"
@@ -179,10 +180,10 @@ def outcomes_of(
     seed: int = 0,
     warm: bool = True,
 ) -> Iterator[tuple[str, MethodResult]]:
-    """Run methods from one start; see `outcome_of`.
+    """Run methods from one initial scene; see `outcome_of`.
 
-    Ours comes first, as BUDGETED get as many rollouts as it made; where it is not asked for, it
-    runs for its count alone.
+    Ours runs first, as BUDGETED get its number of rollouts; if it is not requested, it runs for the
+    count only.
     """
     rollouts = 0
     for method in in_order(methods):
@@ -194,7 +195,7 @@ def outcomes_of(
 
 
 def in_order(methods: Sequence[str]) -> list[str]:
-    """Sort methods as they are run: ours first, then as METHODS has them."""
+    """Return methods in the order of execution: ours first, then as in METHODS."""
     return sorted(methods, key=lambda name: (name != "ours", METHODS.index(name)))
 
 

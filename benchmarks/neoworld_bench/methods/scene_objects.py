@@ -1,4 +1,4 @@
-"""Rows of the objects of scenes: what curves over thresholds and P-Pen are counted of."""
+"""Rows of objects, for P-Pen and curves over thresholds."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,11 +12,11 @@ from .part_depths import articulated, part_depth
 
 OBJECTS = "objects.parquet"
 FAR = 1e6
-"""Drift [m] and tilt [deg] of what left all bounds, so that columns hold finite numbers."""
+"""Drift [m] and tilt [deg] of objects that left all bounds, so that columns are finite."""
 
 
 class ObjectRow(Row):
-    """One object of what a method made of a start."""
+    """Result of one object in the final scene of a method."""
 
     scene: str
     start: int
@@ -33,7 +33,7 @@ class ObjectRow(Row):
 
     @property
     def key(self) -> tuple[str, int, int, str]:
-        """The row of its scene."""
+        """Key of its scene's row."""
         return self.scene, self.start, self.seed, self.method
 
 

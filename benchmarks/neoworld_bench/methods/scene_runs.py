@@ -1,4 +1,4 @@
-"""Run methods over scenes and starts, in processes of their own, and keep a row of each."""
+"""Runs of methods over scenes and initial scenes, in separate processes, with a row of each."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ RESULTS = "results.parquet"
 
 
 class SceneRow(Row):
-    """One method on one scene from one start."""
+    """Result of one method on one scene from one initial scene."""
 
     scene: str
     room: str
@@ -44,19 +44,20 @@ class SceneRow(Row):
     objects: int
     """Movable objects of the ground truth."""
     noise: str
-    """Level of the start's noise."""
+    """Noise level of the initial scene."""
     injected: str
-    """Kinds of errors that the start has beside its numbers, with commas; see `parse_noise`."""
+    """Kinds of errors of the initial scene other than its numbers, comma-separated; see
+    `parse_noise`."""
     refused: str
-    """Kinds that were drawn, but of which no form passes the project's checks."""
+    """Kinds that were drawn, but of which no variant passes the checks."""
     missed: int
-    """Of them, those that the start does not have."""
+    """Number of them that the initial scene lacks."""
     extra: int
-    """Movable objects of the start that the ground truth does not have."""
+    """Movable objects of the initial scene that the ground truth does not have."""
     start: int
     seed: int
     evaluation: bool
-    """True if the start is of the evaluation half."""
+    """True if the initial scene is in the evaluation half."""
     method: str
     valid: bool
     """True if the result passes the final check, no object is displaced, and none that the method
@@ -65,9 +66,8 @@ class SceneRow(Row):
     check_passed: bool
     """True if it passes the final check alone."""
     accepted: bool | None
-    """A search's own verdict, which also asks that nothing settled away from where it was
-    composed; None of other methods.
-    """
+    """Verdict of a search itself, which also requires that nothing settled away from where it was
+    composed; None for other methods."""
     displaced: int
     """Objects that are toppled or have fallen from where the ground truth has them."""
     s_pen: int
@@ -90,21 +90,21 @@ class SceneRow(Row):
     seconds_to_valid: float | None
     """Time at the first valid candidate; None where the result is not valid."""
     seconds: float | None
-    """Time of the method; None where a submission does not say."""
+    """Time of the method; None if a submission does not state it."""
     rollouts: int
     fingerprint: str
     """Hash of the scene's declaration, of the noise and of the options."""
 
     @property
     def found(self) -> int:
-        """Number of the ground truth's movable objects that the start has, over which errors are
+        """Number of the ground truth's movable objects in the initial scene, over which errors are
         means."""
         return self.objects - self.missed
 
 
 @dataclass(frozen=True)
 class SceneTask:
-    """The methods that are to be run on one scene from one start."""
+    """Methods to run on one scene from one initial scene."""
 
     scene: str
     start: int
@@ -115,15 +115,15 @@ class SceneTask:
     noise: NoiseLevel
     threads: int
     submission: Path | None = None
-    """Folder of scenes that another method made."""
+    """Folder of another method's scenes."""
 
 
 SceneRows = tuple[SceneRow, list[ObjectRow]]
-"""The row of a scene, and those of its objects."""
+"""Row of a scene, and the rows of its objects."""
 
 
 def chosen_scenes(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the scenes that names mean; none means all, one number so many, evenly chosen.
+    """Return the scenes with these names: all for no names, evenly spaced ones for a single number.
 
     Raises:
         SpecError: there is no such scene, or there are not so many.
@@ -153,7 +153,7 @@ def run_scenes(
     out: Path | None = None,
     submission: Path | None = None,
 ) -> list[SceneRow]:
-    """Run methods; rows that are in the folder's file already are not run again.
+    """Run methods, except for rows that the folder's file already contains.
 
     Args:
         scenes: names.
@@ -215,7 +215,7 @@ def run_scenes(
 
 
 def scene_rows(task: SceneTask) -> Iterator[SceneRows]:
-    """Run the methods of a scene; yield each row and those of its objects as soon as known."""
+    """Run the methods of a scene; yield each row with those of its objects."""
     truth = photographed(declaration(task.scene))
     log_of_noise = NoiseLog()
     for method, result, given in _outcomes(task, truth, log_of_noise):
@@ -228,7 +228,7 @@ def scene_rows(task: SceneTask) -> Iterator[SceneRows]:
 def _outcomes(
     task: SceneTask, truth: SceneSpec, log_of_noise: NoiseLog
 ) -> Iterator[tuple[str, MethodResult, SceneSpec | None]]:
-    """Yield each method, what it made, and the start that it was given; a submission had none."""
+    """Yield each method with its result and its initial scene; None for a submission."""
     if task.submission is not None:
         yield task.methods[0], submitted(task.submission, task.start, truth, task.refine), None
         return

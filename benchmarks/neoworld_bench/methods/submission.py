@@ -27,23 +27,24 @@ FILES = ("scene.json", "scene.xml", "scene.usda", "scene.usd", "scene.usdc")
 """Names of a submitted scene; of several the first counts."""
 RESULT = "result.json"
 HELD = "held_"
-"""Before the name of an object that is fixed where the ground truth's is free to move."""
+"""Prefix of the name of an object that is fixed although the ground truth's is free."""
 
 
 class SubmittedResult(Spec):
-    """What a method says of its scene."""
+    """Optional metadata of a submitted scene."""
 
     seconds: float | None = Field(default=None, ge=0, allow_inf_nan=False)
-    """Time that the scene took."""
+    """Time to produce the scene."""
 
 
 def submission_name(folder: Path) -> str:
-    """Return the name under which a folder's rows stand in the tables."""
+    """Return the method name of a folder's rows."""
     return f"submission:{identifier(folder.resolve().name, 'submission')}"
 
 
 def submitted_starts(folder: Path, scene: str, starts: int) -> tuple[int, ...]:
-    """Return the starts of which a folder has a scene: the first alone, or as many as are asked.
+    """Return the numbers of the initial scenes that a folder covers: only 0, or as many as
+    requested.
 
     Raises:
         SpecError: there is no scene, or there are scenes of starts but not of all.
@@ -126,7 +127,7 @@ def read_scene_file(file: Path) -> SceneSpec:
 
 
 def _renamed(scene: SceneSpec, truth: SceneSpec) -> SceneSpec:
-    """Rename what is fixed here and free in the ground truth."""
+    """Rename objects that are fixed here and free in the ground truth."""
     free = {item.name for item in truth.objects if not item.static}
     names = {
         item.name: identifier(HELD + item.name, "object", {other.name for other in scene.objects})

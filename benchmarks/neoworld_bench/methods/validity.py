@@ -1,4 +1,4 @@
-"""True if a final scene is valid: one verdict, for every method and for submissions."""
+"""Validity of a final scene, the same for every method and for submissions."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from .layout_errors import displaced, unmatched
 
 
 class Validity(NamedTuple):
-    """The verdict on a final scene, and what it is made of."""
+    """Validity of a final scene with its components."""
 
     check_passed: bool
     """True if the final check passes."""
@@ -21,7 +21,7 @@ class Validity(NamedTuple):
     extra: tuple[str, ...]
     """Movable objects that the ground truth does not have."""
     lost: tuple[str, ...]
-    """Missed objects that the method was given."""
+    """Missed objects that the method's initial scene contained."""
 
     @property
     def valid(self) -> bool:
@@ -37,7 +37,7 @@ def validity(
     *,
     given: SceneSpec | None = None,
 ) -> Validity:
-    """Judge the final scene of a method; what the method says of it does not count.
+    """Return the validity of a method's final scene; the method's own verdict does not count.
 
     Args:
         scene: the final scene.

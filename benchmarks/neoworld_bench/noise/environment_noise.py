@@ -1,8 +1,6 @@
-"""Errors of a response's supports: how large tables are, where walls and furniture stand.
-
-Nobody measured supports by themselves; they are off as objects that are placed in space. The top
-of a table or floor is where a response's heights begin, so it stays.
-"""
+"""Errors of a response's supports: sizes of tables, positions of walls and furniture. Supports were
+not measured separately; they have the errors of objects placed in space. The top of a table or
+floor is the reference of heights and stays."""
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +11,7 @@ from ..fidelity.rendered_responses import ASIDE, DEPTH, LOG_ASPECT, LOG_SIZE, YA
 
 
 def with_other_supports(response: SceneTree, truth: SceneTree, number: int) -> SceneTree:
-    """Return a response whose supports are off as its objects are.
+    """Return a response with errors of its supports.
 
     Args:
         response: with noise in its objects' numbers.

@@ -1,9 +1,7 @@
-"""Where methods start: the ground truth disturbed as responses are, fitted and composed as a run
-does it.
-
-Every start of every scene has noise of its own, with spreads and rates of measured responses: of
-the numbers of a parse (`photo_answers`, `environment_noise`), of its tree (`parse_noise`), of
-programs (`program_noise`, `joint_noise`). Sizes are what composition makes of the response's boxes.
+"""Initial scenes: the ground truth with the errors of responses, fitted and composed as in a run.
+Every initial scene of every scene has its own noise, with measured spreads and rates: of the
+numbers of a parse (`rendered_responses`, `environment_noise`), of its tree (`parse_noise`), and of
+programs (`program_noise`, `joint_noise`). Composition derives sizes from the boxes of the response.
 """
 
 import zlib
@@ -24,14 +22,14 @@ from .parse_noise import NoiseLog, refusals, wrong_parse
 from .program_noise import wrong_program
 
 NoiseLevel = Literal["exact", "layout", "parse", "programs", "all"]
-"""Noise of a start: none; the numbers of a parse; these and its tree; these and the programs;
-everything."""
+"""Noise of an initial scene. exact: none; layout: the numbers of a parse; parse: also its tree;
+programs: layout and programs; all: everything."""
 EVALUATION = 1
-"""Starts whose number is odd are the evaluation half: no default is tuned on them."""
+"""Initial scenes with odd numbers are the evaluation half: no default is tuned on them."""
 
 
 def noise_number(name: str, seed: int, start: int) -> int:
-    """Return the number that seeds the noise of a start; no two starts share it."""
+    """Return the seed of the noise of an initial scene."""
     return zlib.crc32(f"{name}/{seed}/{start}".encode())
 
 
@@ -44,7 +42,7 @@ def composed_start(
     noise: NoiseLevel = "all",
     log: NoiseLog | None = None,
 ) -> SceneSpec:
-    """Compose a scene from a disturbed response, as a run would.
+    """Compose a scene from a noisy response, as in a run.
 
     Args:
         scene: the ground truth, as photographed; where programs have noise, objects of a scene of
@@ -76,27 +74,28 @@ def composed_start(
 
 @dataclass(frozen=True)
 class FittedResponse:
-    """A response as a parse keeps it."""
+    """A fitted response with its errors."""
 
     tree: SceneTree
-    """Fitted."""
+    """Fitted tree."""
     shapes: dict[str, ObjectSpec]
     """Programs of the objects that it invents."""
     log: NoiseLog
-    """Errors beside those of its numbers."""
+    """Errors other than those of its numbers."""
     issues: tuple[SceneIssue, ...]
-    """What the checks of a parse find in it."""
+    """Issues found by the checks of a parse."""
 
     @property
     def score(self) -> float:
-        """By which a parse takes the best of its responses."""
+        """Score by which a parse selects the best of its responses."""
         return check_score(self.tree, self.issues)
 
 
 def fitted_response(
     tree: SceneTree, number: int, shapes: dict[str, ObjectSpec], *, wrong_tree: bool
 ) -> FittedResponse:
-    """Answer as a parse does: what the checks refuse is answered once more, the best is kept.
+    """Return a response as a parse keeps it: what the checks refuse is drawn once more, and the
+    best response is kept.
 
     Args:
         tree: the exact response.
@@ -131,7 +130,7 @@ def _attempt(
 
 
 def wrong_shapes(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, ObjectSpec]:
-    """Return the movable objects of a scene as a programmer would make them.
+    """Return the movable objects of a scene with errors of programs.
 
     Args:
         scene: a scene of the benchmark, or some of its objects.
@@ -149,5 +148,5 @@ def wrong_shapes(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, Obje
 
 
 def is_evaluation(start: int) -> bool:
-    """Return True if a start is of the evaluation half."""
+    """Return True if an initial scene is in the evaluation half."""
     return start % 2 == EVALUATION

@@ -31,11 +31,11 @@ OTHER_TYPE = 1 / (27 + 2)
 ACROSS = 1 / 54
 """Share of joints about a perpendicular axis: one of the 54 hits of two runs, a toggle."""
 SLANTED, SLANT_DEG = 1 / 27, 8.4
-"""Share of joints with a slanted axis, and by how much: a lever on a slope judged by eye, one of
-the 27 hits of the first run. The others' axes are exact."""
+"""Share of joints with a slanted axis, and the angle: a lever on a slope estimated by eye, one of
+the 27 hits of the first run. The axes of the others are exact."""
 PIVOT = 0.0102
-"""Spread of an axis' place in either direction across it, over the object's diagonal: the mean
-distance of the 16 hits that turn was .0128."""
+"""Standard deviation of the pivot in either direction across the axis, over the object's diagonal:
+the mean distance of the 16 revolute hits was .0128."""
 RANGE = 0.26
 """Spread of the logarithm of a range: mean overlap with the ground truth .82 in the first run, .84
 and .81 in the others, as of ranges from the same end with this spread."""
@@ -44,7 +44,7 @@ TURN_RAD, SLIDE = 0.5, 0.3
 
 
 def wrong_joints(draft: Draft) -> None:
-    """Put errors into the joints of an object; what has none stays without.
+    """Put errors into the joints of an object.
 
     Args:
         draft: the object, to whose log "joint missing", "joint type", "joint axis" and "joint
@@ -70,7 +70,7 @@ def wrong_joints(draft: Draft) -> None:
 
 
 def free_joints(spec: ObjectSpec) -> list[JointSpec]:
-    """Return the joints that move by themselves and that no other joint refers to."""
+    """Return the independent moving joints that no other joint refers to."""
     referenced = {name for joint in spec.joints for name in joint.after} | {
         joint.mimic.joint for joint in spec.joints if joint.mimic is not None
     }
@@ -84,23 +84,20 @@ def free_joints(spec: ObjectSpec) -> list[JointSpec]:
 
 
 def with_joint(spec: ObjectSpec, changed: JointSpec) -> ObjectSpec:
-    """Return an object with another joint in the place of that of its name.
-
-    What a joint was declared to be for is left out, as the same programmer declares it.
-    """
+    """Return an object with a joint replaced; the intent of the joint is removed."""
     joint = JointSpec.model_validate(changed.model_dump() | {"intent": None})
     joints = tuple(joint if old.name == joint.name else old for old in spec.joints)
     return spec.model_copy(update={"joints": joints})
 
 
 def fastened(spec: ObjectSpec, name: str) -> JointSpec:
-    """Return a joint that does not move: what it carries is made fast."""
+    """Return a fixed joint in place of a moving one."""
     joint = spec.joint(name)
     return JointSpec(name=name, type="fixed", parent=joint.parent, child=joint.child)
 
 
 def of_other_type(spec: ObjectSpec, name: str) -> JointSpec:
-    """Return a joint that slides in place of turning, or turns in place of sliding."""
+    """Return a prismatic joint in place of a revolute one, or the reverse."""
     joint, size = spec.joint(name), _child_size(spec, name)
     plain: dict[str, object] = {"stiffness": 0.0, "armature": 0.0}
     plain |= {"effort": None, "velocity": None, "lower": 0.0}
@@ -114,7 +111,7 @@ def of_other_type(spec: ObjectSpec, name: str) -> JointSpec:
 
 
 def across_axis(spec: ObjectSpec, name: str, rng: np.random.Generator) -> JointSpec:
-    """Return a joint about, or along, one of the two axes across its own."""
+    """Return a joint about, or along, one of the two axes perpendicular to its own."""
     joint = spec.joint(name)
     first, second = _across(np.array(joint.axis))
     way = (first, second)[int(rng.integers(2))] * rng.choice((-1.0, 1.0))
@@ -122,7 +119,7 @@ def across_axis(spec: ObjectSpec, name: str, rng: np.random.Generator) -> JointS
 
 
 def slanted_axis(spec: ObjectSpec, name: str, rng: np.random.Generator) -> JointSpec:
-    """Return a joint whose axis is off by SLANT_DEG, in any direction."""
+    """Return a joint with its axis tilted by SLANT_DEG in a random direction."""
     joint = spec.joint(name)
     axis, turn = np.array(joint.axis), rng.uniform(0, 2 * math.pi)
     first, second = _across(axis)
@@ -133,7 +130,7 @@ def slanted_axis(spec: ObjectSpec, name: str, rng: np.random.Generator) -> Joint
 
 
 def off_pivot(spec: ObjectSpec, name: str, rng: np.random.Generator) -> JointSpec:
-    """Return a joint that turns beside its axis; one that slides has no pivot and stays."""
+    """Return a joint with a displaced pivot; a prismatic joint is returned unchanged."""
     joint = spec.joint(name)
     if joint.type not in ("revolute", "continuous"):
         return joint
@@ -144,7 +141,7 @@ def off_pivot(spec: ObjectSpec, name: str, rng: np.random.Generator) -> JointSpe
 
 
 def off_range(spec: ObjectSpec, name: str, rng: np.random.Generator) -> JointSpec:
-    """Return a joint that opens farther or less far; one without limits stays."""
+    """Return a joint with a longer or shorter range; one without limits is returned unchanged."""
     joint = spec.joint(name)
     if joint.type not in ("revolute", "prismatic"):
         return joint
@@ -153,7 +150,7 @@ def off_range(spec: ObjectSpec, name: str, rng: np.random.Generator) -> JointSpe
 
 
 def with_extra_joint(spec: ObjectSpec, rng: np.random.Generator) -> ObjectSpec | None:
-    """Return an object one of whose shapes moves by itself, as a part of its own."""
+    """Return an object with one of its shapes as a moving part of its own."""
     options = list(_loose_shapes(spec))
     if not options:
         return None
@@ -193,7 +190,7 @@ def _child_size(spec: ObjectSpec, name: str) -> np.ndarray:
 
 
 def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return two unit vectors [3] across an axis and each other, along the object's where it is."""
+    """Return two unit vectors [3] perpendicular to an axis and to each other."""
     other = np.eye(3)[int(np.argmin(np.abs(axis)))]
     first = np.cross(axis, other)
     first /= np.linalg.norm(first)

@@ -1,4 +1,4 @@
-"""An object into which errors are put one by one, each of which passes the checks of programs."""
+"""An object to which errors are added one by one, each of which passes the checks of programs."""
 
 from collections.abc import Callable
 
@@ -14,12 +14,12 @@ from neoworld_mjx.spec import ObjectSpec
 from .parse_noise import NoiseLog
 
 TRIES = 8
-"""Draws of an error, until one passes the checks."""
+"""Maximum number of draws of an error until one passes the checks."""
 Variant = Callable[[ObjectSpec, np.random.Generator], ObjectSpec | None]
 
 
 class Draft:
-    """An object into which errors are put one by one, each of which must pass the checks."""
+    """An object to which errors are added one by one; each must pass the checks."""
 
     def __init__(
         self,
@@ -28,11 +28,11 @@ class Draft:
         rng: np.random.Generator,
         log: NoiseLog,
     ) -> None:
-        """Begin with an object and the overlaps that its program declares."""
+        """Start from an object and the overlaps that its program declares."""
         self.spec, self.rng, self._allowances, self._log = spec, rng, allowances, log
 
     def change(self, kind: str, variant: Variant, *, noted: bool = True) -> None:
-        """Put an error into the object.
+        """Add an error to the object.
 
         Args:
             kind: its name in the log.

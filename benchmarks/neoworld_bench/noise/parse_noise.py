@@ -1,11 +1,9 @@
-"""Errors of a parse beyond its numbers: objects, parents, relations, openings, field of view.
-
-Rates come from five rendered pictures with 30 objects, parsed by a model: none missed, none
-extra, all support edges right, the field of view misjudged in two; and from the responses to four
-photographs. Of what was not seen in n cases the rate is 1/(n + 2), the mean of Laplace's rule of
-succession. A response with an error that the checks of the parse refuse is sent back in a run, so
-here it is drawn again.
-"""
+"""Errors of a parse other than its numbers: objects, parents, relations, openings, field of view.
+Rates come from five rendered images with 30 objects, parsed by a model: none missed, none extra,
+all support edges right, the field of view wrong in two; and from the responses to four photographs.
+The rate of an error that did not occur in n cases is 1/(n + 2), the mean of Laplace's rule of
+succession. In a run an error that the checks of the parse refuse is sent back, so here it is drawn
+again."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -22,34 +20,34 @@ from neoworld_mjx.spec.pose import from_yaw, rotate
 from .split_noise import SPLIT, with_halves
 
 UNSEEN = 1 / (30 + 2)
-"""Rate by object of what none of 30 objects of five rendered pictures had: being missed, an
-extra one beside it, a wrong parent, a wrong relation. Of seven photographs' scenes six were
-complete; with 8 objects a scene this rate leaves 78 % complete."""
+"""Rate by object of errors that none of 30 objects of five rendered images had: missed, duplicated,
+wrong parent, wrong relation. Of seven photographs' scenes six were complete; with 8 objects per
+scene this rate leaves 78 % complete."""
 CLOSED = 1 / (15 + 2)
-"""Rate by open joint of being answered as closed: in four photographs' responses none of 15 joints
-was in a wrong state."""
+"""Rate at which an open joint is parsed as closed: none of 15 joints in the responses to four
+photographs was."""
 OPENING = 0.06
-"""Standard deviation of an opening, a ratio of two lengths in the picture; that of edges, see
-`program_noise.EDGE`. No response's openings were measured by themselves."""
+"""Standard deviation of an opening, a ratio of two lengths in the image; that of edges, see
+`program_noise.EDGE`. Openings were not measured separately."""
 MISJUDGED, LEAST_DEG, MOST_DEG = 2 / 5, 12.0, 16.0
-"""Share of responses with a misjudged field of view, and by how much: 12 and 16 degrees in two of
-five rendered pictures. To which side was not noted; here either."""
+"""Share of responses with a wrong field of view, and the size of the error: 12 and 16 degrees in
+two of five rendered images. The sign was not recorded and is random here."""
 NARROWEST_DEG = 12.0
-"""No response's field of view is narrower."""
+"""Minimum field of view of a response."""
 COPY = "_again"
-"""End of the name of an invented object, behind that of the one that it resembles."""
+"""Suffix of the name of an invented object, after the name of its original."""
 APART = 1.15
-"""Distance of an invented object from the one that it resembles, over its size."""
+"""Distance of an invented object from its original, over its size."""
 
 
 @dataclass
 class NoiseLog:
-    """What noise did to a start beyond its numbers."""
+    """Errors of an initial scene other than those of its numbers."""
 
     injected: list[str] = field(default_factory=list)
     """Kinds of the errors that it has."""
     refused: list[str] = field(default_factory=list)
-    """Kinds of errors that were drawn, but of which no form passes the project's checks."""
+    """Kinds of errors that were drawn, but of which no variant passes the checks."""
 
 
 @dataclass(frozen=True)
@@ -58,18 +56,17 @@ class WrongParse:
 
     tree: SceneTree
     shapes: dict[str, ObjectSpec]
-    """Programs of the objects that it invents."""
+    """Specs of the objects that it invents."""
 
 
 Edit = Callable[[SceneTree, str, np.random.Generator], Iterator[SceneTree]]
 
 
 def with_misjudged_view(tree: SceneTree, rng: np.random.Generator, log: NoiseLog) -> SceneTree:
-    """Take the field of view for wider or narrower, or leave it.
+    """Return a tree with a wrong field of view, at the rate MISJUDGED.
 
-    As sizes of objects are known, the camera then is nearer or farther in the ratio of the focal
-    lengths: a dolly zoom, which keeps the layout, and what is at the objects' mean depth in its
-    pixels.
+    As the sizes of objects are known, the camera moves by the ratio of the focal lengths (a dolly
+    zoom), which keeps the layout and the pixels at the objects' mean depth.
     """
     off = math.radians(rng.uniform(LEAST_DEG, MOST_DEG)) * rng.choice((-1.0, 1.0))
     if rng.uniform() >= MISJUDGED:
@@ -95,7 +92,7 @@ def with_misjudged_view(tree: SceneTree, rng: np.random.Generator, log: NoiseLog
 def wrong_parse(
     response: SceneTree, number: int, log: NoiseLog, shapes: Mapping[str, ObjectSpec]
 ) -> WrongParse:
-    """Put errors into a response.
+    """Add errors to a response.
 
     Args:
         response: with noise in its numbers.
@@ -127,7 +124,7 @@ def wrong_parse(
 
 
 def _first_accepted(tree: SceneTree, edit: Edit, rng: np.random.Generator) -> SceneTree | None:
-    """Return the first form of an error that the checks of a parse do not refuse."""
+    """Return the first variant of an error that the checks of a parse do not refuse."""
     known = refusals(check_tree(tree))
     for name in rng.permutation([node.name for node in _objects(tree)]).tolist():
         for changed in edit(tree, name, rng):
@@ -161,7 +158,7 @@ def _openings(tree: SceneTree, rng: np.random.Generator, log: NoiseLog) -> Scene
 
 
 def without(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[SceneTree]:
-    """Yield a tree that misses an object; what it carried rests on what carried it."""
+    """Yield a tree without an object; its children rest on its parent."""
     gone = tree.node(name)
     if len(_objects(tree)) < 2:
         return
@@ -182,9 +179,9 @@ def without(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[Sc
 
 
 def with_copy(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[SceneTree]:
-    """Yield trees with a second object of a kind beside the first, on each of its four sides.
+    """Yield trees with a duplicate of an object on each of its four sides.
 
-    The first carries nothing, stands or lies, and is not invented itself.
+    Objects that have children, lean or are invented themselves are not duplicated.
     """
     node, copy = tree.node(name), f"{name}{COPY}"
     if node.relation not in ("on", "in") or name.endswith(COPY):
@@ -207,10 +204,7 @@ def with_copy(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[
 
 
 def with_other_parent(tree: SceneTree, name: str, rng: np.random.Generator) -> Iterator[SceneTree]:
-    """Yield trees in which an object rests on a neighbour or on its parent's parent.
-
-    Its place stays as it was.
-    """
+    """Yield trees with an object on a neighbour or on its grandparent, at the same position."""
     node = tree.node(name)
     if node.relation == "attached":
         return
@@ -227,7 +221,7 @@ def with_other_parent(tree: SceneTree, name: str, rng: np.random.Generator) -> I
 def with_other_relation(
     tree: SceneTree, name: str, rng: np.random.Generator
 ) -> Iterator[SceneTree]:
-    """Yield a tree with another word for how an object rests: on, in and against swapped."""
+    """Yield a tree with another relation of an object to its parent."""
     node = tree.node(name)
     if node.relation == "attached" or node.parent is None:
         return

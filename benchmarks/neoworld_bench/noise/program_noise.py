@@ -1,9 +1,6 @@
-"""Errors of programs: proportions, walls, shapes, a missing part; then joints, and shares.
-
-Magnitudes come from twelve objects that were programmed from one picture each (docs/objects.md).
-A drawn object must pass the checks that a program in a run must pass; an error of which no draw
-does so is not made, and noted.
-"""
+"""Errors of programs: proportions, walls, shapes, a missing part, joints. Magnitudes come from
+twelve objects, each programmed from one image (docs/objects.md). A drawn object must pass the
+checks of programs; an error of which no draw passes is logged as refused."""
 
 import zlib
 from collections.abc import Callable, Iterator, Mapping
@@ -34,25 +31,25 @@ from .parse_noise import NoiseLog
 from .share_noise import AXES, with_other_shares
 
 EDGE = 0.06
-"""Spread of the logarithm of an edge, and of other lengths and ratios that a program states: the
-worst edge of twelve objects was off by 5.5 % (median; 1 to 11 %) once the size as a whole was
-fitted, and the worst of three edges with this spread is so in the median."""
+"""Standard deviation of the logarithm of edges and other lengths and ratios of a program: the worst
+edge of twelve objects was off by 5.5 % (median; 1 to 11 %) after a fit of the overall size, as is
+the worst of three edges with this spread."""
 WALL = 0.26
-"""Spread of the logarithm of the thickness of walls. Nobody measured walls; they are taken as
-usual objects have them, as ranges of joints were, and have the spread of those."""
+"""Standard deviation of the logarithm of the thickness of walls, which was not measured; it is that
+of joint ranges, as both are chosen by what is usual."""
 REPLACED, MISSING = 1 / (12 + 2), 1 / (12 + 2)
-"""Rates by object of a shape that is another primitive, and of a small part that is missing: no
-body or visible part of twelve objects was; 1/(n + 2) is the mean of Laplace's rule."""
+"""Rates by object of a shape replaced by another primitive, and of a missing small part: no body or
+visible part of twelve objects was wrong; 1/(n + 2) is the mean of Laplace's rule."""
 SMALL = 0.1
-"""Largest share of an object's volume that a missing part has."""
+"""Maximum share of an object's volume of a missing part."""
 NEARLY_SQUARE = 1.25
-"""Ratio of two edges up to which a box is taken for a cylinder."""
+"""Maximum ratio of two edges at which a box is taken for a cylinder."""
 
 
 def wrong_program(
     item: ObjectDeclaration, number: int, parents: frozenset[str], log: NoiseLog
 ) -> ObjectSpec:
-    """Return an object as a programmer would make it from a picture.
+    """Return an object with the errors of a program written from an image.
 
     Args:
         item: the object's declaration, which is true.
@@ -78,7 +75,7 @@ def wrong_program(
 def _drawn(
     template: Template, given: dict[str, Value], rng: np.random.Generator, log: NoiseLog
 ) -> BuildResult:
-    """Run the program with parameters near the ground-truth ones; the ground-truth ones where none
+    """Run the program with parameters near the ground truth, or with the ground truth if none
     passes."""
     for _ in range(TRIES):
         values = near_parameters(template, given, rng)
@@ -92,10 +89,10 @@ def _drawn(
 def near_parameters(
     template: Template, given: dict[str, Value], rng: np.random.Generator
 ) -> dict[str, Value]:
-    """Return a program's parameters with the noise of judged lengths.
+    """Return a program's parameters with noisy lengths.
 
-    Edges that are equal stay so: a round or square thing is seen to be one. Counts and choices are
-    seen, too, and stay. What leaves a parameter's range is held at its border.
+    Equal edges stay equal, as a round or square object is recognized; counts and choices are
+    unchanged. Values are clipped to the parameter's range.
     """
     values: dict[str, Value] = {name: p.default for name, p in template.parameters.items()} | given
     factors: dict[Value, float] = {}
@@ -155,7 +152,7 @@ def _others(shape: Shape) -> Iterator[Shape]:
 def without_part(
     spec: ObjectSpec, rng: np.random.Generator, parents: frozenset[str]
 ) -> ObjectSpec | None:
-    """Return an object without a small part, or a small shape of one, that carries nothing."""
+    """Return an object without a small part, or a small shape of one, that supports nothing."""
     total = sum(geom.shape.volume() for part in spec.parts for geom in part.geoms)
     holding = {joint.parent for joint in spec.joints} | parents | {spec.root}
     referenced = {name for joint in spec.joints for name in joint.after} | {

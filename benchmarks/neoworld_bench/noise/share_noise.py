@@ -1,4 +1,4 @@
-"""Errors of a program's shares: where shelves, fronts, handles and legs are within an object."""
+"""Errors of proportions within an object: positions of shelves, fronts, handles and legs."""
 
 from collections.abc import Mapping
 
@@ -9,29 +9,28 @@ from neoworld_mjx.spec import GeomSpec, ObjectSpec, bounds
 from neoworld_mjx.spec.pose import matrix
 
 SHARES = 0.2
-"""Standard deviation by which the thirds of an object's sides are off, over the side. Nobody
-measured them; what was measured is the Chamfer distance of twelve objects, ten times .139 in the
-mean (docs/benchmarks.md, "Objects from pictures"). With this spread it is .129 for cupboards, ovens
-and desks, without it .113; the checks of programs refuse much of a larger one."""
+"""Standard deviation of the knots at thirds of an object's sides, over the side. It is chosen by
+the Chamfer distance of twelve objects, whose mean is .139 (times ten; docs/benchmarks.md, "Objects
+from pictures"): with this spread it is .129 for cupboards, ovens and desks, without it .113; the
+checks of programs refuse many draws with a larger one."""
 KNOTS = 4
 """Points along a side between which errors are interpolated; both ends stay."""
 NARROWEST = 0.15
-"""Least share of its true length that a third keeps, or the draw is done again."""
+"""Minimum share of its length that a third keeps; smaller draws are repeated."""
 AXES = (3, 3, 2, 2, 2, 1, 1, 1)
-"""Axes that change, of each try in turn: what three at once break, one may not."""
+"""Number of axes that change in each attempt, as the checks may refuse three at once."""
 ALIGNED = 1e-6
-"""Largest entry of a rotation matrix, beside the ones, of what stands along the object's axes."""
+"""Tolerance of a rotation matrix that permutes axes."""
 
 
 class Shares:
-    """A monotone map of each of an object's axes onto itself, which keeps its bounding box.
+    """A monotone map of each axis of an object onto itself that keeps its bounding box.
 
-    What lies apart along an axis stays apart, what touches goes on
-    touching.
+    Parts that are separate along an axis stay separate, parts that touch keep touching.
     """
 
     def __init__(self, spec: ObjectSpec, rng: np.random.Generator, axes: int) -> None:
-        """Draw a map for an object at rest, of so many of its axes."""
+        """Draw a map of a number of axes of an object at rest."""
         self.low, self.high = bounds(spec)
         self.knots = np.linspace(0.0, 1.0, KNOTS)
         changed = rng.permutation(3) < axes
@@ -58,10 +57,10 @@ class Shares:
 
 
 def with_other_shares(spec: ObjectSpec, rng: np.random.Generator, axes: int = 3) -> ObjectSpec:
-    """Return an object in nearly the same box whose parts are elsewhere and of other sizes in it.
+    """Return an object in nearly the same box with other positions and sizes of its parts.
 
-    Boxes and what is drawn out along an axis are cut anew, walls keep their thickness; other
-    shapes are moved. Axes of joints move along.
+    Boxes and shapes extruded along an axis are resized, walls keep their thickness, other shapes
+    are moved. Joint axes move along.
     """
     at = Shares(spec, rng, axes)
     point = lambda pos: tuple(at(np.array(pos)).tolist())
@@ -98,7 +97,7 @@ def _mapped(geom: GeomSpec, at: Shares) -> GeomSpec:
 
 
 def _sides(shape: Mapping[str, object]) -> Float[np.ndarray, " 3"]:
-    """Return the sides of a shape that a map of the axes may change, 0 of others [m]."""
+    """Return the edges of a shape that the map may change [m]; 0 for others."""
     if "size" in shape:
         return np.array(shape["size"], float)
     if "height" in shape and shape["type"] in ("cylinder", "prism", "extrusion"):

@@ -1,4 +1,5 @@
-"""One object that a parse takes for two: a lower and an upper half, or one beside the other."""
+"""Errors of a parse that takes one object for two: an upper and a lower half, or two side by
+side."""
 
 from collections.abc import Iterator, Mapping
 
@@ -20,15 +21,16 @@ from neoworld_mjx.spec.extent import part_bounds, recentred
 from neoworld_mjx.spec.pose import IDENTITY, from_yaw, matrix, rotate
 
 SPLIT = 1 / (61 + 2)
-"""Rate by object of being taken for two: none of the 61 movable objects in the responses to four
-photographs is half of a thing; 1/(n + 2) is the mean of Laplace's rule. One support is a part of
-one: the writing tablet of a chair that is mostly out of the picture."""
+"""Rate at which an object is taken for two: none of 61 movable objects in the responses to four
+photographs is half of an object; 1/(n + 2) is the mean of Laplace's rule. One support is part of
+one: the tablet arm of a chair that is mostly out of the image."""
 HALVES = ("_half_1", "_half_2")
-"""Ends of the names of the halves, behind that of the object."""
+"""Suffixes of the names of the halves."""
 LEAST = 0.25
-"""Least share of the object's side that a half has."""
+"""Minimum share of the object's side of a half."""
 ON_GROUND = 0.05
-"""Height over the object's bottom, over its height, within which a half stands on what it did."""
+"""Maximum height of a half over the object's bottom, over its height, at which it stands on its
+parent."""
 ALIGNED = 1e-6
 """Largest deviation of a rotation matrix from one that exchanges axes."""
 
@@ -42,10 +44,10 @@ def with_halves(
     shapes: Mapping[str, ObjectSpec],
     made: dict[str, ObjectSpec],
 ) -> Iterator[SceneTree]:
-    """Yield trees with two halves in an object's place, cut across one axis after another.
+    """Yield trees with two halves in place of an object, cut across one axis after another.
 
-    The object stands upright and carries nothing. Neither half is the object: it is missed, and
-    both are extra.
+    The object stands upright and has no children. Neither half counts as the object: it is missed,
+    and both are extra.
 
     Args:
         tree: a response.
@@ -81,9 +83,8 @@ def with_halves(
 
 
 def halves_of(spec: ObjectSpec, axis: int) -> tuple[ObjectSpec, ObjectSpec] | None:
-    """Cut an object of one part in two across an axis, near its middle.
-
-    It is cut between shapes, else through boxes and cylinders.
+    """Cut an object of one part in two across an axis, near its center: between shapes if possible,
+    otherwise through boxes and cylinders.
 
     Returns:
         The half below and the half above, in the object's frame; None where a shape that is in the
@@ -121,7 +122,7 @@ def halves_of(spec: ObjectSpec, axis: int) -> tuple[ObjectSpec, ObjectSpec] | No
 def _cut(
     geom: GeomSpec, axis: int, plane: float, ends: Range
 ) -> tuple[GeomSpec | None, GeomSpec | None] | None:
-    """Return what of a shape is below and above a plane; None where it cannot be cut there."""
+    """Return the parts of a shape below and above a plane; None if it cannot be cut there."""
     low, high = (float(end[axis]) for end in ends)
     edge = 1e-6 * (high - low)
     if high <= plane + edge:
@@ -149,7 +150,7 @@ def _cut(
 
 
 def _half(tree: SceneTree, node: TreeNode, spec: ObjectSpec, half: ObjectSpec) -> TreeNode | None:
-    """Return a half's node: its share of the object's boxes; None where it is not seen."""
+    """Return a half's node, with its share of the object's boxes; None if it is invisible."""
     (low, high), (a, b) = bounds(spec), bounds(half)
     size, share = np.array(node.box3d.size), 1 / (high - low)
     step = ((a + b) / 2 - (low + high) / 2) * share * size
@@ -174,7 +175,7 @@ def _half(tree: SceneTree, node: TreeNode, spec: ObjectSpec, half: ObjectSpec) -
 
 
 def _hidden_by(node: TreeNode, name: str, halves: list[str]) -> TreeNode:
-    """Return a node that names both halves where it named the object."""
+    """Return a node with both halves in place of the object among its occluders."""
     if name not in node.occluded_by:
         return node
     others = [other for other in node.occluded_by if other != name]

@@ -1,4 +1,4 @@
-"""Time of refining the composed scenes of five photographs, with what it compiles and rolls out."""
+"""Time of the search on the composed scenes of five photographs."""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -32,16 +32,16 @@ class RealRow(Row):
     valid: bool
     """True if the result passes the final check."""
     kept: int
-    """Objects that were sound where they stood, and were left there."""
+    """Number of objects that were already stable and stayed in place."""
     first_s: float
-    """First refinement of the scene in a process that has refined another one, without reading."""
+    """Time of the first search of the scene, in a process that has searched another one."""
     again_s: float
-    """The same again."""
+    """Time of a second search."""
     programs: int
-    """XLA programs built or read from the cache in the first one."""
+    """XLA programs compiled or read from the cache in the first search."""
     rollouts: int
     rollouts_per_s: float | None
-    """Of the second; None where it took no time that can be measured."""
+    """Rollout rate of the second search; None if too short to measure."""
     iterations: int
     mean_shift_m: float
     box_iou_before: float | None
@@ -56,7 +56,7 @@ def real_refinements(
     options: RefineOptions | None = None,
     engine: str = "native",
 ) -> Iterator[RealRow]:
-    """Refine the scenes of photographs, one row as soon as it is known.
+    """Search the scenes of photographs; yield a row for each.
 
     Args:
         scenes: names in REAL; all by default.

@@ -128,7 +128,7 @@ async def ask_for_plan(
 
     Raises:
         BudgetError: the cost cap is reached.
-        MissingAnswerError: a tape lacks the response.
+        MissingResponseError: a tape lacks the response.
     """
     fallbacks: list[tuple[str, str]] = []
 
