@@ -1,6 +1,5 @@
-"""Turn mechanisms read from URDF, MJCF and USD files into ObjectSpecs, and note what was lost."""
+"""Convert mechanisms of URDF, MJCF and USD files to ObjectSpecs, with notes of what is lost."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -37,12 +36,12 @@ from .read_urdf import read_urdf
 from .read_usd import one_object
 
 DENSITY = 400.0
-"""Density [kg/m^3] assumed of links that state no mass: furniture's."""
+"""Density of links that state no mass, typical of furniture [kg/m^3]."""
 PLACEHOLDER_M = 0.001
-"""Radius of the ball that stands for a link without geometry."""
+"""Radius of the sphere that replaces a link without geometry [m]."""
 MAX_LINKS = 400
 MAX_DENSITY = 30000.0
-"""Largest density that a material of a description has [kg/m^3]."""
+"""Largest density of a material that is imported [kg/m^3]."""
 
 
 @dataclass(frozen=True)
@@ -51,19 +50,19 @@ class Imported:
 
     spec: ObjectSpec
     notes: tuple[str, ...]
-    """Omissions and assumptions, in words."""
+    """Omissions and assumptions."""
     origin: Vec3 = (0.0, 0.0, 0.0)
-    """Where the object's origin is in the file's frame [m]."""
+    """Origin of the object in the frame of the file [m]."""
     joints: dict[str, str] = field(default_factory=dict)
-    """Names of the spec's joints by those of the file."""
+    """Name of each joint of the file in the spec."""
 
 
 def import_urdf(path: Path) -> Imported:
-    """Read a URDF file and the meshes beside it as an object.
+    """Read a URDF file and its meshes as an object.
 
     Raises:
-        SpecError: the file is broken or hostile, names a mesh that is not there or lies outside its
-            folder, or is no tree.
+        SpecError: the file is broken or hostile, names a mesh that is missing or lies outside its
+            folder, or its links do not form a tree.
     """
     return to_object(read_urdf(path))
 
@@ -72,8 +71,8 @@ def import_mjcf(path: Path) -> Imported:
     """Read an MJCF file with one object.
 
     Raises:
-        SpecError: the file is broken or hostile, names a file that is not there or lies outside its
-            folder, MuJoCo refuses it, or it holds several objects.
+        SpecError: the file is broken or hostile, names a file that is missing or lies outside its
+            folder, MuJoCo refuses it, or it has several objects.
     """
     return to_object(read_mjcf(path))
 
@@ -82,28 +81,28 @@ def import_usd(path: Path, object_path: str | None = None) -> Imported:
     """Read a USD file with one object, or one prim of it.
 
     Raises:
-        SpecError: the file is broken or hostile, names a layer that is not there or lies outside
-            its folder, there is no such prim, or it holds several objects.
+        SpecError: the file is broken or hostile, names a layer that is missing or lies outside its
+            folder, the prim does not exist, or it has several objects.
     """
     return to_object(one_object(path, open_usd(Path(path)), object_path))
 
 
 def to_object(mechanism: Mechanism) -> Imported:
-    """Make an object of links and joints.
+    """Convert a mechanism to an object.
 
-    Links without geometry, or that are only seen, are merged with what they are fixed to; a link
-    without geometry that moves on its own gets a small ball. Names are made such as the spec takes.
+    Links that have no geometry or are only visible are merged into the links they are fixed to; a
+    moving link without geometry gets a small sphere. Names become valid identifiers.
 
     Args:
-        mechanism: what a reader gave; its links and notes are changed.
+        mechanism: result of a reader; its links and notes are modified.
 
     Raises:
-        SpecError: the links are too many, or a number is out of bounds.
+        SpecError: it has too many links, or a number is out of bounds.
     """
     name, by_name, notes = mechanism.name, mechanism.links, mechanism.notes
     if len(by_name) > MAX_LINKS:
-        raise SpecError(f"{name} has {len(by_name)} links; at most {MAX_LINKS} are read")
-    kept, owner = _without_empty(by_name, mechanism.joints, notes)
+        raise SpecError(f"{name} has {len(by_name)} links; the limit is {MAX_LINKS}")
+    moving, owner = _without_empty(by_name, mechanism.joints, notes)
     names = _Names()
     materials: dict[tuple, Material] = {}
     parts = []
@@ -115,10 +114,12 @@ def to_object(mechanism: Mechanism) -> Imported:
                 f"link {link.name} of {name}: {validation_message(error, PartSpec)}"
             ) from None
     labels = {link.name: part.name for link, part in zip(by_name.values(), parts, strict=True)}
-    _check_follow(kept)
-    titles = {joint.name: names.take(joint.name, "joint") for joint in kept}
+    leaders = {joint.name: joint.mimic.joint for joint in moving if joint.mimic is not None}
+    if (looped := name_on_cycle(leaders)) is not None:
+        raise SpecError(f"joint {looped!r} follows itself through other joints")
+    titles = {joint.name: names.take(joint.name, "joint") for joint in moving}
     joints = []
-    for joint in kept:
+    for joint in moving:
         update: dict[str, Any] = {
             "name": titles[joint.name],
             "parent": labels[joint.parent],
@@ -130,7 +131,7 @@ def to_object(mechanism: Mechanism) -> Imported:
                 update["mimic"] = joint.mimic.model_copy(update={"joint": leader})
             else:
                 update["mimic"] = None
-                notes.append(f"joint {joint.name}: the joint that it follows is not imported")
+                notes.append(f"joint {joint.name}: the joint that it mimics is not imported")
         joints.append(joint.model_copy(update=update).model_dump())
     try:
         spec = ObjectSpec(
@@ -157,10 +158,10 @@ def to_object(mechanism: Mechanism) -> Imported:
 def _without_empty(
     links: dict[str, Link], joints: list[JointSpec], notes: list[str]
 ) -> tuple[list[JointSpec], dict[str, str]]:
-    """Merge links without geometry with what they are fixed to; give the others a ball.
+    """Merge links without geometry into the links they are fixed to; give the others a sphere.
 
     Returns:
-        The joints that are left, and for every link the one that it is part of now.
+        The remaining joints, and for every link the one that it is merged into.
     """
     changed = True
     owner = {name: name for name in links}
@@ -172,7 +173,6 @@ def _without_empty(
             parent, child = links[joint.parent], links[joint.child]
             if child.shapes and parent.shapes and not child.visual_only:
                 continue
-            # The link without geometry, or that is only seen, goes into the other with its mass.
             kept, merged = (parent, child) if parent.shapes else (child, parent)
             _merge(kept, merged)
             del links[merged.name]
@@ -190,7 +190,7 @@ def _without_empty(
             if link.mass is None or link.mass <= 0:
                 link.mass, link.com, link.inertia = 1e-3, at[:3, 3], np.eye(3) * 1e-6
             radius = f"{PLACEHOLDER_M * 1e3:g} mm"
-            notes.append(f"link {link.name} has no geometry: a ball of {radius} stands for it")
+            notes.append(f"link {link.name} has no geometry: a sphere of {radius} is used")
     return joints, owner
 
 
@@ -199,15 +199,15 @@ def _merge(kept: Link, merged: Link) -> None:
     if merged.mass is None or merged.mass <= 0 or merged.com is None:
         return
     if kept.mass is None or kept.com is None or kept.inertia is None:
-        return  # Its mass is derived from its geometry, beside which a frame's is negligible.
+        return  # The mass is derived from geometry later; that of the merged link is negligible.
     total = kept.mass + merged.mass
     com = (kept.mass * kept.com + merged.mass * merged.com) / total
     inertia = np.zeros((3, 3))
     for link in (kept, merged):
         assert link.mass is not None and link.com is not None
         d = link.com - com
-        own = np.zeros((3, 3)) if link.inertia is None else link.inertia
-        inertia += own + link.mass * (d @ d * np.eye(3) - np.outer(d, d))
+        about_com = np.zeros((3, 3)) if link.inertia is None else link.inertia
+        inertia += about_com + link.mass * (d @ d * np.eye(3) - np.outer(d, d))
     kept.mass, kept.com, kept.inertia = total, com, inertia
 
 
@@ -220,14 +220,14 @@ def _part(
     link: Link, names: "_Names", materials: dict[tuple, Material], notes: list[str]
 ) -> PartSpec:
     label = names.take(link.name, "part")
-    bare = all(item.role == "visual" for item in link.shapes)
+    visual_only = all(item.role == "visual" for item in link.shapes)
     helper = len(link.shapes) == 1 and link.shapes[0].shape == Sphere(radius=PLACEHOLDER_M)
-    if bare and not all(isinstance(item.shape, BaseShape) for item in link.shapes):
+    if visual_only and not all(isinstance(item.shape, BaseShape) for item in link.shapes):
         method = "CoACD" if installed() else "their convex hull, as CoACD is not installed"
-        notes.append(f"link {link.name} has no colliders: made from its visuals, by {method}")
+        notes.append(f"link {link.name} has no colliders: derived from its visuals by {method}")
     geoms = []
     for k, item in enumerate(link.shapes):
-        role = "both" if bare else item.role
+        role = "both" if visual_only else item.role
         shape = item.shape
         if not isinstance(shape, BaseShape):
             shape = _mesh(shape, role == "visual" or item.hull, link.name, notes)
@@ -244,7 +244,7 @@ def _part(
             )
         )
     if all(geom.role == "visual" for geom in geoms):
-        raise SpecError(f"link {link.name} has no geometry that could collide")
+        raise SpecError(f"link {link.name} has no geometry that can collide")
     mass, inertia = link.mass, None
     if mass is None:
         if not any(item.density for item in link.shapes if item.role != "visual"):
@@ -265,9 +265,9 @@ def _part(
 def _mesh(triangles: Triangles, hull: bool, link: str, notes: list[str]) -> Mesh | None:
     vertices, faces = (np.asarray(v) for v in triangles)
     if not np.isfinite(vertices).all():
-        raise SpecError(f"link {link}: a mesh holds vertices that are not finite numbers")
+        raise SpecError(f"link {link}: a mesh has vertices that are not finite")
     if len(vertices) < 3 or len(faces) < 1 or np.ptp(vertices, axis=0).max() < 1e-6:
-        notes.append(f"link {link}: a mesh without extent is left out")
+        notes.append(f"link {link}: a mesh without extent is skipped")
         return None
     if len(vertices) == 3:
         vertices = np.vstack([vertices, vertices.mean(axis=0)])
@@ -280,14 +280,14 @@ def _mesh(triangles: Triangles, hull: bool, link: str, notes: list[str]) -> Mesh
 
 
 def _material(item: LinkShape, materials: dict[tuple, Material], helper: bool) -> str:
-    shine = {
+    gloss = {
         key: round(min(max(value, 0.0), 1.0), 6)
         for key in ("metallic", "roughness")
         if (value := getattr(item, key)) is not None
     }
-    key = (item.rgba, item.friction, helper, item.name, item.density, *shine.items())
+    key = (item.rgba, item.friction, helper, item.name, item.density, *gloss.items())
     if key not in materials:
-        # A name of the file stays only with a density: what is "unknown" has an assumed one.
+        # A material keeps its name only if it states a density.
         known = item.name and item.density is not None and 0 < item.density <= MAX_DENSITY
         stem = HELPER if helper else item.name if known else UNKNOWN
         materials[key] = Material(
@@ -295,27 +295,20 @@ def _material(item: LinkShape, materials: dict[tuple, Material], helper: bool) -
             density=item.density if known and item.density is not None else DENSITY,
             friction=min(max(item.friction, 0.0), 10.0),
             rgba=tuple(min(max(v, 0.0), 1.0) for v in item.rgba),  # pyright: ignore[reportArgumentType]
-            **shine,
+            **gloss,
         )
     return materials[key].name
 
 
 class _Names:
-    """Names that the spec takes, each once."""
+    """Unique identifiers for each kind of element."""
 
     def __init__(self) -> None:
         self.taken: dict[str, set[str]] = {}
 
     def take(self, name: str, kind: str) -> str:
-        """Return a name made of letters, digits and underscores that is not taken yet."""
+        """Return an unused name of letters, digits and underscores."""
         taken = self.taken.setdefault(kind, set())
         label = identifier(name, kind, taken)
         taken.add(label)
         return label
-
-
-def _check_follow(joints: Sequence[JointSpec]) -> None:
-    leaders = {joint.name: joint.mimic.joint for joint in joints if joint.mimic is not None}
-    looped = name_on_cycle(leaders)
-    if looped is not None:
-        raise SpecError(f"joint {looped!r} follows itself through other joints")

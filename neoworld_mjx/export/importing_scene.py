@@ -1,4 +1,4 @@
-"""Turn files of other programs that hold one object or many into an ObjectSpec or a SceneSpec."""
+"""Import URDF, MJCF and USD files as an ObjectSpec or a SceneSpec."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,58 +20,59 @@ from .read_mjcf import read_mjcf_scene
 from .read_usd import gravity_of, read_assemblies
 
 FILES = (".urdf", ".xacro", ".xml", ".mjcf", *SUFFIXES)
-"""Suffixes of files of other programs."""
+"""Suffixes of the files that can be imported."""
 MAX_OBJECTS = 500
 
 
 @dataclass(frozen=True)
 class ImportedScene:
-    """A scene read from a file of another program."""
+    """A scene imported from a file."""
 
     spec: SceneSpec
     notes: tuple[str, ...]
-    """Omissions and assumptions, in words."""
+    """Omissions and assumptions."""
 
 
 def import_file(path: Path) -> Imported | ImportedScene:
-    """Read a URDF, MJCF or USD file: an object where it holds one, else a scene.
+    """Read a URDF, MJCF or USD file as an object if it has only one, else as a scene.
 
     Raises:
-        SpecError: the file is of no such kind, is broken or hostile, names a file that is not there
+        SpecError: the file has another format, is broken or hostile, names a file that is missing
             or lies outside its folder, or exceeds the limits on size.
     """
     path = Path(path)
     try:
         if path.suffix.lower() in SUFFIXES:
             stage = open_usd(path)
-            made = read_assemblies(path, stage, apart=True)
-            return _described(path, made, gravity_of(stage))
+            return _imported(path, read_assemblies(path, stage, apart=True), gravity_of(stage))
         root = read_xml(path)
         if root.tag == "robot":
             return import_urdf(path)
         if root.tag == "mujoco":
-            return _described(path, read_mjcf_scene(path), None)
+            return _imported(path, read_mjcf_scene(path), None)
     except SpecError as error:
         message = str(error)
         raise SpecError(message if path.name in message else f"{path}: {message}") from None
     raise SpecError(
-        f"{path} begins with <{root.tag}>: a URDF begins with <robot>, an MJCF with <mujoco>"
+        f"{path}: the root element is <{root.tag}>; that of URDF is <robot>, of MJCF <mujoco>"
     )
 
 
-def _described(path: Path, made: list[Assembly], gravity: Vec3 | None) -> Imported | ImportedScene:
-    bodies = [one for one in made if not one.bare]
-    if len(made) == 1:
-        return to_object(transformed(made[0].mechanism, made[0].frame))
+def _imported(
+    path: Path, assemblies: list[Assembly], gravity: Vec3 | None
+) -> Imported | ImportedScene:
+    bodies = [assembly for assembly in assemblies if not assembly.bare]
+    if len(assemblies) == 1:
+        return to_object(transformed(assemblies[0].mechanism, assemblies[0].frame))
     if len(bodies) > MAX_OBJECTS:
-        raise SpecError(f"{path} holds {len(bodies)} objects; at most {MAX_OBJECTS} are read")
+        raise SpecError(f"{path} has {len(bodies)} objects; the limit is {MAX_OBJECTS}")
     objects: list[SceneObject] = []
     notes: list[str] = []
-    for one in made:
-        imported = to_object(one.mechanism)
+    for assembly in assemblies:
+        imported = to_object(assembly.mechanism)
         name = identifier(imported.spec.name, "object", {item.name for item in objects})
         notes += [note if _is_general(note) else f"{name}: {note}" for note in imported.notes]
-        objects.append(_placed(name, one, imported))
+        objects.append(_placed(name, assembly, imported))
     name = identifier(path.stem, "scene")
     try:
         scene = SceneSpec(name=name, objects=tuple(objects))
@@ -86,15 +87,15 @@ def _is_general(note: str) -> bool:
     return "imported" in note and "link" not in note and "joint" not in note
 
 
-def _placed(name: str, one: Assembly, imported: Imported) -> SceneObject:
-    """Put an object where its file has it, without a parent."""
+def _placed(name: str, assembly: Assembly, imported: Imported) -> SceneObject:
+    """Return an object at its pose in the file, without a parent."""
     spec = imported.spec
-    at = one.frame @ np.array([*imported.origin, 1.0])
-    turn = from_matrix(one.frame[:3, :3])
-    yaw = yaw_of(turn)
-    tilt = quat_mul(conjugate(from_yaw(yaw)), turn)
+    x, y, z, _ = (assembly.frame @ np.array([*imported.origin, 1.0])).tolist()
+    quat = from_matrix(assembly.frame[:3, :3])
+    yaw = yaw_of(quat)
+    tilt = quat_mul(conjugate(from_yaw(yaw)), quat)
     state = {}
-    for key, value in one.state.items():
+    for key, value in assembly.state.items():
         joint, dot, axis = key.partition(".")
         if joint in imported.joints:
             state[f"{imported.joints[joint]}{dot}{axis}"] = value
@@ -102,10 +103,10 @@ def _placed(name: str, one: Assembly, imported: Imported) -> SceneObject:
     return SceneObject(
         name=name,
         spec=spec,
-        environment=one.fixed and not moves,
-        fixed_base=one.fixed and moves,
-        xy=(float(at[0]), float(at[1])),
-        z=float(at[2]),
+        environment=assembly.fixed and not moves,
+        fixed_base=assembly.fixed and moves,
+        xy=(x, y),
+        z=z,
         yaw=yaw,
         base_tilt=tuple((tilt / np.linalg.norm(tilt)).tolist()),
         joint_state=state,

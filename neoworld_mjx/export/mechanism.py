@@ -1,7 +1,7 @@
-"""A mechanism as files describe it: links with their shapes and masses, and joints between them.
+"""Mechanisms: links with shapes and masses, and joints, as files describe them.
 
-Every reader gives one, in the file's root frame with all joints at 0; `importing` makes an
-ObjectSpec of it.
+Every reader returns mechanisms in the root frame of the file with all joints at 0; `importing`
+converts them to ObjectSpecs.
 """
 
 from collections import Counter
@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..errors import SpecError
 from ..spec import JointSpec, Mimic, ObjectSpec, Site, inertial
 from ..spec.base_shape import BaseShape
 from ..spec.forest import name_on_cycle
 from ..spec.object import Role
-from ..spec.pose import matrix
+from .link_frames import inertia_tensor, link_origins
 
 GRAY = (0.7, 0.7, 0.7, 1.0)
 """Color of shapes whose file states none."""
@@ -28,7 +28,7 @@ Triangles = tuple[NDArray, NDArray]
 
 @dataclass
 class LinkShape:
-    """A shape of a link; `at` [4, 4] takes its frame to the file's root frame at rest."""
+    """A shape of a link; `at` [4, 4] transforms it to the root frame with all joints at 0."""
 
     shape: BaseShape | Triangles
     at: NDArray
@@ -36,45 +36,46 @@ class LinkShape:
     rgba: tuple[float, float, float, float] = GRAY
     friction: float = 0.5
     hull: bool = False
-    """Whether the mesh collides as its convex hull, whatever its form."""
+    """True if the mesh collides as its convex hull."""
     name: str = ""
-    """Name of the material, where the file gives one."""
+    """Name of the material; empty if the file states none."""
     density: float | None = None
-    """Density of the material [kg/m^3], where the file states it."""
+    """Density of the material [kg/m^3]; None if the file states none."""
     metallic: float | None = None
-    """Of the material, from 0 to 1, where the file states it; so is roughness."""
+    """Metallic fraction of the material, from 0 to 1."""
     roughness: float | None = None
+    """Roughness of the material, from 0 to 1."""
 
 
 @dataclass
 class Link:
-    """A rigid body; positions are in the file's root frame at rest."""
+    """A rigid body; positions are in the root frame with all joints at 0."""
 
     name: str
     shapes: list[LinkShape] = field(default_factory=list)
     mass: float | None = None
-    """[kg]; None where the file states none."""
+    """[kg]; None if the file states none."""
     com: NDArray | None = None
-    """Centre of mass [m], [3]."""
+    """Center of mass [m], [3]."""
     inertia: NDArray | None = None
-    """Inertia about it, along the root frame's axes [kg m^2], [3, 3]."""
+    """Inertia about the center of mass, in the axes of the root frame [kg m^2], [3, 3]."""
     origin: NDArray = field(default_factory=lambda: np.zeros(3))
-    """Origin of the link's own frame in the file [m], [3]."""
+    """Origin of the link's frame [m], [3]."""
     visual_only: bool = False
-    """Whether it is only visible, without mass or colliders."""
+    """True if it has neither mass nor colliders."""
 
 
 @dataclass
 class Mechanism:
-    """A tree of links; joints have the names, anchors and axes of the file."""
+    """A tree of links; names are those of the file."""
 
     name: str
     links: dict[str, Link]
     joints: list[JointSpec]
     sites: list[Site] = field(default_factory=list)
-    """Named points of links, with the names of the file."""
+    """Named points of links."""
     notes: list[str] = field(default_factory=list)
-    """Omissions and assumptions of the reader, in words."""
+    """Omissions and assumptions of the reader."""
 
     @property
     def root(self) -> str:
@@ -85,42 +86,44 @@ class Mechanism:
 
 @dataclass
 class Assembly:
-    """One object of a file that may hold several: its mechanism, and where it is."""
+    """One object of a file: its mechanism and its pose."""
 
     path: str
-    """Its name in the file."""
+    """Name of the object in the file."""
     mechanism: Mechanism
     frame: NDArray
     """Rigid transform from the mechanism's frame to the world [4, 4] m, Z up."""
     fixed: bool
-    """Whether it cannot move as a whole."""
+    """True if the root cannot move."""
     state: dict[str, float] = field(default_factory=dict)
-    """Values of its joints in the file's scene [rad or m]; a ball's have .x, .y and .z."""
+    """Joint values in the file [rad or m]; those of a ball have .x, .y and .z."""
     bare: bool = False
-    """Whether it is geometry without a rigid body."""
+    """True if it is geometry without a rigid body."""
 
 
 def mechanism(spec: ObjectSpec) -> Mechanism:
     """Describe an object, without its shapes."""
-    origins = {joint.child: np.array(joint.pos) for joint in spec.joints}
+    origins = link_origins(spec)
     links = {}
     for part in spec.parts:
         mass = inertial(spec, part)
-        turn = matrix(mass.quat)
         links[part.name] = Link(
             part.name,
             mass=mass.mass,
             com=np.array(mass.pos),
-            inertia=turn @ np.diag(mass.diagonal) @ turn.T,
-            origin=origins.get(part.name, np.zeros(3)),
+            inertia=inertia_tensor(spec, part),
+            origin=origins[part.name],
         )
     return Mechanism(spec.name, links, list(spec.joints), list(spec.sites))
 
 
 def transformed(own: Mechanism, into: NDArray) -> Mechanism:
-    """Return a mechanism in another frame, `into` [4, 4] being the rigid transform to it."""
+    """Return a mechanism in another frame, to which `into` [4, 4] transforms rigidly."""
     turn, shift = into[:3, :3], into[:3, 3]
-    place = lambda point: turn @ np.asarray(point) + shift
+
+    def place(point: ArrayLike) -> NDArray:
+        return turn @ np.asarray(point) + shift
+
     links = {
         name: replace(
             link,
@@ -146,8 +149,8 @@ def check_tree(path: Path, links: Sequence[str], joints: Sequence[tuple[str, str
 
     Args:
         path: the file, for messages.
-        links: names.
-        joints: (name, parent, child).
+        links: names of the links.
+        joints: name, parent and child of every joint.
 
     Raises:
         SpecError: a name is unknown or repeated, a link has two parents, links form a cycle, or
@@ -156,42 +159,42 @@ def check_tree(path: Path, links: Sequence[str], joints: Sequence[tuple[str, str
     known = set(links)
     if len(known) < len(links):
         twice = sorted(link for link, count in Counter(links).items() if count > 1)
-        raise SpecError(f"{path}: link {twice[0]!r} is there twice")
+        raise SpecError(f"{path}: link {twice[0]!r} is defined twice")
     parents: dict[str, str] = {}
     for name, parent, child in joints:
         for end in (parent, child):
             if end not in known:
-                raise SpecError(f"{path}: joint {name!r} names link {end!r}, which is not there")
+                raise SpecError(f"{path}: joint {name!r} names link {end!r}, which does not exist")
         if child in parents:
             raise SpecError(f"{path}: link {child!r} is the child of two joints")
         parents[child] = parent
     looped = name_on_cycle(parents)
     if looped is not None:
-        raise SpecError(f"{path}: joints go in a circle through link {looped!r}")
+        raise SpecError(f"{path}: joints form a cycle through link {looped!r}")
     roots = [link for link in links if link not in parents]
     if len(roots) != 1:
         raise SpecError(
-            f"{path}: an object has one root link, this has {', '.join(roots) or 'none'}"
+            f"{path}: an object has one root link; the file has {', '.join(roots) or 'none'}"
         )
     return roots[0]
 
 
 def unchecked_mimic(joint: str, multiplier: float, offset: float) -> Mimic:
-    """Make a joint follow another, whose name is that of its file."""
+    """Return an unvalidated mimic of a joint, by its name in the file."""
     return Mimic.model_construct(joint=joint, multiplier=multiplier, offset=offset)
 
 
 def unchecked_joint(**fields: Any) -> JointSpec:
-    """Make a joint with the names of its file, unchecked; importing renames and checks it."""
+    """Return an unvalidated joint with the names of the file, which `importing` replaces."""
     return JointSpec.model_construct(**fields)
 
 
 def unchecked_site(name: str, part: str, pos: NDArray) -> Site:
-    """Make a site with the names of its file, unchecked; importing renames and checks it."""
+    """Return an unvalidated site with the names of the file, which `importing` replaces."""
     return Site.model_construct(name=name, part=part, pos=triple(pos))
 
 
 def triple(values: NDArray) -> tuple[float, float, float]:
-    """Turn three numbers of NumPy into plain ones."""
+    """Convert an array of three numbers to a tuple of floats."""
     x, y, z = (float(v) for v in values)
     return x, y, z

@@ -1,13 +1,13 @@
-"""Read the mechanism of an MJCF file through MuJoCo's compiler.
+"""Read the mechanisms of an MJCF file with MuJoCo's compiler.
 
-MuJoCo resolves defaults, classes, includes and units; the compiled model is read at the pose in
-which the object is drawn. Only what the model no longer holds is taken from the text.
+MuJoCo resolves defaults, classes, includes and units; the compiled model is read at qpos0.
 """
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import SpecError
 from ..physics.mjcf import START
-from ..spec import Box, Capsule, Cylinder, Ellipsoid, JointSpec, JointType, Sphere
+from ..spec import Box, Capsule, Cylinder, Ellipsoid, JointSpec, Mimic, Sphere
 from ..spec.base_shape import BaseShape
 from .compiled_mjcf import checked_roots, compiled_mjcf
 from .mechanism import (
@@ -35,43 +35,50 @@ from .mjcf_looks import geom_color
 from .mjcf_trial import try_mjcf
 
 _G, _J = mujoco.mjtGeom, mujoco.mjtJoint
+_SHAPES: dict[int, Callable[[float, float, float], BaseShape]] = {
+    _G.mjGEOM_BOX: lambda x, y, z: Box(size=(2 * x, 2 * y, 2 * z)),
+    _G.mjGEOM_SPHERE: lambda x, y, z: Sphere(radius=x),
+    _G.mjGEOM_CAPSULE: lambda x, y, z: Capsule(radius=x, length=2 * y),
+    _G.mjGEOM_CYLINDER: lambda x, y, z: Cylinder(radius=x, height=2 * y),
+    _G.mjGEOM_ELLIPSOID: lambda x, y, z: Ellipsoid(radii=(x, y, z)),
+}
+"""Shapes by type of geom, from the three numbers of geom_size."""
 LOST = ("tendon", "actuator", "sensor", "contact", "keyframe", "deformable", "extension")
-"""What an object has no place for; of keyframes only "start" is read."""
+"""Sections that are not imported, except for the keyframe "start"."""
 
 
 def read_mjcf(path: Path) -> Mechanism:
     """Read an MJCF file with one object.
 
     Raises:
-        SpecError: the file is broken or hostile, names a file that is not there or lies outside its
-            folder, MuJoCo refuses it, or it holds several objects.
+        SpecError: the file is broken or hostile, names a file that is missing or lies outside its
+            folder, MuJoCo refuses it, or it has several objects.
     """
-    made = [one for one in read_mjcf_scene(path) if not one.bare]
-    if len(made) != 1:
-        names = ", ".join(one.path for one in made) or "none"
-        raise SpecError(f"{path}: an object is one body in the world, this file has {names}")
-    only = made[0]
-    return transformed(only.mechanism, only.frame)
+    assemblies = read_mjcf_scene(path)
+    if len(assemblies) != 1:
+        names = ", ".join(assembly.path for assembly in assemblies)
+        raise SpecError(f"{path}: an object is one body of the world; the file has {names}")
+    return transformed(assemblies[0].mechanism, assemblies[0].frame)
 
 
 def read_mjcf_scene(path: Path) -> list[Assembly]:
-    """Read all bodies of an MJCF file that are in the world, each in the frame of its root.
+    """Read all child bodies of the world of an MJCF file, each in the frame of its root body.
 
-    Values of joints are those of the keyframe "start", which our scenes have. Geoms of the world
-    itself, such as a floor, are one bare object.
+    Joint values are those of the keyframe "start", which exported scenes have. Geoms of the world
+    body, such as a floor, are skipped.
 
     Raises:
-        SpecError: the file is broken or hostile, names a file that is not there or lies outside its
-            folder, MuJoCo refuses it, or nothing in it has geometry.
+        SpecError: the file is broken or hostile, names a file that is missing or lies outside its
+            folder, MuJoCo refuses it, or no body has geometry.
     """
     path = Path(path)
     notes: list[str] = []
     roots = checked_roots(path, path, set())
     if roots[0].tag != "mujoco":
-        raise SpecError(f"{path}: an MJCF file begins with <mujoco>, this with <{roots[0].tag}>")
-    for tag in LOST:
-        if any(root.find(tag) is not None for root in roots):
-            notes.append(f"{tag} is not imported")
+        raise SpecError(f"{path}: the root element of MJCF is <mujoco>, not <{roots[0].tag}>")
+    notes += [
+        f"{tag} is not imported" for tag in LOST if any(r.find(tag) is not None for r in roots)
+    ]
     try_mjcf(path, roots)
     model, stated, massless = compiled_mjcf(path, notes)
     data = mujoco.MjData(model)
@@ -82,20 +89,19 @@ def read_mjcf_scene(path: Path) -> list[Assembly]:
         b for b in range(1, model.nbody) if model.body_parentid[b] == 0 and _geoms_below(model, b)
     ]
     if np.any(model.geom_bodyid == 0):
-        notes.append("geoms of the world itself, such as a floor, are not imported")
+        notes.append("geoms of the world body, such as a floor, are not imported")
     result = []
     for top in tops:
         name = title if len(tops) == 1 else _name(model, top)
-        own = _mechanism(path, model, data, top, name, stated, massless, notes)
+        in_world = _mechanism(path, model, data, top, name, stated, massless, notes)
         frame = np.eye(4)
         frame[:3, :3], frame[:3, 3] = data.xmat[top].reshape(3, 3), data.xpos[top]
-        kinds = _own_joints(model, top)
-        fixed = not any(model.jnt_type[j] == _J.mjJNT_FREE for j in kinds)
-        local = transformed(own, np.linalg.inv(frame))
-        one = Assembly(_name(model, top), local, frame, fixed)
-        result.append(_without_owner(_as_keyed(model, top, one)))
+        fixed = not any(model.jnt_type[j] == _J.mjJNT_FREE for j in _body_joints(model, top))
+        local = transformed(in_world, np.linalg.inv(frame))
+        assembly = Assembly(_name(model, top), local, frame, fixed)
+        result.append(_without_prefix(_with_start_state(model, top, assembly)))
     if not result:
-        raise SpecError(f"{path}: an object is one body in the world, this file has none")
+        raise SpecError(f"{path}: an object is one body of the world; the file has none")
     return result
 
 
@@ -109,7 +115,7 @@ def _mechanism(
     massless: set[str],
     notes: list[str],
 ) -> Mechanism:
-    """Describe a body and all below it, in the world's frame."""
+    """Describe a body and its descendants in the frame of the world."""
     bodies = [top]
     for b in range(top + 1, model.nbody):
         if int(model.body_parentid[b]) in bodies:
@@ -126,60 +132,63 @@ def _mechanism(
     return Mechanism(title, {link.name: link for link in links}, joints, sites, notes)
 
 
-def _without_owner(one: Assembly) -> Assembly:
-    """Take "<object>-" off all names below an object, where all of them begin with it."""
-    own = one.mechanism
+def _without_prefix(assembly: Assembly) -> Assembly:
+    """Remove the prefix "<object>-" from all names of an object if all of them have it."""
+    own = assembly.mechanism
     prefix = f"{own.root}-"
     inner = [name for name in own.links if name != own.root]
     names = [*inner, *(j.name for j in own.joints), *(site.name for site in own.sites)]
-    short = lambda name: name.removeprefix(prefix)
+
+    def short(name: str) -> str:
+        return name.removeprefix(prefix)
+
     if not all(name.startswith(prefix) for name in names) or own.root in map(short, inner):
-        return one
+        return assembly
     links = {short(name): replace(link, name=short(name)) for name, link in own.links.items()}
     joints = []
     for joint in own.joints:
         update = {key: short(getattr(joint, key)) for key in ("name", "parent", "child")}
         mimic = joint.mimic
-        tie = mimic and mimic.model_copy(update={"joint": short(mimic.joint)})
-        joints.append(joint.model_copy(update={**update, "mimic": tie}))
+        mimic = mimic and mimic.model_copy(update={"joint": short(mimic.joint)})
+        joints.append(joint.model_copy(update={**update, "mimic": mimic}))
     sites = [unchecked_site(short(s.name), short(s.part), np.array(s.pos)) for s in own.sites]
-    state = {short(key): value for key, value in one.state.items()}
-    mechanism = replace(own, links=links, joints=joints, sites=sites)
-    return replace(one, mechanism=mechanism, state=state)
+    state = {short(key): value for key, value in assembly.state.items()}
+    renamed = replace(own, links=links, joints=joints, sites=sites)
+    return replace(assembly, mechanism=renamed, state=state)
 
 
-def _own_joints(model: mujoco.MjModel, body: int) -> range:
+def _body_joints(model: mujoco.MjModel, body: int) -> range:
     first = int(model.body_jntadr[body])
     return range(first, first + int(model.body_jntnum[body]))
 
 
-def _as_keyed(model: mujoco.MjModel, top: int, one: Assembly) -> Assembly:
-    """Put an object where the keyframe "start" has it."""
+def _with_start_state(model: mujoco.MjModel, top: int, assembly: Assembly) -> Assembly:
+    """Set the pose and joint state of an object to those of the keyframe "start"."""
     keys = [k for k in range(model.nkey) if model.key(k).name == START]
     if not keys:
-        return one
+        return assembly
     qpos = model.key_qpos[keys[0]]
-    for joint in one.mechanism.joints:
+    for joint in assembly.mechanism.joints:
         j = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint.name)
         if j < 0 or joint.type == "fixed":
             continue
-        at = int(model.jnt_qposadr[j])
+        address = int(model.jnt_qposadr[j])
         if joint.type == "ball":
-            turn = np.zeros(3)
-            mujoco.mju_quat2Vel(turn, qpos[at : at + 4], 1.0)
-            # A ball's vector is along the axes of the object, as its body's are at rest.
-            values = {f"{joint.name}.{a}": float(v) for a, v in zip("xyz", turn, strict=True)}
+            vector = np.zeros(3)
+            mujoco.mju_quat2Vel(vector, qpos[address : address + 4], 1.0)
+            # The axes of the body at rest are those of the object.
+            values = {f"{joint.name}.{a}": float(v) for a, v in zip("xyz", vector, strict=True)}
         else:
-            values = {joint.name: float(qpos[at] - model.qpos0[at])}
-        one.state.update({name: value for name, value in values.items() if value})
-    for j in _own_joints(model, top):
+            values = {joint.name: float(qpos[address] - model.qpos0[address])}
+        assembly.state.update({name: value for name, value in values.items() if value})
+    for j in _body_joints(model, top):
         if model.jnt_type[j] == _J.mjJNT_FREE:
-            at = int(model.jnt_qposadr[j])
-            one.frame[:3, 3] = qpos[at : at + 3]
-            turn = np.zeros(9)
-            mujoco.mju_quat2Mat(turn, qpos[at + 3 : at + 7])
-            one.frame[:3, :3] = turn.reshape(3, 3)
-    return one
+            address = int(model.jnt_qposadr[j])
+            assembly.frame[:3, 3] = qpos[address : address + 3]
+            rotation = np.zeros(9)
+            mujoco.mju_quat2Mat(rotation, qpos[address + 3 : address + 7])
+            assembly.frame[:3, :3] = rotation.reshape(3, 3)
+    return assembly
 
 
 def _link(
@@ -204,7 +213,7 @@ def _link(
         if link.name in stated:
             mass, moments = stated[link.name]
         link.mass, link.com = mass, data.xipos[b].copy()
-        with np.errstate(invalid="ignore", over="ignore"):  # Refused later, by name.
+        with np.errstate(invalid="ignore", over="ignore"):  # ObjectSpec refuses such values.
             link.inertia = turn @ np.diag(moments) @ turn.T
     return link
 
@@ -216,16 +225,8 @@ def _shape(
     at[:3, :3], at[:3, 3] = data.geom_xmat[g].reshape(3, 3), data.geom_xpos[g]
     size, kind = [float(v) for v in model.geom_size[g]], int(model.geom_type[g])
     shape: BaseShape | Triangles
-    if kind == _G.mjGEOM_BOX:
-        shape = Box(size=(2 * size[0], 2 * size[1], 2 * size[2]))
-    elif kind == _G.mjGEOM_SPHERE:
-        shape = Sphere(radius=size[0])
-    elif kind == _G.mjGEOM_CAPSULE:
-        shape = Capsule(radius=size[0], length=2 * size[1])
-    elif kind == _G.mjGEOM_CYLINDER:
-        shape = Cylinder(radius=size[0], height=2 * size[1])
-    elif kind == _G.mjGEOM_ELLIPSOID:
-        shape = Ellipsoid(radii=(size[0], size[1], size[2]))
+    if kind in _SHAPES:
+        shape = _SHAPES[kind](*size)
     elif kind == _G.mjGEOM_MESH:
         m = int(model.geom_dataid[g])
         v, f = int(model.mesh_vertadr[m]), int(model.mesh_faceadr[m])
@@ -237,15 +238,15 @@ def _shape(
     collides = bool(model.geom_contype[g]) or bool(model.geom_conaffinity[g])
     material = int(model.geom_matid[g])
     red, green, blue, alpha = geom_color(model, g)
-    shine = [model.mat_metallic[material], model.mat_roughness[material]] if material >= 0 else []
-    metallic, roughness = (float(v) if v >= 0 else None for v in shine or (-1, -1))
+    gloss = [model.mat_metallic[material], model.mat_roughness[material]] if material >= 0 else []
+    metallic, roughness = (float(v) if v >= 0 else None for v in gloss or (-1, -1))
     return LinkShape(
         shape,
         at,
         "collision" if collides else "visual",
         (red, green, blue, alpha),
         float(model.geom_friction[g, 0]) if collides else 0.5,
-        hull=collides,  # MuJoCo collides meshes as their hulls.
+        hull=collides,  # MuJoCo collides the convex hulls of meshes.
         metallic=metallic,
         roughness=roughness,
     )
@@ -254,29 +255,25 @@ def _shape(
 def _joints(
     path: Path, model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int], notes: list[str]
 ) -> tuple[list[JointSpec], list[Link]]:
-    """Return the joints of bodies, and links between several joints of one body."""
-    ties = _ties(model, notes)
+    """Return the joints of bodies, and links between the joints of bodies that have several."""
+    mimics = _mimics(model, notes)
     joints: list[JointSpec] = []
     inner: list[Link] = []
     for b in bodies[1:]:
         parent, child = _name(model, int(model.body_parentid[b])), _name(model, b)
-        own = _own_joints(model, b)
-        if not own:
-            at = triple(data.xpos[b])
-            joints.append(
-                unchecked_joint(
-                    name=f"{child}_fixed", type="fixed", parent=parent, child=child, pos=at
-                )
-            )
-        for k, j in enumerate(own):
-            last = k == len(own) - 1
+        indices = _body_joints(model, b)
+        if not indices:
+            fixed = {"name": f"{child}_fixed", "type": "fixed", "pos": triple(data.xpos[b])}
+            joints.append(unchecked_joint(**fixed, parent=parent, child=child))
+        for k, j in enumerate(indices):
+            last = k == len(indices) - 1
             below = child if last else f"{child}_axis_{k}"
             if not last:
                 inner.append(Link(below, origin=data.xpos[b].copy()))
-            joints.append(_joint(path, model, data, j, parent, below, ties, notes))
+            joints.append(_joint(path, model, data, j, parent, below, mimics, notes))
             parent = below
     root = bodies[0]
-    for j in _own_joints(model, root):
+    for j in _body_joints(model, root):
         if model.jnt_type[j] != _J.mjJNT_FREE:
             notes.append(f"joint {model.joint(j).name} moves the whole object and is not imported")
     return joints, inner
@@ -289,7 +286,7 @@ def _joint(
     j: int,
     parent: str,
     child: str,
-    ties: dict[int, Any],
+    mimics: dict[int, Mimic],
     notes: list[str],
 ) -> JointSpec:
     name, kind = model.joint(j).name or f"{child}_joint", int(model.jnt_type[j])
@@ -303,29 +300,22 @@ def _joint(
         "armature": float(model.dof_armature[dof]),
     }
     if kind == _J.mjJNT_BALL:
-        if "ball" in get_args(JointType):
-            upper = float(min(model.jnt_range[j, 1], np.pi)) if limited else 0.0
-            return unchecked_joint(**common, **losses, type="ball", upper=upper)
-        notes.append(f"joint {name} is a ball joint: imported as fixed")
-        return unchecked_joint(**common, type="fixed")
+        upper = float(min(model.jnt_range[j, 1], np.pi)) if limited else 0.0
+        return unchecked_joint(**common, **losses, type="ball", upper=upper)
     if kind == _J.mjJNT_FREE:
         raise SpecError(f"{path}: joint {name} is free within the object")
     slide = kind == _J.mjJNT_SLIDE
-    drawn = float(model.qpos0[model.jnt_qposadr[j]])
-    lower, upper = (float(v) - drawn for v in model.jnt_range[j])
+    rest = float(model.qpos0[model.jnt_qposadr[j]])
+    lower, upper = (float(v) - rest for v in model.jnt_range[j])
     if slide and not limited:
         raise SpecError(f"{path}: joint {name} slides and states no limits")
     if limited and not lower < upper:
         raise SpecError(f"{path}: joint {name}: its range {lower:g} to {upper:g} is empty")
     if (
         losses["stiffness"] > 0
-        and abs(float(model.qpos_spring[model.jnt_qposadr[j]]) - drawn) > 1e-9
+        and abs(float(model.qpos_spring[model.jnt_qposadr[j]]) - rest) > 1e-9
     ):
-        notes.append(f"joint {name}: its spring is at rest elsewhere, which is not imported")
-    mimic = None
-    if j in ties:
-        leader, coefficients = ties[j]
-        mimic = unchecked_mimic(leader, float(coefficients[1]), float(coefficients[0]))
+        notes.append(f"joint {name}: the rest position of its spring is not imported")
     force = float(model.jnt_actfrcrange[j, 1]) if model.jnt_actfrclimited[j] else 0.0
     return unchecked_joint(
         **common,
@@ -335,21 +325,23 @@ def _joint(
         lower=lower if limited else 0.0,
         upper=upper if limited else 0.0,
         effort=force if force > 0 else None,
-        mimic=mimic,
+        mimic=mimics.get(j),
     )
 
 
-def _ties(model: mujoco.MjModel, notes: list[str]) -> dict[int, Any]:
-    ties: dict[int, Any] = {}
+def _mimics(model: mujoco.MjModel, notes: list[str]) -> dict[int, Mimic]:
+    """Return the mimics of joints by index, from joint equalities."""
+    mimics: dict[int, Mimic] = {}
     for e in range(model.neq):
         if model.eq_type[e] != mujoco.mjtEq.mjEQ_JOINT or model.eq_obj2id[e] < 0:
-            notes.append("an equality that ties no two joints is not imported")
+            notes.append("an equality other than between two joints is not imported")
             continue
         if np.any(model.eq_data[e, 2:5]):
-            notes.append("of a tie between joints only the linear part is imported")
+            notes.append("only the linear part of a joint equality is imported")
         leader = model.joint(int(model.eq_obj2id[e])).name
-        ties[int(model.eq_obj1id[e])] = (leader, model.eq_data[e])
-    return ties
+        offset, multiplier = (float(v) for v in model.eq_data[e, :2])
+        mimics[int(model.eq_obj1id[e])] = unchecked_mimic(leader, multiplier, offset)
+    return mimics
 
 
 def _geoms_below(model: mujoco.MjModel, body: int) -> bool:

@@ -1,7 +1,7 @@
-"""Read the mechanisms of a USD file, by UsdGeom, UsdShade and UsdPhysics.
+"""Read the mechanisms of a USD file, from UsdGeom, UsdShade and UsdPhysics.
 
-A file from elsewhere may hold one object or many, in any unit and with either axis up. Rigid bodies
-that joints connect are one object; its joints are read at 0, whatever state the stage is in.
+A file may hold several objects, in any unit and with Y or Z up. Rigid bodies that joints connect
+form one object, which is read with its joints at 0 whatever the state of the stage.
 """
 
 from collections.abc import Callable, Iterator
@@ -10,19 +10,20 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
+from pxr import Tf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from ..errors import SpecError
 from ..spec.base import Vec3
 from .checked_usd import open_inside
+from .link_frames import unused
 from .mechanism import Assembly, Link, Mechanism, triple, unchecked_site
-from .read_usd_joints import JointReader, Tie, is_joint, state_of
+from .read_usd_joints import JointReader, Tie, is_joint, rotation_matrix, state_of
 from .read_usd_shapes import shapes_of, unscaled
 
 WORLD = "world"
-"""Link that stands for the world where a joint moves an object in it."""
+"""Name of the link that represents the world in an object that a joint moves in it."""
 MAX_NUMBER = 1e6
-"""Largest coordinate [m] and scale that are read."""
+"""Largest coordinate [m] and scale."""
 _Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 _LEFT_OUT = ("PointInstancer", "BasisCurves", "NurbsPatch", "Points", "Skeleton", "Volume", "Plane")
 
@@ -31,22 +32,23 @@ _LEFT_OUT = ("PointInstancer", "BasisCurves", "NurbsPatch", "Points", "Skeleton"
 class _Body:
     prim: Usd.Prim
     raw: NDArray
-    """Transform of its prim to the world, with scale [4, 4] m."""
-    at: NDArray
+    """Transform of the prim to the world, with scale [4, 4] m."""
+    rigid: NDArray
     """The same without scale."""
     dynamic: bool
     shapes: list[tuple[Usd.Prim, NDArray]] = field(default_factory=list)
 
 
 def read_usd(path: Path, object_path: str | None = None) -> Mechanism:
-    """Read the one object of a USD file, in the world's frame, or of a prim of it, in the prim's.
+    """Read a USD file with one object, or the object of one prim.
 
     Args:
         path: the file.
-        object_path: the object's prim; None is the default prim, or all.
+        object_path: prim of the object, whose frame is used; None reads the default prim or the
+            whole stage in the frame of the world.
 
     Raises:
-        SpecError: the file is broken or hostile, there is no such prim, or it holds several
+        SpecError: the file is broken or hostile, the prim does not exist, or it has several
             objects.
     """
     return one_object(path, open_inside(Path(path)), object_path)
@@ -54,13 +56,13 @@ def read_usd(path: Path, object_path: str | None = None) -> Mechanism:
 
 def one_object(path: Path, stage: Usd.Stage, object_path: str | None = None) -> Mechanism:
     """Read the one object of a stage; see `read_usd`."""
-    made = read_assemblies(path, stage, object_path, apart=False)
-    bodies = [one for one in made if not one.bare]
-    if len(bodies) > 1:
-        paths = ", ".join(one.path for one in bodies[:8])
-        raise SpecError(f"{path} holds {len(bodies)} objects, not one: {paths}")
-    result = (bodies or made)[0].mechanism
-    if len(made) > 1:
+    assemblies = read_assemblies(path, stage, object_path, apart=False)
+    objects = [assembly for assembly in assemblies if not assembly.bare]
+    if len(objects) > 1:
+        paths = ", ".join(assembly.path for assembly in objects[:8])
+        raise SpecError(f"{path} has {len(objects)} objects, not one: {paths}")
+    result = (objects or assemblies)[0].mechanism
+    if len(assemblies) > 1:
         result.notes.append("geometry outside of rigid bodies is not imported")
     return result
 
@@ -68,26 +70,26 @@ def one_object(path: Path, stage: Usd.Stage, object_path: str | None = None) -> 
 def read_assemblies(
     path: Path, stage: Usd.Stage, object_path: str | None = None, *, apart: bool
 ) -> list[Assembly]:
-    """Read all objects of a stage, each with its place.
+    """Read all objects of a stage with their poses.
 
     Args:
         path: the stage's file, for messages.
         stage: the stage.
-        object_path: the prim below which to read; None is the default prim, or all.
-        apart: whether every object has the frame of its own prim, and geometry without a body is
-            one static object for each child of the top prim; else all have the frame of
-            `object_path`, or of the world, and such geometry is one.
+        object_path: prim whose descendants are read; None reads the default prim or all.
+        apart: True to use the frame of each object's prim, and to read geometry without a rigid
+            body as one static object for each child of the top prim; False to use the frame of
+            `object_path`, or of the world, and to read such geometry as one object.
 
     Raises:
-        SpecError: there is no such prim, nothing that could collide or be seen, or a mesh is
+        SpecError: the prim does not exist, no geometry is visible or collides, or a mesh is
             broken.
     """
     try:
         return _assemblies(path, stage, object_path, apart)
     except (Tf.ErrorException, TypeError, ValueError, AttributeError, OverflowError) as error:
-        # Values have the types that a file gives them, whatever the schemas say.
-        words = " ".join(str(error).split())[:200]
-        raise SpecError(f"{path} holds a value that USD's schemas do not allow: {words}") from None
+        # An attribute can have another type in the file than in its schema.
+        message = " ".join(str(error).split())[:200]
+        raise SpecError(f"{path} has a value that USD's schemas do not allow: {message}") from None
 
 
 def _assemblies(
@@ -98,22 +100,22 @@ def _assemblies(
         raise SpecError(f"{path}: no prim at {object_path}")
     top = top or stage.GetPseudoRoot()
     notes: list[str] = []
-    upright, to_metres = _world(stage)
+    upright, to_meters = _world(stage)
     prims = list(Usd.PrimRange(top, Usd.TraverseInstanceProxies()))
     cache = UsdGeom.XformCache()
 
     def placed(prim: Usd.Prim) -> NDArray:
-        # USD multiplies row vectors, so its matrices are the transposes of ours.
-        at = to_metres @ np.array(cache.GetLocalToWorldTransform(prim)).T
-        if not np.isfinite(at).all() or np.abs(at).max() > MAX_NUMBER:
-            raise SpecError(f"{path}: the place of {prim.GetPath()} is no place")
-        return at
+        # USD multiplies row vectors, hence the transpose.
+        raw = to_meters @ np.array(cache.GetLocalToWorldTransform(prim)).T
+        if not np.isfinite(raw).all() or np.abs(raw).max() > MAX_NUMBER:
+            raise SpecError(f"{path}: the transform of {prim.GetPath()} is not finite or too large")
+        return raw
 
     def frame_of(prim: Usd.Prim) -> NDArray:
         return _rigid(placed(prim)) @ upright.T
 
     bodies = _bodies(prims, placed)
-    reader = JointReader(path, stage, placed, {p: body.at for p, body in bodies.items()}, notes)
+    reader = JointReader(path, stage, placed, {p: body.rigid for p, body in bodies.items()}, notes)
     ties = reader.ties([prim for prim in prims if is_joint(prim)])
     loose: dict[str, _Body] = {}
     for prim in prims:
@@ -137,56 +139,56 @@ def _assemblies(
         frame = frame_of(home) if apart and home else shared
         result.append(_assembly(bodies, names, tied, held, frame, reader))
     for group, body in loose.items():
-        frame = body.at if apart else shared
+        frame = body.rigid if apart else shared
         link = _link(body, "static", np.linalg.inv(frame), stage, notes)
         if not bodies or any(shape.role != "visual" for shape in link.shapes):
             name = group.rpartition("/")[2] or path.stem
             mechanism = Mechanism(name, {"static": link}, [], [], notes)
             result.append(Assembly(group, mechanism, frame, fixed=True, bare=True))
-    result = [one for one in result if any(k.shapes for k in one.mechanism.links.values())]
+    result = [a for a in result if any(link.shapes for link in a.mechanism.links.values())]
     if not result:
-        raise SpecError(f"{path} holds nothing that could collide or be seen")
+        raise SpecError(f"{path} has no visible or colliding geometry")
     return result
 
 
 def gravity_of(stage: Usd.Stage) -> Vec3 | None:
-    """Return the gravity that a stage states [m/s^2], Z up; None where it states none."""
+    """Return the gravity that a stage states [m/s^2], Z up, or None."""
     upright, _ = _world(stage)
     for prim in stage.Traverse():
         if prim.IsA(UsdPhysics.Scene):
             scene = UsdPhysics.Scene(prim)
-            size = scene.GetGravityMagnitudeAttr().Get()
-            along = np.array(list(scene.GetGravityDirectionAttr().Get() or (0, 0, 0)), float)
-            length = float(np.linalg.norm(along))
-            if size is None or not 0 <= size < np.inf or length < 1e-6:
+            magnitude = scene.GetGravityMagnitudeAttr().Get()
+            direction = np.array(list(scene.GetGravityDirectionAttr().Get() or (0, 0, 0)), float)
+            length = float(np.linalg.norm(direction))
+            if magnitude is None or not 0 <= magnitude < np.inf or length < 1e-6:
                 return None
-            metres = float(f"{size:.7g}") * UsdGeom.GetStageMetersPerUnit(stage)
-            return triple(np.round(upright[:3, :3] @ along / length * metres, 7))
+            meters = float(f"{magnitude:.7g}") * UsdGeom.GetStageMetersPerUnit(stage)
+            return triple(np.round(upright[:3, :3] @ direction / length * meters, 7))
     return None
 
 
 def _world(stage: Usd.Stage) -> tuple[NDArray, NDArray]:
-    """Return the rotation of the stage's axes to ours, and the transform to metres [4, 4]."""
+    """Return the rotation of the stage's axes to Z up, and the transform to meters [4, 4]."""
     unit = UsdGeom.GetStageMetersPerUnit(stage)
-    turn = _Z_UP if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else np.eye(4)
-    return turn, turn @ np.diag([unit, unit, unit, 1.0])
+    upright = _Z_UP if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else np.eye(4)
+    return upright, upright @ np.diag([unit, unit, unit, 1.0])
 
 
 def _rigid(raw: NDArray) -> NDArray:
-    """Return the rotation and place of a transform, without its scale."""
-    at, scale = unscaled(raw, even=True)
+    """Return a transform without its scale."""
+    rigid, scale = unscaled(raw, even=True)
     if scale is None:
         u, _, v = np.linalg.svd(raw[:3, :3])
-        at[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
-    return at
+        rigid[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
+    return rigid
 
 
 def _bodies(prims: list[Usd.Prim], placed: Callable[[Usd.Prim], NDArray]) -> dict[str, _Body]:
-    """Return rigid bodies by path, and what a scene of ours holds still."""
+    """Return rigid bodies by path, including the static links that `write_scene_usd` writes."""
     result = {}
     for prim in prims:
         dynamic = prim.HasAPI(UsdPhysics.RigidBodyAPI)
-        # What cannot move is no rigid body in our scenes, and keeps the attributes of its mass.
+        # Static links of exported scenes have no RigidBodyAPI but keep their mass attributes.
         still = prim.IsA(UsdGeom.Xform) and prim.HasAttribute("physics:mass")
         if dynamic or still:
             raw = placed(prim)
@@ -206,14 +208,14 @@ def _owner(prim: Usd.Prim, bodies: dict[str, _Body]) -> _Body | None:
 
 
 def _group(prim: Usd.Prim, top: Usd.Prim) -> Usd.Prim:
-    """Return the child of the top prim that a prim is in, or is."""
+    """Return the child of the top prim that is or contains a prim."""
     while prim != top and prim.GetParent() != top and not prim.GetParent().IsPseudoRoot():
         prim = prim.GetParent()
     return prim
 
 
 def _components(bodies: dict[str, _Body], ties: list[Tie]) -> Iterator[tuple[list[str], list[Tie]]]:
-    """Yield the bodies that joints connect, and these joints."""
+    """Yield the connected components of bodies, with the joints of each."""
     group = {name: name for name in bodies}
 
     def head(name: str) -> str:
@@ -225,13 +227,13 @@ def _components(bodies: dict[str, _Body], ties: list[Tie]) -> Iterator[tuple[lis
         if tie.parent:
             group[head(tie.child)] = head(tie.parent)
     heads = {name: head(name) for name in bodies}
-    for one in dict.fromkeys(heads.values()):
-        names = [name for name in bodies if heads[name] == one]
+    for component in dict.fromkeys(heads.values()):
+        names = [name for name in bodies if heads[name] == component]
         yield names, [tie for tie in ties if tie.parent and tie.parent in names]
 
 
 def _home(top: Usd.Prim, names: list[str]) -> Usd.Prim | None:
-    """Return the child of the top prim that holds all bodies of an object, if one does."""
+    """Return the child of the top prim that contains all bodies of an object, or None."""
     stage = top.GetStage()
     homes = {str(_group(stage.GetPrimAtPath(name), top).GetPath()) for name in names}
     return stage.GetPrimAtPath(homes.pop()) if len(homes) == 1 else None
@@ -245,17 +247,17 @@ def _assembly(
     frame: NDArray,
     reader: JointReader,
 ) -> Assembly:
-    """Put the bodies of one object to rest and describe them in its frame."""
+    """Describe the bodies of one object, with all joints at 0, in its frame."""
     into = np.linalg.inv(frame)
     moved = next((tie for tie in held if not tie.fixed), None)
     root = _root(bodies, names, ties, held)
-    rest = {root: bodies[root].at}
+    rest = {root: bodies[root].rigid}
     labels = _labels([bodies[name].prim for name in names])
     links: dict[str, Link] = {}
     used: list[Tie] = []
     if moved is not None:
-        # The world is the base then: what moves in it stands where its joint is at 0.
-        rest = {"": np.eye(4), moved.child: moved.here @ np.linalg.inv(moved.there)}
+        # The world is the base link then.
+        rest = {"": np.eye(4), moved.child: moved.parent_frame @ np.linalg.inv(moved.child_frame)}
         links[WORLD] = Link(WORLD, mass=1.0, com=np.zeros(3), inertia=np.eye(3))
         used.append(moved)
     waiting = [*ties]
@@ -265,25 +267,26 @@ def _assembly(
             if tie.parent in rest and tie.child in rest:
                 reader.notes.append(f"joint {tie.name} closes a loop and is not imported")
                 continue
-            one = tie if tie.parent in rest else tie.flipped()
-            rest[one.child] = rest[one.parent] @ one.here @ np.linalg.inv(one.there)
-            used.append(one)
+            outward = tie if tie.parent in rest else tie.flipped()
+            joint_frame = rest[outward.parent] @ outward.parent_frame
+            rest[outward.child] = joint_frame @ np.linalg.inv(outward.child_frame)
+            used.append(outward)
     for tie in waiting:
         reader.notes.append(f"joint {tie.name} closes a loop and is not imported")
     sites, stage, notes = [], reader.stage, reader.notes
     for name in names:
         body = bodies[name]
         links[labels[name]] = _link(
-            body, labels[name], into @ rest[name] @ np.linalg.inv(body.at), stage, notes
+            body, labels[name], into @ rest[name] @ np.linalg.inv(body.rigid), stage, notes
         )
         if folder := body.prim.GetChild("sites"):
             for point in folder.GetChildren():
                 local = UsdGeom.Xformable(point).GetLocalTransformation().ExtractTranslation()
-                at = into @ rest[name] @ np.array([*local, 1.0])
-                sites.append(unchecked_site(point.GetName(), labels[name], at[:3]))
+                position = into @ rest[name] @ np.array([*local, 1.0])
+                sites.append(unchecked_site(point.GetName(), labels[name], position[:3]))
     ends = {**labels, "": WORLD}
-    joints = [reader.joint(tie, into @ rest[tie.parent] @ tie.here, ends) for tie in used]
-    actual = {name: bodies[name].at for name in names} | {"": np.eye(4)}
+    joints = [reader.joint(tie, into @ rest[tie.parent] @ tie.parent_frame, ends) for tie in used]
+    actual = {name: bodies[name].rigid for name in names} | {"": np.eye(4)}
     state = {}
     for tie, joint in zip(used, joints, strict=True):
         displaced = [into @ actual[e] @ np.linalg.inv(rest[e]) @ frame
@@ -296,7 +299,7 @@ def _assembly(
 
 
 def _root(bodies: dict[str, _Body], names: list[str], ties: list[Tie], held: list[Tie]) -> str:
-    """Choose the body that an object hangs from."""
+    """Return the root body of an object."""
     children = {tie.child for tie in ties}
     for chosen in (
         [tie.child for tie in held],
@@ -309,7 +312,7 @@ def _root(bodies: dict[str, _Body], names: list[str], ties: list[Tie], held: lis
 
 
 def _title(prim: Usd.Prim, names: list[str]) -> str:
-    """Return the path of the prim that is the object: the highest that holds its bodies only."""
+    """Return the path of the prim that contains all bodies of an object."""
     path = prim.GetPath()
     for name in names:
         path = path.GetCommonPrefix(prim.GetStage().GetPrimAtPath(name).GetPath())
@@ -321,21 +324,19 @@ def _title(prim: Usd.Prim, names: list[str]) -> str:
 
 
 def _labels(prims: list[Usd.Prim]) -> dict[str, str]:
-    """Name links by their prims' names, each once."""
+    """Return unique link names, after the prims, by path."""
     result: dict[str, str] = {}
     for prim in prims:
-        name, taken = prim.GetName(), set(result.values()) | {WORLD}
-        while name in taken:
-            name += "_"
-        result[str(prim.GetPath())] = name
+        taken = set(result.values()) | {WORLD}
+        result[str(prim.GetPath())] = unused(prim.GetName(), taken)
     return result
 
 
-def _link(body: _Body, name: str, at: NDArray, stage: Usd.Stage, notes: list[str]) -> Link:
-    """Describe a body; `at` takes the world to the mechanism's frame at rest."""
-    link = Link(name, origin=(at @ body.at)[:3, 3])
+def _link(body: _Body, name: str, into: NDArray, stage: Usd.Stage, notes: list[str]) -> Link:
+    """Describe a body; `into` [4, 4] transforms the world to the mechanism's frame at rest."""
+    link = Link(name, origin=(into @ body.rigid)[:3, 3])
     for prim, raw in body.shapes:
-        link.shapes += shapes_of(prim, at @ raw, notes)
+        link.shapes += shapes_of(prim, into @ raw, notes)
     kilogram = UsdPhysics.GetStageKilogramsPerUnit(stage)
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     mass = UsdPhysics.MassAPI(body.prim)
@@ -343,23 +344,19 @@ def _link(body: _Body, name: str, at: NDArray, stage: Usd.Stage, notes: list[str
     if not stated > 0:
         return link
     link.mass = float(stated) * kilogram
-    centre = np.array(list(mass.GetCenterOfMassAttr().Get() or (np.nan,) * 3))
-    if np.isfinite(centre).all():
-        link.com = (at @ body.raw @ np.array([*centre, 1.0]))[:3]
+    center = np.array(list(mass.GetCenterOfMassAttr().Get() or (np.nan,) * 3))
+    if np.isfinite(center).all():
+        link.com = (into @ body.raw @ np.array([*center, 1.0]))[:3]
     moments = np.array(list(mass.GetDiagonalInertiaAttr().Get() or (0.0,) * 3))
     if np.any(moments):
-        turn = (at @ body.at)[:3, :3] @ _matrix(mass.GetPrincipalAxesAttr().Get())
-        link.inertia = turn @ np.diag(moments * kilogram * unit**2) @ turn.T
+        axes = (into @ body.rigid)[:3, :3] @ rotation_matrix(mass.GetPrincipalAxesAttr().Get())
+        link.inertia = axes @ np.diag(moments * kilogram * unit**2) @ axes.T
     if (link.com is None) != (link.inertia is None):
-        given = "centre of mass" if link.inertia is None else "inertia"
-        notes.append(f"{body.prim.GetPath()} states its {given} alone: derived from its colliders")
+        stated = "center of mass" if link.inertia is None else "inertia"
+        notes.append(
+            f"{body.prim.GetPath()} states only its {stated}: both are derived from its colliders"
+        )
     return link
-
-
-def _matrix(quat: Gf.Quatf | None) -> NDArray:
-    if quat is None or quat.GetLength() < 1e-6:
-        return np.eye(3)
-    return np.array(Gf.Matrix3d(Gf.Quatd(quat.GetNormalized()))).T
 
 
 _READ = ("Physics", "Newton", "Mjc", "PhysxJoint", "PhysxMimic", "MaterialBinding", "Semantics")
@@ -367,17 +364,17 @@ _READ_FULLY = ("GeomModelAPI", "CollectionAPI", "NodeDefAPI", "ShadowAPI")
 
 
 def _unread(prims: list[Usd.Prim]) -> list[str]:
-    """Note what the prims hold that an object's description has no place for."""
+    """Describe the data of prims that are not imported."""
     notes = []
     if any(prim.IsA(UsdGeom.Camera) for prim in prims):
         notes.append("cameras are not imported")
-    pictures = any(
+    textures = any(
         prim.GetAttribute("info:id").Get() == "UsdUVTexture"
         for prim in prims
         if prim.IsA(UsdShade.Shader)
     )
-    if pictures:
-        notes.append("pictures on materials are not imported")
+    if textures:
+        notes.append("textures of materials are not imported")
     others = set()
     for prim in prims:
         schemas = prim.GetMetadata("apiSchemas")

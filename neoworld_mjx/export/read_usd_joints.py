@@ -1,6 +1,7 @@
-"""Joints of USD prims: their two frames, and what UsdPhysics, Newton and PhysX say of them.
+"""Read joints of USD stages: their frames, and attributes of UsdPhysics, Newton, PhysX and MuJoCo.
 
-The axis is that of the token, turned by the local rotation; limits and drives count degrees.
+The axis of a joint is that of its token, turned by its local rotation. Limits and drives use
+degrees.
 """
 
 import math
@@ -23,43 +24,46 @@ _FREEDOMS = ("transX", "transY", "transZ", "rotX", "rotY", "rotZ")
 
 @dataclass(frozen=True)
 class Tie:
-    """A joint between two bodies, by paths; an empty parent is the world."""
+    """A joint between two bodies, given by their paths; an empty parent is the world."""
 
     prim: Usd.Prim
     parent: str
     child: str
-    here: NDArray
-    """Its frame in the parent's [4, 4] m."""
-    there: NDArray
-    """Its frame in the child's [4, 4] m."""
+    parent_frame: NDArray
+    """Frame of the joint in its parent [4, 4] m."""
+    child_frame: NDArray
+    """Frame of the joint in its child [4, 4] m."""
     reversed: bool = False
-    """Whether the file has parent and child the other way round."""
+    """True if the file names the parent as body 1."""
 
     @property
     def name(self) -> str:
-        """The prim's name."""
+        """Name of the prim."""
         return self.prim.GetName()
 
     @property
     def fixed(self) -> bool:
-        """Whether nothing moves."""
+        """True if the joint has no degree of freedom."""
         return kind_of(self.prim)[0] == "fixed"
 
     def flipped(self) -> "Tie":
-        """Return the same joint seen from its child."""
+        """Return the joint with parent and child exchanged."""
         return replace(
-            self, parent=self.child, child=self.parent, here=self.there, there=self.here,
-            reversed=not self.reversed,
+            self, parent=self.child, child=self.parent, parent_frame=self.child_frame,
+            child_frame=self.parent_frame, reversed=not self.reversed,
         )  # fmt: skip
 
 
 def is_joint(prim: Usd.Prim) -> bool:
-    """Tell whether a prim is a joint."""
+    """Return True if a prim is a joint."""
     return prim.IsA(UsdPhysics.Joint)
 
 
 def kind_of(prim: Usd.Prim) -> tuple[str, str]:
-    """Return a joint's type, as a spec's but with "revolute" for "continuous", and its axis."""
+    """Return the type of a joint and its axis token.
+
+    The type is "prismatic", "revolute" (with or without limits), "ball", "fixed" or "other".
+    """
     for schema, kind in (
         (UsdPhysics.PrismaticJoint, "prismatic"),
         (UsdPhysics.RevoluteJoint, "revolute"),
@@ -73,7 +77,7 @@ def kind_of(prim: Usd.Prim) -> tuple[str, str]:
     free = [name for name in _FREEDOMS if not _locked(prim, name)]
     if len(free) == 1:
         return ("prismatic" if free[0].startswith("trans") else "revolute"), free[0][-1]
-    return ("fixed", "X") if not free else ("other", "X")
+    return ("other" if free else "fixed"), "X"
 
 
 def _locked(prim: Usd.Prim, freedom: str) -> bool:
@@ -86,53 +90,55 @@ def _locked(prim: Usd.Prim, freedom: str) -> bool:
 
 @dataclass
 class JointReader:
-    """What the joints of one stage are read with."""
+    """Reader of the joints of one stage."""
 
     path: Path
     stage: Usd.Stage
     placed: Callable[[Usd.Prim], NDArray]
-    """Gives a prim's transform to the world, with scale [4, 4] m."""
+    """Returns the transform of a prim to the world, with scale [4, 4] m."""
     bodies: dict[str, NDArray]
     """Rigid transforms of the bodies to the world [4, 4] m, by path."""
     notes: list[str]
 
     def ties(self, prims: list[Usd.Prim]) -> list[Tie]:
-        """Return the joints that hold a body, in the file's order."""
+        """Return the joints that connect a body to another or to the world, in file order."""
         result = []
         for prim in prims:
             joint = UsdPhysics.Joint(prim)
-            first, one = self._side(joint.GetBody0Rel(), joint.GetLocalPos0Attr(),
-                                    joint.GetLocalRot0Attr())  # fmt: skip
-            second, other = self._side(joint.GetBody1Rel(), joint.GetLocalPos1Attr(),
-                                       joint.GetLocalRot1Attr())  # fmt: skip
+            first, first_frame = self._side(
+                joint.GetBody0Rel(), joint.GetLocalPos0Attr(), joint.GetLocalRot0Attr()
+            )
+            second, second_frame = self._side(
+                joint.GetBody1Rel(), joint.GetLocalPos1Attr(), joint.GetLocalRot1Attr()
+            )
             if first == second:
                 continue
-            tie = Tie(prim, first, second, one, other)
+            tie = Tie(prim, first, second, first_frame, second_frame)
             tie = tie if second else tie.flipped()
             if kind_of(prim)[0] == "other":
-                self.notes.append(
-                    f"joint {prim.GetName()} has several freedoms: "
-                    + ("left out" if not tie.parent else "imported as fixed")
-                )
+                outcome = "imported as fixed" if tie.parent else "skipped"
+                self.notes.append(f"joint {prim.GetName()} has several freedoms: {outcome}")
                 if not tie.parent:
                     continue
             result.append(tie)
         return result
 
     def _side(
-        self, body: Usd.Relationship, at: Usd.Attribute, turn: Usd.Attribute
+        self, body: Usd.Relationship, position: Usd.Attribute, rotation: Usd.Attribute
     ) -> tuple[str, NDArray]:
-        """Return the body at one side of a joint, and the joint's frame in it."""
+        """Return the body at one side of a joint, and the frame of the joint in it."""
         targets = body.GetTargets()
         prim = self.stage.GetPrimAtPath(targets[0]) if targets else None
         if targets and not prim:
-            raise SpecError(f"{self.path}: joint {body.GetPrim().GetPath()} names {targets[0]}, "
-                            "which is not there")  # fmt: skip
-        raw = self.placed(prim) if prim else self.placed(self.stage.GetPseudoRoot())
+            raise SpecError(
+                f"{self.path}: joint {body.GetPrim().GetPath()} names {targets[0]}, "
+                "which does not exist"
+            )
+        raw = self.placed(prim or self.stage.GetPseudoRoot())
         frame = np.eye(4)
-        frame[:3, 3] = (raw @ np.array([*(at.Get() or (0, 0, 0)), 1.0]))[:3]
+        frame[:3, 3] = (raw @ np.array([*(position.Get() or (0, 0, 0)), 1.0]))[:3]
         linear = raw[:3, :3]
-        frame[:3, :3] = linear / np.linalg.norm(linear, axis=0) @ _rotation(turn.Get())
+        frame[:3, :3] = linear / np.linalg.norm(linear, axis=0) @ rotation_matrix(rotation.Get())
         owner = prim
         while owner and str(owner.GetPath()) not in self.bodies:
             owner = owner.GetParent()
@@ -143,8 +149,17 @@ class JointReader:
         return name, np.linalg.inv(self.bodies[name]) @ frame
 
     def joint(self, tie: Tie, frame: NDArray, labels: dict[str, str]) -> JointSpec:
-        """Return a joint, `frame` [4, 4] being its own in the mechanism's frame at rest."""
-        prim, (kind, token) = tie.prim, kind_of(tie.prim)
+        """Return a joint.
+
+        Args:
+            tie: the joint in the stage.
+            frame: frame of the joint at rest, in that of the mechanism [4, 4] m.
+            labels: link names by path of the body.
+
+        Raises:
+            SpecError: it is a slide without limits.
+        """
+        kind, token = kind_of(tie.prim)
         common: dict[str, Any] = {
             "name": tie.name,
             "parent": labels[tie.parent],
@@ -154,104 +169,136 @@ class JointReader:
         if kind in ("fixed", "other"):
             return unchecked_joint(**common, type="fixed")
         if kind == "ball":
-            cone = UsdPhysics.SphericalJoint(prim).GetConeAngle0LimitAttr().Get()
-            upper = math.radians(min(max(cone, 0.0), 180.0)) if math.isfinite(cone) else 0.0
-            losses = {
-                name: abs(_first(prim, f"neoworld:{name}", f"newton:{name}", f"mjc:{name}") or 0.0)
-                for name in ("damping", "stiffness", "armature", "friction")
-            }
-            return unchecked_joint(**common, **losses, type="ball", upper=upper)
-        return self._moving(tie, kind, token, frame, common)
-
-    def _moving(
-        self, tie: Tie, kind: str, token: str, frame: NDArray, common: dict[str, Any]
-    ) -> JointSpec:
-        prim, slide = tie.prim, kind == "prismatic"
-        metre = UsdGeom.GetStageMetersPerUnit(self.stage)
-        kilogram = UsdPhysics.GetStageKilogramsPerUnit(self.stage)
-        unit = metre if slide else math.radians(1.0)
-        # Of what resists: N s/m and N m s/deg, in the stage's units.
-        strength = kilogram * (1.0 if slide else metre**2)
+            return unchecked_joint(**common, **_ball_fields(tie.prim), type="ball")
+        slide = kind == "prismatic"
         axis = frame[:3, :3] @ np.eye(3)["XYZ".index(token)]
-        lower, upper = _limits(prim, slide, token)
-        if tie.reversed:
-            axis = -axis
+        lower, upper = _limits(tie.prim, slide, token)
         limited = math.isfinite(lower) and math.isfinite(upper) and lower <= upper
         if slide and not limited:
             raise SpecError(f"{self.path}: joint {tie.name} slides and states no limits")
         if limited and lower == upper:
             self.notes.append(f"joint {tie.name} has no range: imported as fixed")
             return unchecked_joint(**common, type="fixed")
-        instance = "linear" if slide else "angular"
-        drive = UsdPhysics.DriveAPI.Get(prim, instance)
-        applied = bool(drive) and prim.HasAPI(UsdPhysics.DriveAPI, instance)
+        units = self._units(slide)
+        return unchecked_joint(
+            **common,
+            **_passive_fields(tie.prim, "linear" if slide else "angular"),
+            **self._drive_fields(tie, units, "linear" if slide else "angular"),
+            type="prismatic" if slide else "revolute" if limited else "continuous",
+            axis=triple((-axis if tie.reversed else axis) / np.linalg.norm(axis)),
+            lower=lower * units.position if limited else 0.0,
+            upper=upper * units.position if limited else 0.0,
+            velocity=_velocity(tie.prim, "linear" if slide else "angular", units.position),
+            mimic=self._mimic(tie.prim, units.position, tie.reversed),
+        )
+
+    def _units(self, slide: bool) -> "_Units":
+        meter = UsdGeom.GetStageMetersPerUnit(self.stage)
+        kilogram = UsdPhysics.GetStageKilogramsPerUnit(self.stage)
+        if slide:
+            return _Units(meter, 1.0, kilogram, meter)
+        degree = math.radians(1.0)
+        return _Units(degree, degree, kilogram * meter**2, 1.0)
+
+    def _drive_fields(self, tie: Tie, units: "_Units", instance: str) -> dict[str, float | None]:
+        """Return damping, stiffness and effort: those of the drive, else MuJoCo's attributes."""
+        drive = UsdPhysics.DriveAPI.Get(tie.prim, instance)
+        applied = bool(drive) and tie.prim.HasAPI(UsdPhysics.DriveAPI, instance)
         damping = _value(drive.GetDampingAttr()) if applied else 0.0
         stiffness = _value(drive.GetStiffnessAttr()) if applied else 0.0
         if stiffness and _value(drive.GetTargetPositionAttr()):
             self.notes.append(f"joint {tie.name}: its drive's target is not imported")
-        force = drive.GetMaxForceAttr().Get() if applied else None
-        velocity = _first(
-            prim, "newton:velocityLimit", f"physxJointAxis:{instance}:maxJointVelocity",
-            "physxJoint:maxJointVelocity",
-        )  # fmt: skip
-        per = unit / metre if slide else unit
-        passive = {name: _first(prim, f"mjc:{name}") or 0.0 for name in ("damping", "stiffness")}
-        return unchecked_joint(
-            **common,
-            type="prismatic" if slide else "revolute" if limited else "continuous",
-            axis=triple(axis / np.linalg.norm(axis)),
-            lower=lower * unit if limited else 0.0,
-            upper=upper * unit if limited else 0.0,
-            damping=max(damping / per * strength, 0.0) or max(passive["damping"], 0.0),
-            stiffness=max(stiffness / per * strength, 0.0) or max(passive["stiffness"], 0.0),
-            armature=max(_first(prim, "newton:armature", f"physxJointAxis:{instance}:armature",
-                                "physxJoint:armature", "mjc:armature") or 0.0, 0.0),
-            friction=max(_first(prim, "newton:friction",
-                                f"physxJointAxis:{instance}:staticFrictionEffort",
-                                "mjc:frictionloss") or 0.0, 0.0),
-            effort=force * strength * (metre if slide else 1.0)
-            if force is not None and math.isfinite(force) and force > 0
-            else None,
-            velocity=velocity * unit
-            if velocity is not None and math.isfinite(velocity) and velocity > 0
-            else None,
-            mimic=self._mimic(prim, unit, tie.reversed),
-        )  # fmt: skip
+        force = _value(drive.GetMaxForceAttr()) if applied else 0.0
+        return {
+            "damping": max(damping / units.per * units.strength, 0.0)
+            or _first(tie.prim, "mjc:damping"),
+            "stiffness": max(stiffness / units.per * units.strength, 0.0)
+            or _first(tie.prim, "mjc:stiffness"),
+            "effort": force * units.strength * units.length if force > 0 else None,
+        }
 
     def _mimic(self, prim: Usd.Prim, unit: float, reversed_: bool) -> Mimic | None:
-        """Return the joint that this one follows: Newton's words, else PhysX's."""
+        """Return the mimic of a joint from Newton's attributes, else from PhysX's."""
         sign = -1.0 if reversed_ else 1.0
         leaders = prim.GetRelationship("newton:mimicJoint").GetTargets()
-        factor, offset = _first(prim, "newton:mimicCoef1"), _first(prim, "newton:mimicCoef0")
+        factor, offset = _number(prim, "newton:mimicCoef1"), _number(prim, "newton:mimicCoef0")
         factor = 1.0 if factor is None else factor
         for axis in ("rotX", "rotY", "rotZ") if not leaders else ():
             space = f"physxMimicJoint:{axis}"
             if leaders := prim.GetRelationship(f"{space}:referenceJoint").GetTargets():
-                factor = -(_first(prim, f"{space}:gearing") or 0.0)
-                offset = -(_first(prim, f"{space}:offset") or 0.0)
+                factor = -(_number(prim, f"{space}:gearing") or 0.0)
+                offset = -(_number(prim, f"{space}:offset") or 0.0)
                 break
         leader = self.stage.GetPrimAtPath(leaders[0]) if leaders else None
         if not leader or not is_joint(leader):
             return None
-        metre = UsdGeom.GetStageMetersPerUnit(self.stage)
-        led = metre if kind_of(leader)[0] == "prismatic" else math.radians(1.0)
+        leader_unit = self._units(kind_of(leader)[0] == "prismatic").position
         return unchecked_mimic(
-            leader.GetName(), sign * factor * unit / led, sign * (offset or 0.0) * unit
+            leader.GetName(), sign * factor * unit / leader_unit, sign * (offset or 0.0) * unit
         )
 
 
+@dataclass(frozen=True)
+class _Units:
+    """SI values of the units in which a stage states the quantities of a joint."""
+
+    position: float
+    """[m] or [rad]."""
+    per: float
+    """Divisor of damping and stiffness: 1 for a slide, which states them per meter of the stage."""
+    strength: float
+    """Factor of damping, stiffness and effort."""
+    length: float
+    """Factor of effort: the unit of length for a slide, else 1."""
+
+
+def _ball_fields(prim: Usd.Prim) -> dict[str, float]:
+    """Return the upper limit and the losses of a ball joint."""
+    cone = UsdPhysics.SphericalJoint(prim).GetConeAngle0LimitAttr().Get()
+    upper = math.radians(min(max(cone, 0.0), 180.0)) if math.isfinite(cone) else 0.0
+    fields = ("damping", "stiffness", "armature", "friction")
+    spaces = ("neoworld", "newton", "mjc")
+    return {"upper": upper} | {
+        field: abs(_number(prim, *(f"{space}:{field}" for space in spaces)) or 0.0)
+        for field in fields
+    }
+
+
+def _passive_fields(prim: Usd.Prim, instance: str) -> dict[str, float]:
+    """Return armature and dry friction, which UsdPhysics has no attributes for."""
+    physx = f"physxJointAxis:{instance}"
+    return {
+        "armature": _first(
+            prim, "newton:armature", f"{physx}:armature", "physxJoint:armature", "mjc:armature"
+        ),
+        "friction": _first(
+            prim, "newton:friction", f"{physx}:staticFrictionEffort", "mjc:frictionloss"
+        ),
+    }
+
+
+def _velocity(prim: Usd.Prim, instance: str, unit: float) -> float | None:
+    velocity = _first(
+        prim,
+        "newton:velocityLimit",
+        f"physxJointAxis:{instance}:maxJointVelocity",
+        "physxJoint:maxJointVelocity",
+    )
+    return velocity * unit if velocity > 0 else None
+
+
 def state_of(joint: JointSpec, motion: NDArray) -> dict[str, float]:
-    """Return a joint's value, `motion` [4, 4] being the child's displacement in the rest frame."""
+    """Return the values of a joint, given the displacement [4, 4] m of its child from rest."""
     if joint.type == "fixed":
         return {}
-    turn = from_matrix(motion[:3, :3])
     if joint.type == "prismatic":
         moved = motion[:3, :3] @ np.array(joint.pos) + motion[:3, 3] - np.array(joint.pos)
         value = {joint.name: float(moved @ np.array(joint.axis))}
     else:
-        angle = float(angle_between(np.array([1.0, 0, 0, 0]), turn))
-        length = float(np.linalg.norm(turn[1:]))
-        vector = angle * turn[1:] / length if length > 1e-12 else np.zeros(3)
+        quat = from_matrix(motion[:3, :3])
+        angle = float(angle_between(np.array([1.0, 0, 0, 0]), quat))
+        length = float(np.linalg.norm(quat[1:]))
+        vector = angle * quat[1:] / length if length > 1e-12 else np.zeros(3)
         if joint.type == "ball":
             value = {f"{joint.name}.{a}": float(v) for a, v in zip("xyz", vector, strict=True)}
         else:
@@ -260,7 +307,7 @@ def state_of(joint: JointSpec, motion: NDArray) -> dict[str, float]:
 
 
 def _limits(prim: Usd.Prim, slide: bool, token: str) -> tuple[float, float]:
-    """Return a joint's limits, in degrees or the stage's lengths."""
+    """Return the limits of a joint, in degrees or the stage's unit of length."""
     if prim.IsA(UsdPhysics.PrismaticJoint) or prim.IsA(UsdPhysics.RevoluteJoint):
         typed = UsdPhysics.PrismaticJoint(prim) if slide else UsdPhysics.RevoluteJoint(prim)
         low, high = typed.GetLowerLimitAttr().Get(), typed.GetUpperLimitAttr().Get()
@@ -275,8 +322,8 @@ def _value(attribute: Usd.Attribute) -> float:
     return float(value) if value is not None and math.isfinite(value) else 0.0
 
 
-def _first(prim: Usd.Prim, *names: str) -> float | None:
-    """Return the first of some attributes that is a number; of other schemas none is registered."""
+def _number(prim: Usd.Prim, *names: str) -> float | None:
+    """Return the value of the first named attribute that is a finite number."""
     for name in names:
         value = prim.GetAttribute(name).Get()
         if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
@@ -284,7 +331,13 @@ def _first(prim: Usd.Prim, *names: str) -> float | None:
     return None
 
 
-def _rotation(quat: Gf.Quatf | None) -> NDArray:
+def _first(prim: Usd.Prim, *names: str) -> float:
+    """Return the value of the first named attribute that is a finite number, at least 0."""
+    return max(_number(prim, *names) or 0.0, 0.0)
+
+
+def rotation_matrix(quat: Gf.Quatf | None) -> NDArray:
+    """Return a quaternion of USD as a matrix [3, 3]; the identity if it is missing or zero."""
     if quat is None or quat.GetLength() < 1e-6:
         return np.eye(3)
     return np.array(Gf.Matrix3d(Gf.Quatd(quat.GetNormalized()))).T

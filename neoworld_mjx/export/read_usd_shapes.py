@@ -1,4 +1,4 @@
-"""Shapes and materials of USD prims."""
+"""Read shapes and materials of USD prims."""
 
 import math
 from collections.abc import Iterator
@@ -9,27 +9,28 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdPhysics, UsdShade
 
 from ..errors import SpecError
+from ..render.appearance import displayed
 from ..spec import Box, Capsule, Cylinder, Ellipsoid, Sphere
 from ..spec.base_shape import BaseShape
 from ..spec.mesh import MAX_VERTICES
-from .mechanism import LinkShape, Triangles
+from .load_mesh import merged_vertices
+from .mechanism import GRAY, LinkShape, Triangles
 
-GREY = (0.7, 0.7, 0.7, 1.0)
 SECTORS = 32
-"""Corners around a cone, or a cylinder that is not round."""
+"""Number of sides of the prism that approximates a cone, or a cylinder that is not round."""
 _TURNS = {
     "X": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
     "Y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
     "Z": np.eye(3),
 }
-"""Rotations that take z to the axis that a prim names."""
+"""Rotations of z to an axis token."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """Appearance and friction of a prim, and the name and density of its material, if stated."""
+    """Appearance and friction of a prim, and name and density of its material."""
 
-    rgba: tuple[float, float, float, float] = GREY
+    rgba: tuple[float, float, float, float] = GRAY
     friction: float = 0.5
     name: str = ""
     density: float | None = None
@@ -37,32 +38,32 @@ class Look:
     roughness: float | None = None
 
 
-def shapes_of(prim: Usd.Prim, at: NDArray, notes: list[str]) -> Iterator[LinkShape]:
-    """Yield what a prim is as a shape that is seen, collides, or both.
+def shapes_of(prim: Usd.Prim, frame: NDArray, notes: list[str]) -> Iterator[LinkShape]:
+    """Yield the shape of a prim if it is visible or collides.
 
     Args:
         prim: a geometric prim.
-        at: transform of its frame, with scale, into the mechanism's frame [4, 4] m.
-        notes: takes what cannot be carried.
+        frame: transform of the prim, with scale, to the mechanism's frame [4, 4] m.
+        notes: notes of what is not imported are added to it.
 
     Raises:
         SpecError: a mesh is broken or too large.
     """
-    collides, hull, round_it = _collision(prim)
+    collides, hull, bounding = _collision(prim)
     image = UsdGeom.Imageable(prim)
-    seen = (
+    visible = (
         image.ComputePurpose() in ("default", "render", "proxy")
         and image.ComputeVisibility() != UsdGeom.Tokens.invisible
     )
-    if not (collides or seen):
+    if not (collides or visible):
         return
-    made = _shape(prim, at, notes)
-    if made is None:
+    posed = _shape(prim, frame, notes)
+    if posed is None:
         return
-    shape, place = made
-    if collides and round_it and not isinstance(shape, BaseShape):
-        shape, place = _around(shape, place, round_it)
-    role = "both" if collides and seen else "collision" if collides else "visual"
+    shape, place = posed
+    if collides and bounding and not isinstance(shape, BaseShape):
+        shape, place = _bounding_shape(shape, place, bounding)
+    role = "both" if collides and visible else "collision" if collides else "visual"
     look = _look(prim, collides)
     yield LinkShape(
         shape, place, role, look.rgba, look.friction, hull=hull, name=look.name,
@@ -71,10 +72,10 @@ def shapes_of(prim: Usd.Prim, at: NDArray, notes: list[str]) -> Iterator[LinkSha
 
 
 def _collision(prim: Usd.Prim) -> tuple[bool, bool, str]:
-    """Return whether a prim collides, whether as its hull, and as which other shape."""
+    """Return whether a prim collides, whether as its hull, and its bounding approximation or ""."""
     holder = prim
     while holder and not holder.HasAPI(UsdPhysics.CollisionAPI):
-        # A collider may be told of the group that holds the mesh.
+        # The collision API may be on a group above the mesh.
         holder = holder.GetParent()
         if (
             holder
@@ -87,21 +88,21 @@ def _collision(prim: Usd.Prim) -> tuple[bool, bool, str]:
     if UsdPhysics.CollisionAPI(holder).GetCollisionEnabledAttr().Get() is False:
         return False, False, ""
     kind = ""
-    for one in (prim, holder):
-        if one.HasAPI(UsdPhysics.MeshCollisionAPI):
-            kind = UsdPhysics.MeshCollisionAPI(one).GetApproximationAttr().Get() or ""
+    for stating in (prim, holder):
+        if stating.HasAPI(UsdPhysics.MeshCollisionAPI):
+            kind = UsdPhysics.MeshCollisionAPI(stating).GetApproximationAttr().Get() or ""
             break
     return True, kind == "convexHull", kind if kind in ("boundingCube", "boundingSphere") else ""
 
 
 def _shape(
-    prim: Usd.Prim, at: NDArray, notes: list[str]
+    prim: Usd.Prim, frame: NDArray, notes: list[str]
 ) -> tuple[BaseShape | Triangles, NDArray] | None:
     if prim.IsA(UsdGeom.Mesh):
-        return _mesh(prim, at)
-    place, scale = unscaled(at, even=True)
+        return _mesh(prim, frame)
+    place, scale = unscaled(frame, even=True)
     if scale is None or not np.all(scale > 1e-9):
-        notes.append(f"{prim.GetPath()} is sheared or flat, and left out")
+        notes.append(f"{prim.GetPath()} is sheared or flat: skipped")
         return None
     if prim.IsA(UsdGeom.Cube):
         edge = UsdGeom.Cube(prim).GetSizeAttr().Get()
@@ -132,13 +133,13 @@ def _shape(
     if kind is UsdGeom.Capsule and np.ptp(scale) <= 1e-6 * scale.max():
         return Capsule(radius=radius * float(scale[0]), length=tall), place @ turn
     if kind is UsdGeom.Capsule:
-        notes.append(f"{prim.GetPath()} is an uneven capsule, and left out")
+        notes.append(f"{prim.GetPath()} is a capsule that is not round: skipped")
         return None
     return _prism(radius, height, 0.0 if kind is UsdGeom.Cone else radius, turn, scale), place
 
 
 def _prism(low: float, height: float, high: float, turn: NDArray, scale: NDArray) -> Triangles:
-    """Return triangles of a cone or a cylinder, scaled, about the prim's origin."""
+    """Return the scaled triangles of a cone or cylinder about the origin of its prim."""
     angle = np.arange(SECTORS) * 2 * np.pi / SECTORS
     ring = np.column_stack([np.cos(angle), np.sin(angle)])
     rows = [np.column_stack([r * ring, np.full(SECTORS, z)])
@@ -153,7 +154,7 @@ def _prism(low: float, height: float, high: float, turn: NDArray, scale: NDArray
     return vertices, np.array(faces)
 
 
-def _mesh(prim: Usd.Prim, at: NDArray) -> tuple[Triangles, NDArray] | None:
+def _mesh(prim: Usd.Prim, frame: NDArray) -> tuple[Triangles, NDArray] | None:
     mesh = UsdGeom.Mesh(prim)
     points = mesh.GetPointsAttr().Get()
     counts, index = mesh.GetFaceVertexCountsAttr().Get(), mesh.GetFaceVertexIndicesAttr().Get()
@@ -163,44 +164,43 @@ def _mesh(prim: Usd.Prim, at: NDArray) -> tuple[Triangles, NDArray] | None:
     faces = _triangles(str(prim.GetPath()), np.array(counts), np.array(index), len(vertices))
     if len(vertices) > MAX_VERTICES:
         raise SpecError(
-            f"{prim.GetPath()} has {len(vertices)} corners; at most {MAX_VERTICES} are read"
+            f"{prim.GetPath()} has {len(vertices)} vertices; the limit is {MAX_VERTICES}"
         )
-    place, scale = unscaled(at)
+    place, scale = unscaled(frame)
     if scale is None:
         place = np.eye(4)
-        place[:3, 3] = at[:3, 3]
-        vertices = vertices @ at[:3, :3].T
+        place[:3, 3] = frame[:3, 3]
+        vertices = vertices @ frame[:3, :3].T
     else:
         vertices = vertices * scale
     left = mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded
-    if left != (np.linalg.det(at[:3, :3]) < 0):
+    if left != (np.linalg.det(frame[:3, :3]) < 0):
         faces = faces[:, ::-1]
-    vertices, same = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)
-    faces = same.reshape(-1)[faces]
-    a, b, c = faces.T
-    return (vertices, faces[(a != b) & (b != c) & (c != a)]), place
+    return merged_vertices(vertices, faces), place
 
 
 def _triangles(name: str, counts: NDArray, index: NDArray, vertices: int) -> NDArray:
-    """Cut polygons into fans of triangles [f, 3]."""
+    """Split polygons into fans of triangles [f, 3]."""
     if counts.min() < 0 or counts.sum() != len(index):
-        raise SpecError(f"{name}: its faces name {len(index)} corners and count {counts.sum()}")
+        raise SpecError(f"{name}: its faces have {len(index)} indices and count {counts.sum()}")
     if index.min() < 0 or index.max() >= vertices:
-        raise SpecError(f"{name}: a face names a corner that is not there")
+        raise SpecError(f"{name}: a face refers to a missing vertex")
     first = np.cumsum(counts) - counts
     fans = np.repeat(first, np.maximum(counts - 2, 0))
     step = np.concatenate([np.arange(n) for n in np.maximum(counts - 2, 0)] or [np.zeros(0, int)])
     return np.column_stack([index[fans], index[fans + step + 1], index[fans + step + 2]])
 
 
-def unscaled(at: NDArray, *, even: bool = False) -> tuple[NDArray, NDArray | None]:
+def unscaled(frame: NDArray, *, even: bool = False) -> tuple[NDArray, NDArray | None]:
     """Split a transform [4, 4] into a rigid one and scales along its axes [3]; None if sheared.
 
-    A mirrored transform counts as sheared, unless what it places is `even`: the same when mirrored.
+    Args:
+        frame: the transform.
+        even: True for shapes with mirror symmetry; else mirrored transforms count as sheared.
     """
-    linear = at[:3, :3]
+    linear = frame[:3, :3]
     scale = np.linalg.norm(linear, axis=0)
-    rigid = at.copy()
+    rigid = frame.copy()
     if not np.all(scale > 0):
         return rigid, None
     turn = linear / scale
@@ -214,54 +214,54 @@ def unscaled(at: NDArray, *, even: bool = False) -> tuple[NDArray, NDArray | Non
     return rigid, scale
 
 
-def _around(mesh: Triangles, at: NDArray, kind: str) -> tuple[BaseShape, NDArray]:
-    """Return the box or the ball around a mesh, as its approximation asks."""
+def _bounding_shape(mesh: Triangles, place: NDArray, kind: str) -> tuple[BaseShape, NDArray]:
+    """Return the bounding box or sphere of a mesh."""
     low, high = mesh[0].min(axis=0), mesh[0].max(axis=0)
     shift = np.eye(4)
     shift[:3, 3] = (low + high) / 2
     if kind == "boundingSphere":
         radius = float(np.linalg.norm(mesh[0] - shift[:3, 3], axis=1).max())
-        return Sphere(radius=radius), at @ shift
+        return Sphere(radius=radius), place @ shift
     x, y, z = (float(max(v, 1e-6)) for v in high - low)
-    return Box(size=(x, y, z)), at @ shift
+    return Box(size=(x, y, z)), place @ shift
 
 
 def _look(prim: Usd.Prim, collides: bool) -> Look:
     binding = UsdShade.MaterialBindingAPI(prim)
-    drawn = binding.ComputeBoundMaterial()[0]
+    visual = binding.ComputeBoundMaterial()[0]
     physical = binding.ComputeBoundMaterial("physics")[0] if collides else None
-    rgba = _bound_colour(drawn) or _own_colour(prim)
-    holder = physical or drawn
+    rgba = _bound_color(visual) or _own_color(prim)
+    holder = physical or visual
     friction, density = 0.5, None
     if holder and holder.GetPrim().HasAPI(UsdPhysics.MaterialAPI):
         physics = UsdPhysics.MaterialAPI(holder.GetPrim())
         stated = physics.GetDynamicFrictionAttr()
-        # Single precision there: the shortest number that gives the same.
+        # The shortest decimal that gives the same single-precision number.
         friction = float(f"{stated.Get():.7g}") if stated.HasAuthoredValue() else 0.5
         density = float(physics.GetDensityAttr().Get() or 0.0) or None
     name = holder.GetPrim().GetName() if holder else ""
-    metallic, roughness = (_stated(drawn or physical, key) for key in ("metallic", "roughness"))
+    metallic, roughness = (_stated(visual or physical, key) for key in ("metallic", "roughness"))
     return Look(rgba, friction, name, density, metallic, roughness)
 
 
 def _stated(material: UsdShade.Material | None, name: str) -> float | None:
-    """Return a plain number of a material's surface, if it states one."""
+    """Return an unconnected numeric input of a material's surface, or None."""
     surface = material.ComputeSurfaceSource()[0] if material else None
     stated = surface.GetInput(name) if surface else None
     value = stated.Get() if stated and not stated.HasConnectedSource() else None
     return float(value) if isinstance(value, float | int) and math.isfinite(value) else None
 
 
-def _own_colour(prim: Usd.Prim) -> tuple[float, float, float, float]:
-    colours = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get()
+def _own_color(prim: Usd.Prim) -> tuple[float, float, float, float]:
+    colors = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get()
     opacities = UsdGeom.Gprim(prim).GetDisplayOpacityAttr().Get()
-    if not colours:
-        return GREY
-    return _displayed(colours[0], float(opacities[0]) if opacities else 1.0)
+    if not colors:
+        return GRAY
+    return _displayed(colors[0], float(opacities[0]) if opacities else 1.0)
 
 
-def _bound_colour(material: UsdShade.Material | None) -> tuple[float, float, float, float] | None:
-    """Return the colour of a material's surface, if it states a plain one."""
+def _bound_color(material: UsdShade.Material | None) -> tuple[float, float, float, float] | None:
+    """Return the unconnected color of a material's surface, or None."""
     if not material:
         return None
     surface = material.ComputeSurfaceSource()[0] or material.ComputeSurfaceSource(["mdl"])[0]
@@ -277,8 +277,7 @@ def _bound_colour(material: UsdShade.Material | None) -> tuple[float, float, flo
 
 
 def _displayed(linear: object, alpha: float) -> tuple[float, float, float, float]:
-    """Return a linear colour as it is displayed, as ours are."""
-    c = np.clip(np.array(list(linear), float), 0.0, 1.0)  # pyright: ignore[reportArgumentType]
-    shown = np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)
-    r, g, b = (round(float(v), 5) for v in shown)
-    return r, g, b, min(max(alpha, 0.0), 1.0)
+    """Return a linear color as a display color with alpha."""
+    color = displayed(np.array(list(linear), float))  # pyright: ignore[reportArgumentType]
+    red, green, blue = (round(float(v), 5) for v in color)
+    return red, green, blue, min(max(alpha, 0.0), 1.0)

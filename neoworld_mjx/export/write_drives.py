@@ -1,7 +1,7 @@
-"""MJCF of drives: a file that includes a scene's or an object's, and holds its joints by position.
+"""Write drives.xml: MJCF that includes a scene or object and adds position actuators to its joints.
 
-They are a file of their own because a position actuator holds whatever its target is: a drawer of
-the scene by itself is to be pulled out by its handle.
+The actuators are in a separate file as they resist motion: without them a drawer can be pulled out
+by its handle.
 """
 
 import xml.etree.ElementTree as ET
@@ -17,7 +17,7 @@ from .meshes import numbers
 RATE = 20.0
 """Natural frequency of a drive [rad/s], at critical damping."""
 GROUP = 1
-"""Group of the actuators; <option actuatorgroupdisable="1"/> switches them off."""
+"""Actuator group of the drives; <option actuatorgroupdisable="1"/> disables them."""
 
 
 @dataclass(frozen=True)
@@ -25,26 +25,25 @@ class Drive:
     """A position actuator of a joint, critically damped."""
 
     name: str
-    """The joint's in the model, with -x, -y or -z for one axis of a ball."""
+    """Name of the joint in the model, followed by -x, -y or -z for one axis of a ball."""
     joint: str
+    """Name of the joint in the model."""
     axis: str
-    """x, y or z of a ball, else empty."""
+    """x, y or z for a ball joint, else empty."""
     stiffness: float
     """[N m/rad or N/m]"""
     damping: float
+    """[N m s/rad or N s/m]"""
     range: tuple[float, float] | None
-    """Of targets [rad or m]; None is no limit."""
+    """Range of targets [rad or m]; None if unlimited."""
     effort: float | None
-    """Largest force [N m or N]; None is no limit."""
+    """Largest force [N m or N]; None if unlimited."""
     held: float
-    """Target that holds the joint where the scene has it."""
+    """Target that holds the joint at its state in the scene."""
 
 
 def drives(scene: SceneSpec | ObjectSpec) -> tuple[Drive, ...]:
-    """List the drives of a scene's or object's joints.
-
-    Joints that follow others have none, a ball has three.
-    """
+    """Return the drives of all joints: three for a ball, none for a mimic joint."""
     if isinstance(scene, SceneSpec):
         objects = [(item.name, item.spec) for item in scene.objects]
     else:
@@ -80,27 +79,27 @@ def drives(scene: SceneSpec | ObjectSpec) -> tuple[Drive, ...]:
 
 
 def drives_text(scene: SceneSpec | ObjectSpec, file: str) -> str | None:
-    """Return MJCF that adds position actuators to a file beside it; None without joints.
+    """Return MJCF that includes a file and adds position actuators, or None without joints.
 
-    The keyframe "held" has every joint where the scene has it, and the drives hold it there.
+    The keyframe "held" has the joint state of the scene and the targets that hold it.
 
     Args:
-        scene: what `file` describes.
-        file: name of the file to include.
+        scene: the scene or object in the included file.
+        file: name of the included file.
     """
-    every = drives(scene)
-    if not every:
+    all_drives = drives(scene)
+    if not all_drives:
         return None
     root = ET.Element("mujoco", model=scene.name)
     ET.SubElement(root, "include", file=file)
     defaults = ET.SubElement(ET.SubElement(root, "default"), "default", {"class": "drives"})
     ET.SubElement(defaults, "position", group=str(GROUP))
     actuators = ET.SubElement(root, "actuator")
-    for drive in every:
+    for drive in all_drives:
         _add_drive(actuators, drive)
     keys = ET.SubElement(root, "keyframe")
     _, data = _posed(scene)
-    targets = numbers([drive.held for drive in every])
+    targets = numbers([drive.held for drive in all_drives])
     ET.SubElement(keys, "key", name="held", qpos=numbers(data.qpos), ctrl=targets)
     ET.indent(root, " ")
     return ET.tostring(root, encoding="unicode") + "\n"
@@ -132,7 +131,7 @@ def _add_drive(actuators: ET.Element, drive: Drive) -> None:
 
 
 def _held(qpos: np.ndarray, axis: str) -> float:
-    """Return the target that holds a joint where it is."""
+    """Return the target that holds a joint at its position."""
     if not axis:
         return float(qpos[0])
     vector = np.zeros(3)

@@ -1,11 +1,11 @@
-"""MJCF of a scene or one object, which compiles to the very same model.
+"""Write MJCF of a scene or one object that compiles to exactly the same model.
 
-MuJoCo's own writer rounds to six digits. That moves bodies by micrometres, and of thin plates it
-can break A + B >= C of the inertia, so every number is written again in full. Meshes are the files
-that URDF uses: other readers of MJCF know no vertices inside of it.
+MuJoCo's writer rounds to six digits. This moves bodies by micrometers and can violate the triangle
+inequality of the inertia of thin plates, so every number is written again in full. Meshes are the
+files that URDF uses, as other readers of MJCF do not support inline vertices.
 
-The files can be included or attached beside a robot: they set nothing that such a file would have
-to agree with. Contacts are elliptic, with stiff friction, so that nothing creeps.
+The files can be included or attached next to a robot: they have no settings that would conflict.
+Contacts have elliptic cones and stiff friction, so that resting objects do not creep.
 """
 
 import xml.etree.ElementTree as ET
@@ -19,15 +19,16 @@ from ..physics.lowering import lower_geoms
 from ..physics.mjcf import COLLISION_GROUP, to_mjspec
 from ..spec import ObjectSpec, SceneSpec
 from .handles import frames
+from .link_frames import link_origins
 from .meshes import FOLDER, numbers
 from .mjcf_looks import add_materials, add_surfaces
 
 HIDDEN_GROUP = 3
-"""Group of colliders in exported files: viewers show groups 0 to 2 at first."""
+"""Geom group of colliders in exported files; viewers show only groups 0 to 2 by default."""
 IMPRATIO = 10.0
-"""Stiffness of friction over that of the normal force; at 1 resting cups creep by millimetres."""
+"""Ratio of frictional to normal constraint impedance; at 1 resting cups creep by millimeters."""
 FLOOR_M = 5.0
-"""Half the edge of a floor's drawn plane [m]; it collides without end."""
+"""Half the edge of the visible floor [m]; the collider is infinite."""
 SITE_RADIUS_M = 0.005
 
 
@@ -38,16 +39,16 @@ def mjcf_text(
     target: Literal["mujoco", "mjx"] = "mujoco",
     floor: float | None = None,
 ) -> str:
-    """Return a scene, or one free object, as MJCF with visual geoms; meshes are files beside it.
+    """Return the MJCF of a scene or one free object, with visual geoms; meshes are separate files.
 
-    Every joint has sensors of position and velocity, and every handle a site and a touch sensor.
+    Every joint has position and velocity sensors; every handle has a site and a touch sensor.
 
     Args:
-        scene: what to write.
-        timestep: of the simulation [s].
-        target: "mjx" writes only colliders that MJX has: polyhedra in place of cylinders and
-            ellipsoids, within the file, pyramidal contacts, and no textures.
-        floor: height of a floor without end [m]; None writes none.
+        scene: the scene or object.
+        timestep: time step of the simulation [s].
+        target: "mjx" writes only what MJX supports: polyhedra, stored in the file, instead of
+            cylinders and ellipsoids, pyramidal contacts, and no textures.
+        floor: height of an infinite floor [m]; None omits it.
     """
     model = to_mjspec(scene, visual=True, timestep=timestep)
     if isinstance(scene, SceneSpec):
@@ -83,8 +84,8 @@ def mjcf_text(
             add_surfaces(model, name, spec)
     model.compile()
     root = ET.fromstring(model.to_xml())
-    _restore(root, model)
-    _free_of_settings(root)
+    _restore_precision(root, model)
+    _remove_settings(root)
     folders = {name: folder for name, _, folder in objects}
     for mesh in root.iter("mesh"):
         if (name := str(mesh.get("name"))) not in lowered:
@@ -96,24 +97,29 @@ def mjcf_text(
 
 
 def _add_frames(model: mujoco.MjSpec, owner: str, spec: ObjectSpec) -> None:
-    """Add handles as sites, and sensors of handles and joints."""
-    given = {site.name for site in spec.sites}
-    origins = {joint.child: np.array(joint.pos) for joint in spec.joints}
+    """Add sites of handles, and sensors of handles and joints."""
+    existing = {site.name for site in spec.sites}
+    origins = link_origins(spec)
     sensor = mujoco.mjtSensor
     for frame in frames(spec):
         name = f"{owner}-{frame.name}"
-        if frame.name in given:
+        if frame.name in existing:
             model.site(name).size = [SITE_RADIUS_M] * 3
             continue
         body = model.body(owner if frame.part == spec.root else f"{owner}-{frame.part}")
         body.add_site(
             name=name,
-            pos=np.array(frame.pos) - origins.get(frame.part, np.zeros(3)),
+            pos=np.array(frame.pos) - origins[frame.part],
             type=mujoco.mjtGeom.mjGEOM_BOX,
             size=frame.half,
             group=4,
         )
-        _sense(model, f"{name}-touch", sensor.mjSENS_TOUCH, mujoco.mjtObj.mjOBJ_SITE, name)
+        model.add_sensor(
+            name=f"{name}-touch",
+            type=sensor.mjSENS_TOUCH,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            objname=name,
+        )
     for joint in spec.joints:
         if joint.type == "fixed":
             continue
@@ -121,20 +127,19 @@ def _add_frames(model: mujoco.MjSpec, owner: str, spec: ObjectSpec) -> None:
         kinds = {"pos": sensor.mjSENS_JOINTPOS, "vel": sensor.mjSENS_JOINTVEL}
         if joint.type == "ball":
             kinds = {"pos": sensor.mjSENS_BALLQUAT, "vel": sensor.mjSENS_BALLANGVEL}
-        for kind, sort in kinds.items():
-            _sense(model, f"{name}-{kind}", sort, mujoco.mjtObj.mjOBJ_JOINT, name)
+        for suffix, kind in kinds.items():
+            model.add_sensor(
+                name=f"{name}-{suffix}",
+                type=kind,
+                objtype=mujoco.mjtObj.mjOBJ_JOINT,
+                objname=name,
+            )
 
 
-def _sense(
-    model: mujoco.MjSpec, name: str, kind: mujoco.mjtSensor, of: mujoco.mjtObj, which: str
-) -> None:
-    model.add_sensor(name=name, type=kind, objtype=of, objname=which)
-
-
-def _free_of_settings(root: ET.Element) -> None:
-    """Drop what a file that includes this one beside a robot would have to agree with."""
+def _remove_settings(root: ET.Element) -> None:
+    """Remove settings that could conflict with a file that includes this one."""
     for compiler in root.iter("compiler"):
-        # Every body states its inertia, so nothing is inferred in any case.
+        # Every body states its inertia.
         compiler.attrib.pop("inertiafromgeom", None)
     for size in root.findall("size"):
         size.attrib.pop("nkey", None)
@@ -143,16 +148,16 @@ def _free_of_settings(root: ET.Element) -> None:
 
 
 def _name_file(mesh: ET.Element, name: str, folders: dict[str, str]) -> None:
-    """Replace a mesh's numbers by the file that holds them."""
+    """Replace the inline data of a mesh by its file."""
     owner, geom, piece = name.split("-")
-    for numbers_of in ("vertex", "normal", "face", "texcoord"):
-        mesh.attrib.pop(numbers_of, None)
+    for attribute in ("vertex", "normal", "face", "texcoord"):
+        mesh.attrib.pop(attribute, None)
     file = f"{geom}.obj" if piece == "visual" else f"{geom}-{piece}.obj"
     mesh.set("file", f"{folders[owner]}{FOLDER}/{file}")
 
 
-def _restore(root: ET.Element, model: mujoco.MjSpec) -> None:
-    """Write the numbers of a specification over their rounded copies in its XML."""
+def _restore_precision(root: ET.Element, model: mujoco.MjSpec) -> None:
+    """Replace the rounded numbers of an XML tree by those of its specification."""
     option = root.find("option")
     if option is not None:
         _exact(option, model.option, {"timestep": "timestep", "gravity": "gravity"})
@@ -182,7 +187,6 @@ def _restore(root: ET.Element, model: mujoco.MjSpec) -> None:
         name = element.get("name")
         if element.tag in finders and name is not None:
             find, attributes = finders[element.tag]
-            # In MJCF <mesh name> is an asset and <geom mesh> a use; <site> etc. are alike here.
             _exact(element, find(name), attributes)
         if element.tag == "body" and (inertia := element.find("inertial")) is not None:
             _exact(
@@ -204,13 +208,13 @@ def _exact(element: ET.Element, source: Any, attributes: dict[str, str]) -> None
             continue
         value = getattr(source, field)
         values = [value] if isinstance(value, float | int) else _plain(value)
-        # MJCF gives only the leading numbers that a geom's type needs.
+        # The size of a geom has only as many numbers as its type needs.
         element.set(attribute, numbers(values[: len(written.split())]))
 
 
 def _plain(values: Iterable[object]) -> list[float]:
     array = np.asarray(values)
     if array.dtype == np.float32 or np.array_equal(array, array.astype(np.float32)):
-        # Shortest decimal that gives the same single-precision number.
+        # The shortest decimal that gives the same single-precision number.
         return [float(str(value)) for value in array.astype(np.float32)]
     return [float(value) for value in array]

@@ -61,11 +61,11 @@ BROKEN = {
     "nan.urdf": (
         '<robot name="r"><link name="a"><collision><origin xyz="0 nan 0"/><geometry>'
         '<sphere radius="1"/></geometry></collision></link></robot>',
-        "is no number",
+        "is not a finite number",
     ),
     "nan.xml": (
         '<mujoco><worldbody><body pos="0 0 inf"><geom size="0.1"/></body></worldbody></mujoco>',
-        "is no number",
+        "is not a finite number",
     ),
     "cycle.urdf": (
         '<robot name="r">'
@@ -73,7 +73,7 @@ BROKEN = {
         + JOINT.format("j", "b", "c")
         + JOINT.format("k", "c", "b")
         + "</robot>",
-        "go in a circle",
+        "form a cycle",
     ),
     "two_roots.urdf": (
         '<robot name="r">' + LINK.format("a") + LINK.format("b") + "</robot>",
@@ -110,7 +110,7 @@ BROKEN = {
     "overflow.urdf": (
         '<robot name="r"><link name="a"><collision><origin xyz="1e400 0 0"/><geometry>'
         '<sphere radius="1"/></geometry></collision></link></robot>',
-        "is no number",
+        "is not a finite number",
     ),
     "vast.xml": (
         '<mujoco><worldbody><body><geom size="1e200"/></body></worldbody></mujoco>',
