@@ -204,6 +204,11 @@ class BenchCommand:
         """See `Command`."""
         return self.inner.verbose
 
+    @property
+    def debug(self) -> bool:
+        """See `Command`."""
+        return self.inner.debug
+
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
         return bench_lines(result)

@@ -1,4 +1,4 @@
-"""Responses of a judge: all asked side by side, and kept as they came."""
+"""Responses of a judge, requested concurrently and stored."""
 
 import asyncio
 import json
@@ -17,7 +17,7 @@ ANSWERS = "answers.json"
 
 
 def answers_to(models: Panel, requests: Sequence[Request[T]]) -> list[Response[T] | ModelError]:
-    """Ask requests side by side; a refusal or a response that does not fit is its error.
+    """Send requests concurrently; a refusal or invalid response becomes its error.
 
     Raises:
         BudgetError: the cost cap is reached.
@@ -39,7 +39,7 @@ def answers_to(models: Panel, requests: Sequence[Request[T]]) -> list[Response[T
 
 
 def save_pictures(folder: Path, name: str, pictures: Sequence[Picture]) -> None:
-    """Write what a judge saw as NAME-LABEL.png into a folder.
+    """Write the images of a request as NAME-LABEL.png into a folder.
 
     Raises:
         RunError: a file cannot be written.
@@ -54,7 +54,7 @@ def save_pictures(folder: Path, name: str, pictures: Sequence[Picture]) -> None:
 
 
 class AnswerFile:
-    """Writes answers.json: of each request its name, its key, the model, and the raw responses.
+    """File answers.json: name, key, model and raw responses of each request.
 
     Args:
         folder: where the file is written after every response; None writes none.
@@ -65,7 +65,7 @@ class AnswerFile:
         self._entries: list[dict[str, Any]] = []
 
     def add(self, request: Request[Any], answer: Response[Any] | ModelError) -> None:
-        """Add what came of a request.
+        """Add the response to a request.
 
         Raises:
             RunError: the file cannot be written.

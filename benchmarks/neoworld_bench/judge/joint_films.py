@@ -28,12 +28,12 @@ ASIDE_DEG, ELEVATION_DEG = 35.0, 28.0
 """Direction of the camera: from the front or the back to the side of the moving part, and from
 above."""
 BEHIND = 0.3
-"""How far behind the middle a moving part's middle lies that is seen from the back, over the
-object's depth."""
+"""Distance behind the center at which a moving part is seen from the back, over the object's
+depth."""
 LEAST_CHANGED = 1e-3
-"""Share of a frame's pixels in which motion is seen."""
+"""Minimum share of changed pixels of a visible motion."""
 WHOLE_TURN = 0.8
-"""Share of a turn that an endless joint is shown to make, so that its ends differ."""
+"""Share of a turn that an endless joint shows."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def joint_frames(
 
 
 def motion_is_seen(frames: Sequence[NDArray]) -> bool:
-    """Return True if a frame differs from the first in more than a few pixels."""
+    """Return True if a frame differs visibly from the first."""
     changed = [(frame != frames[0]).any(axis=2).mean() for frame in frames[1:]]
     return bool(max(changed) > LEAST_CHANGED)
 

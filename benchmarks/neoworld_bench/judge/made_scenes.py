@@ -20,7 +20,7 @@ from ..methods.submission import FILES, read_scene_file, scene_file
 PHOTOS = ("photo.png", "picture.png")
 """Names of the photograph: in a run folder, and in a scene of the data set."""
 MARGIN = 0.12
-"""Room around an object's box on each side, over its longer side."""
+"""Margin around an object's box, over its longer side."""
 ASPECT = 0.01
 """Largest difference of the logarithms of photograph's and camera's aspect."""
 
@@ -32,9 +32,9 @@ class MadeScene:
     """A reconstructed scene and the photograph that it was made from."""
 
     number: int
-    """Of the scene among those that were opened, from 0."""
+    """Index of the scene, from 0."""
     name: str
-    """The folder's."""
+    """Name of the folder."""
     scene: SceneSpec
     camera: Camera
     photo: Photo
@@ -43,11 +43,11 @@ class MadeScene:
 
     @property
     def numbered(self) -> str:
-        """Number and name, by which files of several scenes can be told apart."""
+        """Unique file name: number and name."""
         return f"{self.number:02d}_{self.name}"
 
     def whole(self, side: int) -> tuple[Rgb, Rgb]:
-        """Return photograph and rendering; a smaller photograph is not enlarged.
+        """Return photograph and rendered image; a smaller photograph is not enlarged.
 
         Args:
             side: largest length of the longer side [px].
@@ -60,7 +60,7 @@ class MadeScene:
         return np.asarray(shown), render_scene(self.scene, view).color
 
     def part(self, name: str, side: int) -> tuple[Rgb, Rgb]:
-        """Return photograph and rendering around an object: a square, if the picture has room.
+        """Return photograph and rendered image around an object: a square, if the image has room.
 
         Args:
             name: an object of `boxes`.
@@ -155,7 +155,7 @@ def _photograph(folder: Path) -> Path | None:
 
 
 def _placed(middle: float, side: float, room: float) -> tuple[float, float]:
-    """Return the ends of an interval of a length about a middle, moved and cut into the room."""
+    """Return an interval around a center, moved and cropped into the image."""
     side = min(side, room)
     low = min(max(middle - side / 2, 0.0), room - side)
     return low, low + side

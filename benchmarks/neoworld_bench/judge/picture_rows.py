@@ -1,4 +1,4 @@
-"""Picture measures of reconstructed scenes and their objects, against the photographs."""
+"""Image measures of reconstructed scenes and their objects, compared with photographs."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -30,14 +30,14 @@ OBJECT_PX = 256
 
 
 class PictureRow(Row):
-    """A scene or an object of it, compared with the photograph."""
+    """Image measures of a scene or of one of its objects."""
 
     folder: str
     kind: Literal["scene", "object"]
     name: str
-    """The object's; empty for the scene."""
+    """Name of the object; empty for the scene."""
     width: int
-    """Of both pictures [px]."""
+    """Size of both images [px]."""
     height: int
     ssim: float | None
     lpips: float | None
@@ -45,7 +45,7 @@ class PictureRow(Row):
     dino: float | None
     uni3d: float | None
     why: dict[str, str]
-    """The reason of each measure that is None."""
+    """Reason of each measure that is None."""
 
     def line(self) -> str:
         """Return the row in one line, without what is None."""
@@ -63,10 +63,10 @@ def picture_rows(
     data: Path | None = None,
     out: Path | None = None,
 ) -> Iterator[PictureRow]:
-    """Yield the row of each scene and then those of its objects.
+    """Yield the row of each scene and those of its objects.
 
-    Objects have rows as the tree lists them, with what is rendered in their place if they were not
-    made; those of the environment have none, nor have those of a scene without a tree.
+    All objects of the tree have rows, reconstructed or not; the environment and scenes without a
+    tree have none.
 
     Args:
         folders: run folders, or data sets.
@@ -93,7 +93,7 @@ def picture_rows(
 
 
 def picture_figures(rows: Sequence[PictureRow]) -> dict[str, Any]:
-    """Return means over scenes and over objects with their n, beside the paper's."""
+    """Return means over scenes and over objects with their n, alongside the paper's."""
     return {
         "scenes": _means([row for row in rows if row.kind == "scene"]),
         "objects": _means([row for row in rows if row.kind == "object"]),

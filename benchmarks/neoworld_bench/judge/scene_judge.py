@@ -30,13 +30,13 @@ NOTE = (
     "6.20, layout 5.35, function 5.58"
 )
 SHOWN_PX = 640
-"""Longer side of the pictures that the judge sees [px]."""
+"""Longer side of the images for the judge [px]."""
 ASIDE_DEG, ABOVE_DEG = (-50.0, 50.0), 40.0
-"""Directions of the second view about the vertical, from the photograph's, and above the level."""
+"""Azimuths of the second view relative to the photograph's, and its elevation [deg]."""
 LOOK_PX = 128
-"""Width of the pictures by which one of these is chosen [px]."""
+"""Width of the images that select one of these [px]."""
 MOST_JOINTS = 40
-"""Joints that are listed."""
+"""Maximum number of listed joints."""
 
 
 class RatedQuestion(BaseModel):
@@ -66,12 +66,12 @@ class SceneRating(BaseModel):
 
 
 class RatingRow(Row):
-    """One judgement of a scene."""
+    """Result of one judgement of a scene."""
 
     folder: str
     scene_number: int
     repeat: int
-    """From 1."""
+    """Number of the judgement, from 1."""
     completeness: int | None
     layout: int | None
     function: int | None
@@ -87,7 +87,7 @@ class JudgedPictures:
     shown: Mapping[str, np.ndarray]
 
     def for_request(self) -> list[Picture]:
-        """Return the pictures, the photograph first."""
+        """Return the images, the photograph first."""
         return [Picture.of(label, rgb) for label, rgb in self.shown.items()]
 
 
@@ -152,7 +152,7 @@ def rating_rows(
     repeats: int = 3,
     out: Path | None = None,
 ) -> Iterator[RatingRow]:
-    """Yield the judgements of each scene, repeat by repeat.
+    """Yield the judgements of each scene.
 
     Args:
         models: provides the critic.
@@ -180,11 +180,11 @@ def rating_rows(
 
 
 def rating_figures(rows: Sequence[RatingRow]) -> dict[str, Any]:
-    """Return each question's mean over the n scenes with a valid response, beside the paper's.
+    """Return each question's mean over the n scenes with a valid response, alongside the paper's.
 
     A scene's score is the mean of its valid responses. "sd_scenes" is the standard deviation of
-    these scores, "sd_repeats" the mean one of the responses about one scene; None where there is
-    none.
+    these scores, "sd_repeats" the mean standard deviation of the responses about one scene; None if
+    undefined.
     """
     by_scene: dict[int, list[RatingRow]] = {}
     for row in rows:
@@ -224,7 +224,7 @@ def _row(made: MadeScene, repeat: int, answer: Response[SceneRating] | ModelErro
 
 
 def _moving(scene: SceneSpec) -> list[str]:
-    """Describe the joints that can move, one a line."""
+    """Return the moving joints, one per line."""
     return [
         f"{item.name}: {joint.child} ({joint.type})"
         for item in scene.objects

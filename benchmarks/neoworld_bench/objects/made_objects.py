@@ -1,4 +1,4 @@
-"""Objects that a method made, by the names of their files or folders."""
+"""Files of reconstructed objects, by name."""
 
 from pathlib import Path
 
@@ -13,9 +13,9 @@ OBJECT_FILES = (
     "object.usda",
     "mobility.urdf",
 )
-"""Names of an object's file in a folder of its own; the first that is there is taken."""
+"""Names of an object's file in its folder, by priority."""
 SUFFIXES = (".py", ".urdf", ".xml", ".mjcf", ".usd", ".usda", ".usdc", ".usdz")
-"""Suffixes of an object's file that has no folder of its own."""
+"""Suffixes of an object's file without a folder."""
 
 
 def object_files(folder: Path) -> dict[str, Path]:

@@ -1,4 +1,4 @@
-"""Rows of reconstructed objects compared with ground-truth ones, and what they come to together."""
+"""Scores of reconstructed objects, and their totals."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -27,7 +27,7 @@ SURFACE = ("chamfer_x10", "f_01", "f_05")
 
 
 class ObjectScoreRow(Row):
-    """One reconstructed object against the ground truth."""
+    """Scores of one reconstructed object."""
 
     object: str
     category: str
@@ -48,22 +48,23 @@ class ObjectScoreRow(Row):
     limits: float | None
     limits_n: int
     chamfer_x10: float | None
-    """Of surfaces after the fit; None without samples of the ground truth, or without an object."""
+    """Chamfer distance after the fit; None without samples of the ground truth or without an
+    object."""
     f_01: float | None
     f_05: float | None
     raw_chamfer_x10: float | None
-    """Without the fit, for truths in metres; so is raw_f_05."""
+    """Without the fit, for ground truth in metres; so is raw_f_05."""
     raw_f_05: float | None
     scale: float | None
-    """Factor of size of the fit."""
+    """Scale factor of the fit."""
     missed: str
     """Names of the missed joints, with those of their parts."""
     reason: str
-    """Why there is no object; empty if there is one. Its joints all count as missed."""
+    """Reason why there is no object; all its joints then count as missed."""
 
 
 def true_folder(path: Path) -> Mapping[str, Path]:
-    """Return the ground truth files of a folder by object, see `measure.truth`.
+    """Return the ground-truth files of a folder by object.
 
     Raises:
         SpecError: there are none.
@@ -75,7 +76,7 @@ def true_folder(path: Path) -> Mapping[str, Path]:
 
 
 def read_true(file: Path, front: Front, samples: int = SAMPLES) -> TrueObject:
-    """Read an object of PartNet-Mobility (a folder) or a truth file with the samples beside it.
+    """Read an object of PartNet-Mobility (a folder) or a ground-truth file with its samples.
 
     Raises:
         SpecError: a file cannot be read.
@@ -102,7 +103,7 @@ def score_objects(
     out: Path | None = None,
     samples: int = SAMPLES,
 ) -> Iterator[ObjectScoreRow]:
-    """Yield a row for each ground-truth object that was made, or for all that are named.
+    """Yield a row for each ground-truth object that was reconstructed, or for all named ones.
 
     Args:
         made: folder of reconstructed objects, by the names of the ground-truth ones.
@@ -180,9 +181,9 @@ def _surface(spec: ObjectSpec | None, true: TrueObject, samples: int) -> dict[st
 
 
 def score_figures(rows: Sequence[ObjectScoreRow]) -> dict[str, Any]:
-    """Return what objects come to together: every joint counts once, surfaces are means of objects.
+    """Return the totals of objects: every joint counts once, surfaces are means over objects.
 
-    Means have their n beside them; they are None over nothing.
+    Means have their n; they are None if n is 0.
     """
     total, hits = sum(row.total for row in rows), sum(row.hits for row in rows)
     wrong = sum(row.wrong_type for row in rows)

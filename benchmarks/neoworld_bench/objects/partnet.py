@@ -31,7 +31,7 @@ EXPECTED = f"ID/{URDF} with ID/{META}, ID/{SEMANTICS} and ID/textured_objs/*.obj
 
 
 class TrueObject(NamedTuple):
-    """What is known of a real object."""
+    """Ground truth of an object."""
 
     truth: ObjectTruth
     points: NDArray | None
@@ -40,7 +40,7 @@ class TrueObject(NamedTuple):
 
 
 def partnet_folders(path: Path) -> dict[str, Path]:
-    """Return the folders of objects by id: those of a folder, or one level below.
+    """Return the folders of objects by id, in a folder or one level below.
 
     Raises:
         SpecError: there are none; says what is expected.
@@ -54,9 +54,9 @@ def partnet_folders(path: Path) -> dict[str, Path]:
 def partnet_object(
     folder: Path, *, front: Front = "-x", samples: int = SAMPLES, seed: int = 1
 ) -> TrueObject:
-    """Read joints, category and surface of an object; what is seen counts, not what collides.
+    """Read joints, category and visible surface of an object.
 
-    Joints that move nothing visible are left out, as are joints without a range.
+    Joints without a range or without a visible child are omitted.
 
     Args:
         folder: of the object; its name is the object's.
@@ -114,7 +114,7 @@ def _parts(folder: Path) -> dict[str, str]:
 
 
 def _carried(mechanism: Mechanism, child: str) -> list[str]:
-    """Return a link and all that hang on it."""
+    """Return a link and its descendants."""
     links, waiting = [], [child]
     while waiting:
         links.append(waiting.pop())

@@ -1,4 +1,4 @@
-"""The paper's tables of joints and surfaces, with ours above."""
+"""Table of joints and surfaces, alongside the paper's."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -31,7 +31,7 @@ COLUMNS: dict[str, tuple[str, float, int]] = {
 
 
 def joint_table(rows: Sequence[ObjectScoreRow]) -> TextTable:
-    """Return a row for each object, one for all, and the paper's."""
+    """Return a row for each object, one for all, and those of the paper."""
     lines = [_cells(row.object, score_figures([row])) for row in rows]
     lines.append(_cells(f"all {len(rows)} objects", score_figures(rows)))
     lines += [_cells(f"{name}*", figures) for name, figures in PAPER.items()]

@@ -1,4 +1,4 @@
-"""Tables of what a folder of results holds: scenes, joints, tasks."""
+"""Tables of the results in a folder: scenes, joints, tasks."""
 
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,7 @@ from .success_table import success_table
 
 
 def write_tables(folder: Path) -> dict[str, Any]:
-    """Write table.md, table.csv, table.tex, curves.csv and curves.svg of scenes, joints.md and the
-    like of objects, tasks.md and the like of tasks, beside the rows that a folder has.
+    """Write the tables of the rows in a folder: table.* and curves.* of scenes, joints.*, tasks.*.
 
     Raises:
         RunError: it has no rows, or a file cannot be written.

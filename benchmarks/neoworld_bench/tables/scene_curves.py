@@ -1,4 +1,4 @@
-"""Curves over thresholds: how stability and penetration depend on the bounds of the tables."""
+"""Stability and penetration as functions of their thresholds."""
 
 import csv
 import io
@@ -14,14 +14,14 @@ from ..methods.scene_objects import ObjectRow
 
 
 class Curve(NamedTuple):
-    """A measure over the threshold that it is counted by."""
+    """A measure as a function of its threshold."""
 
     measure: str
     over: str
     thresholds: tuple[float, ...]
-    """Ascending, the table's among them [m or deg]."""
+    """Thresholds in ascending order, including the table's [m or deg]."""
     table: float
-    """The table's threshold, which is the paper's for what the paper says."""
+    """Threshold of the table, and of the paper where it states one."""
     factor: float
     unit: str
 
@@ -106,7 +106,7 @@ def curves_csv(records: Sequence[dict[str, Any]]) -> str:
 
 
 def curves_svg(records: Sequence[dict[str, Any]]) -> str | None:
-    """Draw curves as SVG, a line for each method, the table's threshold as a dashed line.
+    """Return curves as SVG, a line for each method and a dotted line at the table's threshold.
 
     Returns:
         The file's text; None, with a line in the log, without matplotlib.

@@ -1,4 +1,4 @@
-"""Figures of methods over scenes and starts, and whether the data set is hard enough."""
+"""Statistics of methods over scenes and initial scenes, and the difficulty of the data set."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -10,7 +10,7 @@ from neoworld_mjx.sweeps.intervals import DRAWS, ratio_interval
 from ..methods.scene_runs import SceneRow
 
 BOUNDS = {"open_loop": 0.1, "gravity": 0.5, "gradient": 0.5, "no_simulation": 0.7}
-"""Highest share of starts that these may leave valid; above it the set is too easy."""
+"""Maximum valid rates of simple methods; above them the data set is too easy."""
 MEASURES: dict[str, Callable[[SceneRow], float]] = {
     "valid_rate": lambda r: r.valid,
     "check_rate": lambda r: r.check_passed,
@@ -27,7 +27,7 @@ MEASURES: dict[str, Callable[[SceneRow], float]] = {
     "scale_error": lambda r: r.scale_error,
     "box_iou": lambda r: r.box_iou,
 }
-"""Means over scenes and starts; rates are shares."""
+"""Measures, as means over scenes and initial scenes."""
 OF_OBJECTS: dict[str, Callable[[SceneRow], int]] = {
     "accepted_rate": lambda r: r.accepted is not None,
     "displaced": lambda r: r.found,
@@ -36,12 +36,12 @@ OF_OBJECTS: dict[str, Callable[[SceneRow], int]] = {
     "o_stab": lambda r: r.found + r.extra,
     "p_pen": lambda r: r.articulated,
 }
-"""Measures whose mean is over objects: those found, the ground truth's, all that the scene has, or
-those of them with joints."""
+"""Weights of measures that are means over objects: found ones, those of the ground truth, all of
+the scene, or those with joints."""
 
 
 def summarise(rows: Sequence[SceneRow]) -> dict[str, Any]:
-    """Summarize rows: all starts by method, the evaluation half apart, and the difficulty."""
+    """Summarize rows: all initial scenes by method, the evaluation half, and the difficulty."""
     return {
         "scenes": len({row.scene for row in rows}),
         "starts": len({row.start for row in rows}),
@@ -52,7 +52,7 @@ def summarise(rows: Sequence[SceneRow]) -> dict[str, Any]:
 
 
 def by_method(rows: Sequence[SceneRow]) -> dict[str, Any]:
-    """Return the figures of each method."""
+    """Return the statistics of each method."""
     names = dict.fromkeys(row.method for row in rows)
     return {name: figures([row for row in rows if row.method == name]) for name in names}
 
@@ -79,7 +79,7 @@ def figures(rows: Sequence[SceneRow]) -> dict[str, Any]:
 
 
 def difficulty(rows: Sequence[SceneRow]) -> dict[str, Any]:
-    """Compare the easy methods against BOUNDS, and gravity's errors with ours."""
+    """Compare the simple methods with BOUNDS, and the errors of gravity with ours."""
     by = by_method(rows)
     checks: dict[str, Any] = {
         name: {"n": by[name]["n"], "valid_rate": by[name]["valid_rate"], "at_most": most}
@@ -101,10 +101,10 @@ def difficulty(rows: Sequence[SceneRow]) -> dict[str, Any]:
 def interval(
     rows: Sequence[SceneRow], measure: str, draws: int = DRAWS
 ) -> tuple[float | None, float | None, float | None]:
-    """Return the mean and a bootstrap interval of one of MEASURES, drawing whole scenes.
+    """Return the mean and bootstrap interval of one of MEASURES, resampling scenes.
 
-    Starts of one scene are alike, so scenes are what is drawn again. All are None where there is
-    nothing to take the mean over; draws without anything are left out.
+    Initial scenes of one scene are similar, so whole scenes are drawn. All values are None for a
+    mean over nothing.
     """
     of, weigh = MEASURES[measure], OF_OBJECTS.get(measure, lambda r: 1)
     return ratio_interval([(row.scene, weigh(row) * of(row), weigh(row)) for row in rows], draws)

@@ -1,4 +1,4 @@
-"""The scene table of the paper with ours beside it, in Markdown, CSV and LaTeX."""
+"""Scene table of the paper with our results, in Markdown, CSV and LaTeX."""
 
 import csv
 import io
@@ -70,7 +70,7 @@ def scene_tables(folder: Path) -> dict[str, str]:
 
 
 def table_records(rows: Sequence[SceneRow]) -> Iterator[dict[str, Any]]:
-    """Yield one record a subset and method: ours with intervals, the paper's without."""
+    """Yield a record for each subset and method: ours with intervals, the paper's without."""
     subsets = {
         "full": list(rows),
         "tabletop": [row for row in rows if row.tabletop],
@@ -100,7 +100,7 @@ def table_records(rows: Sequence[SceneRow]) -> Iterator[dict[str, Any]]:
 
 
 def markdown(records: Sequence[dict[str, Any]]) -> str:
-    """Return the table as Markdown, a part for each subset."""
+    """Return the table as Markdown, with a section for each subset."""
     head = ["method", "n", *(f"{name} [{u}]" if u else name for name, (_, _, u) in COLUMNS.items())]
     lines = [
         f"{THRESHOLDS}. Means with {LEVEL:.0%} bootstrap intervals over scenes. "
@@ -118,7 +118,7 @@ def markdown(records: Sequence[dict[str, Any]]) -> str:
 
 
 def comma_separated(records: Sequence[dict[str, Any]]) -> str:
-    """Return the table as CSV, with the ends of intervals in columns of their own."""
+    """Return the table as CSV, with columns for the ends of intervals."""
     names = ["subset", "method", "source", "n", "scenes", "articulated"]
     for column in COLUMNS:
         names += [column, f"{column} low", f"{column} high"]

@@ -1,4 +1,4 @@
-"""The paper's success of tasks, with ours above."""
+"""Table of task success, alongside the paper's."""
 
 from collections.abc import Sequence
 
@@ -14,9 +14,10 @@ NOTE = (
 
 
 def success_table(rows: Sequence[SuccessRow]) -> TextTable:
-    """Return a row for each method, over all starts and over the evaluation half, and the paper's.
+    """Return a row for each method, over all initial scenes and over the evaluation half, and those
+    of the paper.
 
-    The paper's success is in the column that it is nearest to.
+    The paper's success is in the column with the closest definition.
     """
     names = [name.removeprefix("success_") for name in SHARES]
     lines = []

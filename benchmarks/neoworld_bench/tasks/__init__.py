@@ -1,7 +1,7 @@
-"""Manipulation tasks: a free gripper, plans, success on simulated states, and 84 tasks.
+"""Manipulation tasks: 84 tasks, plans of a free gripper, their execution and success predicates.
 
-`all_tasks` lists them; `task.scene`, `task.predicate` and `task.plan` are made when they are asked
-for. `execute` runs any plan in any scene.
+`all_tasks` lists the tasks; `task.scene`, `task.predicate` and `task.plan` are built on first use.
+`execute` runs a plan in a scene.
 """
 
 from .catalogue import all_tasks, find_task, task_names

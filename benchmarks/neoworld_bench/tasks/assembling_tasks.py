@@ -1,4 +1,4 @@
-"""Assembling: parts are put together so that one holds the other."""
+"""Assembling tasks: parts are joined so that one holds the other."""
 
 import math
 
@@ -16,7 +16,7 @@ from .task_scenes import grown, put, scene_of
 
 
 def lid_on_jar(stuff: str, across: float, tall: float, at: tuple[float, float]) -> Prepared:
-    """A lid, held by its knob, on its jar: its rim keeps it there."""
+    """Put a lid, gripped by its knob, on its jar."""
     jar: dict[str, Value] = {"stuff": stuff, "depth": across, "width": across, "height": tall}
     inner = across - 0.01
     lid: dict[str, Value] = {"stuff": stuff, "depth": across + 0.004, "width": across + 0.004}
@@ -36,7 +36,7 @@ def lid_on_jar(stuff: str, across: float, tall: float, at: tuple[float, float]) 
 def ring_on_post(
     bore: float, rod: float, *, rings: int = 1, colour: str = "green", tall: float = 0.12
 ) -> Prepared:
-    """A ring over a post, on those that are there."""
+    """Put a ring over a post, on top of other rings."""
     size: dict[str, Value] = {"bore": bore, "height": 0.02, "depth": 0.08, "width": 0.08}
     others = [put("post", (0.14, 0.05), values={"rod": rod, "height": tall})]
     for k in range(rings - 1):
@@ -68,7 +68,7 @@ def ring_on_post(
 
 
 def bridge(form: str, turn: float) -> Prepared:
-    """A beam on two blocks."""
+    """Lay a beam across two blocks."""
     pier: dict[str, Value] = {"depth": 0.05, "width": 0.05, "height": 0.06, "colour": "blue"}
     beam: dict[str, Value] = {"depth": 0.2, "width": 0.04, "height": 0.02, "colour": "red"}
     if form == "cylinder":
@@ -107,7 +107,8 @@ def bridge(form: str, turn: float) -> Prepared:
 
 
 def _across(truth: SceneSpec, scene: SceneSpec) -> Pose:
-    """Where a beam lies on the piers of `bridge`: in their middle, along the line from 2 to 1."""
+    """Return the pose of the beam on the piers of `bridge`: at their center, along the line from 2
+    to 1."""
     poses, piers = world_poses(scene), ("pier_1", "pier_2")
     top = max(0.06 * float(grown(truth, scene, name)[2]) for name in piers)
     first, second = (poses[name].pos for name in piers)
@@ -117,7 +118,7 @@ def _across(truth: SceneSpec, scene: SceneSpec) -> Pose:
 
 
 def roof_on_house() -> Prepared:
-    """A wedge as the roof of two walls and a ceiling."""
+    """Put a wedge as a roof on two walls and a ceiling."""
     wall: dict[str, Value] = {"depth": 0.1, "width": 0.08, "height": 0.06, "form": "arch"}
     roof: dict[str, Value] = {"depth": 0.11, "width": 0.08, "height": 0.05, "form": "wedge"}
     scene = scene_of(
@@ -134,7 +135,7 @@ def roof_on_house() -> Prepared:
 
 
 def nut_on_bolt() -> Prepared:
-    """A steel washer over a short pin."""
+    """Put a steel washer over a short pin."""
     washer: dict[str, Value] = {"bore": 0.016, "depth": 0.05, "width": 0.05, "height": 0.012}
     scene = scene_of(
         "washer_on_pin",

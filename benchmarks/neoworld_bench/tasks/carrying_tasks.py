@@ -1,4 +1,4 @@
-"""What the tasks share in which an object is picked up and put somewhere else."""
+"""Shared parts of the tasks that pick up an object and place it elsewhere."""
 
 import math
 from dataclasses import replace
@@ -22,7 +22,7 @@ INSERTED = (
 )
 UPRIGHT = (0.0, math.radians(15.0))
 HEIGHT_M = 0.01
-"""How far from its height something placed may be [m]."""
+"""Tolerance of the height of a placed object [m]."""
 
 
 def placed(
@@ -37,9 +37,9 @@ def placed(
     heading: float = math.pi,
     height: float = HEIGHT_M,
 ) -> Located:
-    """Say that an object's foot is at a point of another's frame.
+    """Return the condition that an object's foot is at a point in another object's frame.
 
-    By default it is within a quarter of its narrower edge.
+    The default radius is a quarter of its narrower edge.
     """
     if radius is None:
         radius = float(size_of(scene, name)[:2].min()) / 4
@@ -68,7 +68,7 @@ def inserted(
     tilt: tuple[float, float] = UPRIGHT,
     heading: float = math.pi,
 ) -> Located:
-    """Say that an object's foot is at least `depth` [m] below an opening of another."""
+    """Return the condition that an object's foot is at least `depth` [m] below an opening."""
     return Located(
         object=name,
         relative_to=into,
@@ -95,7 +95,8 @@ def carry(
     tilt: Quat = IDENTITY,
     **ways: float,
 ) -> Prepared:
-    """Plan to carry an object to a pose in another's frame; `ways` are those of pick_and_place."""
+    """Return a task that carries an object to a pose in another's frame; `ways` go to
+    pick_and_place."""
 
     def plan(made: SceneSpec) -> TaskPlan:
         goal = goal_on(made, to, in_other(scene, made, to, at), yaw=yaw, tilt=tilt)
@@ -105,7 +106,7 @@ def carry(
 
 
 def grasp_in(truth: SceneSpec, scene: SceneSpec, name: str, grasp: Grasp) -> Grasp:
-    """Hold an object in another scene at the same share of its box."""
+    """Return a grasp in another scene, at the same share of the object's box."""
     across = float(np.abs(grasp.closing) @ grown(truth, scene, name))
     point = in_other(truth, scene, name, grasp.point)
     return replace(grasp, point=point, width=grasp.width * across)

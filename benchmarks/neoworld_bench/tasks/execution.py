@@ -1,4 +1,4 @@
-"""Executing a plan in MuJoCo, and telling whether a predicate holds for a second."""
+"""Execution of plans in MuJoCo, and evaluation of predicates."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -15,34 +15,34 @@ from .predicates import Predicate
 from .world import TIMESTEP, World, in_start_axes
 
 CONTROL_S = 0.01
-"""Time between new targets, and between states that are looked at [s]."""
+"""Time between targets and between evaluated states [s]."""
 SETTLE_S = 1.0
-"""Time between the end of the plan and the second that counts [s]."""
+"""Time from the end of the plan to the evaluated interval [s]."""
 HOLD_S = 1.0
-"""How long a predicate must hold [s]: issue 15 of this project."""
+"""Duration for which a predicate must hold [s]."""
 START_DEPTH_M = 0.001
-"""How deep the gripper may start in something [m]: the bound of S-Pen."""
+"""Maximum initial penetration of the gripper [m]: the bound of S-Pen."""
 
 Watch = Callable[[World, float], None]
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a plan, or of waiting."""
+    """Outcome of a plan, or of waiting."""
 
     success: bool
     reason: str
-    """Why not; empty with success."""
+    """Reason of a failure; empty on success."""
     progress: float
-    """How near the end was to success, in [0, 1]."""
+    """Closeness of the final state to success, in [0, 1]."""
     held: float
     """Share of the states of the last second that fulfil the predicate."""
     lag_m: float = 0.0
-    """Farthest that the tool stayed behind its target [m]."""
+    """Maximum lag of the tool behind its target [m]."""
     seconds: float = 0.0
     """Simulated time [s]."""
     drift_m: float = 0.0
-    """Farthest that an object was from its start, when waiting [m]."""
+    """Maximum displacement of an object while waiting [m]."""
 
 
 def execute(
@@ -53,7 +53,7 @@ def execute(
     watch: Watch | None = None,
     visual: bool = False,
 ) -> Outcome:
-    """Simulate a plan and ask the predicate of the last second.
+    """Simulate a plan and evaluate the predicate over the last second.
 
     Args:
         scene: the scene in its composed state.
@@ -81,7 +81,7 @@ def execute(
 
 
 def wait(scene: SceneSpec, predicate: Predicate, seconds: float = 2.0) -> Outcome:
-    """Simulate a scene without a gripper; ask the predicate of its last second."""
+    """Simulate a scene without a gripper and evaluate the predicate over the last second."""
     world = World(scene, None)
     start = {item.name: world.pose(item.name).pos for item in scene.objects}
     drift = 0.0
@@ -116,7 +116,7 @@ def _judge(
 
 
 def _path(plan: TaskPlan) -> list[tuple[NDArray, NDArray, float]]:
-    """List the targets: displacement [m], rotation since the start, opening [m]."""
+    """Yield the targets: displacement [m], rotation since the start, opening [m]."""
     path = []
     at, turned, opening = np.array(plan.position), np.array([1.0, 0.0, 0.0, 0.0]), plan.opening
     for move in plan.moves:
@@ -135,7 +135,7 @@ def _path(plan: TaskPlan) -> list[tuple[NDArray, NDArray, float]]:
 def moved(
     at: NDArray, turned: NDArray, move: ToolMove, share: float = 1.0
 ) -> tuple[NDArray, NDArray]:
-    """Return where a share of a move takes a point [m] and a rotation."""
+    """Return the displacement of a point [m] and the rotation after a share of a move."""
     turn = rotation(share * np.array(move.turn))
     pivot = at if move.about is None else np.array(move.about)
     place = pivot + rotate(turn, at - pivot) + share * np.array(move.displacement)
@@ -143,7 +143,7 @@ def moved(
 
 
 def _eased(x: float) -> float:
-    """Begin and end at rest: 3 x^2 - 2 x^3."""
+    """Return the smooth step 3 x^2 - 2 x^3."""
     return x * x * (3 - 2 * x)
 
 

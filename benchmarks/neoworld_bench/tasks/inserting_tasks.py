@@ -1,4 +1,4 @@
-"""Insertion: an object goes through an opening and is supported there."""
+"""Insertion tasks: an object goes through an opening and is supported there."""
 
 import math
 
@@ -24,7 +24,7 @@ def tube_into_rack(
     columns: int = 5,
     rows: int = 2,
 ) -> Prepared:
-    """A test tube into a hole of a rack; it starts in a stand, lying, or in another hole."""
+    """Put a test tube into a hole of a rack, from a stand, from the table or from another hole."""
     hole = across / 2 + 0.002
     width = 0.016 + columns * max(0.04, 2.4 * hole)
     depth = 0.05 * rows
@@ -77,7 +77,7 @@ def peg_into_board(
     height: float = 0.1,
     colour: str = "yellow",
 ) -> Prepared:
-    """A peg into a hole of a board."""
+    """Put a peg into a hole of a board."""
     across_peg: dict[str, Value] = {
         "form": form,
         "depth": across,
@@ -108,7 +108,7 @@ def peg_into_board(
 
 
 def pencil_into_holder() -> Prepared:
-    """A pencil from a cup-sized block into the middle hole of a holder."""
+    """Put a pencil into the middle hole of a holder."""
     scene = scene_of(
         "pencil_into_holder",
         put("hole_board", (0.15, 0.0), values={"hole": 0.016, "columns": 3, "width": 0.15}),
@@ -121,7 +121,7 @@ def pencil_into_holder() -> Prepared:
 
 
 def plug_into_socket(yaw: float, room: float) -> Prepared:
-    """A plug with two pins into a socket."""
+    """Put a plug with two pins into a socket."""
     scene = scene_of(
         "plug_into_socket",
         put("socket", (0.15, 0.05), yaw=yaw, fixed=True, values={"room": room}),
@@ -134,7 +134,7 @@ def plug_into_socket(yaw: float, room: float) -> Prepared:
 
 
 def domino_into_slot(yaw: float, room: float) -> Prepared:
-    """A domino that stands on the table, into a slot."""
+    """Put a standing domino into a slot."""
     board: dict[str, Value] = {"form": "slot", "hole": 0.04 + room, "slot": 0.012 + room}
     scene = scene_of(
         "domino_into_slot",

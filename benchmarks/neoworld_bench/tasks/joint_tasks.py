@@ -1,4 +1,4 @@
-"""Opening, closing and turning: a joint of a template's object is worked by its handle."""
+"""Opening, closing and turning tasks: a joint of a template's object is moved by its handle."""
 
 from neoworld_mjx.spec import SceneSpec, joint_position
 
@@ -17,11 +17,11 @@ TURNED = "own bound, a sixth of a turn at least; speeds of OpenCabinetDrawer-v1 
 AIM = 0.92
 """Share of its range that a reference plan opens a joint to."""
 LEAST_TURN, TURN = 1.05, 1.4
-"""What a joint without limits must be turned by, and is in reference plans [rad]."""
+"""Minimum turn of a joint without limits, and its turn in reference plans [rad]."""
 
 
 def open_joint(template: str, joint: str, hold: Hold, *, yaw: float = 0.0) -> Prepared:
-    """A joint from its lower limit to at least OPEN of its range."""
+    """Open a joint from its lower limit to at least OPEN of its range."""
     scene = _alone(template, yaw, {})
     goal = JointBetween(object=template, joint=joint, low=OPEN, high=1.05, source=OPENED)
 
@@ -36,7 +36,7 @@ def open_joint(template: str, joint: str, hold: Hold, *, yaw: float = 0.0) -> Pr
 def close_joint(
     template: str, joint: str, hold: Hold, *, yaw: float = 0.0, share: float = 0.6
 ) -> Prepared:
-    """A joint that stands at a share of its range, to at most CLOSED of it."""
+    """Close a joint from a share of its range to at most CLOSED of it."""
     spec = _alone(template, yaw, {}).object(template).spec
     moving = spec.joint(joint)
     start = moving.lower + share * (moving.upper - moving.lower)
@@ -51,7 +51,7 @@ def close_joint(
 
 
 def turn_joint(template: str, joint: str, hold: Hold, *, yaw: float = 0.0) -> Prepared:
-    """A joint by at least LEAST_TURN, or to the last quarter of its range."""
+    """Turn a joint by at least LEAST_TURN, or to the last quarter of its range."""
     scene = _alone(template, yaw, {})
     moving = scene.object(template).spec.joint(joint)
     if moving.type != "continuous":
@@ -73,7 +73,7 @@ def turn_joint(template: str, joint: str, hold: Hold, *, yaw: float = 0.0) -> Pr
 
 
 def _value(scene: SceneSpec, name: str, joint: str) -> float:
-    """Where a joint that is no ball stands [rad or m]."""
+    """Return the value of a joint other than a ball [rad or m]."""
     item = scene.object(name)
     value = joint_position(item.spec, item.spec.joint(joint), item.joint_state)
     assert not isinstance(value, tuple)
@@ -81,7 +81,7 @@ def _value(scene: SceneSpec, name: str, joint: str) -> float:
 
 
 def _alone(template: str, yaw: float, state: dict[str, float]) -> SceneSpec:
-    """The object, fastened, with a cup beside it."""
+    """Return the object, fixed, next to a cup."""
     item = put(template, (0.0, 0.0), yaw=yaw, fixed=True, state=state)
     bare = scene_of(template, item)
     edges = size_of(bare, template)

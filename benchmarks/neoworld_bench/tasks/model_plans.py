@@ -1,4 +1,4 @@
-"""Plans of a model for tasks, in scenes whose layout is off: with and without feedback."""
+"""Plans of a model in displaced scenes, with and without feedback."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -16,25 +16,25 @@ from .task import ManipulationTask
 
 
 class PlanRow(Row):
-    """One task, planned by a model."""
+    """Result of one task planned by a model."""
 
     task: str
     kind: str
     plans: int
-    """Plans that the model gave."""
+    """Number of plans."""
     in_scene: bool
-    """True if one of them succeeds in the scene that the model was told."""
+    """True if one of them succeeds in the scene that the model saw."""
     after_feedback: bool
-    """True if the best succeeds there after the layout was refined by its outcome."""
+    """True if the best plan succeeds there after refinement by its outcome."""
     executions: int
-    """Executions of the refinement."""
+    """Number of executions of the refinement."""
     on_truth: bool
     """True if the best plan succeeds in the true scene."""
     reason: str
 
 
 def displaced_layout(task: ManipulationTask, offset_m: float, seed: int) -> SceneSpec:
-    """Return a task's scene with what its predicate names moved by this distance, each its own way.
+    """Return a task's scene with the objects of its predicate displaced in random directions.
 
     Args:
         task: the task.
@@ -63,7 +63,7 @@ def plan_rows(
     feedback: bool,
     seed: int,
 ) -> Iterator[PlanRow]:
-    """Ask for a plan of each task, and carry it out; see PlanRow."""
+    """Request a plan of each task, and execute it."""
     for task in tasks:
         scene = displaced_layout(task, offset_m, seed)
         asked = models.run(ask_for_plan(models, task, scene, rounds=rounds))
@@ -99,7 +99,7 @@ def plan_rows(
 
 
 def plan_figures(rows: Sequence[PlanRow]) -> dict[str, Any]:
-    """Return how many plans succeed where."""
+    """Return the numbers of successful plans."""
     return {
         "tasks": len(rows),
         "in_scene": sum(row.in_scene for row in rows),

@@ -1,12 +1,9 @@
-"""The outcome of a plan as feedback into the layout: the paper's image-to-policy, a small version.
-
+"""Refinement of a layout by the outcome of a plan, a small version of the paper's image-to-policy.
 Section 4.4 of the paper: "We use this execution outcome as a feedback signal to iteratively refine
-the scene layout until the placement succeeds". How is not said. Here the Cross-Entropy Method of
-the scene refinement moves the objects that the task names; a candidate's reward is the progress of
-the plan carried out in it, 1 more if it succeeds, less the prior that holds layouts near where they
-were. Nothing but the outcome is asked, so a layout in which the plan succeeds may be found that is
-not the ground truth: the same plan in the true scene is the measure of that.
-"""
+the scene layout until the placement succeeds"; it does not state the method. Here the Cross-Entropy
+Method of the scene refinement moves the objects that the task names. A candidate's reward is the
+progress of the plan executed in it, plus 1 on success, less the prior. The resulting layout may
+differ from the ground truth; the same plan in the ground-truth scene measures that."""
 
 from dataclasses import dataclass, replace
 
@@ -26,12 +23,12 @@ from .plan_format import TaskPlan
 from .predicates import Predicate
 
 PRIOR_WEIGHT = 0.02
-"""Loss of a layout whose numbers are one standard deviation off; progress is worth up to 1."""
+"""Loss of a layout one standard deviation away; progress is worth up to 1."""
 
 
 @dataclass(frozen=True)
 class FeedbackResult:
-    """The layout in which a plan goes farthest."""
+    """Layout with the highest progress of a plan."""
 
     scene: SceneSpec
     outcome: Outcome
@@ -90,7 +87,7 @@ def refine_by_outcome(
 
 
 def _prior(layouts: Layout, sigma: Layout) -> np.ndarray:
-    """Mean of the squared numbers of the moved objects, in standard deviations, shape [pop]."""
+    """Return the mean squared displacement of the moved objects in standard deviations [pop]."""
     total, count = 0.0, 0
     for leaf, spread in zip(jax.tree.leaves(layouts), jax.tree.leaves(sigma), strict=True):
         moved = np.asarray(spread)[0] > 0

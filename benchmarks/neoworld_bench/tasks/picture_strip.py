@@ -1,4 +1,4 @@
-"""Moments of a plan beside each other, drawn by the project's ray-caster."""
+"""Film strip of a plan."""
 
 import copy
 
@@ -22,7 +22,7 @@ def picture_strip(
     azimuth_deg: float = 215.0,
     shown_m: float = 0.2,
 ) -> Image.Image:
-    """Draw moments of a task's reference plan from one view.
+    """Render moments of a task's reference plan from one view.
 
     Args:
         task: the task.

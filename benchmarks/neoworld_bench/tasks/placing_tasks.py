@@ -1,4 +1,4 @@
-"""Placement: an object is carried onto or into another and let go."""
+"""Placement tasks: an object is carried onto or into another and released."""
 
 import math
 
@@ -14,19 +14,19 @@ from .task import Prepared
 from .task_scenes import put, scene_of, size_of
 
 LYING: Quat = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
-"""The object's z along +x."""
+"""Rotation that turns the object's z axis to +x."""
 NO_TILT = (0.0, math.pi)
 
 
 def by_the_rim(width: float, height: float, wall: float) -> Grasp:
-    """Hold the wall of a round cup from above, at its +x side."""
+    """Return a grasp of the wall of a round cup from above, at its +x side."""
     return Grasp(
         ((width - wall) / 2, 0.0, height - 0.012), wall, closing=(1.0, 0.0, 0.0), slack=0.006
     )
 
 
 def cup_on(plate: str, colour: str, *, across: float, at: tuple[float, float]) -> Prepared:
-    """A cup, held by its rim, onto a plate or a coaster."""
+    """Put a cup, gripped by its rim, on a plate or a coaster."""
     tall = 0.02 if across > 0.12 else 0.008
     scene = scene_of(
         f"cup_on_{plate}",
@@ -39,7 +39,7 @@ def cup_on(plate: str, colour: str, *, across: float, at: tuple[float, float]) -
 
 
 def bottle_on_tray() -> Prepared:
-    """A bottle, held by its neck, onto a tray."""
+    """Put a bottle, gripped by its neck, on a tray."""
     scene = scene_of(
         "bottle_on_tray",
         put("tray", (0.15, 0.1), yaw=0.2),
@@ -52,7 +52,7 @@ def bottle_on_tray() -> Prepared:
 
 
 def ball_into_jar(across: float, ball: float) -> Prepared:
-    """A ball, let fall into an open jar."""
+    """Drop a ball into an open jar."""
     sizes = {"depth": ball, "width": ball, "height": ball}
     scene = scene_of(
         "ball_into_jar",
@@ -66,7 +66,7 @@ def ball_into_jar(across: float, ball: float) -> Prepared:
 
 
 def block_into_tray(finish: str, height: float, yaw: float) -> Prepared:
-    """A block into an open box."""
+    """Put a block into an open box."""
     scene = scene_of(
         "block_into_tray",
         put("tray", (0.15, 0.1), values={"height": height, "finish": finish, "width": 0.2}),
@@ -79,7 +79,7 @@ def block_into_tray(finish: str, height: float, yaw: float) -> Prepared:
 
 
 def phone_on_stand(case: str, lean: float) -> Prepared:
-    """A phone that lies on the table, onto a stand."""
+    """Put a phone from the table on a stand."""
     scene = scene_of(
         "phone_on_stand",
         put("phone_stand", (0.15, 0.1), values={"lean": lean, "depth": 0.1, "width": 0.07}),
@@ -114,7 +114,7 @@ def phone_on_stand(case: str, lean: float) -> Prepared:
 
 
 def pencil_into_cup(colour: str, at: tuple[float, float]) -> Prepared:
-    """A pencil that stands in a holder, into a cup."""
+    """Put a standing pencil into a cup."""
     scene = scene_of(
         "pencil_into_cup",
         put("mug", at, values={"colour": "green", "height": 0.1}),
@@ -137,7 +137,7 @@ def pencil_into_cup(colour: str, at: tuple[float, float]) -> Prepared:
 
 
 def fruit_on_plate() -> Prepared:
-    """An apple onto a plate with a rim."""
+    """Put an apple on a plate with a rim."""
     values = {"stuff": "fruit", "depth": 0.07, "width": 0.07, "height": 0.07}
     scene = scene_of(
         "fruit_on_plate",
@@ -151,7 +151,7 @@ def fruit_on_plate() -> Prepared:
 
 
 def cup_into_microwave() -> Prepared:
-    """A cup, held from the front, into a microwave oven whose door is open."""
+    """Put a cup, gripped from the front, into an open microwave oven."""
     scene = scene_of(
         "cup_into_microwave",
         put("microwave", (-0.2, 0.0), fixed=True, state={"hinge": 1.5}),
@@ -170,7 +170,7 @@ def cup_into_microwave() -> Prepared:
 
 
 def block_into_drawer(cabinet: str, drawer: str, pull: float, z: float, drop: float) -> Prepared:
-    """A block into a drawer that stands open by `pull`, with its floor at z [m]."""
+    """Put a block into a drawer that is open by `pull`, with its floor at z [m]."""
     scene = scene_of(
         f"block_into_{drawer}",
         put(cabinet, (0.0, 0.0), fixed=True, state={f"{drawer}_slide": pull}),
@@ -185,7 +185,7 @@ def block_into_drawer(cabinet: str, drawer: str, pull: float, z: float, drop: fl
 
 
 def block_into_chest() -> Prepared:
-    """A block into a chest with its lid open."""
+    """Put a block into an open chest."""
     scene = scene_of(
         "block_into_chest",
         put("treasure_chest", (0.0, 0.0), fixed=True, state={"lid_hinge": 1.5}),
@@ -209,7 +209,7 @@ def block_into_chest() -> Prepared:
 
 
 def book_on_nightstand() -> Prepared:
-    """A book that stands on the floor of a table, onto a nightstand."""
+    """Put a standing book on a nightstand."""
     scene = scene_of(
         "book_on_nightstand",
         put("nightstand", (0.0, 0.0), fixed=True),

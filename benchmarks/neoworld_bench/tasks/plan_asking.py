@@ -1,4 +1,4 @@
-"""A plan asked of a model, carried out, and asked again with what came of it (Section 4.4)."""
+"""Plans requested from a model, executed, and revised with the outcome (Section 4.4)."""
 
 import asyncio
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from .predicates import Every, Located, Predicate
 from .task import ManipulationTask
 
 MOST_JOINTS = 12
-"""Joints of an object that are listed."""
+"""Maximum number of listed joints of an object."""
 
 
 class PlannedTask(BaseModel):
@@ -33,7 +33,7 @@ class PlannedTask(BaseModel):
 
 @dataclass(frozen=True)
 class PlanAttempt:
-    """A plan and what came of it."""
+    """A plan with its outcome."""
 
     plan: TaskPlan
     outcome: Outcome
@@ -41,16 +41,16 @@ class PlanAttempt:
 
 @dataclass(frozen=True)
 class AskedPlan:
-    """All plans that a model gave for a task."""
+    """All plans of a model for a task."""
 
     attempts: tuple[PlanAttempt, ...]
-    """In order; empty if no plan was given."""
+    """Attempts in order; empty if there is no plan."""
     fallbacks: tuple[tuple[str, str], ...]
-    """Requests that failed, with reasons."""
+    """Failed requests, with reasons."""
 
     @property
     def best(self) -> PlanAttempt | None:
-        """The first that succeeds, else that with the most progress."""
+        """First attempt that succeeds, otherwise the one with the most progress."""
         return max(
             self.attempts, key=lambda a: (a.outcome.success, a.outcome.progress), default=None
         )
@@ -80,7 +80,7 @@ def plan_request(
 
 
 def scene_in_numbers(scene: SceneSpec) -> str:
-    """List each object's pose and box in the world, and its joints, to the millimetre."""
+    """Return each object's pose and box in the world, and its joints, as text."""
     lines = []
     poses = world_poses(scene)
     for item in scene.objects:
@@ -118,7 +118,7 @@ def scene_in_numbers(scene: SceneSpec) -> str:
 async def ask_for_plan(
     models: Panel, task: ManipulationTask, scene: SceneSpec, *, rounds: int = 2
 ) -> AskedPlan:
-    """Ask for a plan, carry it out in the scene, and ask again with the outcome while it fails.
+    """Request a plan, execute it, and request revisions with the outcome while it fails.
 
     Args:
         models: provides the reasoner.

@@ -1,9 +1,7 @@
-"""Success predicates: conditions on a simulated state, each with its units and its source.
-
-A predicate is asked of every state of the last second of a simulation, and must hold in all of
-them. `progress` tells in [0, 1] how near a state is to it, for the feedback into refinement; 1 is
-not success.
-"""
+"""Success predicates: conditions on a simulated state, each with units and source. A predicate is
+evaluated in every state of the last second of a simulation, and must hold in all of them.
+`progress` is the closeness of a state to it in [0, 1], for feedback into refinement; 1 does not
+imply success."""
 
 import math
 from typing import Annotated, Literal
@@ -30,9 +28,10 @@ Positive = Annotated[float, Field(gt=0)]
 
 
 class Located(Spec):
-    """A point of an object lies within a cylinder in the frame of another, and is at rest.
+    """A point of an object lies within a cylinder in the frame of another, and the object is at
+    rest.
 
-    This is placement, insertion and assembly: `radius` and `low` to `high` say how exactly.
+    Placement, insertion and assembly tasks use it.
     """
 
     type: Literal["located"] = "located"
@@ -57,11 +56,11 @@ class Located(Spec):
     touching: tuple[Name, ...] = ()
     """Objects that it must touch: what supports it."""
     released: bool = True
-    """Whether the gripper must not touch it."""
+    """True if the gripper must not touch it."""
     source: str
 
     def holds(self, world: World) -> bool:
-        """Whether the state fulfils it."""
+        """Return True if the state fulfils the predicate."""
         if self._distance(world) > 0 or not world.at_rest(self.object, AT_REST_M_S, AT_REST_RAD_S):
             return False
         touched = world.touched(self.object)
@@ -70,11 +69,11 @@ class Located(Spec):
         return set(self.touching) <= touched
 
     def progress(self, world: World) -> float:
-        """Fall from 1 with the distance from the cylinder, in units of its radius and height."""
+        """Return the progress, which falls with the distance from the cylinder."""
         return math.exp(-self._distance(world) / 0.05)
 
     def _distance(self, world: World) -> float:
-        """How far outside the bounds it is [m]; angles count 1 cm for 0.1 rad."""
+        """Return the violation of the bounds [m]; 0.1 rad count as 1 cm."""
         base, at = world.pose(self.relative_to, self.part), world.pose(self.object)
         local = base.inverse().apply(at.apply(np.array(self.point))) - np.array(self.target)
         z = at.apply(np.array([0.0, 0.0, 1.0])) - at.pos
@@ -88,7 +87,7 @@ class Located(Spec):
         )
 
     def meaning(self) -> str:
-        """Say it in one line."""
+        """Return a description in one line."""
         where = f"{self.relative_to}.{self.part}" if self.part else self.relative_to
         text = (
             f"point {_mm(self.point)} of {self.object} within {1000 * self.radius:.0f} mm of "
@@ -115,11 +114,11 @@ class Leaning(Spec):
     source: str
 
     def holds(self, world: World) -> bool:
-        """Whether the state fulfils it."""
+        """Return True if the state fulfils the predicate."""
         return self.tilt[0] <= self._angle(world) <= self.tilt[1]
 
     def progress(self, world: World) -> float:
-        """Share of the angle that is reached."""
+        """Return the progress, which falls with the angle outside the bounds."""
         angle = self._angle(world)
         return math.exp(-max(0.0, self.tilt[0] - angle, angle - self.tilt[1]))
 
@@ -129,7 +128,7 @@ class Leaning(Spec):
         return math.acos(float(np.clip(z[2], -1.0, 1.0)))
 
     def meaning(self) -> str:
-        """Say it in one line."""
+        """Return a description in one line."""
         low, high = (math.degrees(v) for v in self.tilt)
         return f"{self.object} leans {low:.0f} to {high:.0f} deg"
 
@@ -147,17 +146,17 @@ class JointBetween(Spec):
     source: str
 
     def holds(self, world: World) -> bool:
-        """Whether the state fulfils it."""
+        """Return True if the state fulfils the predicate."""
         value, rate, slides = world.joint(self.object, self.joint, fraction=not self.absolute)
         return self.low <= value <= self.high and rate <= (JOINT_M_S if slides else JOINT_RAD_S)
 
     def progress(self, world: World) -> float:
-        """Fall from 1 with the distance from the bounds."""
+        """Return the progress, which falls with the distance from the bounds."""
         value, _, _ = world.joint(self.object, self.joint, fraction=not self.absolute)
         return math.exp(-2 * max(0.0, self.low - value, value - self.high))
 
     def meaning(self) -> str:
-        """Say it in one line."""
+        """Return a description in one line."""
         unit = "rad or m" if self.absolute else "of its range"
         high = "" if self.high > 1e3 or (self.high >= 1 and not self.absolute) else self.high
         low = "" if self.low < -1e3 or (self.low <= 0 and not self.absolute) else self.low
@@ -169,21 +168,21 @@ class JointBetween(Spec):
 
 
 class Every(Spec):
-    """All of several predicates."""
+    """Conjunction of several predicates."""
 
     type: Literal["every"] = "every"
     of: tuple["Located | Leaning | JointBetween", ...] = Field(min_length=1)
 
     def holds(self, world: World) -> bool:
-        """Whether the state fulfils each of them."""
+        """Return True if the state fulfils each of them."""
         return all(each.holds(world) for each in self.of)
 
     def progress(self, world: World) -> float:
-        """Mean progress."""
+        """Return the mean progress."""
         return float(np.mean([each.progress(world) for each in self.of]))
 
     def meaning(self) -> str:
-        """Say it in one line."""
+        """Return a description in one line."""
         return "; ".join(each.meaning() for each in self.of)
 
     @property

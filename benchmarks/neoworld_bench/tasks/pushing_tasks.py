@@ -1,4 +1,4 @@
-"""Pushing: closed fingers move along a line, the paper's start and displacement."""
+"""Pushing tasks: closed fingers move along a line, as in the paper."""
 
 import math
 
@@ -24,7 +24,7 @@ PUSHED_SOURCE = (
 
 
 def dominoes(count: int, gap: float, bend: float, values: dict[str, Value]) -> Prepared:
-    """A row of dominoes; the first is pushed, and all must topple.
+    """Topple a row of dominoes by pushing the first.
 
     Args:
         count: how many.
@@ -61,7 +61,7 @@ def dominoes(count: int, gap: float, bend: float, values: dict[str, Value]) -> P
 
 
 def tip(program: str, tall: float, half: float, foot: float, values: dict[str, Value]) -> Prepared:
-    """Something tall is pushed near its top until it falls.
+    """Topple a tall object by pushing it near its top.
 
     Args:
         program: what.
@@ -93,7 +93,7 @@ def tip(program: str, tall: float, half: float, foot: float, values: dict[str, V
 def slide(
     program: str, half: float, way: tuple[float, float], values: dict[str, Value], height: float
 ) -> Prepared:
-    """Something is pushed across the table to a mark."""
+    """Push an object across the table to a mark."""
     length = math.hypot(*way)
     heading = math.atan2(way[1], way[0])
     forward = np.array([way[0], way[1]]) / length
@@ -150,7 +150,7 @@ def slide(
 
 
 def off_the_edge() -> Prepared:
-    """A cube is pushed from a block into a tray below it."""
+    """Push a cube from a block into a tray below it."""
     scene = scene_of(
         "off_the_edge",
         put(
@@ -193,7 +193,7 @@ def off_the_edge() -> Prepared:
 
 
 def ball_into_goal(angle: float) -> Prepared:
-    """A ball is struck so that it rolls into a gate and stays behind it."""
+    """Strike a ball so that it rolls into a gate."""
     forward = np.array([math.cos(angle), math.sin(angle), 0.0])
     end = forward[:2] * 0.25
     gate: dict[str, Value] = {"depth": 0.04, "width": 0.4, "height": 0.16, "form": "arch"}
@@ -246,7 +246,7 @@ def ball_into_goal(angle: float) -> Prepared:
 
 
 def _foot(scene: SceneSpec, name: str) -> Pose:
-    """Where an object's origin would be without the clearance that it is set down with."""
+    """Return an object's pose without its clearance over the support."""
     at = world_poses(scene)[name]
     return Pose(at.pos - np.array([0.0, 0.0, GAP]), at.quat)
 

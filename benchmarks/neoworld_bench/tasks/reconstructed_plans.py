@@ -1,4 +1,4 @@
-"""A task planned in a reconstruction, and carried out there and in the ground truth."""
+"""Tasks planned in a reconstruction, and executed there and in the ground truth."""
 
 import time
 from dataclasses import dataclass
@@ -16,29 +16,28 @@ from .task import ManipulationTask
 
 @dataclass(frozen=True)
 class PlannedThere:
-    """What came of planning in a reconstruction."""
+    """Outcomes of a plan made in a reconstruction."""
 
     on_truth: Outcome
-    """In the ground truth, by the plan less the shift that all objects share: the figure."""
+    """Outcome in the ground truth, of the plan corrected by the common offset: task success."""
     in_scene: Outcome
-    """In the reconstruction itself."""
+    """Outcome in the reconstruction."""
     unaligned: Outcome
-    """In the ground truth, by the plan as it is."""
+    """Outcome in the ground truth, of the plan without correction."""
     shift_m: float
-    """Length of the shift."""
+    """Length of the common offset."""
     object_error_m: float | None
-    """Horizontal distance of the object concerned from the ground truth, less the shift; None
-    without."""
+    """Horizontal error of the task's object, less the common offset; None if it is missing."""
     seconds: float
     """Time of planning and the three executions [s]."""
 
 
 def planned_there(task: ManipulationTask, made: SceneSpec) -> PlannedThere:
-    """Plan a task in a reconstruction and carry the plan out; nothing that fails raises.
+    """Plan a task in a reconstruction and execute the plan; failures do not raise.
 
-    What all objects but supports are off by alike, their median shift, is that of the response's
-    camera, and a robot is calibrated to its camera: the plan is moved back by it. Of two objects it
-    is the mean, which takes half of what they are off by against each other.
+    The median offset of all objects other than supports comes from the response's camera, and a
+    robot is calibrated to its camera, so the plan is moved back by it. For two objects this is
+    their mean, which removes half of their relative error.
 
     Args:
         task: what is to be done.
@@ -75,7 +74,7 @@ def planned_there(task: ManipulationTask, made: SceneSpec) -> PlannedThere:
 
 
 def _planned(task: ManipulationTask, made: SceneSpec) -> TaskPlan | str:
-    """Return the plan, or why there is none."""
+    """Return the plan, or the reason why there is none."""
     try:
         return task.plan_in(made)
     except Exception as error:  # Whatever a reconstruction lacks, there is no plan for it.
@@ -91,11 +90,11 @@ def _carried_out(task: ManipulationTask, made: SceneSpec, plan: TaskPlan) -> Out
 
 
 def failed(reason: str) -> Outcome:
-    """Return the outcome of what was not carried out."""
+    """Return the outcome of a plan that was not executed."""
     return Outcome(False, reason, 0.0, 0.0)
 
 
 def described(error: Exception) -> str:
-    """Say an exception in one line."""
+    """Return an exception as one line."""
     lines = str(error).strip().splitlines()
     return ": ".join([type(error).__name__, *(line.strip() for line in lines[:3])])

@@ -27,29 +27,29 @@ from neoworld_mjx.spec.pose import Pose, conjugate, quat_mul, rotate
 from .plan_format import MAX_OPENING, TaskPlan, ToolMove, rotation
 
 SLACK_M = 0.004
-"""Room on either side of what is to be gripped [m]."""
+"""Clearance on either side of a gripped object [m]."""
 ABOVE_M = 0.05
-"""How far before the grasp the tool starts [m]."""
+"""Distance of the tool's start from the grasp [m]."""
 TIP_M = 0.008
-"""How far the fingers reach beyond the middle of the pads [m]."""
+"""Length of the fingers beyond the center of the pads [m]."""
 CARRY_M_S, LOWER_M_S = 0.25, 0.06
-"""Speeds with and without something below [m/s]."""
+"""Speeds of free motion and of lowering [m/s]."""
 FINGERS_M = 0.008
 """Half the thickness of the two closed fingers [m]."""
 
 
 @dataclass(frozen=True)
 class Grasp:
-    """Where the fingers hold an object, in its frame."""
+    """Position of the fingers on an object, in its frame."""
 
     point: Vec3
-    """Middle between the pads [m]."""
+    """Center between the pads [m]."""
     width: float
     """Distance of the two held surfaces [m]."""
     approach: Vec3 = (0.0, 0.0, -1.0)
     closing: Vec3 = (0.0, 1.0, 0.0)
     slack: float = SLACK_M
-    """Room on either side before the fingers close [m]."""
+    """Clearance on either side before the fingers close [m]."""
 
 
 def pick_and_place(
@@ -63,7 +63,7 @@ def pick_and_place(
     drop: float = 0.002,
     retreat: float = 0.08,
 ) -> TaskPlan:
-    """Grip an object, lift it, carry it over its goal, lower it, let go and draw back.
+    """Return a plan that grips an object, lifts it, moves it over its goal, lowers and releases it.
 
     Args:
         scene: the scene in its composed state.
@@ -112,7 +112,7 @@ def push(
     speed: float = 0.1,
     retreat: float = 0.0,
 ) -> TaskPlan:
-    """Move closed fingers along a line, as in the paper: a start and one displacement.
+    """Return a plan that moves closed fingers along a line, as in the paper.
 
     Args:
         start: the tool's start [m].
@@ -141,26 +141,26 @@ def push(
 
 @dataclass(frozen=True)
 class Hold:
-    """A way to work a joint: gripping its handle, poking it, or pressing the fingers' side on it.
+    """Method of moving a joint: grip its handle, poke it, or press the side of the fingers on it.
 
-    Directions are along the object's axes as the part stands, by name: +x, -y.
+    Directions are along the object's axes in the part's current pose, by name: +x, -y.
     """
 
     way: str
-    """grip, poke or side."""
+    """"grip", "poke" or "side"."""
     approach: str
     closing: str = "+y"
     """Ignored by poke and side."""
     geom: str = ""
-    """The geom to hold, where the object's own handle frame is not to be taken."""
+    """Geom to hold instead of the object's handle frame."""
     spot: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where on the held box, in halves of its edges from its middle."""
+    """Position on the held box, in half edges from its center."""
 
 
 def work_joint(
     scene: SceneSpec, name: str, joint: str, target: float, hold: Hold, *, seconds: float = 0.0
 ) -> TaskPlan:
-    """Take a joint's handle along the joint's own path to a value.
+    """Return a plan that moves a joint's handle along its path to a value.
 
     Args:
         scene: the scene in its composed state.
@@ -221,7 +221,7 @@ def work_joint(
 def holds(
     scene: SceneSpec, name: str, joint: str, target: float
 ) -> Iterator[tuple[Hold, TaskPlan]]:
-    """List the ways to work a joint that can be planned, simple ones first."""
+    """Yield the feasible holds of a joint with their plans, simple ones first."""
     names = ("-x", "-z", "+y", "-y", "+x", "+z")
     ways = [Hold("poke", "+x")]
     ways += [Hold("grip", a, c) for a in names for c in ("+y", "+z", "+x") if a[1] != c[1]]
@@ -237,7 +237,7 @@ def holds(
 
 
 def _held_box(spec: ObjectSpec, joint: str, geom: str) -> tuple[NDArray, NDArray]:
-    """Return the middle and half the edges of what is held, in the object's frame at rest [m]."""
+    """Return the center and half edges of the held box, in the object's frame at rest [m]."""
     if not geom:
         handle = next(f for f in frames(spec) if f.joint == joint)
         half = np.full(3, 0.006) if handle.half is None else np.array(handle.half)
@@ -263,7 +263,7 @@ def _geom_boxes(spec: ObjectSpec, joint: str) -> dict[str, tuple[NDArray, NDArra
 
 
 def _outermost(spec: ObjectSpec, joint: str, most: int = 4) -> list[str]:
-    """List the geoms that fit between the fingers, those that a joint moves farthest first."""
+    """Return the geoms that fit between the fingers, those with the longest moment arm first."""
     moving = spec.joint(joint)
     axis, anchor = np.array(moving.axis), np.array(moving.pos)
     reach = {}
@@ -299,7 +299,7 @@ def _along(
 
 
 def _arm(joint: JointSpec, axis: NDArray, anchor: NDArray, point: NDArray) -> float:
-    """Return the metres that a point moves by unit of a joint."""
+    """Return the displacement of a point per unit of a joint [m]."""
     if joint.type == "prismatic":
         return 1.0
     arm = point - anchor
@@ -309,7 +309,7 @@ def _arm(joint: JointSpec, axis: NDArray, anchor: NDArray, point: NDArray) -> fl
 def _direction(
     joint: JointSpec, axis: NDArray, anchor: NDArray, point: NDArray, ahead: NDArray
 ) -> NDArray:
-    """Return the direction in which a joint moves a point: `ahead` if it is on the axis."""
+    """Return the direction in which a joint moves a point; `ahead` for a point on the axis."""
     if joint.type == "prismatic":
         return axis
     way = np.cross(axis, point - anchor)
@@ -320,7 +320,7 @@ def _direction(
 def grasp_box(
     scene: SceneSpec, name: str, *, depth: float = 0.02, along: str | None = None
 ) -> Grasp:
-    """Hold an object from above by its narrower sides.
+    """Return a grasp of an object from above by its narrower sides.
 
     Args:
         scene: the scene.

@@ -1,4 +1,4 @@
-"""Stacking: an object is set on another that it could fall from."""
+"""Stacking tasks."""
 
 from neoworld_mjx.templates.template import Value
 
@@ -17,7 +17,7 @@ def block_on(
     turn: float = 0.0,
     along: str | None = None,
 ) -> Prepared:
-    """A block on another; each is its edges [m] and its form."""
+    """Stack a block on another; each is given by its edges [m] and its form."""
     scene = scene_of(
         "block_on_block",
         put("toy_block", (0.15, 0.05), name="lower", yaw=yaw, values=_sizes(lower, "blue")),
@@ -31,7 +31,7 @@ def block_on(
 
 
 def third_block(edge: float) -> Prepared:
-    """A third cube on a stack of two, which must stand after that too."""
+    """Stack a third cube on two, all of which must stay."""
     sizes = (edge, edge, edge, "box")
     first = put("toy_block", (0.12, 0.0), name="first", values=_sizes(sizes, "blue"))
     second = put("toy_block", on="first", z=edge, name="second", values=_sizes(sizes, "green"))
@@ -48,7 +48,7 @@ def third_block(edge: float) -> Prepared:
 
 
 def tray_on_tray() -> Prepared:
-    """An open tray on another, held by its wall."""
+    """Stack an open tray, gripped by its wall, on another."""
     sizes: dict[str, Value] = {"depth": 0.12, "width": 0.16, "height": 0.05}
     scene = scene_of(
         "tray_on_tray",
@@ -62,7 +62,7 @@ def tray_on_tray() -> Prepared:
 
 
 def ring_on_ring() -> Prepared:
-    """A disc on a disc of the same size."""
+    """Stack a disc on a disc of the same size."""
     values: dict[str, Value] = {"depth": 0.07, "width": 0.07, "height": 0.025, "bore": 0.02}
     scene = scene_of(
         "ring_on_ring",
@@ -76,7 +76,7 @@ def ring_on_ring() -> Prepared:
 
 
 def bottle_on_block() -> Prepared:
-    """A bottle on a narrow block."""
+    """Stand a bottle on a narrow block."""
     scene = scene_of(
         "bottle_on_block",
         put("toy_block", (0.15, 0.0), values={"depth": 0.06, "width": 0.06, "colour": "wood"}),

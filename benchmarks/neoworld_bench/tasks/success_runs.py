@@ -1,9 +1,7 @@
-"""Task success of methods: each task reconstructed from noisy starts, planned there, carried out.
-
-As the scene benchmark does it: the true scene is photographed, its response disturbed and composed,
-and a method makes a layout of it. A row tells whether the plan made in this layout does the task
-in the ground truth.
-"""
+"""Task success of methods: each task is reconstructed from noisy initial scenes, planned there and
+executed. As in the scene benchmark, the ground-truth scene is photographed, a noisy response is
+composed, and a method turns it into a layout. A row reports whether the plan made in this layout
+solves the task in the ground truth."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -36,53 +34,54 @@ SUCCESSES = "tasks.parquet"
 
 
 class SuccessRow(Row):
-    """One method on one task from one start."""
+    """Result of one method on one task from one initial scene."""
 
     task: str
     kind: str
     objects: int
-    """Objects of the ground truth without its table."""
+    """Number of objects of the ground truth without its table."""
     noise: str
-    """Level of the start's noise."""
+    """Noise level of the initial scene."""
     injected: str
-    """Kinds of errors that the start has beside its numbers, with commas; see `parse_noise`."""
+    """Kinds of errors of the initial scene other than its numbers, comma-separated; see
+    `parse_noise`."""
     missed: int
-    """Of them, those that the start does not have."""
+    """Number of them that the initial scene lacks."""
     start: int
     seed: int
     evaluation: bool
-    """True if the start is of the evaluation half."""
+    """True if the initial scene is in the evaluation half."""
     method: str
     on_truth: bool
-    """True if the plan made in the result does the task in the ground truth: task success."""
+    """True if the plan made in the result solves the task in the ground truth: task success."""
     in_scene: bool
-    """True if it does it in the result."""
+    """True if it solves the task in the result."""
     unaligned: bool
-    """True if it does it in the ground truth without removing the shift that all objects share."""
+    """True if it does so without removing the offset that all objects share."""
     reason: str
-    """Why not in the ground truth; empty if it does."""
+    """Reason of failure in the ground truth; empty on success."""
     scene_reason: str
-    """Why not in the result."""
+    """Reason of failure in the result."""
     progress: float
-    """How near the end in the ground truth was to success, in [0, 1]."""
+    """Progress at the end in the ground truth, in [0, 1]."""
     valid: bool
     """True if the result passes the final check, and no object is displaced."""
     shift_m: float
-    """Length of the shift that all objects share."""
+    """Length of the offset that all objects share."""
     object_error_m: float | None
-    """Horizontal distance of the object concerned from the ground truth, less the shift."""
+    """Horizontal error of the task's object, less the common offset."""
     seconds: float
     """Time of the method, compiling included."""
     executing_s: float
     """Time of planning and of three executions."""
     rollouts: int
     fingerprint: str
-    """Hash of the task, the rule of its camera, the noise and the options."""
+    """Hash of the task, its camera, the noise and the options."""
 
 
 @dataclass(frozen=True)
 class SuccessJob:
-    """The methods that are to be run on one task from one start."""
+    """Methods to run on one task from one initial scene."""
 
     task: str
     start: int
@@ -107,7 +106,7 @@ def run_successes(
     workers: int = 0,
     out: Path | None = None,
 ) -> list[SuccessRow]:
-    """Run methods on tasks; rows that are in the folder's file already are not run again.
+    """Run methods on tasks, except for rows that the folder's file already contains.
 
     Args:
         tasks: what is to be done.
@@ -148,7 +147,7 @@ def run_successes(
 
 
 def success_rows(job: SuccessJob) -> Iterator[SuccessRow]:
-    """Run the methods of a job, one row as soon as it is known; what raises is a failure."""
+    """Run the methods of a job and yield a row for each; exceptions count as failures."""
     task = find_task(job.task)
     left, errors = in_order(job.methods), NoiseLog()
     row = partial(_row, job, task, errors)
@@ -232,7 +231,7 @@ def _fingerprint(
 
 
 def known_successes(folder: Path) -> list[SuccessRow]:
-    """Read the rows of a folder; none where it has no such file.
+    """Read the rows of a folder, none if it has no such file.
 
     Raises:
         RunError: they cannot be read.

@@ -1,4 +1,4 @@
-"""Figures of task success by method, and by kind of task, beside the paper's."""
+"""Task success by method and kind of task, alongside the paper's."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
