@@ -28,7 +28,7 @@ class ModelError(NeoWorldError):
     """The answers that could not be used, as they came, without keys."""
 
 
-class MissingAnswerError(ModelError):
+class MissingResponseError(ModelError):
     """A tape holds no answer for a request."""
 
 

@@ -245,7 +245,7 @@ def _on_carrier(node: TreeNode, parent: TreeNode) -> Iterator[SceneIssue]:
         )
     bottom, top, floor = child.position[2], _top(below), below.position[2]
     bound = max(GAP_LEAST_M, GAP_WARNS * min(child.size[2], 1.0))
-    # An object in a hollow rests below its carrier's top, so only slabs carry at their top alone.
+    # An object in a hollow rests below its support's top, so only slabs carry at their top alone.
     if bottom > top + bound:
         yield _gap(node, bottom - top, bound, child, f"it floats above {parent.name}")
     elif bottom < floor - bound:
@@ -289,7 +289,7 @@ def _slab(node: TreeNode) -> bool:
 
 def _pairs(tree: SceneTree) -> Iterator[SceneIssue]:
     objects = [node for node in tree.nodes if not node.environment]
-    carriers = {node.name: _carriers(tree, node) for node in objects}
+    supports = {node.name: _carriers(tree, node) for node in objects}
     for i, first in enumerate(objects):
         for second in objects[i + 1 :]:
             if first.label == second.label and iou_2d(first.box2d, second.box2d) > TWICE_WARNS:
@@ -301,7 +301,7 @@ def _pairs(tree: SceneTree) -> Iterator[SceneIssue]:
                     TWICE_WARNS,
                     f"it has the box and label of {first.name}: is it listed twice?",
                 )
-            if first.name in carriers[second.name] or second.name in carriers[first.name]:
+            if first.name in supports[second.name] or second.name in supports[first.name]:
                 continue
             a, b = upright(first), upright(second)
             (smaller, _), (larger, outer) = sorted(

@@ -13,7 +13,7 @@ EDGE = 0.01
 COVERED = 1 / 3
 """Share of a side within the box of a named occluder from which on the side counts as hidden."""
 COVERED_UNNAMED = 0.6
-"""The same for a nearer thing that the answer does not name as an occluder."""
+"""The same for a nearer thing that the response does not name as an occluder."""
 OUT = 0.02
 """Distance out of the picture, over its longer side, at which an extreme point is cut off."""
 
@@ -25,13 +25,13 @@ def hidden_sides(
 
     A side is hidden if it lies at the picture's border, if the point of the 3D outline that would
     make it lies out of the picture, or if something before the object covers much of it: an
-    occluder that the answer names, the container that it is in, or a nearer thing whose 2D box
+    occluder that the response names, the container that it is in, or a nearer thing whose 2D box
     overlaps. If it is marked hidden and nothing explains it, every side counts as hidden.
 
     Args:
-        tree: the answer, or a fit of it.
+        tree: the response, or a fit of it.
         node: whose sides.
-        shown: what the built shapes show where the answer puts them. Where the extreme point that
+        shown: what the built shapes show where the response puts them. Where the extreme point that
             makes a side lies in the picture, it tells better than boxes do whether something is
             before it; a side whose extreme point is out of the picture may be the object's own.
     """
@@ -43,7 +43,7 @@ def hidden_sides(
     at_border = outward * (frame - box) <= edge
     hidden = at_border.copy() if shown else at_border | _cut_points(tree, node, at_border)
     if node.cues.cut_sides is not None:
-        # What the answer takes for the object's own outline may still end at the border.
+        # What the response takes for the object's own outline may still end at the border.
         return hidden | np.array([side in node.cues.cut_sides for side in SIDES])
     if shown is not None:
         covered = hidden | _covered_sides(tree, node, box, edge)
@@ -54,7 +54,7 @@ def hidden_sides(
 
 
 def _hiders(node: TreeNode) -> set[str]:
-    """Return the names of what the answer says is before an object."""
+    """Return the names of what the response says is before an object."""
     names = set(node.occluded_by)
     if node.relation == "in" and node.parent is not None:
         names.add(node.parent)

@@ -27,7 +27,7 @@ class Calls:
     """Makes calls under the options' limits.
 
     Args:
-        provider: the source of answers.
+        provider: the source of responses.
         options: retries, concurrency and time limit.
         ledger: books every call.
         backoff_s: first wait after a failed call, in seconds; it doubles from call to call.

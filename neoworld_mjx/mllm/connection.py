@@ -110,7 +110,7 @@ def classified(
         reason = f"{name}: {cause}" if str(cause) else name
         return Transient(f"the connection failed ({reason})", usage=usage)
     if isinstance(error, json.JSONDecodeError | UnicodeDecodeError):
-        return Transient(f"the server's answer is garbled ({error})", usage=usage)
+        return Transient(f"the server's response is garbled ({error})", usage=usage)
     return ModelError(f"{type(error).__name__}: {error}")
 
 

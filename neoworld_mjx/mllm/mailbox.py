@@ -1,11 +1,11 @@
-"""Mailbox: every request becomes a folder, into which a person or a program writes the answer.
+"""Mailbox: every request becomes a folder, into which a person or a program writes the response.
 
     0003-program-cup/
-        prompt.md       the request and instructions for the answer
+        prompt.md       the request and instructions for the response
         1-photo.png     the pictures, in the order of the request
-        schema.json     the JSON schema of the answer
+        schema.json     the JSON schema of the response
         request.json    key, role and name of the request
-        response.json   the answer, to be written
+        response.json   the response, to be written
         error.md        the reason why the last response was rejected
         response.rejected-1.json
 
@@ -30,8 +30,8 @@ from ..errors import ModelError
 from ..io import file_bounds, read_model
 from ..io.files import MIB, read_bytes, write_atomic
 from ..io.names import file_name
-from .answers import InvalidAnswer, is_json, read_answer
 from .requests import Rejection, Reply, Request, Usage
+from .responses import InvalidResponse, is_json, read_response
 
 _POLL_S = 0.2
 _UNCHANGED_S = 3.0
@@ -45,7 +45,7 @@ class _Ticket(BaseModel):
 
 
 class Mailbox:
-    """The provider whose answers are written into folders by a person or another program.
+    """The provider whose responses are written into folders by a person or another program.
 
     Args:
         folder: parent of the requests' folders; created if missing.
@@ -93,7 +93,7 @@ class Mailbox:
             if not self._reported and not (folder / "response.json").exists():
                 self._reported = True
                 self._report(
-                    f"waiting for answers: write response.json into each folder of {self._folder}"
+                    f"waiting for responses: write response.json into each folder of {self._folder}"
                 )
             text = await asyncio.wait_for(self._response(request, folder), self._timeout_s)
         except TimeoutError:
@@ -155,8 +155,8 @@ class Mailbox:
                 text = read_bytes(path, most).decode("utf-8", errors="replace")
                 whole = is_json(text)
                 try:
-                    read_answer(text, request.schema)
-                except InvalidAnswer as error:
+                    read_response(text, request.schema)
+                except InvalidResponse as error:
                     if whole or now - since >= self._unchanged_s:
                         self._reject(folder, str(error))
                         last_stamp = None
@@ -184,7 +184,7 @@ def _prompt(request: Request[Any], files: Sequence[str]) -> str:
     return (
         f"# {request.name} ({request.role})\n\n{request.system}\n\n"
         f"## Pictures\n\n{pictures or 'none'}\n\n## Request\n\n{request.prompt}\n\n"
-        f"## Answer\n\nWrite one JSON object that fits schema.json to response.json in this "
+        f"## Response\n\nWrite one JSON object that fits schema.json to response.json in this "
         f"folder. If it does not fit, error.md says why and the run waits again.\n"
     )
 

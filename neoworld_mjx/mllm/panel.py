@@ -1,8 +1,8 @@
 """The panel of models: one provider behind routing, limits, retries, validation and records.
 
 The panel routes a request to the model of its role, keeps calls under the concurrency limit and the
-cost cap, retries where a server failed, sends an invalid answer back with its error a bounded
-number of times, books every call, and records every answer.
+cost cap, retries where a server failed, sends an invalid response back with its error a bounded
+number of times, books every call, and records every response.
 
 A panel runs its own event loop in one thread, so it works in plain code (`ask_sync`, `ask_many`,
 `run`), in any event loop (`ask`), and in several of them one after the other.
@@ -19,11 +19,11 @@ from pydantic import BaseModel
 
 from ..config import MLLMOptions, RoleOptions
 from ..errors import ModelError
-from .answers import InvalidAnswer, read_answer
 from .calls import Calls
 from .ledger import Ledger, load_prices
 from .replay import Tape
-from .requests import Answer, Provider, Rejection, Reply, Request, Usage
+from .requests import Provider, Rejection, Reply, Request, Response, Usage
+from .responses import InvalidResponse, read_response
 from .secrets import hide
 
 T = TypeVar("T", bound=BaseModel)
@@ -34,13 +34,13 @@ class Panel:
     """The models that play reasoner, programmer and critic.
 
     Args:
-        provider: the source of answers.
+        provider: the source of responses.
         options: models, limits and cap.
         ledger: books every call; default: a new one, with the options' cap and prices.
-        record: a tape file. Every answer is written to it at once, and requests that it answers are
-            not sent, so that an interrupted run loses no answer.
+        record: a tape file. Every response is written to it at once, and requests that it answers
+            are not sent, so that an interrupted run loses no response.
         photo: sha256 of the photo's file, for the tape's header.
-        made: origin of the answers, for the tape's header.
+        made: origin of the responses, for the tape's header.
         backoff_s: first wait after a failed call, in seconds; it doubles from call to call.
 
     Raises:
@@ -65,7 +65,7 @@ class Panel:
         self._record = Path(record) if record is not None else None
         self._tape = _open_record(self._record, photo, made)
         self._calls = Calls(provider, self.options, self.ledger, backoff_s)
-        self._tasks: dict[tuple[str, type], asyncio.Task[Answer[Any]]] = {}
+        self._tasks: dict[tuple[str, type], asyncio.Task[Response[Any]]] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
         self._lock = threading.Lock()
@@ -80,38 +80,38 @@ class Panel:
         """The provider's name, such as "replay" or "anthropic"."""
         return self.provider.name
 
-    async def ask(self, request: Request[T]) -> Answer[T]:
-        """Answer a request; requests may run side by side, and equal ones are sent once.
+    async def ask(self, request: Request[T]) -> Response[T]:
+        """Answer a request; requests may run concurrently, and equal ones are sent once.
 
         Raises:
-            MissingAnswerError: a tape does not hold the answer.
+            MissingResponseError: a tape does not hold the response.
             BudgetError: the call could exceed the cost cap; nothing was sent.
-            ModelError: there is no valid answer for any other reason.
+            ModelError: there is no valid response for any other reason.
         """
         return await asyncio.wrap_future(self._submit(self._shared(request)))
 
-    def ask_soon(self, request: Request[T]) -> "concurrent.futures.Future[Answer[T]]":
+    def ask_soon(self, request: Request[T]) -> "concurrent.futures.Future[Response[T]]":
         """As `ask`, from any thread, without waiting; cancelling the future cancels no request."""
         return self._submit(self._shared(request))
 
-    def ask_sync(self, request: Request[T]) -> Answer[T]:
+    def ask_sync(self, request: Request[T]) -> Response[T]:
         """As `ask`, for code without an event loop."""
         return self.run(self._shared(request))
 
-    def ask_many(self, requests: Sequence[Request[T]]) -> list[Answer[T]]:
-        """Answer many requests side by side, in order.
+    def ask_many(self, requests: Sequence[Request[T]]) -> list[Response[T]]:
+        """Answer many requests concurrently; return the responses in their order.
 
-        When one fails the call still waits for the others, so that no paid answer is lost.
+        When one fails the call still waits for the others, so that no paid response is lost.
 
         Raises:
             ModelError: as `ask`; the first failure in the order of the requests.
         """
         return self.run(self._together(requests))
 
-    def batch(self, requests: Sequence[Request[T]]) -> list[Answer[T]]:
+    def batch(self, requests: Sequence[Request[T]]) -> list[Response[T]]:
         """As `ask_many`, at batch prices where the provider has them; this may take up to a day.
 
-        Requests that the batch leaves without a valid answer are sent one by one.
+        Requests that the batch leaves without a valid response are sent one by one.
 
         Raises:
             ModelError: as `ask`.
@@ -166,42 +166,42 @@ class Panel:
         self._tasks.clear()
         await self.provider.close()
 
-    async def _together(self, requests: Sequence[Request[T]]) -> list[Answer[T]]:
+    async def _together(self, requests: Sequence[Request[T]]) -> list[Response[T]]:
         results = await asyncio.gather(*map(self._shared, requests), return_exceptions=True)
-        answers = []
+        responses = []
         for result in results:
             if isinstance(result, BaseException):
                 raise result
-            answers.append(result)
-        return answers
+            responses.append(result)
+        return responses
 
-    async def _shared(self, request: Request[T]) -> Answer[T]:
+    async def _shared(self, request: Request[T]) -> Response[T]:
         """Answer a request; equal requests share one task."""
         identity = (request.key, request.schema)
         task = self._tasks.get(identity)
         if task is None:
-            task = asyncio.ensure_future(self._answer(request))
+            task = asyncio.ensure_future(self._respond(request))
             self._tasks[identity] = task
             task.add_done_callback(lambda done: self._forget_failure(identity, done))
-        # Shielded: one caller that gives up must not take the answer from the others.
+        # Shielded: one caller that gives up must not take the response from the others.
         return await asyncio.shield(task)
 
     def _forget_failure(self, identity: tuple[str, type], done: "asyncio.Task[Any]") -> None:
         if done.cancelled() or done.exception() is not None:
             self._tasks.pop(identity, None)
 
-    async def _answer(self, request: Request[T]) -> Answer[T]:
+    async def _respond(self, request: Request[T]) -> Response[T]:
         recorded = self._tape.get(request) if self._record is not None else None
         if recorded is not None:
             try:
-                value = read_answer(recorded.text, request.schema)
-                return Answer(value, recorded.text, Usage(), recorded.model)
-            except InvalidAnswer:
+                value = read_response(recorded.text, request.schema)
+                return Response(value, recorded.text, Usage(), recorded.model)
+            except InvalidResponse:
                 pass  # A schema's validators may have changed behind the same JSON schema.
         return await self._converse(request)
 
-    async def _converse(self, request: Request[T]) -> Answer[T]:
-        """Send a request, and send invalid answers back with their errors, for bounded rounds."""
+    async def _converse(self, request: Request[T]) -> Response[T]:
+        """Send a request, and send invalid responses back with their errors, for bounded rounds."""
         role = self._role(request)
         rejected: tuple[Rejection, ...] = ()
         rounds = 1 + (self.options.validation_rounds if self.provider.online else 0)
@@ -212,15 +212,15 @@ class Panel:
             usage = usage + reply.usage
             self._check_stop(request, role, reply)
             try:
-                value = read_answer(reply.text, request.schema)
-            except InvalidAnswer as error:
+                value = read_response(reply.text, request.schema)
+            except InvalidResponse as error:
                 model, reason = reply.model, str(error)
                 rejected = (*rejected, Rejection(reply.text, reason))
                 continue
             self._write_record(request, reply)
-            return Answer(value, reply.text, usage, reply.model)
+            return Response(value, reply.text, usage, reply.model)
         error = self._calls.error(
-            f"{request.name}: {model} gave no valid answer in {rounds} "
+            f"{request.name}: {model} gave no valid response in {rounds} "
             f"{'try' if rounds == 1 else 'tries'}; the last one: {reason}"
         )
         error.texts = tuple(hide(each.text, self.provider.secrets) for each in rejected)
@@ -237,7 +237,7 @@ class Panel:
             raise error
         if reply.stop == "length":
             raise self._calls.error(
-                f"{request.name}: the answer of {reply.model} was cut off at {role.max_tokens} "
+                f"{request.name}: the response of {reply.model} was cut off at {role.max_tokens} "
                 f"tokens; raise mllm.{request.role}.max_tokens"
             )
 
@@ -249,7 +249,7 @@ class Panel:
     def _role(self, request: Request[Any]) -> RoleOptions:
         return getattr(self.options, request.role)
 
-    async def _batch(self, requests: Sequence[Request[T]]) -> list[Answer[T]]:
+    async def _batch(self, requests: Sequence[Request[T]]) -> list[Response[T]]:
         new = {r.key: r for r in requests if (r.key, r.schema) not in self._tasks}
         waiting = [r for r in new.values() if self._record is None or self._tape.get(r) is None]
         roles = [self._role(request) for request in waiting]
@@ -257,17 +257,17 @@ class Panel:
             if reply is None or reply.stop != "end":
                 continue
             try:
-                value = read_answer(reply.text, request.schema)
-            except InvalidAnswer:
+                value = read_response(reply.text, request.schema)
+            except InvalidResponse:
                 continue  # sent by itself below
             self._write_record(request, reply)
-            answer = Answer(value, reply.text, reply.usage, reply.model)
-            self._tasks[request.key, request.schema] = asyncio.ensure_future(_ready(answer))
+            response = Response(value, reply.text, reply.usage, reply.model)
+            self._tasks[request.key, request.schema] = asyncio.ensure_future(_ready(response))
         return await self._together(requests)
 
 
-async def _ready(answer: Answer[T]) -> Answer[T]:
-    return answer
+async def _ready(response: Response[T]) -> Response[T]:
+    return response
 
 
 def _open_record(path: Path | None, photo: str | None, made: str) -> Tape:

@@ -1,4 +1,4 @@
-"""Providers: the table of all sources of answers, and the choice among them.
+"""Providers: the table of all sources of responses, and the choice among them.
 
 A new provider takes its module and one line of `PROVIDERS`.
 """
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple, get_args
 
 from ..config import MLLMOptions, Role
-from ..errors import ConfigError, MissingAnswerError, ModelError, choices
+from ..errors import ConfigError, MissingResponseError, ModelError, choices
 from .ledger import Ledger
 from .mailbox import Mailbox
 from .panel import Panel
@@ -55,13 +55,13 @@ def open_panel(
         tapes: folders of tapes, or tapes, searched before those that ship with the package.
         mailbox: folder of the mailbox; required for `mailbox`.
         mailbox_timeout_s: how long a request waits in the mailbox, in seconds; None: for ever.
-        record: tape file to record on and to take earlier answers from.
-        made: origin of the answers, for the recorded tape.
+        record: tape file to record on and to take earlier responses from.
+        made: origin of the responses, for the recorded tape.
         ledger: books every call, such as that of the run that is resumed; default: a new one.
 
     Raises:
         ConfigError: the provider is unknown, or lacks a required argument.
-        MissingAnswerError: `replay` finds no tape for this photo.
+        MissingResponseError: `replay` finds no tape for this photo.
         ModelError: there is no key and no tape, or the chosen provider cannot be used.
     """
     if provider not in PROVIDERS:
@@ -106,7 +106,7 @@ def _replay(inputs: ProviderInputs) -> Provider:
     tape = find_tape(inputs.photo, inputs.tapes)
     if tape is None:
         searched = ", ".join(str(place) for place in inputs.tapes)
-        raise MissingAnswerError(
+        raise MissingResponseError(
             f"no tape was recorded for this photo (sha256 {(inputs.photo or 'unknown')[:16]}); "
             f"searched {searched}. Use the very file that the tape was made for, name a tape, or "
             f"choose another provider: {', '.join(PROVIDERS)}"

@@ -1,11 +1,11 @@
-"""Tapes: answers in one JSON file, keyed by the content of their requests.
+"""Tapes: recorded responses in one JSON file, keyed by the content of their requests.
 
-    {"format": 1, "photo": sha256 of the photo's file, "made": how the answers came about,
+    {"format": 1, "photo": sha256 of the photo's file, "made": how the responses came about,
      "answers": {key: {"role", "name", "model", "parts", "answer"}, ...}}
 
 Keys cover the decoded pixels of every picture, not its file: a tape outlives another PNG encoder,
 but not a renderer that draws one pixel differently. The order in which requests come plays no
-part, and entries are sorted, so that recording the same answers gives the same bytes.
+part, and entries are sorted, so that recording the same responses gives the same bytes.
 """
 
 import difflib
@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..config import RoleOptions
-from ..errors import MissingAnswerError, ModelError
+from ..errors import MissingResponseError, ModelError
 from ..io import read_model
 from ..io.files import write_atomic
 from .requests import Rejection, Reply, Request, Usage
@@ -26,7 +26,7 @@ SUFFIX = ".tape.json"
 
 
 class Entry(BaseModel):
-    """One answer on a tape."""
+    """One response on a tape."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -41,7 +41,7 @@ class Entry(BaseModel):
 
     @property
     def text(self) -> str:
-        """The answer as text."""
+        """The response as text."""
         return self.answer if isinstance(self.answer, str) else json.dumps(self.answer)
 
 
@@ -54,7 +54,7 @@ class Tape(BaseModel):
     photo: str | None = None
     """The sha256 of the photo's file."""
     made: str = ""
-    """Origin of the answers, for people."""
+    """Origin of the responses, for people."""
     answers: dict[str, Entry] = {}
 
     @classmethod
@@ -84,7 +84,7 @@ class Tape(BaseModel):
             raise ModelError(f"cannot write tape {path}: {error.strerror}") from None
 
     def put(self, request: Request[Any], text: str, model: str) -> None:
-        """Add an answer under the request's key."""
+        """Add a response under the request's key."""
         self.answers[request.key] = Entry(
             role=request.role,
             name=request.name,
@@ -94,7 +94,7 @@ class Tape(BaseModel):
         )
 
     def get(self, request: Request[Any]) -> Entry | None:
-        """Return the answer to a request; None if the tape lacks it."""
+        """Return the response to a request; None if the tape lacks it."""
         return self.answers.get(request.key)
 
     def nearest(self, request: Request[Any]) -> str:
@@ -125,16 +125,16 @@ class Replay:
     async def reply(
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
-        """Look the answer up.
+        """Look the response up.
 
         Raises:
-            MissingAnswerError: the tape does not hold it.
+            MissingResponseError: the tape does not hold it.
         """
         del role, rejected
         entry = self._tape.get(request)
         if entry is None:
-            raise MissingAnswerError(
-                f"tape {self._where} has no answer for {request.name!r} (role {request.role}, "
+            raise MissingResponseError(
+                f"tape {self._where} has no response for {request.name!r} (role {request.role}, "
                 f"key {request.key[:16]}); {self._tape.nearest(request)}. Record it again with "
                 f"another provider, or undo the change"
             )

@@ -1,7 +1,9 @@
-"""Requests to multimodal models, their answers, and the protocols of those who answer.
+"""Requests to multimodal models, their responses, and the protocols of models and
+providers.
 
-A step of the pipeline builds a `Request` and hands it to a `Model`; it gets an `Answer` whose value
-is an instance of the request's own pydantic schema, whichever server, tape or person answered.
+A step of the pipeline builds a `Request` and hands it to a `Model`; it gets a `Response` whose
+value is an instance of the request's own pydantic schema, whichever server, tape or person
+answered.
 
 A request is known by its content: `Request.key` covers role, system text, prompt, the pictures'
 labels and decoded pixels, and the JSON schema. It does not cover the name, the model or how a
@@ -145,7 +147,7 @@ class Request(Generic[T]):
     system: str
     prompt: str
     schema: type[T]
-    """The pydantic model that the answer must validate against."""
+    """The pydantic model that the response must validate against."""
     pictures: Sequence[Picture] = ()
 
     def __post_init__(self) -> None:
@@ -153,7 +155,7 @@ class Request(Generic[T]):
 
     @cached_property
     def json_schema(self) -> dict[str, Any]:
-        """The JSON schema of the answer; definitions are named by their models' titles.
+        """The JSON schema of the response; definitions are named by their models' titles.
 
         So a class that states its former name as title may be renamed without changing requests.
         """
@@ -211,14 +213,14 @@ class Usage:
 
 
 @dataclass(frozen=True)
-class Answer(Generic[T]):
-    """A validated answer."""
+class Response(Generic[T]):
+    """A validated response."""
 
     value: T
     text: str
     """The model's whole text, from which the JSON was taken."""
     usage: Usage
-    """Sum over all calls for this answer, rejected answers included."""
+    """Sum over all calls for this response, rejected responses included."""
     model: str
 
 
@@ -226,27 +228,27 @@ class Answer(Generic[T]):
 class Model(Protocol):
     """Anything that answers requests; `Panel` is the implementation of the package."""
 
-    async def ask(self, request: Request[T]) -> Answer[T]:
+    async def ask(self, request: Request[T]) -> Response[T]:
         """Answer a request.
 
         Raises:
-            ModelError: there is no valid answer; the message says why and what to do.
+            ModelError: there is no valid response; the message says why and what to do.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Rejection:
-    """An answer that did not validate, and the reason, to be sent back."""
+    """A response that did not validate, and the reason, to be sent back."""
 
     text: str
     reason: str
 
     def message(self, request: Request[Any]) -> str:
-        """Return the text to send back; it repeats the schema, which the answer did not fit."""
+        """Return the text to send back; it repeats the schema, which the response did not fit."""
         return (
-            f"That answer cannot be used: {self.reason}\n\n"
-            f"Answer again, complete and corrected. {answer_rule(request)}"
+            f"That response cannot be used: {self.reason}\n\n"
+            f"Respond again, complete and corrected. {response_rule(request)}"
         )
 
 
@@ -290,7 +292,7 @@ class Transient(Exception):
 
 @runtime_checkable
 class Provider(Protocol):
-    """One source of answers: a tape, a mailbox, a server's API."""
+    """One source of responses: a tape, a mailbox, a server's API."""
 
     name: str
     online: bool
@@ -309,7 +311,7 @@ class Provider(Protocol):
         ...
 
 
-def answer_rule(request: Request[Any]) -> str:
-    """Describe a valid answer in words, for models whose server does not enforce a schema."""
+def response_rule(request: Request[Any]) -> str:
+    """Describe a valid response in words, for models whose server does not enforce a schema."""
     schema = json.dumps(request.json_schema, sort_keys=True)
     return f"Give one JSON object and nothing else; it must fit this JSON schema:\n{schema}"

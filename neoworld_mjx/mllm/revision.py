@@ -1,7 +1,8 @@
-"""The loop of Steps 1 to 3: ask a model, check its answer, have it criticised, ask for a revision.
+"""The loop of Steps 1 to 3: ask a model, check its response, have it criticised, ask for a
+revision.
 
-A caller supplies the steps as functions over its own type of attempt, an answer with the results of
-its checks and its critique: `criticise` adds a critic's verdict, `accept` decides whether the
+A caller supplies the steps as functions over its own type of attempt, a response with the results
+of its checks and its critique: `criticise` adds a critic's verdict, `accept` decides whether the
 attempt needs no revision, `next_attempt` asks for a revision and checks it. The first attempt is
 the caller's, since without it there is no result; every later request may fail, which ends the
 rounds and is recorded.
@@ -12,7 +13,7 @@ from typing import TypeVar
 
 from pydantic import BaseModel
 
-from ..errors import BudgetError, MissingAnswerError, ModelError
+from ..errors import BudgetError, MissingResponseError, ModelError
 from .requests import Model, Request
 
 A = TypeVar("A")
@@ -62,7 +63,7 @@ async def revise(
 async def ask_or_record(
     models: Model, request: Request[T], stage: str, fallbacks: list[Fallback]
 ) -> T | None:
-    """Return a model's answer; None if the model fails, which is added to the fallbacks.
+    """Return a model's response; None if the model fails, which is added to the fallbacks.
 
     Args:
         models: answers the request.
@@ -72,11 +73,11 @@ async def ask_or_record(
 
     Raises:
         BudgetError: the cost cap is reached.
-        MissingAnswerError: a tape lacks the answer.
+        MissingResponseError: a tape lacks the response.
     """
     try:
         return (await models.ask(request)).value
-    except (BudgetError, MissingAnswerError):
+    except (BudgetError, MissingResponseError):
         raise
     except ModelError as error:
         fallbacks.append((stage, str(error)))

@@ -10,7 +10,7 @@ import anthropic
 
 from ..config import MLLMOptions, RoleOptions
 from .connection import classified, configured_connection, server_message
-from .requests import Rejection, Reply, Request, Transient, Usage, answer_rule
+from .requests import Rejection, Reply, Request, Transient, Usage, response_rule
 
 _IN_WORDS = "structured output is not supported by the server or for this schema: asked in words"
 _UNCOUNTED = "the server gave no token counts: booked at their upper bound"
@@ -18,23 +18,24 @@ _UNCOUNTED = "the server gave no token counts: booked at their upper bound"
 
 @dataclass
 class Received:
-    """The part of a streamed answer that has arrived."""
+    """The part of a streamed response that has arrived."""
 
     model: str
     text: str = ""
     usage: Usage | None = None
     """None until the server counts tokens."""
     stop: Literal["end", "length", "refusal"] | None = None
-    """None until the answer is complete."""
+    """None until the response is complete."""
     refusal: str = ""
     """The server's words about a refusal."""
 
 
 class ServerProvider(ABC):
-    """A provider that calls a server's API and streams the answers.
+    """A provider that calls a server's API and streams the responses.
 
     The time limit watches for silence and not for length. Optional features that the server turns
-    down (a JSON schema for the answer, token counts in the stream, ...) are left out from then on.
+    down (a JSON schema for the response, token counts in the stream, ...) are left out from then
+    on.
 
     Args:
         options: models, base_url, headers and time limit.
@@ -48,7 +49,7 @@ class ServerProvider(ABC):
     key_name: ClassVar[str]
     url_name: ClassVar[str]
     schema_feature: ClassVar[str]
-    """The parameter that carries the JSON schema of the answer."""
+    """The parameter that carries the JSON schema of the response."""
     features: ClassVar[Mapping[str, Sequence[str]]]
     """Optional parameters, and words by which a server's error refers to each."""
     online = True
@@ -98,7 +99,7 @@ class ServerProvider(ABC):
                 self._unsupported.add(known)
                 continue
             if received.stop is None:
-                raise Transient("the answer broke off before its end", usage=received.usage)
+                raise Transient("the response broke off before its end", usage=received.usage)
             notes = [] if self.schema_feature in params else [_IN_WORDS]
             if received.usage is None:
                 notes.append(_UNCOUNTED)
@@ -153,11 +154,11 @@ class ServerProvider(ABC):
         # A local server may accept a schema and not enforce it.
         if schema is not None and not self._connection.local:
             return request.prompt
-        return f"{request.prompt}\n\n{answer_rule(request)}"
+        return f"{request.prompt}\n\n{response_rule(request)}"
 
 
 def corrections(request: Request[Any], rejected: Sequence[Rejection]) -> list[tuple[str, str]]:
-    """Return the turns (role, text) that follow a prompt whose answers were rejected."""
+    """Return the turns (role, text) that follow a prompt whose responses were rejected."""
     turns = []
     for rejection in rejected:
         turns.append(("assistant", rejection.text.strip() or "(nothing)"))

@@ -28,7 +28,7 @@ COLOURS = (
     (255, 140, 60),
     (190, 255, 110),
 )
-"""Colour of each carrier's objects, in the order in which the nodes name carriers."""
+"""Colour of each support's objects, in the order in which the nodes name supports."""
 
 Region = tuple[int, int, int, int]
 
@@ -36,7 +36,7 @@ Region = tuple[int, int, int, int]
 def draw_parse(photo: Photo, tree: SceneTree, *, solid: bool = False) -> Picture:
     """Draw a parse on the shown picture, at its size.
 
-    Objects on the same carrier share a colour, boxes of partly hidden objects are dashed,
+    Objects on the same support share a colour, boxes of partly hidden objects are dashed,
     environment supports are thin and grey.
 
     Args:
@@ -68,9 +68,9 @@ def draw_parse(photo: Photo, tree: SceneTree, *, solid: bool = False) -> Picture
 
 
 def _colours(tree: SceneTree) -> dict[str, tuple[int, int, int]]:
-    carriers = list(dict.fromkeys(node.parent for node in tree.nodes if not node.environment))
+    supports = list(dict.fromkeys(node.parent for node in tree.nodes if not node.environment))
     return {
-        node.name: GREY if node.environment else COLOURS[carriers.index(node.parent) % len(COLOURS)]
+        node.name: GREY if node.environment else COLOURS[supports.index(node.parent) % len(COLOURS)]
         for node in tree.nodes
     }
 

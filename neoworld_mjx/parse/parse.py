@@ -1,9 +1,8 @@
 """Step 1: ask for the scene in a photo, fit and check it, ask a critic, return the best round.
 
-Checks without a model come first: an answer is fitted to its own 2D boxes, and only the issues that
-remain go back to the model, unless the critic dismisses them, together with the critic's faults of
-the drawn picture. The result is
-the answer with the best score.
+Checks without a model come first: a response is fitted to its own 2D boxes, and only the issues
+that remain go back to the model, unless the critic dismisses them, together with the critic's
+faults of the drawn picture. The result is the response with the best score.
 """
 
 import asyncio
@@ -24,20 +23,20 @@ from .prompts import SceneCritique, judge_request, parse_request
 from .schema import ParsedScene, to_tree
 
 ACCEPT = 9.0
-"""Least of the critic's three scores at which an answer is accepted."""
+"""Least of the critic's three scores at which a response is accepted."""
 
 
 @dataclass(frozen=True)
 class SceneAttempt:
-    """One answer, with the results of its checks and its critique."""
+    """One response, with the results of its checks and its critique."""
 
-    answer: ParsedScene
+    response: ParsedScene
     tree: SceneTree | None
-    """Fitted where the fit helps; None if the answer gives no tree."""
+    """Fitted where the fit helps; None if the response gives no tree."""
     answered: SceneTree | None
     """The same before the fit."""
     broken: str = ""
-    """Reason why the answer gives no tree; empty if it gives one."""
+    """Reason why the response gives no tree; empty if it gives one."""
     checks: tuple[SceneIssue, ...] = ()
     """Issues that remain after the fit."""
     fit: FitReport | None = None
@@ -61,7 +60,7 @@ class SceneAttempt:
 
     @property
     def corrections(self) -> tuple[str, ...]:
-        """Faults that the author should correct, one line each; empty if the answer is accepted."""
+        """Faults to correct, one line each; empty if the response is accepted."""
         if self.tree is None:
             return (self.broken,)
         disliked = self.verdict is not None and self.verdict.lowest < ACCEPT
@@ -103,7 +102,7 @@ class Parsed:
         """Return all rounds as JSON."""
         rounds = [
             {
-                "answer": attempt.answer.model_dump(mode="json"),
+                "answer": attempt.response.model_dump(mode="json"),
                 "broken": attempt.broken,
                 "checks": [issue.model_dump(mode="json") for issue in attempt.checks],
                 "fit": None if attempt.fit is None else attempt.fit.to_json(),
@@ -127,7 +126,7 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
         options: number of rounds, and whether to fit.
 
     Raises:
-        ModelError: the first request failed, or no answer gave a tree.
+        ModelError: the first request failed, or no response gave a tree.
     """
     o = options or ParseOptions()
     fallbacks: list[tuple[str, str]] = []
@@ -138,15 +137,19 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
         # Only 2D boxes, which the fit does not move, so every machine draws the same picture.
         drawn = draw_parse(photo, attempt.tree)
         findings = [issue.phrase() for issue in attempt.checks]
-        request = judge_request(photo, attempt.answer, drawn, findings)
+        request = judge_request(photo, attempt.response, drawn, findings)
         verdict = await ask_or_record(models, request, "no judge round", fallbacks)
         return replace(attempt, verdict=verdict)
 
     async def correct(attempts: Sequence[SceneAttempt]) -> SceneAttempt | None:
         last = attempts[-1]
-        request = parse_request(photo, last.answer, last.corrections)
-        answer = await ask_or_record(models, request, "no repair round", fallbacks)
-        return None if answer is None or answer == last.answer else await _checked(photo, answer, o)
+        request = parse_request(photo, last.response, last.corrections)
+        response = await ask_or_record(models, request, "no repair round", fallbacks)
+        return (
+            None
+            if response is None or response == last.response
+            else await _checked(photo, response, o)
+        )
 
     first = (await models.ask(parse_request(photo))).value
     attempts = await revise(
@@ -159,18 +162,18 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
     kept = max(range(len(attempts)), key=lambda number: attempts[number].score)
     tree, answered = attempts[kept].tree, attempts[kept].answered
     if tree is None or answered is None:
-        raise ModelError(f"no answer of {len(attempts)} gave a scene: {attempts[kept].broken}")
+        raise ModelError(f"no response of {len(attempts)} gave a scene: {attempts[kept].broken}")
     drawn = await asyncio.to_thread(draw_parse, photo, tree, solid=True)
     return Parsed(tree, answered, drawn.data, tuple(attempts), kept, tuple(fallbacks))
 
 
-async def _checked(photo: Photo, answer: ParsedScene, options: ParseOptions) -> SceneAttempt:
-    """Fit an answer to its 2D boxes and check it."""
+async def _checked(photo: Photo, response: ParsedScene, options: ParseOptions) -> SceneAttempt:
+    """Fit a response to its 2D boxes and check it."""
     try:
-        answered = tree = to_tree(answer, photo)
+        answered = tree = to_tree(response, photo)
     except SpecError as error:
-        return SceneAttempt(answer, None, None, str(error))
+        return SceneAttempt(response, None, None, str(error))
     report = None
     if options.fit:
         tree, report = await asyncio.to_thread(fit_tree, tree)
-    return SceneAttempt(answer, tree, answered, checks=check_tree(tree), fit=report)
+    return SceneAttempt(response, tree, answered, checks=check_tree(tree), fit=report)

@@ -1,4 +1,4 @@
-"""Requests to the reasoner and the critic of Step 1, and the schema of the critic's answer."""
+"""Requests to the reasoner and the critic of Step 1, and the schema of the critic's response."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -14,7 +14,7 @@ ASK = (
     "every support. Give boxes in pixels of this picture."
 )
 MEND = (
-    "{ask}\n\nYour previous response was:\n\n{answer}\n\nIt was compared with the photograph and "
+    "{ask}\n\nYour previous response was:\n\n{response}\n\nIt was compared with the photograph and "
     "checked for consistency. These faults were found; look at the photograph again for each of "
     "them, since a finding can itself be wrong:\n\n{findings}\n\nRespond again with the complete "
     "scene, with the faults corrected and everything that was right unchanged."
@@ -46,7 +46,7 @@ class SceneFault(BaseModel):
 class SceneCritique(BaseModel):
     """The critic's verdict on a parse."""
 
-    # Titles and docstrings are part of the request: tapes hold answers to these very ones.
+    # Titles and docstrings are part of the request: tapes hold responses to these very ones.
     model_config = ConfigDict(extra="forbid")
 
     faults: list[SceneFault]
@@ -72,26 +72,26 @@ class SceneCritique(BaseModel):
 
 
 def parse_request(
-    photo: Photo, answer: ParsedScene | None = None, findings: Sequence[str] = ()
+    photo: Photo, response: ParsedScene | None = None, findings: Sequence[str] = ()
 ) -> Request[ParsedScene]:
-    """Return the request for the scene in a photo, or for a corrected answer.
+    """Return the request for the scene in a photo, or for a corrected response.
 
     Args:
         photo: the photograph.
-        answer: an earlier answer, which is to be corrected.
+        response: an earlier response, which is to be corrected.
         findings: its faults, one line each.
     """
     width, height = photo.size
     prompt = ASK.format(width=width, height=height)
-    if answer is not None:
+    if response is not None:
         prompt = MEND.format(
             ask=prompt,
-            answer=answer.model_dump_json(indent=1),
+            response=response.model_dump_json(indent=1),
             findings="\n".join(f"- {line}" for line in findings),
         )
     return Request(
         role="reasoner",
-        name="parse" if answer is None else "parse:mend",
+        name="parse" if response is None else "parse:mend",
         system=package_text(__package__, "reasoner"),
         prompt=prompt,
         schema=ParsedScene,
@@ -100,14 +100,14 @@ def parse_request(
 
 
 def judge_request(
-    photo: Photo, answer: ParsedScene, drawn: Picture, findings: Sequence[str] = ()
+    photo: Photo, response: ParsedScene, drawn: Picture, findings: Sequence[str] = ()
 ) -> Request[SceneCritique]:
-    """Return the request to the critic about an answer.
+    """Return the request to the critic about a response.
 
     Args:
         photo: the photograph.
-        answer: the answer.
-        drawn: the answer drawn on the photograph.
+        response: the response.
+        drawn: the response drawn on the photograph.
         findings: of the checks, one line each; the critic may dismiss them by number, from 1 on.
     """
     width, height = photo.size
@@ -119,8 +119,8 @@ def judge_request(
         prompt=JUDGE.format(
             width=width,
             height=height,
-            count=len(answer.objects),
-            listing=listing(answer),
+            count=len(response.objects),
+            listing=listing(response),
             findings=FINDINGS.format(lines=lines) if findings else "",
         ),
         schema=SceneCritique,
@@ -128,10 +128,10 @@ def judge_request(
     )
 
 
-def listing(answer: ParsedScene) -> str:
-    """List an answer's objects for the critic, one per line."""
+def listing(response: ParsedScene) -> str:
+    """List a response's objects for the critic, one per line."""
     lines = []
-    for obj in answer.objects:
+    for obj in response.objects:
         box = obj.box
         place = "no support" if obj.parent is None else f"{obj.relation} {obj.parent}"
         if obj.parent_link is not None:

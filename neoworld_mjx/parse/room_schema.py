@@ -1,4 +1,4 @@
-"""Schema of what an answer says about supports of the room: their outline and their surface.
+"""Schema of what a response says about supports of the room: their outline and their surface.
 
 Names, docstrings and descriptions of the classes are part of the request, as those in `schema`.
 """
@@ -12,7 +12,7 @@ from ..spec.surface_pattern import RGB, RoomPatternKind
 
 
 class ResponsePart(BaseModel):
-    """Base of the parts of an answer: closed against unknown keys."""
+    """Base of the parts of a response: closed against unknown keys."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -104,7 +104,7 @@ def surface_colours(surface: ParsedSurface) -> tuple[RGB | None, RGB | None]:
     """Return both colours of a surface.
 
     Raises:
-        ValueError: one is no colour; the message is written for the author of the answer.
+        ValueError: one is no colour; the message is written for the author of the response.
     """
     first = None if surface.colour is None else _rgb("colour", surface.colour)
     second = surface.second_colour
@@ -122,7 +122,7 @@ def support_outline(outline: ParsedOutline | None) -> SupportOutline:
     """Convert an outline; None is a rectangle.
 
     Raises:
-        ValueError: a polygon is none; the message is written for the author of the answer.
+        ValueError: a polygon is none; the message is written for the author of the response.
     """
     if outline is None:
         return SupportOutline()

@@ -1,10 +1,10 @@
-"""Schema of the reasoner's answer: a scene in words and numbers that a model gives easily.
+"""Schema of the reasoner's response: a scene in words and numbers that a model gives easily.
 
 It is flatter than `SceneTree` and uses pixels of the shown picture, degrees, and tilts in words;
 `to_tree` converts it into a `SceneTree` in pixels of the original, metres and radians. All errors
-of an answer are reported at once, in words by which its author can correct it.
+of a response are reported at once, in words by which its author can correct it.
 
-Names, docstrings and descriptions of the classes are part of the request: tapes hold answers to
+Names, docstrings and descriptions of the classes are part of the request: tapes hold responses to
 these very ones.
 """
 
@@ -20,8 +20,8 @@ from ..io.names import MAX_NAME, NAME_RULE, is_name, plain_text
 from ..spec import Box2D, Box3D, Camera, Cues, PartState, Quat, SceneTree, TreeNode
 from ..spec.pose import IDENTITY, from_axis_angle, from_yaw, rotate
 from ..spec.tree import Relation
-from .answer_bounds import out_of_bounds, too_long
 from .photo import Photo
+from .response_bounds import out_of_bounds, too_long
 from .room_schema import (
     ParsedOutline,
     ParsedSurface,
@@ -249,24 +249,24 @@ class ParsedScene(ResponsePart):
         return self
 
 
-def to_tree(answer: ParsedScene, photo: Photo) -> SceneTree:
-    """Convert an answer into a scene tree in pixels of the upright original.
+def to_tree(response: ParsedScene, photo: Photo) -> SceneTree:
+    """Convert a response into a scene tree in pixels of the upright original.
 
     Boxes are clipped at the picture's edges.
 
     Args:
-        answer: the answer, its boxes in pixels of the picture shown.
+        response: the response, its boxes in pixels of the picture shown.
         photo: the photograph that was shown.
 
     Raises:
         SpecError: a box lies outside the picture, or the tree is invalid; the message is written
-            for the author of the answer.
+            for the author of the response.
     """
     size, original = photo.size, photo.original_size
     outside = [
         f"object {obj.name}: box {_corners(obj.box)} lies outside the picture, which is "
         f"{size[0]} x {size[1]} pixels"
-        for obj in answer.objects
+        for obj in response.objects
         if obj.box.left >= size[0]
         or obj.box.top >= size[1]
         or obj.box.right <= 0
@@ -276,7 +276,7 @@ def to_tree(answer: ParsedScene, photo: Photo) -> SceneTree:
         raise SpecError("; ".join(outside))
     per_pixel = (original[0] / size[0], original[1] / size[1])
     try:
-        return _tree(answer, per_pixel, original, clip=True)
+        return _tree(response, per_pixel, original, clip=True)
     except ValidationError as error:
         raise SpecError(phrase(error)) from None
 
@@ -292,24 +292,24 @@ def tilt_quat(tilt: ParsedTilt | None) -> Quat:
 def base_offset(size: Float[np.ndarray, "3"], yaw: float, tilt: Quat) -> Float[np.ndarray, "2"]:
     """Return the offset of a tilted box's bottom centre from its footprint's centre, x and y [m].
 
-    A scene tree states the bottom centre, an answer the centre of the visible footprint.
+    A scene tree states the bottom centre, a response the centre of the visible footprint.
     """
     turned = Box3D(position=(0, 0, 0), size=tuple(size.tolist()), yaw=0.0).corners(tilt)
     middle = (turned.min(axis=0) + turned.max(axis=0)) / 2
     return -rotate(from_yaw(yaw), [middle[0], middle[1], 0.0])[:2]
 
 
-def _problems(answer: ParsedScene) -> list[str]:
+def _problems(response: ParsedScene) -> list[str]:
     """List the errors that the tree's own validation would not report clearly."""
-    problems = list(too_long(answer))
+    problems = list(too_long(response))
     if problems:
         return problems[:1]  # The others would be errors about each of the things.
-    if not answer.objects:
-        problems.append("objects is empty: list at least what carries the rest")
-    names = [obj.name for obj in answer.objects]
+    if not response.objects:
+        problems.append("objects is empty: list at least the support of the rest")
+    names = [obj.name for obj in response.objects]
     problems.extend(_same_names(names))
-    problems.extend(out_of_bounds(answer))
-    for obj in answer.objects:
+    problems.extend(out_of_bounds(response))
+    for obj in response.objects:
         where = f"object {plain_text(obj.name, MAX_NAME)}"
         if not is_name(obj.name):
             problems.append(f"{where}: a name has {NAME_RULE}")
@@ -331,7 +331,7 @@ def _problems(answer: ParsedScene) -> list[str]:
                 )
         declared = (obj.environment, obj.furniture, obj.outline, obj.surface)
         problems.extend(f"{where}: {problem}" for problem in support_problems(*declared))
-        problems.extend(_link_problems(obj, answer))
+        problems.extend(_link_problems(obj, response))
     return problems
 
 
@@ -345,8 +345,8 @@ def _same_names(names: list[str]) -> list[str]:
     ]
 
 
-def _link_problems(obj: ParsedObject, answer: ParsedScene) -> list[str]:
-    parent = next((other for other in answer.objects if other.name == obj.parent), None)
+def _link_problems(obj: ParsedObject, response: ParsedScene) -> list[str]:
+    parent = next((other for other in response.objects if other.name == obj.parent), None)
     if obj.parent_link is None or parent is None:
         return []
     parts = [part.part for part in parent.articulation]
@@ -359,18 +359,18 @@ def _link_problems(obj: ParsedObject, answer: ParsedScene) -> list[str]:
 
 
 def _tree(
-    answer: ParsedScene, per_pixel: tuple[float, float], size: tuple[int, int], *, clip: bool
+    response: ParsedScene, per_pixel: tuple[float, float], size: tuple[int, int], *, clip: bool
 ) -> SceneTree:
     camera = Camera(
         width=size[0],
         height_px=size[1],
-        fovy=math.radians(answer.camera.fovy_deg),
-        height=answer.camera.height,
-        pitch=math.radians(answer.camera.pitch_deg),
-        roll=math.radians(answer.camera.roll_deg),
+        fovy=math.radians(response.camera.fovy_deg),
+        height=response.camera.height,
+        pitch=math.radians(response.camera.pitch_deg),
+        roll=math.radians(response.camera.roll_deg),
     )
-    nodes = tuple(_node(obj, per_pixel, size if clip else None) for obj in answer.objects)
-    names = dict.fromkeys(answer.camera.measured)
+    nodes = tuple(_node(obj, per_pixel, size if clip else None) for obj in response.objects)
+    names = dict.fromkeys(response.camera.measured)
     measured: list[_CameraNumber] = [_CAMERA_NAMES[name] for name in names]
     return SceneTree(camera=camera, camera_measured=tuple(measured), nodes=nodes)
 

@@ -39,7 +39,7 @@ class SupportColour(NamedTuple):
 def support_colours(photo: Photo, tree: SceneTree) -> dict[str, SupportColour]:
     """Return the colour of every environment support that is made from its box.
 
-    The photograph's comes before the answer's, where it shows the support well enough.
+    The photograph's comes before the response's, where it shows the support well enough.
 
     Args:
         photo: the photograph.

@@ -19,7 +19,7 @@ from numpy import ndarray
 
 from ..config import SemanticOptions
 from ..errors import BudgetError, ConfigError, ModelError, NeoWorldError
-from ..mllm import Answer, Panel, Picture, Request
+from ..mllm import Response, Panel, Picture, Request
 from ..mllm.ledger import price_of
 from ..mllm.requests import digest
 from ..render import render_plain, render_scene
@@ -85,7 +85,7 @@ class ScoreWorkers:
         """Outcomes not taken yet."""
         self._pictures: dict[str, Score | list[tuple[Job, float]]] = {}
         """By digest: the score, or the candidates that wait for it and their drawing times."""
-        self._requests: set[Future[Answer[Judgement]]] = set()
+        self._requests: set[Future[Response[Judgement]]] = set()
         self._failed_in_row = 0
         self._gave_up = self._closed = False
         self._crash: BaseException | None = None

@@ -14,7 +14,7 @@ from typing import Annotated, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..checks.object_tests import ObjectTests
-from ..errors import MissingAnswerError
+from ..errors import MissingResponseError
 from ..mllm import Panel, Request, ask_or_record, package_text, revise
 from ..spec import ObjectSpec, inertial
 from .key_frames import questionable, strips
@@ -133,13 +133,13 @@ def revise_with_models(
 
     Raises:
         BudgetError: the cost cap is reached.
-        MissingAnswerError: with `always`, a tape lacks the response.
+        MissingResponseError: with `always`, a tape lacks the response.
     """
 
     async def ask(request: Request[T]) -> T | None:
         try:
             return await ask_or_record(models, request, request.name, repaired.lost_critics)
-        except MissingAnswerError:
+        except MissingResponseError:
             if always:
                 raise
             # By default, a response that the tape does not hold is skipped without a fallback.

@@ -11,7 +11,7 @@ from neoworld_bench.tasks.plan_asking import PlanAttempt, named_objects, plan_re
 
 from neoworld_mjx import cli
 from neoworld_mjx.config import CEMOptions, MLLMOptions
-from neoworld_mjx.errors import MissingAnswerError
+from neoworld_mjx.errors import MissingResponseError
 from neoworld_mjx.mllm import Panel
 from neoworld_mjx.mllm.replay import Replay, Tape
 
@@ -58,7 +58,7 @@ def test_without_rounds_the_failure_stands(tape):
 
 
 def test_a_tape_without_the_answer_says_so(tape):
-    with pytest.raises(MissingAnswerError):
+    with pytest.raises(MissingResponseError):
         rows_of(tape, offset_m=0.02)
 
 

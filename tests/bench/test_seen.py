@@ -33,10 +33,10 @@ from PIL import Image
 
 from neoworld_mjx import cli
 from neoworld_mjx.config import MLLMOptions, ProgramOptions
-from neoworld_mjx.errors import ConfigError, MissingAnswerError, SpecError
+from neoworld_mjx.errors import ConfigError, MissingResponseError, SpecError
 from neoworld_mjx.mllm import Panel, Request
-from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
 from neoworld_mjx.mllm.replay import Replay, Tape
+from neoworld_mjx.mllm.responses import InvalidResponse, read_response
 from neoworld_mjx.render import render_scene, to_png
 from neoworld_mjx.spec import (
     Box2D,
@@ -320,8 +320,8 @@ def test_a_scene_without_valid_answers_is_in_no_mean(folder):
 
 @pytest.mark.parametrize("score", [0, 8, 3.5, "7", True, None])
 def test_scores_are_whole_numbers_from_one_to_seven(score):
-    with pytest.raises(InvalidAnswer, match="score"):
-        read_answer(json.dumps(rating(score, 5, 5)), SceneRating)
+    with pytest.raises(InvalidResponse, match="score"):
+        read_response(json.dumps(rating(score, 5, 5)), SceneRating)
 
 
 def test_requests_of_the_judge_name_joints_and_differ_by_repeat_alone(folder):
@@ -403,7 +403,7 @@ def test_objects_are_paired_by_name_and_a_broken_one_was_not_made(tmp_path):
 
 def test_a_tape_without_the_answer_stops_the_suite():
     with Panel(Replay(Tape(), "empty"), MLLMOptions()) as models:
-        with pytest.raises(MissingAnswerError, match="joint:chest:hinge:1"):
+        with pytest.raises(MissingResponseError, match="joint:chest:hinge:1"):
             list(joint_hit_rows(models, [pair_of(chest())]))
         with pytest.raises(ConfigError, match="--repeats takes 1 to 20, got 0"):
             list(joint_hit_rows(models, [], repeats=0))

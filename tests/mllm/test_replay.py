@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from neoworld_mjx.errors import MissingAnswerError, ModelError
+from neoworld_mjx.errors import MissingResponseError, ModelError
 from neoworld_mjx.mllm import Panel, Picture, Tape, calls, find_tape, open_panel
 from neoworld_mjx.mllm.replay import Replay
 from neoworld_mjx.mllm.requests import Reply, Usage
@@ -66,7 +66,7 @@ def test_prose_is_kept_as_it_came(make, tmp_path):
 def test_missing_answer_names_request_and_nearest(make, changes, what):
     panel = Panel(Replay(tape_of(make.request()), "some.tape.json"))
     missing = make.request(**changes(make))
-    with panel, pytest.raises(MissingAnswerError, match=what) as caught:
+    with panel, pytest.raises(MissingResponseError, match=what) as caught:
         panel.ask_sync(missing)
     message = str(caught.value)
     assert "some.tape.json" in message
@@ -97,7 +97,7 @@ def test_broken_tape_is_one_message(tmp_path, text):
 
 
 def test_replay_without_tape_says_where_it_looked(tmp_path):
-    with pytest.raises(MissingAnswerError, match="no tape was recorded for this photo"):
+    with pytest.raises(MissingResponseError, match="no tape was recorded for this photo"):
         open_panel(Panel(Replay(Tape(), "")).options, "replay", photo="00", tapes=[tmp_path])
 
 

@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from neoworld_mjx.errors import BudgetError, MissingAnswerError, ModelError
+from neoworld_mjx.errors import BudgetError, MissingResponseError, ModelError
 from neoworld_mjx.mllm import ask_or_record, revise
 from tests.support.scripted_model import ScriptedModel
 
@@ -57,7 +57,7 @@ def test_a_failing_model_is_recorded_as_a_fallback(make):
     assert ask(ModelError("down"), make.request()) == (None, [("no judge round", "down")])
 
 
-@pytest.mark.parametrize("error", [BudgetError("cap"), MissingAnswerError("tape")])
+@pytest.mark.parametrize("error", [BudgetError("cap"), MissingResponseError("tape")])
 def test_a_spent_budget_and_a_missing_answer_end_the_run(make, error):
     with pytest.raises(type(error)):
         ask(error, make.request())

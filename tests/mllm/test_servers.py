@@ -153,12 +153,12 @@ class TestBothProviders:
         assert answer.usage.input == 200
         turns = [m["role"] for m in server.bodies[1]["messages"] if m["role"] != "system"]
         assert turns == ["user", "assistant", "user"]
-        assert "That answer cannot be used" in json.dumps(server.bodies[1]["messages"][-1])
+        assert "That response cannot be used" in json.dumps(server.bodies[1]["messages"][-1])
 
     def test_invalid_answers_are_bounded(self, connect, make, dialect):
         server, panel = connect(dialect, says('{"name": 3}'), validation_rounds=2)
         message = failure_of(panel, make.request())
-        assert "gave no valid answer in 3 tries" in message
+        assert "gave no valid response in 3 tries" in message
         assert "name: Input should be a valid string" in message
         assert len(server.bodies) == 3
 

@@ -8,9 +8,9 @@ import pytest
 from pydantic import BaseModel
 
 from neoworld_mjx.io.names import file_name, identifier, is_name, plain_text
-from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
 from neoworld_mjx.mllm.requests import Reply, Usage
-from neoworld_mjx.parse.answer_bounds import BOUNDS
+from neoworld_mjx.mllm.responses import InvalidResponse, read_response
+from neoworld_mjx.parse.response_bounds import BOUNDS
 from neoworld_mjx.parse.schema import ParsedScene, to_tree
 from neoworld_mjx.program.validate import shown
 from neoworld_mjx.spec import SceneTree
@@ -64,26 +64,26 @@ def test_numbers_at_the_edge_are_told_by_name_or_make_a_finite_tree(path):
     for value in EDGES:
         text = json.dumps(_with(path, value))
         if low <= value <= high:
-            with contextlib.suppress(InvalidAnswer):  # Sides of a box may change places.
-                tree = to_tree(read_answer(text, ParsedScene), answers.photo())
+            with contextlib.suppress(InvalidResponse):  # Sides of a box may change places.
+                tree = to_tree(read_response(text, ParsedScene), answers.photo())
                 assert SceneTree.model_validate_json(tree.to_json()) == tree
         else:
-            with pytest.raises(InvalidAnswer, match=f"{path} must lie in {low:g} .. {high:g}"):
-                read_answer(text, ParsedScene)
+            with pytest.raises(InvalidResponse, match=f"{path} must lie in {low:g} .. {high:g}"):
+                read_response(text, ParsedScene)
 
 
 @pytest.mark.parametrize("text", ["NaN", "Infinity", "1e999", "-1e999"])
 def test_numbers_that_are_none(text):
     data = json.dumps(answers.answer(answers.item("cup", at=(7.25, 0, 0)))).replace("7.25", text)
-    with pytest.raises(InvalidAnswer, match=r"is not JSON|must lie in|finite"):
-        read_answer(data, ParsedScene)
+    with pytest.raises(InvalidResponse, match=r"is not JSON|must lie in|finite"):
+        read_response(data, ParsedScene)
 
 
 def test_an_answer_of_too_many_objects_is_one_line():
     data = answers.answer(*(answers.item(f"cup{i}") for i in range(20_000)))
     for text in (json.dumps(data), json.dumps(data | {"objects": data["objects"][:300]})):
-        with pytest.raises(InvalidAnswer, match=r"at most 1000000 are read|at most 200 are taken"):
-            read_answer(text, ParsedScene)
+        with pytest.raises(InvalidResponse, match=r"at most 1000000 are read|at most 200 are taken"):
+            read_response(text, ParsedScene)
 
 
 @pytest.mark.parametrize(
@@ -99,8 +99,8 @@ def test_an_answer_of_too_many_objects_is_one_line():
     ids=["pairs", "fences", "depth", "spaces", "ticks", "quotes"],
 )
 def test_floods_of_braces_end_soon(text):
-    with pytest.raises(InvalidAnswer):
-        read_answer(text, ParsedScene)
+    with pytest.raises(InvalidResponse):
+        read_response(text, ParsedScene)
 
 
 NAMES = {
@@ -139,8 +139,8 @@ def test_names_are_told_or_made_plain(name):
     assert line.isprintable()
     line.encode()
     if name.isascii():
-        with pytest.raises(InvalidAnswer, match="a name has letters, digits and underscores"):
-            read_answer(json.dumps(answers.answer(answers.item(name))), ParsedScene)
+        with pytest.raises(InvalidResponse, match="a name has letters, digits and underscores"):
+            read_response(json.dumps(answers.answer(answers.item(name))), ParsedScene)
 
 
 def test_names_that_collide_after_cleaning_stay_apart():
@@ -155,22 +155,22 @@ def test_names_that_collide_after_cleaning_stay_apart():
 
 def test_names_that_differ_by_case_alone_are_told():
     data = json.dumps(answers.answer(answers.item("cup"), answers.item("Cup")))
-    with pytest.raises(InvalidAnswer, match="object Cup: cup differs by case alone"):
-        read_answer(data, ParsedScene)
+    with pytest.raises(InvalidResponse, match="object Cup: cup differs by case alone"):
+        read_response(data, ParsedScene)
 
 
 def test_texts_lose_what_cannot_be_seen():
     label = "cup\n\u202e<b>\0" + "x" * 10_000
     data = answers.answer(answers.item("cup", label=label, description=label))
-    node = to_tree(read_answer(json.dumps(data), ParsedScene), answers.photo()).node("cup")
+    node = to_tree(read_response(json.dumps(data), ParsedScene), answers.photo()).node("cup")
     assert node.label.startswith("cup <b>xxx")
     assert (len(node.label), len(node.description)) == (100, 4000)
 
 
 def test_half_a_character_in_a_reply_becomes_a_question_mark():
     assert Reply("a\ud800b", Usage(), "model").text == "a?b"
-    with pytest.raises(InvalidAnswer):
-        read_answer('{"camera": "\\ud800"}', ParsedScene)
+    with pytest.raises(InvalidResponse):
+        read_response('{"camera": "\\ud800"}', ParsedScene)
 
 
 def test_a_list_of_shared_lists_is_shown_short():

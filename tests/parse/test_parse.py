@@ -126,7 +126,7 @@ def test_no_usable_answer_is_one_message():
     outside["objects"][1]["box"] = {"left": 900, "top": 10, "right": 950, "bottom": 50}
     other = copy.deepcopy(outside)
     other["objects"][1]["description"] = "other"
-    with pytest.raises(ModelError, match=r"no answer of 2 gave a scene.*outside the picture"):
+    with pytest.raises(ModelError, match=r"no response of 2 gave a scene.*outside the picture"):
         run(outside, other)
 
 

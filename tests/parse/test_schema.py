@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.fit.tree_checks import agreement, check_tree
 from neoworld_mjx.mllm import package_text
-from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
+from neoworld_mjx.mllm.responses import InvalidResponse, read_response
 from neoworld_mjx.parse.prompts import SceneCritique, listing, parse_request
 from neoworld_mjx.parse.schema import ParsedScene, ParsedTilt, tilt_quat, to_tree
 from neoworld_mjx.spec import Camera, Cues
@@ -153,8 +153,8 @@ def test_all_that_is_wrong_is_said_at_once():
 )
 def test_the_tree_is_validated_when_the_answer_is_read(change, said):
     data = answers.answer(answers.item("cup") | change)
-    with pytest.raises(InvalidAnswer, match=said):
-        read_answer(json.dumps(data), ParsedScene)
+    with pytest.raises(InvalidResponse, match=said):
+        read_response(json.dumps(data), ParsedScene)
 
 
 def test_hidden_by_something_means_hidden():
@@ -164,28 +164,28 @@ def test_hidden_by_something_means_hidden():
     assert node.occluded_by == ("b",)
 
 
-def test_the_schema_holds_nothing_that_servers_turn_down():
+def test_the_schema_has_only_keywords_that_servers_accept():
     for schema in (ParsedScene, SceneCritique):
         message = str(schema.model_json_schema())
         assert "prefixItems" not in message
         assert "minimum" not in message
 
 
-def test_the_example_of_the_guide_is_a_good_answer():
+def test_the_example_of_the_instructions_is_valid():
     guide = package_text("neoworld_mjx.parse", "reasoner")
-    example = guide[guide.index('    {"observations"') : guide.index("And of a cabinet")]
-    result = to_tree(read_answer(example, ParsedScene), answers.photo())
+    example = guide[guide.index('    {"observations"') : guide.index("And a cabinet")]
+    result = to_tree(read_response(example, ParsedScene), answers.photo())
     assert all(agreement(result, node) > 0.7 for node in result.nodes)
     assert check_tree(result) == ()
 
 
-def test_the_guide_names_every_field_that_is_not_self_evident():
+def test_the_instructions_name_every_field_that_is_not_self_evident():
     guide = package_text("neoworld_mjx.parse", "reasoner")
     for field in ("environment", "fixed_base", "parent_link", "occluded_by", "tilt", "opening"):
         assert re.search(rf"`{field}`", guide), field
 
 
-def test_a_mend_repeats_the_answer_and_the_findings():
+def test_a_repair_request_repeats_the_response_and_the_findings():
     seen = ParsedScene.model_validate(answers.desk())
     first = parse_request(answers.photo())
     mend = parse_request(answers.photo(), seen, ["can: it floats"])
@@ -195,7 +195,7 @@ def test_a_mend_repeats_the_answer_and_the_findings():
     assert '"name": "can"' in mend.prompt
 
 
-def test_the_listing_tells_the_critic_what_the_picture_cannot():
+def test_the_listing_gives_the_critic_supports_and_openings():
     data = answers.desk()
     data["objects"][1]["articulation"] = [{"part": "lid", "motion": "revolute", "opening": 0.5}]
     message = listing(ParsedScene.model_validate(data))

@@ -25,7 +25,7 @@ from PIL import Image
 
 from neoworld_mjx.config import Config, ProgramOptions, load_config
 from neoworld_mjx.errors import NeoWorldError
-from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
+from neoworld_mjx.mllm.responses import InvalidResponse, read_response
 from tests.support import answers
 from tests.support.hostile import BODY, FINE, HOSTILE, resident_mb
 
@@ -122,8 +122,8 @@ def _answer(draw: random.Random, home: Path) -> None:
     text = json.dumps(data)
     text = mutated_text(draw, text) if draw.random() < 0.3 else text
     if draw.random() < 0.2:
-        read_answer(text, ProgramResponse)
-    tree = to_tree(read_answer(text, ParsedScene), answers.photo())
+        read_response(text, ProgramResponse)
+    tree = to_tree(read_response(text, ParsedScene), answers.photo())
     (home / "tree.json").write_text(tree.to_json(), encoding="utf-8")
 
 
@@ -452,7 +452,7 @@ def contained(seed: int) -> Outcome:
         with _watcher[0].watching(home, cache_folder()) as seen:
             try:
                 KINDS[kind](draw, home)
-            except (NeoWorldError, InvalidAnswer) as error:
+            except (NeoWorldError, InvalidResponse) as error:
                 outcome = type(error).__name__
                 if len(str(error)) > 20_000:
                     wrong = f"a message of {len(str(error))} characters"

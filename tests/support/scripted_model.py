@@ -7,9 +7,9 @@ from typing import Any
 from pydantic import BaseModel
 
 from neoworld_mjx.errors import ModelError
-from neoworld_mjx.mllm import Answer, Request, Usage
-from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
+from neoworld_mjx.mllm import Request, Response, Usage
 from neoworld_mjx.mllm.requests import Reply
+from neoworld_mjx.mllm.responses import InvalidResponse, read_response
 
 
 class ScriptedModel:
@@ -27,13 +27,13 @@ class ScriptedModel:
         self.answers = list(answers)
         self.requests: list[Request[Any]] = []
 
-    async def ask(self, request: Request[Any]) -> Answer[Any]:
+    async def ask(self, request: Request[Any]) -> Response[Any]:
         text = self._next(request)
         try:
-            value = read_answer(text, request.schema)
-        except InvalidAnswer as error:
+            value = read_response(text, request.schema)
+        except InvalidResponse as error:
             raise ModelError(str(error)) from None
-        return Answer(value, text, Usage(), self.name)
+        return Response(value, text, Usage(), self.name)
 
     async def reply(self, request: Request[Any], role: Any, rejected: Sequence[Any]) -> Reply:
         return Reply(self._next(request), Usage(), self.name)

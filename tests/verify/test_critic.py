@@ -8,7 +8,7 @@ from PIL import Image
 from neoworld_mjx.checks.object_tests import ObjectTests, run_object_tests
 from neoworld_mjx.checks.verdict import Fault, Limit, judged
 from neoworld_mjx.config import VerifyOptions
-from neoworld_mjx.errors import MissingAnswerError, ModelError
+from neoworld_mjx.errors import MissingResponseError, ModelError
 from neoworld_mjx.mllm import Panel
 from neoworld_mjx.verify import Patch, verification, verify_and_repair
 from neoworld_mjx.verify.critic import (
@@ -151,10 +151,10 @@ def test_always_shows_what_passes_in_the_standard_scenarios():
 
 
 def test_what_a_tape_lacks_is_an_error_only_where_it_must_be_there():
-    lacking = lambda: Panel(ScriptedModel(MissingAnswerError("no answer for simulation")))
+    lacking = lambda: Panel(ScriptedModel(MissingResponseError("no answer for simulation")))
     result = verify_and_repair(only_just(), models=lacking())
     assert result.seen == () and "the tape does not hold the answer" in result.tried[-1]
-    with pytest.raises(MissingAnswerError):
+    with pytest.raises(MissingResponseError):
         verify_and_repair(only_just(), VerifyOptions(critic="always"), models=lacking())
 
 

@@ -3,7 +3,7 @@
 import pytest
 from pydantic import BaseModel, Field
 
-from neoworld_mjx.mllm.answers import InvalidAnswer, read_answer
+from neoworld_mjx.mllm.responses import InvalidResponse, read_response
 
 
 class Node(BaseModel):
@@ -30,11 +30,11 @@ class Share(BaseModel):
     ],
 )
 def test_json_is_found(text):
-    assert read_answer(text, Node).name == "cup"
+    assert read_response(text, Node).name == "cup"
 
 
 def test_lists_become_tuples():
-    assert read_answer('{"name": "cup", "size": [1, 2]}', Node).size == (1.0, 2.0)
+    assert read_response('{"name": "cup", "size": [1, 2]}', Node).size == (1.0, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -50,12 +50,12 @@ def test_lists_become_tuples():
     ],
 )
 def test_reason_says_what_is_wrong(text, reason):
-    with pytest.raises(InvalidAnswer, match=reason):
-        read_answer(text, Share)
+    with pytest.raises(InvalidResponse, match=reason):
+        read_response(text, Share)
 
 
 def test_an_inner_object_does_not_pass_for_a_cut_off_answer():
     cut = '{"name": "table", "children": [{"name": "cup"}, {"na'
     for text in (cut, "```json\n" + cut, "Sure: " + cut):
-        with pytest.raises(InvalidAnswer, match="broken"):
-            read_answer(text, Node)
+        with pytest.raises(InvalidResponse, match="broken"):
+            read_response(text, Node)

@@ -1,4 +1,4 @@
-"""Bounds of every number in the reasoner's answer, told to its author if they are exceeded.
+"""Bounds of every number in the reasoner's response, told to its author if they are exceeded.
 
 They are not part of the JSON schema, as some servers turn schemas with bounds down.
 """
@@ -29,22 +29,22 @@ BOUNDS: dict[str, tuple[float, float]] = {
     **{"camera.fovy_deg": (1.0, 170.0), "camera.height": _PLACE},
 }
 """Least and largest value [m, degrees, pixels, shares] by the path of a number in an object or in
-the answer."""
+the response."""
 
 
-def out_of_bounds(answer: BaseModel) -> Iterator[str]:
-    """Yield an error for each number of an answer that lies outside of its bounds."""
-    for path, name, value in _numbers(answer):
+def out_of_bounds(response: BaseModel) -> Iterator[str]:
+    """Yield an error for each number of a response that lies outside of its bounds."""
+    for path, name, value in _numbers(response):
         low, high = BOUNDS[path]
         if not low <= value <= high:
             where = f"object {plain_text(name, MAX_NAME)}: " if name else ""
             yield f"{where}{path} must lie in {low:g} .. {high:g}, got {value:g}"
 
 
-def too_long(answer: BaseModel, at: str = "") -> Iterator[str]:
-    """Yield an error for each list of an answer that is longer than any scene needs."""
-    for field in type(answer).model_fields:
-        value = getattr(answer, field)
+def too_long(response: BaseModel, at: str = "") -> Iterator[str]:
+    """Yield an error for each list of a response that is longer than any scene needs."""
+    for field in type(response).model_fields:
+        value = getattr(response, field)
         parts = [value] if isinstance(value, BaseModel) else value
         if not isinstance(parts, list):
             continue

@@ -1,4 +1,4 @@
-"""Validated answers from a model's text: find the JSON, validate it, report the errors."""
+"""Validated responses from a model's text: find the JSON, validate it, report the errors."""
 
 import json
 import re
@@ -15,24 +15,26 @@ _FENCE = re.compile(r"```[A-Za-z0-9_-]*[ \t]*\r?\n(.*?)```", re.DOTALL)
 _OPENING = re.compile(r"\{(?=\s*[\"}])")
 _REASON_CHARS = 2000
 MAX_CHARS, MAX_OBJECTS = 1_000_000, 20
-"""Longest answer, and most JSON objects in it among which the answer is looked for."""
+"""Longest response, and most JSON objects in it among which the response is looked for."""
 
 
-class InvalidAnswer(Exception):
+class InvalidResponse(Exception):
     """A text holds no JSON object, or one that does not fit the schema; the message says why."""
 
 
-def read_answer(text: str, schema: type[T]) -> T:
+def read_response(text: str, schema: type[T]) -> T:
     """Validate the JSON object in a model's text.
 
     The text may be bare JSON, JSON in a fenced block, or JSON with prose around it. Of several
     objects the first that validates counts, bare text first, then fences, then the largest.
 
     Raises:
-        InvalidAnswer: nothing validates; the message is about the most likely object.
+        InvalidResponse: nothing validates; the message is about the most likely object.
     """
     if len(text) > MAX_CHARS:
-        raise InvalidAnswer(f"the answer has {len(text)} characters, at most {MAX_CHARS} are read")
+        raise InvalidResponse(
+            f"the response has {len(text)} characters, at most {MAX_CHARS} are read"
+        )
     whole = _whole(text)
     inside, broken = ([], "") if whole else _embedded(text)
     reason = broken
@@ -42,7 +44,7 @@ def read_answer(text: str, schema: type[T]) -> T:
             return schema.model_validate_json(json.dumps(value))
         except ValidationError as error:
             reason = reason or _shorten(validation_message(error, schema))
-    raise InvalidAnswer(reason or _no_object(text))
+    raise InvalidResponse(reason or _no_object(text))
 
 
 def is_json(text: str) -> bool:
@@ -71,7 +73,7 @@ def _whole(text: str) -> list[dict[str, Any]]:
 def _embedded(text: str) -> tuple[list[dict[str, Any]], str]:
     """Return the objects inside a text, the largest first, and the error that ended the search.
 
-    A broken object ends the search: an object inside it could pass for the answer.
+    A broken object ends the search: an object inside it could pass for the response.
     """
     decoder = json.JSONDecoder(parse_constant=_refuse)
     objects: list[tuple[int, dict[str, Any]]] = []
@@ -104,7 +106,7 @@ def _refuse(constant: str) -> Any:
 
 def _no_object(text: str) -> str:
     if not text.strip():
-        return "the answer is empty"
+        return "the response is empty"
     try:
         value = _loads(text)
     except RecursionError:
