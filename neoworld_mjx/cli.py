@@ -1,6 +1,6 @@
-"""The command `neoworld`: parse, run, print one answer, exit 0, 1 or 2.
+"""The command line `neoworld`.
 
-0 is good, 1 says that the scene fails its checks, 2 that the input is wrong.
+Exit codes: 0 success, 1 the scene or object fails its checks, 2 invalid input.
 """
 
 import contextlib
@@ -17,17 +17,15 @@ from typing import TYPE_CHECKING, Any
 
 from . import __version__
 from .commands import COMMANDS
-from .commands.status_line import StatusLine
 from .errors import NeoWorldError
-from .io.names import printable
 from .progress import LOGGER
 
 if TYPE_CHECKING:
     from .commands.base_command import CommandResult, Runnable
 
 REPORT = (
-    "This is a fault of neoworld, not of your input. A run can go on with --resume. To report it, "
-    "run the same command with --debug and send what it prints with the output of neoworld doctor"
+    "This is a bug in neoworld. A run can continue with --resume. To report the bug, repeat the "
+    "command with --debug and send its output with that of neoworld doctor"
 )
 BAD_INPUT, FAILED, BUG, INTERRUPTED = 2, 1, 70, 130
 
@@ -53,13 +51,13 @@ def main(args: Sequence[str] | None = None) -> None:
 
 
 def help_text() -> str:
-    """Return the list of commands, as wide as the terminal, without importing any of them."""
+    """Return the list of commands, wrapped to the terminal, without importing them."""
     width = min(shutil.get_terminal_size().columns, 100)
     column = max(map(len, COMMANDS)) + 4
     lines = [
         "usage: neoworld COMMAND [OPTIONS]",
         "",
-        "One photograph in, a scene out that a robot can touch.",
+        "Turns one photograph into a simulation-ready scene.",
         "",
         "commands:",
     ]
@@ -73,9 +71,11 @@ def help_text() -> str:
 
 
 def _no_command(args: Sequence[str]) -> str:
-    """Say what is wrong with arguments that name no command."""
+    """Return the error message for arguments without a valid command."""
+    from .io.names import printable
+
     if not args:
-        return f"name a command: {', '.join(COMMANDS)}; neoworld --help says what each does"
+        return f"name a command: {', '.join(COMMANDS)}; see neoworld --help"
     wrong, choices = printable(args[0]), f"choices: {', '.join(COMMANDS)}"
     if wrong.startswith("-"):
         return f"the command comes before its options, got {wrong!r} first; {choices}"
@@ -85,7 +85,7 @@ def _no_command(args: Sequence[str]) -> str:
 
 
 def parse(name: str, args: Sequence[str]) -> Any:
-    """Return the command of a name and its arguments; what is wrong with them ends the process."""
+    """Parse the arguments of a command; invalid ones end the process."""
     import tyro
     from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes
 
@@ -98,51 +98,58 @@ def parse(name: str, args: Sequence[str]) -> Any:
 
 
 def run(command: "Runnable") -> int:
-    """Run a parsed command, print its answer and return the exit code."""
-    with _reserved_stdout() as out, _shown_progress(command):
+    """Run a parsed command, print its result and return the exit code."""
+    from .io.names import printable
+
+    with _reserved_stdout() as out, _log_on_stderr(command):
         try:
-            answer = command.run()
-            code = FAILED if answer.get("passed") is False else 0
-        except NeoWorldError as error:
-            _show_traceback(command)
-            answer, code = {"error": str(error)}, BAD_INPUT
-        except MemoryError:
-            _show_traceback(command)
-            lack = "there is not enough memory: ask for less, such as fewer candidates, a shorter "
-            answer, code = {"error": f"{lack}duration or a smaller picture"}, BAD_INPUT
+            result = command.run()
+            code = FAILED if result.get("passed") is False else 0
         except KeyboardInterrupt:
-            answer, code = {"error": "interrupted; go on with --resume"}, INTERRUPTED
+            result, code = {"error": "interrupted; continue with --resume"}, INTERRUPTED
         except Exception as error:
-            _show_traceback(command)
-            answer, code = {"error": f"internal: {type(error).__name__}: {error}. {REPORT}"}, BUG
-        if "error" in answer:
-            print(f"error: {printable(str(answer['error']))}", file=sys.stderr)
+            if command.debug:
+                traceback.print_exc()
+            message, code = _describe(error)
+            result = {"error": message}
+        if "error" in result:
+            print(f"error: {printable(str(result['error']))}", file=sys.stderr)
         try:
             if command.json:
-                # NaN and Infinity are no JSON: they become null.
-                strict = json.loads(json.dumps(answer), parse_constant=lambda _: None)
+                # NaN and Infinity are not JSON and become null.
+                strict = json.loads(json.dumps(result), parse_constant=lambda _: None)
                 print(json.dumps(strict), file=out)
-            elif "error" not in answer:
-                with contextlib.redirect_stdout(out):
-                    _show(command, answer)
+            elif "error" not in result:
+                lines = None if command.verbose else command.lines(result)
+                lines = list(_details(result)) if lines is None else lines
+                print(printable("\n".join(lines)), file=out)
             out.flush()
         except BrokenPipeError:
-            # Whoever reads has read enough, as `head` does; closing must not try once more.
+            # The reader has stopped, as `head` does; closing the file must not fail again.
             os.dup2(os.open(os.devnull, os.O_WRONLY), out.fileno())
     return code
 
 
-def _show_traceback(command: "Runnable") -> None:
-    if getattr(command, "debug", False):
-        traceback.print_exc()
+def _describe(error: Exception) -> tuple[str, int]:
+    """Return the message of an error, and the exit code."""
+    if isinstance(error, NeoWorldError):
+        return str(error), BAD_INPUT
+    if isinstance(error, MemoryError):
+        return (
+            "not enough memory: use fewer candidates, a shorter duration or a smaller image",
+            BAD_INPUT,
+        )
+    return f"internal: {type(error).__name__}: {error}. {REPORT}", BUG
 
 
 @contextlib.contextmanager
-def _shown_progress(command: "Runnable") -> Iterator[None]:
-    """Send the package's log to stderr as plain lines, and the progress to a status line."""
+def _log_on_stderr(command: "Runnable") -> Iterator[None]:
+    """Print the package's log on stderr, and its progress in a status line."""
+    from .commands.status_line import StatusLine
+
     log = logging.getLogger("neoworld_mjx")
     with StatusLine(sys.stderr, verbose=command.verbose, quiet=command.quiet) as handler:
-        log.handlers = [handler]  # Not added: a second command in one process would say all twice.
+        log.handlers = [handler]  # Replaces the handler of an earlier command in this process.
         log.setLevel(logging.INFO)
         logging.getLogger(LOGGER).setLevel(logging.DEBUG)
         yield
@@ -150,49 +157,24 @@ def _shown_progress(command: "Runnable") -> Iterator[None]:
 
 @contextlib.contextmanager
 def _reserved_stdout() -> Iterator[Any]:
-    """Keep stdout for the answer: what Python or a C library prints meanwhile goes to stderr."""
+    """Reserve stdout for the result; other output of Python and C code goes to stderr."""
     sys.stdout.flush()
-    kept = os.dup(1)
+    stdout = os.dup(1)
     os.dup2(2, 1)
     try:
         with (
             contextlib.redirect_stdout(sys.stderr),
-            os.fdopen(os.dup(kept), "w", encoding="utf-8", errors="backslashreplace") as out,
+            os.fdopen(os.dup(stdout), "w", encoding="utf-8", errors="backslashreplace") as out,
         ):
             yield out
     finally:
-        os.dup2(kept, 1)
-        os.close(kept)
+        os.dup2(stdout, 1)
+        os.close(stdout)
 
 
-def _show(command: "Runnable", answer: "CommandResult") -> None:
-    """Print an answer for people: in few lines, or with all details."""
-    lines = None if command.verbose else command.lines(answer)
-    if lines is None:
-        _print(answer)
-    else:
-        print(printable("\n".join(lines)))
-
-
-def _print(answer: "CommandResult", indent: str = "") -> None:
-    """Print an answer for people."""
-    for key, value in answer.items():
-        if isinstance(value, dict):
-            print(f"{indent}{key}:")
-            _print(value, indent + "  ")
-        elif key in _TABLES and isinstance(value, list) and value:
-            print(f"{indent}{key}:")
-            _table(value, _TABLES[key], indent + "  ")
-        elif isinstance(value, list) and value and isinstance(value[0], dict):
-            print(f"{indent}{key}:")
-            for item in value:
-                print(f"{indent}  - " + ", ".join(f"{k} {_plain(v)}" for k, v in item.items()))
-        else:
-            print(f"{indent}{key}: {_plain(value)}")
-
-
+_POINT_COLUMNS = ["point", "n", "passed", "reward", "d_drift", "s_sem", "rollouts", "seconds"]
 _TABLES = {
-    "checks": (
+    "checks": [
         "outcome",
         "doubtful",
         "scenario",
@@ -202,36 +184,58 @@ _TABLES = {
         "unit",
         "fault",
         "hint",
-    ),
-    "points": ("point", "n", "passed", "reward", "d_drift", "s_sem", "rollouts", "seconds"),
-    "differences": ("point", "n", "passed", "reward", "d_drift", "s_sem", "rollouts", "seconds"),
-    "missing": ("what", "costs", "mend"),
-    "examples": ("name", "objects", "joints", "shows", "licence", "photo"),
-    "matrix": ("kind", "n", "detected", "named", "repaired"),
+    ],
+    "points": ["point", "n", "passed", "reward", "d_drift", "s_sem", "rollouts", "seconds"],
+    "differences": ["point", "n", "passed", "reward", "d_drift", "s_sem", "rollouts", "seconds"],
+    "missing": ["what", "costs", "mend"],
+    "examples": ["name", "objects", "joints", "shows", "licence", "photo"],
+    "matrix": ["kind", "n", "detected", "named", "repaired"],
 }
-"""Lists that are shown as a table, and their columns; those that no row has are left out."""
+"""Columns of the lists that are shown as tables; columns that no row has are omitted."""
 
 
-def _table(rows: "list[CommandResult]", columns: Sequence[str], indent: str) -> None:
-    """Print rows in columns."""
-    used = [name for name in columns if any(name in row for row in rows)]
-    if not used:
-        used = list(rows[0])
-    cells = [used] + [[_plain(row[n]) if n in row else "" for n in used] for row in rows]
-    widths = [max(len(line[k]) for line in cells) for k in range(len(used))]
-    for line in cells:
-        shown = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
-        print((indent + "  ".join(shown)).rstrip())
+def _details(result: "CommandResult", indent: str = "") -> Iterator[str]:
+    """Yield the lines of a result with all its details."""
+    for key, value in result.items():
+        if isinstance(value, dict):
+            yield f"{indent}{key}:"
+            yield from _details(value, indent + "  ")
+        elif key in _TABLES and isinstance(value, list) and value:
+            yield f"{indent}{key}:"
+            yield from (f"{indent}  {line}" for line in _table(value, _TABLES[key]))
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            yield f"{indent}{key}:"
+            for item in value:
+                yield f"{indent}  - " + ", ".join(f"{k} {_plain(v)}" for k, v in item.items())
+        else:
+            yield f"{indent}{key}: {_plain(value)}"
+
+
+def _table(rows: "list[CommandResult]", columns: Sequence[str]) -> list[str]:
+    """Return the lines of rows in aligned columns."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    used = [name for name in columns if any(name in row for row in rows)] or list(rows[0])
+    table = Table(*map(Text, used), box=None, padding=(0, 2, 0, 0), pad_edge=False)
+    for row in rows:
+        table.add_row(*(Text(_plain(row[name]) if name in row else "") for name in used))
+    console = Console(width=10_000, color_system=None)
+    with console.capture() as capture:
+        console.print(table)
+    return [line.rstrip() for line in capture.get().splitlines()]
 
 
 def _plain(value: Any) -> str:
+    """Format a value; hidden characters are escaped when the lines are printed."""
     if isinstance(value, list | tuple):
         return ", ".join(map(_plain, value)) or "none"
     if isinstance(value, float):
         return f"{value:.5g}"
     if value is None or isinstance(value, bool):
         return {None: "unknown", True: "yes", False: "no"}[value]
-    return printable(str(value))
+    return str(value)
 
 
 if __name__ == "__main__":

@@ -263,13 +263,13 @@ def test_only_debug_shows_the_traceback(monkeypatch, capsys, raised, code):
     assert capsys.readouterr().err.startswith("Traceback")
 
 
-def test_too_little_memory_says_to_ask_for_less(monkeypatch, capsys):
+def test_a_memory_error_is_one_message_with_a_remedy(monkeypatch, capsys):
     def fails(_):
         raise MemoryError("Unable to allocate 3 PiB")
 
     monkeypatch.setattr(DoctorCommand, "run", fails)
     assert cli.run(DoctorCommand()) == 2
-    assert "there is not enough memory: ask for less" in capsys.readouterr().err
+    assert "not enough memory: use fewer candidates" in capsys.readouterr().err
 
 
 def test_names_move_no_text_on_the_terminal(monkeypatch, capsys):

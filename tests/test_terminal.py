@@ -1,4 +1,4 @@
-"""What commands say in a terminal: few lines, one format for signals, a status line, a log."""
+"""Output of commands in a terminal: short results, signals of programs, status line and log."""
 
 import io
 import logging
@@ -115,7 +115,7 @@ def test_the_red_volume_is_what_two_parts_share():
     assert enclosed_volume(*mesh.surface()) == pytest.approx(0.1 * 0.01 * 0.1, rel=1e-3)
 
 
-def test_the_status_line_says_step_rate_cost_and_time_left():
+def test_the_status_line_shows_step_rate_cost_and_time_left():
     with StatusLine(io.StringIO(), live=False) as line:
         log = logging.getLogger("neoworld_mjx.progress")
         log.addHandler(line)
@@ -127,12 +127,12 @@ def test_the_status_line_says_step_rate_cost_and_time_left():
             progress.update(calls=4, cost_usd=0.256, unanswered=2)
             assert re.fullmatch(
                 r"refine 0 s · iteration 3 of 8 · 120 candidates/s · about 10 s left · "
-                r"4 calls, 0.26 USD · waits for 2 answers",
+                r"4 calls, 0.26 USD · waiting for 2 responses",
                 line.text(),
             )
             progress.report("export: begun", step="export")
             progress.update(unanswered=0)
-            assert line.text() == "export 0 s · 4 calls, 0.26 USD · computes"
+            assert line.text() == "export 0 s · 4 calls, 0.26 USD · computing"
         finally:
             log.removeHandler(line)
             log.setLevel(logging.NOTSET)
@@ -142,7 +142,7 @@ def test_the_status_line_says_step_rate_cost_and_time_left():
     ("options", "lines"),
     [({}, ["careful"]), ({"verbose": True}, ["begun", "careful"]), ({"quiet": True}, [])],
 )
-def test_lines_of_progress_are_for_those_who_ask(options, lines):
+def test_progress_is_printed_only_if_verbose(options, lines):
     stream = io.StringIO()
     line = StatusLine(stream, **options)
     for name, level, text in (
@@ -154,20 +154,22 @@ def test_lines_of_progress_are_for_those_who_ask(options, lines):
     assert stream.getvalue().splitlines() == lines
 
 
-def test_the_live_line_is_drawn_below_the_log_and_goes_away(monkeypatch):
-    monkeypatch.setattr("neoworld_mjx.commands.status_line.REFRESH_S", 0.01)
+def test_the_status_line_is_below_the_log_and_is_erased_at_the_end(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
     stream = io.StringIO()
     with StatusLine(stream, live=True) as line:
         record = logging.LogRecord("neoworld_mjx.progress", 10, "", 0, "", None, None)
         record.facts = {"step": "refine"}
         line.handle(record)
-        stop = time.monotonic() + 10
-        while "s · computes" not in stream.getvalue():
-            assert time.monotonic() < stop
-            time.sleep(0.01)
-        line.handle(logging.LogRecord("neoworld_mjx.x", 30, "", 0, "careful", None, None))
-    assert "\r\x1b[2Kcareful\n" in stream.getvalue()
-    assert stream.getvalue().rpartition("\r\x1b[2K")[2] in ("", "careful\n")
+        deadline = time.monotonic() + 10
+        while "s · computing" not in stream.getvalue():
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        line.handle(logging.LogRecord("neoworld_mjx.x", 30, "", 0, "[b]careful", None, None))
+        log, _, below = stream.getvalue().rpartition("[b]careful\n")
+        assert "computing" in below and log.endswith("\x1b[2K")
+    erased = stream.getvalue().rpartition("computing")[2]
+    assert erased.endswith("\x1b[2K") and "careful" not in erased
 
 
 def test_a_run_keeps_its_log_and_how_it_ended(tmp_path):

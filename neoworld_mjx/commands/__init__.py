@@ -79,7 +79,7 @@ COMMANDS: dict[str, CommandEntry] = {
     ),
     "bench": CommandEntry(
         "neoworld_bench.bench_commands:BenchCommand",
-        "Make the benchmark, and measure methods, engines and refinement on it.",
+        "Run benchmarks of methods, engines and models, and write their data set and tables.",
     ),
 }
 """Commands by name, in the order of the help."""

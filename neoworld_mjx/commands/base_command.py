@@ -1,4 +1,4 @@
-"""Base of all commands: the flags of output, and the configuration."""
+"""Base classes of commands: output flags and configuration."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,77 +12,82 @@ if TYPE_CHECKING:
     from ..config import Config
 
 CommandResult = dict[str, Any]
-"""A JSON object; its entry "passed" decides the exit code."""
+"""JSON object that a command returns; its entry "passed" decides the exit code."""
 
 
 @runtime_checkable
 class Runnable(Protocol):
-    """A command that the command line runs, or a group of nested commands."""
+    """A command, or a group of nested commands."""
 
     @property
     def json(self) -> bool:
-        """Whether one JSON object is printed."""
+        """True if the result is printed as JSON."""
         ...
 
     @property
     def quiet(self) -> bool:
-        """Whether no progress is printed."""
+        """True if no progress is printed."""
         ...
 
     @property
     def verbose(self) -> bool:
-        """Whether every detail is printed."""
+        """True if all details are printed."""
+        ...
+
+    @property
+    def debug(self) -> bool:
+        """True if errors are printed with tracebacks."""
         ...
 
     def run(self) -> CommandResult:
-        """Do the work and return what is to be printed."""
+        """Run the command and return its result."""
         ...
 
     def lines(self, result: CommandResult) -> list[str] | None:
-        """Return an answer in few lines, for people; None prints all of it."""
+        """Return a short summary of a result; None prints all details."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """Options of every command."""
+    """Options of all commands."""
 
     json: bool = False
-    """Print one JSON object on stdout, and everything else on stderr."""
+    """Print the result as one JSON object on stdout, and everything else on stderr."""
     quiet: bool = False
     """Print no progress."""
     verbose: Annotated[bool, arg(aliases=("-v",))] = False
-    """Print all details of the answer, and every line of progress."""
+    """Print all details of the result, and all progress messages."""
     debug: bool = False
-    """Show the traceback of an error."""
+    """Print the traceback of an error."""
 
     def run(self) -> CommandResult:
-        """Do the work and return what is to be printed.
+        """Run the command and return its result.
 
         Raises:
-            NeoWorldError: the input is wrong.
+            NeoWorldError: the input is invalid.
         """
         raise NotImplementedError
 
     def lines(self, result: CommandResult) -> list[str] | None:
-        """Return an answer in few lines, for people; None, the default, prints all of it."""
+        """Return a short summary of a result; None, the default, prints all details."""
         return None
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConfiguredCommand(Command):
-    """Options of the commands that take a configuration."""
+    """Options of commands with a configuration."""
 
     config: Path | None = None
-    """YAML of options; only what differs from the defaults."""
+    """YAML file of options that differ from the defaults."""
     set: UseAppendAction[tuple[str, ...]] = ()
     """One option as KEY=VALUE, such as --set refine.cem.population=64; may be repeated."""
 
     def load_config(self, flags: dict[str, Any] | None = None) -> "Config":
-        """Lay --set over the file, and the command's own flags over both.
+        """Load the file, overridden by --set, overridden by the command's own flags.
 
         Args:
-            flags: values by path of the option; None is a flag that was not given.
+            flags: values by the path of the option; None is an absent flag.
         """
         from ..config import load_config, parse_yaml
         from ..io import set_file_bounds

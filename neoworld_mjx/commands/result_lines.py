@@ -1,18 +1,17 @@
-"""Answers of commands in about five lines: valid or not and why, where, time, cost."""
+"""Short summaries of command results: validity with reasons, files, time and cost."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from ..io.names import printable
 from .base_command import CommandResult
 
 DETAILS = "details: -v, or --json"
-MOST_REASONS = 3
+MAX_REASONS = 3
 _UNITS = {"m": (1000.0, "mm"), "deg": (1.0, "degrees"), "rad": (180 / 3.141592653589793, "degrees")}
 
 
 def run_lines(result: CommandResult) -> list[str]:
-    """Return the lines of a reconstruction or a refinement."""
+    """Summarize a reconstruction or a refinement."""
     passed, folder = result.get("passed"), result["folder"]
     if passed is None:
         head = f"not refined yet: {_listed(result['objects'])} in {folder}"
@@ -34,42 +33,42 @@ def run_lines(result: CommandResult) -> list[str]:
     if agreement.get("refined") is not None:
         worst = agreement.get("worst") or {}
         low = f", worst {worst['name']} {worst['value']:.2f}" if worst.get("name") else ""
-        rows.append(f"photo:  boxes agree by {agreement['refined']:.2f} (mean IoU{low})")
+        rows.append(f"photo:  boxes match with {agreement['refined']:.2f} (mean IoU{low})")
     if result["fallbacks"]:
-        said = [f"{e['step']}: {e['what']}: {e['why']}" for e in result["fallbacks"]]
-        rows.append(f"fallbacks: {_reasons(said)}")
+        fallbacks = [f"{e['step']}: {e['what']}: {e['why']}" for e in result["fallbacks"]]
+        rows.append(f"fallbacks: {_reasons(fallbacks)}")
     rows.append(f"{_time(result)}; {_cost(result['mllm'])}; {DETAILS}")
     return rows
 
 
 def scene_check_lines(result: CommandResult) -> list[str]:
-    """Return the lines of the check of a scene."""
+    """Summarize the check of a scene."""
     passed, checks = result["passed"], result["checks"]
     failed = [check for check in checks if not check["passed"]]
-    why = [
+    failures = [
         f"{measure(check['value'], check['name'])} {_of(check)}"
         f"over {measure(check['threshold'], check['name'])} ({check['name']})"
         for check in failed
     ]
     movable = count(result["movable"], "movable object")
-    head = f"valid: {movable}, all {len(checks)} bounds hold"
+    head = f"valid: {movable}, all {len(checks)} checks pass"
     worst = max((c for c in checks if c["passed"]), key=_share, default=None)
-    rows = [head if passed else f"not valid: {_reasons(why)}", f"scene: {result['target']}"]
+    rows = [head if passed else f"not valid: {_reasons(failures)}", f"scene: {result['target']}"]
     if worst is not None and worst["value"]:
         rows.append(
-            f"closest to its bound: {worst['name']} {measure(worst['value'], worst['name'])} "
+            f"closest to its threshold: {worst['name']} {measure(worst['value'], worst['name'])} "
             f"{_of(worst)}of {measure(worst['threshold'], worst['name'])}"
         )
-    rows += [f"note: {note}" for note in result.get("notes", ())[:MOST_REASONS]]
+    rows += [f"note: {note}" for note in result.get("notes", ())[:MAX_REASONS]]
     return [*rows, DETAILS]
 
 
 def object_check_lines(result: CommandResult, listings: Sequence[str] = ()) -> list[str]:
-    """Return the lines of the check of an object.
+    """Summarize the check of an object.
 
     Args:
-        result: of `check`.
-        listings: signals of its program, as terminals show them.
+        result: result of `check`.
+        listings: formatted signals of the object's program.
     """
     rows = list(listings)
     if "object" not in result:
@@ -78,34 +77,34 @@ def object_check_lines(result: CommandResult, listings: Sequence[str] = ()) -> l
     ran = counts["PASS"] + counts["FAIL"] + counts["TOOL_FAILURE"]
     bad = [check for check in result["checks"] if check["outcome"] in ("FAIL", "TOOL_FAILURE")]
     if result["passed"]:
-        doubt = f", {counts['doubtful']} of them only just" if counts["doubtful"] else ""
-        rows.append(f"valid: {result['object']} passes all {ran} checks{doubt}")
+        borderline = f", {counts['doubtful']} of them borderline" if counts["doubtful"] else ""
+        rows.append(f"valid: {result['object']} passes all {ran} checks{borderline}")
     else:
         why = "its program has errors" if not bad else f"{len(bad)} of {ran} checks fail"
         likely = f", the likely cause is {result['cause']}" if result.get("cause") else ""
         rows.append(f"not valid: {result['object']}: {why}{likely}")
-    for check in bad[:MOST_REASONS]:
+    for check in bad[:MAX_REASONS]:
         place = " ".join(str(check[k]) for k in ("part", "joint") if check.get(k))
         hint = f"; hint: {check['hint']}" if check.get("hint") else ""
         rows.append(f"  {check['scenario']} {check['name']} {place}: {_against(check)}{hint}")
-    if len(bad) > MOST_REASONS:
-        rows.append(f"  and {len(bad) - MOST_REASONS} more")
+    if len(bad) > MAX_REASONS:
+        rows.append(f"  and {len(bad) - MAX_REASONS} more")
     repair = result.get("repair")
     if repair is not None:
-        rows.append(f"repair: {_reasons(repair['changes']) or 'nothing helped'}")
+        rows.append(f"repair: {_reasons(repair['changes']) or 'no repair succeeded'}")
     rows += [f"{key}: {result[key]}" for key in ("patch", "folder") if key in result]
     rows.append(f"{result['mass_kg']:.3g} kg; {result['seconds']:.2f} s; {DETAILS}")
     return rows
 
 
 def build_lines(result: CommandResult, listings: Sequence[str] = ()) -> list[str]:
-    """Return the lines of a build."""
+    """Summarize a build."""
     rows = list(listings)
     if "builds" in result:
         return [f"builds: {result['builds']}", f"folder: {result['folder']}"]
     if result["passed"]:
         rows.append(f"built: {result['object']} in {result['folder']}")
-        rows += [f"note: {note}" for note in result.get("notes", ())[:MOST_REASONS]]
+        rows += [f"note: {note}" for note in result.get("notes", ())[:MAX_REASONS]]
     else:
         rows.append("not built: see the errors above")
     if "picture" in result:
@@ -114,19 +113,19 @@ def build_lines(result: CommandResult, listings: Sequence[str] = ()) -> list[str
 
 
 def export_lines(result: CommandResult) -> list[str]:
-    """Return the lines of an export."""
+    """Summarize an export."""
     rows = [f"written: {count(result['files'], 'file')} in {result['folder']}"]
     for kind, lost in result["lost"].items():
         if lost:
             rows.append(f"lost in {kind}: {_reasons(lost)}")
-    rows += [f"note: {note}" for note in result.get("notes", ())[:MOST_REASONS]]
+    rows += [f"note: {note}" for note in result.get("notes", ())[:MAX_REASONS]]
     if "collider_error_mm" in result:
         rows.append(f"colliders differ by up to {result['collider_error_mm']} mm")
     return [*rows, DETAILS]
 
 
 def sweep_lines(result: CommandResult) -> list[str]:
-    """Return the lines of a sweep or an ablation."""
+    """Summarize a sweep or an ablation."""
     points = result["points"]
     valid = sum(point.get("passed", 0) * point.get("n", 0) for point in points)
     best = max(points, key=lambda point: point.get("reward") or float("-inf"), default=None)
@@ -144,26 +143,25 @@ def sweep_lines(result: CommandResult) -> list[str]:
 
 
 def measure(value: float | None, name: str) -> str:
-    """Return a value with the unit that its name ends in, such as max_drift_m."""
+    """Format a value with the unit that its name ends in, such as max_drift_m."""
     if value is None:
         return "not finite"
     factor, unit = _UNITS.get(name.rpartition("_")[2], (1.0, ""))
     return f"{factor * value:.3g} {unit}".strip()
 
 
-def count(items: int | Sequence[object], what: str) -> str:
-    """Return a number with its noun."""
+def count(items: int | Sequence[object], noun: str) -> str:
+    """Format a number with its noun, such as "3 objects"."""
     number = items if isinstance(items, int) else len(items)
-    return f"{number} {what}" + ("" if number == 1 else "s")
+    return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 def file_lines(result: CommandResult) -> list[str]:
-    """Return the lines of a command that writes one file."""
-    return [f"{key}: {_flat(value)}" for key, value in result.items()]
-
-
-def _flat(value: Any) -> str:
-    return " x ".join(map(str, value)) if isinstance(value, list) else str(value)
+    """Summarize a command that writes one file."""
+    return [
+        f"{key}: {' x '.join(map(str, value)) if isinstance(value, list) else value}"
+        for key, value in result.items()
+    ]
 
 
 def _against(check: Mapping[str, Any]) -> str:
@@ -185,7 +183,7 @@ def _of(check: Mapping[str, Any]) -> str:
 
 
 def _worst(result: CommandResult) -> str:
-    """Say what is largest of a scene that fails for an unnamed reason."""
+    """Return the largest drift and overlap of a scene that fails for no recorded reason."""
     drift = max(result.get("drift_m", {"?": 0.0}).items(), key=lambda item: item[1])
     depth = 1000 * result.get("max_depth_m", 0.0)
     return f"{drift[0]} drifts by {1000 * drift[1]:.1f} mm, deepest overlap {depth:.2g} mm"
@@ -202,18 +200,18 @@ def _time(result: CommandResult) -> str:
 
 def _cost(ledger: Mapping[str, Any]) -> str:
     if not ledger:
-        return "no model was asked"
+        return "no model calls"
     calls = count(ledger["calls"], "call")
     if ledger["cost_usd"] is None:
         unknown = ", ".join(ledger["models_without_price"])
-        return f"{calls}, {ledger['known_cost_usd']:.4g} USD and what {unknown} cost"
+        return f"{calls}, {ledger['known_cost_usd']:.4g} USD plus the cost of {unknown}"
     return f"{calls} by {ledger['provider']}, {ledger['cost_usd']:.4g} USD"
 
 
 def _reasons(reasons: Iterable[str]) -> str:
-    said = [printable(reason) for reason in reasons]
-    more = f"; and {len(said) - MOST_REASONS} more" if len(said) > MOST_REASONS else ""
-    return "; ".join(said[:MOST_REASONS]) + more
+    listed = list(reasons)
+    more = f"; and {len(listed) - MAX_REASONS} more" if len(listed) > MAX_REASONS else ""
+    return "; ".join(listed[:MAX_REASONS]) + more
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -1,38 +1,37 @@
-"""The status line at the bottom of a terminal while a command works, and its log above it."""
+"""Log on stderr, with a status line below it while a command runs in a terminal."""
 
 import logging
-import shutil
-import threading
 import time
-from types import TracebackType
+from contextlib import suppress
 from typing import Any
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
 
 from ..io.names import printable
 from ..progress import LOGGER
 
-REFRESH_S = 0.5
-_CLEAR = "\r\x1b[2K"
+REFRESHES_PER_SECOND = 2.0
 
 
-class PrintableFormatter(logging.Formatter):
-    """Writes what hides or moves text on a terminal as escapes; names may come from strangers."""
+class TolerantConsole(Console):
+    """Console that ignores a closed stream instead of ending the process."""
 
-    def format(self, record: logging.LogRecord) -> str:
-        """Return the record as a line; several lines stay several."""
-        return printable(super().format(record))
+    def on_broken_pipe(self) -> None:
+        """Continue without output."""
 
 
 class StatusLine(logging.Handler):
-    """Writes the package's log as lines, and on a terminal the state of the work below them.
+    """Logging handler that prints records, and on a terminal the current progress below them.
 
-    Lines of progress are written where all details are asked for; else the status line alone shows
-    progress, and what is no terminal gets none.
+    Records of the progress logger update the status line; they are printed only if `verbose`.
 
     Args:
         stream: usually stderr.
-        verbose: write lines of progress, too.
-        quiet: write errors alone.
-        live: draw the status line; by default where the stream is a terminal.
+        verbose: also print progress records.
+        quiet: print errors only, without a status line.
+        live: show the status line; by default if the stream is a terminal.
     """
 
     def __init__(
@@ -44,96 +43,71 @@ class StatusLine(logging.Handler):
         live: bool | None = None,
     ) -> None:
         super().__init__(logging.DEBUG)
-        self.setFormatter(PrintableFormatter("%(message)s"))
         self._stream, self._verbose, self._quiet = stream, verbose, quiet
-        self._live = (stream.isatty() if live is None else live) and not quiet
         self._facts: dict[str, Any] = {}
-        self._since = time.monotonic()
-        self._drawn = False
-        self._ended = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._step_start = time.monotonic()
+        self._console = TolerantConsole(file=stream, force_terminal=live, soft_wrap=True)
+        self._live = Live(
+            console=self._console,
+            get_renderable=lambda: Text(printable(self.text()), no_wrap=True, overflow="ellipsis"),
+            transient=True,
+            refresh_per_second=REFRESHES_PER_SECOND,
+            redirect_stdout=False,
+            redirect_stderr=False,
+        )
 
     def __enter__(self) -> "StatusLine":
-        """Begin to draw."""
-        if self._live:
-            self._thread = threading.Thread(target=self._redraw, daemon=True, name="status-line")
-            self._thread.start()
+        """Show the status line."""
+        if self._console.is_terminal and not self._quiet:
+            self._live.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Take the status line away."""
-        self._ended.set()
-        if self._thread is not None:
-            self._thread.join()
-        with self.lock or threading.RLock():
-            self._clear()
-            self._facts.clear()
+    def __exit__(self, *_: object) -> None:
+        """Remove the status line."""
+        with suppress(OSError, ValueError):
+            self._live.stop()
+        self._facts.clear()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a line, or change the facts."""
+        """Print a record, or update the status line from it."""
         facts = getattr(record, "facts", None)
         if facts is not None:
-            self._enter(facts)
-        if not self._shows(record):
-            return
-        try:
-            self._clear()
-            self._stream.write(self.format(record) + "\n")
-            self._stream.flush()
-        except (OSError, ValueError):
-            return  # Who reads has gone away; the work goes on.
+            if facts.get("step", self._facts.get("step")) != self._facts.get("step"):
+                self._step_start = time.monotonic()
+                for name in ("done", "of", "unit", "rate", "left_s"):
+                    self._facts.pop(name, None)
+            self._facts.update(facts)
+        if self._shows(record):
+            text = printable(self.format(record))
+            with suppress(OSError, ValueError):  # The reader of the stream may be gone.
+                if self._live.is_started:
+                    self._console.print(Text(text))
+                else:
+                    self._stream.write(text + "\n")
+                    self._stream.flush()
 
     def text(self) -> str:
         """Return the status line."""
-        f = self._facts
-        if not f.get("step"):
+        facts = self._facts
+        if not facts.get("step"):
             return ""
-        said = [f"{f['step']} {time.monotonic() - self._since:.0f} s"]
-        if f.get("of"):
-            said.append(f"{f.get('unit', 'part')} {f.get('done', 0)} of {f['of']}")
-        if f.get("rate"):
-            said.append(f"{f['rate']:.0f} candidates/s")
-        if f.get("left_s") is not None:
-            said.append(f"about {f['left_s']:.0f} s left")
-        if f.get("calls"):
-            cost = f.get("cost_usd")
-            said.append(f"{f['calls']} calls" + (f", {cost:.2f} USD" if cost else ""))
-        said.append(f"waits for {f['unanswered']} answers" if f.get("unanswered") else "computes")
-        return " · ".join(said)
+        parts = [f"{facts['step']} {time.monotonic() - self._step_start:.0f} s"]
+        if facts.get("of"):
+            parts.append(f"{facts.get('unit', 'part')} {facts.get('done', 0)} of {facts['of']}")
+        if facts.get("rate"):
+            parts.append(f"{facts['rate']:.0f} candidates/s")
+        if facts.get("left_s") is not None:
+            parts.append(f"about {facts['left_s']:.0f} s left")
+        if facts.get("calls"):
+            cost = facts.get("cost_usd")
+            parts.append(f"{facts['calls']} calls" + (f", {cost:.2f} USD" if cost else ""))
+        waiting = facts.get("unanswered")
+        parts.append(f"waiting for {waiting} responses" if waiting else "computing")
+        return " · ".join(parts)
 
     def _shows(self, record: logging.LogRecord) -> bool:
         if self._quiet:
             return record.levelno >= logging.ERROR
-        if record.name == LOGGER:
-            return self._verbose and record.levelno >= logging.INFO
+        if record.name == LOGGER and not self._verbose:
+            return False
         return record.levelno >= logging.INFO
-
-    def _enter(self, facts: dict[str, Any]) -> None:
-        if "step" in facts and facts["step"] != self._facts.get("step"):
-            self._since = time.monotonic()
-            for name in ("done", "of", "unit", "rate", "left_s"):
-                self._facts.pop(name, None)
-        self._facts.update(facts)
-
-    def _redraw(self) -> None:
-        while not self._ended.wait(REFRESH_S):
-            with self.lock or threading.RLock():
-                width = shutil.get_terminal_size().columns - 1
-                text = printable(self.text())[:width]
-                try:
-                    self._stream.write(_CLEAR + text)
-                    self._stream.flush()
-                except (OSError, ValueError):
-                    return
-                self._drawn = bool(text)
-
-    def _clear(self) -> None:
-        if self._drawn:
-            self._stream.write(_CLEAR)
-            self._stream.flush()
-            self._drawn = False
