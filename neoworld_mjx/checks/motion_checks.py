@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -246,19 +247,11 @@ def _overshoot(simulation: Simulation, trajectory: Trajectory, name: str) -> Che
     return _check(trajectory, name, value, limit, joint=joint, time=time)
 
 
-def _check(
-    trajectory: Trajectory,
-    name: str,
-    value: float,
-    limit: Limit,
-    *,
-    part: str | None = None,
-    joint: str | None = None,
-    time: float | None = None,
-) -> Check:
+def _check(trajectory: Trajectory, name: str, value: float, limit: Limit, **context: Any) -> Check:
     """Compare a value of a run with its limit; the run is the evidence."""
-    kind, run = trajectory.scenario.kind, f"run {trajectory.scenario.name}"
-    return judged(kind, name, float(value), limit, part=part, joint=joint, time=time, evidence=run)
+    scenario = trajectory.scenario
+    evidence = f"run {scenario.name}"
+    return judged(scenario.kind, name, float(value), limit, evidence=evidence, **context)
 
 
 def _largest(trajectory: Trajectory, name: str, values: NDArray, limit: Limit) -> Check:

@@ -1,8 +1,8 @@
 """Scenarios of an object: falls, pushes, releases, drives and a slope.
 
 A scenario states the initial state of the object and the forces on it over time; `Simulation.run`
-runs all scenarios of an object in one batch. `PRESETS` names the paper's two standard scenarios
-(Section 3.2, Step 3).
+runs all scenarios of an object in one batch. The paper's two standard scenarios (Section 3.2, Step
+3) are the fall named "fall" and the pushes.
 """
 
 from dataclasses import dataclass, field, replace
@@ -27,11 +27,6 @@ DIRECTIONS = {
     "+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1),
     "-z": (0, 0, -1),
 }  # fmt: skip
-PRESETS: dict[str, tuple[str, ...]] = {
-    "free_fall": ("fall",),
-    "force_perturbation": tuple(f"push:*:{name}" for name in (*DIRECTIONS, "twist")),
-}
-"""The paper's standard scenarios: names of the scenarios that each consists of; * is any part."""
 
 
 @dataclass(frozen=True)

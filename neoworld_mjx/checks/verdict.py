@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import AliasChoices, ConfigDict, Field
@@ -25,64 +25,60 @@ ScenarioKind = Literal[
 class Fault(StrEnum):
     """Faults that the object tests report, likely causes before symptoms."""
 
-    COLLIDER_LARGE = "collider_large"
-    COLLIDER_MISSING = "collider_missing"
-    INERTIA_IMPOSSIBLE = "inertia_impossible"
-    MASS_IMPLAUSIBLE = "mass_implausible"
-    JOINT_TYPE = "joint_type"
-    AXIS_REVERSED = "axis_reversed"
-    PART_DETACHED = "part_detached"
-    PARTS_OVERLAP = "parts_overlap"
-    PIVOT_OFF = "pivot_off"
-    JOINT_INTO_PART = "joint_into_part"
-    LIMIT_INTO_PART = "limit_into_part"
-    RANGE_CONFLICT = "range_conflict"
-    LIMITS_NARROW = "limits_narrow"
-    OFF_BALANCE = "off_balance"
-    FRICTION_IMPLAUSIBLE = "friction_implausible"
-    JOINT_UNDAMPED = "joint_undamped"
-    JOINT_STUCK = "joint_stuck"
-    JOINT_MOVES_ITSELF = "joint_moves_itself"
-    LIMIT_SOFT = "limit_soft"
-    DIVERGES = "diverges"
-    GAINS_ENERGY = "gains_energy"
-    SINKS_IN = "sinks_in"
-    TOPPLES = "topples"
-    DRIFTS = "drifts"
-    RESTLESS = "restless"
+    hint: str
+    """How to remedy it."""
+
+    def __new__(cls, value: str, hint: str) -> "Fault":
+        """Create a fault from its name and hint."""
+        fault = str.__new__(cls, value)
+        fault._value_, fault.hint = value, hint
+        return fault
+
+    COLLIDER_LARGE = "collider_large", "shrink the colliders to the visible shape"
+    COLLIDER_MISSING = "collider_missing", "add colliders that cover the visible shape"
+    INERTIA_IMPOSSIBLE = "inertia_impossible", "recompute the inertia from volume and density"
+    MASS_IMPLAUSIBLE = (
+        "mass_implausible",
+        "derive the mass from volume and density, or make the part hollow",
+    )
+    JOINT_TYPE = "joint_type", "give the joint its declared type"
+    AXIS_REVERSED = "axis_reversed", "reverse the axis: positive values open the joint"
+    PART_DETACHED = "part_detached", "move the part until it touches the parent of its joint"
+    PARTS_OVERLAP = "parts_overlap", "move the parts apart, or shrink their colliders"
+    PIVOT_OFF = "pivot_off", "move the pivot to the edge that the two parts share"
+    JOINT_INTO_PART = (
+        "joint_into_part",
+        "check the axis and its sign: the joint collides right away",
+    )
+    LIMIT_INTO_PART = "limit_into_part", "reduce the limits to the collision-free range"
+    RANGE_CONFLICT = "range_conflict", "leave clearance for several joints that are open at once"
+    LIMITS_NARROW = "limits_narrow", "widen the limits to the real object's range"
+    OFF_BALANCE = "off_balance", "move the centre of mass over the base, or widen the base"
+    FRICTION_IMPLAUSIBLE = (
+        "friction_implausible",
+        "give the surface the friction of its material, 0.1 to 1.2",
+    )
+    JOINT_UNDAMPED = "joint_undamped", "give the joint damping or dry friction"
+    JOINT_STUCK = "joint_stuck", "reduce friction, damping or stiffness, or clear the joint's path"
+    JOINT_MOVES_ITSELF = (
+        "joint_moves_itself",
+        "leave clearance around the colliders that push the joint",
+    )
+    LIMIT_SOFT = "limit_soft", "reduce mass or speed, or widen the limits"
+    DIVERGES = "diverges", "check masses, inertias and overlapping colliders"
+    GAINS_ENERGY = (
+        "gains_energy",
+        "look for overlapping colliders or joints that work against each other",
+    )
+    SINKS_IN = "sinks_in", "check mass and colliders"
+    TOPPLES = "topples", "lower the centre of mass or widen the base"
+    DRIFTS = "drifts", "widen or flatten the base"
+    RESTLESS = "restless", "add damping; look for colliders that push against each other"
 
 
 BORDERLINE = 0.8
 """Share of the distance from the best value to the threshold beyond which a passing value is
 borderline: a different time step or processor, or a small added load, changes it by about 20 %."""
-
-HINTS: dict[Fault, str] = {
-    Fault.INERTIA_IMPOSSIBLE: "recompute the inertia from volume and density",
-    Fault.MASS_IMPLAUSIBLE: "derive the mass from volume and density, or make the part hollow",
-    Fault.JOINT_TYPE: "give the joint its declared type",
-    Fault.AXIS_REVERSED: "reverse the axis: positive values open the joint",
-    Fault.COLLIDER_MISSING: "add colliders that cover the visible shape",
-    Fault.COLLIDER_LARGE: "shrink the colliders to the visible shape",
-    Fault.PART_DETACHED: "move the part until it touches the parent of its joint",
-    Fault.PARTS_OVERLAP: "move the parts apart, or shrink their colliders",
-    Fault.PIVOT_OFF: "move the pivot to the edge that the two parts share",
-    Fault.JOINT_INTO_PART: "check the axis and its sign: the joint collides right away",
-    Fault.LIMIT_INTO_PART: "reduce the limits to the collision-free range",
-    Fault.RANGE_CONFLICT: "leave clearance for several joints that are open at once",
-    Fault.LIMITS_NARROW: "widen the limits to the real object's range",
-    Fault.OFF_BALANCE: "move the centre of mass over the base, or widen the base",
-    Fault.FRICTION_IMPLAUSIBLE: "give the surface the friction of its material, 0.1 to 1.2",
-    Fault.JOINT_UNDAMPED: "give the joint damping or dry friction",
-    Fault.JOINT_STUCK: "reduce friction, damping or stiffness, or clear the joint's path",
-    Fault.JOINT_MOVES_ITSELF: "leave clearance around the colliders that push the joint",
-    Fault.LIMIT_SOFT: "reduce mass or speed, or widen the limits",
-    Fault.DIVERGES: "check masses, inertias and overlapping colliders",
-    Fault.GAINS_ENERGY: "look for overlapping colliders or joints that work against each other",
-    Fault.SINKS_IN: "check mass and colliders",
-    Fault.TOPPLES: "lower the centre of mass or widen the base",
-    Fault.DRIFTS: "widen or flatten the base",
-    Fault.RESTLESS: "add damping; look for colliders that push against each other",
-}
 
 
 class Check(Spec):
@@ -192,41 +188,32 @@ class Limit:
         return bool(distance) and (value - best) / distance >= BORDERLINE
 
 
-def judged(
-    scenario: ScenarioKind,
-    name: str,
-    value: float,
-    limit: Limit,
-    *,
-    part: str | None = None,
-    joint: str | None = None,
-    time: float | None = None,
-    at: float | None = None,
-    evidence: str = "",
-) -> Check:
+def judged(scenario: ScenarioKind, name: str, value: float, limit: Limit, **context: Any) -> Check:
     """Compare a value with its limit; a value that is not finite fails.
 
-    Only failed and borderline checks keep the time, position and evidence.
+    Args:
+        scenario: scenario of the check.
+        name: name of the check.
+        value: the measured value.
+        limit: the threshold and its fault.
+        context: further fields of `Check`; only failed and borderline checks keep `time`, `at` and
+            `evidence`.
     """
     finite = bool(np.isfinite(value))
-    good = finite and (value >= limit.threshold if limit.least else value <= limit.threshold)
-    borderline = good and limit.is_borderline(value)
-    detailed = borderline or not good
+    passed = finite and (value >= limit.threshold if limit.least else value <= limit.threshold)
+    borderline = passed and limit.is_borderline(value)
+    details = ("time", "at", "evidence") if passed and not borderline else ()
     return Check(
         scenario=scenario,
         name=name,
-        outcome="PASS" if good else "FAIL",
+        outcome="PASS" if passed else "FAIL",
         borderline=borderline,
-        fault=None if good else limit.fault,
+        fault=None if passed else limit.fault,
         value=float(value) if finite else None,
         threshold=limit.threshold,
         unit=limit.unit,
-        part=part,
-        joint=joint,
-        time=float(time) if detailed and time is not None else None,
-        at=float(at) if detailed and at is not None else None,
-        evidence=evidence if detailed else "",
-        hint="" if good else HINTS[limit.fault],
+        hint="" if passed else limit.fault.hint,
+        **{key: field for key, field in context.items() if key not in details},
     )
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from ..checks.allowance import Allowance
 from ..checks.object_tests import VERSION
-from ..checks.verdict import Check, Verdict
+from ..checks.signals import has_errors
 from ..config import Config, ProgramOptions
 from ..errors import SpecError
 from ..export import export_object
@@ -14,7 +14,7 @@ from ..export.importing import Imported
 from ..export.importing_scene import ImportedScene, import_file
 from ..io import read_model
 from ..spec import ObjectSpec
-from .patch import overlay_path, read_overlay, write_overlay
+from .patch import Patch, overlay_path, read_overlay, write_overlay
 from .patched import build_patched
 from .verification import VerificationResult, verify_and_repair
 
@@ -23,7 +23,7 @@ def import_object(path: Path) -> Imported:
     """Read a URDF, MJCF or USD file with one object.
 
     Raises:
-        SpecError: the file is of no such kind, holds several objects, is broken, or exceeds the
+        SpecError: the file has another format, holds several objects, is malformed, or exceeds the
             limits on size.
     """
     imported = import_file(path)
@@ -37,7 +37,7 @@ def object_of_file(path: Path, options: ProgramOptions) -> ObjectSpec:
     """Read the object of a program (.py), spec.json, URDF, MJCF or USD.
 
     Raises:
-        SpecError: the file cannot be read, or gives no object.
+        SpecError: the file cannot be read, or it builds no object.
     """
     if path.suffix == ".json":
         return read_model(path, ObjectSpec, SpecError, "an object")
@@ -59,14 +59,14 @@ def check_object(
     repair: bool = False,
     out: Path | None = None,
 ) -> dict[str, Any]:
-    """Run the battery on the object of a file, and repair it on request.
+    """Run the object tests on the object of a file, and repair it on request.
 
     Args:
         path: a program (.py), URDF, MJCF or USD.
-        config: options of programs and of the battery.
-        imported: what the file holds, where it has been read.
-        fixed_base: whether the base is fixed.
-        repair: whether to try direct repairs; the patch of a program is written beside it.
+        config: options of programs and of the object tests.
+        imported: content of the file, if it has been read already.
+        fixed_base: True if the base is fixed.
+        repair: True to try direct repairs; the patch of a program is written next to it.
         out: folder for the repaired object in every format; None writes none.
 
     Returns:
@@ -78,48 +78,53 @@ def check_object(
     """
     if out is not None and not repair:
         raise SpecError("--out writes the repaired object: give --repair with it")
-    answer: dict[str, Any] = {"target": str(path)}
-    spec: ObjectSpec
+    output: dict[str, Any] = {"target": str(path)}
     allowed: tuple[Allowance, ...] = ()
-    if path.suffix == ".py":
+    is_program, failed = path.suffix == ".py", False
+    if is_program:
         patched = build_patched(path, config.program)
         built = patched.built
-        signals = [{"code": s.code, **s.model_dump(exclude_defaults=True)} for s in built.signals]
-        answer["signals"] = signals
+        failed = has_errors(built.signals)
+        output["signals"] = [
+            {"code": s.code, **s.model_dump(exclude_defaults=True)} for s in built.signals
+        ]
         if built.printed:
-            answer["printed"] = built.printed
+            output["printed"] = built.printed
         if built.spec is None:
-            return {**answer, "passed": False, "checks": []}
-        spec = built.spec
-        allowed = built.allowances
+            return {**output, "passed": False, "checks": []}
+        spec, allowed = built.spec, built.allowances
         if patched.patch is not None:
-            answer["overlay"] = {"file": str(overlay_path(path)), "stale": list(patched.stale)}
+            output["overlay"] = {"file": str(overlay_path(path)), "stale": list(patched.stale)}
     else:
         imported = imported or import_object(path)
-        spec, answer["notes"] = imported.spec, list(imported.notes)
+        spec, output["notes"] = imported.spec, list(imported.notes)
     start = time.perf_counter()
     options = config.verify if repair else config.verify.model_copy(update={"rounds": 0})
     result = verify_and_repair(spec, options, fixed_base=fixed_base, allowed=allowed)
-    answer |= report(result)
-    answer["seconds"] = round(time.perf_counter() - start, 3)
-    if path.suffix == ".py" and any(s.get("severity") == "error" for s in answer["signals"]):
+    output |= _report(result)
+    output["seconds"] = round(time.perf_counter() - start, 3)
+    if failed and result.patch.empty:
         # Errors of the compile checks count as well, unless a patch repaired the object.
-        answer["passed"] = answer["passed"] and not result.patch.empty
+        output["passed"] = False
     if repair and not result.patch.empty:
-        if path.suffix == ".py":
-            earlier = read_overlay(path)
-            patch = result.patch if earlier is None else earlier.joined(result.patch)
-            answer["patch"] = str(write_overlay(path, patch))
+        if is_program:
+            patch = (read_overlay(path) or Patch()).joined(result.patch)
+            output["patch"] = str(write_overlay(path, patch))
         if out is not None:
             export_object(result.applied(spec), out)
-            answer["folder"] = str(out)
-    return answer
+            output["folder"] = str(out)
+    return output
 
 
-def report(result: VerificationResult) -> dict[str, Any]:
+def _report(result: VerificationResult) -> dict[str, Any]:
     """Return a result as a JSON object: verdict, counts, checks with the worst first, repairs."""
     verdict = result.verdict
-    answer: dict[str, Any] = {
+    outcomes = [check.outcome for check in verdict.checks]
+    order = ("FAIL", "TOOL_FAILURE", "PASS", "SKIP")
+    worst_first = sorted(
+        verdict.checks, key=lambda check: (order.index(check.outcome), not check.borderline)
+    )
+    report: dict[str, Any] = {
         "object": verdict.object,
         "passed": verdict.passed,
         **({} if verdict.cause is None else {"cause": verdict.cause}),
@@ -127,27 +132,14 @@ def report(result: VerificationResult) -> dict[str, Any]:
         "score": round(verdict.score, 3),
         "mass_kg": verdict.mass_kg,
         "battery": VERSION,
-        "counts": counts(verdict),
-        "checks": [c.model_dump(mode="json", exclude_defaults=True) for c in _worst_first(verdict)],
+        "counts": {name: outcomes.count(name) for name in ("PASS", "FAIL", "SKIP", "TOOL_FAILURE")}
+        | {"doubtful": len(verdict.borderline)},
+        "checks": [check.model_dump(mode="json", exclude_defaults=True) for check in worst_first],
     }
     if result.tried:
-        before = result.before or verdict
-        answer["repair"] = {
-            "before": list(before.faults),
+        report["repair"] = {
+            "before": list((result.before or verdict).faults),
             "changes": list(result.changes),
             "tried": list(result.tried),
         }
-    return answer
-
-
-def _worst_first(verdict: Verdict) -> list[Check]:
-    order = ("FAIL", "TOOL_FAILURE", "PASS", "SKIP")
-    place = lambda check: (order.index(check.outcome), not check.borderline)
-    return sorted(verdict.checks, key=place)
-
-
-def counts(verdict: Verdict) -> dict[str, int]:
-    """Return the number of checks with each outcome, and of doubtful ones that passed."""
-    outcomes = [check.outcome for check in verdict.checks]
-    number = {name: outcomes.count(name) for name in ("PASS", "FAIL", "SKIP", "TOOL_FAILURE")}
-    return number | {"doubtful": len(verdict.borderline)}
+    return report

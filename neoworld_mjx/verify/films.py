@@ -1,4 +1,4 @@
-"""Films of the paper's two standard scenarios, as GIFs for people."""
+"""GIFs of the paper's two standard scenarios."""
 
 import numpy as np
 
@@ -14,10 +14,10 @@ FRAMES = 16
 
 
 def films(tests: ObjectTests) -> dict[str, bytes]:
-    """Return a GIF of each standard scenario that an object was simulated in, by its name.
+    """Return a GIF of each standard scenario of an object, by the scenario's name.
 
-    They run at the speed of the simulation, in flat colours, and without end. An object with a
-    fixed base is filmed while a joint is driven; without joints there is nothing to film.
+    The GIFs loop, at the speed of the simulation and in flat colours. For an object with a fixed
+    base, a joint is driven; without joints there is no GIF.
     """
     return {kind: _film(tests, run) for kind, run in standard_runs(tests).items()}
 

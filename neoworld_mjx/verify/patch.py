@@ -2,23 +2,25 @@
 
 A patch edits masses and inertias, joint limits, damping and friction, origins, and collision
 geometry. It cannot express parts, joints, axes, types, or visual geometry. The patch of a program
-is a file beside it, applied to the object that the program makes, so it survives a rebuild.
+is a file next to it and is applied to the object that the program builds, so it survives a rebuild.
 """
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from ..errors import SpecError
 from ..io import read_model
-from ..io.files import write_atomic
+from ..io.files import write_output
 from ..io.validation_message import validation_message
-from ..spec import AuthoredInertia, GeomSpec, JointSpec, Name, ObjectSpec, PartSpec, Vec3
+from ..spec import AuthoredInertia, GeomSpec, JointSpec, Name, ObjectSpec, PartSpec, Site, Vec3
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, le=1e6)]
+Placed = TypeVar("Placed", AuthoredInertia, GeomSpec, Site)
 SUFFIX = ".patch.json"
 
 
@@ -73,7 +75,7 @@ class Patch(Edit):
 
     @property
     def empty(self) -> bool:
-        """Whether it changes nothing."""
+        """True if it changes nothing."""
         return not (self.parts or self.joints or self.geoms)
 
     def joined(self, other: "Patch") -> "Patch":
@@ -89,16 +91,17 @@ class Patch(Edit):
         return Patch.model_validate(merged)
 
     def changes(self) -> tuple[str, ...]:
-        """Describe each change in words."""
-        changes = []
-        for kind in ("parts", "joints", "geoms"):
-            for name, edit in getattr(self, kind).items():
-                for key, value in edit.model_dump(exclude_none=True, exclude_defaults=True).items():
-                    changes.append(f"{kind[:-1]} {name}: {key} = {_short(value)}")
-        return tuple(changes)
+        """Return a description of each change."""
+        edits = self.model_dump(exclude_none=True, exclude_defaults=True)
+        return tuple(
+            f"{kind[:-1]} {name}: {key} = {_short(value)}"
+            for kind in ("parts", "joints", "geoms")
+            for name, edit in edits.get(kind, {}).items()
+            for key, value in edit.items()
+        )
 
     def to_json(self) -> str:
-        """Return the JSON of the fields that it sets."""
+        """Return the fields that it sets as JSON."""
         return self.model_dump_json(indent=1, exclude_none=True, exclude_defaults=True) + "\n"
 
 
@@ -107,30 +110,37 @@ def apply(patch: Patch, spec: ObjectSpec) -> tuple[ObjectSpec, tuple[str, ...]]:
 
     Returns:
         The object, and the names of parts, joints and geoms that the patch edits but the object
-        lacks, such as after a change of its program.
+        lacks, for instance after a change of its program.
 
     Raises:
-        SpecError: the edits leave no valid object.
+        SpecError: the patched object is invalid.
     """
-    stale = [f"part {n}" for n in patch.parts if n not in {p.name for p in spec.parts}]
-    stale += [f"joint {n}" for n in patch.joints if n not in {j.name for j in spec.joints}]
-    known = {g.name for p in spec.parts for g in p.geoms}
-    stale += [f"geom {n}" for n in patch.geoms if n not in known]
-    shifts = _shifts(patch, spec)
-    parts = tuple(_part(part, patch, shifts[part.name]) for part in spec.parts)
-    joints = tuple(_joint(joint, patch, shifts) for joint in spec.joints)
-    sites = tuple(
-        s.model_copy(update={"pos": tuple(np.add(s.pos, shifts[s.part]).tolist())})
-        for s in spec.sites
-    )
+    geoms = [geom for part in spec.parts for geom in part.geoms]
+    stale = [
+        f"{kind} {name}"
+        for kind, edits, items in (
+            ("part", patch.parts, spec.parts),
+            ("joint", patch.joints, spec.joints),
+            ("geom", patch.geoms, geoms),
+        )
+        for name in edits
+        if name not in {item.name for item in items}
+    ]
+    # The shift of a part moves all parts below it.
+    shifts: dict[str, NDArray] = {}
+    for part, joint in spec.ordered:
+        above = np.zeros(3) if joint is None else shifts[joint.parent]
+        edit = patch.parts.get(part.name, PartEdit())
+        shifts[part.name] = above + np.array(edit.shift or (0.0, 0.0, 0.0))
+    joints = [_joint(joint, patch, shifts[joint.parent]) for joint in spec.joints]
     try:
         patched = ObjectSpec(
             name=spec.name,
             label=spec.label,
             materials=spec.materials,
-            parts=parts,
-            joints=tuple(JointSpec.model_validate(j.model_dump()) for j in joints),
-            sites=sites,
+            parts=tuple(_part(part, patch, shifts[part.name]) for part in spec.parts),
+            joints=tuple(JointSpec.model_validate(joint.model_dump()) for joint in joints),
+            sites=tuple(_translated(site, shifts[site.part]) for site in spec.sites),
         )
     except ValidationError as error:
         raise SpecError(
@@ -139,18 +149,14 @@ def apply(patch: Patch, spec: ObjectSpec) -> tuple[ObjectSpec, tuple[str, ...]]:
     return patched, tuple(stale)
 
 
-def _shifts(patch: Patch, spec: ObjectSpec) -> dict[str, np.ndarray]:
-    """Return the translation [3] m of each part: its own, plus that of its parent."""
-    shifts: dict[str, np.ndarray] = {}
-    for part, joint in spec.ordered:
-        above = np.zeros(3) if joint is None else shifts[joint.parent]
-        edit = patch.parts.get(part.name)
-        own = (0.0, 0.0, 0.0) if edit is None or edit.shift is None else edit.shift
-        shifts[part.name] = above + np.array(own)
-    return shifts
+def _translated(item: Placed, shift: NDArray) -> Placed:
+    """Return a geom, site or inertia with its position translated by `shift` [3] m."""
+    if not np.any(shift):
+        return item
+    return item.model_copy(update={"pos": tuple(np.add(item.pos, shift).tolist())})
 
 
-def _part(part: PartSpec, patch: Patch, shift: np.ndarray) -> PartSpec:
+def _part(part: PartSpec, patch: Patch, shift: NDArray) -> PartSpec:
     edit = patch.parts.get(part.name, PartEdit())
     mass, inertia = part.mass, part.inertia
     if edit.mass is not None:
@@ -158,47 +164,37 @@ def _part(part: PartSpec, patch: Patch, shift: np.ndarray) -> PartSpec:
         inertia = None
     if edit.inertia is not None:
         inertia = None if edit.inertia == "derived" else edit.inertia
-    if inertia is not None and np.any(shift):
-        inertia = inertia.model_copy(update={"pos": tuple(np.add(inertia.pos, shift).tolist())})
-    geoms = [geom for old in part.geoms for geom in _geom(old, part, patch)]
-    if np.any(shift):
-        geoms = [g.model_copy(update={"pos": tuple(np.add(g.pos, shift).tolist())}) for g in geoms]
+    if inertia is not None:
+        inertia = _translated(inertia, shift)
+    geoms = [_translated(geom, shift) for old in part.geoms for geom in _geom(old, part, patch)]
     return part.model_copy(update={"geoms": tuple(geoms), "mass": mass, "inertia": inertia})
 
 
 def _geom(geom: GeomSpec, part: PartSpec, patch: Patch) -> list[GeomSpec]:
-    edit = patch.geoms.get(geom.name)
+    edit = patch.geoms.get(geom.name, GeomEdit())
     visual_collides = any(
-        g.name in patch.geoms and patch.geoms[g.name].as_seen and g.role != "collision"
-        for g in part.geoms
+        g.role != "collision" and patch.geoms.get(g.name, GeomEdit()).as_seen for g in part.geoms
     )
     if visual_collides and geom.role == "collision":
         return []  # The visible shape collides in its place.
-    if edit is None:
-        return [geom]
     if edit.as_seen and geom.role != "collision":
         return [geom.model_copy(update={"role": "both"})]
-    if edit.shrink is not None and geom.role != "visual":
-        small = geom.model_copy(
-            update={"shape": geom.shape.scaled(edit.shrink), "role": "collision"}
-        )
-        if geom.role == "collision":
-            return [small]
-        name = f"{geom.name[:40]}_shrunk"
-        return [geom.model_copy(update={"role": "visual"}), small.model_copy(update={"name": name})]
-    return [geom]
+    if edit.shrink is None or geom.role == "visual":
+        return [geom]
+    shrunk = {"shape": geom.shape.scaled(edit.shrink), "role": "collision"}
+    if geom.role == "collision":
+        return [geom.model_copy(update=shrunk)]
+    collider = geom.model_copy(update={**shrunk, "name": f"{geom.name[:40]}_shrunk"})
+    return [geom.model_copy(update={"role": "visual"}), collider]
 
 
-def _joint(joint: JointSpec, patch: Patch, shifts: dict[str, np.ndarray]) -> JointSpec:
+def _joint(joint: JointSpec, patch: Patch, shift: NDArray) -> JointSpec:
     edit = patch.joints.get(joint.name, JointEdit())
-    update = edit.model_dump(include={"lower", "upper", "damping", "friction"}, exclude_none=True)
-    if joint.type not in ("revolute", "prismatic"):
-        # Only the upper limit of a ball can change; the other types have no range.
-        update = {k: v for k, v in update.items() if k != "lower"}
-        if joint.type != "ball":
-            update.pop("upper", None)
-    pos = joint.pos if edit.origin is None else edit.origin
-    update["pos"] = tuple(np.add(pos, shifts[joint.parent]).tolist())
+    # Only the upper limit of a ball can change; continuous and fixed joints have no range.
+    limits = {"revolute": {"lower", "upper"}, "prismatic": {"lower", "upper"}, "ball": {"upper"}}
+    fields = {"damping", "friction", *limits.get(joint.type, ())}
+    update = edit.model_dump(include=fields, exclude_none=True)
+    update["pos"] = tuple(np.add(edit.origin or joint.pos, shift).tolist())
     return joint.model_copy(update=update)
 
 
@@ -208,26 +204,23 @@ def overlay_path(program: Path) -> Path:
 
 
 def read_overlay(program: Path) -> Patch | None:
-    """Read the patch beside a program; None if there is none.
+    """Read the patch of a program; None if it has none.
 
     Raises:
-        SpecError: the file cannot be read, or is no patch.
+        SpecError: the file cannot be read or is not a patch.
     """
     path = overlay_path(program)
     return read_model(path, Patch, SpecError, "a patch") if path.exists() else None
 
 
 def write_overlay(program: Path, patch: Patch) -> Path:
-    """Write a patch beside its program, and return its path.
+    """Write the patch of a program, and return its path.
 
     Raises:
         SpecError: the file cannot be written.
     """
     path = overlay_path(program)
-    try:
-        write_atomic(path, patch.to_json())
-    except OSError as error:
-        raise SpecError(f"cannot write {path}: {error.strerror}") from None
+    write_output(path, patch.to_json(), SpecError)
     return path
 
 

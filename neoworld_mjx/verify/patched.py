@@ -1,4 +1,4 @@
-"""Build a program and apply the patch beside it."""
+"""Programs built with their patches."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +22,7 @@ class PatchedProgram(BuiltProgram):
 
 
 def build_patched(program: Path, options: ProgramOptions) -> PatchedProgram:
-    """Build the program in a file, and apply the patch beside it to the object.
+    """Build the program in a file, and apply its patch to the object.
 
     Args:
         program: the file.
@@ -49,6 +49,6 @@ def read_program(program: Path) -> str:
     """Return a program's text.
 
     Raises:
-        SpecError: the file cannot be read or is no text.
+        SpecError: the file cannot be read or is not text.
     """
     return read_outside_text(program, SpecError)
