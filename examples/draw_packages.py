@@ -38,7 +38,7 @@ def package_imports() -> dict[str, set[str]]:
         for path in (base / top).rglob("*.py"):
             parts = path.relative_to(base).with_suffix("").parts
             here = package_of(".".join(parts))
-            if here is None or parts[-2] == "programs":
+            if here in (None, "__init__") or parts[-2] == "programs":
                 continue
             imports[here] |= set()
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
