@@ -23,7 +23,7 @@ from typing import Any
 from beartype import BeartypeConf, beartype
 from jaxtyping import AbstractArray, jaxtyped
 
-PACKAGES = ("neoworld_mjx", "neoworld_kernels")
+PACKAGES = ("neoworld_mjx", "neoworld_kernels", "neoworld_bench")
 SETTINGS = BeartypeConf(is_pep484_tower=True)
 """An int is valid where a float is annotated, as type checkers have it."""
 
