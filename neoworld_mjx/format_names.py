@@ -1,4 +1,4 @@
-"""Names of the formats that scenes and objects are written in, and of simulators that read them."""
+"""Names of export formats and of the simulators that read them."""
 
 from typing import Literal, get_args
 
@@ -18,4 +18,4 @@ BEST: dict[Simulator, tuple[Format, ...]] = {
     "sapien": ("urdf",),
     "pinocchio": ("urdf",),
 }
-"""Formats that carry most to each simulator."""
+"""Formats that preserve most for each simulator."""

@@ -1,1 +1,1 @@
-"""Environments for robot learning, made of a run folder or a scene."""
+"""Robot-learning environments of a run folder or a scene."""

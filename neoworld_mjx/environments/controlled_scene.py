@@ -1,4 +1,4 @@
-"""A scene with actuators: what actions mean, what is observed, and where episodes start."""
+"""Scenes with actuators: actions, observed joints and initial states."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..errors import SpecError
 from ..export.write_drives import Drive, drives
+from ..export.write_mjcf import IMPRATIO
 from ..physics.gripper import CLOSED_M, OPENING_M, PREFIX, Gripper, attach_gripper
 from ..physics.layout import Layout
 from ..physics.mjcf import to_mjspec
@@ -23,66 +24,67 @@ from ..spec import SceneSpec, read_scene
 from .facing import facing
 
 FREE_TARGET = np.pi
-"""Targets of joints without limits go as far as this, both ways [rad]."""
+"""Largest target of joints without limits, in both directions [rad]."""
 REACH_M = 1.0
-"""How far from its start a gripper's target may be, along each axis [m]."""
+"""Largest distance of a gripper's target from its initial position, along each axis [m]."""
 
 
 @dataclass(frozen=True)
 class ResetNoise:
-    """Standard deviations of what every reset adds to the scene."""
+    """Standard deviations of the noise that every reset adds to the scene."""
 
     xy: float = 0.0
-    """Of every movable object's position [m]."""
+    """Position of every movable object [m]."""
     yaw: float = 0.0
-    """Of its heading [rad]."""
+    """Yaw of every movable object [rad]."""
     joints: float = 0.0
-    """Of every joint, over its range, or over a turn without one."""
+    """Value of every joint, relative to its range, or to a full turn for a joint without limits."""
 
 
 @dataclass(frozen=True)
 class ControlledScene:
-    """A scene with drives of its joints, or a gripper, or both."""
+    """A scene with drives of its joints, a gripper, or both."""
 
     scene: SceneModel
     model: mujoco.MjModel
     start: NDArray
-    """qpos of the scene as it was composed, [nq]."""
+    """qpos of the scene [nq]."""
     drives: tuple[Drive, ...]
-    """Drives in the order of actions; the gripper's seven numbers come after them."""
+    """Drives in the order of actions, before the seven numbers of the gripper."""
     gripper: Gripper | None
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the objects, in the order in which their poses are observed."""
+        """Names of the objects, in the order of observed poses."""
         return self.scene.names
 
     @cached_property
     def bodies(self) -> NDArray:
-        """Root bodies of the objects, [object]."""
+        """Root bodies of the objects [object]."""
         return np.array([self.model.body(name).id for name in self.names])
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """Names of the joints that are observed: all of the scene's but balls."""
+        """Names of the observed joints: all hinges and slides of the scene."""
         kinds = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-        every = [self.model.joint(j) for j in range(self.model.njnt)]
-        own = [j for j in every if not j.name.startswith(f"{PREFIX}-")]
-        return tuple(j.name for j in own if int(j.type[0]) in kinds)
+        joints = [self.model.joint(j) for j in range(self.model.njnt)]
+        return tuple(
+            j.name for j in joints if j.type[0] in kinds and not j.name.startswith(f"{PREFIX}-")
+        )
 
     @cached_property
     def qpos_of_joints(self) -> NDArray:
-        """Where the observed joints are in qpos, [joint]."""
+        """Indices of the observed joints in qpos [joint]."""
         return np.array([self.model.joint(n).qposadr[0] for n in self.joints], int)
 
     @cached_property
     def dof_of_joints(self) -> NDArray:
-        """Where the observed joints are in qvel, [joint]."""
+        """Indices of the observed joints in qvel [joint]."""
         return np.array([self.model.joint(n).dofadr[0] for n in self.joints], int)
 
     @cached_property
     def action_bounds(self) -> tuple[NDArray, NDArray]:
-        """Least and largest actions, [action]."""
+        """Lower and upper bounds of actions [action]."""
         ranges = [drive.range or (-FREE_TARGET, FREE_TARGET) for drive in self.drives]
         if self.gripper is not None:
             ranges += [(-REACH_M, REACH_M)] * 3 + [(-np.pi, np.pi)] * 3 + [(0.0, OPENING_M)]
@@ -91,15 +93,15 @@ class ControlledScene:
 
     @cached_property
     def hold(self) -> NDArray:
-        """The action that keeps everything where an episode without noise starts, [action]."""
+        """Action that holds the initial state of an episode without noise [action]."""
         tail = [] if self.gripper is None else [0.0] * 6 + [self.gripper.opening]
         return np.array([drive.held for drive in self.drives] + tail, np.float32)
 
     def controls(self, action: Any, xp: Any = np) -> Any:
-        """Turn an action [action], held within its bounds, into targets of the actuators [nu].
+        """Convert an action [action], clipped to its bounds, to targets of the actuators [nu].
 
         Args:
-            action: targets of the drives, then the gripper's seven numbers.
+            action: targets of the drives, then the seven numbers of the gripper.
             xp: `numpy`, or `jax.numpy` for traced arrays.
         """
         low, high = self.action_bounds
@@ -110,10 +112,10 @@ class ControlledScene:
         return xp.concatenate([a[:-1], half[None], half[None]])
 
     def reset_state(self, key: Array, noise: ResetNoise) -> Float[Array, " nq"]:
-        """Draw the qpos of an episode's start. Traceable.
+        """Sample the initial qpos of an episode. Traceable.
 
-        Objects move in their parents' frames, with what is on them, and are snapped to heights
-        as candidates of the search are; joints keep their ranges.
+        Objects move in the frames of their parents, together with the objects on them, and are
+        placed at the height of their support; joint values are clipped to their ranges.
         """
         start = jnp.asarray(self.start, jnp.float32)
         keys = jax.random.split(key, 3)
@@ -134,8 +136,8 @@ class ControlledScene:
             width = np.where(limited, high - low, 2 * np.pi)
             draw = noise.joints * width * jax.random.normal(keys[2], (len(joints),))
             moved = start[self.qpos_of_joints] + draw
-            kept = jnp.where(limited, jnp.clip(moved, low, high), moved)
-            start = start.at[self.qpos_of_joints].set(kept)
+            clipped = jnp.where(limited, jnp.clip(moved, low, high), moved)
+            start = start.at[self.qpos_of_joints].set(clipped)
         return start
 
 
@@ -150,47 +152,48 @@ def controlled_scene(
 
     Args:
         run: a run folder, a scene.json or a scene.
-        gripper: where a free gripper starts; the name of a handle, <object>-<frame>, puts it in
-            front of that; None is none.
-        drive_joints: whether joints have position actuators; by default where there is no gripper,
-            as a drawer that is held cannot be pulled.
-        mjx: whether it is for `mjx_step`.
+        gripper: initial pose of a free gripper, or the name of a handle, <object>-<frame>, that it
+            faces; None adds no gripper.
+        drive_joints: True to add position actuators to the joints; by default if there is no
+            gripper, as the actuators resist pulling.
+        mjx: True if the model is for `mjx_step`.
 
     Raises:
-        SpecError: there is no scene, no such handle, nothing to act on, or an object has the
-            gripper's name.
+        SpecError: there is no scene, no such handle, nothing to actuate, or an object has the name
+            of the gripper.
     """
     spec = run if isinstance(run, SceneSpec) else read_scene(Path(run))
-    compiled = compile_scene(spec, timestep=0.004 if mjx else 0.002)
+    timestep = 0.004 if mjx else 0.002
+    compiled = compile_scene(spec, timestep=timestep)
     if any(item.name == PREFIX for item in spec.objects):
         raise SpecError(f"scene {spec.name}: {PREFIX} is the gripper's name, not an object's")
-    model = to_mjspec(spec, timestep=0.004 if mjx else 0.002)
+    model = to_mjspec(spec, timestep=timestep)
     for key in list(model.keys):
         model.delete(key)
     if not mjx:
         model.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        model.option.impratio = 10.0
-    held = facing(spec, gripper) if isinstance(gripper, str) else gripper
-    wanted = drive_joints if drive_joints is not None else held is None
-    every = drives(spec) if wanted else ()
-    for drive in every:
-        _add(model, drive)
-    if held is not None:
-        attach_gripper(model, held, mjx=mjx)
-    if not every and held is None:
-        raise SpecError(f"scene {spec.name} has no joints to drive: give it a gripper")
+        model.option.impratio = IMPRATIO
+    hand = facing(spec, gripper) if isinstance(gripper, str) else gripper
+    driven = drive_joints if drive_joints is not None else hand is None
+    scene_drives = drives(spec) if driven else ()
+    for drive in scene_drives:
+        _add_actuator(model, drive)
+    if hand is not None:
+        attach_gripper(model, hand, mjx=mjx)
+    if not scene_drives and hand is None:
+        raise SpecError(f"scene {spec.name} has no joints to drive: add a gripper")
     mjm = model.compile()
     start = np.array(mjm.qpos0, float)
-    own = np.asarray(compiled.static.start, float)
-    start[: len(own)] = own
-    if held is not None:
+    scene_start = np.asarray(compiled.static.start, float)
+    start[: len(scene_start)] = scene_start
+    if hand is not None:
         for side in ("left", "right"):
-            start[mjm.joint(f"{PREFIX}-{side}").qposadr[0]] = held.opening / 2
-    return ControlledScene(compiled, mjm, start, every, held)
+            start[mjm.joint(f"{PREFIX}-{side}").qposadr[0]] = hand.opening / 2
+    return ControlledScene(compiled, mjm, start, scene_drives, hand)
 
 
-def _add(model: mujoco.MjSpec, drive: Drive) -> None:
-    added = model.add_actuator(
+def _add_actuator(model: mujoco.MjSpec, drive: Drive) -> None:
+    actuator = model.add_actuator(
         name=drive.name,
         trntype=mujoco.mjtTrn.mjTRN_JOINT,
         target=drive.joint,
@@ -198,7 +201,7 @@ def _add(model: mujoco.MjSpec, drive: Drive) -> None:
         if drive.axis
         else [1.0] + [0.0] * 5,
     )
-    added.set_to_position(kp=drive.stiffness, kv=drive.damping)
+    actuator.set_to_position(kp=drive.stiffness, kv=drive.damping)
     if drive.effort is not None:
-        added.forcelimited = 1
-        added.forcerange = [-drive.effort, drive.effort]
+        actuator.forcelimited = 1
+        actuator.forcerange = [-drive.effort, drive.effort]

@@ -1,4 +1,4 @@
-"""Where a gripper starts that is to take a handle: in front of it, fingers across it."""
+"""Initial poses of a gripper in front of a handle, with the fingers across it."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from ..spec import SceneObject, SceneSpec, link_poses, world_poses
 from ..spec.pose import from_matrix, rotate
 
 AWAY_M = 0.10
-"""How far in front of a handle a gripper starts [m]."""
+"""Initial distance of a gripper from a handle [m]."""
 
 
 def handles(scene: SceneSpec) -> dict[str, tuple[SceneObject, Frame]]:
@@ -24,18 +24,18 @@ def handles(scene: SceneSpec) -> dict[str, tuple[SceneObject, Frame]]:
 
 
 def facing(scene: SceneSpec, name: str) -> Gripper:
-    """Return a gripper in front of a handle, that approaches against the way it opens.
+    """Return a gripper in front of a handle, pointing opposite to its opening direction.
 
     Raises:
-        SpecError: there is no such handle.
+        SpecError: the scene has no handle of that name.
     """
-    every = handles(scene)
-    if name not in every:
-        raise SpecError(f"scene {scene.name}: handle: {choices(name, sorted(every))}")
-    item, frame = every[name]
+    by_name = handles(scene)
+    if name not in by_name:
+        raise SpecError(f"scene {scene.name}: handle: {choices(name, sorted(by_name))}")
+    item, frame = by_name[name]
     assert frame.joint is not None and frame.half is not None
-    at = world_poses(scene)[item.name].then(link_poses(item.spec, item.joint_state)[frame.part])
-    point = at.apply(frame.pos)
+    world = world_poses(scene)[item.name].then(link_poses(item.spec, item.joint_state)[frame.part])
+    point = world.apply(frame.pos)
     joint = item.spec.joint(frame.joint)
     opens = np.array(joint.axis)
     if joint.type != "prismatic":
@@ -44,16 +44,16 @@ def facing(scene: SceneSpec, name: str) -> Gripper:
             opens = np.array(joint.axis)
     opens = opens / np.linalg.norm(opens)
     across = _across(opens, np.array(frame.half))
-    turn = np.column_stack([np.cross(across, -opens), across, -opens])
-    world = np.column_stack([rotate(at.quat, column) for column in turn.T])
-    start = point + AWAY_M * rotate(at.quat, opens)
+    local_axes = np.column_stack([np.cross(across, -opens), across, -opens])
+    axes = np.column_stack([rotate(world.quat, column) for column in local_axes.T])
+    start = point + AWAY_M * rotate(world.quat, opens)
     x, y, z = (float(v) for v in start)
-    w, i, j, k = (float(v) for v in from_matrix(world))
+    w, i, j, k = (float(v) for v in from_matrix(axes))
     return Gripper((x, y, z), (w, i, j, k), OPENING_M)
 
 
 def _across(opens: NDArray, half: NDArray) -> NDArray:
-    """Return the direction, square to the way it opens, in which a handle is thinnest."""
+    """Return the direction normal to the opening direction in which a handle is thinnest."""
     best, thinnest = np.zeros(3), np.inf
     for k in range(3):
         axis = np.eye(3)[k] - opens[k] * opens

@@ -1,4 +1,4 @@
-"""A Gymnasium environment of a scene, simulated by C MuJoCo."""
+"""Gymnasium environment of a scene, simulated by C MuJoCo."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -25,20 +25,20 @@ except ImportError:
     ) from None
 
 Observation = dict[str, NDArray]
-"""What is observed, by name:
+"""Observations by name:
 
-poses [object, 7]: position [m] and rotation (w, x, y, z) of every object's root;
-joints, joint_velocities [joint]: [rad or m, and per s];
-gripper [8], where there is one: the tool's pose, and the distance of the pads [m];
-picture [height, width, 3], where asked for.
+poses [object, 7]: position [m] and quaternion (w, x, y, z) of the root of every object;
+joints, joint_velocities [joint]: joint positions [rad or m] and velocities;
+gripper [8], if there is one: pose of the tool and distance between the pads [m];
+picture [height, width, 3], if requested.
 """
 Reward = Callable[[Observation], float]
 
 
 class SceneEnv(gymnasium.Env[Observation, NDArray]):
-    """Actions are targets of the joints in `drives`, then the gripper's seven numbers.
+    """Environment whose actions are targets of the drives, then the seven numbers of the gripper.
 
-    Nothing is rewarded without a `reward`; an episode ends early only when the simulation diverges.
+    The reward is 0 without a `reward` function. An episode terminates only if it diverges.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 50}
@@ -62,24 +62,23 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         self._horizon, self._steps = horizon, 0
         low, high = controlled.action_bounds
         self.action_space = spaces.Box(low, high, dtype=np.float32)
-        box = lambda *shape: spaces.Box(-np.inf, np.inf, shape, np.float32)
         count = len(controlled.joints)
         space: dict[str, spaces.Space[Any]] = {
-            "poses": box(len(controlled.names), 7),
-            "joints": box(count),
-            "joint_velocities": box(count),
+            "poses": _unbounded(len(controlled.names), 7),
+            "joints": _unbounded(count),
+            "joint_velocities": _unbounded(count),
         }
         if controlled.gripper is not None:
-            space["gripper"] = box(8)
+            space["gripper"] = _unbounded(8)
         if picture is not None:
             space["picture"] = spaces.Box(0, 255, (*picture, 3), np.uint8)
-        # Its own type is invariant in what a space holds.
+        # The declared type of Gymnasium is invariant.
         self.observation_space: Any = spaces.Dict(space)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start an episode; the same seed gives the same start."""
+        """Start an episode; the same seed gives the same initial state."""
         super().reset(seed=seed)
         mujoco.mj_resetData(self.model, self.data)
         key = jax.random.key(int(self.np_random.integers(2**31)))
@@ -93,39 +92,39 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         return self._observe(), {}
 
     def step(self, action: NDArray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Hold targets for one control interval."""
+        """Apply targets for one control interval."""
         self.data.ctrl[:] = self.controlled.controls(np.asarray(action, np.float32))
         mujoco.mj_step(self.model, self.data, self._substeps)
         self._steps += 1
-        # MuJoCo resets a state that is no longer made of numbers, and says so.
-        lost = bool(self.data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number)
-        lost = lost or not np.isfinite(self.data.qpos).all()
+        # MuJoCo resets a state that is not finite, and counts a warning.
+        diverged = bool(self.data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number)
+        diverged = diverged or not np.isfinite(self.data.qpos).all()
         observation = self._observe()
         reward = 0.0 if self._reward is None else float(self._reward(observation))
-        return observation, reward, lost, self._steps >= self._horizon, {"diverged": lost}
+        return observation, reward, diverged, self._steps >= self._horizon, {"diverged": diverged}
 
     def render(self) -> NDArray:
-        """Return a picture of the present state [height, width, 3]; the gripper is not drawn."""
+        """Return a rendered image of the current state [height, width, 3], without the gripper."""
         height, width = self._picture or (320, 480)
         return np.asarray(render_scene(self.posed(), width=width, height=height).color)
 
     def posed(self) -> SceneSpec:
-        """Return the scene as it is now."""
+        """Return the scene in its current state."""
         scene = self.controlled.scene.spec
         joints = dict(zip(self.controlled.joints, self._joints(), strict=True))
         items = []
         for item, body in zip(scene.objects, self.controlled.bodies, strict=True):
-            at, turn = self.data.xpos[body], self.data.xquat[body]
-            yaw = yaw_of(turn)
+            (x, y, z), quat = self.data.xpos[body].tolist(), self.data.xquat[body]
+            yaw = yaw_of(quat)
             names = {j.name: f"{item.name}-{j.name}" for j in item.spec.joints}
             state = {name: float(joints[full]) for name, full in names.items() if full in joints}
             update = {
                 "parent": None,
                 "parent_link": None,
-                "xy": (float(at[0]), float(at[1])),
-                "z": float(at[2]),
+                "xy": (x, y),
+                "z": z,
                 "yaw": yaw,
-                "base_tilt": tuple(quat_mul(conjugate(from_yaw(yaw)), turn).tolist()),
+                "base_tilt": tuple(quat_mul(conjugate(from_yaw(yaw)), quat).tolist()),
                 "joint_state": {**item.joint_state, **state},
             }
             items.append(item.model_copy(update=update))
@@ -151,6 +150,10 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         return result
 
 
+def _unbounded(*shape: int) -> spaces.Box:
+    return spaces.Box(-np.inf, np.inf, shape, np.float32)
+
+
 def gym_env(
     run: Path | str | SceneSpec,
     *,
@@ -162,20 +165,20 @@ def gym_env(
     control_s: float = 0.02,
     horizon: int = 500,
 ) -> SceneEnv:
-    """Make a Gymnasium environment of a run folder, a scene.json or a scene.
+    """Return a Gymnasium environment of a run folder, a scene.json or a scene.
 
     Args:
         run: the folder, file or scene.
-        gripper: where a free gripper starts, or the handle, <object>-<frame>, that it faces.
-        drive_joints: whether actions hold the joints' targets; by default without a gripper.
-        reward: takes an observation and returns a number.
-        noise: what every reset adds to the scene; none by default.
-        picture: height and width of pictures in observations; they cost a second or so each.
-        control_s: how long each action lasts [s].
-        horizon: steps after which an episode is truncated.
+        gripper: initial pose of a free gripper, or the handle, <object>-<frame>, that it faces.
+        drive_joints: True if actions include the targets of joints; by default without a gripper.
+        reward: function of an observation.
+        noise: noise that every reset adds to the scene; none by default.
+        picture: height and width of images in observations; each takes about a second.
+        control_s: duration of each action [s].
+        horizon: number of steps after which an episode is truncated.
 
     Raises:
-        SpecError: there is no scene, no such handle, or nothing to act on.
+        SpecError: there is no scene, no such handle, or nothing to actuate.
         EngineError: gymnasium is not installed.
     """
     controlled = controlled_scene(run, gripper=gripper, drive_joints=drive_joints)

@@ -1,4 +1,4 @@
-"""A scene's environment for `jax.vmap`, with reset and step as those of MuJoCo Playground."""
+"""Environment of a scene for `jax.vmap`, with the interface of MuJoCo Playground."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,30 +16,30 @@ from ..spec import SceneSpec
 from .controlled_scene import ControlledScene, ResetNoise, controlled_scene
 
 Observation = dict[str, Array]
-"""What is observed, by name:
+"""Observations by name:
 
-poses [object, 7]: position [m] and rotation (w, x, y, z) of every object's root;
-joints, joint_velocities [joint]: [rad or m, and per s];
-gripper [8], where there is one: the tool's pose, and the distance of the pads [m].
+poses [object, 7]: position [m] and quaternion (w, x, y, z) of the root of every object;
+joints, joint_velocities [joint]: joint positions [rad or m] and velocities;
+gripper [8], if there is one: pose of the tool and distance between the pads [m].
 """
 Reward = Callable[[Observation], Float[Array, ""]]
 
 
 class EnvState(eqx.Module):
-    """State of one environment; fields are named as MuJoCo Playground names them."""
+    """State of one environment, with the field names of MuJoCo Playground."""
 
     data: mjx.Data
     obs: Observation
     reward: Float[Array, ""]
     done: Float[Array, ""]
-    """1 where the simulation has diverged."""
+    """1 if the simulation has diverged."""
     metrics: dict[str, Array]
     info: dict[str, Array]
-    """step: how many steps the episode has had."""
+    """step: number of steps of the episode."""
 
 
 class MjxEnv:
-    """Pure functions of a key, or of a state and an action: to be jitted and vmapped."""
+    """Environment whose reset and step are pure functions that can be jitted and vmapped."""
 
     def __init__(
         self,
@@ -57,15 +57,11 @@ class MjxEnv:
 
     @property
     def action_size(self) -> int:
-        """Numbers in an action: targets of the driven joints, then the gripper's seven."""
+        """Length of an action: targets of the driven joints, then seven numbers of the gripper."""
         return len(self.controlled.hold)
 
     def reset(self, key: Array) -> EnvState:
-        """Start an episode. Traceable.
-
-        Args:
-            key: of the noise.
-        """
+        """Start an episode with noise from a random key. Traceable."""
         qpos = self.controlled.reset_state(key, self._noise)
         hold = self.controlled.controls(self.controlled.hold, jnp)
         data = jax.tree.map(jnp.asarray, self._data).replace(qpos=qpos, ctrl=hold)
@@ -73,15 +69,10 @@ class MjxEnv:
         return self._state(data, jnp.zeros((), jnp.int32))
 
     def step(self, state: EnvState, action: Float[Array, " action"]) -> EnvState:
-        """Hold targets for one control interval. Traceable.
-
-        Args:
-            state: of one environment.
-            action: targets, held within their bounds.
-        """
+        """Apply targets, clipped to their bounds, for one control interval. Traceable."""
         data = state.data.replace(ctrl=self.controlled.controls(action, jnp))
         data = mjx_step(self.mjx_model, data, self.n_substeps)
-        # A step leaves places as they were before its last time step.
+        # A step leaves body poses as they were before its last time step.
         data = mjx.kinematics(self.mjx_model.mjx, data)
         return self._state(data, state.info["step"] + 1)
 
@@ -117,19 +108,19 @@ def mjx_env(
     noise: ResetNoise | None = None,
     control_s: float = 0.02,
 ) -> MjxEnv:
-    """Make an environment for `jax.vmap` of a run folder, a scene.json or a scene.
+    """Return an environment for `jax.vmap` of a run folder, a scene.json or a scene.
 
     Args:
         run: the folder, file or scene.
-        gripper: where a free gripper starts, or the handle, <object>-<frame>, that it faces.
-        drive_joints: whether actions hold the joints' targets; by default without a gripper.
-        reward: takes an observation and returns a number; traceable.
-        noise: what every reset adds to the scene; none by default.
-        control_s: how long each action lasts [s].
+        gripper: initial pose of a free gripper, or the handle, <object>-<frame>, that it faces.
+        drive_joints: True if actions include the targets of joints; by default without a gripper.
+        reward: traceable function of an observation.
+        noise: noise that every reset adds to the scene; none by default.
+        control_s: duration of each action [s].
 
     Raises:
-        SpecError: there is no scene, no such handle, or nothing to act on.
-        EngineError: the scene has something that MJX cannot simulate.
+        SpecError: there is no scene, no such handle, or nothing to actuate.
+        EngineError: MJX cannot simulate the scene.
     """
     controlled = controlled_scene(run, gripper=gripper, drive_joints=drive_joints, mjx=True)
     return MjxEnv(controlled, reward=reward, noise=noise or ResetNoise(), control_s=control_s)

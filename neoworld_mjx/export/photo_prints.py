@@ -1,4 +1,4 @@
-"""Prints of the photograph on the objects of a scene: a material for each part and material."""
+"""Print the photograph on the objects of a scene, as one material for each part and material."""
 
 from typing import cast
 
@@ -9,10 +9,9 @@ from scipy import ndimage
 
 from ..errors import SpecError
 from ..render import render
-from ..render.prints import encoded
+from ..render.prints import base64_png
 from ..spec import (
     Camera,
-    Material,
     ObjectSpec,
     PartSpec,
     SceneObject,
@@ -22,56 +21,57 @@ from ..spec import (
 )
 from ..spec.photo_print import PhotoPrint
 from ..spec.pose import Pose, matrix
+from .link_frames import unused
 
 Alignment = tuple[NDArray, NDArray]
-"""Stretch and shift [2]: a pixel x of the scene's picture is stretch x + shift in the photograph's,
-both in the camera's pixels."""
+"""Stretch and shift [2]: pixel x of the rendered image is at stretch * x + shift in the photograph,
+both in pixels of the camera."""
 PRINTED = "_photo"
-"""Ends the names of printed materials."""
+"""Suffix of the names of printed materials."""
 LONGEST_PX = 512
-"""Longer side of a print's window."""
+"""Longer side of the image of a print [px]."""
 LEAST_PX = 6
-"""Windows smaller than this are left plain."""
+"""Smallest side of a window that is printed [px]."""
 MOST_STRETCH = 1.6
-"""Of an object's box in the photograph over that in the scene."""
+"""Largest ratio of an object's box in the photograph to its box in the rendered image."""
 DEPTH_PX = 256
-"""Longer side of the depths that tell what was seen."""
+"""Longer side of the depth image of a print [px]."""
 
 
 def printed(scene: SceneSpec, photo: NDArray) -> SceneSpec:
-    """Return a scene whose visible surfaces bear the photograph where its camera saw them.
+    """Return a scene with the photograph printed on the surfaces that its camera saw.
 
     Args:
-        scene: the scene, with the photograph's camera.
+        scene: the scene, with the camera of the photograph.
         photo: the photograph, uint8 [h, w, 3].
 
     Raises:
         SpecError: the scene has no camera.
     """
     if scene.camera is None:
-        raise SpecError("the scene has no camera, so the photograph cannot be laid on it")
+        raise SpecError("the scene has no camera, which is needed to print the photograph")
     view = render(scene, scene.camera, supersample=1, floor=False)
     poses, ones = world_poses(scene), np.ones(2)
     masks = {name: view.segmentation == k for k, name in enumerate(view.names)}
-    at = {i.name: _alignment(masks[i.name], i, scene.camera) for i in scene.objects}
-    pixels = np.array(photo.shape[1::-1]) / (scene.camera.width, scene.camera.height_px)
+    alignments = {i.name: _alignment(masks[i.name], i, scene.camera) for i in scene.objects}
+    scale = np.array(photo.shape[1::-1]) / (scene.camera.width, scene.camera.height_px)
     objects = []
     for item in scene.objects:
-        own = masks[item.name]
-        if not own.any():
+        mask = masks[item.name]
+        if not mask.any():
             objects.append(item)
             continue
-        stretch, shift = at[item.name]
-        source = own.copy()
-        for name, (s, t) in at.items():
+        stretch, shift = alignments[item.name]
+        source = mask.copy()
+        for name, (s, t) in alignments.items():
             if name != item.name:
-                # Where the photograph shows the other object, in this one's aligned picture.
+                # Exclude the pixels where the aligned photograph shows another object.
                 source &= ~_warped(masks[name], (stretch / s, (shift - t) / s), ones, smooth=False)
-        aligned = _warped(photo, (stretch, shift), pixels, smooth=True)
-        filled = _filled(aligned, source if source.any() else own)
+        aligned = _warped(photo, (stretch, shift), scale, smooth=True)
+        filled = _filled(aligned, source if source.any() else mask)
         moved = link_poses(item.spec, item.joint_state)
         places = {part.name: poses[item.name].then(moved[part.name]) for part in item.spec.parts}
-        depth = np.where(own, view.depth, np.inf)
+        depth = np.where(mask, view.depth, np.inf)
         spec = _printed_object(item.spec, scene.camera, filled, depth, places)
         objects.append(item.model_copy(update={"spec": spec}))
     return scene.model_copy(update={"objects": tuple(objects)})
@@ -88,13 +88,12 @@ def _printed_object(
             if geom.role == "collision" or material.name in names or material.see_through:
                 continue
             window = _window(camera, spec, part, material.name, places[part.name])
-            shown = (
-                None if window is None else _print(camera, filled, depth, window, places[part.name])
-            )
-            if shown is not None:
-                name = _free(f"{material.name}_{part.name}"[:40] + PRINTED, materials)
+            photo = window and _print(camera, filled, depth, window, places[part.name])
+            if photo is not None:
+                taken = {material.name for material in materials}
+                name = unused(f"{material.name}_{part.name}"[:40] + PRINTED, taken)
                 names[material.name] = name
-                materials.append(material.model_copy(update={"name": name, "photo": shown}))
+                materials.append(material.model_copy(update={"name": name, "photo": photo}))
         geoms = tuple(
             geom.model_copy(update={"material": names[geom.material]})
             if geom.role != "collision" and geom.material in names
@@ -107,63 +106,58 @@ def _printed_object(
     return spec.model_copy(update={"materials": kept, "parts": tuple(parts)})
 
 
-def _free(name: str, materials: list[Material]) -> str:
-    taken = {material.name for material in materials}
-    while name in taken:
-        name += "_"
-    return name
-
-
 def _alignment(own: NDArray, item: SceneObject, camera: Camera) -> Alignment:
-    """Return where an object's pixels of the scene's picture lie in the photograph.
+    """Return the alignment of an object's rendered pixels with the photograph.
 
-    Its box in the scene comes to lie on its box in the photograph, by the sides that are within the
-    picture; what has no box of its own, or one that is all too different, stays where it is.
+    It maps the object's box in the rendered image to its box in the photograph, by the sides that
+    lie within the image. It is the identity for objects without a box, or with one of a very
+    different size.
     """
     box = item.box2d
-    stay = (np.ones(2), np.zeros(2))
+    identity = (np.ones(2), np.zeros(2))
     if box is None or item.environment or not own.any():
-        return stay
+        return identity
     rows, columns = np.flatnonzero(own.any(axis=1)), np.flatnonzero(own.any(axis=0))
     size = np.array([camera.width, camera.height_px], float)
     ends = np.array([[columns[0], rows[0]], [columns[-1] + 1, rows[-1] + 1]], float)
-    others = np.array([[box.x0, box.y0], [box.x1, box.y1]])
-    inside = np.array([(ends[0] >= 1) & (others[0] >= 1),
-                       (ends[1] <= size - 1) & (others[1] <= size - 1)])  # fmt: skip
+    photo_ends = np.array([[box.x0, box.y0], [box.x1, box.y1]])
+    inside = np.array([(ends[0] >= 1) & (photo_ends[0] >= 1),
+                       (ends[1] <= size - 1) & (photo_ends[1] <= size - 1)])  # fmt: skip
     whole = inside.all(axis=0)
-    ratios = (others[1] - others[0]) / (ends[1] - ends[0])
+    ratios = (photo_ends[1] - photo_ends[0]) / (ends[1] - ends[0])
     known = ratios[whole]
     if not len(known) or np.any(known < 1 / MOST_STRETCH) or np.any(known > MOST_STRETCH):
-        return stay
+        return identity
     stretch = np.where(whole, ratios, known.mean())
     side = np.where(inside[0], 0, 1)
     axis = np.arange(2)
-    shift = np.where(inside.any(axis=0), others[side, axis] - stretch * ends[side, axis], 0.0)
+    shift = np.where(inside.any(axis=0), photo_ends[side, axis] - stretch * ends[side, axis], 0.0)
     return stretch, shift
 
 
-def _warped(picture: NDArray, at: Alignment, pixels: NDArray, *, smooth: bool) -> NDArray:
-    """Return a picture moved so that what lies at stretch x + shift comes to lie at x.
+def _warped(image: NDArray, alignment: Alignment, scale: NDArray, *, smooth: bool) -> NDArray:
+    """Return an image warped such that pixel stretch * x + shift moves to pixel x.
 
     Args:
-        picture: [h, w] or [h, w, 3].
-        at: stretch and shift, in the camera's pixels.
-        pixels: pixels of the picture for one of the camera [2].
-        smooth: whether to blend pixels.
+        image: array [h, w] or [h, w, 3].
+        alignment: stretch and shift, in pixels of the camera.
+        scale: pixels of the image for one pixel of the camera [2].
+        smooth: True for bicubic interpolation.
     """
-    (sx, sy), (tx, ty) = at[0].tolist(), (at[1] * pixels).tolist()
-    how = Image.Resampling.BICUBIC if smooth else Image.Resampling.NEAREST
-    moved = Image.fromarray(picture).transform(
-        picture.shape[1::-1], Image.Transform.AFFINE, (sx, 0.0, tx, 0.0, sy, ty), resample=how
+    (sx, sy), (tx, ty) = alignment[0].tolist(), (alignment[1] * scale).tolist()
+    resampling = Image.Resampling.BICUBIC if smooth else Image.Resampling.NEAREST
+    coefficients = (sx, 0.0, tx, 0.0, sy, ty)
+    warped = Image.fromarray(image).transform(
+        image.shape[1::-1], Image.Transform.AFFINE, coefficients, resample=resampling
     )
-    return np.asarray(moved)
+    return np.asarray(warped)
 
 
 def _filled(photo: NDArray, own: NDArray) -> NDArray:
-    """Fill what is not the object's in the photograph with its nearest pixels."""
+    """Fill pixels outside the object with the nearest pixel of the object."""
     height, width = photo.shape[:2]
     mask = np.asarray(Image.fromarray(own).resize((width, height), Image.Resampling.NEAREST))
-    # At its edge the photograph shows a little of what is behind.
+    # Pixels at the edge of the object also show the background.
     inner = ndimage.binary_erosion(mask, iterations=max(1, width // 400))
     mask = inner if inner.any() else mask
     _, nearest = cast(
@@ -176,7 +170,7 @@ def _filled(photo: NDArray, own: NDArray) -> NDArray:
 def _window(
     camera: Camera, spec: ObjectSpec, part: PartSpec, material: str, at: Pose
 ) -> tuple[float, float, float, float] | None:
-    """Return what a material of a part covers of the picture: x0, y0, x1, y1 in pixels."""
+    """Return the window (x0, y0, x1, y1) that a material of a part covers in the image [px]."""
     corners = []
     for geom in part.geoms:
         if geom.role != "collision" and geom.material == material:
@@ -214,7 +208,7 @@ def _print(
     share = np.where(np.isfinite(sight), (sight - near) / (far - near), 0.0)
     levels = np.where(np.isfinite(sight), 1 + np.round(65534 * share), 0).astype(np.uint16)
     step = max(1, max(levels.shape) // DEPTH_PX)
-    # The camera's pixels of points, x = focal X / Z + width / 2, as shares of the window.
+    # The projection x = focal * X / Z + width / 2, relative to the window.
     axes = camera.axes().T
     wide, tall = x1 - x0, y1 - y0
     inner = np.array([
@@ -225,8 +219,8 @@ def _print(
     turn = inner @ axes @ matrix(at.quat)
     shift = inner @ axes @ (at.pos - camera.position())
     return PhotoPrint(
-        image=encoded(np.asarray(picture)),
-        depth=encoded(np.ascontiguousarray(levels[::step, ::step])),
+        image=base64_png(np.asarray(picture)),
+        depth=base64_png(np.ascontiguousarray(levels[::step, ::step])),
         near=near,
         far=far,
         turn=tuple(tuple(map(float, row)) for row in turn),  # pyright: ignore[reportArgumentType]

@@ -1,4 +1,4 @@
-"""Ray-cast images of scenes and objects, the same on every machine, without OpenGL."""
+"""Render scenes and objects by ray casting: no OpenGL, and the same pixels on every machine."""
 
 from .flat_rendering import render_plain
 from .rendering import RenderedImage, render

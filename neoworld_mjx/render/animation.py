@@ -1,4 +1,4 @@
-"""Encode frames as an animation for people: GIF or WebP."""
+"""Encode frames as an animated GIF or WebP."""
 
 import io
 from collections.abc import Iterable
@@ -7,15 +7,15 @@ from numpy.typing import NDArray
 from PIL import Image
 
 FORMATS = {".gif": "GIF", ".webp": "WEBP"}
-"""Formats of animations by suffix."""
+"""Formats by suffix."""
 
 
 def encode_animation(frames: Iterable[NDArray], pause_ms: int, suffix: str = ".gif") -> bytes:
-    """Encode frames, which repeat without end.
+    """Encode frames as an animation that repeats forever.
 
     Args:
         frames: uint8 [h, w, 3] each, at least one.
-        pause_ms: time that each frame is shown [ms].
+        pause_ms: duration of each frame [ms].
         suffix: ".gif" or ".webp".
     """
     first, *rest = (Image.fromarray(frame) for frame in frames)

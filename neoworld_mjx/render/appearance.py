@@ -1,4 +1,4 @@
-"""Appearance of surfaces: colour, gloss and pattern of each geom by its material."""
+"""Appearance of geoms: color, gloss, pattern and print of their materials."""
 
 from dataclasses import dataclass
 
@@ -20,35 +20,32 @@ class Appearance:
     colour: NDArray
     """Linear rgb, [geom, 3]."""
     gloss: NDArray
-    """Share of the surroundings that it mirrors when seen head-on, [geom]."""
+    """Reflectance at normal incidence, [geom]."""
     metal: NDArray
-    """Whether it mirrors in its own colour and scatters little, bool [geom]."""
+    """True if reflections have the color of the geom, bool [geom]."""
     patterned: NDArray
-    """Whether it has a pattern or a print, bool [geom]."""
+    """True if the geom has a pattern or a print, bool [geom]."""
     patterns: dict[int, SurfacePattern]
     """Patterns by geom id."""
     prints: dict[int, ReadPrint]
-    """Prints of the photograph by geom id, from the origin of the geom's body."""
+    """Prints of the photograph by geom id, in the frame of the geom's body."""
     to_object: NDArray
-    """Rotation of geom to object coordinates at rest, [geom, 3, 3]."""
+    """Rotation from the world to the body of each geom, [geom, 3, 3]."""
     offset: NDArray
-    """Translation of the same [m], [geom, 3]."""
+    """Translation from the world to the body of each geom [m], [geom, 3]."""
 
 
 def appearance_of(
     model: mujoco.MjModel, data: mujoco.MjData, scene: SceneSpec | None = None
 ) -> Appearance:
-    """Look up the appearance of each geom.
+    """Return the appearance of every geom.
 
     Args:
-        model: the model; colours are its own.
-        data: its pose, from which patterns take their place on an object.
-        scene: what the model was made of; without it materials have no names and all are alike.
+        model: the model, which has the colors.
+        data: the posed model, for the frames of patterns.
+        scene: the scene of the model, which has gloss, patterns and prints; None for a plain model.
     """
     n = model.ngeom
-    rgba = model.geom_rgba.copy()
-    with_material = model.geom_matid >= 0
-    rgba[with_material] = model.mat_rgba[model.geom_matid[with_material]]
     gloss, metal = np.full(n, 0.04), np.zeros(n, bool)
     patterns: dict[int, SurfacePattern] = {}
     prints: dict[int, ReadPrint] = {}
@@ -63,53 +60,61 @@ def appearance_of(
                     if g < 0:
                         continue
                     material = obj.spec.material(geom.material)
-                    made = finish(material)
+                    surface = finish(material)
                     if material.photo is not None:
                         joints = obj.spec.joints
-                        at = next((j.pos for j in joints if j.child == part.name), np.zeros(3))
-                        prints[g] = read_print(material.photo).shifted(np.array(at))
-                    metal[g] = made.metallic >= 0.5
-                    if made.pattern is not None:
-                        patterns[g] = made.pattern
-                    gloss[g] = _gloss(made)
+                        origin = next((j.pos for j in joints if j.child == part.name), (0, 0, 0))
+                        prints[g] = read_print(material.photo).shifted(np.array(origin, float))
+                    metal[g] = surface.metallic >= 0.5
+                    if surface.pattern is not None:
+                        patterns[g] = surface.pattern
+                    gloss[g] = _gloss(surface)
                     owner[g] = body
-    # Patterns live in the frame of the geom's own body: a drawer keeps its pattern as it slides.
+    # Patterns are functions of points in the frame of the body, so they move with it.
     turn = data.xmat[owner].reshape(n, 3, 3)
     to_object = np.swapaxes(turn, 1, 2)
     offset = -np.einsum("nij,nj->ni", to_object, data.xpos[owner])
     has_pattern = np.isin(np.arange(n), [*patterns, *prints])
-    colour = linear(rgba[:, :3])
+    colour = linear(geom_rgba(model)[:, :3])
     return Appearance(colour, gloss, metal, has_pattern, patterns, prints, to_object, offset)
 
 
-def _gloss(made: Finish) -> float:
-    """Return the share that a surface mirrors; rough ones scatter it instead."""
-    if made.metallic >= 0.5:
-        return float(np.interp(made.roughness, (0.0, 0.35, 1.0), (0.85, 0.55, 0.1)))
-    return float(np.interp(made.roughness, (0.15, 0.5, 0.9), (0.06, 0.04, 0.0)))
+def geom_rgba(model: mujoco.MjModel) -> NDArray:
+    """Return the color and opacity of every geom [geom, 4]: its material's, else its own."""
+    material = model.geom_matid[:, None]
+    if not model.nmat:
+        return model.geom_rgba.copy()
+    return np.where(material >= 0, model.mat_rgba[np.maximum(model.geom_matid, 0)], model.geom_rgba)
+
+
+def _gloss(surface: Finish) -> float:
+    """Return the reflectance of a surface, which decreases with its roughness."""
+    if surface.metallic >= 0.5:
+        return float(np.interp(surface.roughness, (0.0, 0.35, 1.0), (0.85, 0.55, 0.1)))
+    return float(np.interp(surface.roughness, (0.15, 0.5, 0.9), (0.06, 0.04, 0.0)))
 
 
 def albedo(
     appearance: Appearance, geom: NDArray, point: NDArray, normal: NDArray, pixel: NDArray
 ) -> NDArray:
-    """Return the linear colour [n, 3] of geoms.
+    """Return the linear color [n, 3] of points on geoms.
 
     Args:
-        appearance: of the model's geoms.
-        geom: ids [n].
-        point: in the world [n, 3] m.
-        normal: there [n, 3].
-        pixel: size of a pixel there [n] m.
+        appearance: appearance of the geoms.
+        geom: geom ids [n].
+        point: points in the world [n, 3] m.
+        normal: normals at the points [n, 3].
+        pixel: size of a pixel at each point [n] m.
     """
     colour = appearance.colour[geom]
     for g in np.unique(geom[appearance.patterned[geom]]):
         rows = np.flatnonzero(geom == g)
         turn = appearance.to_object[g]
         if g in appearance.prints:
-            shown = appearance.prints[g]
+            photo = appearance.prints[g]
             local = point[rows] @ turn.T + appearance.offset[g]
-            at, seen = shown.seen(local, normal[rows] @ turn.T)
-            colour[rows[seen]] = linear(shown.colour(at[seen]))
+            position, visible = photo.seen(local, normal[rows] @ turn.T)
+            colour[rows[visible]] = linear(photo.colour(position[visible]))
             continue
         pattern = appearance.patterns[g]
         second = None if pattern.rgb is None else linear(np.array(pattern.rgb))
@@ -125,13 +130,13 @@ def albedo(
 
 
 def linear(colour: NDArray) -> NDArray:
-    """Turn display (sRGB) colour in [0, 1] into linear light."""
+    """Convert display (sRGB) color in [0, 1] to linear light."""
     c = np.asarray(colour, float)
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
 
 
 def displayed(light: NDArray) -> NDArray:
-    """Turn linear light into display (sRGB) colour in [0, 1]; what is brighter is cut off."""
+    """Convert linear light to display (sRGB) color, clipped to [0, 1]."""
     x = np.clip(light, 0.0, 1.0)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
@@ -141,7 +146,7 @@ _DISPLAY = np.round(255 * displayed(np.linspace(0.0, 1.0, _STEPS))).astype(np.ui
 
 
 def display(light: NDArray) -> NDArray:
-    """Turn linear light into display colour, uint8, rolling off softly towards 1 and above."""
+    """Convert linear light to display color, uint8, with a soft knee near 1."""
     x = np.maximum(light, 0.0)
     knee = 0.7
     over = x - knee

@@ -1,6 +1,6 @@
-"""Render with flat colours, one light and outlines, in a fraction of the time: no shadows or grain.
+"""Render with flat colors, one light and outlines, without shadows and patterns.
 
-For many candidates, where the places of objects matter and not their looks.
+This takes a fraction of the time of `rendering` and is used to compare many candidate layouts.
 """
 
 import numpy as np
@@ -8,7 +8,7 @@ from jaxtyping import UInt8
 from numpy.typing import NDArray
 
 from ..spec import Camera, SceneSpec
-from .appearance import display, linear
+from .appearance import display, geom_rgba, linear
 from .lighting import FLOOR_COLOUR, HORIZON
 from .ray_caster import RayCaster
 from .rendering import compile_posed
@@ -17,21 +17,21 @@ from .view import View
 
 _AMBIENT, _SKY, _KEY = 0.25, 0.3, 0.55
 _OUTLINE = 0.45
-"""Factor of the brightness of a pixel on the border of an object."""
+"""Brightness of the pixels on the border of an object, relative to their own."""
 
 
 def render_plain(
     scene: SceneSpec, camera: Camera | View, *, width: int | None = None
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """Render with flat colours.
+    """Render with flat colors.
 
     Args:
         scene: the scene, in its own poses and joint states.
-        camera: from where.
-        width: in pixels; None takes the camera's own.
+        camera: the camera.
+        width: width of the image in pixels; None uses the camera's.
 
     Returns:
-        Display colour (sRGB), the same bytes for the same scene.
+        Display color (sRGB).
     """
     if isinstance(camera, Camera):
         view = View.of(camera, width)
@@ -46,11 +46,8 @@ def render_plain(
     hits = caster.hits(view.eye, rays, smooth=False, opaque=True)
     layers = Layers.cast(caster, view.eye, rays, hits.distance, smooth=False)
 
-    rgba = model.geom_rgba.copy()
-    with_material = model.geom_matid >= 0
-    rgba[with_material] = model.mat_rgba[model.geom_matid[with_material]]
-    colour = linear(rgba[:, :3])
-    # From over the left shoulder, so that the three sides of a box differ.
+    colour = linear(geom_rgba(model)[:, :3])
+    # The light from above left of the camera makes the three visible sides of a box differ.
     towards = view.axes @ np.array([-0.5, -0.7, -0.5])
     towards /= np.linalg.norm(towards)
 
@@ -81,7 +78,7 @@ def render_plain(
 
 
 def _borders(owner: NDArray) -> NDArray:
-    """Return the pixels [h, w] whose right or lower neighbour belongs to another object."""
+    """Return the pixels [h, w] whose right or lower neighbor belongs to another object."""
     border = np.zeros(owner.shape, bool)
     border[:, :-1] |= owner[:, :-1] != owner[:, 1:]
     border[:-1] |= owner[:-1] != owner[1:]

@@ -1,8 +1,8 @@
-"""Lighting: a soft key light, a sky that reaches into corners, and a floor that carries shadows.
+"""Lighting: a soft key light and a sky, with shadows and ambient occlusion.
 
-Both lights are sampled at 16 points that neighbouring pixels share out among them in tiles of 4 by
-4; averaging over a tile, within one surface, then gives every pixel all 16. That is one shadow ray
-a pixel and light instead of sixteen.
+Each light is sampled at 16 points. Each pixel of a 4 x 4 tile traces a shadow ray to one of them;
+averaging over neighboring pixels of the same surface gives every pixel all 16 samples, at one
+shadow ray for each pixel and light.
 """
 
 import math
@@ -17,7 +17,7 @@ from .view import View
 
 TILE = 4
 FLOOR = -2
-"""Stands for the floor among geom ids."""
+"""Value that represents the floor among geom ids."""
 
 KEY_COLOUR = np.array([1.0, 0.95, 0.86]) * 1.1
 SKY_COLOUR = np.array([0.86, 0.92, 1.0]) * 0.45
@@ -29,25 +29,25 @@ FLOOR_COLOUR = linear(np.array([0.74, 0.735, 0.73]))
 
 @dataclass(frozen=True)
 class Lights:
-    """Sample points of both lights, far away."""
+    """Sample points of both lights, far from the scene."""
 
     key: NDArray
-    """[16, 3] m"""
+    """Sample points of the key light [16, 3] m."""
     key_direction: NDArray
     """Unit vector [3] towards the key light."""
     sky: NDArray
-    """[16, 3] m"""
+    """Sample points of the sky [16, 3] m."""
     sky_directions: NDArray
-    """[16, 3]"""
+    """Unit vectors towards the sample points of the sky [16, 3]."""
 
 
 def lights(view: View, centre: NDArray, reach: float) -> Lights:
-    """Set the key light high at the camera's left shoulder, and the sky all around.
+    """Return a key light above left of the camera, and a sky.
 
     Args:
         view: the camera.
-        centre: of what is lit [m], [3].
-        reach: its radius [m].
+        centre: center of the scene [m], [3].
+        reach: radius of the scene [m].
     """
     forward = view.axes[:, 2] * [1.0, 1.0, 0.0]
     if np.linalg.norm(forward) < 1e-6:
@@ -61,7 +61,7 @@ def lights(view: View, centre: NDArray, reach: float) -> Lights:
     v = np.cross(towards, u)
     n = TILE * TILE
     k = np.arange(n)
-    # A sunflower spread; the stride through it keeps neighbours in a tile far apart on the light.
+    # The stride through the sunflower pattern keeps the samples of adjacent pixels far apart.
     spread = (k * 7) % n
     radius, angle = np.sqrt((spread + 0.5) / n), spread * math.pi * (3 - math.sqrt(5))
     disc = radius[:, None] * (np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v)
@@ -80,18 +80,18 @@ def visibility(
     normal: NDArray,
     depth: NDArray,
 ) -> tuple[NDArray, NDArray]:
-    """Return how much of the key light and of the sky each pixel sees, both [h, w] in [0, 1].
+    """Return the visible fractions of the key light and of the sky, both [h, w] in [0, 1].
 
     Args:
-        caster: the model.
+        caster: ray caster of the model.
         sources: the lights.
-        surface: geom id of each pixel, FLOOR for the floor, -1 for nothing, [h, w].
-        point: [m], [h, w, 3].
-        normal: [h, w, 3].
-        depth: distance along the view [m], [h, w]; sets how far shadow rays start off the surface.
+        surface: geom id of each pixel, FLOOR, or -1 for the background, [h, w].
+        point: points on the surfaces [m], [h, w, 3].
+        normal: normals of the surfaces [h, w, 3].
+        depth: depth along the view [m], [h, w], to which the offset of shadow rays is proportional.
     """
     h, w = surface.shape
-    # Facets stand inside the smooth surface that they shade as; the offset clears them.
+    # Facets lie inside the smooth surface; the offset avoids self-shadowing.
     lifted = point + normal * (np.where(np.isfinite(depth), depth, 0.0) * 1.0e-3)[..., None]
     key, key_weight = np.zeros((h, w)), np.zeros((h, w))
     sky, sky_weight = np.zeros((h, w)), np.zeros((h, w))
@@ -103,14 +103,14 @@ def visibility(
             (key, key_weight, sources.key[k], (facing_key > 0).astype(float)),
             (sky, sky_weight, sources.sky[k], facing_sky),
         ):
-            # What faces away needs no ray; nor does nothing, which has no normal.
+            # Surfaces that face away from the light need no ray.
             lit = share > 0
             value[tile][lit] = share[lit] * caster.visible(source, lifted[tile][lit])
             weight[tile] = share
     fields = np.stack([key, key_weight, sky, sky_weight], axis=-1)
-    # Once to either side, so that the mean is centred on the pixel.
+    # Two asymmetric passes give a mean that is centered on the pixel.
     fields = _mean(fields, ((-1, 0, 1, 2), (-2, -1, 0, 1)), surface, point, normal, depth)
-    # The sky has no edges to keep: tiles farther apart smooth it more.
+    # Sky visibility has no sharp edges, so it is smoothed more.
     sky_fields = _mean(fields[..., 2:], ((-4, 0, 4), (-8, 0, 8)), surface, point, normal, depth)
     return (
         fields[..., 0] / np.maximum(fields[..., 1], 1e-9),
@@ -126,7 +126,7 @@ def _mean(
     normal: NDArray,
     depth: NDArray,
 ) -> NDArray:
-    """Average fields [h, w, c] over shifted pixels of the same smooth piece of surface."""
+    """Average fields [h, w, c] over shifted pixels that show the same smooth surface."""
     reach = 0.01 * np.where(np.isfinite(depth), depth, 1.0)
     for shifts in passes:
         for axis in (0, 1):
@@ -161,11 +161,11 @@ def _shift(a: NDArray, by: int, axis: int, fill: float | int) -> NDArray:
 
 
 def surroundings(direction: NDArray, key_direction: NDArray | None = None) -> NDArray:
-    """Return the light [n, 3] from directions [n, 3]: a bright sky over a grey ground.
+    """Return the light [n, 3] from directions [n, 3]: a bright sky over a gray ground.
 
     Args:
         direction: unit vectors.
-        key_direction: where the key light shows as a soft bright spot; None leaves it out.
+        key_direction: direction of the key light, drawn as a soft bright spot; None omits it.
     """
     z = direction[..., 2:3]
     up = np.clip(z, 0.0, 1.0)
@@ -190,19 +190,19 @@ def shade(
     opacity: NDArray | None = None,
     behind: NDArray | None = None,
 ) -> NDArray:
-    """Return the light [n, 3] that surfaces send to the eye.
+    """Return the light [n, 3] that surfaces emit towards the eye.
 
     Args:
         colour: linear albedo [n, 3].
-        gloss: mirrored share head-on [n].
-        metal: whether it mirrors in its own colour [n].
-        normal: [n, 3].
+        gloss: reflectance at normal incidence [n].
+        metal: True if reflections have the color of the surface [n].
+        normal: unit normals [n, 3].
         towards_eye: unit vectors [n, 3].
-        key: visible share of the key light [n].
-        sky: visible share of the sky [n].
+        key: visible fraction of the key light [n].
+        sky: visible fraction of the sky [n].
         key_direction: unit vector [3] towards the key light.
-        opacity: share of what is behind that a surface hides [n]; None hides all of it.
-        behind: light from behind [n, 3], with `opacity`.
+        opacity: opacity of the surfaces [n]; None if opaque.
+        behind: light from behind the surfaces [n, 3]; needs `opacity`.
     """
     facing = np.clip(normal @ key_direction, 0.0, 1.0) * key
     up = 0.5 + 0.5 * normal[:, 2]

@@ -1,4 +1,4 @@
-"""Triangles of the parts of an object: what is seen, by colour, and the convex pieces."""
+"""Triangle meshes of the parts of an object: visible surfaces by color, and convex pieces."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -6,10 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..spec import GeomSpec, ObjectSpec, PartSpec, Shape
+from ..spec import ObjectSpec, PartSpec, Shape, pieces
 from ..spec.convex import Piece
 from ..spec.object import OPAQUE_ALPHA
-from ..spec.pose import pose
 from ..spec.triangles import corner_normals
 
 RGB = tuple[int, int, int]
@@ -24,13 +23,13 @@ PIECE_COLOURS: tuple[RGB, ...] = (
     (64, 190, 196),
     (196, 98, 82),
 )
-"""Colours of convex pieces, in turn."""
+"""Colors of convex pieces, used in rotation."""
 THIN = 0.04
-"""Largest deviation of simplified surfaces as a share of the thinnest side."""
+"""Largest deviation of simplified surfaces, relative to the shortest side of their box."""
 
 
 class PartMesh(NamedTuple):
-    """Triangles of one colour, in the object's frame at rest."""
+    """Triangles of one color, in the object's frame with all joints at 0."""
 
     vertices: NDArray
     """float32 [v, 3] m."""
@@ -43,21 +42,20 @@ class PartMesh(NamedTuple):
 def visible_meshes(
     spec: ObjectSpec, part: PartSpec, *, opaque: bool | None = None, tolerance: float = 0.0
 ) -> list[PartMesh]:
-    """Return what is seen of a part, one mesh for each colour.
+    """Return the visible surfaces of a part, one mesh for each color.
 
     Args:
         spec: the object.
-        part: of it.
-        opaque: take only what is opaque, or only what is not; None takes both.
-        tolerance: deviation of simplified surfaces [m]; 0 keeps every triangle.
+        part: a part of the object.
+        opaque: True for only opaque surfaces, False for only transparent ones; None for both.
+        tolerance: largest deviation of simplified surfaces [m]; 0 keeps every triangle.
     """
     by_colour: dict[tuple[float, float, float, float], list[tuple[NDArray, NDArray]]] = {}
     for geom in part.geoms:
         rgba = spec.material(geom.material).rgba
         if geom.role == "collision" or opaque not in (None, rgba[3] >= OPAQUE_ALPHA):
             continue
-        # Frozen models have a hash.
-        vertices, faces = _shown_surface(geom.shape, tolerance)  # pyright: ignore[reportArgumentType]
+        vertices, faces = _creased_surface(geom.shape, tolerance)  # pyright: ignore[reportArgumentType] hashable
         by_colour.setdefault(rgba, []).append((geom.pose().apply(vertices), faces))
     return [
         PartMesh(*_joined(meshes), (_byte(r), _byte(g), _byte(b)), a)
@@ -66,26 +64,22 @@ def visible_meshes(
 
 
 def visible_triangles(part: PartSpec) -> int:
-    """Return how many triangles are seen of a part."""
+    """Return the number of triangles of a part's visible surfaces."""
     return sum(len(geom.shape.surface()[1]) for geom in part.geoms if geom.role != "collision")
 
 
 def piece_meshes(part: PartSpec) -> list[PartMesh]:
-    """Return the convex pieces that a part collides with, in one mesh for each of a few colours."""
+    """Return the convex pieces of a part, one mesh for each of a few colors."""
     groups: dict[RGB, list[tuple[NDArray, NDArray]]] = {}
-    pieces = [
-        (geom, piece)
-        for geom in part.geoms
-        if geom.role != "visual"
-        for piece in geom.shape.pieces()
-    ]
-    for k, (geom, piece) in enumerate(pieces):
-        groups.setdefault(PIECE_COLOURS[k % len(PIECE_COLOURS)], []).append(_placed(geom, piece))
+    for k, (_, piece, local) in enumerate(pieces(part)):
+        vertices, faces = _hull(piece)
+        group = groups.setdefault(PIECE_COLOURS[k % len(PIECE_COLOURS)], [])
+        group.append((local.apply(vertices), faces))
     return [PartMesh(*_joined(meshes), rgb, 1.0) for rgb, meshes in groups.items()]
 
 
 def creased(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
-    """Split vertices at sharp edges, so that a viewer that smooths over shared ones keeps them."""
+    """Split vertices at sharp edges, so that viewers that interpolate normals keep the edges."""
     normals = np.round(corner_normals(vertices, faces).reshape(-1, 3), 3)
     corners = np.column_stack([faces.ravel(), normals])
     rows, index = np.unique(corners, axis=0, return_inverse=True)
@@ -93,18 +87,18 @@ def creased(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
 
 
 @lru_cache(maxsize=1024)
-def _shown_surface(shape: Shape, tolerance: float) -> tuple[NDArray, NDArray]:
-    """Return a surface with its edges sharp, in the shape's frame."""
+def _creased_surface(shape: Shape, tolerance: float) -> tuple[NDArray, NDArray]:
+    """Return the simplified, creased surface of a shape in its frame."""
     return creased(*simplified(*shape.surface(), tolerance))
 
 
 def simplified(vertices: NDArray, faces: NDArray, tolerance: float) -> tuple[NDArray, NDArray]:
-    """Return a closed mesh with fewer triangles, or the same one where that cannot be had.
+    """Simplify a closed mesh; return any other mesh unchanged.
 
     Args:
         vertices: [v, 3] m.
         faces: [f, 3].
-        tolerance: largest deviation [m]; of thin things it is less, so that they keep their shape.
+        tolerance: largest deviation [m]; it is smaller for thin shapes.
     """
     tolerance = min(tolerance, THIN * float(np.ptp(vertices, axis=0).min()))
     if tolerance <= 0:
@@ -118,14 +112,8 @@ def simplified(vertices: NDArray, faces: NDArray, tolerance: float) -> tuple[NDA
     return np.array(result.vert_properties)[:, :3], np.array(result.tri_verts).astype(int)
 
 
-def _placed(geom: GeomSpec, piece: Piece) -> tuple[NDArray, NDArray]:
-    vertices, faces = _hull(piece)
-    at = geom.pose().then(pose(piece.pos, piece.quat))
-    return at.apply(vertices), faces
-
-
 def _hull(piece: Piece) -> tuple[NDArray, NDArray]:
-    """Return the surface of a convex piece about its own origin."""
+    """Return the surface of a convex piece in its own frame."""
     import trimesh
 
     size = np.asarray(piece.size, float)

@@ -1,4 +1,4 @@
-"""Plots of figures as SVG, by matplotlib where it is installed."""
+"""Plot figures as SVG with matplotlib, an optional dependency."""
 
 import io
 import logging
@@ -9,13 +9,13 @@ _log = logging.getLogger(__name__)
 
 
 def plot_svg(size: tuple[float, float], draw: Callable[[Any], None]) -> str | None:
-    """Return a figure as SVG, the same bytes for the same plot; None without matplotlib.
+    """Return a figure as SVG; log how to install matplotlib and return None without it.
 
-    The log says what to install where it is not.
+    The same plot gives the same bytes.
 
     Args:
         size: width and height [inch].
-        draw: draws into the matplotlib figure that it is given.
+        draw: function that draws into a matplotlib figure.
     """
     try:
         import matplotlib
@@ -24,12 +24,12 @@ def plot_svg(size: tuple[float, float], draw: Callable[[Any], None]) -> str | No
         return None
     from matplotlib.figure import Figure
 
-    # A figure of its own: pyplot would keep it, and ask for a display.
+    # pyplot would keep the figure in memory and need a display.
     with matplotlib.rc_context(
         {"font.size": 8, "svg.hashsalt": "neoworld", "svg.fonttype": "none"}
     ):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
-        drawn = io.StringIO()
-        figure.savefig(drawn, format="svg", metadata={"Date": None, "Creator": None})
-    return drawn.getvalue()
+        svg = io.StringIO()
+        figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
+    return svg.getvalue()

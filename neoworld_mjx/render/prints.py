@@ -1,4 +1,4 @@
-"""Prints of the photograph: what of a surface was seen, and the colours there."""
+"""Prints of the photograph: visible surface points and their colors."""
 
 import base64
 from dataclasses import dataclass
@@ -15,58 +15,61 @@ from ..spec import Material
 from ..spec.photo_print import PhotoPrint
 
 LEAST_COSINE = 0.2
-"""Of the angle between a surface's normal and the way to the camera; flatter ones smear."""
+"""Smallest cosine of the angle between normal and direction to the camera of a printed point."""
 DEPTH_SHARE = 0.015
-"""Difference of depths, over the depth, up to which a point is what was seen."""
+"""Largest relative difference from the print's depth at which a point counts as visible."""
 MOST_CONDITION = 1e9
-"""Of the matrix of a print: a camera's is far below."""
+"""Largest condition number of the matrix of a print; those of cameras are far smaller."""
 STRIP = 8
-"""Rows of the material's own colour below the picture of a print."""
+"""Number of rows of the plain color below the image of a print."""
 
 
 @dataclass(frozen=True)
 class ReadPrint:
-    """A print with its pictures decoded."""
+    """A print with decoded images."""
 
     colours: NDArray
-    """uint8 [h, w, 3], for display."""
+    """Display colors, uint8 [h, w, 3]."""
     depths: NDArray
-    """[h, w] m; inf where the object was not seen."""
+    """Depths [h, w] m; inf where the object was not visible."""
     turn: NDArray
-    """[3, 3] 1/m."""
+    """Linear part of the projection [3, 3] 1/m."""
     shift: NDArray
-    """[3]"""
+    """Translation of the projection [3]."""
 
     def shifted(self, origin: NDArray) -> "ReadPrint":
-        """Take points from another origin [3] m of the object's frame."""
+        """Return the print for points relative to another origin [3] m."""
         shift = self.shift + self.turn @ origin
         return ReadPrint(self.colours, self.depths, self.turn, shift)
 
     def seen(self, points: NDArray, normals: NDArray) -> tuple[NDArray, NDArray]:
-        """Return places (u, v) [n, 2] in the window, and which points were seen, bool [n].
+        """Return positions (u, v) [n, 2] in the window, and the visible points, bool [n].
 
         Args:
-            points: in the object's frame [n, 3] m.
-            normals: there [n, 3], of any length.
+            points: points in the object's frame [n, 3] m.
+            normals: normals at the points [n, 3], of any length.
         """
         local = points @ self.turn.T + self.shift
         depth = np.where(local[:, 2] > 1e-9, local[:, 2], 1e-9)
-        at = local[:, :2] / depth[:, None]
+        position = local[:, :2] / depth[:, None]
         eye = np.linalg.solve(self.turn, -self.shift)
         away = eye - points
         sizes = np.linalg.norm(away, axis=1) * np.linalg.norm(normals, axis=1)
         facing = np.sum(away * normals, axis=1) > LEAST_COSINE * sizes
-        inside = np.all((at >= 0) & (at < 1), axis=1) & (local[:, 2] > 1e-9)
+        inside = np.all((position >= 0) & (position < 1), axis=1) & (local[:, 2] > 1e-9)
         h, w = self.depths.shape
-        row = np.clip((at[:, 1] * h).astype(int), 0, h - 1)
-        column = np.clip((at[:, 0] * w).astype(int), 0, w - 1)
+        row = np.clip((position[:, 1] * h).astype(int), 0, h - 1)
+        column = np.clip((position[:, 0] * w).astype(int), 0, w - 1)
         near = np.abs(self.depths[row, column] - depth) < DEPTH_SHARE * depth
-        return at, facing & inside & near
+        return position, facing & inside & near
 
-    def colour(self, at: NDArray) -> NDArray:
-        """Return display colours [n, 3] in [0, 1] at places (u, v) [n, 2] of the window."""
+    def colour(self, position: NDArray) -> NDArray:
+        """Return display colors [n, 3] in [0, 1] at positions (u, v) [n, 2] in the window."""
         h, w = self.colours.shape[:2]
-        x, y = np.clip(at[:, 0] * w - 0.5, 0, w - 1), np.clip(at[:, 1] * h - 0.5, 0, h - 1)
+        x, y = (
+            np.clip(position[:, 0] * w - 0.5, 0, w - 1),
+            np.clip(position[:, 1] * h - 0.5, 0, h - 1),
+        )
         left, top = x.astype(int), y.astype(int)
         right, low = np.minimum(left + 1, w - 1), np.minimum(top + 1, h - 1)
         fx, fy = (x - left)[:, None], (y - top)[:, None]
@@ -75,29 +78,31 @@ class ReadPrint:
         lower = c[low, left] * (1 - fx) + c[low, right] * fx
         return upper * (1 - fy) + lower * fy
 
-    def texture_coordinates(self, at: NDArray, seen: NDArray) -> NDArray:
-        """Return (u, v) [n, 2] on the texture of `print_png`, v upwards; unseen is plain colour."""
+    def texture_coordinates(self, position: NDArray, visible: NDArray) -> NDArray:
+        """Return coordinates [n, 2] on the texture of `print_png`, v upwards.
+
+        Points that are not visible lie in the strip of the plain color.
+        """
         rows = self.colours.shape[0]
         share = rows / (rows + STRIP)
-        u = np.where(seen, np.clip(at[:, 0], 0, 1), 0.5)
-        v = np.where(seen, 1 - np.clip(at[:, 1], 0, 1) * share, (1 - share) / 2)
+        u = np.where(visible, np.clip(position[:, 0], 0, 1), 0.5)
+        v = np.where(visible, 1 - np.clip(position[:, 1], 0, 1) * share, (1 - share) / 2)
         return np.round(np.stack([u, v], axis=1), 6)
 
 
 def read_print(photo: PhotoPrint) -> ReadPrint:
-    """Decode a print; the last ones are kept.
+    """Decode a print; recent results are cached.
 
     Raises:
-        SpecError: its pictures cannot be read.
+        SpecError: its images cannot be read.
     """
     return _read_print(photo)  # pyright: ignore[reportArgumentType] frozen models are hashable
 
 
 @lru_cache(maxsize=64)
 def _read_print(photo: PhotoPrint) -> ReadPrint:
-    # Of a camera its rows are independent; the eye is where they meet.
     if np.linalg.cond(np.array(photo.turn)) > MOST_CONDITION:
-        raise SpecError("a print's turn is no projection: its rows are not independent")
+        raise SpecError("the matrix of a print is singular: its rows are not independent")
     colours = _decoded(photo.image, "RGB")
     levels = _decoded(photo.depth, "I;16").astype(float)
     depths = photo.near + (levels - 1) / 65534 * (photo.far - photo.near)
@@ -109,8 +114,8 @@ def _decoded(text: str, mode: str) -> NDArray:
     try:
         data = base64.b64decode(text, validate=True)
     except ValueError:
-        raise SpecError("the picture of a print is no base64") from None
-    with open_image(data, "the picture of a print", SpecError, ("PNG",)) as image:
+        raise SpecError("the image of a print is not base64") from None
+    with open_image(data, "the image of a print", SpecError, ("PNG",)) as image:
         if mode == "RGB":
             return np.asarray(image.convert("RGB"))
         if image.mode not in ("I;16", "I"):
@@ -118,15 +123,15 @@ def _decoded(text: str, mode: str) -> NDArray:
         return np.asarray(image)
 
 
-def encoded(picture: NDArray) -> str:
-    """Return a picture, uint8 [h, w, 3] or uint16 [h, w], as PNG in base64."""
+def base64_png(image: NDArray) -> str:
+    """Return an image, uint8 [h, w, 3] or uint16 [h, w], as PNG in base64."""
     content = BytesIO()
-    Image.fromarray(picture).save(content, format="PNG", optimize=True)
+    Image.fromarray(image).save(content, format="PNG", optimize=True)
     return base64.b64encode(content.getvalue()).decode()
 
 
 def print_png(material: Material) -> bytes:
-    """Return the texture of a printed material: its window, and its own colour below."""
+    """Return the texture of a printed material: its image above a strip of its plain color."""
     assert material.photo is not None
     colours = read_print(material.photo).colours
     own = np.round(255 * np.array(material.rgba[:3])).astype(np.uint8)

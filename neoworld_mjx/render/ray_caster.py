@@ -1,7 +1,7 @@
-"""Rays against a MuJoCo model: hits with smooth normals, and whether one point sees another.
+"""Cast rays against a MuJoCo model: hits with smooth normals, and visibility between points.
 
-`mujoco.mj_multiRay` needs no OpenGL, gives the same result on every machine, and lets go of the
-interpreter's lock; it writes to its MjData's stack, so each thread has its own.
+`mujoco.mj_multiRay` needs no OpenGL, gives the same result on every machine and releases the GIL.
+It writes to the stack of its MjData, so each thread has its own.
 """
 
 import copy
@@ -17,15 +17,16 @@ from numpy.typing import NDArray
 from ..physics.mjcf import VISUAL_GROUP
 from ..spec.object import OPAQUE_ALPHA
 from ..spec.triangles import corner_normals
+from .appearance import geom_rgba
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
 
 FAR = 1e10
 SEE_THROUGH_GROUP, LAYER_GROUP = 5, 4
-"""Groups, in a caster's own copy of the model, of see-through geoms and of the one to be cast."""
+"""Geom groups, in the copy of the model, of transparent geoms and of the one that is cast alone."""
 FAR_BOX_M = 1e4
-"""Half an edge of a box that holds everything."""
+"""Half the edge of a box that contains every eye."""
 
 
 @dataclass(frozen=True)
@@ -33,17 +34,21 @@ class Hits:
     """First hit of every ray, one row each."""
 
     geom: NDArray
-    """Geom id, -1 for nothing, int32 [n]."""
+    """Geom id, int32 [n]; -1 for a miss."""
     distance: NDArray
-    """Along the ray, in lengths of its direction; inf for nothing, [n]."""
+    """Distance in lengths of the direction [n]; inf for a miss."""
     point: NDArray
-    """[m], [n, 3]; meaningless for nothing."""
+    """Point of the hit [m], [n, 3]; undefined for a miss."""
     normal: NDArray
-    """Outward unit normal, smooth over meshes, [n, 3]; zero for nothing."""
+    """Outward unit normal, interpolated over meshes, [n, 3]; zero for a miss."""
+
+    def rows(self, index: NDArray) -> "Hits":
+        """Return the hits of some rays."""
+        return Hits(self.geom[index], self.distance[index], self.point[index], self.normal[index])
 
 
 class RayCaster:
-    """A posed model, ready for rays."""
+    """Ray caster of a posed model."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, threads: int | None = None):
         self.model, self.data = _without_culling(model), data
@@ -51,17 +56,15 @@ class RayCaster:
         self._datas = [data, *(copy.copy(data) for _ in range(count - 1))]
         visual = model.geom_group == VISUAL_GROUP
         self.shown: NDArray = visual if visual.any() else model.geom_group <= 2
-        """Which geoms are drawn [geom]: the visual ones, or where a model has none, all."""
+        """True for drawn geoms [geom]: the visual ones, or all if the model has none."""
         self._opaque = np.zeros(6, np.uint8)
         self._opaque[np.unique(model.geom_group[self.shown])] = 1
-        self.alpha: NDArray = model.geom_rgba[:, 3].copy()
+        self.alpha: NDArray = geom_rgba(model)[:, 3]
         """Opacity of each geom [geom]."""
-        with_material = model.geom_matid >= 0
-        self.alpha[with_material] = model.mat_rgba[model.geom_matid[with_material], 3]
         self.see_through: NDArray = np.flatnonzero(
             self.shown & (self.alpha > 0) & (self.alpha < OPAQUE_ALPHA)
         )
-        """Ids of the drawn geoms that show what is behind them."""
+        """Ids of the drawn geoms that are transparent."""
         self.model.geom_group[self.see_through] = SEE_THROUGH_GROUP
         self._all = self._opaque.copy()
         self._all[SEE_THROUGH_GROUP] = 1
@@ -70,25 +73,25 @@ class RayCaster:
     def hits(
         self, eye: NDArray, directions: NDArray, *, smooth: bool = True, opaque: bool = False
     ) -> Hits:
-        """Cast rays [n, 3] from one point [3] m.
+        """Cast rays from one point.
 
         Args:
-            eye: the point.
-            directions: the rays.
-            smooth: whether meshes show smooth normals, or those of their facets.
-            opaque: whether rays go through see-through geoms, or stop there.
+            eye: origin of the rays [3] m.
+            directions: directions of the rays [n, 3].
+            smooth: True to interpolate normals over meshes, False for normals of facets.
+            opaque: True if rays pass through transparent geoms.
         """
         return self._hits(eye, directions, self._opaque if opaque else self._all, smooth)
 
     def layers(
         self, eye: NDArray, directions: NDArray, *, smooth: bool = True
     ) -> list[tuple[NDArray, Hits]]:
-        """Return the hits on the near side of each see-through geom, opaque ones left out.
+        """Return the first hits on each transparent geom, ignoring all other geoms.
 
         Returns:
-            For each geom that is hit the rows of `directions`, and their hits.
+            The rows of `directions` that hit a geom, and their hits, for each geom that is hit.
         """
-        hits_by_rows = []
+        hits_by_geom = []
         length = np.linalg.norm(directions, axis=1)
         one = np.zeros(6, np.uint8)
         one[LAYER_GROUP] = 1
@@ -99,17 +102,16 @@ class RayCaster:
             self.model.geom_group[g] = SEE_THROUGH_GROUP
             on = np.flatnonzero(hits.geom >= 0)
             if len(on):
-                own = (hits.geom, hits.distance, hits.point, hits.normal)
-                hits_by_rows.append((rows[on], Hits(*(field[on] for field in own))))
-        return hits_by_rows
+                hits_by_geom.append((rows[on], hits.rows(on)))
+        return hits_by_geom
 
     def _near(self, g: int, eye: NDArray, directions: NDArray, length: NDArray) -> NDArray:
-        """Tell which rays pass a geom's bounding sphere."""
+        """Return True for rays that hit the bounding sphere of a geom [n]."""
         to_middle = self.data.geom_xpos[g] - eye
         along = directions @ to_middle / length
         radius = float(self.model.geom_rbound[g])
-        beside = np.maximum(to_middle @ to_middle - along**2, 0.0) < radius**2 * 1.0001
-        return beside & (along > -radius)
+        within = np.maximum(to_middle @ to_middle - along**2, 0.0) < radius**2 * 1.0001
+        return within & (along > -radius)
 
     def _hits(self, eye: NDArray, directions: NDArray, groups: NDArray, smooth: bool) -> Hits:
         geom, distance, normal = self._cast(eye, directions, groups, normals=True)
@@ -121,9 +123,9 @@ class RayCaster:
         return Hits(geom, np.where(geom >= 0, distance, np.inf), point, normal)
 
     def visible(self, source: NDArray, points: NDArray) -> NDArray:
-        """Return the share of light that reaches points [n, 3] from a source [3], [n] in [0, 1].
+        """Return the fraction of light from a source [3] that reaches points [n, 3], [n] in [0, 1].
 
-        See-through geoms let through what they do not cover, the nearest to the source alone.
+        Of several transparent geoms on a ray only the one nearest to the source attenuates it.
         """
         rays = points - source
         geom, distance, _ = self._cast(source, rays, self._opaque, normals=False)
@@ -176,7 +178,7 @@ class RayCaster:
         return geom, distance, None if normal is None else normal.reshape(-1, 3)
 
     def _smoothen(self, geom: NDArray, point: NDArray, normal: NDArray) -> None:
-        """Replace the facet normals of mesh hits by normals interpolated over the facet."""
+        """Interpolate the normals of hits on meshes, in place."""
         data = self.data
         for g in np.unique(geom):
             if g < 0 or self.model.geom_type[g] != mujoco.mjtGeom.mjGEOM_MESH:
@@ -191,11 +193,11 @@ class RayCaster:
 
 
 def _without_culling(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Return a copy whose bodies' outermost boxes hold every eye.
+    """Return a copy of a model whose bounding boxes of bodies contain every eye.
 
-    `mj_multiRay` culls bodies by the angles of their boxes' corners, and where a box is not
-    parallel to the world (that of a body with a turned inertial frame) it culls too much: legs of
-    tables and corners of cabinets vanish. An eye within the box sees all of it.
+    `mj_multiRay` culls bodies by the angles of the corners of their boxes. For boxes that are not
+    axis-aligned, those of bodies with a rotated inertial frame, it culls too much: table legs and
+    cabinet corners vanish. Bodies whose box contains the eye are not culled.
     """
     model = copy.copy(model)
     roots = model.body_bvhadr[model.body_bvhadr >= 0]
@@ -205,14 +207,15 @@ def _without_culling(model: mujoco.MjModel) -> mujoco.MjModel:
 
 @dataclass(frozen=True)
 class _Smooth:
-    """Finds the facet of a mesh that a ray has hit, which MuJoCo does not tell, by its plane."""
+    """Search tree for the facet of a mesh that a ray has hit, which MuJoCo does not report."""
 
     tree: "KDTree"
     reach: float
+    """Largest coordinate of the mesh [m]."""
     corners: NDArray
-    """[f, 3, 3] m"""
+    """Corners of the facets [f, 3, 3] m."""
     normals_at: NDArray
-    """At the corners, [f, 3, 3]."""
+    """Normals at the corners [f, 3, 3]."""
 
     @classmethod
     def of(cls, model: mujoco.MjModel, mesh: int) -> "_Smooth":
@@ -230,7 +233,7 @@ class _Smooth:
         return cls(tree, reach, corners, corner_normals(vertices, faces))
 
     def normals(self, points: NDArray, flat: NDArray) -> NDArray:
-        """Interpolate at points [n, 3] on facets with normals [n, 3], in the mesh's frame."""
+        """Return smooth normals at points [n, 3], given the normals of their facets [n, 3]."""
         offset = np.sum(flat * points, axis=1) / self.reach
         count = min(3, len(self.corners))
         _, near = self.tree.query(_key(flat, offset, points / self.reach), k=count)
@@ -240,7 +243,7 @@ class _Smooth:
         return np.where(length > 0.1, mixed / np.maximum(length, 1e-30), flat)
 
     def _weights(self, points: NDArray, near: NDArray) -> tuple[NDArray, NDArray]:
-        """Choose the candidate facet [n, k] that holds each point; return it and barycentrics."""
+        """Return the candidate facet [n, k] that contains each point, and weights of its corners."""
         best = near[:, 0].copy()
         weights = _barycentric(points, self.corners[best])
         for k in range(1, near.shape[1]):
@@ -251,9 +254,9 @@ class _Smooth:
         return best, weights / weights.sum(axis=1, keepdims=True)
 
 
-def _key(normal: NDArray, offset: NDArray, place: NDArray) -> NDArray:
-    # Facets of one plane are distinguished by place; planes, which a ray knows exactly, come first.
-    return np.column_stack([100.0 * normal, 100.0 * offset, place])
+def _key(normal: NDArray, offset: NDArray, position: NDArray) -> NDArray:
+    # The plane has a larger weight than the position, as it is known exactly.
+    return np.column_stack([100.0 * normal, 100.0 * offset, position])
 
 
 def _barycentric(points: NDArray, corners: NDArray) -> NDArray:

@@ -1,8 +1,8 @@
-"""Render by casting rays: colour, depth, normals and object masks, without OpenGL.
+"""Render color, depth, normals and object masks by ray casting, without OpenGL.
 
-Depth, normals and segmentation are those of the first surface, see-through or not, on the ray
-through each pixel's centre, whatever the supersampling. Colour is smoothed at edges only: pixels
-whose neighbours show another surface are cast again at several points.
+Depth, normals and segmentation are those of the first surface, transparent or opaque, on the ray
+through the center of each pixel. Color is supersampled only at edges: pixels whose neighbors show
+another surface.
 """
 
 from dataclasses import dataclass
@@ -20,23 +20,23 @@ from .see_through import Layers
 from .view import View
 
 OPEN_SKY = 0.8
-"""Share of the sky that see-through surfaces are taken to face."""
+"""Visible fraction of the sky that is assumed for transparent surfaces."""
 
 
 @dataclass(frozen=True)
 class RenderedImage:
-    """Image of a scene with its depth, normals and object masks, all [height, width]."""
+    """Rendered image of a scene with depth, normals and object masks, all [height, width]."""
 
     color: NDArray
-    """Display colour (sRGB), uint8 [h, w, 3]."""
+    """Display color (sRGB), uint8 [h, w, 3]."""
     depth: NDArray
-    """Along the view, not the ray [m], float64 [h, w]; inf where no object is."""
+    """Depth along the optical axis [m], float64 [h, w]; inf for the background."""
     normal: NDArray
-    """Outward unit normal in the world, float64 [h, w, 3]; zero where no object is."""
+    """Outward unit normal in the world, float64 [h, w, 3]; zero for the background."""
     segmentation: NDArray
-    """Index of the object, int32 [h, w]; -1 where none is."""
+    """Index of the object, int32 [h, w]; -1 for the background."""
     names: tuple[str, ...]
-    """Objects by index."""
+    """Names of the objects by index."""
 
 
 def render(
@@ -51,14 +51,14 @@ def render(
     """Render a scene or a posed model.
 
     Args:
-        scene: a scene, in its own poses and joint states; or a model with its data posed
-            (`mj_kinematics` has run). Of a model with geoms in group 1 only those are drawn. An
-            object of a model is a body of the world with all below it, in the model's order.
+        scene: a scene in its poses and joint states, or a model with posed data (after
+            `mj_kinematics`). If a model has geoms in group 1, only those are drawn. An object of a
+            model is a child body of the world with its descendants, in the order of the model.
         camera: the camera.
-        width: in pixels; None takes the camera's own, or follows from `height`.
-        height: in pixels; None follows from `width` by the camera's aspect.
-        supersample: rays a pixel and axis at edges; 1 leaves them jagged.
-        floor: whether to draw a plain floor under everything; it is no object.
+        width: width in pixels; None uses the camera's, or follows from `height`.
+        height: height in pixels; None follows from `width` and the aspect ratio of the camera.
+        supersample: rays per pixel and axis at edges; 1 disables antialiasing.
+        floor: True to draw a plain floor below everything; it is not an object.
     """
     if isinstance(camera, Camera):
         view = View.of(camera, width, height)
@@ -98,7 +98,7 @@ def render(
 
 
 def compile_posed(scene: SceneSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Compile a scene with its visual geoms and pose it as the scene says."""
+    """Compile a scene with visual geoms, in its poses and joint states."""
     model = to_mjspec(scene, visual=True).compile()
     data = mujoco.MjData(model)
     if model.nkey:
@@ -108,7 +108,7 @@ def compile_posed(scene: SceneSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
 
 
 def object_of_geoms(model: mujoco.MjModel) -> tuple[NDArray, tuple[str, ...]]:
-    """Return the object of each geom, as an index into the names: bodies of the world."""
+    """Return the object index of each geom, and the names of the objects."""
     roots = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0]
     index = np.full(model.nbody, -1)
     index[roots] = np.arange(len(roots))
@@ -123,7 +123,7 @@ class _RayHits:
     surface: NDArray
     """Opaque geom id, FLOOR, or -1, [n]."""
     layers: Layers
-    """What is see-through in front of it."""
+    """Hits on transparent geoms in front of the surface."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class _Stage:
     centre: NDArray
     reach: float
     ground: float | None
-    """Height of the floor [m]."""
+    """Height of the floor [m]; None without a floor."""
 
     @classmethod
     def of(cls, caster: RayCaster, appearance: Appearance, view: View, floor: bool) -> "_Stage":
@@ -190,27 +190,10 @@ class _Stage:
         )
 
     def shade(self, cast: _RayHits, key: NDArray, sky: NDArray) -> NDArray:
-        """Return the light [n, 3] along each ray."""
-        towards = self.lights.key_direction
+        """Return the light along each ray [n, 3]."""
         light = surroundings(cast.rays)
         body = np.flatnonzero(cast.surface >= 0)
-        g = cast.surface[body]
-        light[body] = shade(
-            albedo(
-                self.appearance,
-                g,
-                cast.hits.point[body],
-                cast.hits.normal[body],
-                cast.hits.distance[body] / self.view.focal,
-            ),
-            self.appearance.gloss[g],
-            self.appearance.metal[g],
-            cast.hits.normal[body],
-            -cast.rays[body],
-            key[body],
-            sky[body],
-            towards,
-        )
+        light[body] = self._shade_hits(cast.hits, body, cast.rays[body], key[body], sky[body])
         on = np.flatnonzero(cast.surface == FLOOR)
         n = len(on)
         lit = shade(
@@ -221,54 +204,60 @@ class _Stage:
             -cast.rays[on],
             key[on],
             sky[on],
-            towards,
+            self.lights.key_direction,
         )
-        # The floor fades into the horizon, so that it has no edge.
+        # The floor fades into the horizon.
         away = np.linalg.norm((cast.hits.point[on] - self.centre)[:, :2], axis=1) / self.reach
         fade = np.clip((away - 2.0) / 10.0, 0.0, 1.0)[:, None]
         light[on] = lit + (surroundings(cast.rays[on] * [1, 1, 0]) - lit) * fade
         return self._through(cast, light)
 
     def _through(self, cast: _RayHits, light: NDArray) -> NDArray:
-        """Return light [n, 3] as it arrives through what is see-through."""
+        """Return the light [n, 3] after it passes through transparent surfaces."""
         layers, hits = cast.layers, cast.layers.hits
         lifted = hits.point + hits.normal * (1e-3 * hits.distance)[:, None]
         key = self.caster.visible(self.lights.key[0], lifted)
 
         def paint(k: NDArray, behind: NDArray) -> NDArray:
-            g = hits.geom[k]
-            return shade(
-                albedo(
-                    self.appearance,
-                    g,
-                    hits.point[k],
-                    hits.normal[k],
-                    hits.distance[k] / self.view.focal,
-                ),
-                self.appearance.gloss[g],
-                self.appearance.metal[g],
-                hits.normal[k],
-                -cast.rays[layers.row[k]],
-                key[k],
-                np.full(len(k), OPEN_SKY),
-                self.lights.key_direction,
-                self.caster.alpha[g],
-                behind,
-            )
+            rays, sky = cast.rays[layers.row[k]], np.full(len(k), OPEN_SKY)
+            opacity = self.caster.alpha[hits.geom[k]]
+            return self._shade_hits(hits, k, rays, key[k], sky, opacity, behind)
 
         return layers.over(light, paint)
 
+    def _shade_hits(
+        self,
+        hits: Hits,
+        rows: NDArray,
+        rays: NDArray,
+        key: NDArray,
+        sky: NDArray,
+        opacity: NDArray | None = None,
+        behind: NDArray | None = None,
+    ) -> NDArray:
+        """Return the light [k, 3] of some rows [k] of hits."""
+        geom, normal = hits.geom[rows], hits.normal[rows]
+        pixel = hits.distance[rows] / self.view.focal
+        return shade(
+            albedo(self.appearance, geom, hits.point[rows], normal, pixel),
+            self.appearance.gloss[geom],
+            self.appearance.metal[geom],
+            normal,
+            -rays,
+            key,
+            sky,
+            self.lights.key_direction,
+            opacity,
+            behind,
+        )
+
 
 def _edges(surface: NDArray, point: NDArray, normal: NDArray, depth: NDArray) -> NDArray:
-    """Return the pixels [h, w] whose neighbour to any side shows another surface or a crease."""
+    """Return the pixels [h, w] with a neighbor that shows another surface or a crease."""
     edge = np.zeros(surface.shape, bool)
     for axis in (0, 1):
-        a: tuple[slice, ...] = (
-            (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
-        )
-        b: tuple[slice, ...] = (
-            (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
-        )
+        every = (slice(None),) * axis
+        a, b = (*every, slice(None, -1)), (*every, slice(1, None))
         differs = surface[a] != surface[b]
         differs |= np.sum(normal[a] * normal[b], axis=-1) < 0.9
         gap = np.abs(np.sum((point[a] - point[b]) * normal[a], axis=-1))
@@ -290,7 +279,7 @@ def _smooth_edges(
     sky: NDArray,
     supersample: int,
 ) -> None:
-    """Replace the colour of edge pixels by the mean over several rays, in place."""
+    """Replace the color of edge pixels by the mean over several rays, in place."""
     rows, columns = np.nonzero(edge)
     if not len(rows):
         return
@@ -303,7 +292,7 @@ def _smooth_edges(
     best = np.full(len(row), np.inf)
     lit, open_ = key[row, column].copy(), sky[row, column].copy()
     h, w = surface.shape
-    # Shadows come from the neighbouring pixel that lies nearest on the same surface.
+    # Shadows are those of the nearest neighboring pixel on the same surface.
     for i in (0, -1, 1):
         for j in (0, -1, 1):
             r, c = np.clip(row + i, 0, h - 1), np.clip(column + j, 0, w - 1)
@@ -314,6 +303,6 @@ def _smooth_edges(
             best[better] = cost[better]
             lit[better], open_[better] = key[r, c][better], sky[r, c][better]
     shaded = stage.shade(cast, lit, open_).reshape(len(rows), -1, 3)
-    # Averaged as displayed: rims of bright surfaces would otherwise stay jagged.
+    # The mean of display colors antialiases the edges of bright surfaces.
     total = display(shaded).astype(np.int64).sum(axis=1)
     color[rows, columns] = ((2 * total + len(du)) // (2 * len(du))).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Render scenes and single objects from views that frame them, and encode PNG."""
+"""Render scenes and single objects in views that frame them, and encode PNG."""
 
 import io
 from collections.abc import Mapping
@@ -33,10 +33,10 @@ def render_scene(
 
     Args:
         scene: the scene.
-        camera: from where; None takes the scene's own, else one that frames what can move.
-        width: in pixels; 480 where neither size nor camera says.
-        height: in pixels; None follows from the camera's aspect, else 2/3 of the width.
-        supersample: rays a pixel and axis at edges.
+        camera: the camera; None uses the scene's, or a view that frames the movable objects.
+        width: width in pixels; defaults to the camera's, or 480.
+        height: height in pixels; defaults to the camera's aspect ratio, or 2/3 of the width.
+        supersample: rays per pixel and axis at edges.
     """
     camera = camera or scene.camera
     if camera is None:
@@ -47,7 +47,7 @@ def render_scene(
         points = [
             poses[obj.name].apply(visible_vertices(obj.spec, obj.joint_state)) for obj in items
         ]
-        # From where a scene's own camera stands: the near side is -x.
+        # Cameras of photographs look from the side of -x.
         camera = View.framing(
             np.vstack(points), width=columns, height=rows, azimuth=np.radians(215)
         )
@@ -67,11 +67,11 @@ def render_object(
 
     Args:
         spec: the object.
-        joint_state: joint values [rad or m]; joints not named stand at 0.
-        camera: from where, in the object's frame; None sees its front from the right and above.
-        width: in pixels.
-        height: in pixels.
-        supersample: rays a pixel and axis at edges.
+        joint_state: joint values [rad or m]; unnamed joints are at 0.
+        camera: the camera in the object's frame; None views the front from above right.
+        width: width in pixels.
+        height: height in pixels.
+        supersample: rays per pixel and axis at edges.
     """
     obj = SceneObject(name=spec.name, spec=spec, joint_state=dict(joint_state or {}))
     if camera is None:
@@ -83,7 +83,7 @@ def render_object(
 
 
 def visible_vertices(spec: ObjectSpec, joint_state: Mapping[str, float] | None = None) -> NDArray:
-    """Return the visible surface's vertices [n, 3] m in the object's frame, as posed."""
+    """Return the vertices of the visible surface in the object's frame [n, 3] m."""
     return visible_surface(spec, joint_state)[0]
 
 
@@ -92,7 +92,7 @@ def visible_surface(
 ) -> tuple[NDArray, NDArray]:
     """Return the visible surface: vertices [n, 3] m in the object's frame, and triangles [t, 3].
 
-    An object without one has the corners of its bounding box, and no triangles.
+    An object without visible geoms has the corners of its bounding box and no triangles.
     """
     moved = link_poses(spec, dict(joint_state or {}))
     points: list[NDArray] = []
@@ -113,9 +113,9 @@ def visible_surface(
 
 
 def to_png(image: RenderedImage | NDArray) -> bytes:
-    """Encode an image's colour, or an array uint8 [h, w], [h, w, 3] or [h, w, 4], as PNG.
+    """Encode a rendered image's color, or an array uint8 [h, w], [h, w, 3] or [h, w, 4], as PNG.
 
-    The same array gives the same bytes; there is no time stamp in them.
+    The same array gives the same bytes.
     """
     array = image.color if isinstance(image, RenderedImage) else np.asarray(image)
     if array.dtype != np.uint8:

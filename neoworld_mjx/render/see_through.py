@@ -1,6 +1,6 @@
-"""See-through surfaces, such as glass: what lies behind them shows, composited from back to front.
+"""Composite transparent surfaces, such as glass, from back to front.
 
-Of each see-through geom only the side towards the eye is drawn, without refraction.
+Only the front of each transparent geom is drawn, without refraction.
 """
 
 from collections.abc import Callable
@@ -14,12 +14,12 @@ from .ray_caster import Hits, RayCaster
 
 @dataclass(frozen=True)
 class Layers:
-    """Hits on see-through geoms in front of what is opaque, those of one ray from back to front."""
+    """Hits on transparent geoms in front of opaque ones, sorted by ray and from back to front."""
 
     row: NDArray
-    """Ray of each hit, [m]."""
+    """Index of the ray of each hit [m]."""
     hits: Hits
-    """[m] rows."""
+    """The hits, [m] rows."""
 
     @classmethod
     def cast(
@@ -31,7 +31,7 @@ class Layers:
         *,
         smooth: bool = True,
     ) -> "Layers":
-        """Cast rays [n, 3] through the see-through geoms nearer than `reach` [n]."""
+        """Cast rays [n, 3] through the transparent geoms nearer than `reach` [n]."""
         parts = caster.layers(eye, rays, smooth=smooth)
         row = np.concatenate([np.zeros(0, np.int64), *(rows for rows, _ in parts)])
         hits = Hits(
@@ -42,17 +42,15 @@ class Layers:
         )
         before = np.flatnonzero(hits.distance < reach[row])
         order = before[np.lexsort((-hits.distance[before], row[before]))]
-        row = row[order]
-        chosen = (hits.geom, hits.distance, hits.point, hits.normal)
-        return cls(row, Hits(*(field[order] for field in chosen)))
+        return cls(row[order], hits.rows(order))
 
     def over(self, light: NDArray, paint: Callable[[NDArray, NDArray], NDArray]) -> NDArray:
-        """Return light [n, 3] as it arrives through all layers.
+        """Return light [n, 3] after it passes through all layers.
 
         Args:
-            light: of what is opaque, along each ray [n, 3].
-            paint: returns the light [k, 3] of some hits, given their indices [k] and the light that
-                arrives behind them [k, 3].
+            light: light from opaque surfaces along each ray [n, 3].
+            paint: function of the indices of hits [k] and the light behind them [k, 3]; returns
+                the light in front of them [k, 3].
         """
         if not len(self.row):
             return light
@@ -66,5 +64,5 @@ class Layers:
         return light
 
     def nearest(self) -> NDArray:
-        """Return the index of each ray's nearest hit, for the rays that have one."""
+        """Return the index of the nearest hit of each ray that has one."""
         return np.flatnonzero(np.append(self.row[1:] != self.row[:-1], len(self.row) > 0))

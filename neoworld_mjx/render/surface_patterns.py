@@ -1,7 +1,7 @@
-"""Procedural patterns of surfaces: grain, boards, tiles, bricks, veins, speckles, weave, brushed.
+"""Procedural surface patterns: grain, boards, tiles, bricks, veins, speckles, weave, brushed.
 
-Each is a function of points in the object's frame, so it stays on an object that moves. Joints and
-threads narrower than a pixel fade into their mean.
+Each is a function of points in the object's frame, so it moves with the object. Details smaller
+than a pixel fade into their mean.
 """
 
 import numpy as np
@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from ..spec import SurfacePattern
 
 DARKER = {"brushed": 0.8, "veins": 0.72, "weave": 0.75, "speckles": 0.7}
-"""Second colour over the first, in linear light, where a pattern names none."""
+"""Second color relative to the first, in linear light, for patterns that state none."""
 JOINT_DARKER = 0.4
 GAPS = 0.42
-"""Mean share of a weave that its gaps take."""
+"""Mean fraction of a weave that its gaps cover."""
 MAX_DETAIL = 0.25
-"""Size of a pixel, over a pattern's step, at which the pattern has faded to its mean."""
+"""Size of a pixel, relative to the period of a pattern, at which the pattern fades to its mean."""
 
 
 def patterned(
@@ -26,14 +26,14 @@ def patterned(
     normal: NDArray,
     pixel: NDArray,
 ) -> NDArray:
-    """Return the linear colour [n, 3] of points on a patterned surface.
+    """Return the linear color [n, 3] of points on a patterned surface.
 
     Args:
         pattern: the pattern.
-        colour: linear colour of the material [3].
-        second: linear colour of joints, veins, ... [3]; None is darker than the first.
+        colour: linear color of the material [3].
+        second: linear color of joints, veins, ... [3]; None is a darker shade of `colour`.
         point: points in the object's frame [n, 3] m.
-        normal: normals there [n, 3].
+        normal: normals at the points [n, 3].
         pixel: size of a pixel at each point [n] m.
     """
     if second is None:
@@ -62,7 +62,7 @@ def patterned(
 
 
 def _on_face(p: NDArray, normal: NDArray, along: str) -> tuple[NDArray, NDArray]:
-    """Return coordinates (u, v) [n] m on the face of the axis that the normal is nearest to."""
+    """Return coordinates (u, v) [n] m in the plane normal to the axis nearest to the normal."""
     axis = np.argmax(np.abs(normal), axis=1)
     u = np.where(axis == 0, p[:, 1], p[:, 0])
     v = np.where(axis == 2, p[:, 1], p[:, 2])
@@ -92,7 +92,7 @@ def _courses(
     pixel: NDArray,
     spread: float,
 ) -> tuple[NDArray, NDArray]:
-    """Lay rectangles of a size [m] in courses, each shifted by a share of their length."""
+    """Return courses of rectangles of a size [m], shifted by a fraction of their length."""
     row = np.floor(v / size[1])
     along = u / size[0] + offset * row
     column = np.floor(along)
@@ -108,7 +108,7 @@ def _veins(p: NDArray, step: float) -> tuple[NDArray, NDArray]:
     bent = bent + 0.16 * np.column_stack([noise(6.0 * q + k * 5.1) for k in range(3)])
     ridge = np.abs(noise(0.9 * bent))
     fine = np.abs(noise(1.9 * bent + 3.0))
-    # Veins come and go along their course.
+    # Veins fade in and out along their length.
     present = _ramp(noise(0.8 * q + 2.0), -0.25, 0.45)
     mix = (1.0 - _ramp(ridge, 0.0, 0.03)) * present
     mix = np.maximum(mix, 0.5 * (1.0 - _ramp(fine, 0.0, 0.02)) * (1.0 - present))
@@ -117,7 +117,7 @@ def _veins(p: NDArray, step: float) -> tuple[NDArray, NDArray]:
 
 
 def _weave(u: NDArray, v: NDArray, step: float, pixel: NDArray) -> tuple[NDArray, NDArray]:
-    """Lay loops of a length in rows of half of it, with gaps between them."""
+    """Return rows of loops with gaps between them; a row is half as wide as a loop is long."""
     row = np.floor(2.0 * v / step)
     jitter = 0.5 * row + 0.2 * _hashed(row, 0 * row)
     column = np.floor(u / step + jitter)
@@ -130,22 +130,22 @@ def _weave(u: NDArray, v: NDArray, step: float, pixel: NDArray) -> tuple[NDArray
 
 
 def _brushed(u: NDArray, v: NDArray, step: float, pixel: NDArray) -> NDArray:
-    """Scratch a surface along u, some 40 times as long as they are apart."""
+    """Return scratches along u, about 40 times as long as their spacing."""
     fine = noise(np.column_stack([u / (40 * step), 2 * v / step, 0 * u]))
     broad = noise(np.column_stack([u / (90 * step), 0.4 * v / step, 0 * u + 3.0]))
     scratched = _faded(0.45 + 0.6 * fine, pixel, step, 0.45) + 0.15 * broad
     return np.clip(scratched, 0.0, 1.0)
 
 
-def _line(at: NDArray, period: float, width: float, pixel: NDArray) -> NDArray:
-    """Return the share of a pixel that a line covers, `at` [n] m into its period."""
-    away = np.minimum(at, period - at)
+def _line(position: NDArray, period: float, width: float, pixel: NDArray) -> NDArray:
+    """Return the fraction of a pixel that a line covers at a position in its period [n] m."""
+    away = np.minimum(position, period - position)
     wide = np.maximum(pixel, 1e-9)
     return np.clip((width / 2 - away) / wide + 0.5, 0.0, 1.0) * np.minimum(1.0, width / wide)
 
 
 def _faded(value: NDArray, pixel: NDArray, step: float, mean: float) -> NDArray:
-    """Draw values towards their mean where a pixel is not small beside the step."""
+    """Blend values towards their mean where a pixel is not small compared with the period."""
     keep = np.clip(2.0 - 2.0 * pixel / (MAX_DETAIL * step), 0.0, 1.0)
     return mean + keep * (value - mean)
 
@@ -156,26 +156,26 @@ def _ramp(x: NDArray, low: float, high: float) -> NDArray:
 
 
 def _hashed(row: NDArray, column: NDArray) -> NDArray:
-    """Return a number in [-1, 1] of each pair of whole numbers [n]."""
+    """Return a pseudorandom number in [-1, 1] for each pair of integers [n]."""
     return _hash(np.column_stack([row, column, 0 * row]).astype(np.int64))
 
 
 def wood(p: NDArray) -> NDArray:
-    """Brightness about 1 of wood at points [n, 3] m of an object: rings cut lengthwise."""
+    """Return the relative brightness of wood, rings cut lengthwise, at points [n, 3] m."""
     x, y, z = p[:, 0], p[:, 1], p[:, 2]
-    # The tree's axis runs along x a little off the surface, and wanders slowly.
+    # The axis of the tree is parallel to x, slightly off the surface, and wanders slowly.
     wander = 0.010 * noise(np.column_stack([x * 3.0, y * 9.0, z * 9.0]))
     radius = np.hypot(y + 0.7 * wander + 0.013, 1.6 * (z + 0.06) + wander)
     rings = radius * 95.0 + 0.8 * noise(np.column_stack([x * 5.0, y * 40.0, z * 40.0]))
     wave = rings - np.floor(rings)
-    # Early wood darkens slowly into late wood, then the next year begins.
+    # Earlywood darkens slowly into latewood, then the next ring begins.
     ring = np.where(wave < 0.8, wave / 0.8, (1.0 - wave) / 0.2)
     fibre = noise(np.column_stack([x * 30.0, y * 700.0, z * 700.0]))
     return 1.06 - 0.22 * ring * ring + 0.05 * fibre
 
 
 def noise(p: NDArray) -> NDArray:
-    """Smooth value noise in [-1, 1] at points [n, 3]; integer hashing, so the same everywhere."""
+    """Return smooth value noise in [-1, 1] at points [n, 3], from integer hashes."""
     cell = np.floor(p)
     f = p - cell
     f = f * f * (3.0 - 2.0 * f)

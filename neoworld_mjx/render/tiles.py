@@ -1,8 +1,7 @@
-"""Tiles of patterned materials: small pictures that repeat without a seam, for other programs.
+"""Tiles of patterned materials: small images that repeat seamlessly, for other programs.
 
-A tile is the pattern that our pictures draw, on the plane z = 0 of an object's frame. Patterns in
-courses repeat after whole ones; the others are folded, so that each tile meets its mirror image, or
-blended at their edges.
+A tile shows the pattern of rendered images on the plane z = 0 of an object's frame. Patterns in
+courses repeat after a whole number of courses; the others are mirrored or blended at their edges.
 """
 
 from functools import lru_cache
@@ -19,29 +18,29 @@ from .prints import print_png
 from .surface_patterns import patterned
 
 PIXELS = 256
-"""Edge of a tile."""
+"""Edge length of a tile [px]."""
 COLOURS = 48
-"""Of a tile; more cost bytes and are not seen."""
+"""Number of colors of a tile; more are not visible."""
 SAMPLES = 2
-"""A pixel and axis, of patterns with edges."""
+"""Samples per pixel and axis of patterns with edges."""
 GRAIN_M = 0.32
 _STEPS: dict[str, tuple[int, int]] = {
-    # Steps along u and v; both make whole courses where they are not folded.
+    # Periods along u and v; a whole number of courses where the tile is not mirrored.
     "boards": (9, 8), "tiles": (4, 4), "bricks": (12, 12), "veins": (3, 3),
     "speckles": (24, 24), "weave": (16, 16), "brushed": (40, 40),
 }  # fmt: skip
 _FOLDED = {
     "grain": "uv", "boards": "u", "weave": "u", "brushed": "uv",
 }  # fmt: skip
-"""Along which axes a tile is its own mirror image."""
+"""Axes along which a tile is mirrored."""
 _BLENDED = ("veins", "speckles")
-"""Patterns where a mirror image would show: their edges run over into what comes next."""
+"""Patterns that are blended at their edges, as mirroring would be visible."""
 OVERLAP = 0.125
-"""Share of a tile in which they do."""
+"""Width of the blended edge relative to the tile."""
 
 
 def tile_size(pattern: SurfacePattern) -> tuple[float, float]:
-    """Return the edges of a pattern's tile along the first and second axis of a face [m]."""
+    """Return the width and height of a pattern's tile [m]."""
     if pattern.kind == "grain":
         return GRAIN_M, GRAIN_M
     u, v = (count * pattern.length for count in _STEPS[pattern.kind])
@@ -49,10 +48,9 @@ def tile_size(pattern: SurfacePattern) -> tuple[float, float]:
 
 
 def tile_png(material: Material) -> bytes | None:
-    """Return the tile of a patterned material as PNG, the same bytes every time; None if plain.
+    """Return the tile of a patterned material, or the texture of a printed one, as PNG.
 
-    Its first row is at the greatest v, as in all pictures. Of a material that bears a print of the
-    photograph it is that, which does not repeat.
+    The first row is at the largest v. Returns None for a plain material.
     """
     if material.photo is not None:
         return print_png(material)
@@ -63,10 +61,10 @@ def tile_png(material: Material) -> bytes | None:
 @lru_cache(maxsize=256)
 def _tile_png(described: str, rgb: tuple[float, float, float]) -> bytes:
     pattern, content = SurfacePattern.model_validate_json(described), BytesIO()
-    picture = Image.fromarray(_tile(pattern, rgb)).quantize(
+    image = Image.fromarray(_tile(pattern, rgb)).quantize(
         COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE
     )
-    picture.save(content, format="PNG", optimize=True)
+    image.save(content, format="PNG", optimize=True)
     return content.getvalue()
 
 
@@ -100,8 +98,8 @@ def _tile(pattern: SurfacePattern, rgb: tuple[float, float, float]) -> NDArray:
 
 
 def _wrapped(rows: NDArray) -> NDArray:
-    """Blend the rows beyond a tile's edge into its first ones."""
-    more = len(rows) - PIXELS
-    share = ((np.arange(more) + 0.5) / more)[:, None, None]
-    first = share * rows[:more] + (1 - share) * rows[PIXELS:]
-    return np.concatenate([first, rows[more:PIXELS]])
+    """Blend the rows beyond the edge of a tile into its first rows."""
+    overlap = len(rows) - PIXELS
+    weight = ((np.arange(overlap) + 0.5) / overlap)[:, None, None]
+    first = weight * rows[:overlap] + (1 - weight) * rows[PIXELS:]
+    return np.concatenate([first, rows[overlap:PIXELS]])

@@ -1,4 +1,4 @@
-"""View: any pinhole camera, and those that frame an object."""
+"""Pinhole cameras at any pose, and views that frame an object."""
 
 import math
 from typing import NamedTuple
@@ -10,14 +10,14 @@ from ..spec import Camera
 from ..spec.pose import ArrayLike
 
 FOVY = math.radians(32.0)
-"""Vertical field of view [rad] of views that frame something by themselves."""
+"""Vertical field of view of views that frame an object [rad]."""
 
 
 class View(NamedTuple):
-    """A pinhole camera anywhere in the world."""
+    """A pinhole camera at any pose."""
 
     eye: NDArray
-    """Centre of projection [m], shape [3]."""
+    """Center of projection [m], shape [3]."""
     axes: NDArray
     """Columns [3, 3] in the world: right, down, forward."""
     fovy: float
@@ -25,16 +25,16 @@ class View(NamedTuple):
     width: int
     height: int
     centre: tuple[float, float] | None = None
-    """Pixel (u, v) that the view's axis passes through; None is the middle of the picture."""
+    """Principal point (u, v) in pixels; None is the center of the image."""
 
     @classmethod
     def of(cls, camera: Camera, width: int | None = None, height: int | None = None) -> "View":
-        """Take a scene's camera at another size.
+        """Return the view of a scene's camera at another size.
 
         Args:
             camera: the camera.
-            width: of the picture in pixels; None follows from `height`, or is the camera's own.
-            height: of the picture in pixels; None follows from `width` by the camera's aspect.
+            width: width in pixels; None follows from `height`, or is the camera's.
+            height: height in pixels; None follows from `width` and the camera's aspect ratio.
         """
         if width is None:
             rows = camera.height_px if height is None else height
@@ -47,16 +47,16 @@ class View(NamedTuple):
     def look_at(
         cls, eye: ArrayLike, target: ArrayLike, *, width: int, height: int, fovy: float = FOVY
     ) -> "View":
-        """Look from one point [3] m to another, upright."""
-        at = np.asarray(eye, float)
-        forward = np.asarray(target, float) - at
+        """Return an upright view from one point [3] m to another."""
+        origin = np.asarray(eye, float)
+        forward = np.asarray(target, float) - origin
         forward = forward / np.linalg.norm(forward)
         right = np.cross(forward, [0.0, 0.0, 1.0])
-        if np.linalg.norm(right) < 1e-9:  # straight up or down: keep +x at the picture's top
+        if np.linalg.norm(right) < 1e-9:  # straight up or down: +x is at the top of the image
             right = np.array([0.0, -1.0, 0.0])
         right = right / np.linalg.norm(right)
         return cls(
-            at, np.column_stack([right, np.cross(forward, right), forward]), fovy, width, height
+            origin, np.column_stack([right, np.cross(forward, right), forward]), fovy, width, height
         )
 
     @classmethod
@@ -71,16 +71,16 @@ class View(NamedTuple):
         fovy: float = FOVY,
         margin: float = 1.22,
     ) -> "View":
-        """See all points [n, 3] m from a direction, as near as they fit.
+        """Return the closest view from a direction that shows all points.
 
         Args:
-            points: what must be inside the picture, such as the corners of a bounding box.
-            width: of the picture in pixels.
-            height: of the picture in pixels.
-            azimuth: of the camera about +z [rad]; 0 looks at the front (+x).
-            elevation: of the camera above the horizontal [rad].
+            points: points in the world [n, 3] m.
+            width: width in pixels.
+            height: height in pixels.
+            azimuth: azimuth of the camera about +z [rad]; 0 looks at the front (+x).
+            elevation: elevation of the camera above the horizontal [rad].
             fovy: vertical field of view [rad].
-            margin: how much farther away than the nearest place that shows everything.
+            margin: factor of the distance.
         """
         p = np.asarray(points, float)
         centre = (p.min(axis=0) + p.max(axis=0)) / 2
@@ -103,12 +103,12 @@ class View(NamedTuple):
     def through(
         cls, camera: Camera, window: tuple[float, float, float, float], longer_side: int
     ) -> "View":
-        """See a part of a camera's picture, enlarged.
+        """Return an enlarged view of a window in a camera's image.
 
         Args:
             camera: the camera.
-            window: the part, in the camera's pixels (x0, y0, x1, y1); it may reach beyond.
-            longer_side: of the new picture, in pixels.
+            window: the window (x0, y0, x1, y1) in the camera's pixels; it may exceed the image.
+            longer_side: longer side of the new image in pixels.
         """
         x0, y0, x1, y1 = window
         scale = longer_side / max(x1 - x0, y1 - y0)

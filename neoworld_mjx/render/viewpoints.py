@@ -1,4 +1,4 @@
-"""Viewpoints around the objects of a scene, and turntables."""
+"""Views from around the objects of a scene, and turntables."""
 
 from collections.abc import Iterator, Sequence
 
@@ -17,10 +17,10 @@ def subject_points(scene: SceneSpec, names: Sequence[str] = ()) -> NDArray:
 
     Args:
         scene: the scene.
-        names: of the objects; empty takes all but the environment, or all where all are of it.
+        names: names of the objects; empty for all except the environment, or all if none remain.
 
     Raises:
-        SpecError: no object has such a name.
+        SpecError: no object has one of the names.
     """
     known = [obj.name for obj in scene.objects]
     for name in names:
@@ -43,14 +43,14 @@ def around(
     height: int,
     fovy: float = FOVY,
 ) -> list[View]:
-    """Return views from all around, at one distance from which every one shows all points.
+    """Return views from several azimuths, at the smallest equal distance that shows all points.
 
     Args:
-        points: what must be seen [n, 3] m.
-        azimuths: of the cameras about +z [rad]; 0 looks at the front (+x).
-        elevation: above the horizontal [rad].
-        width: of the pictures in pixels.
-        height: of the pictures in pixels.
+        points: points in the world [n, 3] m.
+        azimuths: azimuths of the cameras about +z [rad]; 0 looks at the front (+x).
+        elevation: elevation above the horizontal [rad].
+        width: width in pixels.
+        height: height in pixels.
         fovy: vertical field of view [rad].
     """
     views = [
@@ -65,14 +65,14 @@ def around(
 
 
 def turntable(scene: SceneSpec, views: list[View], *, supersample: int = 2) -> Iterator[NDArray]:
-    """Render a scene from view after view, uint8 [h, w, 3] each; the scene is compiled once."""
+    """Render a scene from several views, uint8 [h, w, 3] each; the scene is compiled once."""
     posed = compile_posed(scene)
     for view in views:
         yield render(posed, view, supersample=supersample).color
 
 
 def opened(scene: SceneSpec, share: float) -> SceneSpec:
-    """Return the scene with every limited joint at a share of its range, from closed to open."""
+    """Return the scene with every limited joint at a fraction of its range, from closed to open."""
     objects = []
     for obj in scene.objects:
         state = dict(obj.joint_state)
