@@ -18,7 +18,7 @@ def compiled():
     return double
 
 
-def test_programs_are_dropped_when_maps_run_short(compiled):
+def test_programs_are_dropped_when_memory_maps_run_short(compiled):
     # By default it depends on what ran in this process before.
     assert not make_room(share=2.0)
     assert compiled._cache_size() == 1

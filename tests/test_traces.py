@@ -27,7 +27,7 @@ def counted(tmp_path, monkeypatch):
     )
 
 
-def test_a_kept_trace_is_read_by_the_next_process_and_gives_the_same_bits(counted):
+def test_a_stored_trace_is_read_by_the_next_process_and_is_bit_identical(counted):
     calls, folder, new, plain = counted
     tree = {"a": np.linspace(0, 1, 7, dtype=np.float32), "b": np.float32(3)}
     first = new()(tree)["out"]
@@ -50,7 +50,7 @@ def test_a_damaged_trace_is_traced_again(counted):
     assert path.stat().st_size > 100
 
 
-def test_within_another_trace_and_without_a_folder_nothing_is_kept(counted, monkeypatch):
+def test_nothing_is_stored_within_another_trace_or_without_a_folder(counted, monkeypatch):
     _, folder, new, plain = counted
     tree = {"a": np.ones((4, 2), np.float32), "b": np.full(4, 2, np.float32)}
     assert np.array_equal(jax.vmap(new())(tree)["out"], jax.vmap(plain)(tree)["out"])
@@ -59,7 +59,7 @@ def test_within_another_trace_and_without_a_folder_nothing_is_kept(counted, monk
     assert not folder.exists()
 
 
-def test_only_the_newest_traces_stay(counted, monkeypatch):
+def test_only_the_newest_traces_are_stored(counted, monkeypatch):
     _, folder, new, _ = counted
     monkeypatch.setattr(traces, "MOST_PROGRAMS", 2)
     for n in (1, 2, 3):
@@ -67,7 +67,7 @@ def test_only_the_newest_traces_stay(counted, monkeypatch):
     assert len(list(folder.glob("*.bin"))) == 2
 
 
-def test_traces_are_kept_on_the_cores_of_an_accelerator_host(counted, monkeypatch):
+def test_traces_are_stored_for_the_cpu_of_an_accelerator_host(counted, monkeypatch):
     calls, folder, new, _ = counted
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     tree = {"a": np.ones(3, np.float32), "b": np.float32(2)}

@@ -8,12 +8,11 @@ import functools
 from typing import Any
 
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 
 from ..spec.pose import quat_mul
 from .layout import Layout, Poses, compose_poses, rotation
-from .model import FREE, SLIDE, SceneModel, StaticScene
+from .model import SceneModel, StaticScene, is_rotational
 from .model_fields import owner_scale
 from .native import open_batch
 
@@ -33,7 +32,7 @@ def invweights(scene: SceneModel, poses: Poses) -> dict[str, Any]:
     if _one_mass_law(s):
         mass = s.powers.body_mass
         law = np.stack([-mass, -(mass + 2)], axis=-1)
-        rotational = np.array([_rotational(m, d) for d in range(m.nv)], bool)
+        rotational = np.array([is_rotational(m, d) for d in range(m.nv)], bool)
         dof_mass = mass[m.dof_bodyid] if m.nv else np.zeros(0)
         return {
             "body_invweight0": m.body_invweight0 * body[..., None] ** law,
@@ -84,13 +83,6 @@ def static_geoms(
 
 def _rotated(quat: Any, v: Any) -> Any:
     return jnp.sum(rotation(quat) * v[:, None, :], axis=-1)
-
-
-def _rotational(m: mujoco.MjModel, dof: int) -> bool:
-    joint = m.dof_jntid[dof]
-    if m.jnt_type[joint] == FREE:
-        return bool(dof - m.jnt_dofadr[joint] >= 3)
-    return bool(m.jnt_type[joint] != SLIDE)
 
 
 @functools.lru_cache(maxsize=64)

@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..spec import SceneSpec
-from .mjcf import to_mjspec
+from .mjcf import object_of_body, to_mjspec
 
 NUDGE = np.array([0.36, 0.48, 0.80]) * 1e-6
 """Displacement of a geom for which MuJoCo returns no valid distance [m]."""
@@ -25,9 +25,7 @@ def start_state(scene: SceneSpec, timestep: float = 0.002) -> tuple[mujoco.MjMod
 
 def object_of_geom(scene: SceneSpec, model: mujoco.MjModel) -> NDArray:
     """Return the object that owns each geom, -1 for none, shape [ngeom]."""
-    names = [item.name for item in scene.objects]
-    owner = [model.body(b).name.split("-", 1)[0] for b in model.geom_bodyid]
-    return np.array([names.index(name) if name in names else -1 for name in owner], int)
+    return object_of_body(model, [item.name for item in scene.objects])[model.geom_bodyid]
 
 
 def pair_distance(
@@ -106,29 +104,29 @@ def object_depths(
 
 
 def snap_exactly(scene: SceneSpec, gap: float = 1e-4, rounds: int = 30) -> SceneSpec:
-    """Set every snapped object down on its support to within `gap` [m], from the root downwards.
+    """Lower every snapped object onto its support, leaving `gap` [m], parents first.
 
-    A distance bounds how far an object can sink before it touches, so sinking by it never
-    overshoots; where two objects overlap the upper one is raised until they do not. Where that
-    leaves them as deep in each other, as they overlap sideways, it keeps its height.
+    Lowering an object by its distance from the support never overshoots; an object that penetrates
+    the support is raised until it does not. It keeps its height if that does not reduce the
+    penetration, as for sideways overlap.
     """
     model, data = start_state(scene)
     owner = object_of_geom(scene, model)
-    carried = np.eye(len(scene.objects), dtype=bool)
+    ancestors = np.eye(len(scene.objects), dtype=bool)
     for index, item in enumerate(scene.objects):
         if item.parent is not None:
-            carried[index] |= carried[scene.index(item.parent)]
+            ancestors[index] |= ancestors[scene.index(item.parent)]
     objects = list(scene.objects)
     for index, item in enumerate(scene.objects):
         if item.parent is None or item.relation == "attached" or item.environment:
             continue
-        own = np.flatnonzero(owner == index)
+        geoms = np.flatnonzero(owner == index)
         support = np.flatnonzero(owner == scene.index(item.parent))
-        # What stands on it goes with it. Nothing turns, so geoms are moved and not compiled anew.
-        moved = np.flatnonzero((owner >= 0) & carried[owner, index])
+        # Its descendants move with it, by translation, so nothing is recompiled.
+        moved = np.flatnonzero((owner >= 0) & ancestors[owner, index])
         height, distances = item.z, []
         for _ in range(rounds):
-            distance = pair_distance(model, data, own, support, reach=0.02)
+            distance = pair_distance(model, data, geoms, support, reach=0.02)
             distances.append(distance)
             if distance >= 0.02 or abs(distance - gap) < 5e-6:
                 break

@@ -1,7 +1,7 @@
 """Layouts: the four parameters of each object that CEM optimizes, and the poses they lead to."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -18,7 +18,18 @@ SNAPPED_AT_ONCE = 8192
 """Number of objects, of all candidates, that are snapped at once; each takes about 30 KB."""
 
 
-class Layout(eqx.Module):
+CandidatesT = TypeVar("CandidatesT", bound="Candidates")
+
+
+class Candidates(eqx.Module):
+    """Base of arrays with a leading axis of candidates."""
+
+    def __getitem__(self: CandidatesT, index: object) -> CandidatesT:
+        """Take candidates along the leading axis."""
+        return jax.tree.map(lambda leaf: leaf[index], self)
+
+
+class Layout(Candidates):
     """Perturbations z = (dx, dy, dyaw, log s) of a composed scene (paper Section 3.3).
 
     Zero is the composed scene. Applied in the order scale, yaw, translation, in parent frames.
@@ -38,12 +49,8 @@ class Layout(eqx.Module):
         zeros = lambda *shape: jax.device_put(np.zeros(shape, np.float32))
         return cls(zeros(pop, objects, 2), zeros(pop, objects), zeros(pop, objects))
 
-    def __getitem__(self, index: object) -> "Layout":
-        """Take candidates along the leading axis."""
-        return jax.tree.map(lambda leaf: leaf[index], self)
 
-
-class Poses(eqx.Module):
+class Poses(Candidates):
     """World poses of all objects of the candidates, from `SceneModel.place`."""
 
     pos: Float[AnyArray, "pop object 3"]
@@ -54,10 +61,6 @@ class Poses(eqx.Module):
     """Isotropic scale factors."""
     height: Float[AnyArray, "pop object"]
     """Snapped height above the support frame's origin [m]; the `z` of a SceneObject."""
-
-    def __getitem__(self, index: object) -> "Poses":
-        """Take candidates along the leading axis."""
-        return jax.tree.map(lambda leaf: leaf[index], self)
 
 
 class Arrangement(NamedTuple):

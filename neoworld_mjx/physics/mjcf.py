@@ -12,10 +12,11 @@ the object's orientation, so every joint sits at its body's origin.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SpecError
 from ..spec import (
@@ -105,6 +106,12 @@ def body_name(item: SceneObject | ObjectSpec, part: str) -> str:
     """Return the name of the body of a part of an object."""
     spec = item if isinstance(item, ObjectSpec) else item.spec
     return item.name if part == spec.root else f"{item.name}-{part}"
+
+
+def object_of_body(model: mujoco.MjModel, names: Sequence[str]) -> NDArray:
+    """Return the index of the object of each body, -1 for none, shape [nbody]."""
+    owners = [model.body(b).name.split("-", 1)[0] for b in range(model.nbody)]
+    return np.array([names.index(name) if name in names else -1 for name in owners], int)
 
 
 def visual_name(owner: str, geom: GeomSpec) -> str:

@@ -17,7 +17,7 @@ from ..spec.object import mass_exponent
 from ..spec.scale import joint_exponents
 from .colliders import collect_colliders
 from .layout import Arrangement, Layout, Poses, arrange, compose_poses, diagonal
-from .mjcf import body_name, to_mjspec
+from .mjcf import body_name, object_of_body, to_mjspec
 from .outline import extreme_points, is_round
 from .photo_view import photo_view
 from .sampling import surface_samples
@@ -168,7 +168,7 @@ def compile_scene(
     # Otherwise MuJoCo resets a diverged simulation to its initial state, which appears stable.
     mjm.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     names = tuple(item.name for item in scene.objects)
-    owner = np.array([_owner(mjm.body(b).name, names) for b in range(mjm.nbody)])
+    owner = object_of_body(mjm, names)
     joints = np.flatnonzero(mjm.jnt_type != FREE)
     static = StaticScene(
         spec=scene,
@@ -233,21 +233,21 @@ def load_scene(
     )
 
 
-def _owner(body: str, names: tuple[str, ...]) -> int:
-    name = body.split("-", maxsplit=1)[0]
-    return names.index(name) if name in names else -1
-
-
 def _characteristic_lengths(scene: SceneSpec, m: mujoco.MjModel, owner: np.ndarray) -> np.ndarray:
     boxes = [bounds(item.spec, item.joint_state) for item in scene.objects]
     half = np.array([np.linalg.norm(high - low) / 2 for low, high in boxes])
     length = np.ones(m.nv)
-    for dof in range(m.nv):
-        joint = m.dof_jntid[dof]
-        first = m.jnt_type[joint] == FREE and dof - m.jnt_dofadr[joint] < 3
-        if not first and m.jnt_type[joint] != SLIDE:
-            length[dof] = half[owner[m.dof_bodyid[dof]]]
+    for dof in filter(lambda dof: is_rotational(m, dof), range(m.nv)):
+        length[dof] = half[owner[m.dof_bodyid[dof]]]
     return length
+
+
+def is_rotational(m: mujoco.MjModel, dof: int) -> bool:
+    """Return whether a dof rotates."""
+    joint = m.dof_jntid[dof]
+    if m.jnt_type[joint] == FREE:
+        return bool(dof - m.jnt_dofadr[joint] >= 3)
+    return bool(m.jnt_type[joint] != SLIDE)
 
 
 def _powers(scene: SceneSpec, m: mujoco.MjModel) -> Powers:

@@ -83,7 +83,7 @@ def rotate(quat: ArrayLike, points: ArrayLike) -> NDArray:
 
 
 def cross(a: NDArray, b: NDArray) -> NDArray:
-    """Return the cross product of vectors [..., 3]; ten times as fast as np.cross for single ones."""
+    """Return the cross product of vectors [..., 3]; np.cross is ten times slower for one pair."""
     if a.ndim == b.ndim == 1:
         (a0, a1, a2), (b0, b1, b2) = a.tolist(), b.tolist()
         return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])

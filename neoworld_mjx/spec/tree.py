@@ -68,14 +68,14 @@ Spread = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class Cues(Spec):
-    """What an answer says about how well its numbers are known, and what pins them."""
+    """Uncertainty of a node's parsed values, and cues that constrain them."""
 
     contact: tuple[Number, Number] | None = None
     """Original pixel (x to the right, y down) of the visible contact with the support that is
     nearest to the camera; None if no contact is visible."""
     cut_sides: tuple[Literal["left", "top", "right", "bottom"], ...] | None = None
-    """Sides of `box2d` beyond which the object continues, occluded or outside the image; None if not
-    stated."""
+    """Sides of `box2d` beyond which the object continues, occluded or outside the image; None if
+    not stated."""
     known_size: tuple[Literal["x", "y", "z"], ...] = ()
     """Edges of `box3d` with a standard size, independent of the photograph."""
     position_sd: Spread | None = None
@@ -119,7 +119,7 @@ class TreeNode(Spec):
     furniture: bool = False
     """True for an environment support with an object program."""
     surface: SupportSurface | None = None
-    """Surface of an environment support; None derives the material from its words, without pattern."""
+    """Surface of an environment support; None derives it from the description, without pattern."""
 
     @property
     def slab(self) -> bool:
@@ -162,9 +162,9 @@ class SceneTree(Spec):
                 "a surface": node.surface is not None,
                 "furniture": node.furniture,
             }
-            for what in (what for what, has in own.items() if has and not node.environment):
+            for attribute in (name for name, has in own.items() if has and not node.environment):
                 raise ValueError(
-                    f"node {node.name} has {what}, which only environment supports have"
+                    f"node {node.name} has {attribute}, which only environment supports have"
                 )
             parent = next((p for p in self.nodes if p.name == node.parent), None)
             if node.environment and parent is not None and not parent.environment:

@@ -128,7 +128,7 @@ def test_gradient_is_that_of_finite_differences(mixed, impl):
         assert (np.abs(derivative) > 0.05 * size)[even].mean() > 0.5, "most candidates overlap"
 
 
-def test_the_gradient_of_the_reference_keeps_no_distances(mixed):
+def test_the_gradient_of_the_reference_stores_no_distances(mixed):
     # Those of 8 192 candidates among 40 convex pieces would take 750 GiB.
     drop = [kind for kind in Colliders._fields if kind != "box"]
     boxes = without(mixed.colliders, *drop).box
@@ -176,7 +176,7 @@ def test_culled_agrees_with_the_reference_on_a_crowded_scene():
     assert (truth > 0).sum() > 50
 
 
-def test_a_lost_pose_makes_its_own_depths_nan_and_no_other(mixed):
+def test_a_nan_pose_affects_only_its_own_depths(mixed):
     pos, rot, scale = mixed.where
     depth = mixed.run["culled"]
     sound, _ = depth(pos, rot, scale)
@@ -189,7 +189,7 @@ def test_a_lost_pose_makes_its_own_depths_nan_and_no_other(mixed):
     assert all(np.isfinite(g[others]).all() for g in grad)
 
 
-def test_a_gradient_is_a_number_where_there_is_none(mixed):
+def test_the_gradient_is_finite_for_concentric_colliders(mixed):
     """Concentric colliders with parallel axes, where norms and angles have no derivative."""
     pos, rot, scale = (jnp.asarray(x) for x in mixed.where)
     depths, grad = mixed.run["culled"](
@@ -199,14 +199,14 @@ def test_a_gradient_is_a_number_where_there_is_none(mixed):
     assert all(np.isfinite(g).all() for g in grad)
 
 
-def test_nothing_to_look_at_is_no_depth(mixed):
+def test_depth_is_zero_without_pieces_or_samples(mixed):
     none = without(mixed.colliders, *Colliders._fields)
     assert not np.asarray(pair_depth_culled(*mixed.where, mixed.samples, none)).any()
     nobody = [x[:0] for x in mixed.where]
     assert pair_depth_culled(*nobody, mixed.samples, mixed.colliders).shape == (0, 7, 7)
 
 
-def test_the_fastest_is_chosen_by_device_and_size(mixed, monkeypatch):
+def test_the_implementation_is_selected_by_device_and_size(mixed, monkeypatch):
     pieces = sum(len(group.owner) for group in mixed.colliders)
     choose = lambda pop: penetration_depth.choose(pop, 7, 50, mixed.colliders)
     assert [choose(1), choose(10**6)] == ["culled", "culled"]
@@ -219,7 +219,9 @@ def test_the_fastest_is_chosen_by_device_and_size(mixed, monkeypatch):
     least = {"pallas_from": 8 * 7 * 50 * pieces}
     monkeypatch.setitem(penetration_depth.KERNEL_TIMES["devices"], "Measured", least)
     assert [choose(7), choose(8)] == ["jnp", "pallas"]
-    monkeypatch.setitem(penetration_depth.KERNEL_TIMES["devices"], "Measured", {"pallas_from": None})
+    monkeypatch.setitem(
+        penetration_depth.KERNEL_TIMES["devices"], "Measured", {"pallas_from": None}
+    )
     assert choose(10**6) == "jnp"
     Device.platform = "tpu"
     assert choose(10**6) == "jnp"
@@ -228,7 +230,7 @@ def test_the_fastest_is_chosen_by_device_and_size(mixed, monkeypatch):
         assert choose(10**6) == "culled", "the device that was asked for"
 
 
-def test_auto_takes_what_was_chosen(mixed, monkeypatch):
+def test_auto_uses_the_selected_implementation(mixed, monkeypatch):
     taken, none = [], jnp.zeros((70, 7, 7))
     monkeypatch.setattr(
         penetration_depth, "pair_depth_culled", lambda *_: taken.append("culled") or none

@@ -19,18 +19,18 @@ def failing(scene):
     return failed
 
 
-def test_a_stack_keeps_every_bound():
+def test_a_stack_satisfies_every_bound():
     assert failing(snap_exactly(scenes.blocks())) == {}
 
 
-def test_two_boxes_in_each_other_are_named():
+def test_two_penetrating_boxes_are_named():
     one, two = (scenes.single(name, (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0))) for name in "ab")
     scene = scenes.on_table((one, (0, 0), 0.0, {}), (two, (0.09, 0), 0.0, {}))
     failed = failing(scene)
     assert failed["max_depth_m"] == "a|b"
 
 
-def test_what_only_turns_fails_by_its_angle_alone():
+def test_a_rotating_object_fails_by_its_angle_alone():
     # A wheel on its axle's height rolls about its own axis: its base stays where it is.
     pole = scenes.single("pole", (Cylinder(radius=0.004, height=0.1), (0, 0, 0.05)))
     tilt = np.radians(6.0) / 2
@@ -65,7 +65,7 @@ def test_a_drawer_that_slides_open_by_itself_is_named():
     assert failed.get("max_joint_slide_m", "").endswith(joint.name)
 
 
-def test_a_value_that_is_not_finite_passes_nothing():
+def test_a_value_that_is_not_finite_fails_every_bound():
     measure = measured(snap_exactly(scenes.blocks()), OPTIONS).model_copy(update={"diverged": True})
     failed = [check.name for check in scene_checks(measure, OPTIONS) if not check.passed]
     assert failed == [

@@ -21,7 +21,7 @@ def test_depth_of_two_boxes_side_by_side(depth):
     assert result.s_pen == int(depth > 1e-3)
 
 
-def test_one_thing_inside_another_is_deep_even_if_concentric():
+def test_nested_objects_penetrate_even_if_concentric():
     small = box("small", (0.04, 0.04, 0.04))
     result = scene_measure(
         scenes.on_table((box("big"), (0, 0), 0.0, {}), (small, (0, 0), 0.0, {"z": 0.07})),
@@ -60,7 +60,7 @@ def test_a_stack_stands_and_a_ball_on_a_slope_does_not():
     assert rolling.drift_m["ball"] > 0.1
 
 
-def test_rotation_counts_although_the_place_is_kept():
+def test_rotation_counts_without_translation():
     pole = scenes.single("pole", (Cylinder(radius=0.004, height=0.3), (0, 0, 0.15)))
     scene = scenes.on_table((pole, (0, 0), 0.0, {"base_tilt": (np.cos(0.06), np.sin(0.06), 0, 0)}))
     result = scene_measure(scene)
@@ -68,7 +68,7 @@ def test_rotation_counts_although_the_place_is_kept():
     assert result.max_tilt_deg > 45
 
 
-def test_nothing_movable_means_no_figure():
+def test_stability_is_none_without_movable_objects():
     result = scene_measure(scenes.on_table(), duration=0.01)
     assert result.movable == 0
     assert result.s_stab is None
@@ -108,7 +108,7 @@ def test_moving_objects_are_named_with_the_reason_those_that_fall_first():
 
 
 @pytest.mark.parametrize(("aside", "above"), [(0.0, 0.0), (0.0003, 0.0), (0.0, -0.002)])
-def test_what_overlaps_a_wall_sideways_is_not_lifted_over_it(aside, above):
+def test_sideways_overlap_with_a_wall_does_not_lift_an_object_over_it(aside, above):
     tray = scenes.single("tray", (HollowBox(size=(0.2, 0.2, 0.06), wall=0.006), (0, 0, 0)))
     base = scenes.on_table((tray, (0, 0), 0.0, {}))
     inside = SceneObject(

@@ -12,7 +12,7 @@ def scene():
     return scenes.stored_scene("photo_1")
 
 
-def test_the_truth_overlaps_its_photograph_and_a_moved_object_does_not(scene):
+def test_the_ground_truth_overlaps_its_photograph_and_a_moved_object_does_not(scene):
     true = visible_box_iou(scene)
     assert set(true) == {o.name for o in scene.objects if not o.environment}
     assert min(true.values()) > 0.9 and np.mean([*true.values()]) > 0.97
@@ -42,7 +42,7 @@ def test_without_a_camera_or_parsed_boxes_there_is_nothing_to_compare(scene):
     assert isinstance(scene.camera, Camera) and iou_2d((0, 0, 1, 1), (2, 2, 3, 3)) == 0.0
 
 
-def test_a_side_is_an_objects_own_where_nothing_is_before_it(scene):
+def test_a_side_is_an_objects_own_without_an_occluder(scene):
     """Two blocks one behind the other, and one that the picture's border cuts."""
     block = scenes.single("block", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
     at = lambda x, y: (block, (x - 0.5, y), 0.0)
@@ -62,7 +62,7 @@ def test_a_side_is_an_objects_own_where_nothing_is_before_it(scene):
     assert shown["cut"].own[2]
 
 
-def test_moves_are_told_in_the_world(scene):
+def test_moves_are_in_world_coordinates(scene):
     before = scenes.blocks()
     low = before.object("low")
     pushed = low.model_copy(update={"xy": (low.xy[0] + 0.03, low.xy[1]), "yaw": low.yaw + 0.1})

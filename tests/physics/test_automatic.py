@@ -37,7 +37,7 @@ class Timed:
         return unmoved(scene, poses)
 
 
-def test_a_scene_with_drag_starts_where_the_scene_has_started(blocks_model, clock):
+def test_a_scene_with_drag_counts_as_started_with_its_scene(blocks_model, clock):
     warp, mjx = Timed("warp", clock, 20.0, 0.001), Timed("mjx", clock, 0.0, 0.001)
     engine = AutomaticEngine({"warp": warp, "mjx": mjx})
     engine.rollout(blocks_model, place(blocks_model, 8))
@@ -61,7 +61,7 @@ def place(scene, pop):
     return scene.place(Layout.zero(pop, len(scene.names)))
 
 
-def test_few_go_to_the_cores_and_many_to_the_accelerator(blocks_model, clock):
+def test_small_populations_run_on_the_cpu_and_large_ones_on_the_accelerator(blocks_model, clock):
     native, warp = Timed("native", clock, 0.0, 0.01), Timed("warp", clock, 1.0, 0.0001)
     engine = AutomaticEngine({"warp": warp, "native": native})
     assert engine.name == "auto"
@@ -76,7 +76,7 @@ def test_few_go_to_the_cores_and_many_to_the_accelerator(blocks_model, clock):
     assert native.sizes == [*before, 4]
 
 
-def test_what_was_learned_is_kept(blocks_model, clock):
+def test_measured_costs_are_stored(blocks_model, clock):
     slow = Timed("native", clock, 0.0, 5.0)
     fast = Timed("warp", clock, 0.001, 0.0)
     engine = AutomaticEngine({"warp": fast, "native": slow})
@@ -89,7 +89,7 @@ def test_what_was_learned_is_kept(blocks_model, clock):
     assert len(slow.sizes) == number
 
 
-def test_an_engine_that_refuses_is_named_and_not_asked_again(blocks_model, clock):
+def test_an_engine_that_refuses_a_scene_is_reported_and_not_tried_again(blocks_model, clock):
     refusing = Refusing("warp", clock, 0.0, 0.0)
     native = Timed("native", clock, 100.0, 0.0)
     engine = AutomaticEngine({"warp": refusing, "native": native})
@@ -102,7 +102,7 @@ def test_an_engine_that_refuses_is_named_and_not_asked_again(blocks_model, clock
         AutomaticEngine({"warp": refusing}).rollout(blocks_model, place(blocks_model, 2))
 
 
-def test_costs_lie_between_and_beyond_the_sizes_measured():
+def test_costs_are_interpolated_and_extrapolated():
     cost = EngineCost(3.0, ((1, 1.0), (100, 2.0)))
     assert cost.predict("any", 1, 250, started=True) == 1.0
     assert cost.predict("any", 200, 250, started=True) == 4.0
@@ -113,7 +113,7 @@ def test_costs_lie_between_and_beyond_the_sizes_measured():
     assert cost.start_s == pytest.approx(3.0 + 0.3 * (9.0 - 3.0))
 
 
-def test_what_a_machine_compiles_once_is_no_cost_of_starting():
+def test_cached_compilation_is_not_a_starting_cost():
     cost = EngineCost(3.0, ((1, 1.0), (100, 1.0)))
     cost.add("new", 10, 250, 200.0, started=False)
     assert cost.start_s == 3.0
@@ -129,12 +129,12 @@ def test_what_a_machine_compiles_once_is_no_cost_of_starting():
     + ['{"m": {"warp": {"start_s": 1, "tables": {"a": {"4": NaN}}}}}']
     + ['{"m": {"who": {"start_s": 1, "tables": {}}}}'],
 )
-def test_a_broken_file_counts_for_nothing(tmp_path, text):
+def test_an_invalid_cost_file_is_ignored(tmp_path, text):
     (tmp_path / engine_costs.COST_FILE).write_text(text)
     assert read_costs("m", 2) == prior_costs(2)
 
 
-def test_machines_are_kept_apart(tmp_path):
+def test_costs_are_stored_by_machine(tmp_path):
     costs = prior_costs(2)
     costs["warp"].add("a", 8, 250, 0.125, started=True)
     write_costs("one", costs)
@@ -144,7 +144,7 @@ def test_machines_are_kept_apart(tmp_path):
     assert set(json.loads((tmp_path / engine_costs.COST_FILE).read_text())) == {"one", "two"}
 
 
-def test_a_folder_that_cannot_be_written_costs_nothing(monkeypatch, tmp_path):
+def test_an_unwritable_folder_is_no_error(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv(cache.VARIABLE, str(tmp_path / "file" / "below"))
     write_costs("one", prior_costs(2))
@@ -175,7 +175,7 @@ def test_jax_leaves_memory_to_warp(monkeypatch, installed, expected):
         ({"prune": False}, "native"),
     ],
 )
-def test_a_refinement_of_few_candidates_stays_on_the_cores(monkeypatch, cem, opened):
+def test_a_refinement_of_few_candidates_runs_on_the_cpu(monkeypatch, cem, opened):
     names = []
 
     def refuse(name):

@@ -102,24 +102,6 @@ def test_early_stop_keeps_the_verdicts():
     assert set(np.unique(early.status)) >= {int(RolloutStatus.SETTLED), int(RolloutStatus.DRIFTED)}
 
 
-def test_a_candidate_that_diverges_is_a_status_and_harms_no_other(blocks):
-    layouts = random_layout(blocks, 4, spread=0.1)
-    poison = Layout(jnp.asarray(layouts.xy).at[2].set(jnp.nan), layouts.yaw, layouts.log_scale)
-    rollout = NativeEngine().rollout(blocks, blocks.place(poison), duration=0.2)
-    clean = NativeEngine().rollout(blocks, blocks.place(layouts), duration=0.2)
-    assert rollout.status.tolist() == [0, 0, int(RolloutStatus.FAILED), 0]
-    for k in (0, 1, 3):
-        assert np.array_equal(rollout.pos[k], clean.pos[k])
-
-
-def test_a_scene_with_nothing_movable():
-    still = scenes.on_table()
-    scene = compile_scene(still)
-    rollout = NativeEngine().rollout(scene, scene.place(Layout.zero(2, 1)), duration=0.1)
-    assert rollout.pos.shape == (2, 1, 1, 3)
-    assert np.array_equal(rollout.pos[:, 0], rollout.start.pos)
-
-
 def test_joint_shifts_are_angles_and_distances_from_each_candidates_start():
     scene = compile_scene(scenes.furnished())
     static = scene.static

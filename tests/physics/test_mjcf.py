@@ -87,7 +87,7 @@ def test_world_geometry_follows_the_description(fixed):
             assert np.allclose(a, r @ np.diag(inert.diagonal) @ r.T, rtol=1e-9, atol=1e-15)
 
 
-def test_joints_carry_their_numbers():
+def test_joint_parameters_are_written():
     spec = cabinet()
     model = to_mjspec(spec).compile()
     names = [model.joint(j).name for j in range(model.njnt)]
@@ -105,7 +105,7 @@ def test_joints_carry_their_numbers():
     assert np.allclose(site, (0.21, -0.18, 0.15))
 
 
-def test_a_mimic_stands_where_its_leader_puts_it():
+def test_a_mimic_joint_starts_at_its_leaders_position():
     items = scene()
     model = to_mjspec(items).compile()
     data = start(model)
@@ -137,7 +137,7 @@ def test_parts_that_a_joint_connects_never_collide_free_or_fixed():
     assert not any("box" in pair and "box/knob" in pair for pair in counts[0])
 
 
-def test_visual_geoms_are_seen_only():
+def test_visual_geoms_do_not_collide():
     items = scene()
     bare, seen = to_mjspec(items).compile(), to_mjspec(items, visual=True).compile()
     assert bare.ngeom == int(np.sum(bare.geom_group == 0)) == int(np.sum(seen.geom_group == 0))
@@ -166,7 +166,7 @@ def test_the_same_scene_gives_the_same_bytes():
     assert mujoco.MjModel.from_xml_string(texts[0]).nmesh == 10 + 4
 
 
-def test_mjx_takes_what_it_can_collide():
+def test_mjx_accepts_lowered_geoms():
     mjx = pytest.importorskip("mujoco.mjx")
     cone = Lathe(profile=((0.1, 0), (0.05, 0.1)), sectors=8)
     ball, cone = made.geom("ball", Sphere(radius=0.1)), made.geom("cone", cone)

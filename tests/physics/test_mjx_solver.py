@@ -70,7 +70,7 @@ def test_accelerations_are_those_of_mujoco(stepped):
     assert np.allclose(force, data.efc_force, atol=2e-3 * np.abs(data.efc_force).max())
 
 
-def test_the_step_is_where_the_function_is_least():
+def test_the_line_search_finds_the_minimum():
     rng = np.random.default_rng(0)
     count, rows = 64, 20
     stiffness = rng.uniform(0.1, 10, (count, rows))
@@ -99,7 +99,7 @@ def test_the_step_is_where_the_function_is_least():
     assert np.allclose(found, inner, rtol=1e-3, atol=1e-4)
 
 
-def test_where_nothing_falls_no_step_is_made():
+def test_an_ascending_line_gives_no_step():
     ends, zero, one = jnp.array([[-jnp.inf], [0.0]]), jnp.zeros(1), jnp.ones(1)
     assert float(exact_step(ends, zero, one, one, jnp.float32(0.0), jnp.float32(1.0))) == 0
     assert float(exact_step(ends, zero, one, zero, jnp.float32(0.0), jnp.float32(0.0))) == 0
@@ -111,7 +111,7 @@ def test_elliptic_cones_are_refused():
         put_compiled(model, model.qpos0)
 
 
-def test_nothing_is_printed_where_warp_is_missing():
+def test_importing_without_warp_prints_nothing():
     code = "import sys; sys.modules['warp'] = None; import neoworld_mjx.physics.mjx_engine"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ran.stdout == "" and "warp" not in ran.stderr

@@ -30,7 +30,7 @@ def test_repr_names_scene_objects_and_sizes_in_two_lines(blocks):
     assert text.count("\n") == 1
 
 
-def test_a_wrong_type_is_named_with_what_to_call_instead(blocks):
+def test_a_type_error_names_the_function_to_call(blocks):
     # Shape checks at run time would refuse the arguments first.
     roll_out, load, compile_ = map(inspect.unwrap, (rollout, load_scene, compile_scene))
     layouts = Layout.zero(2, 4)
@@ -74,7 +74,7 @@ def test_penetration_is_differentiable_through_placing(blocks):
     assert float(slope) == pytest.approx(difference, rel=0.05)
 
 
-def test_many_candidates_are_placed_in_batches_alike(blocks, monkeypatch):
+def test_batched_placement_equals_placement_at_once(blocks, monkeypatch):
     layouts = random_layout(blocks, 7)
     whole = blocks.place_exactly(layouts)
     monkeypatch.setattr("neoworld_mjx.physics.layout.SNAPPED_AT_ONCE", 8)
@@ -82,7 +82,7 @@ def test_many_candidates_are_placed_in_batches_alike(blocks, monkeypatch):
     assert np.allclose(blocks.place_exactly(layouts).height, whole.height, atol=1e-6)
 
 
-def test_the_table_of_engines_holds_every_engine():
+def test_the_table_lists_every_engine():
     from neoworld_mjx.physics.mjx_engine import MjxEngine
     from neoworld_mjx.physics.native import NativeEngine
     from neoworld_mjx.physics.warp_engine import WarpEngine

@@ -44,11 +44,11 @@ def steps_until_stopped(scene, *, away=lambda k: 0.0, speed=lambda k: 0.0, turne
     return RolloutStatus(int(recorder.status[0])), int(recorder.steps[0])
 
 
-def test_what_rests_has_settled_after_a_tenth_of_a_second(blocks):
+def test_an_object_at_rest_settles_after_a_tenth_of_a_second(blocks):
     assert steps_until_stopped(blocks) == (RolloutStatus.SETTLED, 25)
 
 
-def test_what_slows_down_has_settled_and_what_speeds_up_has_not(blocks):
+def test_a_decelerating_object_settles_and_an_accelerating_one_does_not(blocks):
     slower = steps_until_stopped(blocks, speed=lambda k: 0.004 * 0.9**k)
     assert slower == (RolloutStatus.SETTLED, 25)
     # Below the bound for 0.4 s, as something that begins to topple.
@@ -56,7 +56,7 @@ def test_what_slows_down_has_settled_and_what_speeds_up_has_not(blocks):
     assert faster == (RolloutStatus.OK, 250)
 
 
-def test_what_quivers_past_the_bounds_is_stopped_and_within_them_is_not(blocks):
+def test_quivering_stops_beyond_the_stability_bounds_only(blocks):
     quiver = lambda k: 0.02 + 0.01 * (k % 2)
     past = {"away": lambda k: 0.015, "turned": lambda k: 0.1}
     for name, value in past.items():
@@ -66,7 +66,7 @@ def test_what_quivers_past_the_bounds_is_stopped_and_within_them_is_not(blocks):
     assert within == (RolloutStatus.OK, 250)
 
 
-def test_what_slides_on_past_the_bounds_runs_until_it_has_drifted(blocks):
+def test_a_sliding_object_runs_until_it_drifts(blocks):
     slide = lambda k: 0.011 + 0.0006 * k
     assert steps_until_stopped(blocks, speed=lambda k: 0.03, away=slide) == (RolloutStatus.OK, 250)
     assert steps_until_stopped(blocks, speed=lambda k: 0.2, away=lambda k: 0.0041 * k) == (
@@ -75,7 +75,7 @@ def test_what_slides_on_past_the_bounds_runs_until_it_has_drifted(blocks):
     )
 
 
-def test_what_was_past_the_bounds_at_a_record_only_counts_as_that(blocks):
+def test_only_records_beyond_the_bounds_make_a_candidate_invalid(blocks):
     quiver = lambda k: 0.02 + 0.01 * (k % 2)
     back = lambda k: 0.02 if k == 4 else 0.0
     assert steps_until_stopped(blocks, speed=quiver, away=back)[0] == RolloutStatus.SETTLED
@@ -84,7 +84,7 @@ def test_what_was_past_the_bounds_at_a_record_only_counts_as_that(blocks):
 
 
 @pytest.mark.parametrize("interval", [0.004, 0.02, 0.03, 0.1, 1.0])
-def test_segments_make_up_the_steps_between_records(blocks, interval):
+def test_segments_sum_to_the_steps_between_records(blocks, interval):
     start = blocks.place_exactly(Layout.zero(1, len(blocks.names)))
     rule = EarlyStop(interval=interval)
     segments = Recorder(blocks.static, start, Schedule(10, 25, rule)).segments()

@@ -64,7 +64,7 @@ def test_settling_is_measured_by_tilt_and_height(settled):
     assert by["block"] < 0.05
 
 
-def test_drag_lets_things_sink_at_the_same_speed_whatever_their_size(settled):
+def test_terminal_speed_with_drag_is_independent_of_size(settled):
     model, _, _ = settled
     dragged = with_drag(model)
     assert with_drag(model).static is dragged.static
@@ -78,14 +78,14 @@ def test_drag_lets_things_sink_at_the_same_speed_whatever_their_size(settled):
     np.testing.assert_allclose(speed[:, 1:], FALL_M_S, rtol=0.02)
 
 
-def test_a_scene_comes_to_rest_exactly():
+def test_a_settled_scene_is_exact():
     scene = at_rest(tilted(), ((True, 0.5), (False, 0.3)))
     assert scene.object("slab").base_tilt == (1.0, 0.0, 0.0, 0.0)
     ends = world_poses(scene)
     assert ends["slab"].pos[2] == pytest.approx(ends["block"].pos[2], abs=5e-4)
 
 
-def test_what_is_pushed_aside_keeps_its_heading():
+def test_an_object_pushed_aside_keeps_its_heading():
     bin_ = scenes.single("bin", (HollowBox(size=(0.13, 0.11, 0.06), wall=0.006), (0, 0, 0)))
     block = scenes.single("block", (Box(size=(0.06, 0.05, 0.05)), (0, 0, 0)))
     scene = scenes.on_table((bin_, (0, 0), 0.0, {}), (block, (0.035, 0.02), 0.3, {}))
@@ -105,7 +105,7 @@ def test_populations_keep_headings_too(settled):
         np.testing.assert_allclose(about[2], HEADING * about[:2], rtol=1e-12)
 
 
-def test_what_stands_on_a_moved_object_goes_with_it():
+def test_children_move_with_their_parent():
     scene = tilted()
     end = pose([0.3, 0.1, 0.5])
     there = moved(scene, {"slab": end})

@@ -76,7 +76,7 @@ def test_no_overlap_is_missed_and_its_depth_is_right(pairs):
     assert np.percentile(ratio, 95) < 1.1
 
 
-def test_what_is_apart_does_not_touch(pairs):
+def test_separate_solids_have_no_contact(pairs):
     exact, found, round_ = pairs
     apart = (exact > 3e-4) & ~round_
     assert apart.sum() > 100
@@ -113,7 +113,7 @@ def test_pairs_of_geoms_are_those_that_mujoco_collides():
         assert all(weld[a] != weld[b] for a, b in ours)
 
 
-def test_what_scenes_never_have_is_refused():
+def test_unsupported_geoms_are_refused():
     spec = mujoco.MjSpec()
     for k in range(2):
         spec.worldbody.add_body(name=f"b{k}").add_geom(size=[0.1] * 3, condim=4)

@@ -50,7 +50,7 @@ def test_ids_and_depths_agree_with_the_ray_caster(photographed, picture):
     assert np.percentile(np.abs(near - 1), 95) < 0.01
 
 
-def test_boxes_and_shares_are_of_what_is_visible(photographed, picture):
+def test_boxes_and_shares_match_a_rendered_image(photographed, picture):
     spec, scene = photographed
     seen = see(scene, Layout.zero(1, scene.count))
     parsed, judged = np.asarray(scene.photo.boxes), np.asarray(scene.photo.judged)
@@ -75,7 +75,7 @@ def test_boxes_and_shares_are_of_what_is_visible(photographed, picture):
     assert grown[shown].min() > -0.01
 
 
-def test_a_box_before_another_hides_its_share_and_side():
+def test_an_occluder_reduces_the_share_and_cuts_the_box():
     far = scenes.single("far", (Box(size=(0.1, 0.2, 0.1)), (0, 0, 0)))
     near = scenes.single("near", (Box(size=(0.02, 0.2, 0.4)), (0, 0, 0)))
     spec = scenes.on_table((far, (0, 0), 0.0, {}), (near, (-0.2, 0), 0.0, {}))
@@ -93,7 +93,7 @@ def test_a_box_before_another_hides_its_share_and_side():
     np.testing.assert_allclose(half[1::2], full[1::2], atol=0.03 * (full[3] - full[1]))
 
 
-def test_what_is_round_is_found():
+def test_round_objects_are_detected():
     item = lambda *shapes: SceneObject(name="it", spec=scenes.single("it", *shapes))
     can = (Cylinder(radius=0.03, height=0.1), (0, 0, 0))
     assert is_round(item(can))
@@ -101,7 +101,7 @@ def test_what_is_round_is_found():
     assert not is_round(item((Box(size=(0.05, 0.05, 0.05)), (0, 0, 0))))
 
 
-def test_a_pane_of_glass_hides_nothing_and_is_seen_itself():
+def test_a_pane_of_glass_is_visible_but_occludes_nothing():
     clear = Material(name="pane", density=2500, rgba=(0.8, 0.9, 0.9, 0.3))
     shown = {}
     for kind, material in (("clear", clear), ("opaque", scenes.CERAMIC)):

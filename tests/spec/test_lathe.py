@@ -39,7 +39,7 @@ def test_a_solid_that_bulges_outwards_is_one_piece():
     assert farthest(ball) < 1e-9
 
 
-def test_no_piece_has_more_facets_than_one_bucket_takes():
+def test_pieces_fit_the_facets_of_a_bucket():
     ball = Lathe(profile=tuple((0.05 * np.sin(a), -0.05 * np.cos(a)) for a in 2 * ANGLE))
     assert 1 < len(ball.pieces()) < len(ball.profile) - 1
     assert max(len(planes(piece)) for piece in (*ball.pieces(), *BOWL.pieces())) <= 64
@@ -53,7 +53,7 @@ def test_a_waist_is_not_filled():
 
 
 @pytest.mark.parametrize("shape", [BOWL, LEDGE], ids=["bowl", "ledge"])
-def test_joined_bands_stay_as_near_as_the_class_says(shape: Lathe):
+def test_joined_bands_stay_within_the_documented_distance(shape: Lathe):
     largest = max(r for r, _ in shape.profile)
     chord = largest * (1 - np.cos(np.pi / shape.sectors))
     # The facets of a cavity narrow it by `chord`; what joining adds comes on top.
@@ -82,7 +82,7 @@ def test_a_scaled_lathe_has_the_same_pieces():
             assert corners.max(axis=0) == pytest.approx(expected.max(axis=0))
 
 
-def test_what_a_hull_fills():
+def test_distance_of_a_hull_from_its_polygons():
     square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
     assert filled([square, square + [1.0, 0]]) == pytest.approx(0.0, abs=1e-12)
     # An L of three squares: the lid from (2, 1) to (1, 2) lies a diagonal's half off the corner.

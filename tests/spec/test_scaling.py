@@ -118,7 +118,7 @@ def test_exponents_of_joints_are_those_of_the_documented_law(kind: str, mass: fl
     assert (powers["pos"], powers["axis"], powers["upper"]) == (1, 0, powers["lower"])
 
 
-def test_a_mimic_scales_by_what_both_joints_do():
+def test_a_mimic_scales_by_both_joints():
     joints = [
         JointSpec(name="j", type=kind, parent="a", child="b", upper=1.0)
         for kind in ("revolute", "prismatic")

@@ -19,12 +19,12 @@ from tests.support import mechanisms
         ("x", "12", "x"),
     ],
 )
-def test_a_label_says_the_category(name, label, want):
+def test_the_category_is_the_head_noun_of_the_label(name, label, want):
     spec = mechanisms.single(name, Box(size=(0.1, 0.1, 0.1)))
     assert category(spec.model_copy(update={"label": label})) == want
 
 
-def test_joints_are_for_what_they_move():
+def test_the_purpose_of_a_joint_follows_its_child():
     spec = mechanisms.cabinet()
     found = {joint.name: purpose(spec, joint) for joint in spec.joints}
     assert found["slide"] == "drawer" and found["spin"] == "wheel" and found["hinge"] == "hinge"
@@ -32,7 +32,7 @@ def test_joints_are_for_what_they_move():
     assert {purpose(spec, joint) for joint in spec.joints if joint.type == "fixed"} == {"fixed"}
 
 
-def test_a_written_scene_says_it_and_reads_the_same():
+def test_a_written_scene_has_semantics_and_reads_back_equal():
     spec = mechanisms.cabinet()
     scene = SceneSpec(objects=(SceneObject(name="one", spec=spec),))
     said = json.loads(scene.to_json())["semantics"]["one"]

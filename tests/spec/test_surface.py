@@ -69,7 +69,7 @@ def test_normals_are_smooth_around_and_sharp_at_rims():
     assert np.allclose(np.abs(normals[~side]), [0, 0, 1], atol=1e-12)
 
 
-def test_the_surface_holds_the_corners_of_a_lathes_colliders():
+def test_the_surface_contains_the_corners_of_a_lathes_colliders():
     shape = SHAPES[8]
     vertices, _ = shape.surface()
     corners = np.vstack([piece.vertices for piece in shape.pieces()])

@@ -170,6 +170,6 @@ def strip(*points) -> Sweep:
         ),
     ],
 )
-def test_errors_name_the_point_or_the_angle_that_they_mean(make, words):
+def test_errors_name_the_point_or_the_angle(make, words):
     with pytest.raises(ValidationError, match=words):
         make()
