@@ -201,9 +201,9 @@ def test_folders_that_cannot_be_used(refused, tmp_path):
     photos.mkdir()
     (photos / "notes.txt").write_text("precious")
     message = refused(PHOTO, "--out", photos, "--overwrite")
-    assert "not a run folder (it holds notes.txt); name a new or empty folder" in message
+    assert "not a run folder (it contains notes.txt); name a new or empty folder" in message
     assert [path.name for path in photos.iterdir()] == ["notes.txt"]
-    assert "holds no run to begin from" in refused(
+    assert "contains no run to redo from" in refused(
         PHOTO, "--out", tmp_path / "no", "--from", "parse"
     )
     assert not (tmp_path / "no").exists()

@@ -1,6 +1,6 @@
 """The five steps of the method, from a photograph to an exported scene.
 
-Names are resolved on first use: what only reads or draws a run loads no simulator.
+Names are resolved on first use, so code that only reads or draws a run loads no simulator.
 """
 
 from importlib import import_module
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from .edited import rebuild, search_again
     from .reconstruction import reconstruct, refine_again
 
-_HOMES = {
+_MODULES = {
     "rebuild": "edited",
     "reconstruct": "reconstruction",
     "refine_again": "reconstruction",
@@ -21,9 +21,9 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> object:
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
 
 
 __all__ = ["Result", "rebuild", "reconstruct", "refine_again", "search_again"]

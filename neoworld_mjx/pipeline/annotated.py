@@ -1,4 +1,4 @@
-"""Write what a person annotated as the first two steps of a run, and go on without a model."""
+"""Write an annotation as the first two steps of a run, and run the others without a model."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,7 +21,7 @@ from ..run_folder import Result, RunFolder
 from ..spec import SceneTree, TreeNode
 from .program_inputs import program_inputs
 from .reconstruction import finish, run_steps
-from .steps import ANNOTATION, ANSWERED, TREE
+from .step_context import ANNOTATION, ANSWERED, TREE
 
 Files = dict[str, str]
 """Texts of an object's files, by name."""
@@ -30,17 +30,17 @@ _OF_PROGRAM = ("program.py", "spec.json", "program.json")
 
 
 def read_annotation(folder: Path) -> Annotation:
-    """Return the annotation of a run: its own, or that of the tree that a model parsed.
+    """Return the annotation of a run: annotation.json, or one derived from tree.json.
 
     Raises:
-        RunError: the folder holds neither.
+        RunError: the folder contains neither.
         SpecError: the file is damaged.
     """
     if (folder / ANNOTATION).is_file():
         return read_model(folder / ANNOTATION, Annotation, SpecError, "an annotation")
     if (folder / TREE).is_file():
         return opened_annotation(read_model(folder / TREE, SceneTree, SpecError, "a scene tree"))
-    raise RunError(f"{folder} holds no {TREE}: leave --from parse out to begin with an empty page")
+    raise RunError(f"{folder} contains no {TREE}: omit --from parse to start with an empty page")
 
 
 def write_annotated(
@@ -48,19 +48,19 @@ def write_annotated(
 ) -> Result:
     """Write the tree and the programs of an annotation into a run folder.
 
-    A folder that holds a run of this photograph keeps its programs of the objects that are to stay
-    as they are; all else of it is done again.
+    If the folder contains a run of this photograph, programs of objects of the kind `KEPT` are
+    kept, and everything else is repeated.
 
     Args:
-        photo: the picture file.
+        photo: the image file.
         out: the run folder; new, empty, or a run of this photograph.
-        annotation: what a person said.
+        annotation: the annotation.
         config: all options.
-        simulate: whether to verify, compose, refine and export besides; not done where an object
-            is left to a model, which `neoworld reconstruct --resume` then asks.
+        simulate: True to also verify, compose, refine and export, unless an object is left to a
+            model, which `neoworld reconstruct --resume` then calls.
 
     Raises:
-        NeoWorldError: the annotation gives no tree, a program no object, or a step fails.
+        NeoWorldError: the annotation has no valid tree, a program fails, or a step fails.
     """
     with bounded_by(config.files):
         picture = load_photo(photo, config.parse.max_side_px, config.parse.min_side_px)
@@ -85,8 +85,8 @@ def write_annotated(
                 text = program_of(obj, node.box3d.size, rgb)
                 if text is not None:
                     texts[node.name] = _built(node, text, "annotation", config)
-        again = (out / "run.json").is_file()
-        with RunFolder(out, config, "redo" if again else "new", step="parse") as run:
+        exists = (out / "run.json").is_file()
+        with RunFolder(out, config, "redo" if exists else "new", step="parse") as run:
             run.record("photo", name=photo.name, sha256=picture.sha256)
             with run.step("parse", {"photo": picture.sha256, "options": config.parse}) as step:
                 assert step is not None
@@ -102,11 +102,11 @@ def write_annotated(
                 (step / "parse.json").write_text('{"rounds": []}\n', encoding="utf-8")
             inputs = program_inputs(tree, pictures, colours, config.program)
             _write_programs(run, texts, inputs)
-            left = [name for name, obj in by_name.items() if obj.kind == MODEL]
-            if simulate and not left:
+            by_model = [name for name, obj in by_name.items() if obj.kind == MODEL]
+            if simulate and not by_model:
                 run_steps(run, config, None, first="verify")
                 return finish(run, None)
-            return finish(run, "program" if not left else "parse")
+            return finish(run, "parse" if by_model else "program")
 
 
 def _write_programs(
@@ -141,7 +141,7 @@ def _files_of(home: Path) -> Files:
     missing = [name for name in _OF_PROGRAM if not (home / name).is_file()]
     if missing:
         raise RunError(
-            f"{home} holds no {missing[0]}: choose a kind for the object, or leave it to a model"
+            f"{home} contains no {missing[0]}: choose a kind for the object, or leave it to a model"
         )
     names = [name for name in (*_OF_PROGRAM, *_OF_STAGES) if (home / name).is_file()]
     return {name: (home / name).read_text(encoding="utf-8") for name in names}

@@ -1,4 +1,4 @@
-"""The examples that ship with the package: photographs whose answers are on tapes."""
+"""Examples of the package: photographs with the models' responses on tape."""
 
 from importlib import resources
 from pathlib import Path
@@ -9,8 +9,8 @@ from ..config import read_yaml
 from ..errors import PhotoError, choices
 
 _DATA = Path(str(resources.files("neoworld_mjx") / "data"))
-_PLACES = (_DATA / "photos", Path(str(resources.files("neoworld_mjx"))).parent / "examples")
-"""Folders of the photographs: in an installed package, and in a clone."""
+_FOLDERS = (_DATA / "photos", Path(str(resources.files("neoworld_mjx"))).parent / "examples")
+"""Folders of the photographs in an installed package and in a clone."""
 
 
 class BundledExample(BaseModel):
@@ -43,21 +43,23 @@ def bundled_examples() -> dict[str, BundledExample]:
 
 
 def photo_of(photo: Path) -> Path:
-    """Return the file of a photograph, or that of the example with this name.
+    """Return a photograph's file, or that of the example with this name.
 
     Raises:
-        PhotoError: there is neither such a file nor such an example.
+        PhotoError: neither a file nor an example has this name.
     """
     if photo.exists() or photo.suffix or len(photo.parts) != 1:
         return photo
     examples = bundled_examples()
     if photo.name not in examples:
-        raise PhotoError(f"no file {photo}, nor such an example: {choices(photo.name, examples)}")
+        raise PhotoError(
+            f"{photo} is neither a file nor an example: {choices(photo.name, examples)}"
+        )
     return examples[photo.name].photo
 
 
 def _find(name: str) -> Path:
-    for place in _PLACES:
-        if (place / name).is_file():
-            return place / name
+    for folder in _FOLDERS:
+        if (folder / name).is_file():
+            return folder / name
     raise PhotoError(f"the photograph {name} of an example is missing: install the package again")

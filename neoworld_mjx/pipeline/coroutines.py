@@ -1,4 +1,4 @@
-"""Run a coroutine from plain code, also where an event loop runs already, as in a notebook."""
+"""Run a coroutine from synchronous code, even inside a running event loop, as in a notebook."""
 
 import asyncio
 import contextvars
@@ -10,9 +10,9 @@ T = TypeVar("T")
 
 
 def run_coroutine(work: Coroutine[Any, Any, T]) -> T:
-    """Return a coroutine's result; in a running event loop it gets a loop and thread of its own.
+    """Return a coroutine's result; inside a running event loop, use a separate thread and loop.
 
-    The caller waits either way, and context variables are the caller's.
+    The call blocks, and the coroutine sees the caller's context variables.
     """
     try:
         asyncio.get_running_loop()

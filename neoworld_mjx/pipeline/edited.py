@@ -1,4 +1,4 @@
-"""Go on with a run whose files a person edited: a program, or the layout."""
+"""Continue a run after a person edited a program or the layout."""
 
 from pathlib import Path
 
@@ -14,17 +14,17 @@ from .reconstruction import earlier_options, finish, models_of_run, run_steps
 
 
 def search_again(folder: Path, patch: LayoutPatch) -> Result:
-    """Lay a person's placements over the composed scene, and search again from there.
+    """Apply a person's placements to the composed scene, and repeat the search from there.
 
-    The patch stays in the run folder, so that it holds whatever is built or composed later. Steps
-    whose inputs have not changed are kept; with an unchanged patch that is all of them.
+    The patch stays in the run folder and is applied by every later composition. Steps with
+    unchanged inputs are kept; with an unchanged patch, these are all steps.
 
     Args:
         folder: the run folder; its verify step must have finished.
-        patch: all placements that a person set.
+        patch: all placements by a person.
 
     Raises:
-        NeoWorldError: the folder is no such run, or a step fails.
+        NeoWorldError: the folder is not such a run, or a step fails.
     """
     config = _options(folder)
     with bounded_by(config.files):
@@ -36,27 +36,27 @@ def search_again(folder: Path, patch: LayoutPatch) -> Result:
 
 
 def rebuild(folder: Path, name: str, text: str) -> tuple[BuildResult, Result | None]:
-    """Build another program of an object and, if that gives one, do the steps after it again.
+    """Build a new program of an object and, if it is valid, repeat the later steps.
 
     Args:
         folder: the run folder; its program step must have finished.
-        name: of the object.
+        name: name of the object.
         text: the program.
 
     Returns:
-        What the program gave, and the run with it; None where the program failed, or its object
-        fails a check: then nothing has changed on disk.
+        The build, and the result of the run; None if the program fails or its object fails a
+        check, in which case no file changes.
 
     Raises:
-        NeoWorldError: the folder is no such run, or a later step fails.
+        NeoWorldError: the folder is not such a run, or a later step fails.
     """
     config = _options(folder, verifies=True)
     step, home = f"program/{name}", folder / "objects" / name
     with bounded_by(config.files):
         earlier = read_run(folder)
         if step not in earlier["steps"]:
-            raise RunError(f"{folder} has no programmed object {name}: do the step program first")
-        # A run from a stranger must not choose that its programs run outside of the sandbox.
+            raise RunError(f"{folder} has no programmed object {name}: run the step program first")
+        # A run folder is untrusted: its options must not disable the sandbox.
         built = build(text, config.program.model_copy(update={"sandbox": "monty"}))
         if built.spec is None or not built.ok:
             return built, None

@@ -1,4 +1,4 @@
-"""Pictures of the scene, drawn in a thread while the run goes on with its next steps."""
+"""Pictures of the scene, drawn in a thread while the next steps of the run proceed."""
 
 import contextlib
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -12,7 +12,7 @@ from ..run_folder import RunFolder
 from ..spec import SceneSpec, read_scene
 
 
-class _Begun(NamedTuple):
+class _Pending(NamedTuple):
     part: str
     inputs: dict[str, object]
     file: str
@@ -21,44 +21,44 @@ class _Begun(NamedTuple):
 
 @dataclass
 class Pictures:
-    """The pictures of a run; use it in a `with` statement, which waits for those not yet done.
+    """Pictures of a run. Use it in a `with` statement, which waits for unfinished ones.
 
-    Each picture is a part of a step, such as "compose/picture". The run folder is touched by the
-    caller's thread alone: `store` moves in what has been drawn meanwhile.
+    Each picture is a part of a step, such as "compose/picture". Only the caller's thread writes to
+    the run folder: `store` saves the pictures that have been drawn meanwhile.
     """
 
     run: RunFolder
     options: RenderOptions
-    _begun: list[_Begun] = field(default_factory=list)
+    _pending: list[_Pending] = field(default_factory=list)
     _pool: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "pictures"))
 
     def begin(self, part: str, scene: Path, file: str) -> None:
-        """Begin to draw a scene from its own camera, unless the run has this picture already.
+        """Start drawing a scene from its camera, unless the run already has this picture.
 
         Args:
-            part: of which step the picture is.
+            part: name of the picture as a part of a step.
             scene: file of the scene.
             file: path of the picture within the run folder.
         """
         inputs = {"scene": scene, "render": self.options}
         if not self.run.finished(part, inputs):
             drawn = self._pool.submit(_drawn, read_scene(scene), self.options)
-            self._begun.append(_Begun(part, inputs, file, drawn))
+            self._pending.append(_Pending(part, inputs, file, drawn))
 
     def store(self, *, wait: bool = False) -> None:
-        """Move the pictures that are done, or with `wait` all, into the run folder.
+        """Save the finished pictures, or with `wait` all of them, in the run folder.
 
-        A part's seconds are those for which the run waited for it.
+        The recorded duration of a part is the time that the run waited for it.
         """
-        for begun in [each for each in self._begun if wait or each.png.done()]:
-            self._begun.remove(begun)
-            with self.run.step(begun.part, begun.inputs) as out:
+        for pending in [each for each in self._pending if wait or each.png.done()]:
+            self._pending.remove(pending)
+            with self.run.step(pending.part, pending.inputs) as out:
                 if out is not None:
-                    (out / begun.file).parent.mkdir(parents=True, exist_ok=True)
-                    (out / begun.file).write_bytes(begun.png.result())
+                    (out / pending.file).parent.mkdir(parents=True, exist_ok=True)
+                    (out / pending.file).write_bytes(pending.png.result())
 
     def __enter__(self) -> "Pictures":
-        """Return the pictures themselves."""
+        """Return this object."""
         return self
 
     def __exit__(
@@ -67,12 +67,12 @@ class Pictures:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Store what was begun, after an error too, as it may show why; drop it on Ctrl-C."""
+        """Store pending pictures, even after an error, as they may show its cause."""
         try:
             if error is None:
                 self.store(wait=True)
             elif isinstance(error, Exception):
-                with contextlib.suppress(Exception):  # The first error is the one to report.
+                with contextlib.suppress(Exception):  # Report the first error.
                     self.store(wait=True)
         finally:
             self._pool.shutdown(wait=False, cancel_futures=True)
@@ -81,9 +81,4 @@ class Pictures:
 def _drawn(scene: SceneSpec, options: RenderOptions) -> bytes:
     from ..render import render_scene, to_png
 
-    picture = render_scene(
-        scene,
-        width=options.width,
-        supersample=options.supersample,
-    )
-    return to_png(picture)
+    return to_png(render_scene(scene, width=options.width, supersample=options.supersample))

@@ -1,4 +1,4 @@
-"""What decides the programs of a run's objects, so that a run knows which of them to do again."""
+"""Inputs of the program step, and sizes that it corrects."""
 
 from collections.abc import Mapping
 
@@ -17,7 +17,7 @@ def program_inputs(
     colours: Mapping[str, "SupportColour"],
     options: ProgramOptions,
 ) -> dict[str, dict[str, object]]:
-    """Return what decides the program of each object, by its name."""
+    """Return everything that determines the program of each object, by name."""
     from ..program.synthesise import all_instructions
 
     return {
@@ -33,7 +33,7 @@ def program_inputs(
 
 
 def with_corrected_sizes(run: RunFolder, tree: SceneTree) -> SceneTree:
-    """Return a tree with the sizes that programmer or critic corrected in Step 2."""
+    """Return a tree with the sizes that Step 2 corrected."""
     nodes = []
     for node in tree.nodes:
         path = run.path / "objects" / node.name / "program.json"
@@ -41,6 +41,6 @@ def with_corrected_sizes(run: RunFolder, tree: SceneTree) -> SceneTree:
             size = read_object(path, SpecError).get("size") if path.is_file() else None
             box = node.box3d if size is None else Box3D(**dict(node.box3d) | {"size": size})
         except (ValueError, TypeError, AttributeError) as error:
-            raise SpecError(f"{path} gives no size of the object: {error}") from None
+            raise SpecError(f"{path} contains no valid size: {error}") from None
         nodes.append(node.model_copy(update={"box3d": box}))
     return tree.model_copy(update={"nodes": tuple(nodes)})

@@ -14,7 +14,9 @@ from ..parse.photo import Photo, load_photo
 from ..run_folder import STEPS, Mode, Result, RunFolder, read_run
 from ..step_names import Step
 from .pictures import Pictures
-from .steps import ANSWERS, COMPOSED, STEP_FUNCTIONS, StepContext, read_tree, write_metrics
+from .scene_steps import write_metrics
+from .step_context import ANSWERS, COMPOSED, StepContext, read_tree
+from .steps import STEP_FUNCTIONS
 
 
 def reconstruct(

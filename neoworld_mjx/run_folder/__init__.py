@@ -1,4 +1,4 @@
-"""A run folder: written step by step and atomically, locked, resumable by content hashes."""
+"""Run folder: locked, written atomically step by step, and resumable by content hashes."""
 
 from .open_folder import STEPS, Mode, RunFolder
 from .run_json import FORMAT, read_run, versions

@@ -3,8 +3,8 @@
 A step writes into a staging folder. When it finishes, its files are flushed and moved into place,
 and its record is added to run.json: a hash of every input and of every file it wrote. A process
 killed at any moment leaves either the record and all files, or no record, in which case the step
-runs again. Only run.json, run.log and report.html contain times; every other file is a function of the
-photograph, the options and the models' responses.
+runs again. Only run.json, run.log and report.html contain times; every other file is a function
+of the photograph, the options and the models' responses.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""run.json: what a run was made with, its steps, metrics and fallbacks."""
+"""run.json: options, versions, steps, metrics and fallbacks of a run."""
 
 import contextlib
 import json
@@ -56,7 +56,7 @@ class _Photo(BaseModel):
 
 
 class _Record(BaseModel):
-    """The form of run.json, as far as it is relied on; a stranger may have written it."""
+    """Required structure of run.json, which is untrusted."""
 
     status: str
     error: str = ""
@@ -97,13 +97,13 @@ def read_run(path: Path) -> dict[str, Any]:
         why = validation_message(error, _Record)
         why = why if len(why) <= 500 else why[:500] + " ..."
         raise RunError(
-            f"{file} is damaged: {why}; mend it, or name another folder and begin anew"
+            f"{file} is damaged: {why}; repair it, or start a new run in another folder"
         ) from None
     return _EMPTY | {"notes": []} | data
 
 
 def running(config: Config, earlier: dict[str, Any]) -> dict[str, Any]:
-    """Return the run.json of a run that starts; steps, fallbacks and costs go on from `earlier`."""
+    """Return the initial run.json of a run; steps, fallbacks and costs continue from `earlier`."""
     return {
         "format": FORMAT,
         "status": "running",
@@ -126,7 +126,7 @@ def strict_json(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of Python and of the installed packages that decide results."""
+    """Return the versions of Python and of the installed packages that affect results."""
     installed = {"python": platform.python_version()}
     for name in _PACKAGES:
         with contextlib.suppress(metadata.PackageNotFoundError):
@@ -135,7 +135,7 @@ def versions() -> dict[str, str]:
 
 
 def _without_keys(config: Config) -> dict[str, Any]:
-    """Dump the options without header values, which may be keys under unforeseen names."""
+    """Return the options without header values, which may be secrets."""
     data = config.model_dump(mode="json")
     data["mllm"]["headers"] = {
         name: value if value.startswith("${") else "[hidden]"

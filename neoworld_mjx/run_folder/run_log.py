@@ -1,4 +1,4 @@
-"""The file run.log of a run folder: what the package logged while the run was open, with times."""
+"""run.log of a run folder: the package's log while the run is open, with times."""
 
 import errno
 import logging
@@ -14,17 +14,17 @@ _FLAGS = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK 
 
 
 class RunLog(logging.Handler):
-    """Appends the package's log to run.log until it is closed.
+    """Log handler that appends the package's log to run.log until it is closed.
 
-    It holds what the package's logger lets through: progress and warnings under the command line,
-    warnings alone in a program that sets no level. A log that cannot be written ends no run.
+    The level of the package's logger applies: progress and warnings on the command line, only
+    warnings in a program that sets no level. A log that cannot be written does not stop the run.
     """
 
     def __init__(self, folder: Path) -> None:
         """Open the log of a run folder.
 
         Raises:
-            OSError: it cannot be opened, or is no file of the folder's own.
+            OSError: it cannot be opened, or is a link.
         """
         super().__init__(logging.INFO)
         self.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
@@ -33,12 +33,12 @@ class RunLog(logging.Handler):
         if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
             self.close()
             raise OSError(
-                errno.EMLINK, "run.log is no file of the folder's own", str(folder / RUN_LOG)
+                errno.EMLINK, "run.log is not a regular file of this folder", str(folder / RUN_LOG)
             )
         logging.getLogger(PACKAGE).addHandler(self)
 
     def note(self, level: int, text: str) -> None:
-        """Append a line that only the file gets."""
+        """Append a line to the file only."""
         self.handle(logging.LogRecord(PACKAGE, level, "", 0, text, None, None))
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -52,7 +52,7 @@ class RunLog(logging.Handler):
             return
 
     def close(self) -> None:
-        """End the log."""
+        """Close the log."""
         logging.getLogger(PACKAGE).removeHandler(self)
         if self._handle is not None:
             os.close(self._handle)

@@ -7,22 +7,22 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Result:
-    """The outcome of a run."""
+    """Result of a run."""
 
     folder: Path
     until: str | None
-    """The step after which the run was to stop; None for a whole run."""
+    """Last requested step; None for a complete run."""
     metrics: dict[str, Any]
     seconds: dict[str, float]
-    """Seconds by step."""
+    """Duration by step [s]."""
     waiting: dict[str, float]
-    """Those of them in which a model was asked and had not answered."""
+    """Time spent waiting for models by step [s]."""
     fallbacks: list[dict[str, str]]
     notes: list[dict[str, str]]
-    """Far moves by the fit and the search."""
+    """Large moves by the fit and the search."""
     objects: list[str]
     passed: bool | None
-    """Whether the refined scene is stable and free of penetration; None before refinement."""
+    """True if the refined scene is stable and free of penetration; None before refinement."""
     cost: dict[str, Any] = field(default_factory=dict)
 
     def summary(self) -> dict[str, Any]:
@@ -43,7 +43,7 @@ class Result:
         }
 
     def __repr__(self) -> str:
-        """Return three lines: the folder, the objects, and how the scene came out."""
+        """Return three lines: folder and outcome, objects, metrics."""
         outcome = {None: "not refined", True: "passed", False: "failed its checks"}[self.passed]
         numbers = [
             f"{name} {self.metrics[name]:.2g}"

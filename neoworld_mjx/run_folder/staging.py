@@ -1,4 +1,4 @@
-"""The files of a run folder: its lock, moving a finished step's files in, and disk errors."""
+"""Files of a run folder: lock, moving a finished step's files into place, and disk errors."""
 
 import contextlib
 import errno
@@ -25,10 +25,10 @@ LOCK, STAGING = ".lock", ".staging"
 
 
 def check_claimable(folder: Path) -> None:
-    """Refuse a folder that holds anything but a run, before a byte is written to it.
+    """Refuse a folder that contains anything but a run, before writing to it.
 
     Raises:
-        RunError: the folder holds other files, or links or devices, or cannot be read.
+        RunError: the folder contains other files, links or devices, or cannot be read.
     """
     if not folder.is_dir():
         return
@@ -43,7 +43,7 @@ def check_claimable(folder: Path) -> None:
     foreign = sorted(names - own)
     if foreign:
         raise RunError(
-            f"{folder} is not empty and not a run folder (it holds {foreign[0]}); "
+            f"{folder} is not empty and not a run folder (it contains {foreign[0]}); "
             "name a new or empty folder"
         )
 
@@ -54,12 +54,12 @@ def _is_part_of_run_json(name: str) -> bool:
 
 
 def refuse_links(folder: Path) -> None:
-    """Refuse a folder that holds links, pipes or devices, by which files outside of it are reached.
+    """Refuse a folder that contains links, pipes or devices, which may lead to outside files.
 
     The folder itself may be a link.
 
     Raises:
-        RunError: it holds one; the message names it.
+        RunError: it contains one.
     """
     try:
         irregular = irregular_entry(folder)
@@ -71,8 +71,8 @@ def refuse_links(folder: Path) -> None:
     if irregular is not None:
         name, kind = irregular
         raise RunError(
-            f"{folder} holds {name!r}, which is {kind}; a run folder has only files and folders of "
-            "its own: remove it, or copy the folder without it"
+            f"{folder} contains {name!r}, which is {kind}; a run folder contains only regular "
+            "files and folders: remove it, or copy the folder without it"
         )
 
 
@@ -81,14 +81,14 @@ def lock_folder(folder: Path) -> TextIO:
 
     Raises:
         RunError: another process holds the lock.
-        OSError: the lock cannot be written, or is no file of the folder's own.
+        OSError: the lock cannot be written, or is not a regular file.
     """
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     handle = os.fdopen(os.open(folder / LOCK, flags, 0o666), "r+")
     status = os.fstat(handle.fileno())
     if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
         handle.close()
-        raise OSError(errno.EINVAL, "it is no file of its own; remove it", str(folder / LOCK))
+        raise OSError(errno.EINVAL, "it is not a regular file; remove it", str(folder / LOCK))
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
@@ -105,7 +105,7 @@ def lock_folder(folder: Path) -> TextIO:
 
 
 def clear_unfinished(folder: Path) -> None:
-    """Delete what a killed process left of files and steps that it had not finished."""
+    """Delete unfinished files and steps of a killed process."""
     shutil.rmtree(folder / STAGING, ignore_errors=True)
     for entry in folder.iterdir():
         if PART.match(entry.name):
@@ -133,23 +133,20 @@ def move_in(staged: Path, folder: Path) -> dict[str, str]:
 
 
 def set_aside(folder: Path, name: str) -> Path:
-    """Move an edited file under `replaced/`, beside earlier ones; return its new path."""
+    """Move an edited file to `replaced/`, next to earlier ones; return its new path."""
     aside = f"replaced/{name}"
     while (folder / aside).exists():
         aside += ".old"
     with (
-        open_parent(folder, name) as (at, last),
-        open_parent(folder, aside, create=True) as (
-            beside,
-            new,
-        ),
+        open_parent(folder, name) as (parent, last),
+        open_parent(folder, aside, create=True) as (new_parent, new),
     ):
-        os.replace(last, new, src_dir_fd=at, dst_dir_fd=beside)
+        os.replace(last, new, src_dir_fd=parent, dst_dir_fd=new_parent)
     return folder / aside
 
 
 def delete_files(folder: Path, names: Iterable[str]) -> None:
-    """Delete files of a run folder, and the folders that this leaves empty."""
+    """Delete files of a run folder, and folders that become empty."""
     for name in names:
         while name and stays_inside(name):
             try:
@@ -174,16 +171,16 @@ def disk_errors(folder: Path, *, anywhere: bool = False) -> Iterator[None]:
 
     Args:
         folder: the run folder.
-        anywhere: whether errors of files outside of the folder are turned too.
+        anywhere: True to convert errors of files outside the folder, too.
     """
     try:
         yield
     except (OSError, RuntimeError, ExportError) as error:
         code = error.errno if isinstance(error, OSError) else None
-        # Some writers hide a full disk in an error of their own.
+        # Some writers report a full disk as another error.
         if code in (errno.ENOSPC, errno.EDQUOT) or disk_full(folder):
             raise RunError(
-                f"no space left on the disk of {folder}: free some, then go on with --resume"
+                f"no space left on the disk of {folder}: free some, then continue with --resume"
             ) from error
         named = str(getattr(error, "filename", None) or folder)
         if isinstance(error, OSError) and (anywhere or named.startswith(str(folder))):

@@ -103,7 +103,7 @@ def test_a_lock_that_another_folder_shares_is_not_written(tmp_path, outside):
     out = _run(tmp_path / "out")
     (out / ".lock").unlink()
     os.link(outside / "precious.txt", out / ".lock")
-    with pytest.raises(RunError, match="it is no file of its own"):
+    with pytest.raises(RunError, match="it is not a regular file"):
         RunFolder(out, Config(), "resume")
 
 

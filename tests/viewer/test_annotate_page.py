@@ -15,7 +15,7 @@ pytest.importorskip("viser", reason="the extra viewer is not installed")
 pytestmark = pytest.mark.slow
 PHOTO_SIZE = np.array([600, 400])
 EDGES, SAUCER_SIZE = ("depth", "width", "height"), (0.12, 0.12, 0.016)
-CHOICES = {"kind": "Kind", "material": "Material", "parent": "Stands on"}
+CHOICES = {"kind": "Kind", "material": "Material", "parent": "Support"}
 
 
 def test_a_photograph_becomes_a_stable_scene_by_clicks_alone(photo, quick_config, tmp_path):
@@ -32,10 +32,10 @@ def test_a_photograph_becomes_a_stable_scene_by_clicks_alone(photo, quick_config
             ),
         )
         with opened(address(server)) as page:
-            page.waits_for("Looks down, deg")
+            page.waits_for("Pitch, deg")
             start = page.settled(right=500)
             camera = lambda: annotator.annotation.camera
-            _type(page, "Looks down, deg", PITCH_DEG, lambda: np.degrees(camera().pitch))
+            _type(page, "Pitch, deg", PITCH_DEG, lambda: np.degrees(camera().pitch))
             _type(page, "Height, m", HEIGHT_M, lambda: camera().height)
             _type(page, "Field of view, deg", FOVY_DEG, lambda: np.degrees(camera().fovy))
             page.tab("Objects")
@@ -84,12 +84,12 @@ def test_lines_that_are_clicked_give_the_camera(photo, quick_config, tmp_path):
         out = tmp_path / "out"
         annotator = Annotator(server, photo, out, start, quick_config, _refuse)
         with opened(address(server)) as page:
-            page.click("Show lines on the ground")
+            page.click("Mark lines on the ground")
             page.waits_for("0 of 8 points")
             time.sleep(1)
             for k, at in enumerate(_on_page(server, annotator, pixels), start=1):
                 page.page.mouse.click(*at)
-                page.waits_for(f"{k} of 8 points" if k < 8 else "with its field of view")
+                page.waits_for(f"{k} of 8 points" if k < 8 else "including the field of view")
             page.settled(right=500)
             assert page.errors == [] and page.outside == []
     finally:

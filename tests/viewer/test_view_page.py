@@ -70,7 +70,7 @@ def test_dragging_an_object_and_searching_again_changes_the_scene(quick_run, tmp
     with opened(url) as page:
         page.tab("Objects")
         page.choose("Object", "cup")
-        page.check("Drag it")
+        page.check("Drag")
         page.settled()
         (client,) = server.get_clients().values()
         start = viewer._editor.handle_pose("cup")
@@ -134,7 +134,7 @@ def test_fast_clicks_end_as_the_controls_say_and_a_box_drawn_is_searched_for(
         page.page.mouse.down()
         page.page.mouse.move(*high, steps=6)
         page.page.mouse.up()
-        page.waits_for("The search follows this box")
+        page.waits_for("The search uses this box")
         page.tab("Search")
         page.click("Search again from here")
         page.waits_for("objects: table", 240)

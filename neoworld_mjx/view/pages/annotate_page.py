@@ -1,4 +1,4 @@
-"""The page of `neoworld annotate`: boxes, labels and a camera on a photograph, with no model."""
+"""Page of `neoworld annotate`: boxes, labels and a camera for a photograph, without a model."""
 
 import math
 import threading
@@ -28,8 +28,8 @@ from .scene_nodes import SceneNodes, look_through
 from .view_target import shown_picture
 
 FOVY_DEG, PITCH_DEG, HEIGHT_M = 45.0, 35.0, 0.6
-"""The camera that an empty page begins with."""
-MOVES = ("revolute", "prismatic", "continuous")
+"""Initial camera of an empty page."""
+JOINT_TYPES = ("revolute", "prismatic", "continuous")
 GROUNDS = ("table top", "floor", "counter", "ground")
 NEW = "new object"
 CORNERS = ("Box left", "Box top", "Box right", "Box bottom")
@@ -37,7 +37,7 @@ SIZES = ("Known depth, m", "Known width, m", "Known height, m")
 
 
 def empty_annotation(photo: Path, config: Config) -> Annotation:
-    """Return the annotation of a photograph of which nothing is known yet."""
+    """Return an annotation without objects for a photograph."""
     width, height = load_photo(photo, config.parse.max_side_px).original_size
     return Annotation(
         camera=Camera(
@@ -51,11 +51,11 @@ def empty_annotation(photo: Path, config: Config) -> Annotation:
 
 
 class Annotator:
-    """An annotation on the page of a server.
+    """Editor of an annotation on the page of a server.
 
-    The annotation is the state. A field that a person edits changes its own value of it, one edit
-    at a time, and the fields are written only when another object is chosen: viser calls from
-    many threads, and what is being typed must never be overwritten by what was there before.
+    The annotation is the state. Editing a field changes one value of the annotation, and edits are
+    serialized. The page writes the fields only when another object is chosen: viser calls from many
+    threads, and an old value must never overwrite a person's input.
     """
 
     def __init__(
@@ -67,13 +67,13 @@ class Annotator:
         config: Config,
         write: Callable[[Annotation, bool], Result],
     ):
-        """Put a photograph with its annotation on the page.
+        """Show a photograph with its annotation.
 
         Args:
             server: the viser server.
-            photo: the picture file.
+            photo: the image file.
             out: the run folder to write.
-            annotation: what is known already.
+            annotation: the initial annotation.
             config: options of the run.
             write: writes an annotation into the run folder; if its flag is set, also simulates.
         """
@@ -99,18 +99,22 @@ class Annotator:
         self._draw_camera()
         server.on_client_connect(lambda client: look_through(client, self.annotation.camera))
 
-    # The tabs.
+    # Tabs.
 
     def _build_camera_tab(self) -> None:
         gui, camera = self._server.gui, self.annotation.camera
-        gui.add_html(message("Move these until the grid lies on the ground, or show lines on it."))
+        gui.add_html(
+            message(
+                "Adjust the camera until the grid lies on the ground, or mark lines on the ground."
+            )
+        )
         self._lines_message = gui.add_html("")
         self._picker = LinePicker(self._server, self._show_lines_message, self._take_lines)
-        lines = gui.add_button("Show lines on the ground")
+        lines = gui.add_button("Mark lines on the ground")
         lines.on_click(lambda event: self._begin_lines(event.client))
         pitch, roll = math.degrees(camera.pitch), math.degrees(camera.roll)
         lens = {
-            "pitch": gui.add_slider("Looks down, deg", -90, 90, 0.5, pitch),
+            "pitch": gui.add_slider("Pitch, deg", -90, 90, 0.5, pitch),
             "height": gui.add_number("Height, m", camera.height, min=0.01, max=50.0, step=0.001),
             "fovy": gui.add_slider("Field of view, deg", 1, 179, 0.5, math.degrees(camera.fovy)),
             "roll": gui.add_slider("Roll, deg", -180, 180, 0.5, math.remainder(roll, 360)),
@@ -118,7 +122,7 @@ class Annotator:
         self._lens = lens
         for field, control in lens.items():
             self._on_edit(control, lambda value, field=field: self._set_camera(field, value))
-        ground = gui.add_dropdown("The ground is a", GROUNDS, initial_value=self.annotation.ground)
+        ground = gui.add_dropdown("Ground", GROUNDS, initial_value=self.annotation.ground)
         self._on_edit(ground, self._set_ground)
         self._grid_step = gui.add_number("Grid, m", 0.1, min=0.01, max=5.0, step=0.01)
         self._on_edit(self._grid_step, lambda _: self._draw_camera())
@@ -129,25 +133,25 @@ class Annotator:
         self._on_edit(self._chooser, self._choose)
         gui.add_button("Draw its box").on_click(lambda event: self._begin_box(event.client))
         self._message = gui.add_html("")
-        self._about = gui.add_folder("This object")
+        self._object_folder = gui.add_folder("This object")
         kinds = (*SHAPES, MODEL, KEPT, *templates())
-        with self._about:
+        with self._object_folder:
             self._fields = {
                 "name": gui.add_text("Name", ""),
                 "label": gui.add_text("Label", ""),
                 "kind": gui.add_dropdown("Kind", kinds),
                 "material": gui.add_dropdown("Material", tuple(MATERIALS)),
-                "parent": gui.add_dropdown("Stands on", (GROUND,)),
+                "parent": gui.add_dropdown("Support", (GROUND,)),
                 "relation": gui.add_dropdown("Relation", ("on", "in", "attached", "leaning")),
-                "support": gui.add_checkbox("Part of the room", False),
-                "fixed_base": gui.add_checkbox("Fastened", False),
-                "yaw_deg": gui.add_slider("Front towards, deg", -180, 180, 1, 180.0),
+                "support": gui.add_checkbox("Environment", False),
+                "fixed_base": gui.add_checkbox("Fixed", False),
+                "yaw_deg": gui.add_slider("Heading, deg", -180, 180, 1, 180.0),
             }
             self._sizes = [gui.add_number(s, 0.0, min=0.0, max=50.0, step=0.001) for s in SIZES]
             self._corners = [gui.add_number(label, 0.0, step=0.1) for label in CORNERS]
-            with gui.add_folder("A part that moves"):
+            with gui.add_folder("Moving part"):
                 self._part = gui.add_text("Part", "")
-                self._motion = gui.add_dropdown("Joint", MOVES)
+                self._motion = gui.add_dropdown("Joint", JOINT_TYPES)
                 self._opening = gui.add_slider("Open", 0.0, 1.0, 0.05, 0.0)
                 self._on_edit(gui.add_button("Set the part"), lambda _: self._set_part())
             self._on_edit(gui.add_button("Delete"), lambda _: self._delete())
@@ -162,23 +166,23 @@ class Annotator:
         gui = self._server.gui
         gui.add_button("Save").on_click(lambda _: self._write(simulate=False))
         gui.add_button("Build the scene").on_click(lambda _: self._write(simulate=True))
-        self._log = gui.add_html(message(f"Files go to {self._out}."))
+        self._log = gui.add_html(message(f"The run folder is {self._out}."))
 
     def _on_edit(self, control: Any, edit: Callable[[Any], None]) -> None:
-        """Let an edit follow what a person does to a control, not what the page writes into it."""
+        """Call `edit` when a person changes a control, not when the page does."""
 
         def edited(event: Any) -> None:
             if event.client_id is None:
                 return
             with self._editing:
                 try:
-                    edit(_within(event.target))
+                    edit(_clipped(event.target))
                 except SpecError as error:
                     self._message.content = message(str(error), bad=True)
 
         control.on_update(edited) if hasattr(control, "on_update") else control.on_click(edited)
 
-    # Edits, one at a time.
+    # Edits.
 
     def _set_camera(self, field: str, value: float) -> None:
         number = float(value) if field == "height" else math.radians(value)
@@ -192,16 +196,16 @@ class Annotator:
         self._lines_message.content = message(line, bad=bad)
 
     def _begin_lines(self, client: Any) -> None:
-        """Let the next clicks on the photograph be the ends of lines on the ground."""
+        """Take the next clicks on the photograph as end points of lines on the ground."""
         with self._editing:
             look_through(client, self.annotation.camera)
             self._picker.begin(self.annotation.camera)
 
     def _take_lines(self, along: NDArray, across: NDArray) -> None:
-        """Take the camera by which lines of the photograph lie on the ground."""
+        """Set the camera for which the marked lines lie on the ground."""
         with self._editing:
             try:
-                camera, finds_lens = camera_of_lines(self.annotation.camera, along, across)
+                camera, has_fovy = camera_of_lines(self.annotation.camera, along, across)
             except SpecError as error:
                 self._show_lines_message(str(error), bad=True)
                 return
@@ -210,7 +214,7 @@ class Annotator:
                 self._lens[field].value = round(degrees, 1)
             self.annotation = self.annotation.model_copy(update={"camera": camera})
             self._draw_camera()
-        lens = "with its field of view" if finds_lens else "the field of view stays yours to set"
+        lens = "including the field of view" if has_fovy else "except the field of view"
         self._show_lines_message(
             f"The camera is that of the lines, {lens}; the height is yours to set."
         )
@@ -221,10 +225,10 @@ class Annotator:
         self.annotation = self.annotation.model_copy(update={"ground": label})
 
     def _begin_box(self, client: Any) -> None:
-        """Let the next rectangle that is dragged on the photograph be the object's box."""
+        """Take the next rectangle on the photograph as the object's box."""
         with self._editing:
             self._message.content = message(
-                "Drag a rectangle around all that is seen of the object."
+                "Drag a rectangle around the visible part of the object."
             )
             self._rectangle.begin(client)
 
@@ -234,7 +238,7 @@ class Annotator:
 
     def _take_box(self, box: Box2D | None) -> None:
         if box is None:
-            self._message.content = message("That box is too small: draw it again.", bad=True)
+            self._message.content = message("The box is too small: draw it again.", bad=True)
             return
         if self._chosen:
             self._change({"box": box})
@@ -245,7 +249,7 @@ class Annotator:
 
     def _set_field(self, field: str, value: Any) -> None:
         if field == "name" and not is_name(value):
-            raise SpecError("a name has letters, digits and _, a letter first")
+            raise SpecError("a name consists of letters, digits and _, and starts with a letter")
         renamed = field == "name" and value != self._chosen
         self._change({field: value[:100] if field == "label" else value})
         if renamed:
@@ -269,7 +273,9 @@ class Annotator:
 
     def _set_part(self) -> None:
         if not is_name(self._part.value):
-            raise SpecError("name the part: letters, digits and _, a letter first")
+            raise SpecError(
+                "the part needs a name of letters, digits and _ that starts with a letter"
+            )
         part, motion, opening = self._part.value, self._motion.value, self._opening.value
         state = PartState(part=part, type=motion, opening=opening)
         parts = (*(p for p in self._object().parts if p.part != part), state)
@@ -290,14 +296,14 @@ class Annotator:
     def _change(self, change: dict[str, Any]) -> None:
         self.annotation = with_change(self.annotation, self._object().name, change)
 
-    # What the page shows of it.
+    # Display.
 
     def _choose(self, name: str) -> None:
-        """Show the fields of an object, or none for a new one."""
+        """Show the fields of an object; hide them for a new one."""
         obj = find_object(self.annotation, name)
         self._chosen = "" if obj is None else obj.name
         self._list_objects()
-        self._about.visible = obj is not None
+        self._object_folder.visible = obj is not None
         if obj is not None:
             for field, control in self._fields.items():
                 control.value = getattr(obj, field)
@@ -310,32 +316,32 @@ class Annotator:
     def _list_objects(self) -> None:
         names = [obj.name for obj in self.annotation.objects]
         parent = self._fields["parent"]
-        _offer(self._chooser, (NEW, *names), self._chosen or NEW)
+        _set_options(self._chooser, (NEW, *names), self._chosen or NEW)
         obj = find_object(self.annotation, self._chosen)
         others = (GROUND, *(name for name in names if name != self._chosen))
-        _offer(parent, others, GROUND if obj is None else obj.parent)
+        _set_options(parent, others, GROUND if obj is None else obj.parent)
 
     def _draw_camera(self) -> None:
         camera = self.annotation.camera
         with self._server.atomic():
             draw_photo(self._server, camera, self._picture)
-            draw_grid(self._server, camera, _within(self._grid_step))
+            draw_grid(self._server, camera, _clipped(self._grid_step))
         self._draw_boxes()
 
     def _draw_boxes(self) -> None:
-        self._page.show_visible(False)  # What was built lies over the photograph.
+        self._page.show_visible(False)  # The built scene would cover the photograph.
         try:
-            said = draw_boxes(self._server, self.annotation, self._chosen)
+            size = draw_boxes(self._server, self.annotation, self._chosen)
         except SpecError as error:
             self._message.content = message(str(error), bad=True)
         else:
-            self._message.content = message(said) if said else ""
+            self._message.content = message(size) if size else ""
 
-    # The run.
+    # Run.
 
     def _write(self, *, simulate: bool) -> None:
         def job(show_line: ShowLine) -> None:
-            show_line("at work ...")
+            show_line("running ...")
             with self._editing:
                 annotation = self.annotation
             self._show(self._write_annotated(annotation, simulate))
@@ -351,20 +357,20 @@ class Annotator:
             self._log.content = message(f"Done: {verdict}. {result!r}", bad=not result.passed)
         else:
             self._log.content = message(
-                f"Saved in {self._out}; neoworld reconstruct --resume goes on"
+                f"Saved in {self._out}; continue with neoworld reconstruct --resume"
             )
 
 
-def _within(control: Any) -> Any:
-    """Return the value of a control within its bounds: on the way to 0.05 somebody types 0."""
+def _clipped(control: Any) -> Any:
+    """Return the value of a control, clipped to its bounds: typing 0.05 starts with 0."""
     low, high = getattr(control, "min", None), getattr(control, "max", None)
     if low is None or high is None:
         return control.value
     return min(max(control.value, low), high)
 
 
-def _offer(chooser: Any, options: tuple[str, ...], value: str) -> None:
-    """Write the options of a list, where they differ, and the one that holds."""
+def _set_options(chooser: Any, options: tuple[str, ...], value: str) -> None:
+    """Set the options of a dropdown, if they differ, and its value."""
     if chooser.options != options:
         chooser.options = options
     chooser.value = value

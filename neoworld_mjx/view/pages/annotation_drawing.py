@@ -87,7 +87,7 @@ def draw_boxes(server: Any, annotation: "Annotation", chosen: str) -> str:
 
 
 def draw_marks(server: Any, camera: Camera, ends: Sequence[NDArray]) -> None:
-    """Draw crosses at pixels of the photograph, and a line between every two.
+    """Draw crosses at pixels of the photograph, and a line between the two ends of each pair.
 
     Args:
         server: the viser server.
@@ -107,7 +107,7 @@ def draw_marks(server: Any, camera: Camera, ends: Sequence[NDArray]) -> None:
 
 
 def pixel_of(view: Any, camera: Camera, position: tuple[float, float]) -> NDArray:
-    """Return the pixel [2] of the photograph at a position in a window that shows its camera's view.
+    """Return the pixel [2] of the photograph at a position in a window with its camera's view.
 
     Args:
         view: camera of the client.

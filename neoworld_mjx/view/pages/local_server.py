@@ -22,11 +22,13 @@ def open_server(label: str, *, host: str = LOCAL, port: int | None = None) -> An
 
     Args:
         label: title of the page.
-        host: address to listen on; other machines can edit the scene unless it is a loopback address.
+        host: address to listen on; unless it is a loopback address, other machines can edit the
+            scene.
         port: port to listen on; by default 8080, or any free one if it is in use.
 
     Raises:
-        RunError: viser is not installed, the port is in use, or the host is not an address of this machine.
+        RunError: viser is not installed, the port is in use, or the host is not an address of this
+            machine.
     """
     try:
         import viser

@@ -30,8 +30,8 @@ class SceneEditor:
 
     def handle_pose(self, name: str) -> Pose:
         """Return where an object's handle stands: its origin and heading in the world."""
-        at = world_poses(self.scene)[name]
-        return pose(at.pos, from_yaw(self._frame_yaw(name) + self.scene.object(name).yaw))
+        position = world_poses(self.scene)[name].pos
+        return pose(position, from_yaw(self._frame_yaw(name) + self.scene.object(name).yaw))
 
     def place(self, name: str, pos: ArrayLike, quat: ArrayLike) -> None:
         """Move an object to the pose of its handle; its height stays that of its support.

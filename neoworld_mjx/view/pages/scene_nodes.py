@@ -71,7 +71,7 @@ class SceneNodes:
                 if self._exists(node):
                     node.remove()
             self._transparent_copies = []
-            self.scene, kept, poses = scene, len(self._visible), part_poses(scene)
+            self.scene, unchanged, poses = scene, len(self._visible), part_poses(scene)
             detail = detail_of(scene, _distance(scene, poses))
             for obj in scene.objects:
                 for part in obj.spec.parts:
@@ -85,7 +85,7 @@ class SceneNodes:
                         self._visible.append(_add_glb(api, f"{path}/opaque", glb))
                     for k, mesh in enumerate(visible_meshes(obj.spec, part, opaque=False)):
                         self._visible.append(_add_mesh(api, f"{path}/{k}", mesh))
-            for node in self._visible[kept:]:
+            for node in self._visible[unchanged:]:
                 self._pickable(node, node.name.split("/")[2])
             self.pose(poses)
             self._update_surfaces()
@@ -93,13 +93,13 @@ class SceneNodes:
     def pose(self, poses: PartPoses) -> None:
         """Move parts; those with an unchanged pose are skipped."""
         with self._server.atomic():
-            for key, at in poses.items():
+            for key, pose in poses.items():
                 before = self._shown.get(key)
-                if before is not None and _same(before, at):
+                if before is not None and _same(before, pose):
                     continue
                 frame = self._frames[key]
-                frame.position, frame.wxyz = at.pos, at.quat
-                self._shown[key] = at
+                frame.position, frame.wxyz = pose.pos, pose.quat
+                self._shown[key] = pose
 
     @property
     def poses(self) -> PartPoses:
@@ -262,7 +262,7 @@ def look_at(client: Any, low: NDArray, high: NDArray) -> None:
 def _distance(scene: SceneSpec, poses: Mapping[tuple[str, str], Pose]) -> float:
     """Return the median distance of parts from the camera [m]."""
     eye = np.zeros(3) if scene.camera is None else scene.camera.position()
-    return float(np.median([np.linalg.norm(at.pos - eye) for at in poses.values()] or [1.0]))
+    return float(np.median([np.linalg.norm(pose.pos - eye) for pose in poses.values()] or [1.0]))
 
 
 def _add_glb(api: Any, path: str, glb: bytes) -> Any:

@@ -1,4 +1,4 @@
-"""The page of `neoworld view`: the scene with its photograph, free fall, search and objects."""
+"""Page of `neoworld view`: a scene with its photograph, free fall, search and objects."""
 
 import logging
 import math
@@ -35,7 +35,7 @@ SEARCH = "Search again from here"
 
 
 class SceneViewer:
-    """One target on the page of a server."""
+    """Viewer of one target on the page of a server."""
 
     def __init__(
         self,
@@ -47,13 +47,13 @@ class SceneViewer:
         rebuild: Callable[[Path, str, str], "tuple[BuildResult, Result | None]"],
         search_again: Callable[[Path, LayoutPatch], Result],
     ):
-        """Put a target on the page.
+        """Show a target.
 
         Args:
             server: the viser server.
-            path: of what is shown, to read it again after a change.
-            target: what is there.
-            config: options of programs, and of the search of a scene without a run.
+            path: path of the target, which is read again after a change.
+            target: the contents of the path.
+            config: options for programs, and for the search of a scene without a run.
             rebuild: builds an object's program in a run folder, and repeats the later steps.
             search_again: composes a run's scene with a layout patch, and refines it.
         """
@@ -61,7 +61,7 @@ class SceneViewer:
         self._server, self._path, self._config = server, path, config
         self._busy, self._drawing = threading.Lock(), threading.Lock()
         self._target = target
-        self._stage = SceneNodes(server, self.pick)
+        self._stage = SceneNodes(server, self.select)
         self._fall: "FreeFall | None" = None
         self._handle: Any = None
         self._chart: Any = None
@@ -71,7 +71,7 @@ class SceneViewer:
         )
         server.scene.set_up_direction("+z")
         server.scene.configure_environment_map(None)
-        server.scene.configure_default_lights(cast_shadow=False)  # Shadows draw all of it again.
+        server.scene.configure_default_lights(cast_shadow=False)  # Shadows render the scene twice.
         server.scene.add_light_hemisphere("/light/sky", intensity=1.2)
         server.initial_camera.near = 0.01
         tabs = server.gui.add_tab_group()
@@ -84,7 +84,7 @@ class SceneViewer:
         self._load()
         server.on_client_connect(self._greet)
 
-    # The tabs.
+    # Tabs.
 
     def _build_scene_tab(self) -> None:
         gui = self._server.gui
@@ -92,8 +92,8 @@ class SceneViewer:
         self._home.on_click(lambda event: self._greet(event.client))
         self._blend = gui.add_slider("Photo", 0.0, 1.0, 0.05, 0.0)
         self._blend.on_update(lambda _: self._show_photo())
-        self._when = gui.add_button_group("Layout", ("before", "after"))
-        self._when.on_click(lambda _: self._show(self._when.value))
+        self._layout = gui.add_button_group("Layout", ("before", "after"))
+        self._layout.on_click(lambda _: self._show(self._layout.value))
         self._colliders = gui.add_checkbox("Colliders", False)
         self._colliders.on_update(lambda _: self._show_colliders())
         self._contacts = gui.add_checkbox("Contacts", False)
@@ -103,8 +103,8 @@ class SceneViewer:
             self._play.on_click(lambda _: self._toggle())
             gui.add_button("Restart").on_click(lambda _: self._restart())
             self._speed = gui.add_slider("Push, m/s", 0.1, 5.0, 0.1, 0.5)
-            self._towards = gui.add_slider("Push towards, deg", -180, 180, 5, 0)
-            gui.add_button("Push the object picked").on_click(lambda _: self._push())
+            self._push_direction = gui.add_slider("Push direction, deg", -180, 180, 5, 0)
+            gui.add_button("Push the selected object").on_click(lambda _: self._push())
         self._status = gui.add_html("")
         self._joints = JointSliders(self._server, gui.add_folder("Joints"), self._move_joint)
 
@@ -112,8 +112,8 @@ class SceneViewer:
         gui = self._server.gui
         names = [obj.name for obj in self._target.after.objects]
         self._chooser = gui.add_dropdown("Object", ("none", *names))
-        self._chooser.on_update(lambda _: self.pick(self._chooser.value))
-        self._drag = gui.add_checkbox("Drag it", False)
+        self._chooser.on_update(lambda _: self.select(self._chooser.value))
+        self._drag = gui.add_checkbox("Drag", False)
         self._drag.on_update(lambda _: self._toggle_drag())
         self._box = gui.add_button("Draw its box in the photograph")
         self._box.on_click(lambda event: self._begin_box(event.client))
@@ -132,36 +132,36 @@ class SceneViewer:
         for control in (self._ghosts_on, self._iteration):
             control.on_update(lambda _: self._show_ghosts())
         gui.add_button(SEARCH).on_click(lambda _: self._search())
-        gui.add_button("Take back what I moved").on_click(lambda _: self._take_back())
+        gui.add_button("Discard edits").on_click(lambda _: self._discard())
         self._log = gui.add_html("")
         self._ghosts = Ghosts(
             self._server, lambda line: setattr(self._log, "content", message(line))
         )
         self._charts = gui.add_folder("Rewards")
 
-    # What is shown.
+    # Display.
 
     def _load(self) -> None:
-        """Show the target as its files are."""
+        """Show the current target."""
         target = self._target
-        self._drop_fall()
+        self._discard_simulation()
         patch = LayoutPatch() if target.run is None else read_layout_patch(target.run)
         self._editor = SceneEditor(target.after, patch)
         self._stage.show(target.after)
-        self._when.visible = target.before is not None
+        self._layout.visible = target.before is not None
         self._blend.visible = target.picture is not None and target.after.camera is not None
         self._home.visible = target.after.camera is not None
         self._box.visible = self._blend.visible
         self._ghosts.forget()
-        self._when.value = "after"
+        self._layout.value = "after"
         self._joints.show(self._editor.scene)
         self._load_history()
         self._show_colliders()
         names = [obj.name for obj in target.after.objects]
         if self._selected in names:
-            self.pick(self._selected)
+            self.select(self._selected)
         elif len(names) == 1:
-            self.pick(names[0])
+            self.select(names[0])
 
     def _load_history(self) -> None:
         history = self._target.history()
@@ -188,11 +188,11 @@ class SceneViewer:
         else:
             look_at(client, *bounds_of(scene, self._stage.poses))
 
-    def _show(self, when: str) -> None:
+    def _show(self, layout: str) -> None:
         """Show the scene before or after the search."""
         target = self._target
-        self._drop_fall()
-        before = when == "before" and target.before is not None
+        self._discard_simulation()
+        before = layout == "before" and target.before is not None
         self._editor.scene = target.before if before and target.before else target.after
         self._stage.show(self._editor.scene)
         self._joints.show(self._editor.scene)
@@ -206,7 +206,7 @@ class SceneViewer:
             self._show_photo_box()
 
     def _show_colliders(self) -> None:
-        with self._drawing:  # The last one of several clicks wins.
+        with self._drawing:  # The last of several clicks wins.
             self._stage.show_visible(not self._colliders.value)
             if self._colliders.value:
                 self._stage.show_pieces()
@@ -221,7 +221,7 @@ class SceneViewer:
         if not self._contacts.value:
             self._stage.hide_contacts()
             return
-        fall = self._falling()
+        fall = self._simulation()
         if fall is None:
             return
         contacts = fall.contacts()
@@ -230,31 +230,33 @@ class SceneViewer:
             self._status.content = message(contacts.summary())
 
     def _move_joint(self, name: str, key: str, value: float) -> None:
-        self._drop_fall()
+        self._discard_simulation()
         self._editor.set_joint(name, key, value)
         self._stage.pose(part_poses(self._editor.scene))
 
     # Free fall.
 
-    def _falling(self) -> "FreeFall | None":
-        """Return the simulation of the scene shown, compiled when it is first needed."""
+    def _simulation(self) -> "FreeFall | None":
+        """Return the simulation of the shown scene, compiled on first use."""
         if self._fall is None:
             from .free_fall import FreeFall
 
             try:
                 self._fall = FreeFall(self._editor.scene, self._show_frame)
             except (NeoWorldError, ValueError) as error:
-                self._status.content = message(f"MuJoCo cannot simulate it: {error}", bad=True)
+                self._status.content = message(
+                    f"MuJoCo cannot simulate the scene: {error}", bad=True
+                )
         return self._fall
 
-    def _drop_fall(self) -> None:
+    def _discard_simulation(self) -> None:
         if self._fall is not None:
             self._fall.pause()
             self._fall = None
             self._play.label = "Play"
 
     def _toggle(self) -> None:
-        fall = self._falling()
+        fall = self._simulation()
         if fall is None:
             return
         if fall.playing:
@@ -265,7 +267,7 @@ class SceneViewer:
             self._play.label = "Pause"
 
     def _restart(self) -> None:
-        fall = self._falling()
+        fall = self._simulation()
         if fall is not None:
             fall.reset()
             self._show_frame(fall)
@@ -277,18 +279,18 @@ class SceneViewer:
             self._show_contacts()
 
     def _push(self) -> None:
-        fall = self._falling()
-        towards = math.radians(self._towards.value)
-        velocity = self._speed.value * np.array([math.cos(towards), math.sin(towards), 0.0])
+        fall = self._simulation()
+        direction = math.radians(self._push_direction.value)
+        velocity = self._speed.value * np.array([math.cos(direction), math.sin(direction), 0.0])
         if not self._selected:
-            self._status.content = message("Pick an object first: click it.")
+            self._status.content = message("Select an object first: click it.")
         elif fall is not None and not fall.push(self._selected, velocity):
             self._status.content = message(f"{self._selected} is fixed.")
 
-    # One object.
+    # Objects.
 
-    def pick(self, name: str) -> None:
-        """Show what is known of an object."""
+    def select(self, name: str) -> None:
+        """Show the properties of an object."""
         from ...verify.patched import read_program
         from .object_facts import crop_of, facts
 
@@ -322,10 +324,10 @@ class SceneViewer:
             return
         if self._editor.scene.object(self._selected).environment:
             self._facts.content = message(
-                f"{self._selected} is a support of the environment: it stays."
+                f"{self._selected} is part of the environment and cannot be moved."
             )
             return
-        at, name = self._editor.handle_pose(self._selected), self._selected
+        handle, name = self._editor.handle_pose(self._selected), self._selected
         low, high = bounds_of(self._editor.scene, self._stage.poses)
         self._handle = self._server.scene.add_transform_controls(
             "/handle",
@@ -334,13 +336,13 @@ class SceneViewer:
             disable_sliders=False,
             depth_test=False,
             rotation_limits=((0.0, 0.0), (0.0, 0.0), (-1000.0, 1000.0)),
-            position=at.pos,
-            wxyz=at.quat,
+            position=handle.pos,
+            wxyz=handle.quat,
         )
         self._handle.on_update(lambda event: self._dragged(name, event))
 
     def _dragged(self, name: str, event: Any) -> None:
-        self._drop_fall()
+        self._discard_simulation()
         self._editor.place(name, event.target.position, event.target.wxyz)
         if event.phase == "end":
             self._editor.snap()
@@ -348,25 +350,25 @@ class SceneViewer:
 
     def _begin_box(self, client: Any) -> None:
         if not self._selected:
-            self._facts.content = message("Pick an object first: click it, or choose it.")
+            self._facts.content = message("Select an object first: click it, or choose it.")
             return
         self._blend.value = max(self._blend.value, 0.6)
         self._show_photo()
         self._signals.content = message(
-            f"Drag a rectangle around all that is seen of {self._selected}."
+            f"Drag a rectangle around the visible part of {self._selected}."
         )
         self._rectangle.begin(client)
 
     def _set_photo_box(self, box: Box2D | None) -> None:
         if box is None or not self._selected:
-            self._signals.content = message("That box is too small: draw it again.", bad=True)
+            self._signals.content = message("The box is too small: draw it again.", bad=True)
             return
         self._editor.set_box(self._selected, box)
         self._show_photo_box()
-        self._signals.content = message(f"The search follows this box: {SEARCH}, on its tab.")
+        self._signals.content = message(f"The search uses this box: press {SEARCH} on its tab.")
 
     def _show_photo_box(self) -> None:
-        """Show the box of the object picked while the photograph is shown."""
+        """Show the box of the selected object if the photograph is visible."""
         camera = self._editor.scene.camera
         obj = next((o for o in self._editor.scene.objects if o.name == self._selected), None)
         shown = obj is not None and self._blend.visible and self._blend.value > 0
@@ -375,9 +377,9 @@ class SceneViewer:
             draw_box(self._server, camera, obj.name, obj.box2d, CHOSEN)
 
     def _rebuild(self) -> None:
-        run_job(self._busy, self._signals, self._build_again)
+        run_job(self._busy, self._signals, self._run_rebuild)
 
-    def _build_again(self, show_line: ShowLine) -> None:
+    def _run_rebuild(self, show_line: ShowLine) -> None:
         from ...program import build
         from .object_facts import signals_of
 
@@ -399,7 +401,7 @@ class SceneViewer:
         self._text.value = text
         self._signals.content = signals_of(built)
 
-    # The search.
+    # Search.
 
     def _show_ghosts(self) -> None:
         iteration = round(self._iteration.value) if self._ghosts_on.value else 0
@@ -407,10 +409,10 @@ class SceneViewer:
         self._ghosts.show(scene, self._target.history(), iteration)
 
     def _search(self) -> None:
-        self._drop_fall()
-        run_job(self._busy, self._log, self._search_on)
+        self._discard_simulation()
+        run_job(self._busy, self._log, self._run_search)
 
-    def _search_on(self, show_line: ShowLine) -> None:
+    def _run_search(self, show_line: ShowLine) -> None:
         from ...refinement import refine
 
         show_line("searching ...")
@@ -420,21 +422,21 @@ class SceneViewer:
         self._editor.snap()
         options, seed = self._config.refine, self._config.seed
         refined = refine(self._editor.scene, options, seed=seed, progress=_log.info)
-        said = "valid" if refined.passed else "not valid"
+        outcome = "valid" if refined.passed else "not valid"
         if self._target.scene_file is not None:
             write_atomic(self._target.scene_file, refined.scene.to_json())
-            said += f"; {self._target.scene_file.name} is the new scene"
+            outcome += f"; {self._target.scene_file.name} contains the new scene"
             self._target = open_target(self._path, self._config)
             self._load()
-        self._log.content = message(said, bad=not refined.passed)
+        self._log.content = message(outcome, bad=not refined.passed)
 
-    def _take_back(self) -> None:
-        run_job(self._busy, self._log, self._without_patch)
+    def _discard(self) -> None:
+        run_job(self._busy, self._log, self._discard_patch)
 
-    def _without_patch(self, show_line: ShowLine) -> None:
+    def _discard_patch(self, show_line: ShowLine) -> None:
 
-        had, self._editor.patch = self._editor.patch, LayoutPatch()
-        if self._target.run is not None and had.objects:
+        old, self._editor.patch = self._editor.patch, LayoutPatch()
+        if self._target.run is not None and old.objects:
             self._reload(self._search_again(self._target.run, LayoutPatch()))
         else:
             self._load()

@@ -81,8 +81,8 @@ def open_target(path: Path, config: Config) -> ViewTarget:
             if (path / name).is_file():
                 return open_target(path / name, config)
         raise SpecError(
-            f"{path} is not a run folder and contains no scene.json, program.py or spec.json: name a "
-            "run folder, a scene.json, a program (.py), or a URDF or MJCF file"
+            f"{path} is not a run folder and contains no scene.json, program.py or spec.json: name "
+            "a run folder, a scene.json, a program (.py), or a URDF or MJCF file"
         )
     is_spec = path.name in ("spec.json", "verified.json")
     if is_spec or path.suffix == ".py" or path.suffix.lower() in OBJECT_FILES:

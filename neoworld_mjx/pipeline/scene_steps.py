@@ -1,0 +1,220 @@
+"""Steps 4 and 5 of a run, and the export: compose, refine and export the scene."""
+
+import json
+import logging
+
+import numpy as np
+
+from .. import progress
+from ..errors import RunError
+from ..io import read_object
+from ..mllm import Picture
+from ..parse.photo import load_photo
+from ..run_folder import RunFolder
+from ..spec import read_scene
+from .program_inputs import with_corrected_sizes
+from .step_context import (
+    ANNOTATION,
+    ANSWERED,
+    CHECK,
+    COMPOSED,
+    REFIT,
+    RESULT,
+    SCENE,
+    TREE,
+    VERIFIED,
+    StepContext,
+    read_spec,
+    read_tree,
+)
+
+_log = logging.getLogger(__name__)
+
+
+def compose_scene(context: StepContext) -> None:
+    """Step 4: fit the parsed tree to the built shapes, compose the scene, and start its picture.
+
+    It writes compose/tree.json, compose/fit.json, compose/scene.json and compose/scales.json.
+    """
+    from ..compose.compose import compose
+    from ..compose.layout_patch import LAYOUT_PATCH, apply_layout, read_layout_patch
+    from ..fit.refit import refit_tree
+    from ..measure import shown_sides
+
+    run, config = context.run, context.config
+    tree = with_corrected_sizes(run, read_tree(run))
+    specs = {}
+    for node in tree.nodes:
+        home = run.path / "objects" / node.name
+        repaired = home / VERIFIED
+        specs[node.name] = repaired if repaired.is_file() else home / "spec.json"
+    refits = config.compose.refit and config.parse.fit
+    edited = TREE in run.edited_by_hand("parse")
+    # Supports given by a person are not changed.
+    by_person = edited or (run.path / ANNOTATION).is_file()
+    if refits and (run.path / ANSWERED).is_file() and not edited:
+        # Start from the response: the first fit has already used the same boxes.
+        tree = with_corrected_sizes(run, read_tree(run, ANSWERED))
+    inputs = {"tree": tree, "options": config.compose, "refits": refits, **specs}
+    patch = read_layout_patch(run.path)
+    if patch.objects:
+        inputs["layout"] = patch
+    with run.step("compose", inputs) as out:
+        if out is not None:
+            objects = {name: read_spec(path) for name, path in specs.items()}
+            (out / "compose").mkdir()
+            if refits:
+                shown = shown_sides(compose(tree, objects, config.compose).scene)
+                tree, report = refit_tree(tree, objects, shown, change_supports=not by_person)
+                (out / "compose" / TREE).write_text(tree.to_json(), encoding="utf-8")
+                (out / REFIT).write_text(
+                    json.dumps(report.to_json(), indent=1) + "\n", encoding="utf-8"
+                )
+                for what, reason in report.notes():
+                    run.note("compose", what, reason)
+                for name, other in report.supports.items():
+                    what = f"{name} {other.relation} {other.parent}, not {other.before}"
+                    run.fallback("compose", what, other.phrase())
+            composed = compose(tree, objects, config.compose)
+            scene, stale = apply_layout(composed.scene, patch, config.compose.gap_m)
+            (out / COMPOSED).write_text(scene.to_json(), encoding="utf-8")
+            scales = json.dumps(composed.scales, indent=1) + "\n"
+            (out / "compose" / "scales.json").write_text(scales, encoding="utf-8")
+            for note in composed.notes:
+                run.fallback("compose", "a scene that differs from the parsed one", note)
+            for name in sorted(patch.objects.keys() - set(stale)):
+                run.fallback(
+                    "compose", f"{name} at a person's placement", f"{LAYOUT_PATCH} contains it"
+                )
+            for name in stale:
+                why = f"{LAYOUT_PATCH} contains it, but the scene does not"
+                run.fallback("compose", f"no {name}", why)
+    context.pictures.begin("compose/picture", run.path / COMPOSED, "pictures/before.png")
+    _check_composed(context)
+
+
+def _check_composed(context: StepContext) -> None:
+    """Write compose/check.json with the objects of the composed scene that do not stay in place.
+
+    Objects that are unstable in every layout are fallbacks of the run; the search may fix others.
+    """
+    from ..measure import measured, unstable_objects
+    from ..measure.unstable import phrases
+
+    run, limits = context.run, context.config.refine
+    bounds = limits.model_dump(
+        include={"check_duration_s", "check_timestep_s", "max_depth_m", "max_drift_m"}
+        | {"max_tilt_deg"}
+    )
+    with run.step("compose/check", {"scene": run.path / COMPOSED, "bounds": bounds}) as out:
+        if out is None:
+            return
+        scene = read_scene(run.path / COMPOSED)
+        measure = measured(scene, limits)
+        moving = unstable_objects(
+            scene, measure, max_drift=limits.max_drift_m, max_tilt=limits.max_tilt_deg
+        )
+        entries = [json.loads(e.model_dump_json()) | {"phrase": e.phrase()} for e in moving]
+        (out / CHECK).parent.mkdir()
+        text = json.dumps({"unstable": entries}, indent=1) + "\n"
+        (out / CHECK).write_text(text, encoding="utf-8")
+        if moving:
+            _log.warning("compose: before the search %s", phrases(moving))
+        for entry in moving:
+            if not entry.held:
+                run.fallback("compose/check", f"{entry.name} without a stable support", entry.why)
+
+
+def refine_layout(context: StepContext) -> None:
+    """Step 5: write scene.json, and every candidate's layout and scores in refine/."""
+    from ..fit.fit_report import NOTED_M, NOTED_SIZE
+    from ..measure import box_iou, object_moves
+    from ..refinement import refine
+
+    run, config = context.run, context.config
+    by_model = config.refine.semantic.scorer == "mllm"
+    photo = Picture.of("photo", load_photo(run.path / "photo.png").rgb) if by_model else None
+    inputs = {"scene": run.path / COMPOSED, "options": config.refine, "seed": config.seed}
+
+    def report(line: str) -> None:
+        progress.report(f"  {line}")
+        context.pictures.store()
+
+    with run.step("refine", inputs) as out:
+        if out is None:
+            return
+        (out / "refine").mkdir()
+        composed = read_scene(run.path / COMPOSED)
+        refined = refine(
+            composed,
+            config.refine,
+            seed=config.seed,
+            photo=photo,
+            panel=context.models,
+            scores=out / "refine" / "scores.jsonl" if by_model else None,
+            progress=report,
+        )
+        np.savez_compressed(out / "refine" / "history.npz", allow_pickle=False, **refined.history)
+        (out / SCENE).write_text(refined.scene.to_json(), encoding="utf-8")
+        summary = {
+            "passed": refined.passed,
+            "engine": refined.engine,
+            "iterations": refined.iterations,
+            "winner": list(refined.winner),
+            "finalists_tried": refined.finalists_tried,
+            "mean_log_scale": refined.mean_log_scale,
+            "mean_shift_m": refined.mean_shift_m,
+            "mean_turn_deg": refined.mean_turn_deg,
+            "kept": list(refined.kept),
+            "rollouts": refined.rollouts,
+            "pruned": refined.pruned,
+            "scoring": refined.scoring,
+            "layout": {
+                name: np.asarray(getattr(refined.layout, name)[0]).tolist()
+                for name in ("xy", "yaw", "log_scale")
+            },
+            "after": refined.measure.model_dump(mode="json"),
+            "before": refined.before.model_dump(mode="json"),
+            "box_iou": box_iou(read_tree(run), composed, refined.scene),
+        }
+        (out / RESULT).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+        run.record("refine", seconds=refined.seconds)
+        for note in refined.fallbacks:
+            run.fallback("refine", "a refinement without it", note)
+        for name, move in object_moves(composed, refined.scene).items():
+            if move.distance_m > NOTED_M or abs(move.size_ratio - 1) > NOTED_SIZE:
+                run.note(
+                    "refine",
+                    f"{name} far from its composed pose",
+                    f"the search moved it by {100 * move.distance_m:.0f} cm, scaled it by "
+                    f"{move.size_ratio:.2f} and turned it by {move.yaw_deg:.0f} deg",
+                )
+
+
+def export_files(context: StepContext) -> None:
+    """Write the scene and its objects as MJCF, USD and URDF, and a picture of the scene."""
+    from ..export import export_scene
+
+    run = context.run
+    context.pictures.begin("export/picture", run.path / SCENE, "pictures/after.png")
+    with run.step("export", {"scene": run.path / SCENE}) as out:
+        if out is None:
+            return
+        export_scene(read_scene(run.path / SCENE), out)
+        (out / SCENE).unlink(missing_ok=True)  # It is an output of refine.
+
+
+def write_metrics(run: RunFolder) -> None:
+    """Record the metrics of the refined scene in run.json, if it is refined."""
+    path = run.path / RESULT
+    if not path.exists():
+        return
+    summary = read_object(path, RunError)
+    names = ("mean_log_scale", "mean_shift_m", "mean_turn_deg", "iterations", "engine", "before")
+    try:
+        values = {name: summary[name] for name in (*names, "passed")}
+        values["box_iou"] = summary.get("box_iou")
+        run.record("metrics", **summary["after"], **values)
+    except (KeyError, TypeError) as error:
+        raise RunError(f"{path} lacks {error}; repeat the step with --from refine") from None
+    run.save()

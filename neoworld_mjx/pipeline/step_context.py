@@ -1,0 +1,62 @@
+"""Context of the steps of a run, and the files that they share."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..checks.allowance import Allowance
+from ..config import Config
+from ..errors import SpecError
+from ..io import read_model, read_object
+from ..mllm import Panel
+from ..parse.photo import Photo
+from ..run_folder import RunFolder
+from ..spec import ObjectSpec, SceneTree
+from .pictures import Pictures
+
+ANSWERED = "answered.json"
+"""The tree before its fit to the boxes."""
+ANNOTATION = "annotation.json"
+"""Annotation of the photograph by a person, if any."""
+TREE, COMPOSED, SCENE = "tree.json", "compose/scene.json", "scene.json"
+CHECK = "compose/check.json"
+REFIT = "compose/fit.json"
+RESULT = "refine/result.json"
+ANSWERS = "answers.tape.json"
+VERIFIED = "verified.json"
+"""The object after repairs by Step 3; missing if Step 3 changed nothing."""
+
+
+@dataclass(frozen=True)
+class StepContext:
+    """The run folder, options, photograph and models of a run."""
+
+    run: RunFolder
+    config: Config
+    photo: Photo | None
+    """None if the run starts after `program`."""
+    models: Panel | None
+    """None if no step needs a model."""
+    pictures: Pictures
+
+    def photo_and_models(self) -> tuple[Photo, Panel]:
+        """Return photograph and models, in the steps that need them."""
+        assert self.photo is not None and self.models is not None
+        return self.photo, self.models
+
+
+def read_tree(run: RunFolder, name: str = TREE) -> SceneTree:
+    """Read the scene tree of Step 1, or with `ANSWERED` that of the model's response."""
+    return read_model(run.path / name, SceneTree, SpecError, "a scene tree")
+
+
+def read_spec(path: Path) -> ObjectSpec:
+    """Read the object that Step 2 or 3 wrote."""
+    return read_model(path, ObjectSpec, SpecError, "an object")
+
+
+def read_allowances(path: Path) -> list[Allowance]:
+    """Return the overlaps that a program declares, from program.json."""
+    try:
+        return [Allowance(**entry) for entry in read_object(path, SpecError)["allowances"]]
+    except (ValueError, KeyError, TypeError) as error:
+        raise SpecError(f"{path} lists no allowances of the program: {error}") from None
