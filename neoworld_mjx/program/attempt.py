@@ -1,4 +1,4 @@
-"""Attempts at an object's program, with their checks and critiques, and the result of Step 2."""
+"""Attempts at an object's program with their checks and critiques, and the result of Step 2."""
 
 import json
 from collections.abc import Mapping
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from ..checks.allowance import Allowance
 from ..checks.signals import Signal
 from ..spec import ObjectSpec
-from .critique import Critique, marks
+from .critique import Critique, mean_score
 from .sandbox import BuildResult
 
 Size = tuple[float, float, float]
@@ -16,13 +16,9 @@ UNJUDGED = 5.0
 
 
 def joined(texts: Mapping[str, str]) -> str:
-    """Return the program that the texts of the stages make together, in their order.
+    """Return the program that the texts of the stages form together, in order.
 
-    A later text goes on where the one before it ends, with its names. A single text is returned as
-    it is.
-
-    Args:
-        texts: text by the name of its stage.
+    A later text continues the one before it and uses its names. A single text is unchanged.
     """
     if len(texts) == 1:
         return next(iter(texts.values()))
@@ -31,33 +27,33 @@ def joined(texts: Mapping[str, str]) -> str:
 
 @dataclass(frozen=True)
 class ProgramAttempt:
-    """One text of a synthesis, with the results of its checks and its critiques."""
+    """A program's text with the results of its checks and its critiques."""
 
     stage: str
-    """Its origin: "program", "debug" or "revise", or "support" for one that no model wrote."""
+    """Origin: "program", "debug" or "revise", or "support" for a program without a model."""
     text: str
     built: BuildResult
     notes: str = ""
     critiques: Mapping[str, Critique] = field(default_factory=dict)
-    """By critic: geometry, articulation, export."""
+    """Critiques by critic: geometry, articulation, export."""
     size: Size | None = None
-    """Edges of the box [m] that it was to fill, if not the parsed ones."""
+    """Edges of the box [m] that it should fill; None for the parsed ones."""
     before: Mapping[str, str] = field(default_factory=dict)
-    """Accepted texts of the stages before, by their names."""
+    """Accepted texts of the stages before, by stage."""
     file: str = "program"
-    """The name of its own stage: program, or geometry, articulation, export."""
+    """Name of its stage: program, or geometry, articulation, export."""
 
     @property
     def texts(self) -> dict[str, str]:
-        """The texts up to this one, by the names of their stages."""
+        """Texts up to this one, by stage."""
         return {**self.before, self.file: self.text}
 
     @property
     def score(self) -> float:
-        """Critics' score, 0 to 10, less one point for each error and the deviation of its size."""
+        """Critics' score, 0 to 10, minus one point per error and minus deviations of size."""
         if self.built.spec is None:
             return 0.0
-        score = marks(self.critiques) if self.critiques else UNJUDGED
+        score = mean_score(self.critiques) if self.critiques else UNJUDGED
         errors = [signal for signal in self.built.signals if signal.severity == "error"]
         deviation = sum(
             min(1.0, abs(signal.value or 0.0))
@@ -68,7 +64,7 @@ class ProgramAttempt:
 
     @property
     def rank(self) -> tuple[bool, bool, bool, float]:
-        """Key by which attempts of a stage are compared, the larger the better."""
+        """Sort key of the attempts of a stage; larger is better."""
         lost = any(signal.code == "lost" for signal in self.built.signals)
         return self.built.spec is not None, not lost, self.built.ok, self.score
 
@@ -92,16 +88,16 @@ class SynthesisResult:
 
     spec: ObjectSpec | None
     texts: Mapping[str, str]
-    """Text by the name of its stage: program alone, or geometry, articulation and export."""
+    """Texts by stage: program alone, or geometry, articulation and export."""
     signals: tuple[Signal, ...]
     score: float
     rounds: tuple[ProgramAttempt, ...]
     fallbacks: tuple[tuple[str, str], ...] = ()
-    """Stages that failed, and errors that remain, with the reasons."""
+    """Failed stages and remaining errors, with their reasons."""
     allowances: tuple[Allowance, ...] = ()
     """Overlaps that the program declares."""
     size: Size | None = None
-    """Corrected edges of the parsed box [m]; None if the parsed ones hold."""
+    """Corrected edges of the parsed box [m]; None without a correction."""
 
     @property
     def text(self) -> str:
@@ -110,7 +106,7 @@ class SynthesisResult:
 
     @property
     def reason(self) -> str:
-        """Reason why there is no object, in one line; empty if there is one."""
+        """Reason for the lack of an object, in one line; empty if there is one."""
         if self.spec is not None:
             return ""
         signals = self.rounds[-1].built.signals if self.rounds else ()
@@ -122,9 +118,9 @@ class SynthesisResult:
 
     def to_json(self) -> str:
         """Return all rounds as JSON."""
-        kept = self.texts
         rounds = [
-            {**each.to_json(), "kept": kept.get(each.file) == each.text} for each in self.rounds
+            {**attempt.to_json(), "kept": self.texts.get(attempt.file) == attempt.text}
+            for attempt in self.rounds
         ]
         data = {
             "score": round(self.score, 4),

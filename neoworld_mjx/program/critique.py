@@ -1,7 +1,4 @@
-"""Requests to the critics of Step 2, and their verdicts: of geometry, articulation and export.
-
-Each critic is a call of its own with a verdict of its own; an option switches each.
-"""
+"""Requests to the critics of Step 2 for geometry, articulation and export, and their verdicts."""
 
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
@@ -75,7 +72,7 @@ CRITIQUES: dict[str, type[Critique]] = {
     "articulation": ArticulationCritique,
     "export": ExportCritique,
 }
-"""The schema of each critic's answer."""
+"""Response schema of each critic."""
 
 _JUDGE = """The real object: {label}. {description}
 Moving parts seen in the photo: {moving}.
@@ -100,7 +97,7 @@ _LEANS = 'In the crop {way}, and in "made" as well; "opened" shows it upright.\n
 def critic_request(
     critic: str, node: TreeNode, spec: ObjectSpec, pictures: Sequence[Picture]
 ) -> Request[Any]:
-    """Return the request to a critic about pictures of an object beside its crop.
+    """Return the request to compare a programmed object with its parsed node.
 
     Args:
         critic: geometry, articulation or export.
@@ -109,14 +106,14 @@ def critic_request(
         pictures: the crop, and those that the critic's instructions name.
     """
     low, high = bounds(spec)
-    times = lambda edges: " by ".join(f"{v:.3f}" for v in edges)
+    links = [f"- {part.name}: {inertial(spec, part).mass:.3g} kg" for part in spec.parts]
     words = {"geometry": _GEOMETRY, "articulation": _ARTICULATION, "export": _EXPORT}[critic]
     made = words.format(
-        measured=times(node.box3d.size),
-        size=times((high - low).tolist()),
+        measured=_edges(node.box3d.size),
+        size=_edges((high - low).tolist()),
         parts=", ".join(part.name for part in spec.parts),
         joints="\n".join(_joint(joint, critic == "export") for joint in spec.joints) or "none",
-        links="\n".join(_links(spec)),
+        links="\n".join(links),
     )
     prompt = _JUDGE.format(
         label=node.label,
@@ -130,8 +127,8 @@ def critic_request(
     return Request("critic", name, system, prompt, CRITIQUES[critic], pictures)
 
 
-def marks(critiques: Mapping[str, Critique]) -> float:
-    """Return the weighted mean of the scores that critics gave, 0 to 10."""
+def mean_score(critiques: Mapping[str, Critique]) -> float:
+    """Return the weighted mean of the critics' scores, 0 to 10."""
     scores = {
         name: getattr(critique, name)
         for critique in critiques.values()
@@ -143,13 +140,17 @@ def marks(critiques: Mapping[str, Critique]) -> float:
 
 
 def accepts(critique: Critique) -> bool:
-    """Tell whether a critic wants no other program: its verdict decides, not its scores."""
+    """Return True if a critic accepts a program by its verdict, or names no change."""
     return critique.verdict == "accept" or not (critique.faults or corrected_box(critique))
 
 
 def corrected_box(critique: Critique) -> list[float] | None:
-    """Return the edges [m] that a critic gives the thing in place of the measured ones."""
+    """Return the edges [m] of the box by which a critic replaces the measured ones."""
     return critique.box if isinstance(critique, GeometryCritique) else None
+
+
+def _edges(edges: Sequence[float]) -> str:
+    return " by ".join(f"{edge:.3f}" for edge in edges)
 
 
 def _joint(joint: JointSpec, dynamics: bool) -> str:
@@ -161,7 +162,3 @@ def _joint(joint: JointSpec, dynamics: bool) -> str:
         text += f", damping {joint.damping:.3g}, friction {joint.friction:.3g} {effort}"
         text += "" if joint.effort is None else f", effort {joint.effort:.3g} {effort}"
     return text
-
-
-def _links(spec: ObjectSpec) -> list[str]:
-    return [f"- {part.name}: {inertial(spec, part).mass:.3g} kg" for part in spec.parts]

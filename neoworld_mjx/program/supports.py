@@ -1,7 +1,7 @@
-"""Programs for supports of the environment, written from their parsed boxes without asking a model.
+"""Programs of the environment's supports, written from their parsed boxes without a model.
 
-The paper takes them as static primitives: a slab for a floor, a counter or a wall. Here the slab
-has the support's outline, and tables that stand free get legs.
+The paper uses static primitives: a slab for a floor, a counter or a wall. Here the slab has the
+support's outline, and freestanding tables have legs.
 """
 
 from collections.abc import Sequence
@@ -14,10 +14,10 @@ from ..spec.surface_pattern import RGB
 from .materials import MATERIALS
 
 LEGGED = ("table", "desk", "bench", "stool")
-LEAST_LEGGED_M = 0.25
+MIN_LEGGED_HEIGHT_M = 0.25
 BOARD_M, LEG_M = 0.04, 0.06
 ROUND_WITHIN = 1e-3
-"""Length and width that differ by less than this share of them are those of a circle."""
+"""Relative difference between length and width below which a round outline is a circle."""
 _MATERIALS = {
     "glass": "glass",
     "marble": "marble",
@@ -69,22 +69,19 @@ for i, (x, y) in enumerate({feet!r}):
 
 
 def support_program(node: TreeNode, rgb: tuple[float, float, float] | None = None) -> str:
-    """Write the program of a support that fills its outline and its parsed box.
+    """Return the program of a support that fills its outline and its parsed box.
 
-    Args:
-        node: the support.
-        rgb: its colour in 0 to 1, as the photo shows it; by default its surface's, or the
-            material's own.
+    `rgb` is its color in the photo in 0 to 1; by default its surface's or its material's.
     """
     x, y, z = (round(v, 6) for v in node.box3d.size)
     like, look = _look(node, rgb)
     label = node.label.lower()
-    legged = z >= LEAST_LEGGED_M and any(word in label for word in LEGGED)
+    legged = z >= MIN_LEGGED_HEIGHT_M and any(word in label for word in LEGGED)
     legged &= min(x, y) > 4 * LEG_M
     common = {"name": node.name, "like": like, "look": look}
     if node.outline.shape == "rectangle" and legged:
         return _TABLE.format(**common, x=x, y=y, z=z, board=BOARD_M, leg=LEG_M)
-    feet = leg_places(node.outline, x, y) if legged else []
+    feet = leg_positions(node.outline, x, y) if legged else []
     if len(feet) >= 3:
         call, slab = _slab(node, x, y, "BOARD")
         calls = ", ".join(sorted({call, "cylinder"}))
@@ -94,8 +91,8 @@ def support_program(node: TreeNode, rgb: tuple[float, float, float] | None = Non
     return _SLAB.format(**common, call=call, slab=slab)
 
 
-def leg_places(outline: SupportOutline, x: float, y: float) -> list[tuple[float, float]]:
-    """Return places [m] for legs near the corners of a table top of size (x, y), each under it."""
+def leg_positions(outline: SupportOutline, x: float, y: float) -> list[tuple[float, float]]:
+    """Return positions [m] of legs under a table top of size (x, y), near its corners."""
     corners = outline.corners() * [x, y]
     to_next = np.roll(corners, -1, axis=0) - corners
     to_next /= np.linalg.norm(to_next, axis=1, keepdims=True)
@@ -104,23 +101,23 @@ def leg_places(outline: SupportOutline, x: float, y: float) -> list[tuple[float,
     convex = to_next[:, 0] * to_last[:, 1] - to_next[:, 1] * to_last[:, 0] > 1e-6
     inwards = to_next + to_last
     inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
-    places = (corners + inwards * (LEG_M / 2 / np.sin(half))[:, None])[convex]
+    candidates = (corners + inwards * (LEG_M / 2 / np.sin(half))[:, None])[convex]
     if outline.shape == "round":
         signs = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-        places = signs * (np.array([x, y]) / 2 - LEG_M) / np.sqrt(2)
-    under = -loops_distance(places, [corners]) > 0.999 * LEG_M / 2
-    chosen: list[tuple[float, float]] = []
-    for place in places[under]:
-        if all(np.hypot(*(place - other)) > 2 * LEG_M for other in chosen):
-            px, py = (round(v, 4) for v in place.tolist())
-            chosen.append((px, py))
-    return chosen
+        candidates = signs * (np.array([x, y]) / 2 - LEG_M) / np.sqrt(2)
+    under = -loops_distance(candidates, [corners]) > 0.999 * LEG_M / 2
+    positions: list[tuple[float, float]] = []
+    for candidate in candidates[under]:
+        if all(np.hypot(*(candidate - other)) > 2 * LEG_M for other in positions):
+            px, py = (round(v, 4) for v in candidate.tolist())
+            positions.append((px, py))
+    return positions
 
 
 def _look(node: TreeNode, rgb: RGB | None) -> tuple[str, str]:
-    """Return the named material of a support, and the arguments that give its colour and pattern.
+    """Return the named material of a support and the arguments for its color and pattern.
 
-    Joints and veins keep their contrast where the photo shows another colour than the answer's.
+    Joints and veins keep their contrast if the photo shows another color than the parse.
     """
     if node.surface is None:
         words = f"{node.label} {node.description}".lower()
@@ -151,7 +148,7 @@ def _triple(rgb: Sequence[float]) -> str:
 
 
 def _slab(node: TreeNode, x: float, y: float, height: str) -> tuple[str, str]:
-    """Return the SDK's shape of a support's outline, and the call that makes it."""
+    """Return the name of the SDK function for a support's outline, and its call."""
     if node.outline.shape == "rectangle":
         return "box", f"box(({x!r}, {y!r}, {height}))"
     if node.outline.shape == "round" and abs(x - y) < ROUND_WITHIN * x:

@@ -1,4 +1,4 @@
-"""Templates: object programs with ranges, one for each category of everyday objects."""
+"""Templates: object programs with parameter ranges, one for each category of everyday objects."""
 
 from .template import Parameter, Template, read_template, template, templates
 

@@ -1,15 +1,15 @@
-"""Templates: programs whose parameters have ranges.
+"""Templates: object programs whose parameters have ranges.
 
-A template is an object program that runs as it stands. Its parameters are the constants that it
-assigns at top level with a range in the comment behind them:
+A template is a complete object program. Its parameters are the constants that it assigns at top
+level with a range in the comment after them:
 
     depth = 0.55  # 0.4 to 0.7 m
     drawers = 3  # 1 to 5
     pull = "bar"  # one of bar, knob, cup
 
-Another instance has other constants in these lines; nothing else of the text changes. Every
-template has `depth`, `width` and `height`: the object's bounding box along x, y and z with all
-joints at 0, so that a label and a measured box give a program.
+An instance replaces only these constants in the text. Every template has `depth`, `width` and
+`height`, the object's bounding box along x, y and z with all joints at 0, so that a label and a
+measured box determine a program.
 """
 
 import ast
@@ -27,7 +27,7 @@ from ..errors import SpecError, choices
 
 PROGRAMS = Path(__file__).parent / "programs"
 BOX = ("depth", "width", "height")
-"""Parameters of every template: the bounding box along x, y and z [m]."""
+"""Parameters of every template: edges of the bounding box along x, y and z [m]."""
 
 _RANGE = re.compile(r"#\s*(-?[\d.]+) to (-?[\d.]+)(?:\s+(m|deg|kg))?\s*$")
 _CHOICES = re.compile(r"#\s*one of (\w+(?:, \w+)*)\s*$")
@@ -38,7 +38,7 @@ Value = float | int | str
 
 @dataclass(frozen=True)
 class Parameter:
-    """A constant of a template that may have other values."""
+    """A constant of a template with a range or choices."""
 
     name: str
     default: Value
@@ -52,7 +52,7 @@ class Parameter:
         """Return a value in the parameter's own type.
 
         Raises:
-            SpecError: it is none of the choices, or outside the range.
+            SpecError: the value is outside the range or the choices.
         """
         if self.choices:
             if value not in self.choices:
@@ -66,12 +66,12 @@ class Parameter:
         return round(value) if isinstance(self.default, int) else float(value)
 
     def draw(self, random: np.random.Generator) -> Value:
-        """Draw a value evenly from the range or the choices."""
+        """Sample a value uniformly from the range or the choices."""
         if self.choices:
             return self.choices[int(random.integers(len(self.choices)))]
         if isinstance(self.default, int):
             return int(random.integers(int(self.low), int(self.high) + 1))
-        # Four digits make a text that people can read.
+        # Four digits keep the text readable.
         return float(f"{random.uniform(self.low, self.high):.4g}")
 
 
@@ -81,7 +81,7 @@ class Template:
 
     name: str
     label: str
-    """What people call the object."""
+    """Common name of the object."""
     partnet: str
     """Its category in PartNet-Mobility; empty if it has none."""
     text: str
@@ -90,10 +90,10 @@ class Template:
     """Line of each parameter in the text, from 0."""
 
     def program(self, values: Mapping[str, Value] | None = None) -> str:
-        """Return the program's text with other values of parameters.
+        """Return the program's text with new values of parameters.
 
         Raises:
-            SpecError: a parameter is unknown, or its value outside its range.
+            SpecError: a parameter is unknown, or its value is outside its range.
         """
         text = self.text.splitlines(keepends=True)
         for name, value in (values or {}).items():
@@ -108,12 +108,12 @@ class Template:
         return "".join(text)
 
     def draw(self, seed: int) -> dict[str, Value]:
-        """Draw the values of all parameters; the same seed gives the same values."""
+        """Sample the values of all parameters; the same seed gives the same values."""
         random = np.random.default_rng([seed, *self.name.encode()])
         return {name: p.draw(random) for name, p in self.parameters.items()}
 
     def of_box(self, size: tuple[float, float, float]) -> dict[str, Value]:
-        """Return `depth`, `width` and `height` for a measured box [m], held within their ranges."""
+        """Return `depth`, `width` and `height` of a measured box [m], clipped to their ranges."""
         return {
             name: min(max(value, self.parameters[name].low), self.parameters[name].high)
             for name, value in zip(BOX, size, strict=True)
@@ -169,7 +169,7 @@ def _parameter(file: str, name: str, default: object, comment: str) -> Parameter
 
 @functools.cache
 def templates() -> dict[str, Template]:
-    """Read all bundled templates, by name."""
+    """Return all bundled templates by name."""
     return {path.stem: read_template(path) for path in sorted(PROGRAMS.glob("*.py"))}
 
 
@@ -177,7 +177,7 @@ def template(name: str) -> Template:
     """Return a bundled template.
 
     Raises:
-        SpecError: there is none of the name.
+        SpecError: there is no such template.
     """
     every = templates()
     if name not in every:

@@ -8,7 +8,7 @@ from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.physics.mjcf import to_mjspec
 from neoworld_mjx.program.materials import MATERIALS
 from neoworld_mjx.program.sandbox import run
-from neoworld_mjx.program.supports import LEG_M, leg_places, support_program
+from neoworld_mjx.program.supports import LEG_M, leg_positions, support_program
 from neoworld_mjx.spec import (
     Box,
     Box2D,
@@ -107,7 +107,7 @@ def test_a_circle_is_an_exact_cylinder():
 
 @pytest.mark.parametrize("outline", [ROUND, L_SHAPE], ids=["round", "polygon"])
 def test_legs_stand_under_the_top(outline):
-    feet = np.array(leg_places(outline, 1.0, 1.4))
+    feet = np.array(leg_positions(outline, 1.0, 1.4))
     assert len(feet) == (4 if outline is ROUND else 5)
     inside = -loops_distance(feet, [outline.corners() * [1.0, 1.4]])
     assert inside.min() > 0.99 * LEG_M / 2

@@ -1,1 +1,1 @@
-"""Programs in Blender's Python, run confined in a process of their own, as objects of the SDK."""
+"""Execution of programs in Blender's Python, confined in a process, and their SDK objects."""

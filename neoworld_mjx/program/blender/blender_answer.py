@@ -1,4 +1,4 @@
-"""The scene that a program left in Blender, as its process wrote it: untrusted, within bounds."""
+"""Schema of the scene that Blender's process writes after a program: untrusted and bounded."""
 
 import base64
 import binascii
@@ -21,7 +21,7 @@ class _Data(BaseModel):
 
 
 class BlenderMaterial(_Data):
-    """A material: what its custom properties say, else its Principled BSDF."""
+    """A material, by its custom properties, else by its Principled BSDF."""
 
     name: Text
     density: Number | None = None
@@ -45,7 +45,7 @@ class BlenderShape(_Data):
     role: Text
     convex: bool
     mass: Number | None = None
-    """[kg]; it counts for the whole part."""
+    """Mass [kg], added to that of the whole part."""
     materials: list[Text] = Field(max_length=64)
     """Names by slot; empty for an empty slot."""
     vertices: str
@@ -56,11 +56,10 @@ class BlenderShape(_Data):
     """Slot of each face [f], 32-bit integers."""
 
     def triangles(self) -> tuple[NDArray, NDArray, NDArray]:
-        """Unpack vertices [v, 3] m, faces [f, 3] and slots [f].
+        """Return vertices [v, 3] m, faces [f, 3] and slots [f].
 
         Raises:
-            ValueError: they are no such arrays, are not finite or too far away, or a face names a
-                vertex that is not there.
+            ValueError: the arrays are malformed, or vertices are not finite or too far away.
         """
         vertices = _unpacked(self.vertices, "<f8", "vertices").reshape(-1, 3)
         faces = _unpacked(self.faces, "<i4", "faces").reshape(-1, 3).astype(np.int64)
@@ -75,7 +74,7 @@ class BlenderShape(_Data):
 
 
 class BlenderJoint(_Data):
-    """An empty that stands for a joint, in world coordinates."""
+    """A joint, given by an empty, in world coordinates."""
 
     name: Text
     type: Text
@@ -95,11 +94,11 @@ class BlenderJoint(_Data):
     multiplier: Number | None = None
     offset: Number | None = None
     after: Text | None = None
-    """Names of joints, apart by commas."""
+    """Names of joints, separated by commas."""
 
 
 class BlenderSite(_Data):
-    """An empty that marks a point of a part."""
+    """A point of a part, given by an empty."""
 
     name: Text
     part: Text
@@ -116,7 +115,7 @@ class BlenderError(_Data):
 
 
 class BlenderScene(_Data):
-    """What the program left, or its error."""
+    """The scene that the program leaves, or its error."""
 
     error: BlenderError | None = None
     name: Text = ""
@@ -127,8 +126,8 @@ class BlenderScene(_Data):
     sites: list[BlenderSite] = Field(default=[], max_length=MAX_SHAPES)
 
 
-def _unpacked(text: str, kind: str, what: str) -> NDArray:
+def _unpacked(text: str, kind: str, name: str) -> NDArray:
     try:
         return np.frombuffer(base64.b64decode(text, validate=True), kind)
     except (binascii.Error, ValueError):
-        raise ValueError(f"{what} are no array") from None
+        raise ValueError(f"{name} are no array") from None

@@ -1,4 +1,4 @@
-"""Whether programs of Blender can run on this machine: installed, loaded, confined."""
+"""Installation of Blender, and the test that its programs can run confined on this machine."""
 
 import shutil
 import subprocess
@@ -10,14 +10,11 @@ from .blender_environment import INSTALL, LIBRARIES, blender_folder, blender_pyt
 from .blender_process import blender_answer
 
 _SECONDS = 1800.0
-"""Time for one of the commands that install it."""
+"""Time limit of an installation command."""
 
 
 def install_blender() -> Path:
-    """Make the environment, or bring it up to date.
-
-    Returns:
-        Its folder.
+    """Create or update Blender's environment and return its folder.
 
     Raises:
         ProgramError: uv is missing, or a command failed.
@@ -30,8 +27,8 @@ def install_blender() -> Path:
     blender_folder().parent.mkdir(parents=True, exist_ok=True)
     for command in commands():
         try:
-            # In a clone of this package uv would hold bpy to the versions that are pinned there.
-            done = subprocess.run(
+            # In a clone of this package uv would apply the versions pinned there to bpy.
+            process = subprocess.run(
                 command,
                 capture_output=True,
                 text=True,
@@ -41,40 +38,36 @@ def install_blender() -> Path:
             )
         except (OSError, subprocess.TimeoutExpired) as error:
             raise ProgramError(f"{' '.join(command)}: {error}") from None
-        if done.returncode:
-            told = done.stderr.strip()[-400:]
-            raise ProgramError(f"{' '.join(command)} ended with {done.returncode}: {told}")
-    _trial.cache_clear()
-    why = unavailable()
-    if why is not None:
-        raise ProgramError(why)
+        if process.returncode:
+            output = process.stderr.strip()[-400:]
+            raise ProgramError(f"{' '.join(command)} ended with {process.returncode}: {output}")
+    _test_run.cache_clear()
+    reason = unavailable()
+    if reason is not None:
+        raise ProgramError(reason)
     return blender_folder()
 
 
 def require_blender() -> None:
-    """Refuse to go on where programs of Blender cannot run.
-
-    Raises:
-        ProgramError: Blender is not installed, cannot be loaded, or cannot be confined here.
-    """
-    why = unavailable()
-    if why is not None:
-        raise ProgramError(f"program.language blender: {why}; or take program.language sdk")
+    """Raise ProgramError if Blender is not installed, cannot be loaded or cannot be confined."""
+    reason = unavailable()
+    if reason is not None:
+        raise ProgramError(f"program.language blender: {reason}; or use program.language sdk")
 
 
 def unavailable() -> str | None:
-    """Return what programs of Blender lack on this machine, None if nothing; tried once."""
+    """Return the reason why Blender's programs cannot run here, None if they can; tested once."""
     if not blender_python().exists():
         return f"Blender is not installed ({blender_python()} is missing): run `{INSTALL}`"
-    return _trial(str(blender_python()))
+    return _test_run(str(blender_python()))
 
 
 @lru_cache(maxsize=1)
-def _trial(python: str) -> str | None:
+def _test_run(python: str) -> str | None:
     """Run an empty program."""
     answer = blender_answer("", timeout_s=60.0, memory_mib=4096)
     if answer.missing:
-        return f"programs of strangers cannot be confined here without {answer.missing}"
+        return f"untrusted programs cannot be confined here without {answer.missing}"
     if answer.exit_code:
         last = answer.errors.strip().rpartition("\n")[2][:300]
         return f"{python} cannot load bpy: {last} (`{INSTALL}`; its libraries: {LIBRARIES})"

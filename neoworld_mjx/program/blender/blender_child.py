@@ -1,8 +1,8 @@
-"""Run one program in Blender and write what it made, as data.
+"""Script that runs one program in Blender and writes the resulting scene as data.
 
-Started by `blender_process` with Blender's own Python: the program's text on standard input, the
-limits and the number of the answer's descriptor as arguments. It knows nothing of the package.
-Whatever it writes counts as written by the program.
+`blender_process` starts it with Blender's own Python: the program's text on standard input, the
+limits and the number of the output's file descriptor as arguments. It does not import the package.
+Its output is as untrusted as the program.
 """
 
 import base64
@@ -18,28 +18,22 @@ from typing import Any
 
 PROGRAM = "<program.py>"
 UNAVAILABLE = 77
-"""Exit code where the machine cannot confine a process."""
+"""Exit code if the machine cannot confine a process."""
 _SYSTEM = ("/lib", "/lib64", "/usr/lib", "/usr/lib64", "/usr/local/lib", "/etc/ld.so.cache",
            "/dev/null", "/dev/urandom", "/sys/devices/system/cpu")  # fmt: skip
 _DYNAMICS = (
-    "damping",
-    "friction",
-    "stiffness",
-    "effort",
-    "velocity",
-    "swing",
-    "multiplier",
-    "offset",
+    *("damping", "friction", "stiffness", "effort", "velocity"),
+    *("swing", "multiplier", "offset"),
 )
 _WORDS = ("parent", "child", "mimic", "after")
 _GREY = 0.8
-"""Base colour of a new material in Blender."""
+"""Base color of a new material in Blender."""
 
 
 def main() -> int:
-    """Confine this process, run the program, write the answer; return the exit code."""
+    """Confine this process, run the program and write the scene; return the exit code."""
     memory_mib, cpu_s, answer_mib, descriptor = (int(value) for value in sys.argv[1:5])
-    confinement = _beside("confinement")
+    confinement = _load_sibling("confinement")
     software = {sys.prefix, sys.base_prefix, *sysconfig.get_paths().values()}
     try:
         confinement.confine(memory_mib, cpu_s, answer_mib, [*_SYSTEM, *sorted(software)])
@@ -61,12 +55,12 @@ def main() -> int:
     return 0
 
 
-def _beside(name: str) -> Any:
+def _load_sibling(name: str) -> Any:
     path = Path(__file__).with_name(f"{name}.py")
-    found = importlib.util.spec_from_file_location(name, path)
-    assert found is not None and found.loader is not None
-    module = importlib.util.module_from_spec(found)
-    found.loader.exec_module(module)
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
     return module
 
 
@@ -78,8 +72,8 @@ def _run(text: str, bpy: Any) -> dict[str, Any]:
         return _error(error, error.lineno, error.offset, syntax=True)
     except BaseException as error:
         frames = traceback.extract_tb(error.__traceback__)
-        own = [frame.lineno for frame in frames if frame.filename == PROGRAM]
-        return _error(error, own[-1] if own else None)
+        lines = [frame.lineno for frame in frames if frame.filename == PROGRAM]
+        return _error(error, lines[-1] if lines else None)
     try:
         return _scene(bpy)
     except Exception as error:
@@ -166,55 +160,55 @@ def _packed(values: Any, kind: str) -> str:
 
 
 def _material(material: Any) -> dict[str, Any]:
-    """Describe a material by its properties, and by its Principled BSDF where they say nothing."""
-    own: dict[str, Any] = {"name": material.name}
+    """Describe a material by its custom properties, else by its Principled BSDF."""
+    fields: dict[str, Any] = {"name": material.name}
     tree = material.node_tree
     nodes = [] if tree is None else [node for node in tree.nodes if node.type == "BSDF_PRINCIPLED"]
     if nodes:
         inputs = nodes[0].inputs
         base = [float(v) for v in inputs["Base Color"].default_value]
         if any(abs(value - _GREY) > 1e-3 for value in base[:3]):
-            own["rgb"] = [_srgb(value) for value in base[:3]]
-        for key, usual in (("Metallic", 0.0), ("Roughness", 0.5), ("Alpha", 1.0)):
+            fields["rgb"] = [_srgb(value) for value in base[:3]]
+        for key, default in (("Metallic", 0.0), ("Roughness", 0.5), ("Alpha", 1.0)):
             value = float(inputs[key].default_value)
-            if abs(value - usual) > 1e-3:
-                own[key.lower()] = value
+            if abs(value - default) > 1e-3:
+                fields[key.lower()] = value
     for key in ("density", "friction", "alpha", "metallic", "roughness", "step"):
         if key in material:
-            own[key] = float(material[key])
+            fields[key] = float(material[key])
     for key in ("rgb", "rgb2"):
         if key in material:
-            own[key] = [float(v) for v in material[key]][:3]
+            fields[key] = [float(v) for v in material[key]][:3]
     for key in ("like", "pattern", "along"):
         if key in material:
-            own[key] = str(material[key])
-    return own
+            fields[key] = str(material[key])
+    return fields
 
 
 def _srgb(value: float) -> float:
-    """Return how bright a linear value looks, from 0 to 1."""
+    """Convert a linear color value to sRGB, from 0 to 1."""
     value = min(max(value, 0.0), 1.0)
     return 12.92 * value if value <= 0.0031308 else 1.055 * value ** (1 / 2.4) - 0.055
 
 
 def _joint(obj: Any) -> dict[str, Any]:
-    """Describe an empty that stands for a joint; its axis is its own z unless it names another."""
+    """Describe the joint of an empty; its axis is the empty's z unless a property sets it."""
     world = obj.matrix_world
-    own: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "name": obj.name,
         "type": str(obj["joint"]),
         "at": [float(v) for v in world.translation],
-        "axis": _way(obj["axis"]) if "axis" in obj else [float(v) for v in world.col[2]][:3],
+        "axis": _direction(obj["axis"]) if "axis" in obj else [float(v) for v in world.col[2]][:3],
     }
     if "range" in obj:
-        own["range"] = [float(v) for v in obj["range"]][:3]
+        fields["range"] = [float(v) for v in obj["range"]][:3]
     if "opens" in obj:
-        own["opens"] = _way(obj["opens"])
-    own |= {key: float(obj[key]) for key in _DYNAMICS if key in obj}
-    return own | {key: str(obj[key]) for key in _WORDS if key in obj}
+        fields["opens"] = _direction(obj["opens"])
+    fields |= {key: float(obj[key]) for key in _DYNAMICS if key in obj}
+    return fields | {key: str(obj[key]) for key in _WORDS if key in obj}
 
 
-def _way(value: Any) -> Any:
+def _direction(value: Any) -> Any:
     return value[:20] if isinstance(value, str) else [float(v) for v in value][:4]
 
 

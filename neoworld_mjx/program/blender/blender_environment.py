@@ -1,7 +1,7 @@
-"""Where Blender's Python is on this machine, and the commands that bring it there.
+"""Location of Blender's Python on this machine, and the commands that install it.
 
-Blender comes as the package bpy. It needs NumPy 1 and a CPython of its own version, so it lives in
-a virtual environment beside this one, in the folder of the cache.
+Blender comes as the package bpy. It requires NumPy 1 and a certain version of CPython, so it has a
+virtual environment of its own in the cache folder.
 """
 
 from pathlib import Path
@@ -9,10 +9,10 @@ from pathlib import Path
 from ...cache import cache_folder
 
 BPY, PYTHON = "5.0.1", "3.11"
-"""The last bpy for that CPython."""
+"""Latest bpy for that CPython."""
 INSTALL = "neoworld doctor --install blender"
 LIBRARIES = "libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1"
-"""Debian packages with the libraries that bpy links to and does not bring."""
+"""Debian packages with the libraries that bpy links to but does not contain."""
 
 
 def blender_folder() -> Path:
@@ -26,7 +26,7 @@ def blender_python() -> Path:
 
 
 def commands() -> list[list[str]]:
-    """Return the commands that make the environment: 360 MB to fetch, 970 MB on disk."""
+    """Return the commands that create the environment (360 MB download, 970 MB on disk)."""
     python = str(blender_python())
     return [
         ["uv", "venv", "--allow-existing", "--python", PYTHON, str(blender_folder())],

@@ -1,6 +1,6 @@
-"""Make the SDK's object of a scene of Blender: parts, materials, masses, joints and points.
+"""Conversion of a Blender scene into the SDK's object: parts, materials, masses, joints, sites.
 
-Every value goes through the SDK, so that both languages have the same rules, limits and complaints.
+Every value passes through the SDK, so that both languages have the same limits and messages.
 """
 
 import time
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...checks.signals import Signal
+from ...checks.signals import Signal, error_signal
 from ...config import ProgramOptions
 from ...errors import choices
 from ...io.names import identifier
@@ -24,22 +24,19 @@ from .blender_availability import require_blender
 from .blender_process import blender_answer, failure
 from .mesh_islands import MAX_FACES, islands, shape_of
 
-JOINTS = ("fixed", "revolute", "continuous", "prismatic", "ball")
-_DYNAMICS = ("damping", "friction", "stiffness", "effort", "velocity")
-_USUAL = "plastic"
-"""Material of shapes without one."""
+_DYNAMICS = {
+    "fixed": (),
+    "revolute": ("damping", "friction", "stiffness", "effort", "velocity"),
+    "continuous": ("damping", "friction", "effort", "velocity"),
+    "prismatic": ("damping", "friction", "stiffness", "effort", "velocity"),
+    "ball": ("damping", "friction", "stiffness"),
+}
+"""Dynamics by type of joint."""
+_DEFAULT_MATERIAL = "plastic"
 
 
 def run_blender(text: str, session: Session, options: ProgramOptions) -> tuple[str, list[Signal]]:
-    """Run a program in Blender and make the SDK's object of what it leaves.
-
-    Args:
-        text: the program.
-        session: collects the object, and counts parts, shapes and convex pieces.
-        options: the limits.
-
-    Returns:
-        Printed text, and errors.
+    """Run a program in Blender, create its object, and return its printed text and its errors.
 
     Raises:
         ProgramError: Blender is not installed, or the machine cannot confine it.
@@ -51,28 +48,24 @@ def run_blender(text: str, session: Session, options: ProgramOptions) -> tuple[s
         memory_mib=options.blender_memory_mib,
         printed_bytes=options.max_output_bytes,
     )
-    failed = failure(answer, options.blender_timeout_s)
-    if failed is not None or answer.scene is None:
-        return answer.printed, [] if failed is None else [failed]
+    if answer.scene is None:
+        return answer.printed, [failure(answer, options.blender_timeout_s)]
     return answer.printed, read_back(answer.scene, session, options)
 
 
 def read_back(
     scene: BlenderScene, session: Session, options: ProgramOptions | None = None
 ) -> list[Signal]:
-    """Make the object of a scene in a session; return errors and warnings.
+    """Create the object of an untrusted scene in a session; return errors and warnings.
 
-    Args:
-        scene: what Blender's process wrote, untrusted.
-        session: collects the object.
-        options: time for splitting shapes into convex pieces.
+    `options` limit the time for splitting shapes into convex pieces.
     """
     options = options or ProgramOptions()
     if scene.error is not None:
         return [_raised(scene)]
     try:
         with entered(session):
-            return _Reading(scene, time.monotonic() + options.blender_timeout_s).read()
+            return _Conversion(scene, time.monotonic() + options.blender_timeout_s).run()
     except LimitExceeded as exceeded:
         return [limit_signal(exceeded, session)]
     except (ValueError, TypeError, TimeoutError) as error:
@@ -84,18 +77,17 @@ def _raised(scene: BlenderScene) -> Signal:
     assert error is not None
     codes = {"SyntaxError": "syntax", "MemoryError": "memory", "RecursionError": "recursion"}
     denied = error.type in ("PermissionError", "BlockingIOError", "OSError")
-    return Signal(
-        severity="error",
-        code="forbidden" if denied else codes.get(error.type, "runtime"),
-        message=f"{error.type}: {error.message}",
+    return error_signal(
+        "forbidden" if denied else codes.get(error.type, "runtime"),
+        f"{error.type}: {error.message}",
         line=error.line,
         column=error.column,
         hint="programs have no files, network or processes" if denied else "",
     )
 
 
-class _Reading:
-    """One scene as it becomes an object."""
+class _Conversion:
+    """Conversion of one scene into an object."""
 
     def __init__(self, scene: BlenderScene, until: float) -> None:
         self.scene, self.until = scene, until
@@ -105,7 +97,7 @@ class _Reading:
         self.parts: dict[str, Part] = {}
         self.warnings: list[Signal] = []
 
-    def read(self) -> list[Signal]:
+    def run(self) -> list[Signal]:
         masses: dict[str, float] = {}
         for shape in self.scene.shapes:
             part = self._part(shape.part)
@@ -141,32 +133,28 @@ class _Reading:
             if time.monotonic() > self.until:
                 raise TimeoutError("splitting the shapes into convex pieces takes too long")
             try:
-                made = shape_of(island, shape.convex or shape.role == "visual")
+                placed = shape_of(island, shape.convex or shape.role == "visual")
             except ValueError as error:
                 raise ValueError(f"{context}: {error}") from None
-            if made is None:
+            if placed is None:
                 continue
-            described, at = made
             part.add(
-                Shape(described, at),
+                Shape(*placed),
                 material=self._material(shape, island.slot),
                 role=shape.role,  # pyright: ignore[reportArgumentType] the SDK checks it
-                name=self._geom_name(shape, part),
+                name=identifier(shape.name, "shape", part._named),
             )
 
-    def _geom_name(self, shape: BlenderShape, part: Part) -> str:
-        return identifier(shape.name, "shape", part._named)
-
     def _material(self, shape: BlenderShape, slot: int) -> str:
-        """Return the name of the material of a slot, defined in the object on first use."""
+        """Return the name of a slot's material, which is defined in the object on first use."""
         name = shape.materials[slot] if slot < len(shape.materials) else ""
         if name not in self.materials:
-            message = f"object {shape.name!r} has no material: {_USUAL} is assumed"
+            message = f"object {shape.name!r} has no material: {_DEFAULT_MATERIAL} is assumed"
             hint = "obj.data.materials.append(...) one that is named after what it is made of"
             self.warnings.append(
                 Signal(severity="warning", code="no_material", message=message, hint=hint)
             )
-            return _USUAL
+            return _DEFAULT_MATERIAL
         if name not in self.defined:
             self.defined[name] = self._define(self.materials[name])
         return self.defined[name]
@@ -174,64 +162,64 @@ class _Reading:
     def _define(self, material: BlenderMaterial) -> str:
         own = material.model_dump(exclude_none=True, exclude={"name"})
         label = identifier(material.name, "material", set(self.defined.values()))
-        own["like"] = own.get("like") or _made_of(label)
+        own["like"] = own.get("like") or _material_in(label)
         for key in ("rgb", "rgb2"):
             own |= {key: tuple(own[key])} if key in own else {}
         if own["like"] is None and "density" not in own:
             raise ValueError(
                 f"material {material.name!r}: name it after what it is made of, such as "
-                f"'{_USUAL}_grey', or give it like= or density=; known are {', '.join(MATERIALS)}"
+                f"'{_DEFAULT_MATERIAL}_grey', or give it like= or density=; known are "
+                f"{', '.join(MATERIALS)}"
             )
         return self.object.material(label, **own)
 
     def _join(self) -> None:
-        """Make the joints, those that others name before these."""
-        made: dict[str, Joint] = {}
+        """Create the joints, each after those that it names."""
+        built: dict[str, Joint] = {}
         waiting = list(self.scene.joints)
         while waiting:
-            ready = [joint for joint in waiting if _named_by(joint) <= made.keys()]
+            ready = [joint for joint in waiting if _named_by(joint) <= built.keys()]
             if not ready:
                 joint, known = waiting[0], [joint.name for joint in self.scene.joints]
-                unknown = sorted(_named_by(joint) - made.keys())
+                unknown = sorted(_named_by(joint) - built.keys())
                 raise ValueError(
                     f"joint {joint.name!r}: mimic or after: {choices(unknown[0], known)}, and none "
                     "may wait for itself"
                 )
             for joint in ready:
-                made[joint.name] = self._joint(joint, made)
-            waiting = [joint for joint in waiting if joint.name not in made]
+                built[joint.name] = self._joint(joint, built)
+            waiting = [joint for joint in waiting if joint.name not in built]
 
-    def _joint(self, joint: BlenderJoint, made: dict[str, Joint]) -> Joint:
+    def _joint(self, joint: BlenderJoint, built: dict[str, Joint]) -> Joint:
         context = f"joint {joint.name!r}"
-        if joint.type not in JOINTS:
-            raise ValueError(f'{context}: empty["joint"]: {choices(joint.type, JOINTS)}')
+        if joint.type not in _DYNAMICS:
+            raise ValueError(f'{context}: empty["joint"]: {choices(joint.type, _DYNAMICS)}')
         parent = self._known(joint.parent, f'{context}: empty["parent"]')
         child = self._known(joint.child, f'{context}: empty["child"]')
-        given: dict[str, Any] = {"at": _rounded(joint.at)}
+        create: Callable[..., Joint] = getattr(self.object, joint.type)
+        name = identifier(joint.name, "joint", {other.name for other in built.values()})
+        if joint.type == "fixed":
+            return create(name, parent, child)
+        arguments: dict[str, Any] = {"at": _rounded(joint.at)}
         if joint.type in ("revolute", "prismatic"):
             if joint.range is None:
                 raise ValueError(f'{context}: needs empty["range"] = (lower, upper)')
-            given["range"] = tuple(joint.range)
-            given["opens"] = _direction(joint.opens)
+            arguments["range"] = tuple(joint.range)
+            arguments["opens"] = _direction(joint.opens)
         if joint.type == "ball":
-            given["swing"] = joint.swing
-        elif joint.type != "fixed":
-            given["axis"] = _direction(joint.axis)
-        keys = _DYNAMICS if joint.type in ("revolute", "prismatic") else ()
-        keys = ("damping", "friction", "effort", "velocity") if joint.type == "continuous" else keys
-        keys = ("damping", "friction", "stiffness") if joint.type == "ball" else keys
-        given |= {k: v for k in keys if (v := getattr(joint, k)) is not None}
-        if joint.mimic and joint.type in ("revolute", "prismatic", "continuous"):
-            given["mimic"] = made[joint.mimic]
-            given["multiplier"] = 1.0 if joint.multiplier is None else joint.multiplier
-            given["offset"] = joint.offset or 0.0
-        openers = [made[name] for name in _after(joint)]
-        if openers and joint.type != "fixed":
-            given["after"] = openers
-        make: Callable[..., Joint] = getattr(self.object, joint.type)
-        taken = {other.name for other in made.values()}
-        arguments = {} if joint.type == "fixed" else given
-        return make(identifier(joint.name, "joint", taken), parent, child, **arguments)
+            arguments["swing"] = joint.swing
+        else:
+            arguments["axis"] = _direction(joint.axis)
+        dynamics = {key: getattr(joint, key) for key in _DYNAMICS[joint.type]}
+        arguments |= {key: value for key, value in dynamics.items() if value is not None}
+        if joint.mimic and joint.type != "ball":
+            arguments["mimic"] = built[joint.mimic]
+            arguments["multiplier"] = 1.0 if joint.multiplier is None else joint.multiplier
+            arguments["offset"] = joint.offset or 0.0
+        openers = [built[name] for name in _after(joint)]
+        if openers:
+            arguments["after"] = openers
+        return create(name, parent, child, **arguments)
 
 
 def _direction(value: list[float] | str | None) -> Any:
@@ -239,7 +227,7 @@ def _direction(value: list[float] | str | None) -> Any:
 
 
 def _rounded(values: list[float]) -> tuple[float, float, float]:
-    """Round the last digits of single precision away."""
+    """Round to the digits of single precision."""
     x, y, z = (np.round(values, 7) + 0.0).tolist()
     return x, y, z
 
@@ -252,8 +240,7 @@ def _named_by(joint: BlenderJoint) -> set[str]:
     return {*_after(joint), *([joint.mimic] if joint.mimic else [])}
 
 
-def _made_of(name: str) -> str | None:
-    """Return the named material that a name holds as words: "oak" for "dark_oak"."""
+def _material_in(name: str) -> str | None:
+    """Return the named material that a name contains: "oak" for "dark_oak"."""
     words = f"_{name.lower()}_"
-    held = [known for known in MATERIALS if f"_{known}_" in words]
-    return max(held, key=len, default=None)
+    return max((m for m in MATERIALS if f"_{m}_" in words), key=len, default=None)

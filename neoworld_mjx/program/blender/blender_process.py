@@ -1,4 +1,4 @@
-"""Run a program in Blender: a confined process with a clock, and its answer as untrusted data."""
+"""Execution of a program in a confined Blender process, which returns untrusted data."""
 
 import os
 import subprocess
@@ -6,7 +6,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from ...checks.signals import Signal
+from ...checks.signals import Signal, error_signal
 from ...errors import ProgramError
 from ...io import read_model
 from ...io.files import MIB, read_bytes
@@ -17,33 +17,33 @@ from .blender_child import UNAVAILABLE
 from .blender_environment import blender_python
 
 ANSWER_MIB = 48
-"""Largest answer; a triangle takes some 40 bytes."""
+"""Largest size of the returned scene; a triangle takes about 40 bytes."""
 _WALL = 4.0
-"""Wall time that a program has, in units of its processor time, as the machine may be busy."""
+"""Wall time of a program over its processor time, as the machine may be busy."""
 _CPU_START_S = 5
-"""Processor time for loading Blender, which no program pays for."""
+"""Additional processor time for loading Blender."""
 _CHILD = Path(__file__).with_name("blender_child.py")
 _KILLED = (-9, -24)
-"""Ends by the limit of processor time: SIGKILL, SIGXCPU."""
+"""Exit codes at the limit of processor time: SIGKILL, SIGXCPU."""
 
 
 @dataclass(frozen=True)
 class BlenderAnswer:
-    """What a run of Blender left."""
+    """Output of a run of Blender."""
 
     scene: BlenderScene | None
     exit_code: int
-    """0, or why it ended, as of `subprocess`."""
+    """Exit code as of `subprocess`."""
     printed: str = ""
     errors: str = ""
-    """What it wrote to standard error."""
+    """Standard error."""
     timed_out: bool = False
     unreadable: str = ""
-    """Why there is no scene though the program ended well."""
+    """Reason for the lack of a scene although the program succeeded."""
 
     @property
     def missing(self) -> str:
-        """Name what this machine lacks to confine the process; empty if nothing."""
+        """Feature that this machine lacks to confine the process; empty if none."""
         if self.exit_code != UNAVAILABLE:
             return ""
         return self.errors.rpartition("missing: ")[2].strip() or "Landlock and seccomp"
@@ -56,9 +56,9 @@ def blender_answer(
 
     Args:
         text: the program.
-        timeout_s: processor time of the program [s]; it may take four times as long on the clock.
-        memory_mib: address space of the process [MiB]; Blender itself takes some 1300.
-        printed_bytes: how much of what it prints is kept.
+        timeout_s: processor time of the program [s]; its wall time is limited to four times this.
+        memory_mib: address space of the process [MiB]; Blender itself takes about 1300.
+        printed_bytes: limit of the printed text.
     """
     with tempfile.TemporaryDirectory(prefix="neoworld-blender-") as name:
         folder = Path(name)
@@ -72,7 +72,7 @@ def blender_answer(
             paths[3].open("wb") as answer,
         ):
             limits = (memory_mib, cpu_s, ANSWER_MIB, answer.fileno())
-            # Files, not pipes: what it may write into them is limited, and nobody waits for them.
+            # Files have a size limit and, unlike pipes, need no reader.
             child = subprocess.Popen(
                 [str(blender_python()), "-I", "-B", str(_CHILD), *map(str, limits)],
                 stdin=program,
@@ -96,8 +96,8 @@ def blender_answer(
         try:
             scene = read_model(paths[3], BlenderScene, ProgramError, "an answer of Blender")
         except ProgramError as error:
-            why = str(error).replace(str(paths[3]), "the answer")
-            return BlenderAnswer(None, 0, out, err, unreadable=why)
+            reason = str(error).replace(str(paths[3]), "the answer")
+            return BlenderAnswer(None, 0, out, err, unreadable=reason)
         return BlenderAnswer(scene, 0, out, err)
 
 
@@ -108,19 +108,15 @@ def _read(path: Path, most: int) -> str:
     return printable(data.decode("utf-8", "replace"))
 
 
-def failure(answer: BlenderAnswer, timeout_s: float) -> Signal | None:
-    """Return the error of a program that gave no scene, None if it gave one."""
-    if answer.scene is not None:
-        return None
+def failure(answer: BlenderAnswer, timeout_s: float) -> Signal:
+    """Return the error of a program that left no scene."""
     if answer.timed_out:
         message = f"the program took over {timeout_s:g} s"
-        return Signal(severity="error", code="timeout", message=message, hint=ENDLESS_HINT)
+        return error_signal("timeout", message, hint=ENDLESS_HINT)
     if answer.unreadable:
         message = f"the scene could not be read back: {answer.unreadable}"[:400]
-        return Signal(severity="error", code="too_big", message=message, hint="use fewer triangles")
+        return error_signal("too_big", message, hint="use fewer triangles")
     last = next((line for line in reversed(answer.errors.splitlines()) if line.strip()), "")
     code = "memory" if "MemoryError" in answer.errors or "bad_alloc" in answer.errors else "crashed"
     message = f"Blender ended with {answer.exit_code}: {last}"[:400]
-    return Signal(
-        severity="error", code=code, message=message, hint="the program must end by itself"
-    )
+    return error_signal(code, message, hint="the program must end by itself")

@@ -1,9 +1,8 @@
-"""Confine this process by means of Linux: the files it opens, its system calls, memory and time.
+"""Confinement of this process by Linux: files, system calls, memory and time.
 
-Blender's Python runs this before anything else, with the standard library alone. Afterwards the
-process reads its own software and nothing more (Landlock), opens nothing for writing, and makes
-only the system calls of `_CALLS`: no sockets, no other processes, no signals to any (seccomp). It
-stays so until it ends.
+Blender's Python runs this first, with the standard library alone. Afterwards the process can read
+only its own software (Landlock), open no file for writing, and make only the system calls of
+`_CALLS`: no sockets, no other processes, no signals to any (seccomp). This cannot be undone.
 """
 
 import ctypes
@@ -37,7 +36,7 @@ _CALLS = {
     "dup3": 292, "pipe2": 293, "getcpu": 309, "getrandom": 318, "membarrier": 324, "statx": 332,
     "rseq": 334, "faccessat2": 439, "futex_waitv": 449,
 }  # fmt: skip
-"""System calls of x86_64 that any arguments are allowed for, with their numbers."""
+"""Numbers of x86_64 system calls that are allowed with any arguments."""
 _OPEN, _OPENAT, _CLONE, _CLONE3 = 2, 257, 56, 435
 _KILL, _TGKILL, _PRCTL, _PRLIMIT64, _SECCOMP = 62, 234, 157, 302, 317
 _CREATE_RULESET, _ADD_RULE, _RESTRICT = 444, 445, 446
@@ -49,7 +48,7 @@ _PR_SET_NO_NEW_PRIVS, _SET_FILTER, _TSYNC, _SIGKILL = 38, 1, 1, 9
 _READ = 1 << 0 | 1 << 2 | 1 << 3
 """Landlock's rights to execute, read a file and read a folder."""
 _RIGHTS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}
-"""Number of rights over files that a version of Landlock handles, up to the last that has more."""
+"""Number of file access rights by version of Landlock; later versions have the same."""
 
 
 class Unavailable(Exception):
@@ -57,36 +56,36 @@ class Unavailable(Exception):
 
 
 def confine(memory_mib: int, cpu_s: float, answer_mib: int, readable: Sequence[str]) -> None:
-    """Confine this process and all of its threads to come.
+    """Confine this process and all of its future threads.
 
     Args:
         memory_mib: address space [MiB].
         cpu_s: processor time [s].
-        answer_mib: largest file that it writes into a descriptor that it has [MiB].
+        answer_mib: largest file that it can write through an open descriptor [MiB].
         readable: files and folders that it may open for reading; missing ones are skipped.
 
     Raises:
-        Unavailable: the system lacks a means; nothing may run then.
+        Unavailable: the system lacks a required feature.
     """
     _check_machine()
     _call("prctl", _libc().prctl(_PR_SET_PDEATHSIG, _SIGKILL, 0, 0, 0))
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {cores[os.getpid() % len(cores)]})
-    for what, most in (
+    for kind, limit in (
         (resource.RLIMIT_AS, memory_mib * MIB),
         (resource.RLIMIT_CPU, max(1, round(cpu_s))),
         (resource.RLIMIT_FSIZE, answer_mib * MIB),
         (resource.RLIMIT_NOFILE, OPEN_FILES),
         (resource.RLIMIT_CORE, 0),
     ):
-        resource.setrlimit(what, (most, most))
+        resource.setrlimit(kind, (limit, limit))
     _call("prctl", _libc().prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0))
     _restrict_files(readable)
     _install(list(_first_filter()))
 
 
 def end_threads() -> None:
-    """Allow no further thread either, nor another filter."""
+    """Forbid new threads and new filters."""
     steps: list[_Step] = [(_LOAD, 0, 0, 0)]
     for number in (_CLONE, _SECCOMP):
         steps += [(_EQUAL, 0, 1, number), (_RETURN, 0, 0, _EPERM)]
@@ -105,15 +104,15 @@ def _libc() -> ctypes.CDLL:
     return ctypes.CDLL(None, use_errno=True)
 
 
-def _call(what: str, result: int) -> int:
+def _call(name: str, result: int) -> int:
     if result < 0:
         number = ctypes.get_errno()
-        raise Unavailable(f"{what} ({os.strerror(number)})")
+        raise Unavailable(f"{name} ({os.strerror(number)})")
     return result
 
 
 def _restrict_files(readable: Sequence[str]) -> None:
-    """Let this process open nothing but `readable`, and that for reading."""
+    """Let this process open only the paths in `readable`, for reading."""
     call = _libc().syscall
     call.restype = ctypes.c_long
     version = call(_CREATE_RULESET, None, ctypes.c_size_t(0), 1)
@@ -139,7 +138,7 @@ def _restrict_files(readable: Sequence[str]) -> None:
 
 
 _Step = tuple[int, int, int, int]
-"""Code, jump if true, jump if false, number: an instruction of the filter."""
+"""Instruction of a filter: code, jump if true, jump if false, number."""
 _LOAD, _EQUAL, _ANY, _RETURN = 0x20, 0x15, 0x45, 0x06
 _ALLOW, _KILL_ALL, _EPERM, _ENOSYS = 0x7FFF0000, 0x80000000, 0x50001, 0x50026
 
@@ -149,7 +148,7 @@ def _argument(k: int, high: bool = False) -> _Step:
 
 
 def _first_filter() -> Iterator[_Step]:
-    """Yield the filter that allows the calls of `_CALLS`, and some others for some arguments."""
+    """Yield a filter that allows the calls of `_CALLS`, and others with certain arguments."""
     own = os.getpid()
     yield from ((_LOAD, 0, 0, 4), (_EQUAL, 1, 0, _ARCHITECTURE), (_RETURN, 0, 0, _KILL_ALL))
     yield (_LOAD, 0, 0, 0)
@@ -187,16 +186,8 @@ def _if_equal(k: int, *values: int) -> list[_Step]:
 
 def _null(k: int) -> list[_Step]:
     """Allow a call whose pointer is null."""
-    refuse, allow = (_RETURN, 0, 0, _EPERM), (_RETURN, 0, 0, _ALLOW)
-    return [
-        _argument(k),
-        (_EQUAL, 1, 0, 0),
-        refuse,
-        _argument(k, True),
-        (_EQUAL, 1, 0, 0),
-        refuse,
-        allow,
-    ]
+    test = ((_EQUAL, 1, 0, 0), (_RETURN, 0, 0, _EPERM))
+    return [_argument(k), *test, _argument(k, True), *test, (_RETURN, 0, 0, _ALLOW)]
 
 
 def _install(steps: Sequence[_Step]) -> None:

@@ -1,6 +1,5 @@
-"""Split the triangles of a Blender object into solids, and these into shapes with convex pieces."""
+"""Decomposition of a Blender object's triangles into solids, and of solids into convex pieces."""
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ from ...spec.pose import Pose, from_matrix, pose
 MAX_FACES = 200_000
 """Most triangles of an object."""
 MAX_CONCAVE_FACES = 20_000
-"""Most triangles of a solid that has to be split into convex pieces."""
+"""Most triangles of a solid that is split into convex pieces."""
 _SQUARE = 1e-6
 """Largest deviation of a box from right angles, over its size."""
 
@@ -30,10 +29,10 @@ class Island(NamedTuple):
 
 
 def islands(vertices: NDArray, faces: NDArray, slots: NDArray) -> list[Island]:
-    """Split a mesh into the solids that hang together, without points that no face names.
+    """Split a mesh into its connected solids, without unused vertices.
 
-    Where a solid is open, points of the whole mesh at one place are joined first. A solid turned
-    inside out is a cavity of the largest one, or where all are, they are turned back.
+    If any solid is open, coincident vertices of the whole mesh are merged first. A solid with
+    inverted faces is a cavity of the largest one; if all are inverted, their faces are reversed.
 
     Args:
         vertices: [v, 3] m.
@@ -64,11 +63,11 @@ def islands(vertices: NDArray, faces: NDArray, slots: NDArray) -> list[Island]:
 
 
 def shape_of(island: Island, convex: bool) -> tuple[Box | Mesh, Pose] | None:
-    """Return the shape of a solid and where it is; None for one without extent.
+    """Return the shape of a solid and its pose; None for one without extent.
 
     Args:
         island: the solid.
-        convex: whether its hull collides, whatever its form.
+        convex: True to use its convex hull for collisions.
 
     Raises:
         ValueError: it is concave and has too many triangles to be split.
@@ -91,14 +90,12 @@ def shape_of(island: Island, convex: bool) -> tuple[Box | Mesh, Pose] | None:
         )
     else:
         hulls = convex_pieces(vertices, faces)
-    # Names of points in their own frame keep their digits when the object is moved to its origin.
-    rows = lambda values: tuple(map(tuple, np.round(values, 9).tolist()))
-    shape = Mesh(
-        vertices=rows(vertices),
-        faces=tuple(map(tuple, faces.tolist())),
-        hulls=tuple(map(rows, hulls)),
-    )
-    return shape, pose()
+    triangles = tuple(map(tuple, faces.tolist()))
+    return Mesh(vertices=_rows(vertices), faces=triangles, hulls=tuple(map(_rows, hulls))), pose()
+
+
+def _rows(points: NDArray) -> tuple[tuple[float, float, float], ...]:
+    return tuple(map(tuple, np.round(points, 9).tolist()))
 
 
 def _components(count: int, faces: NDArray) -> NDArray:
@@ -113,10 +110,10 @@ def _components(count: int, faces: NDArray) -> NDArray:
 
 
 def _closed(faces: NDArray) -> bool:
-    """Tell whether every edge lies between two faces that run along it in opposite directions."""
+    """Return True if every edge lies between two faces with opposite directions along it."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    there = {(int(a), int(b)) for a, b in edges}
-    return len(there) == len(edges) and all((b, a) in there for a, b in there)
+    directed = {(int(a), int(b)) for a, b in edges}
+    return len(directed) == len(edges) and all((b, a) in directed for a, b in directed)
 
 
 def _volume(vertices: NDArray, faces: NDArray) -> float:
@@ -131,16 +128,13 @@ def _island(vertices: NDArray, faces: NDArray, slots: NDArray) -> Island:
     return Island(vertices[used], index.reshape(faces.shape), slot)
 
 
-def _edges_from(corner: int, faces: NDArray) -> Iterator[int]:
-    yield from sorted({int(v) for face in faces if corner in face for v in face} - {corner})
-
-
 def _as_box(vertices: NDArray, faces: NDArray) -> tuple[Box, Pose] | None:
-    """Return the box that eight corners and twelve triangles are, None if they are none."""
+    """Return the box that eight corners and twelve triangles form, None if they form none."""
     if len(vertices) != 8 or len(faces) != 12:
         return None
     centre = vertices.mean(axis=0)
-    spread = [vertices[k] - vertices[0] for k in _edges_from(0, faces)]
+    neighbors = sorted({int(v) for face in faces if 0 in face for v in face} - {0})
+    spread = [vertices[k] - vertices[0] for k in neighbors]
     spread.sort(key=lambda edge: float(edge @ edge))
     axes = []
     for edge in spread:
@@ -149,7 +143,7 @@ def _as_box(vertices: NDArray, faces: NDArray) -> tuple[Box, Pose] | None:
             axes.append(edge)
     if len(axes) != 3:
         return None
-    # The order nearest to the world's axes keeps a box that is not turned as it is.
+    # Order the edges by the nearest axes, so that an axis-aligned box has no rotation.
     lengths = np.array([np.linalg.norm(edge) for edge in axes])
     turn = np.array([edge / length for edge, length in zip(axes, lengths, strict=True)])
     order = np.abs(turn).argmax(axis=1)
