@@ -16,9 +16,9 @@ class Category(NamedTuple):
     """Range of sizes and outline of the objects of a category."""
 
     low: float
-    """Longest edge of the smallest common one [m]."""
+    """Longest edge of the smallest common object [m]."""
     high: float
-    """Longest edge of the largest common one [m]."""
+    """Longest edge of the largest common object [m]."""
     outline: Outline
 
 
@@ -108,7 +108,7 @@ CATEGORIES = _read()
 
 
 def size_range(label: str) -> tuple[float, float] | None:
-    """Return the range of longest edges [m] of a label's things; "small" and "large" widen it.
+    """Return the range of longest edges [m] of a label's objects; "small" and "large" widen it.
 
     Returns:
         None if the category is unknown.

@@ -76,7 +76,7 @@ def outline_points(node: TreeNode) -> tuple[Float[np.ndarray, "n 3"], float]:
 
 
 class Silhouette(NamedTuple):
-    """Points between whose extents the extent of an object's true shape lies.
+    """Smallest and largest outline of an object; its real extents lie between theirs.
 
     They are in the frame of `Box3D`; those of a category in a box of size 1.
     """
@@ -84,13 +84,13 @@ class Silhouette(NamedTuple):
     inner: Float[np.ndarray, "a 3"]
     outer: Float[np.ndarray, "b 3"]
     lowest: Float[np.ndarray, "c 3"]
-    """Points of which the lowest is at the box's height."""
+    """Points, the lowest of which is at the height of the box."""
     round: bool = False
-    """Whether no heading can be read off the silhouette."""
+    """True if the silhouette does not show its heading."""
 
 
 def silhouette_of(node: TreeNode) -> Silhouette:
-    """Return the smallest and the largest silhouette that things of a node's category have."""
+    """Return the smallest and the largest silhouette of a node's category."""
     points, weight = outline_points(node)
     outline = outline_of(node)
     if outline == "tapered":
@@ -98,7 +98,7 @@ def silhouette_of(node: TreeNode) -> Silhouette:
     outer = BOX_POINTS if weight > 0 else points
     inner = BOX_POINTS if weight == 1 else points
     if weight < 1 and not np.allclose(node.base_tilt, IDENTITY):
-        # Where a neck or a foot ends shows once a thing lies.
+        # The ends of a neck or a foot are visible once an object lies.
         inner = BALL_POINTS
     # A cylinder in a box that is not square shows its heading, but hardly.
     return Silhouette(inner, outer, BOX_POINTS, outline in ("round", "ball"))

@@ -1,4 +1,4 @@
-"""A camera from the vanishing points of two directions on the ground that are square to each other.
+"""Camera pose and lens from the vanishing points of two perpendicular directions on the ground.
 
 Pixels are counted from the middle of the picture, where the pinhole camera looks. A line through
 two of them is their cross product, two lines meet in theirs, and points at infinity are as good as
@@ -22,14 +22,14 @@ LEAST_ANGLE = math.radians(4)
 
 
 class CameraOfLines(NamedTuple):
-    """A camera and whether the lines also gave its field of view."""
+    """A camera; `finds_lens` is True if the lines also gave its field of view."""
 
     camera: Camera
     finds_lens: bool
 
 
 def camera_of_lines(camera: Camera, along: ArrayLike, across: ArrayLike) -> CameraOfLines:
-    """Turn a camera, and find its field of view, so that lines of the picture lie on the ground.
+    """Rotate a camera, and find its field of view, so that lines of the picture lie on the ground.
 
     Args:
         camera: the picture's size, and the height and field of view to begin with.
@@ -63,7 +63,7 @@ def camera_of_lines(camera: Camera, along: ArrayLike, across: ArrayLike) -> Came
 
 
 def _vanishing_point(camera: Camera, lines: ArrayLike) -> NDArray:
-    """Return where two lines meet, (x, y, w) about the middle, of unit length."""
+    """Return the point in which two lines meet, (x, y, w) about the middle, of unit length."""
     ends = np.asarray(lines, float) - np.array([camera.width, camera.height_px]) / 2
     if (np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) < LEAST_LENGTH_PX).any():
         raise SpecError("a line is too short: choose its ends farther apart")
@@ -78,7 +78,7 @@ def _vanishing_point(camera: Camera, lines: ArrayLike) -> NDArray:
 
 
 def _focal(camera: Camera, one: NDArray, other: NDArray) -> float | None:
-    """Return the focal length [px] by which two directions are square; None if it is none."""
+    """Return the focal length [px] that makes two directions perpendicular; None without one."""
     weight = float(one[2] * other[2])
     if abs(weight) < 1e-12:
         return None

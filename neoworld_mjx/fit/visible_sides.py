@@ -1,4 +1,4 @@
-"""Which sides of a 2D box show the object's own edge, and which another thing's or the border's."""
+"""Sides of 2D boxes that are an object's own outline, not cut by occluders or the border."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -9,11 +9,11 @@ from .projection import outline_points, to_world
 
 SIDES = ("left", "top", "right", "bottom")
 EDGE = 0.01
-"""Boxes nearer to the picture's edge may be cut off by it; over the picture's longer side."""
+"""Distance from the picture's edge, over its longer side, within which it may cut off a box."""
 COVERED = 1 / 3
-"""Share of a side within the box of a named occluder from which on the side counts as hidden."""
+"""Fraction of a side in the box of a named occluder from which on the side counts as hidden."""
 COVERED_UNNAMED = 0.6
-"""The same for a nearer thing that the response does not name as an occluder."""
+"""The same for a nearer object that the response does not name as an occluder."""
 OUT = 0.02
 """Distance out of the picture, over its longer side, at which an extreme point is cut off."""
 
@@ -21,19 +21,19 @@ OUT = 0.02
 def hidden_sides(
     tree: SceneTree, node: TreeNode, shown: SidesShown | None = None
 ) -> Bool[np.ndarray, "4"]:
-    """Return which sides of a 2D box (left, top, right, bottom) may not be the object's own edge.
+    """Return a mask of the sides of a 2D box (left, top, right, bottom) that may be hidden.
 
     A side is hidden if it lies at the picture's border, if the point of the 3D outline that would
-    make it lies out of the picture, or if something before the object covers much of it: an
-    occluder that the response names, the container that it is in, or a nearer thing whose 2D box
-    overlaps. If it is marked hidden and nothing explains it, every side counts as hidden.
+    form it lies out of the picture, or if an object in front covers much of it: an occluder that
+    the response names, the container of the object, or a nearer object whose 2D box overlaps. If
+    the object is marked as hidden and nothing explains it, every side counts as hidden.
 
     Args:
-        tree: the response, or a fit of it.
-        node: whose sides.
-        shown: what the built shapes show where the response puts them. Where the extreme point that
-            makes a side lies in the picture, it tells better than boxes do whether something is
-            before it; a side whose extreme point is out of the picture may be the object's own.
+        tree: the parsed scene, or a fit of it.
+        node: the object whose sides are tested.
+        shown: sides that the built shapes show at the parsed positions. Where the extreme point of
+            a side lies in the picture, they decide about occlusion instead of boxes; a side whose
+            extreme point is out of the picture may be the object's own.
     """
     camera = tree.camera
     edge = EDGE * max(camera.width, camera.height_px)
@@ -43,7 +43,7 @@ def hidden_sides(
     at_border = outward * (frame - box) <= edge
     hidden = at_border.copy() if shown else at_border | _cut_points(tree, node, at_border)
     if node.cues.cut_sides is not None:
-        # What the response takes for the object's own outline may still end at the border.
+        # An outline that the response takes for the object's own may still end at the border.
         return hidden | np.array([side in node.cues.cut_sides for side in SIDES])
     if shown is not None:
         covered = hidden | _covered_sides(tree, node, box, edge)
@@ -54,7 +54,7 @@ def hidden_sides(
 
 
 def _hiders(node: TreeNode) -> set[str]:
-    """Return the names of what the response says is before an object."""
+    """Return the names of the objects that hide a part of an object by the response."""
     names = set(node.occluded_by)
     if node.relation == "in" and node.parent is not None:
         names.add(node.parent)
@@ -64,7 +64,7 @@ def _hiders(node: TreeNode) -> set[str]:
 def _covered_sides(
     tree: SceneTree, node: TreeNode, box: Float[np.ndarray, "4"], edge: float
 ) -> Bool[np.ndarray, "4"]:
-    """Return which sides of a box the boxes of what may be before the object cover."""
+    """Return a mask of the sides of a box that the boxes of possible occluders cover."""
     names, hidden = _hiders(node), np.zeros(4, bool)
     for other in tree.nodes:
         if other.name == node.name:
@@ -82,7 +82,7 @@ def _covered_sides(
 def _cut_points(
     tree: SceneTree, node: TreeNode, at_border: Bool[np.ndarray, "4"]
 ) -> Bool[np.ndarray, "4"]:
-    """Return which sides of a cut object have their extreme point out of the picture."""
+    """Return a mask of the sides of a cut object whose extreme point is out of the picture."""
     if not at_border.any():
         return np.zeros(4, bool)
     camera = tree.camera
@@ -98,7 +98,7 @@ def _cut_points(
 
 
 def _before(tree: SceneTree, other: TreeNode, node: TreeNode) -> bool:
-    """Return whether a thing that neither carries the object nor stands on it is nearer."""
+    """Return whether an object that is neither parent nor child of another one is nearer."""
     if other.environment or node.environment:
         return False
     if other.parent == node.name or node.parent == other.name:
@@ -112,7 +112,7 @@ def _before(tree: SceneTree, other: TreeNode, node: TreeNode) -> bool:
 def _covered(
     box: Float[np.ndarray, "4"], other: Float[np.ndarray, "4"], slack: float
 ) -> Float[np.ndarray, "4"]:
-    """Return the share of each side of a box that lies in another box, grown by `slack`."""
+    """Return the fraction of each side of a box that lies in another box, grown by `slack`."""
     grown = other + slack * np.array([-1.0, -1.0, 1.0, 1.0])
     shares = np.zeros(4)
     for side in range(4):

@@ -1,7 +1,7 @@
-"""Extents of what of a surface lies within the picture: its edges, cut at the picture's border.
+"""Extents of the part of a surface within the picture: its edges, clipped at the picture's border.
 
 An object that the border cuts shows less than its outline. Its visible box ends where its edges
-leave the picture, which says where it is as exactly as an outline that is seen whole.
+leave the picture, which locates it as exactly as a fully visible outline does.
 """
 
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from ..spec import Camera
 from .projection import NEAR_M
 
 MARGIN = 0.15
-"""How far objects may move in the picture, over its longer side, in `near_border`."""
+"""Largest motion of objects in the picture, over its longer side, that `near_border` allows."""
 
 
 class Wireframe(NamedTuple):
@@ -47,12 +47,12 @@ def extents_in_picture(
     view: Float[np.ndarray, "n 3"],
     edges: Int[np.ndarray, "e 2"],
 ) -> Float[np.ndarray, "4"] | None:
-    """Return the box [px] (x0, y0, x1, y1) of what of a surface lies within the picture.
+    """Return the box [px] (x0, y0, x1, y1) of the part of a surface within the picture.
 
     Args:
-        camera: whose picture it is.
+        camera: the camera.
         view: the surface's points in the camera's axes, right, down and forward [m].
-        edges: of the surface.
+        edges: indices of the points that the edges join.
 
     Returns:
         None if the surface is out of the picture.
@@ -94,15 +94,15 @@ def extents_in_picture(
 def near_border(
     camera: Camera, view: Float[np.ndarray, "n 3"], edges: Int[np.ndarray, "e 2"]
 ) -> Int[np.ndarray, "k 2"]:
-    """Return the edges that decide what box a surface has in the picture, though it moves a little.
+    """Return the edges that can decide a surface's box in the picture after small motions.
 
     These are the edges that may meet the border, and those at the extreme points within; a tube
     has thousands of others.
 
     Args:
-        camera: whose picture it is.
+        camera: the camera.
         view: the surface's points in the camera's axes, right, down and forward [m].
-        edges: of the surface.
+        edges: indices of the points that the edges join.
     """
     size = np.array([camera.width, camera.height_px], float)
     margin = MARGIN * size.max()
@@ -123,7 +123,7 @@ def near_border(
 
 
 def _surrounds(points: Float[np.ndarray, "n 2"], spot: Float[np.ndarray, "2"]) -> bool:
-    """Return whether a spot lies in the convex hull of points."""
+    """Return whether a point lies in the convex hull of others."""
     if len(points) == 0:
         return False
     angles = np.sort(np.arctan2(points[:, 1] - spot[1], points[:, 0] - spot[0]))

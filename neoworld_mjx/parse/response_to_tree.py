@@ -1,0 +1,146 @@
+"""Conversion of parsed objects into a scene tree in pixels of the original, metres and radians."""
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from ..io.names import plain_text
+from ..spec import Box2D, Box3D, Camera, Cues, PartState, Quat, SceneTree, TreeNode
+from ..spec.pose import IDENTITY, from_axis_angle, from_yaw, rotate
+from .object_schema import ParsedBox, ParsedCamera, ParsedDoubt, ParsedObject, ParsedTilt
+from .room_schema import support_outline, support_surface
+
+MAX_LABEL, MAX_DESCRIPTION = 100, 4000
+_EDGE_AXES: dict[str, Literal["x", "y", "z"]] = {"length": "x", "width": "y", "height": "z"}
+"""Axis of the object's frame along each edge of `size`."""
+_CameraNumber = Literal["pitch", "height", "fovy", "roll"]
+_CAMERA_NAMES: dict[str, _CameraNumber] = {
+    "pitch_deg": "pitch",
+    "height": "height",
+    "fovy_deg": "fovy",
+    "roll_deg": "roll",
+}
+_TOWARDS = {
+    "forward": (0.0, 1.0, 0.0),
+    "backward": (0.0, -1.0, 0.0),
+    "left": (-1.0, 0.0, 0.0),
+    "right": (1.0, 0.0, 0.0),
+}
+"""Axis, in the object's frame, of the rotation that moves its top in that direction."""
+
+
+def build_tree(
+    camera: ParsedCamera,
+    objects: Sequence[ParsedObject],
+    per_pixel: tuple[float, float],
+    size: tuple[int, int],
+    *,
+    clip: bool,
+) -> SceneTree:
+    """Convert parsed objects into a scene tree.
+
+    Args:
+        camera: the parsed camera.
+        objects: the parsed objects.
+        per_pixel: pixels of the original per pixel of the picture shown, right and down.
+        size: width and height of the original [px].
+        clip: clip boxes at the picture's edges.
+
+    Raises:
+        ValidationError: the tree is invalid.
+    """
+    tree_camera = Camera(
+        width=size[0],
+        height_px=size[1],
+        fovy=math.radians(camera.fovy_deg),
+        height=camera.height,
+        pitch=math.radians(camera.pitch_deg),
+        roll=math.radians(camera.roll_deg),
+    )
+    nodes = tuple(_node(obj, per_pixel, size if clip else None) for obj in objects)
+    names = dict.fromkeys(camera.measured)
+    measured: list[_CameraNumber] = [_CAMERA_NAMES[name] for name in names]
+    return SceneTree(camera=tree_camera, camera_measured=tuple(measured), nodes=nodes)
+
+
+def _node(
+    obj: ParsedObject, per_pixel: tuple[float, float], size: tuple[int, int] | None
+) -> TreeNode:
+    x0, y0, x1, y1 = corners(obj.box)
+    sx, sy = per_pixel
+    pixels = [x0 * sx, y0 * sy, x1 * sx, y1 * sy]
+    if size is not None:
+        pixels = [float(np.clip(v, 0, size[i % 2])) for i, v in enumerate(pixels)]
+    box2d = Box2D(x0=pixels[0], y0=pixels[1], x1=pixels[2], y1=pixels[3])
+    yaw, tilt = math.radians(obj.yaw_deg), tilt_quat(obj.tilt)
+    edges = np.array([obj.size.length, obj.size.width, obj.size.height])
+    place = np.array([obj.position.x, obj.position.y]) + base_offset(edges, yaw, tilt)
+    return TreeNode(
+        name=obj.name,
+        label=plain_text(obj.label, MAX_LABEL),
+        description=plain_text(obj.description, MAX_DESCRIPTION),
+        parent=obj.parent,
+        relation=obj.relation,
+        parent_link=obj.parent_link,
+        environment=obj.environment,
+        fixed_base=obj.fixed_base,
+        occluded=obj.occluded or bool(obj.occluded_by),
+        occluded_by=tuple(dict.fromkeys(obj.occluded_by)),
+        box2d=box2d,
+        box3d=Box3D(
+            position=(float(place[0]), float(place[1]), obj.position.z),
+            size=tuple(edges.tolist()),
+            yaw=math.remainder(yaw, 2 * math.pi),
+        ),
+        base_tilt=tilt,
+        articulation=tuple(
+            PartState(part=part.part, type=part.motion, opening=part.opening)
+            for part in obj.articulation
+        ),
+        held_by=plain_text(obj.held_by or "", MAX_LABEL) or None,
+        cues=_cues(obj, per_pixel),
+        outline=support_outline(obj.outline),
+        surface=support_surface(obj.surface),
+        furniture=obj.furniture,
+    )
+
+
+def _cues(obj: ParsedObject, per_pixel: tuple[float, float]) -> Cues:
+    uncertainty = obj.doubt or ParsedDoubt()
+    contact = None
+    if obj.contact is not None:
+        contact = (obj.contact.u * per_pixel[0], obj.contact.v * per_pixel[1])
+    return Cues(
+        contact=contact,
+        cut_sides=None if obj.cut_sides is None else tuple(dict.fromkeys(obj.cut_sides)),
+        known_size=tuple(_EDGE_AXES[edge] for edge in dict.fromkeys(obj.known_size)),
+        position_sd=uncertainty.position,
+        size_sd=uncertainty.size,
+        yaw_sd=None if uncertainty.yaw_deg is None else math.radians(uncertainty.yaw_deg),
+    )
+
+
+def corners(box: ParsedBox) -> tuple[float, float, float, float]:
+    """Return left, top, right, bottom of a box."""
+    return box.left, box.top, box.right, box.bottom
+
+
+def tilt_quat(tilt: ParsedTilt | None) -> Quat:
+    """Return the rotation before yaw of a tilt in words."""
+    if tilt is None or tilt.degrees == 0:
+        return IDENTITY
+    turn = from_axis_angle(_TOWARDS[tilt.towards], math.radians(tilt.degrees))
+    return tuple(turn.tolist())
+
+
+def base_offset(size: Float[np.ndarray, "3"], yaw: float, tilt: Quat) -> Float[np.ndarray, "2"]:
+    """Return the offset of a tilted box's bottom centre from its footprint's centre, x and y [m].
+
+    A scene tree states the bottom centre, a response the centre of the visible footprint.
+    """
+    turned = Box3D(position=(0, 0, 0), size=tuple(size.tolist()), yaw=0.0).corners(tilt)
+    middle = (turned.min(axis=0) + turned.max(axis=0)) / 2
+    return -rotate(from_yaw(yaw), [middle[0], middle[1], 0.0])[:2]
