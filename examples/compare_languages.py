@@ -1,8 +1,8 @@
-"""Draw three objects as programs of both languages make them, and compare their joints.
+"""Render three objects, each programmed in both languages, and compare their joints.
 
     uv run python examples/compare_languages.py docs/pictures/languages.jpg
 
-The cabinet is that of both guides; cup and microwave are on the tapes of the bundled examples,
+The cabinet is the one of both guides; cup and microwave are on the tapes of the bundled examples,
 written by hand in both languages. Blender must be installed.
 """
 
@@ -11,6 +11,7 @@ import statistics
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -51,7 +52,7 @@ def from_tape(photo: str, name: str, language: Language) -> str:
 
 
 def joint_rows(sdk: ObjectSpec, blender: ObjectSpec) -> Iterator[str]:
-    """Yield a row for each joint of the SDK's object: what the other's differs by."""
+    """Yield a table row of the differences between the objects for each joint of the first."""
     others = {joint.name: joint for joint in blender.joints}
     for joint in sdk.joints:
         other = others.get(joint.name)
@@ -60,20 +61,20 @@ def joint_rows(sdk: ObjectSpec, blender: ObjectSpec) -> Iterator[str]:
             continue
         axis = np.array(joint.axis)
         angle = np.degrees(np.arccos(np.clip(axis @ other.axis, -1, 1)))
-        apart = np.array(other.pos) - joint.pos
-        pivot = np.linalg.norm(apart - axis * (axis @ apart)) * 1000
+        offset = np.array(other.pos) - joint.pos
+        pivot = np.linalg.norm(offset - axis * (axis @ offset)) * 1000
         shown = "-" if joint.type == "prismatic" else f"{pivot:.1f}"
-        reach = f"{joint.lower:g} to {joint.upper:g} and {other.lower:g} to {other.upper:g}"
-        reach = "-" if joint.type == "continuous" else reach
-        yield f"| {sdk.name} | {joint.name} | {joint.type} | {angle:.1f} | {shown} | {reach} |"
+        limits = f"{joint.lower:g} to {joint.upper:g} and {other.lower:g} to {other.upper:g}"
+        limits = "-" if joint.type == "continuous" else limits
+        yield f"| {sdk.name} | {joint.name} | {joint.type} | {angle:.1f} | {shown} | {limits} |"
 
 
 def main(out: Path) -> None:
-    """Build, check, time, compare and draw."""
+    """Build, check, time, compare and render the objects."""
     objects = {
         "cabinet": from_guide,
-        "cup": lambda language: from_tape("coffee", "cup", language),
-        "microwave": lambda language: from_tape("microwave", "microwave", language),
+        "cup": partial(from_tape, "coffee", "cup"),
+        "microwave": partial(from_tape, "microwave", "microwave"),
     }
     rows, joints, tiles = [], [], []
     for name, text_of in objects.items():
@@ -93,8 +94,8 @@ def main(out: Path) -> None:
             mass = sum(inertial(spec, part).mass for part in spec.parts)
             pieces = sum(len(geom.shape.pieces()) for part in spec.parts for geom in part.geoms)
             verdict = "valid" if built.ok and run_object_tests(spec).verdict.passed else "not valid"
-            took = statistics.median(seconds)
-            cells.append(f"{edges}, {mass:.3g} kg, {pieces} pieces, {took:.2f} s, {verdict}")
+            median = statistics.median(seconds)
+            cells.append(f"{edges}, {mass:.3g} kg, {pieces} pieces, {median:.2f} s, {verdict}")
             specs.append(spec)
             states = ({}, opened_state(spec) or {})
             drawn = [render_object(spec, s, width=WIDTH, height=HEIGHT).color for s in states]

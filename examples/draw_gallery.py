@@ -1,4 +1,4 @@
-"""Draw the gallery of the README: photograph, refined scene, and what moves in it, open.
+"""Render the gallery of the README: photograph, refined scene, and the scene with open joints.
 
 for name in coffee drawers microwave; do uv run neoworld reconstruct $name --out $name; done
 uv run python examples/draw_gallery.py coffee drawers microwave docs/pictures/examples.jpg
@@ -42,7 +42,7 @@ def row(run: Path) -> list[Image.Image]:
 
 
 def main(*arguments: str) -> None:
-    """Draw one row for each run folder."""
+    """Render one row for each run folder."""
     *runs, out = map(Path, arguments)
     rows = [row(run) for run in runs]
     width = max(sum(p.width for p in each) + GAP * (len(each) - 1) for each in rows)

@@ -1,4 +1,4 @@
-"""Draw the worked programs of the guide, at rest and opened, into one picture.
+"""Render the example programs of the guide, at rest and opened, into one picture.
 
 uv run python examples/draw_guide.py docs/pictures/guide.jpg
 """
@@ -19,7 +19,7 @@ WIDTH, HEIGHT, COLUMNS = 360, 300, 3
 
 
 def main(out: Path) -> None:
-    """Build the five programs that state their box and tile their pictures."""
+    """Build the programs that state their box and tile their pictures."""
     blocks = re.findall(r"```python\n(.*?)```", guide(), re.DOTALL)
     tiles = []
     for text in blocks:
@@ -28,8 +28,7 @@ def main(out: Path) -> None:
         spec = build(text).spec
         assert spec is not None
         for state in ({}, opened_state(spec)) if opened_state(spec) else ({},):
-            shown = render_object(spec, state, width=WIDTH, height=HEIGHT)
-            tiles.append(shown.color)
+            tiles.append(render_object(spec, state, width=WIDTH, height=HEIGHT).color)
     empty = [np.full_like(tiles[0], 255)] * (-len(tiles) % COLUMNS)
     rows = [np.hstack(row) for row in zip(*[iter([*tiles, *empty])] * COLUMNS, strict=True)]
     Image.fromarray(np.vstack(rows)).save(out, quality=88)

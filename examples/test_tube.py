@@ -1,9 +1,9 @@
-"""Carry a test tube into a rack, the paper's demonstration of Section 4.4, and draw it.
+"""Carry a test tube into a rack, as in the paper's Section 4.4, and render the motion.
 
     python examples/test_tube.py test_tube.png
 
-Prints what came of the reference plan, of the same plan with the rack 2 cm off, and writes six
-moments of the first as a picture.
+Prints the outcome of the reference plan, and of the same plan with the rack displaced by 2 cm, and
+writes six frames of the first as a picture.
 """
 
 import sys
@@ -17,7 +17,7 @@ MOMENTS = (0.02, 1.4, 2.6, 4.2, 5.3, 7.9)
 
 
 def main(out: Path) -> None:
-    """Carry the tube, and draw it into a file."""
+    """Execute the plans and write the picture."""
     task = find_task("tube_into_rack")
     print(task.instruction)
     print("reference plan:", execute(task.scene, task.plan, task.predicate))

@@ -1,11 +1,11 @@
-r"""Write down the joints and the surface of a published MJCF model, to score programs against.
+r"""Extract the joints and the surface of a published MJCF model as a program's ground truth.
 
     uv run python examples/truth_from_mjcf.py cabinet/model.xml --front=-y --name cabinet \
         --out truth
 
-OUT gets `<name>.json` and `<name>.npz`, as `neoworld bench run joints --truth` reads them.
-`--front` is the direction in which the object's front faces in the model's own frame; the
-model does not say.
+The script writes `<name>.json` and `<name>.npz`, which `neoworld bench run joints --truth` reads.
+`--front` is the direction of the object's front in the model's frame, which the model itself does
+not declare.
 """
 
 import argparse
@@ -20,15 +20,17 @@ from neoworld_mjx.errors import NeoWorldError
 
 def main() -> None:
     """Read the command line and write both files."""
-    parser = argparse.ArgumentParser(description="Write down what is true of an MJCF model.")
+    parser = argparse.ArgumentParser(description="Extract the ground truth of an MJCF model.")
     parser.add_argument("model", type=Path)
     parser.add_argument(
         "--front", choices=["+x", "-x", "+y", "-y"], required=True, help="write --front=-y"
     )
     parser.add_argument("--name", help="default: the file's name")
     parser.add_argument("--out", type=Path, required=True, help="folder")
-    parser.add_argument("--source", default="", help="where the model comes from, and its licence")
-    parser.add_argument("--groups", type=int, nargs="+", default=[0, 1, 2], help="of shown geoms")
+    parser.add_argument("--source", default="", help="source of the model and its license")
+    parser.add_argument(
+        "--groups", type=int, nargs="+", default=[0, 1, 2], help="groups of visible geoms"
+    )
     args = parser.parse_args()
     try:
         truth, points = truth_of_mjcf(args.model, front=args.front, groups=tuple(args.groups))
