@@ -1,6 +1,6 @@
-"""One RGB photograph in, a simulation-ready scene out, on JAX and MuJoCo MJX.
+"""Reconstruction of a simulation-ready scene from one RGB photograph, on JAX and MuJoCo MJX.
 
-Names are resolved on first use, so that importing the package loads neither JAX nor MuJoCo.
+Names are resolved on first use: importing the package loads neither JAX nor MuJoCo.
 """
 
 from importlib import import_module
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-share_gpu_memory()  # Before JAX starts; later it has no effect.
+share_gpu_memory()  # Must precede the initialization of JAX.
 
-_HOMES = {
+_LOCATIONS = {
     "CEM": "refinement.cem",
     "CEMParams": "refinement.cem",
     "CEMState": "refinement.cem",
@@ -77,8 +77,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return import_module(f"{__name__}.{_MODULES[name]}")
-    if name in _HOMES:
-        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    if name in _LOCATIONS:
+        return getattr(import_module(f"{__name__}.{_LOCATIONS[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

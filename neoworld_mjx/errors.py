@@ -1,24 +1,27 @@
-"""Errors a user can act on. Each message names what is wrong, where, and the valid choices."""
+"""Errors caused by the input; each message states the problem, its location and valid choices."""
+
+import difflib
+from collections.abc import Iterable
 
 
 class NeoWorldError(Exception):
-    """Base of every error the package raises on purpose; the command line turns it into exit 2."""
+    """Base of the errors that the package raises on invalid input, with exit code 2."""
 
 
 class ConfigError(NeoWorldError):
-    """A configuration file or option is wrong."""
+    """Invalid configuration file or option."""
 
 
 class PhotoError(NeoWorldError):
-    """The photograph cannot be read or is not usable."""
+    """Unreadable or unusable photograph."""
 
 
 class SpecError(NeoWorldError):
-    """A scene tree, object or scene description is inconsistent."""
+    """Inconsistent scene tree, object or scene description."""
 
 
 class ProgramError(NeoWorldError):
-    """An object program could not be turned into an object within its rounds."""
+    """Object program that is still invalid after all revisions."""
 
 
 class ModelError(NeoWorldError):
@@ -33,35 +36,33 @@ class MissingResponseError(ModelError):
 
 
 class BudgetError(ModelError):
-    """The cost cap of a run is reached; the run can be resumed with a higher one."""
+    """Cost cap of a run that is reached; the run can be resumed with a higher cap."""
 
 
 class EngineError(NeoWorldError):
-    """A physics engine cannot run here or cannot carry this scene."""
+    """Physics engine that is unavailable or cannot simulate the scene."""
 
 
 class ExportError(NeoWorldError):
-    """A file could not be written, or could not be read back."""
+    """File that cannot be written, or read back after writing."""
 
 
 class RunError(NeoWorldError):
-    """A run folder cannot be used: in use, foreign, incomplete or not writable."""
+    """Run folder that cannot be used: in use, of another program, incomplete or not writable."""
 
 
 MAX_CHOICES = 40
-"""Most names that an error message lists beside a near one."""
+"""Maximum number of names that an error message lists next to a suggestion."""
 
 
-def choices(given: str, valid: object) -> str:
-    """Phrase "got 'x', valid are a, b, c; did you mean 'b'?" for an error message.
+def choices(value: str, valid: Iterable[object]) -> str:
+    """Return "got 'x', valid are: a, b, c; did you mean 'b'?" for an error message.
 
-    Of very many names only the nearest is told, if there is a near one.
+    If there are more than `MAX_CHOICES` names and one is similar, only that one is listed.
     """
-    import difflib
-
-    names = [str(name) for name in valid]  # pyright: ignore[reportGeneralTypeIssues]
-    near = difflib.get_close_matches(given, names, n=1)
+    names = list(map(str, valid))
+    near = difflib.get_close_matches(value, names, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
     if near and len(names) > MAX_CHOICES:
-        return f"got {given!r}, which is none of {len(names)} names{hint}"
-    return f"got {given!r}, valid are: {', '.join(names) or 'none'}{hint}"
+        return f"got {value!r}, which is none of {len(names)} names{hint}"
+    return f"got {value!r}, valid are: {', '.join(names) or 'none'}{hint}"

@@ -1,7 +1,7 @@
-"""Progress of long work, as records of the log: a line for people, and facts for a status line.
+"""Progress of long computations, as log records with a message and facts for a status line.
 
-Whoever works calls `report` and `update`; who shows it handles the records of the logger
-`neoworld_mjx.progress`. So no layer knows how progress is shown, or whether it is.
+Computations call `report` and `update`; a handler of the logger `neoworld_mjx.progress` shows the
+records.
 """
 
 import logging
@@ -12,15 +12,15 @@ _log = logging.getLogger(LOGGER)
 
 
 def report(line: str, **facts: Any) -> None:
-    """Report a line, and facts that hold from now on; see `update`."""
+    """Log a message, and update facts; see `update`."""
     _log.info("%s", line, extra={"facts": facts})
 
 
 def update(**facts: Any) -> None:
-    """Change facts of the status line without a line of their own; None takes a fact away.
+    """Update facts of the status line without a message; None removes a fact.
 
     Args:
-        facts: by name: `step`; `done` and `of`, how much of it is done, in `unit`s; `rate`
+        facts: values by name: `step`; `done` and `of`, the progress in `unit`s; `rate`
             [candidates/s]; `left_s`; `calls`, `cost_usd` and `unanswered` calls of models.
     """
     _log.debug("", extra={"facts": facts})

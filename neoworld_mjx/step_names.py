@@ -1,4 +1,4 @@
-"""The names of the steps of a run, in their order. It imports nothing heavy."""
+"""Names of the steps of a run, in order."""
 
 from typing import Literal, get_args
 

@@ -66,7 +66,7 @@ def everything(folder: Path) -> dict[str, bytes]:
     [
         (("--overwrite", "--resume"), "give one of them"),
         (("--overwrite", "--from", "parse"), "give one of them"),
-        (("--from", "refine", "--until", "compose"), "nothing would be done"),
+        (("--from", "refine", "--until", "compose"), "no step would run"),
     ],
 )
 def test_orders_that_contradict_each_other_leave_the_run_as_it_is(
@@ -195,7 +195,7 @@ def test_a_refused_key(refused, monkeypatch, tmp_path):
 def test_folders_that_cannot_be_used(refused, tmp_path):
     file = tmp_path / "file"
     file.write_text("precious")
-    assert "is a file; name a folder" in refused(PHOTO, "--out", file)
+    assert "is a file; name a run folder" in refused(PHOTO, "--out", file)
     assert file.read_text() == "precious"
     photos = tmp_path / "photos"
     photos.mkdir()

@@ -1,4 +1,4 @@
-"""The commands of `neoworld`: a dataclass each, whose fields are its flags and whose `run` does it.
+"""Commands of `neoworld`: dataclasses whose fields are the flags and whose `run` does the work.
 
 To add a command, write its class and add a row to `COMMANDS`. Heavy packages are imported inside of
 `run`, and a command's module only when the command is named, so that `--help` is quick.
@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 
 class CommandEntry(NamedTuple):
-    """A row of the table."""
+    """Location and summary of a command."""
 
     location: str
     """Location of the class: "module:Class", the module relative to this package."""
     summary: str
-    """What the command does: the first sentence of the class's docstring."""
+    """First paragraph of the class's docstring."""
 
     def load(self) -> type:
         """Import the class."""
@@ -24,7 +24,8 @@ class CommandEntry(NamedTuple):
 
 COMMANDS: dict[str, CommandEntry] = {
     "reconstruct": CommandEntry(
-        ".run_commands:ReconstructCommand", "Turn a photograph into a scene that simulates."
+        ".run_commands:ReconstructCommand",
+        "Reconstruct a simulation-ready scene from a photograph.",
     ),
     "examples": CommandEntry(
         ".examples_command:ExamplesCommand",
@@ -32,27 +33,27 @@ COMMANDS: dict[str, CommandEntry] = {
     ),
     "refine": CommandEntry(
         ".run_commands:RefineCommand",
-        "Refine the composed scene of a run again, and export it; the steps before are kept.",
+        "Refine the composed scene of a run again, and export it; earlier steps are reused.",
     ),
     "check": CommandEntry(
         ".object_commands:CheckCommand",
-        "Check a scene or an object: every verdict with its number and threshold.",
+        "Check a scene or an object: every check with its value and threshold.",
     ),
     "build": CommandEntry(
         ".object_commands:BuildCommand",
-        "Turn an object's program, or its URDF, MJCF or USD, into every format and pictures.",
+        "Convert an object's program, URDF, MJCF or USD file into every format and images.",
     ),
     "template": CommandEntry(
         ".template_command:TemplateCommand",
-        "List the templates of objects, or write the program of one.",
+        "List the object templates, or write the program of one.",
     ),
     "export": CommandEntry(
         ".export_command:ExportCommand",
-        "Write a scene or an object in a format, or for a simulator, and say what is lost.",
+        "Export a scene or an object to a format or for a simulator, and list what is lost.",
     ),
     "render": CommandEntry(
         ".render_command:RenderCommand",
-        "Take a picture of a scene or an object, from its own camera or any other; or a turntable.",
+        "Render a scene or an object from its own or any other camera, or as a turntable.",
     ),
     "report": CommandEntry(
         ".run_commands:ReportCommand", "Write report.html of a run, finished or not."
@@ -75,7 +76,7 @@ COMMANDS: dict[str, CommandEntry] = {
     ),
     "doctor": CommandEntry(
         ".doctor_command:DoctorCommand",
-        "Say what is installed here, what can run, and what each missing thing costs.",
+        "List installed components, available engines, and the cost of missing components.",
     ),
     "bench": CommandEntry(
         "neoworld_bench.bench_commands:BenchCommand",

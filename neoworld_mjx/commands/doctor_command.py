@@ -1,4 +1,4 @@
-"""The command doctor: what is installed here and what can run."""
+"""Command `doctor`: installed packages, available engines and missing components."""
 
 import os
 from collections.abc import Callable
@@ -14,14 +14,14 @@ _KEYS = ("ANTHROPIC_API_KEY", "OPENAI_API_KEY")
 
 
 class Need(NamedTuple):
-    """Something that a machine may lack."""
+    """Optional component of an installation."""
 
     what: str
     present: Callable[[], bool]
     costs: str
-    """What cannot be done, or is slow, without it."""
+    """Functions that are missing or slow without the component."""
     mend: str
-    """Command that brings it."""
+    """Command that installs it."""
 
 
 def _installed(package: str) -> Callable[[], bool]:
@@ -32,8 +32,8 @@ def _key() -> bool:
     return any(os.environ.get(name) for name in _KEYS)
 
 
-def _gpu_seen() -> bool:
-    """Return whether JAX uses the NVIDIA GPU that the machine has, if it has one."""
+def _gpu_in_use() -> bool:
+    """Return True if JAX uses the NVIDIA GPU, or if the machine has none."""
     from shutil import which
 
     import jax
@@ -56,11 +56,11 @@ def _blender() -> bool:
 NEEDS = (
     Need(
         *("a model's key", _key),
-        "photographs of your own need answers by hand (--provider mailbox); the examples do not",
+        "other photographs than the examples need responses by hand (--provider mailbox)",
         "export ANTHROPIC_API_KEY=..., or OPENAI_API_KEY=... with the extra openai",
     ),
     Need(
-        *("JAX on the GPU", _gpu_seen),
+        *("JAX on the GPU", _gpu_in_use),
         "the engine mjx runs on the CPU, hundreds of times slower",
         "uv sync --inexact --extra cuda",
     ),
@@ -71,7 +71,7 @@ NEEDS = (
     ),
     Need(
         *("extra openai", _installed("openai")),
-        "no provider openai, nor servers that speak its protocol",
+        "no provider openai, nor servers with its protocol",
         "uv sync --inexact --extra openai",
     ),
     Need(
@@ -91,12 +91,12 @@ NEEDS = (
     ),
     Need(
         *("Blender (bpy)", _blender),
-        "no program.language blender, the paper's own; it fetches 360 MB and takes 970 on disk",
+        "no program.language blender, as in the paper; 360 MB to download, 970 MB on disk",
         "neoworld doctor --install blender",
     ),
     Need(
         *("compilations of an earlier run", _cached),
-        "the first run compiles for half a minute or more; later ones do not",
+        "the first run compiles for 30 s or more",
         "uv run neoworld reconstruct examples/coffee.png --out out",
     ),
 )
@@ -104,13 +104,13 @@ NEEDS = (
 
 @dataclass(frozen=True, kw_only=True)
 class DoctorCommand(Command):
-    """Say what is installed here, what can run, and what each missing thing costs."""
+    """List installed components, available engines, and the cost of missing components."""
 
     install: Literal["blender"] | None = None
-    """Install this first: blender, in an environment of its own in the cache's folder."""
+    """Install a component: blender, in a separate environment in the cache folder."""
 
     def run(self) -> CommandResult:
-        """Look at this machine."""
+        """Inspect this machine."""
         if self.install == "blender":
             from ..program.blender.blender_availability import install_blender
 
@@ -124,14 +124,14 @@ class DoctorCommand(Command):
         from ..mllm.provider import bundled_tapes
         from ..run_folder import versions
 
-        kept = cache_folder()
+        cache = cache_folder()
         tapes = sorted(path.name for path in bundled_tapes().glob("*") if path.is_file())
         return {
             "system": platform.platform(),
             "cores": os.cpu_count(),
             "devices": [f"{device.platform}: {device.device_kind}" for device in jax.devices()],
             "engines": {name: _engine(name) for name in ENGINES},
-            "cache": {"folder": str(kept), "exists": kept.is_dir()},
+            "cache": {"folder": str(cache), "exists": cache.is_dir()},
             "keys": {name: bool(os.environ.get(name)) for name in _KEYS},
             "tapes": tapes,
             "missing": [
@@ -153,5 +153,5 @@ def _engine(name: str) -> str:
     try:
         open_engine(name)
     except (NeoWorldError, ImportError) as error:
-        return f"not here: {error}"
+        return f"unavailable: {error}"
     return "ready"

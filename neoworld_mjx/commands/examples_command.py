@@ -1,4 +1,4 @@
-"""The command `examples`: photographs that come with the package and need no key."""
+"""Command `examples`: bundled photographs that need no key."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ class ExamplesCommand(Command):
     """List the bundled photographs, which `neoworld reconstruct NAME --out DIR` takes."""
 
     def run(self) -> CommandResult:
-        """Return name, photograph, numbers of objects and joints, licence and credit of each."""
+        """Return the name and description of each photograph."""
         from ..pipeline.bundled_examples import bundled_examples
 
         examples = [

@@ -1,4 +1,4 @@
-"""The command that writes a scene or an object in the formats of other programs."""
+"""Command `export`: scenes and objects in the formats of other programs."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,24 +17,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ExportCommand(ConfiguredCommand):
-    """Write a scene or an object in a format, or for a simulator, and say what is lost."""
+    """Export a scene or an object to a format or for a simulator, and list what is lost."""
 
     target: Positional[Path]
     """A run folder, a scene.json, a program (.py), a URDF, an MJCF or a USD file."""
     out: Path
-    """Folder to write; a new or empty one."""
+    """Output folder, new or empty."""
     format: UseAppendAction[tuple[Format, ...]] = ()
-    """Format to write; may be repeated. All of them by default."""
+    """Format to write; repeatable. Default: all."""
     simulator: Annotated[Simulator | None, arg(name="for")] = None
-    """Simulator to write for: its formats; for mjx only colliders that it has, for newton and isaac
-    a layer newton.usda or isaac.usda over USD with what their contacts and joints need."""
+    """Simulator to write for, in its formats: for mjx with supported colliders only, for newton and
+    isaac with a layer newton.usda or isaac.usda over USD for their contacts and joints."""
     floor: bool = False
-    """Put a floor without end below everything (MJCF)."""
+    """Add an infinite floor plane (MJCF)."""
     photo: bool = False
-    """Print the photograph on what faced its camera (a run folder): in MJCF, USD, glTF and
-    scene.json, whose printed materials are named ..._photo."""
+    """Project the photograph of a run folder onto the surfaces that faced its camera, in MJCF, USD,
+    glTF and scene.json; projected materials are named ..._photo."""
     overwrite: bool = False
-    """Write into a folder that is not empty."""
+    """Allow an output folder that is not empty."""
 
     def run(self) -> CommandResult:
         """Write the files."""
@@ -49,7 +49,7 @@ class ExportCommand(ConfiguredCommand):
         kinds = self.format or (BEST[self.simulator] if self.simulator else FORMATS)
         mjx = self.simulator == "mjx"
         if mjx and "mjcf" not in kinds:
-            raise SpecError("--for mjx is about MJCF: leave --format away, or name mjcf")
+            raise SpecError("--for mjx writes MJCF: omit --format, or include mjcf")
         described, notes = self._read()
         if self.photo:
             described = self._printed(described)
@@ -78,7 +78,9 @@ class ExportCommand(ConfiguredCommand):
 
         photo = self.target / "photo.png"
         if not isinstance(described, SceneSpec) or not photo.is_file():
-            raise SpecError(f"--photo takes a run folder with its photo.png; {self.target} is none")
+            raise SpecError(
+                f"--photo takes a run folder with its photo.png; {self.target} is not one"
+            )
         return printed(described, load_photo(photo).rgb)
 
     def lines(self, result: CommandResult) -> list[str]:
@@ -86,7 +88,7 @@ class ExportCommand(ConfiguredCommand):
         return export_lines(result)
 
     def _read(self) -> "tuple[SceneSpec | ObjectSpec, list[str]]":
-        """Return what is to be written, and what was lost in reading it."""
+        """Return the scene or object, and notes about losses on import."""
         if self.target.is_dir() or self.target.suffix == ".json":
             from ..spec import read_scene
 

@@ -1,4 +1,4 @@
-"""Answers of commands that list things, in few lines: doctor, template, examples, bench."""
+"""Short summaries of the results of doctor, template, examples and bench."""
 
 import shutil
 import textwrap
@@ -8,41 +8,43 @@ from typing import Any
 from .base_command import CommandResult
 from .result_lines import DETAILS, count
 
-_LEAST_COLUMNS, _MOST_COLUMNS = 60, 110
-MOST_FACTS = 8
+_MIN_COLUMNS, _MAX_COLUMNS = 60, 110
+MAX_FACTS = 8
 
 
 def doctor_lines(result: CommandResult) -> list[str]:
-    """Return what is here, then each missing thing with its cost and its remedy."""
+    """Summarize the installation, and each missing component with its cost and remedy."""
     if "installed" in result:
         return [f"installed: {result['installed']} in {result['folder']}"]
     versions = result["versions"]
     engines = result["engines"]
     ready = [name for name, state in engines.items() if state == "ready"]
-    lacking = [name for name in engines if name not in ready]
-    here = ", ".join(
+    unavailable = [name for name in engines if name not in ready]
+    packages = ", ".join(
         f"{name} {versions[name]}" for name in ("neoworld-mjx", "jax", "mujoco") if name in versions
     )
     devices = ", ".join(result["devices"])
+    others = f"; unavailable: {', '.join(unavailable)}" if unavailable else ""
     rows = [
-        f"here: {count(result['cores'], 'core')}, {devices}; Python {versions['python']}, {here}",
-        f"engines: {', '.join(ready)}" + (f"; not here: {', '.join(lacking)}" if lacking else ""),
+        f"machine: {count(result['cores'], 'core')}, {devices}; "
+        f"Python {versions['python']}, {packages}",
+        f"engines: {', '.join(ready)}{others}",
     ]
     for need in result["missing"]:
-        rows += [f"missing: {need['what']}: {need['costs']}", f"  mend: {need['mend']}"]
+        rows += [f"missing: {need['what']}: {need['costs']}", f"  fix: {need['mend']}"]
     if not result["missing"]:
         rows.append("nothing is missing")
     return [*rows, DETAILS]
 
 
 def template_lines(result: CommandResult) -> list[str]:
-    """Return the names of all templates, or one with its parameters."""
+    """Summarize all templates, or one with its parameters."""
     if "templates" in result:
         names = result["templates"]
         return [
             f"{count(len(names), 'template')}:",
             *_wrapped(names),
-            "one of them: neoworld template NAME [--out x.py]; what each is: -v, or --json",
+            "use one: neoworld template NAME [--out x.py]; descriptions: -v, or --json",
         ]
     rows = [f"{result['template']}: {result['label']}"]
     rows += _wrapped(_parameter(name, p) for name, p in result["parameters"].items())
@@ -54,7 +56,7 @@ def template_lines(result: CommandResult) -> list[str]:
 
 
 def example_lines(result: CommandResult) -> list[str]:
-    """Return one line for each photograph."""
+    """Summarize each photograph in one line."""
     rows = [
         f"{each['name']}: {count(each['objects'], 'object')}, {count(each['joints'], 'joint')}; "
         f"{each['shows']} ({each['licence']})"
@@ -64,18 +66,18 @@ def example_lines(result: CommandResult) -> list[str]:
 
 
 def bench_lines(result: CommandResult) -> list[str]:
-    """Return a benchmark's numbers without its rows."""
+    """Summarize the numbers of a benchmark, without its rows."""
     facts = list(_facts({k: v for k, v in result.items() if k not in _HEAD}))
     tables = [
         f"{len(value)} {key}" for key, value in result.items() if isinstance(value, list) and value
     ]
     rows = [f"{result['suite']}: {', '.join(tables) or 'done'}"] if "suite" in result else []
-    rows += _wrapped(facts[:MOST_FACTS])
-    if len(facts) > MOST_FACTS:
-        rows.append(f"  and {len(facts) - MOST_FACTS} more numbers")
+    rows += _wrapped(facts[:MAX_FACTS])
+    if len(facts) > MAX_FACTS:
+        rows.append(f"  and {len(facts) - MAX_FACTS} more numbers")
     if "paper" in result:
-        theirs = f"theirs: {result['paper']['note']}"
-        rows += textwrap.wrap(theirs, _MOST_COLUMNS, initial_indent="  ", subsequent_indent="  ")
+        note = f"paper: {result['paper']['note']}"
+        rows += textwrap.wrap(note, _MAX_COLUMNS, initial_indent="  ", subsequent_indent="  ")
     return [*rows, DETAILS]
 
 
@@ -104,9 +106,9 @@ def _parameter(name: str, described: Mapping[str, Any]) -> str:
 
 
 def _wrapped(entries: Iterable[str]) -> list[str]:
-    """Join entries by commas into lines of the terminal's width; none is broken."""
-    columns = shutil.get_terminal_size((_MOST_COLUMNS, 24)).columns
-    width = min(max(columns, _LEAST_COLUMNS), _MOST_COLUMNS) - 2
+    """Join entries by commas into lines of the terminal's width, without breaking entries."""
+    columns = shutil.get_terminal_size((_MAX_COLUMNS, 24)).columns
+    width = min(max(columns, _MIN_COLUMNS), _MAX_COLUMNS) - 2
     joined = ", ".join(entry.replace(" ", "\0") for entry in entries)
     lines = textwrap.wrap(joined, width, break_long_words=False, break_on_hyphens=False)
     return [f"  {line}".replace("\0", " ") for line in lines]

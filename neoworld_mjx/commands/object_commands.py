@@ -1,4 +1,4 @@
-"""Commands of objects and scenes by themselves: check, build."""
+"""Commands of single objects and scenes: check, build."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,19 +17,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class CheckCommand(ConfiguredCommand):
-    """Check a scene or an object: every verdict with its number and threshold."""
+    """Check a scene or an object: every check with its value and threshold."""
 
     target: Positional[Path]
     """A run folder, a scene.json, a program (.py), a URDF, MJCF or USD file."""
     fixed_base: bool = False
-    """Hold the object's base fixed: check only its joints."""
+    """Fix the object's base, and check only its joints."""
     repair: bool = False
-    """Repair what a number says how to repair; a program's patch is written beside it."""
+    """Repair failed checks from their measurements; a program's patch is written next to it."""
     out: Path | None = None
-    """With --repair: folder to write the repaired object into, in every format."""
+    """With --repair: output folder for the repaired object, in every format."""
 
     def run(self) -> CommandResult:
-        """Measure the scene, or verify the object."""
+        """Check the scene or the object."""
         config = self.load_config()
         suffix = self.target.suffix.lower()
         notes: list[str] = []
@@ -51,7 +51,7 @@ class CheckCommand(ConfiguredCommand):
                 out=self.out,
             )
         if self.repair or self.fixed_base or self.out is not None:
-            raise SpecError(f"{self.target}: a scene is only measured; use refine to repair it")
+            raise SpecError(f"{self.target}: a scene cannot be repaired here; use refine")
         from ..measure import measured, scene_checks
         from ..spec import read_scene
 
@@ -74,19 +74,19 @@ class CheckCommand(ConfiguredCommand):
 
 @dataclass(frozen=True, kw_only=True)
 class BuildCommand(ConfiguredCommand):
-    """Turn an object's program, or its URDF, MJCF or USD, into every format and pictures."""
+    """Convert an object's program, URDF, MJCF or USD file into every format and images."""
 
     program: Positional[Path]
     """The program (.py), or a URDF, MJCF or USD file with one object."""
     out: Path
-    """Folder to write; a new or empty one."""
+    """Output folder, new or empty."""
     overwrite: bool = False
-    """Write into a folder that is not empty."""
+    """Allow an output folder that is not empty."""
     watch: bool = False
-    """Build again whenever the program is saved, until Ctrl-C; each build prints a line."""
+    """Rebuild whenever the program is saved, until Ctrl-C; each build prints a line."""
 
     def run(self) -> CommandResult:
-        """Build the program and write its object in every format."""
+        """Build the program and write the object in every format."""
         from ..program.watch import FAILED, watch, write_built, write_failed
         from ..verify.patch import overlay_path
         from ..verify.patched import build_patched, read_program
@@ -100,10 +100,11 @@ class BuildCommand(ConfiguredCommand):
         if self.program.suffix.lower() != ".py":
             return self._convert()
         if self.watch:
-            read_program(self.program)  # Report a missing file at once.
-            beside = (overlay_path(self.program),)
-            build = lambda program: build_patched(program, options)
-            builds = watch(self.program, out, build, beside, options)
+            read_program(self.program)  # Report a missing file immediately.
+            overlays = (overlay_path(self.program),)
+            builds = watch(
+                self.program, out, lambda p: build_patched(p, options), overlays, options
+            )
             return {"folder": str(out), "builds": builds}
         patched = build_patched(self.program, options)
         built = patched.built
@@ -127,12 +128,12 @@ class BuildCommand(ConfiguredCommand):
         return build_lines(result, _listings(self.program, result))
 
     def _convert(self) -> CommandResult:
-        """Write the object of another program's file."""
+        """Convert a URDF, MJCF or USD file."""
         from ..program.watch import spec_files, write_files
         from ..verify.checking import import_object
 
         if self.watch:
-            raise SpecError(f"{self.program}: only programs (.py) are watched")
+            raise SpecError(f"{self.program}: only programs (.py) can be watched")
         imported = import_object(self.program)
         write_files(spec_files(imported.spec), self.out)
         return {
@@ -148,7 +149,7 @@ def _signals(built: "BuildResult") -> list[dict[str, Any]]:
 
 
 def _listings(program: Path, result: CommandResult) -> list[str]:
-    """Return what a program printed and its signals, as terminals show them."""
+    """Format the output and the signals of a program."""
     from ..checks.signals import Signal
     from ..program.watch import listings
     from ..verify.patched import read_program

@@ -1,4 +1,4 @@
-"""The command `render`: a picture of a scene or an object from any camera, or a turntable."""
+"""Command `render`: images of scenes and objects, and turntable animations."""
 
 import math
 from dataclasses import dataclass
@@ -17,41 +17,41 @@ if TYPE_CHECKING:
 
 Point = tuple[float, float, float]
 AZIMUTH_DEG, ELEVATION_DEG = 215.0, 28.0
-"""Direction of a camera that the flags do not say: that of a photograph's side, a little aside."""
+"""Default camera direction: slightly to the side of the photograph's."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderCommand(ConfiguredCommand):
-    """Take a picture of a scene or an object, from its own camera or any other; or a turntable."""
+    """Render a scene or an object from its own or any other camera, or as a turntable."""
 
     target: Positional[Path]
     """A run folder, a scene.json, an object's folder, a program (.py), a URDF or an MJCF file."""
     out: Path | None = None
-    """File to write, by default render.png beside the target; with --turntable a .gif or .webp."""
+    """Output file, by default render.png next to the target; .gif or .webp with --turntable."""
     width: int | None = None
-    """Width of the picture, in pixels."""
+    """Width of the image [px]."""
     azimuth: float | None = None
-    """Direction of the camera about the vertical [deg]; 180 is the side of the photograph's."""
+    """Azimuth of the camera [deg]; 180 is the side of the photograph's camera."""
     elevation: float | None = None
-    """Angle of the camera above the horizontal [deg]."""
+    """Elevation of the camera [deg]."""
     object: UseAppendAction[tuple[str, ...]] = ()
-    """Object that shall fill the picture; may be repeated. By default all but the environment."""
+    """Object to frame; repeatable. Default: all objects except the environment."""
     eye: Point | None = None
-    """Place of the camera [m], in place of --azimuth and --elevation."""
+    """Position of the camera [m], instead of --azimuth and --elevation."""
     look_at: Point | None = None
-    """Point that the camera at --eye looks at [m]; by default the middle of the objects."""
+    """Target point of the camera at --eye [m]; by default the center of the objects."""
     fovy: float | None = None
     """Vertical field of view [deg]."""
     open: float | None = None
-    """Share of its range, from 0 to 1, at which every joint with limits stands."""
+    """Position of every limited joint, as a fraction of its range from 0 to 1."""
     turntable: bool = False
-    """Film a turn around the objects: an animation of --frames frames."""
+    """Render an animation of --frames frames around the objects."""
     frames: int = 36
-    """Frames of the turntable."""
+    """Number of frames of the turntable."""
 
     def run(self) -> CommandResult:
-        """Ray-cast the scene."""
-        from ..io.files import write_atomic
+        """Render the scene."""
+        from ..io.files import write_output
         from ..render import render_scene, to_png
         from ..render.viewpoints import opened
         from ..view.pages.view_target import open_target
@@ -65,16 +65,13 @@ class RenderCommand(ConfiguredCommand):
             scene = opened(scene, self.open)
         width = self.width or options.width
         if self.turntable:
-            data, size, out = self._film(scene, width, options.supersample)
+            data, size, out = self._turntable(scene, width, options.supersample)
         else:
             view = self._camera(scene, width)
-            picture = render_scene(scene, view, width=width, supersample=options.supersample)
-            data, out = to_png(picture), self.out or self._beside("render.png")
-            size = [picture.color.shape[1], picture.color.shape[0]]
-        try:
-            write_atomic(out, data)
-        except OSError as error:
-            raise RunError(f"cannot write {out}: {error.strerror}") from None
+            image = render_scene(scene, view, width=width, supersample=options.supersample)
+            data, out = to_png(image), self.out or self._default_path("render.png")
+            size = [image.color.shape[1], image.color.shape[0]]
+        write_output(out, data, RunError)
         frames = {"frames": self.frames} if self.turntable else {}
         return {"picture": str(out), "size": size, **frames}
 
@@ -82,23 +79,23 @@ class RenderCommand(ConfiguredCommand):
         """Return a short summary of the result."""
         return file_lines(result)
 
-    def _film(
+    def _turntable(
         self, scene: "SceneSpec", width: int, supersample: int
     ) -> tuple[bytes, list[int], Path]:
-        """Return the turntable, its size in pixels, and the file to write it into."""
+        """Return the encoded animation, its size in pixels, and the output path."""
         import numpy as np
 
         from ..progress import update
         from ..render.animation import FORMATS, encode_animation
         from ..render.viewpoints import around, subject_points, turntable
 
-        out = self.out or self._beside("turntable.gif")
+        out = self.out or self._default_path("turntable.gif")
         if out.suffix.lower() not in FORMATS:
             raise SpecError(f"--out {out}: a turntable is written as {' or '.join(FORMATS)}")
         if not 2 <= self.frames <= 360:
             raise SpecError(f"--frames: got {self.frames}, valid is from 2 to 360")
         if self.eye is not None or self.look_at is not None:
-            raise SpecError("--turntable goes around the objects: leave out --eye and --look-at")
+            raise SpecError("--turntable cannot be combined with --eye and --look-at")
         first, elevation, fovy = self._angles()
         size = [width, round(width * 2 / 3)]
         views = around(
@@ -117,16 +114,16 @@ class RenderCommand(ConfiguredCommand):
         return encode_animation(frames, pause_ms, out.suffix.lower()), size, out
 
     def _camera(self, scene: "SceneSpec", width: int) -> "Camera | View | None":
-        """Return the camera that the flags name; None, where none does, is the scene's own."""
+        """Return the camera of the flags; None without any means the scene's own."""
         from ..render import View
         from ..render.viewpoints import subject_points
 
         azimuth, elevation, fovy = self._angles()
         directed = self.azimuth is not None or self.elevation is not None
         if self.eye is None and self.look_at is not None:
-            raise SpecError("--look-at says what the camera at --eye looks at: give --eye too")
+            raise SpecError("--look-at requires --eye")
         if self.eye is not None and directed:
-            raise SpecError("--eye says where the camera is: leave out --azimuth and --elevation")
+            raise SpecError("--eye cannot be combined with --azimuth and --elevation")
         if not (self.object or directed or self.eye):
             if self.fovy is None or scene.camera is None:
                 return None
@@ -140,7 +137,7 @@ class RenderCommand(ConfiguredCommand):
         middle = (points.min(axis=0) + points.max(axis=0)) / 2
         target = middle if self.look_at is None else self.look_at
         if math.dist(self.eye, target) < 1e-6:
-            raise SpecError("--eye and what it looks at are the same place")
+            raise SpecError("--eye and its target are the same point")
         return View.look_at(self.eye, target, width=width, height=height, fovy=fovy)
 
     def _angles(self) -> tuple[float, float, float]:
@@ -156,5 +153,5 @@ class RenderCommand(ConfiguredCommand):
         azimuth = AZIMUTH_DEG if self.azimuth is None else self.azimuth
         return math.radians(azimuth), math.radians(elevation), fovy
 
-    def _beside(self, name: str) -> Path:
+    def _default_path(self, name: str) -> Path:
         return (self.target if self.target.is_dir() else self.target.parent) / name

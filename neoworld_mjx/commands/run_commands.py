@@ -14,14 +14,14 @@ from .result_lines import file_lines, run_lines
 
 @dataclass(frozen=True, kw_only=True)
 class ReconstructCommand(ConfiguredCommand):
-    """Turn a photograph into a scene that simulates."""
+    """Reconstruct a simulation-ready scene from a photograph."""
 
     photo: Positional[Path]
     """The photograph, or the name of one that `neoworld examples` lists."""
     out: Path
-    """Run folder to write; a new or empty one, or a run to go on with."""
+    """Run folder: new, empty, or a run to continue."""
     provider: str | None = None
-    """Source of models' answers: auto, anthropic, openai, replay or mailbox."""
+    """Source of the models' responses: auto, anthropic, openai, replay or mailbox."""
     engine: EngineChoice | None = None
     """Physics engine of the refine step."""
     seed: int | None = None
@@ -29,17 +29,17 @@ class ReconstructCommand(ConfiguredCommand):
     until: Step | None = None
     """Stop after this step."""
     resume: bool = False
-    """Go on with the run in --out: keep the finished steps whose inputs have not changed."""
+    """Continue the run in --out, reusing finished steps with unchanged inputs."""
     start: Annotated[Step | None, arg(name="from")] = None
-    """Do this step of the run in --out again, and all after it."""
+    """Repeat this step of the run in --out, and all later steps."""
     overwrite: bool = False
     """Replace the run in --out."""
     record: Path | None = None
-    """Record the models' answers on this tape, and take from it those that it holds."""
+    """Record the models' responses on this tape, and reuse those that it holds."""
     tape: UseAppendAction[tuple[Path, ...]] = ()
-    """Tape of answers, or folder of tapes, read before those of the package; may be repeated."""
+    """Tape of responses, or folder of tapes, read before the bundled ones; repeatable."""
     mailbox: Path | None = None
-    """Folder of requests and answers, for the provider mailbox."""
+    """Folder of requests and responses, for the provider mailbox."""
 
     def run(self) -> CommandResult:
         """Run the five steps."""
@@ -72,9 +72,9 @@ class ReconstructCommand(ConfiguredCommand):
 
 @dataclass(frozen=True, kw_only=True)
 class RefineCommand(ConfiguredCommand):
-    """Refine the composed scene of a run again, and export it; the steps before are kept.
+    """Refine the composed scene of a run again, and export it; earlier steps are reused.
 
-    Without --config and --set the options are those that the run was made with.
+    Without --config and --set the options are those of the run.
     """
 
     folder: Positional[Path]
@@ -90,15 +90,15 @@ class RefineCommand(ConfiguredCommand):
         from ..pipeline import refine_again
 
         keep_compilations()
-        over: dict[str, Any] = {}
+        overrides: dict[str, Any] = {}
         if self.seed is not None:
-            over["seed"] = self.seed
+            overrides["seed"] = self.seed
         if self.engine is not None:
-            over["refine"] = {"rollout": {"engine": self.engine}}
+            overrides["refine"] = {"rollout": {"engine": self.engine}}
         config = None
         if self.config is not None or self.set:
             config = self.load_config({"refine.rollout.engine": self.engine, "seed": self.seed})
-        return refine_again(self.folder, config, over).summary()
+        return refine_again(self.folder, config, overrides).summary()
 
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""

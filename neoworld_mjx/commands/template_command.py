@@ -1,4 +1,4 @@
-"""The command `template`: object programs of everyday things, by name, seed or measured box."""
+"""Command `template`: object programs from templates, by name, seed or measured box."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,27 +12,27 @@ from .listing_lines import template_lines
 
 @dataclass(frozen=True, kw_only=True)
 class TemplateCommand(Command):
-    """List the templates of objects, or write the program of one."""
+    """List the object templates, or write the program of one."""
 
     name: Positional[str | None] = None
-    """The template; without it all are listed."""
+    """Name of the template; all are listed by default."""
     out: Path | None = None
-    """The program (.py) to write; `neoworld build` makes the object of it."""
+    """Output file (.py) for the program; `neoworld build` builds the object."""
     seed: int | None = None
-    """Draw all parameters from their ranges; by default they are the template's own."""
+    """Seed for sampling all parameters from their ranges; by default they have default values."""
     size: tuple[float, float, float] | None = None
-    """Depth, width and height [m], such as a measured box; held within their ranges."""
+    """Depth, width and height [m], such as a measured box; clipped to their ranges."""
     set: UseAppendAction[tuple[str, ...]] = ()
-    """A parameter as NAME=VALUE, such as --set drawers=4; may be repeated."""
+    """Parameter as NAME=VALUE, such as --set drawers=4; repeatable."""
 
     def run(self) -> CommandResult:
         """List templates, or write a program."""
-        from ..io.files import write_atomic
+        from ..io.files import write_output
         from ..templates import template, templates
 
         if self.name is None:
             if self.out or self.size or self.set or self.seed is not None:
-                raise SpecError("template: name one of those that `neoworld template` lists")
+                raise SpecError("template: name a template; `neoworld template` lists them")
             return {"templates": {name: each.label for name, each in templates().items()}}
         chosen = template(self.name)
         values = {} if self.seed is None else chosen.draw(self.seed)
@@ -44,10 +44,7 @@ class TemplateCommand(Command):
             values[key] = _number(value)
         text = chosen.program(values)
         if self.out is not None:
-            try:
-                write_atomic(self.out, text)
-            except OSError as error:
-                raise RunError(f"cannot write {self.out}: {error.strerror}") from None
+            write_output(self.out, text, RunError)
         written = {} if self.out is None else {"program": str(self.out)}
         parameters = {
             name: {"value": values.get(name, p.default)}

@@ -111,14 +111,17 @@ MESHES = {
         (_ply(4, "3 0 1 2\n", 10**12), "declares more elements than it has bytes"),
     ],
     "a.glb": [
-        (_glb('{"count":10000000000,"type":"VEC3","componentType":5126}'), "declares more vertices"),
+        (
+            _glb('{"count":10000000000,"type":"VEC3","componentType":5126}'),
+            "declares more vertices",
+        ),
         (_glb('{"count":3,"type":"VEC3","componentType":5126}'), "declares more vertices"),
         (b"glTF" + bytes(16), "not glTF"),
     ],
     "a.gltf": [(b'{"accessors": 3}', "not glTF|not a mesh"), (b"[" * 100_000, "not glTF")],
     "a.dae": [
         (f'<!DOCTYPE x [<!ENTITY a "b">]>{DAE}</COLLADA>'.encode(), "document type or entities"),
-        ((DAE + '<instance_node url="#a"/>' * 40 + "</COLLADA>").encode(), "instances of nodes"),
+        ((DAE + '<instance_node url="#a"/>' * 40 + "</COLLADA>").encode(), "node instances"),
     ],
     "a.stl": [(bytes(80) + struct.pack("<I", 2**31) + bytes(50), "not a mesh|no triangles")],
     "a.obj": [

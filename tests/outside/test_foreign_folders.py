@@ -72,7 +72,7 @@ def test_links_in_a_folder_are_refused(tmp_path, outside, name):
         lambda: RunFolder(out, Config(), "overwrite").__exit__(None, None, None),
         lambda: write_report(out),
     ):
-        with pytest.raises(RunError, match=f"holds {name!r}, which is a link; a run folder"):
+        with pytest.raises(RunError, match=f"contains {name!r}, which is a link; a run folder"):
             act()
 
 
@@ -80,7 +80,7 @@ def test_a_new_folder_that_holds_links_is_refused_too(tmp_path, outside):
     out = tmp_path / "out"
     out.mkdir()
     (out / ".lock").symlink_to(outside / "precious.txt")
-    with pytest.raises(RunError, match=r"holds '\.lock', which is a link"):
+    with pytest.raises(RunError, match=r"contains '\.lock', which is a link"):
         RunFolder(out, Config())
 
 
@@ -88,7 +88,7 @@ def test_pipes_in_a_folder_are_refused(tmp_path):
     out = _run(tmp_path / "out")
     (out / "tree.json").unlink()
     os.mkfifo(out / "tree.json")
-    with pytest.raises(RunError, match=r"holds 'tree\.json', which is a pipe or device"):
+    with pytest.raises(RunError, match=r"contains 'tree\.json', which is a pipe or device"):
         write_report(out)
 
 

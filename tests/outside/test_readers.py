@@ -1,4 +1,4 @@
-"""One reader for each kind of outside file: bounds, regular files, one message with the name."""
+"""Readers of untrusted files: bounds, regular files only, and one message with the file name."""
 
 import ast
 import io
@@ -6,6 +6,7 @@ import json
 import os
 import sys
 import zipfile
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -62,7 +63,7 @@ def test_only_regular_files_are_read(tmp_path, kind):
         read_yaml(path, "plan")
 
 
-def test_large_files_are_refused_unread(tmp_path):
+def test_large_files_are_rejected_unread(tmp_path):
     path = tmp_path / "large.json"
     with path.open("wb") as file:
         file.truncate(1 << 40)
@@ -83,14 +84,14 @@ def test_large_files_are_refused_unread(tmp_path):
         ("", "not JSON"),
     ],
 )
-def test_json_that_is_none_or_too_much(tmp_path, text, said):
+def test_invalid_or_oversized_json_is_rejected(tmp_path, text, said):
     path = tmp_path / "a.json"
     path.write_text(text)
     with bounded_by(SMALL), pytest.raises(SpecError, match=rf"a\.json.*{said}"):
         read_json(path, SpecError)
 
 
-def test_json_nested_without_end(tmp_path):
+def test_deeply_nested_json_is_rejected(tmp_path):
     (tmp_path / "a.json").write_text("[" * 100_000 + "]" * 100_000)
     with pytest.raises(SpecError, match=r"a\.json is nested over 100 levels deep"):
         read_json(tmp_path / "a.json", SpecError)
@@ -128,7 +129,7 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
         ("seed: 2001-99-99", "not valid YAML"),
     ],
 )
-def test_yaml_that_is_none_or_too_much(tmp_path, text, said):
+def test_invalid_or_oversized_yaml_is_rejected(tmp_path, text, said):
     path = tmp_path / "a.yaml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=said) as caught:
@@ -170,14 +171,14 @@ def _header(shape: tuple[int, ...], kind: str = "<f8") -> bytes:
         (b"PK\x03\x04" + bytes(100), "no readable arrays"),
     ],
 )
-def test_arrays_that_are_none_or_too_much(tmp_path, data, said):
+def test_invalid_or_oversized_arrays_are_rejected(tmp_path, data, said):
     path = tmp_path / "a.npz"
     path.write_bytes(data)
     with bounded_by(SMALL), pytest.raises(RunError, match=rf"a\.npz.*{said}"):
         read_arrays(path, RunError)
 
 
-def test_arrays_come_back_as_they_were(tmp_path):
+def test_arrays_round_trip(tmp_path):
     arrays = {
         "a": np.arange(6.0).reshape(2, 3),
         "fortran": np.asfortranarray(np.arange(6).reshape(2, 3)),
@@ -196,7 +197,7 @@ def test_arrays_come_back_as_they_were(tmp_path):
 EPS = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 100 100\n%%EndComments\n%%EOF\n"
 
 
-def test_pictures_of_other_formats_reach_no_other_program(tmp_path, monkeypatch):
+def test_images_of_other_formats_start_no_other_program(tmp_path, monkeypatch):
     def started(*_: object, **__: object):
         raise AssertionError("Ghostscript was started")
 
@@ -209,7 +210,7 @@ def test_pictures_of_other_formats_reach_no_other_program(tmp_path, monkeypatch)
         load_photo(tmp_path / "photo.png")
 
 
-def test_pictures_of_too_many_pixels_are_refused_by_their_header():
+def test_images_with_too_many_pixels_are_rejected_before_decoding():
     data = io.BytesIO()
     Image.new("1", (2000, 2000)).save(data, "PNG")
     with bounded_by(FileOptions(max_picture_mpx=1)):
@@ -218,31 +219,43 @@ def test_pictures_of_too_many_pixels_are_refused_by_their_header():
                 pass
 
 
-def _calls(path: Path):
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Call):
-            yield node, ast.unparse(node.func)
+@cache
+def _calls() -> list[tuple[str, str, ast.Call]]:
+    """Return the calls in the library's sources: file and line, function and call."""
+    return [
+        (f"{path}:{node.lineno}", ast.unparse(node.func), node)
+        for path in LIBRARY.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call)
+    ]
 
 
-def test_every_opening_of_a_picture_names_its_formats():
-    for path in LIBRARY.rglob("*.py"):
-        for call, name in _calls(path):
-            if name == "Image.open":
-                assert "formats" in {word.arg for word in call.keywords}, f"{path}:{call.lineno}"
+def test_every_opening_of_an_image_restricts_the_formats():
+    for line, function, call in _calls():
+        if function == "Image.open":
+            assert "formats" in {keyword.arg for keyword in call.keywords}, line
 
 
-READERS = {"np.load", "yaml.safe_load", "yaml.load", "json.load"}
+UNBOUNDED = {"np.load", "yaml.safe_load", "yaml.load", "json.load"}
 
 
-def test_no_file_is_read_beside_the_readers():
-    # The pages of the documentation are written from files of the repository itself.
-    for path in set(LIBRARY.rglob("*.py")) - {LIBRARY / "config" / "pages.py"}:
-        for call, name in _calls(path):
-            assert name not in READERS, f"{path}:{call.lineno}: use neoworld_mjx.io"
+def test_files_are_only_read_by_the_bounded_readers():
+    for line, function, _ in _calls():
+        # The pages of options are generated from files of the repository itself.
+        if "config/pages.py" not in line:
+            assert function not in UNBOUNDED, f"{line}: use neoworld_mjx.io"
 
 
-def test_numbers_of_python_stay_bounded():
-    """The bound by which huge integers in JSON and YAML end in an error."""
+def test_text_files_are_utf_8_regardless_of_the_locale():
+    for line, function, call in _calls():
+        if function.endswith((".write_text", ".read_text")):
+            arguments: set[object] = {keyword.arg for keyword in call.keywords}
+            arguments |= {arg.value for arg in call.args if isinstance(arg, ast.Constant)}
+            assert {"encoding", "utf-8"} & arguments, line
+
+
+def test_python_bounds_the_length_of_integers():
+    """Huge integers in JSON and YAML are errors because of this bound."""
     assert 0 < sys.get_int_max_str_digits() <= 4300
     with pytest.raises(ValueError, match="4300"):
         json.loads("9" * 5000)

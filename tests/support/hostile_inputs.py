@@ -446,6 +446,7 @@ def contained(seed: int) -> Outcome:
             (outside / name).parent.mkdir(parents=True, exist_ok=True)
             (outside / name).write_text(text, encoding="utf-8")
         before, start = resident_mb(), time.process_time()
+        peak_before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
         wrong, outcome = "", "read"
         from neoworld_mjx.cache import cache_folder
 
@@ -461,8 +462,7 @@ def contained(seed: int) -> Outcome:
                 wrong = f"{outcome}: {error}"[:300]
         seconds = time.process_time() - start
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
-        grown = max(0.0, peak - max(before, _peak[0]))
-        _peak[0] = max(_peak[0], peak)
+        grown = max(0.0, peak - max(before, peak_before))
         files = {
             path.relative_to(outside).as_posix(): path.read_text(encoding="utf-8")
             for path in outside.rglob("*")
@@ -477,9 +477,6 @@ def contained(seed: int) -> Outcome:
     if grown > MEGABYTES:
         wrong = f"{grown:.0f} MB"
     return Outcome(seed, kind, outcome, round(seconds, 3), round(grown, 1), wrong)
-
-
-_peak = [0.0]
 
 
 def main(first: int, count: int) -> None:
