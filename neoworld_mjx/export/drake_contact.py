@@ -10,9 +10,9 @@ import math
 import xml.etree.ElementTree as ET
 from typing import Literal
 
-from ..physics.mjcf import excluded_pairs
 from ..spec import ObjectSpec
 from ..spec.convex import Piece
+from .link_frames import unjoined_pairs
 from .meshes import number
 
 DRAKE = "http://drake.mit.edu"
@@ -51,12 +51,10 @@ def add_filters(model: ET.Element, form: Format, spec: ObjectSpec, links: dict[s
         spec: the object.
         links: link name of each part.
     """
-    joined = {(joint.parent, joint.child) for joint in spec.joints}
     ignored: dict[str, list[str]] = {}
-    for one, other in excluded_pairs(spec):
-        if (one, other) not in joined:
-            ignored.setdefault(links[one], []).append(links[other])
-            ignored.setdefault(links[other], [])
+    for one, other in unjoined_pairs(spec):
+        ignored.setdefault(links[one], []).append(links[other])
+        ignored.setdefault(links[other], [])
     for link, others in ignored.items():
         group = ET.SubElement(model, "drake:collision_filter_group", name=f"only_{link}")
         _put(group, form, "member", "link", link)

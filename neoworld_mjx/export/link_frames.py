@@ -6,6 +6,7 @@ The frame of a link has its origin at the anchor of its joint and the orientatio
 import numpy as np
 from numpy.typing import NDArray
 
+from ..physics.mjcf import excluded_pairs
 from ..spec import ObjectSpec, PartSpec, inertial
 from ..spec.pose import Pose, matrix
 
@@ -32,6 +33,12 @@ def unused(name: str, taken: set[str]) -> str:
     while name in taken:
         name += "_"
     return name
+
+
+def unjoined_pairs(spec: ObjectSpec) -> list[tuple[str, str]]:
+    """Return the pairs of parts that never collide and are not parent and child of one joint."""
+    joined = {(joint.parent, joint.child) for joint in spec.joints}
+    return [pair for pair in excluded_pairs(spec) if pair not in joined]
 
 
 def inertia_tensor(spec: ObjectSpec, part: PartSpec) -> NDArray:

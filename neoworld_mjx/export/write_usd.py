@@ -22,12 +22,11 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, Vt
 
 from ..spec import GeomSpec, JointSpec, ObjectSpec, PartSpec, inertial
 from ..spec.convex import Piece
-from ..spec.kinematics import welded
 from ..spec.pose import IDENTITY, Pose, pose
 from ..spec.semantics import category, purpose
 from ..spec.triangles import corner_normals
 from .handles import Frame, frames
-from .link_frames import link_origins
+from .link_frames import link_origins, unjoined_pairs
 from .meshes import piece_mesh
 from .textures import is_textured, visible_surface
 from .usd_looks import add_label, add_material, bind_material
@@ -363,21 +362,8 @@ def axis_frame(axis: tuple[float, float, float]) -> tuple[str, tuple[float, ...]
 
 def _filter_pairs(stage: Usd.Stage, base: Sdf.Path, spec: ObjectSpec) -> None:
     """Filter collisions between the parts welded to either side of a joint, as in MJCF."""
-    group = welded(spec)
-    jointed = {(joint.parent, joint.child) for joint in spec.joints}
     links = base.AppendChild("links")
-    for joint in spec.joints:
-        for a in spec.parts:
-            others = [
-                b.name
-                for b in spec.parts
-                if group[a.name] == group[joint.parent]
-                and group[b.name] == group[joint.child]
-                and group[a.name] != group[b.name]
-                and (a.name, b.name) not in jointed
-            ]
-            if others:
-                prim = stage.GetPrimAtPath(links.AppendChild(a.name))
-                pairs = UsdPhysics.FilteredPairsAPI.Apply(prim).CreateFilteredPairsRel()
-                for other in others:
-                    pairs.AddTarget(links.AppendChild(other))
+    for one, other in unjoined_pairs(spec):
+        prim = stage.GetPrimAtPath(links.AppendChild(one))
+        pairs = UsdPhysics.FilteredPairsAPI.Apply(prim).CreateFilteredPairsRel()
+        pairs.AddTarget(links.AppendChild(other))

@@ -135,12 +135,10 @@ def _hull(piece: Piece) -> tuple[NDArray, NDArray]:
 
 
 def _joined(meshes: list[tuple[NDArray, NDArray]]) -> tuple[NDArray, NDArray]:
-    starts = np.cumsum([0] + [len(vertices) for vertices, _ in meshes])
-    faces = [faces + start for (_, faces), start in zip(meshes, starts, strict=False)]
-    return (
-        np.concatenate([vertices for vertices, _ in meshes]).astype(np.float32),
-        np.concatenate(faces).astype(np.int32),
-    )
+    from trimesh.util import append_faces
+
+    vertices, faces = append_faces(*zip(*meshes, strict=True))
+    return vertices.astype(np.float32), faces.astype(np.int32)
 
 
 def _byte(value: float) -> int:

@@ -243,7 +243,7 @@ class _Smooth:
         return np.where(length > 0.1, mixed / np.maximum(length, 1e-30), flat)
 
     def _weights(self, points: NDArray, near: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the candidate facet [n, k] that contains each point, and weights of its corners."""
+        """Return the candidate facet [n, k] that contains each point, and its barycentrics."""
         best = near[:, 0].copy()
         weights = _barycentric(points, self.corners[best])
         for k in range(1, near.shape[1]):

@@ -94,19 +94,19 @@ def visible_surface(
 
     An object without visible geoms has the corners of its bounding box and no triangles.
     """
+    from trimesh.util import append_faces
+
     moved = link_poses(spec, dict(joint_state or {}))
     points: list[NDArray] = []
     triangles: list[NDArray] = []
-    count = 0
     for part in spec.parts:
         for geom in part.geoms:
             if geom.role != "collision":
                 vertices, faces = geom.shape.surface()
                 points.append(moved[part.name].then(geom.pose()).apply(vertices))
-                triangles.append(faces + count)
-                count += len(vertices)
+                triangles.append(faces)
     if points:
-        return np.vstack(points), np.vstack(triangles)
+        return append_faces(points, triangles)
     low, high = bounds(spec, dict(joint_state or {}))
     corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
     return corners, np.zeros((0, 3), int)

@@ -41,6 +41,6 @@ def test_the_arm_pushes_the_drawer_closed(pushed, capfd):
 
 
 @pytest.mark.slow
-def test_mjx_does_the_same(pushed, capfd):
+def test_the_arm_pushes_the_drawer_closed_in_mjx(pushed, capfd):
     exec(compile(BLOCKS["push_mjx.py"], "push_mjx.py", "exec"), pushed)
     assert pushed["apart"] < 1e-3

@@ -29,7 +29,7 @@ def world_bounds(stage, path):
     return np.array([list(box.GetMin()), list(box.GetMax())])
 
 
-def test_binary_usd_and_its_package_hold_the_scene(folder):
+def test_binary_usd_and_usdz_contain_the_scene(folder):
     boxes = []
     for file in ("scene.usdc", "scene.usdz"):
         stage = Usd.Stage.Open(str(folder / file))
@@ -42,7 +42,7 @@ def test_binary_usd_and_its_package_hold_the_scene(folder):
     assert UsdUtils.ComputeAllDependencies(str(folder / "scene.usdz"))[2] == []
 
 
-def test_gltf_shows_what_is_visible_with_y_up(folder, scene):
+def test_gltf_has_the_visible_geoms_with_y_up(folder, scene):
     stage = Usd.Stage.Open(str(folder / "scene.usdc"))
     want = world_bounds(stage, "/scene/bowl")
     shown = trimesh.load(folder / "scene.glb")
@@ -71,14 +71,14 @@ def test_the_same_scene_gives_the_same_bytes_in_every_format(scene):
             assert format_files(scene, kind) == format_files(scene, kind), kind
 
 
-def test_what_is_lost_is_said(cabinet, scene):
+def test_lost_lists_the_data_that_a_format_cannot_store(cabinet, scene):
     assert any("armature" in line and "cabinet.hinge" in line for line in lost(cabinet, "urdf"))
     assert not any("stiffness" in line for line in lost(cabinet, "mjcf"))
     assert any("velocity" in line for line in lost(cabinet, "mjcf"))
     assert any("joints are at 0: box" in line for line in lost(scene, "sdf"))
 
 
-def test_colliders_for_mjx_are_as_near_as_is_said():
+def test_colliders_for_mjx_are_within_collider_error():
     can = mechanisms.single("can", Cylinder(radius=0.1, height=0.5), 0.25)
     text = format_files(can, "mjcf", mjx=True)["object.xml"].decode()
     model = mujoco.MjModel.from_xml_string(text)
@@ -91,7 +91,7 @@ def test_colliders_for_mjx_are_as_near_as_is_said():
     assert 0 < collider_error(can) < 0.002
 
 
-def test_the_command_writes_for_a_simulator_and_tells_what_is_lost(tmp_path, cabinet, capfd):
+def test_export_writes_files_for_a_simulator_and_reports_losses(tmp_path, cabinet, capfd):
     write_formats(cabinet, tmp_path / "in", ["mjcf"])
     source = str(tmp_path / "in" / "object.xml")
     out = tmp_path / "out"
@@ -114,7 +114,7 @@ def test_the_command_writes_for_a_simulator_and_tells_what_is_lost(tmp_path, cab
     assert model.geom("floor").type[0] == mujoco.mjtGeom.mjGEOM_PLANE
 
 
-def test_a_layer_for_newton_says_where_joints_are_and_how_contacts_hold(tmp_path, scene):
+def test_the_newton_layer_sets_joint_states_and_contacts(tmp_path, scene):
     write_formats(scene, tmp_path, ["usd"], simulator="newton")
     below, over = (Usd.Stage.Open(str(tmp_path / f)) for f in ("scene.usdc", "newton.usda"))
     # An object is called "physics" here, so gravity's prim has another name.
@@ -142,7 +142,7 @@ def test_a_layer_for_newton_says_where_joints_are_and_how_contacts_hold(tmp_path
     assert UsdPhysics.GetStageKilogramsPerUnit(over) == 1
 
 
-def test_a_layer_for_isaac_composes_over_the_scene(tmp_path, scene):
+def test_the_isaac_layer_composes_over_the_scene(tmp_path, scene):
     write_formats(scene, tmp_path, ["usd"], simulator="isaac")
     below, over = (Usd.Stage.Open(str(tmp_path / f)) for f in ("scene.usdc", "isaac.usda"))
     settings = over.GetPrimAtPath("/scene/physics_")

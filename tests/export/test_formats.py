@@ -127,7 +127,7 @@ def test_urdf_mjcf_and_usd_read_back_to_the_same_object(file, folder, cabinet):
             assert angle_between(read[twin[name]].quat, at.quat) < 5e-6, name
 
 
-def test_the_formats_own_kinematics_agree(folder, cabinet):
+def test_forward_kinematics_agree_between_formats(folder, cabinet):
     """MuJoCo on MJCF and on URDF, and yourdfpy, each by its own forward kinematics."""
     import yourdfpy
 
@@ -185,7 +185,7 @@ def test_mujocos_urdf_loader_keeps_geoms_joints_and_masses(folder, cabinet):
             assert model.body_mass[model.body(part.name).id] == pytest.approx(want)
 
 
-def test_scene_xml_compiles_to_the_very_same_model(folder, scene):
+def test_scene_xml_compiles_to_the_same_model(folder, scene):
     read = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
     built = to_mjspec(scene, visual=True).compile()
     for field in [
@@ -270,7 +270,7 @@ def test_links_have_their_world_poses_in_mjcf_and_usd_scenes(name, folder, scene
             assert angle_between(quat, want.quat) < 1e-7
 
 
-def test_usd_joints_hold_in_the_scene_as_posed(folder, scene):
+def test_usd_joint_frames_match_the_posed_scene(folder, scene):
     """The two frames of a joint differ by exactly its motion at the scene's joint state."""
     stage = Usd.Stage.Open(str(folder / "scene.usda"))
     links = world_links_usd(folder / "scene.usda")
@@ -318,7 +318,7 @@ def test_usd_joints_hold_in_the_scene_as_posed(folder, scene):
     assert checked == 12
 
 
-def test_usd_scene_has_no_rigid_body_of_what_is_static_and_holds_fixed_bases(folder):
+def test_usd_has_no_static_rigid_bodies_and_fixes_bases(folder):
     stage = Usd.Stage.Open(str(folder / "scene.usda"))
     rigid = {str(p.GetPath()) for p in stage.Traverse() if p.HasAPI(UsdPhysics.RigidBodyAPI)}
     assert "/scene/physics/links/body" not in rigid
@@ -376,7 +376,7 @@ def test_usd_looks_are_bound(folder):
     assert UsdGeom.GetStageUpAxis(stage) == "Z" and UsdGeom.GetStageMetersPerUnit(stage) == 1.0
 
 
-def test_usd_camera_sees_what_ours_sees(folder, scene):
+def test_the_usd_camera_projects_as_the_scene_camera(folder, scene):
     stage = Usd.Stage.Open(str(folder / "scene.usda"))
     frustum = UsdGeom.Camera(stage.GetPrimAtPath("/scene/photo")).GetCamera(0).frustum
     matrices = frustum.ComputeViewMatrix() * frustum.ComputeProjectionMatrix()
@@ -392,7 +392,7 @@ def test_the_same_scene_gives_the_same_bytes(scene, cabinet):
     assert object_files(cabinet) == object_files(again)
 
 
-def test_files_name_no_other_place(folder):
+def test_files_contain_no_absolute_paths(folder):
     for path in folder.rglob("*"):
         if path.is_file():
             assert str(folder).encode() not in path.read_bytes()
@@ -420,7 +420,7 @@ def test_usd_mimics_are_applied_for_newton_and_physx(folder, cabinet):
     assert hinge.GetAttribute(f"{axis}:maxJointVelocity").Get() == pytest.approx(math.degrees(2))
 
 
-def test_usd_scene_tells_joint_states(folder):
+def test_the_usd_scene_states_joint_positions(folder):
     stage = Usd.Stage.Open(str(folder / "scene.usda"))
     hinge = stage.GetPrimAtPath("/scene/box/joints/hinge")
     assert hinge.GetAttribute("state:angular:physics:position").Get() == pytest.approx(
@@ -432,7 +432,7 @@ def test_usd_scene_tells_joint_states(folder):
     assert "PhysicsJointStateAPI:linear" in applied
 
 
-def test_usd_meshes_have_normals_and_labels_name_things(folder):
+def test_usd_has_mesh_normals_and_semantic_labels(folder):
     stage = Usd.Stage.Open(str(folder / "alone" / "object.usda"))
     meshes = [UsdGeom.Mesh(p) for p in stage.Traverse() if p.IsA(UsdGeom.Mesh)]
     assert len(meshes) > 5

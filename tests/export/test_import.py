@@ -61,7 +61,7 @@ def urdf(*content):
 BOX = "<collision><geometry><box size='0.2 0.2 0.2'/></geometry></collision>"
 
 
-def test_notes_name_what_was_left_out_or_assumed(tmp_path):
+def test_notes_list_omissions_and_assumptions(tmp_path):
     path = tmp_path / "r.urdf"
     path.write_text(
         urdf(
@@ -93,7 +93,7 @@ def test_notes_name_what_was_left_out_or_assumed(tmp_path):
         assert message in reported
 
 
-def test_meshes_without_colliders_are_decomposed_and_kept(tmp_path, monkeypatch):
+def test_meshes_without_colliders_are_decomposed_and_cached(tmp_path, monkeypatch):
     pytest.importorskip("coacd")
     (tmp_path / "u.obj").write_text(U)
     path = tmp_path / "u.urdf"
@@ -154,7 +154,7 @@ def test_a_file_of_several_objects_is_refused_with_their_names(tmp_path):
         import_mjcf(path)
 
 
-def test_limits_count_from_the_pose_in_which_a_joint_is_drawn(tmp_path):
+def test_limits_are_relative_to_the_reference_pose(tmp_path):
     path = tmp_path / "ref.xml"
     path.write_text(
         "<mujoco><compiler angle='radian'/><worldbody><body name='a'><geom size='0.1'/>"

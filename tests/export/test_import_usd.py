@@ -75,7 +75,7 @@ def folder(tmp_path_factory, scene):
 
 
 @pytest.mark.parametrize("file", ["scene.usdc", "scene.usdz", "scene.xml"])
-def test_a_scene_is_read_back_with_poses_joint_states_and_what_is_fixed(folder, scene, file):
+def test_scenes_keep_poses_joint_states_and_fixed_bases(folder, scene, file):
     imported = import_file(folder / file)
     made = imported.spec
     assert [item.name for item in made.objects] == [item.name for item in scene.objects]
@@ -104,7 +104,7 @@ def test_a_scene_is_read_back_with_poses_joint_states_and_what_is_fixed(folder, 
             assert np.allclose(read, centre, atol=1e-5), (item.name, part.name)
 
 
-def test_a_file_of_others_in_centimetres_with_y_up(tmp_path):
+def test_a_y_up_file_in_centimeters_is_converted(tmp_path):
     path = tmp_path / "a.usda"
     path.write_text(FOREIGN)
     result = import_usd(path)
@@ -131,7 +131,7 @@ def test_a_file_of_others_in_centimetres_with_y_up(tmp_path):
     assert any("PhysxRigidBodyAPI" in note for note in result.notes)
 
 
-def test_a_prim_of_a_scene_is_read_in_its_own_frame(folder, scene):
+def test_one_prim_of_a_scene_is_read_in_its_frame(folder, scene):
     result = import_usd(folder / "scene.usdc", "/scene/bowl")
     low, high = bounds(result.spec)
     want = bounds(scene.object("bowl").spec)
@@ -165,7 +165,7 @@ def test_mirrored_shapes_and_joints_to_the_world(tmp_path):
     assert np.allclose(high - low, (0.2, 0.2, 0.4), atol=1e-6)
 
 
-def test_commands_take_usd(folder, scene, tmp_path, capfd):
+def test_commands_accept_usd(folder, scene, tmp_path, capfd):
     def run(*arguments):
         with pytest.raises(SystemExit) as left:
             main([*arguments, "--json"])

@@ -37,7 +37,7 @@ def test_meshes_are_files_and_names_have_no_slash(file, folder):
     assert not [name for name in names if "/" in name]
 
 
-def test_a_scene_is_included_beside_a_robot(folder, scene):
+def test_a_scene_can_be_included_with_a_robot(folder, scene):
     (folder / "robot.xml").write_text(ROBOT)
     (folder / "both.xml").write_text(
         '<mujoco><include file="scene.xml"/><include file="robot.xml"/></mujoco>'
@@ -51,7 +51,7 @@ def test_a_scene_is_included_beside_a_robot(folder, scene):
     assert np.allclose(start[: own.nq], own.key(START).qpos)
 
 
-def test_two_of_one_object_are_attached_beside_a_robot(folder, cabinet):
+def test_two_copies_of_an_object_can_be_attached_with_a_robot(folder, cabinet):
     (folder / "robot.xml").write_text(ROBOT.replace('"arm"', '"arm"', 1))
     (folder / "attached.xml").write_text(
         '<mujoco><asset><model name="c" file="alone/object.xml"/>'
@@ -67,14 +67,14 @@ def test_two_of_one_object_are_attached_beside_a_robot(folder, cabinet):
     assert model.joint("two-cabinet-hinge").range.tolist() == pytest.approx([-0.2, 1.6])
 
 
-def test_files_say_how_contacts_hold_still_and_physics_here_does_not(folder, scene):
+def test_only_exported_files_have_contact_options(folder, scene):
     read = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
     assert read.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC and read.opt.impratio == 10
     own = to_mjspec(scene).compile()
     assert own.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL and own.opt.impratio == 1
 
 
-def test_joints_and_handles_are_sensed(folder, cabinet):
+def test_joints_and_handles_have_sensors(folder, cabinet):
     model = mujoco.MjModel.from_xml_path(str(folder / "alone" / "object.xml"))
     data = mujoco.MjData(model)
     moving = [joint for joint in cabinet.joints if joint.type != "fixed"]
@@ -90,7 +90,7 @@ def test_joints_and_handles_are_sensed(folder, cabinet):
     assert not [name for name in touches if re.search("(flap|cog)_handle", name)]  # They follow.
 
 
-def test_a_handle_is_what_is_held_or_the_side_that_leads(cabinet):
+def test_a_handle_is_a_named_geom_or_the_leading_side(cabinet):
     by_joint = {frame.joint: frame for frame in frames(cabinet)}
     # The knob is fixed to the door.
     assert by_joint["hinge"].part == "links"
@@ -101,7 +101,7 @@ def test_a_handle_is_what_is_held_or_the_side_that_leads(cabinet):
     assert (given.name, given.pos) == ("pull", (0.21, -0.18, 0.15))
 
 
-def test_files_for_mjx_hold_what_mjx_collides(tmp_path):
+def test_files_for_mjx_have_only_supported_colliders(tmp_path):
     can = mechanisms.single("can", Cylinder(radius=0.03, height=0.1), 0.05)
     egg = mechanisms.single("egg", Ellipsoid(radii=(0.02, 0.03, 0.04)), 0.04)
     table = mechanisms.single("table", Box(size=(1, 1, 0.04)), 0.02)
@@ -124,7 +124,7 @@ def test_files_for_mjx_hold_what_mjx_collides(tmp_path):
     assert np.allclose(model.body_mass, own.body_mass)
 
 
-def test_drives_hold_the_scene_as_it_is_and_let_go(folder, scene):
+def test_drives_hold_the_joint_state_and_can_be_disabled(folder, scene):
     model = mujoco.MjModel.from_xml_path(str(folder / "drives.xml"))
     data = mujoco.MjData(model)
     model.opt.gravity[:] = 0

@@ -59,7 +59,7 @@ def result(scene, photo):
     return printed(scene, photo)
 
 
-def test_seen_faces_bear_the_photograph_and_others_their_own_colour(result):
+def test_visible_faces_are_printed_and_others_keep_their_color(result):
     spec = result.objects[0].spec
     for name in ("case", "drawer"):
         (own,) = spec.part(name).geoms
@@ -86,7 +86,7 @@ def test_seen_faces_bear_the_photograph_and_others_their_own_colour(result):
         assert plain[covered].all() == (name == "case"), name
 
 
-def test_our_pictures_show_the_print_and_the_drawer_takes_its_own_along(result):
+def test_rendered_prints_move_with_the_drawer(result):
     picture = render(result, CAMERA, supersample=1).color.astype(int)
     front = picture[40, 45], picture[40, 75]
     assert front[0][0] > 2 * front[0][2] and front[1][2] > 2 * front[1][0]
@@ -95,7 +95,7 @@ def test_our_pictures_show_the_print_and_the_drawer_takes_its_own_along(result):
     assert closed.color[40, 50][0] > 2 * closed.color[40, 50][2]
 
 
-def test_prints_grow_with_their_object(result):
+def test_prints_scale_with_their_object(result):
     spec = result.objects[0].spec
     (own,) = spec.part("case").geoms
     (large,) = spec.scaled(2.0).part("case").geoms
@@ -105,7 +105,7 @@ def test_prints_grow_with_their_object(result):
     assert np.allclose(other[0], 2 * one[0]) and np.allclose(other[2], one[2], atol=1e-5)
 
 
-def test_formats_hold_the_print_and_say_that_it_is_one(result, tmp_path):
+def test_formats_contain_prints_and_mark_them(result, tmp_path):
     write_formats(result, tmp_path, ["mjcf", "usd", "usdz", "glb"])
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml"))
     names = {model.texture(k).name for k in range(model.ntex)}
@@ -126,7 +126,7 @@ def test_formats_hold_the_print_and_say_that_it_is_one(result, tmp_path):
     assert read_scene(tmp_path).objects[0].spec == result.objects[0].spec
 
 
-def test_an_object_that_is_drawn_elsewhere_takes_its_own_pixels(scene, photo, result):
+def test_a_displaced_object_is_printed_with_its_own_pixels(scene, photo, result):
     from neoworld_mjx.spec.tree import Box2D
 
     mask = render(scene, CAMERA, supersample=1, floor=False).segmentation == 0
@@ -146,7 +146,7 @@ def test_an_object_that_is_drawn_elsewhere_takes_its_own_pixels(scene, photo, re
     assert blue[1] - blue[0] == pytest.approx(min(2 * away, blue[1]), abs=3) and blue[1] > 10
 
 
-def test_pictures_that_are_none_are_refused():
+def test_invalid_print_images_are_refused():
     good = {"near": 1.0, "far": 2.0, "turn": ((1, 0, 0), (0, 1, 0), (0, 0, 1)), "shift": (0, 0, 1)}
     with pytest.raises(ValueError, match="pattern"):
         PhotoPrint(image="../etc", depth="", **good)
@@ -159,7 +159,7 @@ def test_pictures_that_are_none_are_refused():
         read_print(PhotoPrint(image="AAAA", depth="AAAA", **good))
 
 
-def test_the_command_asks_for_a_run_folder(scene, tmp_path, capfd):
+def test_photo_prints_need_a_run_folder(scene, tmp_path, capfd):
     (tmp_path / "scene.json").write_text(scene.to_json())
 
     def run() -> int:

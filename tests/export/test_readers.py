@@ -24,14 +24,14 @@ def folder(tmp_path_factory, cabinet):
     ("reader", "suffix"),
     [("mujoco", "xml"), ("mujoco", "urdf"), ("yourdfpy", "urdf"), ("usd", "usda")],
 )
-def test_readers_find_masses_joints_colliders_and_places(reader, suffix, folder, cabinet):
+def test_readers_report_masses_joints_colliders_and_positions(reader, suffix, folder, cabinet):
     result = compare(cabinet, READERS[reader](str(folder / f"object.{suffix}")))
     assert set(result) >= {"masses", "joints", "colliders"}
     assert not any(result.values()), result
     assert ("places" in result) == (reader != "usd")
 
 
-def test_a_difference_is_told(folder, cabinet):
+def test_differences_are_reported(folder, cabinet):
     read = READERS["mujoco"](str(folder / "object.xml"))
     read["links"]["cabinet-drawer"][2] += 0.002
     read |= {"mass": read["mass"] * 1.01, "joints": 4, "shapes": 3}
@@ -40,7 +40,7 @@ def test_a_difference_is_told(folder, cabinet):
     assert told["colliders"].startswith("3,") and "drawer 2 mm" in told["places"]
 
 
-def test_programs_of_this_environment_do_jobs_in_a_process_of_their_own(folder):
+def test_jobs_run_in_a_child_process(folder):
     jobs = [{"read": str(folder / "object.urdf")}, {"read": str(folder / "no.urdf")}]
     version, (read, failed) = probe("yourdfpy", jobs)
     assert version and read["joints"] > 2 and "error" in failed
@@ -48,7 +48,7 @@ def test_programs_of_this_environment_do_jobs_in_a_process_of_their_own(folder):
     assert here == ["mujoco", "yourdfpy", "usd"]
 
 
-def test_a_program_that_dies_is_told_and_the_other_jobs_are_done(folder, monkeypatch):
+def test_a_crash_is_reported_and_other_jobs_continue(folder, monkeypatch):
     import benchmarks.foreign as foreign
 
     file, runs = str(folder / "object.urdf"), []
@@ -65,7 +65,7 @@ def test_a_program_that_dies_is_told_and_the_other_jobs_are_done(folder, monkeyp
     assert ["error" in one for one in results] == [False, True, False]
 
 
-def test_a_handle_is_pulled_from_urdf_as_from_mjcf(folder, cabinet):
+def test_a_pull_moves_urdf_and_mjcf_alike(folder, cabinet):
     pull = pull_of(cabinet)
     joint = cabinet.joint(pull.joint)
     assert joint.type == "prismatic" and pull.link == joint.child
@@ -79,7 +79,7 @@ def test_a_handle_is_pulled_from_urdf_as_from_mjcf(folder, cabinet):
     assert one > 0.003 and other == pytest.approx(one, rel=0.1)
 
 
-def test_a_pull_opens_a_part_of_the_way_and_carries_the_weight(cabinet):
+def test_a_pull_opens_part_of_the_range_against_gravity(cabinet):
     assert pull_of(cabinet, dry=False) != pull_of(cabinet)
     lid = part("lid", geom("plate", Box(size=(0.4, 0.3, 0.02)), (0.2, 0, 0.31)))
     box = part("box", geom("body", Box(size=(0.4, 0.3, 0.3)), (0.2, 0, 0.15)))
@@ -93,7 +93,7 @@ def test_a_pull_opens_a_part_of_the_way_and_carries_the_weight(cabinet):
     assert torque == pytest.approx(weight + 2.5 * moment + hinge.friction, rel=1e-3)
 
 
-def test_a_motion_that_is_not_the_same_is_told():
+def test_differences_of_motion_are_reported():
     still = {"start": [0, 0, 0], "pos": [0, 0, 0], "quat": [1, 0, 0, 0]}
     tilted = [np.cos(np.radians(1.5)), np.sin(np.radians(1.5)), 0, 0]
     assert degrees(tilted) == pytest.approx(3.0)

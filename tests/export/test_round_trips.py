@@ -9,14 +9,14 @@ from tests.support import mechanisms
 
 @pytest.mark.parametrize("kind", READERS)
 @pytest.mark.parametrize("seed", range(4))
-def test_a_random_tree_comes_back(kind, seed):
+def test_random_trees_survive_a_round_trip(kind, seed):
     differences = round_trip(random_object(seed), kind)
     assert differences.pop("extent_m") < 0.005
     assert {k: v for k, v in differences.items() if v > BOUNDS[k]} == {}
 
 
 @pytest.mark.parametrize("kind", READERS)
-def test_what_is_not_the_same_is_seen(kind):
+def test_changes_of_a_round_trip_are_detected(kind):
     from benchmarks.round_trips import LOST, compare
 
     own = mechanisms.cabinet()

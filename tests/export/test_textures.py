@@ -77,7 +77,7 @@ def test_a_tile_repeats_without_a_seam(kind):
     assert np.ptp(picture) > 5
 
 
-def test_a_tile_is_what_our_pictures_draw_there(spec):
+def test_a_tile_matches_the_rendered_pattern(spec):
     """Points of a board's face have the colour of the tile at their coordinates."""
     block = spec.part("brick").geoms[0]
     vertices, faces, uv = visible_surface(spec, "brick", block)
@@ -123,7 +123,7 @@ def test_mjcf_has_materials_and_textures(folder, spec):
 
 
 @pytest.mark.parametrize("file", ["object.usdc", "object.usdz"])
-def test_usd_has_textures_that_are_there(folder, file):
+def test_usd_refers_to_existing_textures(folder, file):
     stage = Usd.Stage.Open(str(folder / file))
     surface = UsdShade.Shader(stage.GetPrimAtPath("/thing/looks/wall/surface"))
     source = surface.GetInput("diffuseColor").GetConnectedSources()[0][0].source
@@ -155,7 +155,7 @@ def test_gltf_has_textures(folder, spec):
 @pytest.mark.parametrize(
     ("file", "read"), [("object.xml", import_mjcf), ("object.usdc", import_usd)]
 )
-def test_colours_and_shine_come_back_from_below_textures(folder, spec, file, read):
+def test_plain_colors_and_gloss_of_textured_materials_are_read_back(folder, spec, file, read):
     back = read(folder / file).spec
     for name in ("oak", "wall", "knob", "lid"):
         own = spec.material(name)
@@ -168,13 +168,13 @@ def test_colours_and_shine_come_back_from_below_textures(folder, spec, file, rea
         assert near, name
 
 
-def test_formats_without_textures_say_so(spec):
+def test_formats_without_textures_report_them_as_lost(spec):
     for kind in ("urdf", "sdf"):
         assert any("textures" in line and "thing.wall" in line for line in lost(spec, kind))
     assert not any("textures" in line for line in lost(spec, "usd"))
 
 
-def test_foreign_textures_are_read_as_their_mean_colour(tmp_path):
+def test_textures_of_other_files_are_read_as_their_mean_color(tmp_path):
     pixels = np.zeros((2, 2, 3), np.uint8)
     pixels[0] = (200, 100, 0)
     Image.fromarray(pixels).save(tmp_path / "own.png")
@@ -199,7 +199,7 @@ def test_foreign_textures_are_read_as_their_mean_colour(tmp_path):
         ("satin", 0, None),
     ],
 )
-def test_a_name_says_what_a_surface_is_of(name, metallic, pattern):
+def test_a_material_name_implies_a_finish(name, metallic, pattern):
     made = finish(Material(name=name, density=1))
     assert made.metallic == metallic
     assert (None if made.pattern is None else made.pattern.kind) == pattern

@@ -52,7 +52,7 @@ def test_a_tight_drawer_slides_in_mujocos_urdf_reader(tmp_path):
     assert moved[0] > 0.01 and moved[1] > 0.01
 
 
-def test_colliders_that_move_are_drawn_in_and_others_are_not(folder):
+def test_only_colliders_of_moving_parts_are_shrunk(folder):
     root = ET.parse(folder / "object.urdf").getroot()
     sizes = {
         collision.get("name"): np.array(box.get("size").split(), float)
@@ -109,7 +109,7 @@ def test_sites_and_handles_are_read_back(file, folder, cabinet):
     assert len(sites) == 1 + sum(1 for j in cabinet.joints if j.mimic is None and j.type != "fixed")
 
 
-def test_colliders_are_read_back_as_they_were(folder, cabinet):
+def test_shrunk_colliders_are_restored(folder, cabinet):
     made, own = import_urdf(folder / "object.urdf").spec, recentred(cabinet)
     for spec in (made, own):
         assert spec.parts

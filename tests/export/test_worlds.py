@@ -8,8 +8,8 @@ import pytest
 
 from neoworld_mjx.export import export_scene
 from neoworld_mjx.export.drake_contact import DRAKE
-from neoworld_mjx.export.write_sdf import sdf_text
 from neoworld_mjx.export.link_frames import link_name
+from neoworld_mjx.export.write_sdf import sdf_text
 from neoworld_mjx.export.write_urdf import urdf_text
 from neoworld_mjx.physics.mjcf import excluded_pairs
 from neoworld_mjx.spec import SceneSpec, world_poses
@@ -34,7 +34,7 @@ def from_rpy(roll, pitch, yaw):
     return z @ y @ x
 
 
-def test_an_sdf_world_has_every_object_in_its_place(folder, scene):
+def test_an_sdf_world_has_the_poses_of_all_objects(folder, scene):
     world = ET.parse(folder / "scene.sdf").getroot().find("world")
     models = {model.get("name"): model for model in world.findall("model")}
     poses = world_poses(scene)
@@ -55,7 +55,7 @@ def test_an_sdf_world_has_every_object_in_its_place(folder, scene):
     assert frames["pull"] == "knob" and frames["drawer_handle"] == "drawer"
 
 
-def test_drakes_directives_place_weld_and_open(folder, scene):
+def test_drake_directives_set_poses_welds_and_joint_positions(folder, scene):
     import yaml
 
     class Loader(yaml.SafeLoader):
@@ -80,7 +80,7 @@ def test_drakes_directives_place_weld_and_open(folder, scene):
     assert np.allclose(abs(from_matrix(turn) @ at.quat), 1)
 
 
-def test_scene_json_tells_world_poses_and_reads_back(folder, scene):
+def test_scene_json_has_world_poses_and_is_read_back(folder, scene):
     text = (folder / "scene.json").read_text()
     poses = json.loads(text)["world_poses"]
     for name, at in world_poses(scene).items():
@@ -88,7 +88,7 @@ def test_scene_json_tells_world_poses_and_reads_back(folder, scene):
     assert SceneSpec.model_validate_json(text) == scene
 
 
-def test_links_joints_and_frames_of_an_sdf_model_have_names_of_their_own(cabinet):
+def test_names_in_an_sdf_model_are_unique(cabinet):
     joints = [
         joint.model_copy(update={"name": joint.child}) if joint.name == "slide" else joint
         for joint in cabinet.joints

@@ -29,7 +29,7 @@ def line(axis, low, high, count=4001, at=(0.013, 0.017, 0.0)):
 
 
 @pytest.mark.parametrize("kind", [k for k in PATTERN_KINDS if k not in ("plain", "grain")])
-def test_a_pattern_shows_both_of_its_colours(kind):
+def test_a_pattern_shows_both_colors(kind):
     spread = np.random.default_rng(0).uniform(-1, 1, (4000, 3)) * [1, 1, 0]
     colours = drawn(kind, spread)
     blue = colours[:, 2] / colours.sum(axis=1)
@@ -41,7 +41,7 @@ def test_a_pattern_shows_both_of_its_colours(kind):
     assert np.array_equal(colours, again)
 
 
-def test_plain_is_one_colour():
+def test_plain_surfaces_have_one_color():
     assert np.allclose(drawn("plain", line(0, -1, 1)), COLOUR)
 
 
@@ -64,7 +64,7 @@ def test_a_pattern_finer_than_a_pixel_is_its_mean():
     assert far[0] == pytest.approx(near.mean(axis=0), rel=0.05)
 
 
-def test_a_pattern_grows_with_its_object():
+def test_a_pattern_scales_with_its_object():
     look = Material(name="a", density=1, pattern=SurfacePattern(kind="tiles", step=0.2))
     spec = ObjectSpec(
         name="a",

@@ -6,7 +6,7 @@ from neoworld_mjx.render import View, render_plain, render_scene
 from tests.support import scenes
 
 
-def test_shows_what_the_full_picture_shows():
+def test_flat_rendering_shows_the_objects_of_full_rendering():
     scene = scenes.furnished()
     plain = render_plain(scene, scene.camera, width=120)
     full = render_scene(scene, width=120, supersample=1)
@@ -32,7 +32,7 @@ def test_the_same_scene_gives_the_same_bytes():
     assert not np.array_equal(first, render_plain(other, scene.camera, width=90))
 
 
-def test_takes_any_view():
+def test_flat_rendering_accepts_any_view():
     view = View.look_at((0.3, -0.6, 0.6), (0.5, 0, 0), width=60, height=50)
     scene = scenes.blocks()
     assert render_plain(scene, view).shape == (50, 60, 3)

@@ -88,7 +88,7 @@ def test_meshes_have_smooth_normals():
     assert len(rows) > 1000
 
 
-def test_shadows_fall_away_from_the_light():
+def test_shadows_point_away_from_the_light():
     bare = SceneSpec(objects=scene().objects[:1], camera=CAMERA)
     with_, without = render_scene(scene()), render_scene(bare)
     same = (with_.segmentation == 0) & (without.segmentation == 0)
@@ -101,7 +101,7 @@ def test_shadows_fall_away_from_the_light():
     assert near.mean() > ball
 
 
-def test_supersampling_changes_colour_only_and_only_at_edges():
+def test_supersampling_changes_only_color_at_edges():
     one, two = render_scene(scene(), supersample=1), render_scene(scene(), supersample=3)
     assert np.array_equal(one.depth, two.depth)
     assert np.array_equal(one.segmentation, two.segmentation)
@@ -109,7 +109,7 @@ def test_supersampling_changes_colour_only_and_only_at_edges():
     assert 0.01 < changed.mean() < 0.3
 
 
-def test_pictures_and_their_bytes_repeat():
+def test_rendering_is_deterministic():
     one, two = render_scene(scene()), render_scene(scene())
     assert np.array_equal(one.color, two.color)
     assert to_png(one) == to_png(two)
@@ -154,7 +154,7 @@ def test_joint_states_and_geom_roles_show_in_images():
     assert tall[1] > 1.3 * tall[0]
 
 
-def test_everything_in_view_fits():
+def test_framing_shows_all_points():
     points = np.random.default_rng(0).normal(size=(200, 3)) * [0.5, 0.1, 0.02]
     for azimuth in (0.0, 1.0, 4.0):
         view = View.framing(points, width=120, height=80, azimuth=azimuth)
@@ -165,7 +165,7 @@ def test_everything_in_view_fits():
         assert max(np.ptp(u) / 120, np.ptp(v) / 80) > 0.5
 
 
-def test_every_ray_of_a_picture_meets_what_it_meets_alone():
+def test_batched_rays_hit_the_same_geoms_as_single_rays():
     # A cabinet's body is heavier on one side, so its inertial frame lies askew in it.
     boxes = {
         "top": ((0.35, 0.8, 0.03), (0, 0, 0.785)),

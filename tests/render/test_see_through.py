@@ -43,7 +43,7 @@ def redness(image: np.ndarray) -> float:
 
 @pytest.mark.parametrize("draw", ["plain", "full"])
 @pytest.mark.parametrize("shape", [None, Box(size=(0.004, 0.2, 0.2))], ids=["jar", "pane"])
-def test_what_is_in_or_behind_glass_shows(draw, shape):
+def test_objects_in_or_behind_glass_are_visible(draw, shape):
     def picture(alpha):
         it = scene(alpha, shape)
         return render_plain(it, VIEW) if draw == "plain" else render(it, VIEW, floor=False).color
@@ -65,7 +65,7 @@ def test_masks_and_depth_are_those_of_the_glass():
     assert np.allclose(clear.normal, opaque.normal, atol=1e-6)
 
 
-def test_layers_come_from_back_to_front():
+def test_layers_are_sorted_from_back_to_front():
     """A dark pane behind a white one is seen through it, not the other way round."""
 
     def pane(name, x, colour):
@@ -83,7 +83,7 @@ def test_layers_come_from_back_to_front():
     assert centre(white, black) > centre(black, white) + 20
 
 
-def test_glass_lets_through_light_in_part():
+def test_glass_attenuates_light():
     shares = {}
     for alpha in (0.25, 1.0):
         caster = RayCaster(*compile_posed(scene(alpha, Box(size=(0.004, 0.2, 0.2)))))

@@ -28,7 +28,7 @@ def scene_file(tmp_path_factory):
     return path
 
 
-def test_every_view_of_a_turntable_shows_all_from_one_distance():
+def test_turntable_views_show_all_points_from_one_distance():
     points = subject_points(scenes.blocks())
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     turns = np.linspace(0, 2 * np.pi, 7)
@@ -43,7 +43,7 @@ def test_every_view_of_a_turntable_shows_all_from_one_distance():
         assert (pixels >= 0).all() and (pixels <= [90, 60]).all()
 
 
-def test_joints_stand_open_by_a_share_of_their_range(tmp_path):
+def test_joints_open_by_a_fraction_of_their_range(tmp_path):
     from neoworld_mjx.config import Config
     from neoworld_mjx.view.pages.view_target import open_target
 
@@ -53,7 +53,7 @@ def test_joints_stand_open_by_a_share_of_their_range(tmp_path):
     assert cabinet.joint_state == {name: 0.5 * upper for name, upper in ranges.items()}
 
 
-def test_render_takes_any_camera_and_turns_around(neoworld, scene_file, tmp_path):
+def test_render_accepts_cameras_and_turntables(neoworld, scene_file, tmp_path):
     shots = {}
     for name, flags in {
         "left": ("--azimuth", 90),
@@ -88,7 +88,7 @@ def test_render_takes_any_camera_and_turns_around(neoworld, scene_file, tmp_path
         (("--turntable", "--eye", 1, 0, 1), "leave out --eye"),
     ],
 )
-def test_flags_that_make_no_sense_are_one_message(neoworld, scene_file, flags, said):
+def test_conflicting_flags_are_refused_with_one_message(neoworld, scene_file, flags, said):
     code, _, error = neoworld("render", scene_file, "--width", 48, *flags)
     assert code == 2 and said in error and len(error.strip().splitlines()) == 1
 
