@@ -1,6 +1,6 @@
-"""Letting things come to rest: they sink with drag, so that they neither bounce nor roll away.
+"""Settling of objects: drag limits their speed, so that they neither bounce nor roll away.
 
-`settle` does so with whole populations on any engine, `at_rest` with one scene in C MuJoCo.
+`settle` settles populations on any engine, `at_rest` a single scene in C MuJoCo.
 """
 
 import copy
@@ -21,38 +21,39 @@ from .layout import Poses
 from .model import FREE, SceneModel, StaticScene
 
 FALL_M_S = 0.15
-"""Terminal speed where there is drag: things sink instead of falling."""
+"""Terminal speed with drag [m/s]."""
 REACH_M = 0.05
-"""Length by which drag on turning follows from that on sinking, in `at_rest`."""
+"""Characteristic length of rotational drag, relative to translational drag, in `at_rest` [m]."""
 HEADING = 100.0
-"""Drag of turning about the vertical over that of other turning: what is pushed gives way, and it
-keeps the heading that was seen in the photograph."""
+"""Drag of rotation about the vertical, relative to that about other axes, so that an object pushed
+aside keeps its heading in the photograph."""
 JOINT_DRAG = 1e6
-"""Drag of joints over that of the fall, in populations: they keep their positions."""
+"""Drag of joints relative to that of falling, in populations, so that they keep their positions."""
 COARSER = 2
-"""Time steps of populations that sink are longer by this factor: nothing is fast."""
+"""Factor of the time step of settling populations, as all speeds are low."""
 LEVEL_DEG = 0.3
-"""Tilt below which an object counts as upright."""
+"""Tilt below which an object counts as upright [deg]."""
 SETTLING_STOP = EarlyStop(
     distance=0.0067, angle=0.058, drift=1e3, tilt=1e3, linger=0.12, anywhere=True
 )
-"""Candidates end at rest, however far they have moved: what stays within 1 mm and half a degree may
-quiver."""
+"""Early stopping of settling: at rest at any displacement; objects may quiver within 1 mm and half
+a degree.
+"""
 
 
 def settle(scene: SceneModel, poses: Poses, engine: Engine, duration: float) -> Poses:
-    """Let placed candidates come to rest against drag.
+    """Settle placed candidates against drag.
 
-    Joints keep their positions. A candidate that fails stays where it was placed.
+    Joints keep their positions. A candidate that fails keeps its placed poses.
 
     Args:
         scene: the compiled scene.
-        poses: where the candidates' objects are placed.
-        engine: what simulates them.
+        poses: placed poses of the candidates' objects.
+        engine: the engine.
         duration: simulated time [s].
 
     Returns:
-        Where they are at the end, on the host; `height` is that of the start.
+        Settled poses, on the host; `height` is that of the placed poses.
     """
     rollout = jax.device_get(
         engine.rollout(
@@ -75,9 +76,10 @@ def settle(scene: SceneModel, poses: Poses, engine: Engine, duration: float) -> 
 
 
 def with_drag(scene: SceneModel) -> SceneModel:
-    """Return a scene in which drag lets free objects fall at FALL_M_S at most, and holds joints.
+    """Return a scene with drag, which limits the speed of free objects to FALL_M_S and holds
+    joints.
 
-    The drag grows with an object's weight, whatever its scale. Time steps are COARSER.
+    Drag is proportional to an object's weight at any scale. Time steps are longer by COARSER.
     """
     known = _dragged.get(scene.static)
     if known is None:
@@ -103,14 +105,14 @@ def _static_with_drag(static: StaticScene) -> StaticScene:
 
 
 def _drag(model: mujoco.MjModel, length: np.ndarray) -> np.ndarray:
-    """Return the damping of each dof at which its object sinks at FALL_M_S."""
+    """Return the damping of each dof at which its object falls at FALL_M_S."""
     weight = model.body_subtreemass[model.body_rootid[model.dof_bodyid]]
     gravity = float(np.linalg.norm(model.opt.gravity))
     return weight * gravity / FALL_M_S * length**2
 
 
 def _heading_dofs(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
-    """Return the dof of each free object that turns it about its own axis nearest the vertical."""
+    """Return the rotational dof of each free object whose axis is nearest to the vertical."""
     free = np.flatnonzero(model.jnt_type == FREE)
     w, x, y, z = qpos[model.jnt_qposadr[free][:, None] + np.arange(3, 7)].T
     vertical = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
@@ -120,12 +122,12 @@ def _heading_dofs(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
 def at_rest(
     scene: SceneSpec, phases: Sequence[tuple[bool, float]], *, sleeps: bool = False
 ) -> SceneSpec:
-    """Return a scene with every movable object where it comes to rest.
+    """Return a scene with every movable object at its settled pose.
 
     Args:
-        scene: the scene; joints move, but their values stay as they are written.
-        phases: one after the other: whether air drags, and how long it lasts [s].
-        sleeps: whether what rests sleeps until the next phase or until something touches it.
+        scene: the scene; joints move, but their stored values do not change.
+        phases: consecutive phases: True for drag, and the duration [s].
+        sleeps: True lets objects at rest sleep until the next phase or contact.
     """
     model, data = start_state(scene)
     if sleeps:
@@ -153,14 +155,14 @@ def at_rest(
 
 
 def _awake(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
-    """Return new data in the same state, in which everything is awake."""
+    """Return new data in the same state, without sleeping trees."""
     new = mujoco.MjData(model)
     new.qpos[:], new.qvel[:] = data.qpos, data.qvel
     return new
 
 
 def moved(scene: SceneSpec, ends: Mapping[str, Pose]) -> SceneSpec:
-    """Return a scene with objects at other poses in the world; the others go with their parents."""
+    """Return a scene with new world poses of some objects; the others move with their parents."""
     starts = world_poses(scene)
     placed = dict(starts)
     objects: list[SceneObject] = []
@@ -177,7 +179,7 @@ def moved(scene: SceneSpec, ends: Mapping[str, Pose]) -> SceneSpec:
 
 
 def _placed(item: SceneObject, at: Pose) -> SceneObject:
-    """Return an object at a pose in its parent's frame: yaw, and the tilt before it."""
+    """Return an object at a pose in its parent's frame, split into yaw and the tilt before it."""
     turn = yaw_of(quat_mul(at.quat, conjugate(quat_mul(from_yaw(item.yaw), item.base_tilt))))
     yaw = math.remainder(item.yaw + turn, 2 * math.pi)
     tilt = quat_mul(conjugate(from_yaw(yaw)), at.quat)
