@@ -39,7 +39,7 @@ def scene():
 
 
 @pytest.mark.filterwarnings("ignore:.*infinity.*:UserWarning")
-def test_gymnasium_accepts_it_and_drives_reach_their_targets(scene):
+def test_gymnasium_checks_pass_and_drives_reach_their_targets(scene):
     env = nw.gym_env(scene, reward=lambda obs: float(obs["joints"][0]), horizon=60)
     check_env(env, skip_render_check=True)
     assert isinstance(env, gymnasium.Env) and env.action_space.shape == (1,)
@@ -61,7 +61,7 @@ def test_gymnasium_accepts_it_and_drives_reach_their_targets(scene):
     env.close()
 
 
-def test_noise_is_drawn_from_the_seed_and_only_moves_what_can(scene):
+def test_noise_is_seeded_and_moves_only_movable_objects(scene):
     env = nw.gym_env(scene, noise=nw.ResetNoise(xy=0.02, yaw=0.3, joints=0.2))
     starts = [env.reset(seed=seed)[0] for seed in (1, 1, 2)]
     for name in ("poses", "joints"):
@@ -73,7 +73,7 @@ def test_noise_is_drawn_from_the_seed_and_only_moves_what_can(scene):
     assert moved < 0.2
 
 
-def test_a_gripper_in_front_of_a_handle_pulls_the_drawer_out(scene):
+def test_a_gripper_opens_the_drawer_by_its_handle(scene):
     start = facing(scene, "chest-drawer_handle")
     out = rotate(np.array([np.cos(0.25), 0, 0, np.sin(0.25)]), np.array([1.0, 0, 0]))
     assert np.allclose(rotate(np.array(start.quat), np.array([0, 0, 1.0])), -out, atol=1e-6)
@@ -92,7 +92,7 @@ def test_a_gripper_in_front_of_a_handle_pulls_the_drawer_out(scene):
 
 
 @pytest.mark.slow
-def test_many_environments_step_at_once(scene):
+def test_vmapped_environments_step(scene):
     env = nw.mjx_env(scene, reward=lambda obs: -jnp.abs(obs["joints"][0] - 0.1))
     state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 2))
     assert state.obs["poses"].shape == (2, 2, 7) and env.action_size == 1
@@ -105,7 +105,7 @@ def test_many_environments_step_at_once(scene):
     assert not state.done.any() and state.info["step"].tolist() == [30, 30]
 
 
-def test_the_notebook_of_policies_learns_with_a_plainer_drawer(scene):
+def test_the_policy_notebook_learns_on_a_simpler_drawer(scene):
     """The notebook's own cabinet compiles for 20 s; all else is as it stands."""
     chest = scene.object("chest").spec
     made = 'build(kind.program(kind.of_box((0.4, 0.4, 0.5)) | {"drawers": 2.0})).spec'
@@ -114,7 +114,7 @@ def test_the_notebook_of_policies_learns_with_a_plainer_drawer(scene):
     assert ran["joints"].shape == (24, 50, 1)
 
 
-def test_what_cannot_be_is_said(scene):
+def test_invalid_arguments_are_refused(scene):
     with pytest.raises(SpecError, match="did you mean 'chest-drawer_handle'"):
         nw.gym_env(scene, gripper="chest-drawer_handel")
     alone = SceneSpec(objects=(scene.object("block").model_copy(update={"parent": None}),))
@@ -125,7 +125,7 @@ def test_what_cannot_be_is_said(scene):
         controlled_scene(SceneSpec(objects=(named,)), gripper=nw.Gripper((0, 0, 1)))
 
 
-def test_a_picture_shows_the_scene_as_it_is(scene):
+def test_rendered_images_show_the_current_state(scene):
     env = nw.gym_env(scene, picture=(24, 36))
     first, _ = env.reset(seed=0)
     assert env.observation_space.contains(first)
