@@ -69,16 +69,14 @@ def everything(folder: Path) -> dict[str, bytes]:
         (("--from", "refine", "--until", "compose"), "no step would run"),
     ],
 )
-def test_orders_that_contradict_each_other_leave_the_run_as_it_is(
-    refused, parsed, tmp_path, more, said
-):
+def test_contradicting_flags_leave_the_run_unchanged(refused, parsed, tmp_path, more, said):
     out = shutil.copytree(parsed, tmp_path / "out")
     before = everything(out)
     assert said in refused(PHOTO, "--out", out, *more)
     assert everything(out) == before
 
 
-def test_photos_that_are_none(refused, tmp_path):
+def test_unreadable_photos_are_rejected(refused, tmp_path):
     out = tmp_path / "out"
     text = tmp_path / "text.png"
     text.write_text("hello")
@@ -109,7 +107,7 @@ def test_a_huge_photo_is_refused_without_being_decoded(refused, tmp_path):
 
 
 @pytest.mark.parametrize("provider", ["auto", "replay", "anthropic", "openai", "gpt"])
-def test_nobody_to_ask_leaves_no_folder(refused, tmp_path, provider):
+def test_without_a_model_no_folder_is_created(refused, tmp_path, provider):
     photo = picture(tmp_path / "other.png")
     message = refused(photo, "--out", tmp_path / "out", "--provider", provider)
     said = {
@@ -124,7 +122,7 @@ def test_nobody_to_ask_leaves_no_folder(refused, tmp_path, provider):
 
 
 @pytest.mark.parametrize("more", [("--overwrite",), ("--from", "parse"), ("--resume",)])
-def test_nobody_to_ask_leaves_an_earlier_run_as_it_is(refused, parsed, tmp_path, more):
+def test_without_a_model_an_earlier_run_is_unchanged(refused, parsed, tmp_path, more):
     out = shutil.copytree(parsed, tmp_path / "out")
     before = everything(out)
     refused(PHOTO, "--out", out, "--provider", "anthropic", *more)
@@ -132,7 +130,7 @@ def test_nobody_to_ask_leaves_an_earlier_run_as_it_is(refused, parsed, tmp_path,
 
 
 @pytest.mark.parametrize("more", [("--from", "refine"), ("--resume",)])
-def test_another_photo_is_no_reason_to_go_on(refused, parsed, tmp_path, more):
+def test_a_run_of_another_photo_is_not_resumed(refused, parsed, tmp_path, more):
     out = shutil.copytree(parsed, tmp_path / "out")
     before = everything(out)
     photo = picture(tmp_path / "other.png")

@@ -58,7 +58,7 @@ def test_help_names_the_commands(neoworld):
         assert f"{name} {entry.summary}" in said
 
 
-def test_a_reader_that_stops_early_is_no_error(tmp_path):
+def test_a_closed_pipe_is_not_an_error(tmp_path):
     with RunFolder(tmp_path / "out", Config()):
         pass
     command = [sys.executable, "-m", "neoworld_mjx.cli", "report", str(tmp_path / "out")]
@@ -190,14 +190,14 @@ def test_a_program_that_fails_writes_nothing_and_exits_1(neoworld, tmp_path):
         ("scene.json", '{"objects": []}', "is not a scene: objects"),
     ],
 )
-def test_what_cannot_be_checked_is_one_message(neoworld, tmp_path, name, content, said):
+def test_an_invalid_target_of_check_is_one_message(neoworld, tmp_path, name, content, said):
     target = tmp_path / (name or "nothing.json")
     if content is not None:
         target.write_text(content)
     assert_refused(neoworld("check", target), said, str(target))
 
 
-def test_what_cannot_be_shown_is_one_message_of_few_words(neoworld, tmp_path):
+def test_an_invalid_target_of_view_is_one_short_message(neoworld, tmp_path):
     assert_refused(neoworld("view", tmp_path / "nothing"), "no such file or folder")
     assert_refused(neoworld("check", tmp_path), f"{tmp_path} is no run folder with a scene")
     (tmp_path / "notes.txt").write_text("x")
@@ -223,7 +223,7 @@ def test_report_of_an_unfinished_run(neoworld, tmp_path):
     assert (tmp_path / "out" / "report.html").stat().st_size > 1000
 
 
-def test_prints_of_other_code_stay_out_of_the_json(capfd, monkeypatch):
+def test_output_of_other_code_is_not_mixed_with_the_json(capfd, monkeypatch):
     def noisy(_):
         print("from Python")
         os.system("echo from C")
@@ -272,7 +272,7 @@ def test_a_memory_error_is_one_message_with_a_remedy(monkeypatch, capsys):
     assert "not enough memory: use fewer candidates" in capsys.readouterr().err
 
 
-def test_names_move_no_text_on_the_terminal(monkeypatch, capsys):
+def test_error_messages_escape_control_characters(monkeypatch, capsys):
     def fails(_):
         raise ConfigError("no file \x1b[2J\u202e\ud800.png")
 
@@ -314,7 +314,7 @@ def test_doctor_names_extras_that_exist(need):
     assert set(named) <= extras.keys()
 
 
-def test_commands_that_list_things_say_them_in_few_lines(neoworld, tmp_path):
+def test_listings_are_short(neoworld, tmp_path):
     said = neoworld("doctor").stdout.splitlines()
     assert "Python 3" in said[0] and said[1].startswith("engines: ") and "native" in said[1]
     assert len(said) <= 3 + 2 * len(NEEDS) and all(len(line) < 160 for line in said)
@@ -330,12 +330,12 @@ def test_commands_that_list_things_say_them_in_few_lines(neoworld, tmp_path):
     assert [line.split(":")[0] for line in said] == [*bundled_examples(), "next"]
 
 
-def test_what_doctor_installed_is_one_line():
+def test_an_installation_is_reported_in_one_line():
     installed = {"installed": "blender", "folder": "cache/blender"}
     assert doctor_lines(installed) == ["installed: blender in cache/blender"]
 
 
-def test_a_benchmark_says_its_numbers_without_its_rows():
+def test_the_summary_of_a_benchmark_omits_its_rows():
     rows = [{"objects": 3, "ms": 0.1}] * 4
     answer = {"suite": "kernels", "command": "x", "machine": {"cores": 2}, "rows": rows}
     said = bench_lines(answer | {"mean": 1.23456, "valid": True, "worst": {"name": "cup"}})

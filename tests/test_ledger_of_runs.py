@@ -17,7 +17,7 @@ def spend(panel, tokens):
     panel.ledger.add("critic", "claude-sonnet-5-5", Usage(input=tokens, output=0))
 
 
-def test_a_second_command_goes_on_with_the_ledger(tmp_path):
+def test_a_second_command_continues_the_ledger(tmp_path):
     for times in (1, 2):
         with RunFolder(tmp_path / "run", Config(), "resume") as run:
             panel = Panel(ScriptedModel())
@@ -27,7 +27,7 @@ def test_a_second_command_goes_on_with_the_ledger(tmp_path):
         assert (booked["calls"], booked["tokens"]["input"]) == (times, 1000 * times)
 
 
-def test_what_was_spent_is_kept_where_a_step_fails(tmp_path):
+def test_costs_are_recorded_if_a_step_fails(tmp_path):
     with RunFolder(tmp_path / "run", Config()) as run:
         panel = Panel(ScriptedModel())
         with pytest.raises(RunError, match="in between"), reconstruction.recorded_costs(run, panel):
@@ -44,7 +44,7 @@ def test_a_damaged_ledger_is_named(tmp_path):
                 pass
 
 
-def test_headers_that_are_not_kept_are_asked_for(tmp_path):
+def test_omitted_headers_must_be_given_again(tmp_path):
     options = {"mllm": {"headers": {"x-route": "one"}}, "refine": {"semantic": {"scorer": "mllm"}}}
     config = load_config(None, options)
     with RunFolder(tmp_path / "run", config) as run:

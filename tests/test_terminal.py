@@ -56,7 +56,7 @@ def neoworld(capfd):
         (GOOD + "o.hinge(p)", "type", "a hinge is Object.revolute"),
     ],
 )
-def test_common_mistakes_get_the_hint_that_they_need(program, code, hint):
+def test_common_mistakes_get_a_hint(program, code, hint):
     signals = build(program).signals
     # A door that turns by 5 rad also runs into its frame: errors come before the warning.
     signal = next(s for s in signals if s.code == code)
@@ -95,7 +95,7 @@ def test_build_and_check_show_signals_in_one_format_and_what_was_printed(neoworl
     assert "valid: thing passes all" in out and len(out.splitlines()) <= 5
 
 
-def test_a_failed_build_draws_what_it_can_and_a_good_one_takes_that_away(neoworld, tmp_path):
+def test_a_failed_build_renders_an_image_that_a_successful_one_removes(neoworld, tmp_path):
     program, out = tmp_path / "thing.py", tmp_path / "out"
     program.write_text(DOOR.format(y=-0.05, most=1))
     code, said, _ = neoworld("build", program, "--out", out)
@@ -106,7 +106,7 @@ def test_a_failed_build_draws_what_it_can_and_a_good_one_takes_that_away(neoworl
     assert "failed.png" not in {path.name for path in out.iterdir()}
 
 
-def test_the_red_volume_is_what_two_parts_share():
+def test_the_red_volume_is_the_overlap_of_two_parts():
     spec = build(DOOR.format(y=-0.05, most=1)).spec
     pairs, state = deepest_overlap(spec, ProgramOptions())
     assert (pairs, state) == ([(0, 1)], {})
@@ -172,7 +172,7 @@ def test_the_status_line_is_below_the_log_and_is_erased_at_the_end(monkeypatch):
     assert erased.endswith("\x1b[2K") and "careful" not in erased
 
 
-def test_a_run_keeps_its_log_and_how_it_ended(tmp_path):
+def test_a_run_keeps_its_log_and_its_outcome(tmp_path):
     out = tmp_path / "out"
     with pytest.raises(SpecError), RunFolder(out, Config()) as run:
         run.fallback("parse", "a line\nof two", "\x1b[31m")

@@ -59,7 +59,7 @@ def _with(path: str, value: float) -> dict:
 
 
 @pytest.mark.parametrize("path", BOUNDS)
-def test_numbers_at_the_edge_are_told_by_name_or_make_a_finite_tree(path):
+def test_extreme_numbers_are_rejected_by_name_or_give_a_finite_tree(path):
     low, high = BOUNDS[path]
     for value in EDGES:
         text = json.dumps(_with(path, value))
@@ -73,7 +73,7 @@ def test_numbers_at_the_edge_are_told_by_name_or_make_a_finite_tree(path):
 
 
 @pytest.mark.parametrize("text", ["NaN", "Infinity", "1e999", "-1e999"])
-def test_numbers_that_are_none(text):
+def test_non_finite_numbers_are_rejected(text):
     data = json.dumps(answers.answer(answers.item("cup", at=(7.25, 0, 0)))).replace("7.25", text)
     with pytest.raises(InvalidResponse, match=r"is not JSON|must lie in|finite"):
         read_response(data, ParsedScene)
@@ -125,7 +125,7 @@ NAMES = {
 
 
 @pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
-def test_names_are_told_or_made_plain(name):
+def test_invalid_names_are_rejected_or_converted(name):
     assert not is_name(name)
     plain = identifier(name, "part")
     assert is_name(plain)

@@ -139,7 +139,7 @@ def test_two_writers_of_one_file_do_not_mix(tmp_path, monkeypatch):
     assert len(set(names)) == 2
 
 
-def test_what_a_kill_left_of_a_file_is_deleted(tmp_path):
+def test_partial_files_of_a_killed_run_are_deleted(tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     left = out / f".run.json.{'0' * 16}.part"
@@ -179,7 +179,7 @@ def test_a_run_without_status_is_one_message(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["", "[", "[" * 100_000, "{}", "\0", '{"format": NaN}'])
-def test_a_run_json_that_is_none_is_one_message(tmp_path, text):
+def test_an_invalid_run_json_is_one_message(tmp_path, text):
     out = tmp_path / "out"
     out.mkdir()
     (out / "run.json").write_text(text)

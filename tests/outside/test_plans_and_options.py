@@ -32,7 +32,7 @@ from neoworld_mjx.sweeps.run_rows import read_runs, write_runs
         ("mllm.timeout_s", float("nan")),
     ],
 )
-def test_numbers_that_no_machine_can_carry_out(path, value):
+def test_absurd_numbers_are_rejected(path, value):
     *heads, last = path.split(".")
     options: dict = {last: value}
     for head in reversed(heads):
@@ -55,7 +55,7 @@ def test_a_sweep_of_too_many_points_or_seeds_is_an_error_at_once():
 @pytest.mark.parametrize(
     "path", [".:x", "os:", ":", "os:sep", "this_module_is_not_there:f", "os.path:..", "a b:c"]
 )
-def test_terms_that_are_none(path):
+def test_invalid_reward_terms_are_rejected(path):
     config = load_config(None, {"refine": {"reward": {"terms": {path: 1.0}}}})
     with pytest.raises(ConfigError, match=r"refine\.reward\.terms"):
         named_terms(config.refine)
@@ -75,7 +75,7 @@ def _rows(path: Path) -> bytes:
     return path.read_bytes()
 
 
-def test_results_that_are_cut_or_none(tmp_path):
+def test_damaged_results_are_rejected(tmp_path):
     path = tmp_path / "results.parquet"
     whole = _rows(path)
     assert read_runs(path)[0]["scene"] == "a"

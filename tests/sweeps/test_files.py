@@ -35,7 +35,7 @@ ROWS = [
 ]
 
 
-def test_iterations_are_of_the_candidates_that_have_a_reward():
+def test_iterations_summarize_the_candidates_with_a_reward():
     history = {
         "absolute": np.array([[0.2, -np.inf, 0.4], [0.3, 0.1, -np.inf]]),
         "valid": np.array([[True, False, False], [True, True, False]]),

@@ -41,13 +41,13 @@ HOST = [
 ]
 
 
-def test_every_static_option_says_why():
+def test_every_static_option_has_a_reason():
     assert len(STATIC) > 10
     assert all(STATIC.values())
 
 
 @pytest.mark.parametrize("name", [name for name in TRACED if name != "reward.terms"])
-def test_a_traced_option_is_a_leaf_and_nothing_else(name):
+def test_a_traced_option_is_an_array_leaf(name):
     default = option_values(RefineOptions())[name]
     before, after = traced(RefineOptions()), traced(put(name, default * 0.75 + 0.01))
     assert jax.tree.structure(before) == jax.tree.structure(after)
@@ -98,7 +98,7 @@ OTHERS = {
 
 
 @pytest.mark.parametrize("name", [*STATIC, *HOST])
-def test_other_options_are_no_leaf(name):
+def test_other_options_are_not_array_leaves(name):
     default = option_values(RefineOptions())[name]
     other = OTHERS[name] if name in OTHERS else type(default)(default * 1.5 + 0.01)
     changed = put(name, other)

@@ -8,13 +8,13 @@ from neoworld_mjx.sweeps.intervals import mean, rate, rate_difference
 
 
 @pytest.mark.parametrize(("hits", "n"), [(0, 5), (3, 7), (20, 20), (99, 100)])
-def test_a_rate_is_wilsons(hits, n):
+def test_rates_have_wilsons_interval(hits, n):
     result = rate([True] * hits + [False] * (n - hits))
     truth = known.binomtest(hits, n).proportion_ci(method="wilson")
     assert result == pytest.approx((hits / n, truth.low, truth.high, n))
 
 
-def test_a_mean_is_students():
+def test_means_have_students_t_interval():
     x = np.random.default_rng(0).normal(size=9)
     low, high = known.t.interval(0.95, 8, loc=x.mean(), scale=known.sem(x))
     assert mean(list(x)) == pytest.approx((x.mean(), low, high, 9))

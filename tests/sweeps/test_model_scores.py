@@ -54,7 +54,7 @@ def recorded(case, tmp_path_factory):
         return swept, out, server.calls
 
 
-def test_without_s_sem_asks_nobody_and_the_ledger_adds_up(recorded):
+def test_runs_without_s_sem_make_no_calls_and_the_ledger_adds_up(recorded):
     swept, out, calls = recorded
     ledger = json.loads((out / "sweep.json").read_text())["mllm"]
     assert [row["point"] for row in swept.rows] == ["base", "base", *2 * ["without S_sem"]]
@@ -67,7 +67,7 @@ def test_without_s_sem_asks_nobody_and_the_ledger_adds_up(recorded):
     assert ledger["known_cost_usd"] > 0
 
 
-def test_recorded_scores_give_the_same_table_and_ask_nobody(recorded, case, tmp_path):
+def test_recorded_scores_give_the_same_table_without_calls(recorded, case, tmp_path):
     swept, out, _ = recorded
     again = ablate(
         plan(variants=WITHOUT, scores=str(out / "scores")), tmp_path / "again", cases=[case]
@@ -83,7 +83,7 @@ def test_recorded_scores_give_the_same_table_and_ask_nobody(recorded, case, tmp_
         )
 
 
-def test_a_tape_answers_for_the_server(recorded, case, tmp_path):
+def test_a_tape_replaces_the_server(recorded, case, tmp_path):
     swept, out, _ = recorded
     request = plan(variants=WITHOUT, tapes=[str(out / "answers.tape.json")])
     request["base"]["provider"] = "replay"
@@ -119,7 +119,7 @@ def test_a_scene_without_a_photograph_is_refused_before_anything_runs(tmp_path):
         ablate(plan(variants=WITHOUT, scores=str(tmp_path / "none")), cases=[scenes.blocks()])
 
 
-def test_a_record_of_another_processor_is_followed(recorded, case, tmp_path):
+def test_scores_recorded_on_another_processor_apply(recorded, case, tmp_path):
     """Numbers decide that differ by roundings; the digest of their bits may differ."""
     swept, out, _ = recorded
 
@@ -139,7 +139,7 @@ def test_a_record_of_another_processor_is_followed(recorded, case, tmp_path):
         follow(2 * SAME_LAYOUT, "far")
 
 
-def test_the_bundled_scores_of_the_photograph_are_followed():
+def test_the_bundled_scores_of_the_photograph_apply():
     root = Path(__file__).parents[2]
     plan = read(root / "configs/ablations/without_s_sem.yaml", Ablation)
     base, without = points(plan)

@@ -25,7 +25,7 @@ def test_a_grid_is_every_combination_in_order():
     assert result[-1].options.reward.w_pen == 3
 
 
-def test_points_lie_over_the_file_and_the_base():
+def test_points_override_the_file_and_the_base():
     plan = Plan(
         config=CONFIGS / "paper.yaml",
         base={"refine": {"cem": {"population": 12}, "semantic": {"scorer": "geometric"}}},
@@ -36,7 +36,7 @@ def test_points_lie_over_the_file_and_the_base():
     assert (result.options.cem.population, result.options.reward.w_pen) == (12, 2)
 
 
-def test_terms_of_ones_own_are_values_as_a_whole():
+def test_custom_terms_are_replaced_as_a_whole():
     terms = [{}, {"math:floor": 0.5}]
     result = points(Plan(base={"refine": {"reward": {"terms": {"math:ceil": 1}}}},
                         axes={"refine.reward.terms": terms}))  # fmt: skip
@@ -58,13 +58,13 @@ def test_terms_of_ones_own_are_values_as_a_whole():
         ({"refine.cem.credit": ["nobody"]}, "refine.cem.credit: Input should be"),
     ],
 )
-def test_axes_that_are_wrong(axes, said):
+def test_invalid_axes_are_rejected(axes, said):
     with pytest.raises(ConfigError, match="axes: ") as error:
         points(Plan(axes=axes))
     assert said in str(error.value)
 
 
-def test_variants_are_changes_of_the_base():
+def test_variants_override_the_base():
     plan = Ablation(variants={"free": {"refine.reward.w_drift": 0}})
     base, free = points(plan)
     assert base.options == RefineOptions()
@@ -80,7 +80,7 @@ def test_variants_are_changes_of_the_base():
             points(Ablation(variants=variants))
 
 
-def test_plans_that_are_wrong(tmp_path):
+def test_invalid_plans_are_rejected(tmp_path):
     path = tmp_path / "plan.yaml"
     for text, message in (
         ("[1]", "must be a mapping"),
@@ -101,7 +101,7 @@ def table_case(name):
     return Case(f"table:{name}", stored_scene("crowded_2"))
 
 
-def test_scenes_that_are_not_there():
+def test_missing_scenes_are_rejected():
     sources = {"table": table_case}
     for name, message in (
         ("nowhere", "no such file or folder, nor is it one of table:NAME"),
@@ -123,7 +123,7 @@ def test_a_run_folder_gives_its_composed_scene(tmp_path):
 
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*/*.yaml")), ids=lambda path: path.name)
-def test_plans_in_the_repository_are_good_and_need_no_files(path):
+def test_plans_in_the_repository_are_valid(path):
     kind = Ablation if path.parent.name == "ablations" else Plan
     plan = read(path, kind)
     assert len(points(plan)) > 1

@@ -85,7 +85,7 @@ def same_as_alone(model, runs):
     return alone
 
 
-def test_two_points_and_two_seeds_are_as_alone(model):
+def test_runs_in_one_computation_equal_separate_refinements(model):
     runs = started(model, [options(0.25), options(4.0, cem={"sigma_xy": 0.03})], (0, 1))
     alone = same_as_alone(model, runs)
     # Else there would be nothing to confuse; two may have returned to one start.
@@ -93,7 +93,7 @@ def test_two_points_and_two_seeds_are_as_alone(model):
     assert any(one.winner[0] > 0 for one in alone)
 
 
-def test_runs_that_stop_or_prune_leave_the_others_alone(model):
+def test_stopping_and_pruning_do_not_affect_other_runs(model):
     pruning = {"prune": True, "batch": 8}
     settings = [
         options(cem={"stop_gain": 1e3, "patience": 1, **pruning}),
@@ -105,7 +105,7 @@ def test_runs_that_stop_or_prune_leave_the_others_alone(model):
     assert len({one.pruned for one in alone}) > 1
 
 
-def test_runs_of_which_some_are_valid_are_as_alone(model):
+def test_valid_and_invalid_runs_equal_separate_refinements(model):
     # What is valid already is no longer moved apart before it comes to rest; the others are.
     o = options(
         population=8, iterations=3, cem={"stop_gain": 0.0}, descent={"project": "needed"}
@@ -133,7 +133,7 @@ def test_other_programs_are_as_alone_too(model, more):
     same_as_alone(model, runs)
 
 
-def test_a_vmap_over_tiles_comes_to_the_same_but_for_rounding(model):
+def test_vmap_over_tiles_agrees_up_to_rounding(model):
     runs = started(model, [options(0.5), options(2.0)], (0, 1))[:3]
     clock = dict.fromkeys(("descent", "rollout", "score"), 0.0)
     evaluation = Evaluation(model, model, ENGINE, runs[0].options, len(runs), 1, clock, 0.0)
@@ -165,7 +165,7 @@ def counted(model, runs):
     return compilations() - before
 
 
-def test_more_points_compile_nothing_more(model):
+def test_more_points_need_no_more_compilations(model):
     count = [
         counted(model, started(model, [options(0.5 + k, iterations=2) for k in range(n)], seeds))
         for n, seeds in ((2, (0,)), (5, (0, 1)))

@@ -117,7 +117,7 @@ def test_the_notebook_runs_in_small_form():
     assert {row["seed"] for row in ran["found"].rows} == {0, 1}
 
 
-def test_a_sweep_is_not_lost(swept, tmp_path):
+def test_an_existing_sweep_is_not_replaced_by_accident(swept, tmp_path):
     out, _ = swept
     before = (out / "results.parquet").read_bytes()
     with pytest.raises(RunError, match="holds a sweep: continue with --resume, start over"):
@@ -144,7 +144,7 @@ class Failing(NativeEngine):
         return super().rollout(*args, duration=duration, **more)
 
 
-def test_what_is_done_stays_and_is_not_done_again(tmp_path, monkeypatch):
+def test_an_interrupted_sweep_resumes(tmp_path, monkeypatch):
     requests = plan(seeds=[0], static=[0.2, 0.3])
     with pytest.raises(KeyboardInterrupt):
         sweep(requests, tmp_path, cases=[SCENE], engine=Failing())
@@ -174,7 +174,7 @@ def test_what_is_done_stays_and_is_not_done_again(tmp_path, monkeypatch):
     assert completed == [1, 1, 1]
 
 
-def test_an_ablation_tells_differences(tmp_path):
+def test_an_ablation_reports_differences(tmp_path):
     variants = {"not pruned": {"refine.cem.prune": False}, "elsewhere": {SIGMA: 60}}
     requests = {"base": BASE, "seeds": [0, 1], "variants": variants}
     result = ablate(requests, tmp_path / "a", cases=[SCENE])
@@ -219,7 +219,7 @@ def test_the_commands(tmp_path, capfd):
     assert not (tmp_path / "b").exists()
 
 
-def test_a_broken_table_is_told(tmp_path):
+def test_a_damaged_results_file_is_reported(tmp_path):
     (tmp_path / "sweep.json").write_text('{"format": "neoworld-sweep/1", "kind": "sweep"}')
     (tmp_path / "results.parquet").write_bytes(b"half")
     with pytest.raises(NeoWorldError, match="is not a Parquet file"):
