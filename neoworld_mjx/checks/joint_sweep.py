@@ -1,9 +1,9 @@
-"""The joint sweep: depth of overlap of an object's parts over the ranges of its joints.
+"""Joint sweep: depth of overlap of an object's parts over the ranges of its joints.
 
-Parts are measured at rest, over the range of each joint, and with all joints moved at once.
-Step 2's compile checks and Step 3's battery compare the same measurement with the same thresholds,
-so an object that passes the one passes the other. Depths are exact (`mj_geomDistance`), between
-parent and child, too.
+Parts are measured at rest, over the range of each joint, and with all joints moved at once. Step
+2's compile checks and Step 3's object tests compare the same measurements with the same thresholds,
+so an object that passes one passes the other. Depths are exact (`mj_geomDistance`), also between
+parent and child.
 """
 
 import itertools
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..config import JointSweepOptions
-from ..spec import JointSpec
+from ..spec import JointSpec, joint_keys
 from ..spec.kinematics import carried, followers, welded
 from ..spec.opening import prerequisite_state, with_prerequisites
 from .allowance import Allowance
@@ -26,9 +26,9 @@ State = dict[str, float]
 """Joint values [rad or m] by name; a ball has three."""
 
 _DIRECTIONS = [
-    tuple((np.array(way) / np.linalg.norm(way)).tolist())
-    for way in itertools.product((-1, 0, 1), repeat=3)
-    if any(way)
+    np.array(direction) / np.linalg.norm(direction)
+    for direction in itertools.product((-1, 0, 1), repeat=3)
+    if any(direction)
 ]
 """Unit vectors along the axes, the edges and the diagonals of a cube."""
 _RANGE_END = 0.02
@@ -37,10 +37,10 @@ _RANGE_END = 0.02
 
 @dataclass(frozen=True)
 class Overlap:
-    """Two parts that touch or overlap, and the joint state in which they do so deepest."""
+    """Two parts that touch or overlap, in the joint state in which they are deepest."""
 
     depth: float
-    """[m], at most 0 where they only touch."""
+    """[m], at most 0 if they only touch."""
     near: Near
     """The two convex pieces."""
     state: State
@@ -50,14 +50,14 @@ class Overlap:
 
 @dataclass(frozen=True)
 class JointRange:
-    """One joint posed over its range, while the joints that it waits for are open."""
+    """Measurements of one joint over its range, while its prerequisites are open."""
 
     joint: JointSpec
     opened: State
     moving: frozenset[int]
     """Indices of the parts that move with it."""
     pairs: Sequence[Pair]
-    """Pairs whose distance the joint changes."""
+    """Pairs whose distance depends on the joint."""
     values: NDArray
     """Ascending positions [value], rad or m."""
     depth_share: NDArray
@@ -72,13 +72,13 @@ class JointRange:
 
 @dataclass(frozen=True)
 class JointSweep:
-    """An object measured at rest and over the range of each joint."""
+    """Measurements of an object at rest and over the range of each joint."""
 
     probe: Probe
     allowed: Mapping[Pair, float]
     """Allowed depth [m] of every pair of parts that can move relative to each other."""
     reasons: Mapping[Pair, str]
-    """The program's reason for allowing a pair more than the threshold."""
+    """The program's reason for allowing a pair a larger depth than the threshold."""
     at_rest: Mapping[Pair, Overlap]
     ranges: Sequence[JointRange]
 
@@ -102,8 +102,8 @@ def sweep_joints(
 ) -> JointSweep:
     """Measure overlaps at rest and over the range of each joint.
 
-    A pair that is too deep at rest is not measured again in motion. Parts that are fastened to each
-    other may overlap.
+    A pair that is too deep at rest is not measured in motion. Parts that are fixed to each other
+    may overlap.
 
     Args:
         probe: the object.
@@ -146,7 +146,7 @@ def sweep_range(
     steps: int,
     opened: State | None = None,
 ) -> JointRange:
-    """Pose one joint over its range and keep the deepest overlap of each pair.
+    """Measure the deepest overlap of each pair over the range of one joint.
 
     Args:
         probe: the object.
@@ -154,7 +154,7 @@ def sweep_range(
         pairs: pairs of parts to measure; pairs that the joint cannot change are skipped.
         allowed: allowed depth [m] of each pair.
         steps: number of positions.
-        opened: state of the other joints; by default the joints that it waits for are open.
+        opened: state of the other joints; by default its prerequisites are open.
     """
     spec = probe.spec
     opened = prerequisite_state(spec, joint) if opened is None else opened
@@ -169,15 +169,15 @@ def sweep_range(
         for state, depths in _poses(probe, joint, float(value), opened, changed):
             for pair, near in depths.items():
                 share[k] = max(share[k], -near.distance / allowed[pair])
-                if pair not in deepest or -near.distance > deepest[pair].depth:
-                    deepest[pair] = Overlap(-near.distance, near, state, float(value))
+                overlap = Overlap(-near.distance, near, state, float(value))
+                deepest[pair] = max(deepest.get(pair, overlap), overlap, key=_depth)
     return JointRange(joint, opened, moving, changed, values, share, deepest)
 
 
 def free_range(sweep: JointSweep, swept: JointRange, share: float = 1.0) -> tuple[float, float]:
-    """Return the range around rest where no depth exceeds a share of the allowed depth.
+    """Return the range around rest in which no depth exceeds a share of the allowed depth.
 
-    Bisection finds its two ends [rad or m], to a thousandth of the joint's range.
+    Bisection finds its ends [rad or m] to a thousandth of the joint's range.
     """
     probe, values = sweep.probe, swept.values
 
@@ -213,7 +213,7 @@ def collides_at(
     allowed: Mapping[Pair, float],
     share: float = 1.0,
 ) -> bool:
-    """Tell whether any depth exceeds a share of the allowed depth at a joint position."""
+    """Return True if any depth exceeds a share of the allowed depth at a joint position."""
     return any(
         -near.distance > share * allowed[pair]
         for _, depths in _poses(probe, joint, value, opened, pairs)
@@ -226,10 +226,9 @@ def sweep_together(
     options: JointSweepOptions,
     free: Mapping[str, tuple[float, float]] | None = None,
 ) -> dict[Pair, Overlap]:
-    """Move all joints at once, and return the pairs that get too deep only then.
+    """Move all joints at once, and return the pairs that are too deep only then.
 
-    No joint moves unless the joints that it waits for are open. The seed of the sampled states is
-    fixed.
+    No joint moves unless its prerequisites are open. The seed of the sampled states is fixed.
 
     Args:
         sweep: the object at rest and over each range.
@@ -244,7 +243,7 @@ def sweep_together(
     pairs = [pair for pair in sweep.allowed if pair not in colliding]
     deepest: dict[Pair, Overlap] = {}
     for k in range(options.sweep_combinations):
-        # The first two states are all open and all closed, where parts that swing often collide.
+        # The first two states, all open and all closed, are those in which parts often collide.
         state: State = {}
         for swept in sweep.ranges:
             values, name = swept.values, swept.joint.name
@@ -256,17 +255,21 @@ def sweep_together(
         state = with_prerequisites(probe.spec, state, opening=k % 2 == 0)
         probe.place(state)
         for pair, near in probe.depths(pairs).items():
-            depth = -near.distance
-            if depth > sweep.allowed[pair] and (pair not in deepest or depth > deepest[pair].depth):
-                deepest[pair] = Overlap(depth, near, state)
+            overlap = Overlap(-near.distance, near, state)
+            if overlap.depth > sweep.allowed[pair]:
+                deepest[pair] = max(deepest.get(pair, overlap), overlap, key=_depth)
     probe.place({})
     return deepest
 
 
-def joint_positions(joint: JointSpec, steps: int) -> NDArray:
-    """Return ascending values that cover a joint's range [rad or m]; a ball's are angles from rest.
+def _depth(overlap: Overlap) -> float:
+    return overlap.depth
 
-    A limited range gets two more positions close to its limits, where parts often collide.
+
+def joint_positions(joint: JointSpec, steps: int) -> NDArray:
+    """Return ascending values that cover a joint's range [rad or m], for a ball angles from rest.
+
+    A limited range has two more positions close to its limits, where parts often collide.
     """
     if joint.type == "continuous":
         return np.linspace(0, 2 * np.pi, steps + 3, endpoint=False)
@@ -279,15 +282,14 @@ def joint_positions(joint: JointSpec, steps: int) -> NDArray:
 
 
 def joint_states(joint: JointSpec, value: float) -> list[State]:
-    """Return the states of a joint at a value: one, or for a ball one in each of 26 directions."""
+    """Return the states of a joint at a value: one, or 26 for a ball, one in each direction."""
     if joint.type != "ball":
         return [{joint.name: value}]
-    names = [f"{joint.name}.{axis}" for axis in "xyz"]
+    names = joint_keys(joint)
     if value == 0.0:
         return [dict.fromkeys(names, 0.0)]
     return [
-        {name: value * w for name, w in zip(names, direction, strict=True)}
-        for direction in _DIRECTIONS
+        dict(zip(names, (value * direction).tolist(), strict=True)) for direction in _DIRECTIONS
     ]
 
 
@@ -295,7 +297,6 @@ def _poses(
     probe: Probe, joint: JointSpec, value: float, opened: State, pairs: Sequence[Pair]
 ) -> Iterator[tuple[State, dict[Pair, Near]]]:
     """Yield each state of a joint at a value, with the pairs that touch or overlap in it."""
-    measured = np.array(pairs, dtype=int).reshape(-1, 2)
     for state in joint_states(joint, value):
         probe.place({**opened, **state})
-        yield state, probe.depths(measured)
+        yield state, probe.depths(pairs)

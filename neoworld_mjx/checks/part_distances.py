@@ -1,8 +1,8 @@
 """Exact distances between the parts of one object, in any state of its joints.
 
-MuJoCo's contact list leaves out pairs of parent and child; `mj_geomDistance` measures every pair.
-The model here has no bodies and no dynamics: every convex piece is a geom of the world, whose pose
-is set from the object's kinematics.
+MuJoCo's contact list omits pairs of parent and child; `mj_geomDistance` measures every pair. The
+model has no bodies and no dynamics: every convex piece is a geom of the world body, and its pose is
+set from the object's kinematics.
 """
 
 import time
@@ -20,12 +20,12 @@ from ..spec.pose import rotate
 
 
 class OutOfTime(Exception):
-    """Measuring the object takes more processor time than allowed."""
+    """Raised when measuring an object exceeds its processor time."""
 
 
 @dataclass(frozen=True)
 class Near:
-    """Indices of two pieces, and the signed distance between them [m]; negative is depth."""
+    """Indices of two convex pieces, and the signed distance between them [m]; negative is depth."""
 
     first: int
     second: int
@@ -73,12 +73,12 @@ class Probe:
         self.place({})
 
     def check_time(self) -> None:
-        """Raise `OutOfTime` when the processor time allowed is used up."""
+        """Raise `OutOfTime` if the processor time is used up."""
         if time.thread_time() > self._until:
             raise OutOfTime
 
     def place(self, joint_state: Mapping[str, float]) -> None:
-        """Pose every piece for a joint state [rad or m]; joints that it does not name are at 0."""
+        """Pose every piece for a joint state [rad or m]; missing joints are at 0."""
         self.check_time()
         moved = link_poses(self.spec, dict(joint_state))
         quats = np.array([moved[name].quat for name in self.names])
@@ -95,8 +95,8 @@ class Probe:
 
     def extent(self, part: int) -> tuple[NDArray, NDArray]:
         """Return the bounding box (low [3], high [3]) [m] of a part in its present pose."""
-        own = self.owner == part
-        return self.low[own].min(axis=0), self.high[own].max(axis=0)
+        owned = self.owner == part
+        return self.low[owned].min(axis=0), self.high[owned].max(axis=0)
 
     def nearest(self, first: NDArray, second: NDArray, reach: float) -> Near | None:
         """Find the pair of pieces of two sets with the smallest signed distance.
@@ -115,20 +115,16 @@ class Probe:
         for a in first:
             gaps = np.maximum(self.low[second] - self.high[a], self.low[a] - self.high[second])
             for b in second[np.all(gaps <= reach, axis=1)]:
-                distance = self.distance(int(a), int(b), reach)
+                distance = geom_distance(self._model, self._data, int(a), int(b), reach)
                 if distance < reach and (closest is None or distance < closest.distance):
                     closest = Near(int(a), int(b), distance)
             self.check_time()
         return closest
 
-    def distance(self, a: int, b: int, reach: float) -> float:
-        """Return the signed distance [m] of two pieces, at most `reach`."""
-        return geom_distance(self._model, self._data, a, b, reach)
-
     def separation(self, first: int, second: int, reach: float = 10.0) -> tuple[float, NDArray]:
         """Return the signed distance of two parts [m] and the unit vector [3] from first to second.
 
-        Beyond `reach` [m], and where two pieces only touch, the vector points up.
+        Beyond `reach` [m], and if two pieces only touch, the vector points up.
         """
         up = np.array([0.0, 0.0, 1.0])
         near = self.nearest(self.of_part(first), self.of_part(second), reach)
@@ -150,21 +146,16 @@ class Probe:
         return np.flatnonzero(self.owner == part)
 
     def depths(
-        self, pairs: NDArray | Iterable[tuple[int, int]], reach: float = 1e-6
+        self, pairs: Iterable[tuple[int, int]], reach: float = 1e-6
     ) -> dict[tuple[int, int], Near]:
         """Return the deepest pair of pieces of every two parts that touch or overlap.
 
         Args:
-            pairs: indices of two parts [n, 2].
+            pairs: indices of two parts each.
             reach: distance [m] that counts as touching.
-
-        Returns:
-            The pieces of each pair of parts within `reach`.
         """
         self.check_time()
-        part_pairs = np.array(pairs if isinstance(pairs, np.ndarray) else list(pairs), dtype=int)
-        if not len(part_pairs):
-            return {}
+        part_pairs = np.array(list(pairs), dtype=int).reshape(-1, 2)
         # Pieces are ordered by part, so each part is one slice.
         low = np.minimum.reduceat(self.low, self._first) - reach
         high = np.maximum.reduceat(self.high, self._first)
@@ -187,16 +178,16 @@ def line_box_distance(point: NDArray, axis: NDArray, low: NDArray, high: NDArray
         low: lowest corner [3] m.
         high: highest corner [3] m.
     """
-    least, most = 0.0, float(np.abs(np.concatenate([low - point, high - point])).max()) + 1.0
+    smallest, largest = 0.0, float(np.abs(np.concatenate([low - point, high - point])).max()) + 1.0
     for _ in range(40):
-        grow = (least + most) / 2
+        grow = (smallest + largest) / 2
         a, b = low - grow - point, high + grow - point
         inside = np.where((a <= 0) & (b >= 0), np.inf, -np.inf)
         with np.errstate(divide="ignore", invalid="ignore"):
             near = np.where(axis == 0, -inside, np.minimum(a / axis, b / axis))
             far = np.where(axis == 0, inside, np.maximum(a / axis, b / axis))
         if near.max() <= far.min():
-            most = grow
+            largest = grow
         else:
-            least = grow
-    return most if most > 1e-9 else 0.0
+            smallest = grow
+    return largest if largest > 1e-9 else 0.0

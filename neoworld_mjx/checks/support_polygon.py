@@ -1,9 +1,12 @@
 """Support polygon of a resting object: its width, and the margin of the centre of mass."""
 
+import itertools
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
+from shapely import MultiPoint, Point
 
 from ..physics.mjcf import START, body_name
 from ..spec import bounds, link_poses, pieces
@@ -13,12 +16,12 @@ from .simulation import Simulation
 
 
 def support_polygon(simulation: Simulation, slack: float = 0.0) -> tuple[float, float]:
-    """Measure the convex hull of an object's points of contact with a level floor.
+    """Return the width and margin of the convex hull of an object's contacts with a level floor.
 
     Args:
         simulation: the object.
-        slack: height [m] above its lowest point up to which a piece counts as touching; a
-            millimetre always does.
+        slack: height [m] above its lowest point up to which a piece counts as touching, at least a
+            millimetre.
 
     Returns:
         The smallest width of the polygon [m], and the distance [m] of the centre of mass from its
@@ -49,11 +52,12 @@ def support_polygon(simulation: Simulation, slack: float = 0.0) -> tuple[float, 
     try:
         hull = ConvexHull(points)
     except QhullError:
-        return 0.0, -_distance_to_segment(points, centre)
+        # The points lie on a line or coincide.
+        return 0.0, -MultiPoint(points).convex_hull.distance(Point(centre))
     faces = hull.equations
     corners = points[hull.vertices]
-    spread = corners @ faces[:, :2].T
-    return float(np.ptp(spread, axis=0).min()), float(-(faces[:, :2] @ centre + faces[:, 2]).max())
+    widths = np.ptp(corners @ faces[:, :2].T, axis=0)
+    return float(widths.min()), float(-(faces[:, :2] @ centre + faces[:, 2]).max())
 
 
 def _contact_points(piece: Piece, pos: NDArray, rotation: NDArray, reach: float) -> NDArray:
@@ -62,7 +66,7 @@ def _contact_points(piece: Piece, pos: NDArray, rotation: NDArray, reach: float)
     if piece.kind == "mesh":
         local = np.array(piece.vertices)
     elif piece.kind == "box":
-        local = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * s
+        local = np.array(list(itertools.product((-1, 1), repeat=3))) * s
     else:
         angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
         ring = np.column_stack([np.cos(angle), np.sin(angle)])
@@ -71,7 +75,7 @@ def _contact_points(piece: Piece, pos: NDArray, rotation: NDArray, reach: float)
                 [np.column_stack([ring * s[0], np.full(24, z)]) for z in (-s[1], s[1])]
             )
         else:
-            # A sphere or ellipsoid touches at its lowest point, a capsule at that of either end.
+            # A sphere or ellipsoid touches at its lowest point, a capsule at those of its two ends.
             half = s[1] if piece.kind == "capsule" else 0.0
             ends = np.array([[0, 0, -half], [0, 0, half]])
             radius = s if piece.kind == "ellipsoid" else np.full(3, s[0])
@@ -82,17 +86,6 @@ def _contact_points(piece: Piece, pos: NDArray, rotation: NDArray, reach: float)
     return points[points[:, 2] <= reach + 1e-9][:, :2].reshape(-1, 2)
 
 
-def _distance_to_segment(points: NDArray, centre: NDArray) -> float:
-    """Return the distance [m] of a point [2] from the segment that collinear points [n, 2] span."""
-    ends = points[[int(np.argmin(points.sum(axis=1))), int(np.argmax(points.sum(axis=1)))]]
-    far = points[int(np.argmax(np.linalg.norm(points - ends[0], axis=1)))]
-    direction = far - ends[0]
-    share = np.clip(
-        (centre - ends[0]) @ direction / max(float(direction @ direction), 1e-12), 0.0, 1.0
-    )
-    return float(np.linalg.norm(centre - ends[0] - share * direction))
-
-
 def on_wheels(simulation: Simulation) -> bool:
     """Return True if a part on a continuous joint touches the floor."""
     data, model = simulation.data, simulation.model
@@ -100,15 +93,10 @@ def on_wheels(simulation: Simulation) -> bool:
     low, _ = bounds(simulation.spec, simulation.state, tuple(simulation.tilt.tolist()))
     data.qpos[:7] = [0, 0, -low[2] - 1e-4, *simulation.tilt]
     mujoco.mj_forward(model, data)
-    wheels = {
-        model.body(body_name(simulation.spec, j.child)).id
-        for j in simulation.spec.joints
-        if j.type == "continuous"
-    }
-    touching = {
-        int(model.geom_bodyid[g])
-        for pair in data.contact.geom[: data.ncon]
-        for g in pair
-        if simulation.floor in pair and g != simulation.floor
-    }
-    return bool(touching & wheels)
+    pairs = data.contact.geom[: data.ncon]
+    touching = model.geom_bodyid[pairs[(pairs == simulation.floor).any(axis=1)]]
+    return any(
+        model.body(body_name(simulation.spec, joint.child)).id in touching
+        for joint in simulation.spec.joints
+        if joint.type == "continuous"
+    )
