@@ -1,4 +1,4 @@
-"""The bundled example, from the photograph to files that other programs load."""
+"""The bundled example, from the photograph to files for other programs."""
 
 import json
 import re
@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 OBJECTS = ["table", "saucer", "cup", "spoon"]
 
 
-def test_the_command_prints_one_object_that_says_how_the_scene_stands(example_run):
+def test_the_command_prints_the_metrics_of_the_scene(example_run):
     _, answer = example_run
     assert answer["objects"] == OBJECTS
     assert answer["movable"] == 3
@@ -37,7 +37,7 @@ def test_the_command_prints_one_object_that_says_how_the_scene_stands(example_ru
     assert answer["mllm"]["cost_usd"] == 0
 
 
-def test_mujoco_alone_finds_the_scene_standing(example_run):
+def test_the_exported_scene_is_stable_in_mujoco(example_run):
     out, _ = example_run
     model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
     data = mujoco.MjData(model)
@@ -68,7 +68,7 @@ def test_mujoco_alone_finds_the_scene_standing(example_run):
     assert 0 < depth < 1e-3  # they touch, and no more
 
 
-def test_usd_opens_it_with_every_object(example_run):
+def test_the_usd_scene_contains_every_object(example_run):
     from pxr import Usd, UsdPhysics
 
     out, _ = example_run
@@ -81,7 +81,7 @@ def test_usd_opens_it_with_every_object(example_run):
     assert stage.GetPrimAtPath("/").GetStage().GetDefaultPrim()
 
 
-def test_the_folder_holds_what_is_promised(example_run):
+def test_the_run_folder_contains_the_documented_files(example_run):
     out, answer = example_run
     for name in OBJECTS:
         home = out / "objects" / name
@@ -140,9 +140,7 @@ def test_the_readme_example_runs(quick_run, tmp_path, monkeypatch, capsys):
     assert np.isfinite(names["again"].history["absolute"].max())
 
 
-def test_the_quickstart_notebook_runs_on_a_run_that_is_there(
-    quick_run, quick_config, photo, tmp_path
-):
+def test_the_quickstart_notebook_runs_on_an_existing_run(quick_run, quick_config, photo, tmp_path):
     shutil.copytree(quick_run, tmp_path / "out")
     changes = {
         'Path("../examples/coffee.png")': "PHOTO",
@@ -167,13 +165,13 @@ def test_refining_again_keeps_the_steps_before(tmp_path, photo, quick_config):
     assert (tmp_path / "run" / "scene.xml").is_file()
 
 
-def test_refining_what_is_not_composed_is_refused(tmp_path, photo, quick_config):
+def test_refining_a_run_without_a_composed_scene_is_refused(tmp_path, photo, quick_config):
     reconstruct(photo, tmp_path / "run", quick_config, until="parse")
     with pytest.raises(RunError, match="composed"):
         refine_again(tmp_path / "run")
 
 
-def test_pictures_are_parts_of_their_steps_and_do_not_repeat_them(tmp_path, photo, quick_config):
+def test_a_changed_picture_option_repeats_only_the_picture(tmp_path, photo, quick_config):
     out = tmp_path / "run"
     reconstruct(photo, out, quick_config, until="compose")
     steps = json.loads((out / "run.json").read_text())["steps"]
@@ -189,7 +187,7 @@ def test_pictures_are_parts_of_their_steps_and_do_not_repeat_them(tmp_path, phot
         assert before.width == 70
 
 
-def test_what_was_composed_is_drawn_even_when_the_search_fails(
+def test_the_composed_scene_is_drawn_even_if_the_search_fails(
     tmp_path, photo, quick_config, monkeypatch
 ):
     def fails(*args, **options):

@@ -1,4 +1,4 @@
-"""Runs that are killed and gone on with end in the same files as one that is left alone."""
+"""Killed and resumed runs end with the same files as an uninterrupted run."""
 
 import contextlib
 import json
@@ -16,12 +16,12 @@ SMALL = (
     *("render.width=96", "render.supersample=1", "verify.duration_s=0.5"),
 )
 TIMED = {"run.json", "report.html", "run.log", ".lock"}
-"""What may differ between two runs, as it carries times or process numbers."""
+"""Files with times or process numbers, which differ between runs."""
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> Path:
-    """An undisturbed run."""
+    """An uninterrupted run."""
     out = tmp_path_factory.mktemp("whole") / "out"
     _finish(out)
     return out
@@ -29,7 +29,7 @@ def whole(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def seconds(whole) -> float:
-    """How long the steps of a run take once everything is compiled [s]."""
+    """Duration of the steps of a run with compiled programs [s]."""
     process = _start(whole.with_name("again"))
     assert process.stderr is not None
     process.stderr.readline()
@@ -40,9 +40,9 @@ def seconds(whole) -> float:
     return seconds
 
 
-# The suite itself kills runs at a random moment, in tests/faults.
+# Fast tests in tests/faults kill runs at random moments.
 @pytest.mark.slow
-def test_a_run_killed_in_verification_and_in_the_search_ends_like_one_left_alone(whole, tmp_path):
+def test_a_run_killed_in_verification_and_in_the_search_ends_with_the_same_files(whole, tmp_path):
     out = tmp_path / "out"
     for begun in ("verify/", "refine"):
         process = _start(out)
@@ -52,12 +52,12 @@ def test_a_run_killed_in_verification_and_in_the_search_ends_like_one_left_alone
         process.communicate()
         completed = _steps(out)
     assert len(completed) >= 10
-    _go_on(out, completed)
+    _resume(out, completed)
     assert _contents(out) == _contents(whole)
 
 
 @pytest.mark.slow
-def test_runs_killed_at_twenty_moments_end_like_one_left_alone(whole, seconds, tmp_path):
+def test_runs_killed_at_twenty_moments_end_with_the_same_files(whole, seconds, tmp_path):
     draw = random.Random(20)
     expected = _contents(whole)
     at = []
@@ -67,10 +67,10 @@ def test_runs_killed_at_twenty_moments_end_like_one_left_alone(whole, seconds, t
         _kill(out, moment)
         completed = _steps(out)
         at.append(f"killed after {moment:.1f} s with {len(completed)} parts of steps done")
-        _go_on(out, completed)
+        _resume(out, completed)
         assert _contents(out) == expected, at[-1]
     print(*at, sep="\n")
-    # The moments fall on all of the run, not only on its start.
+    # The moments cover the whole run, not only its start.
     assert len({text.split(" with ")[1] for text in at}) >= 5
 
 
@@ -86,14 +86,14 @@ def _start(out: Path) -> subprocess.Popen[str]:
 
 
 def _finish(out: Path) -> str:
-    """Run to the end and return what was told of the progress."""
+    """Run to the end and return the log."""
     answer, log = _start(out).communicate()
     assert "scene" in json.loads(answer), log
     return log
 
 
 def _kill(out: Path, after: float) -> None:
-    """Kill a run a time [s] after its first step began; starting itself takes long."""
+    """Kill a run a time [s] after its first step started."""
     process = _start(out)
     assert process.stderr is not None
     process.stderr.readline()
@@ -103,8 +103,8 @@ def _kill(out: Path, after: float) -> None:
     process.communicate()
 
 
-def _go_on(out: Path, done: dict[str, dict[str, int]]) -> None:
-    """Resume, and see that what was done is neither begun again nor written again."""
+def _resume(out: Path, done: dict[str, dict[str, int]]) -> None:
+    """Resume, and check that finished steps are neither started nor written again."""
     log = _finish(out).splitlines()
     for name, written in done.items():
         assert f"{name}: begun" not in log
@@ -115,7 +115,7 @@ def _go_on(out: Path, done: dict[str, dict[str, int]]) -> None:
 
 
 def _steps(out: Path) -> dict[str, dict[str, int]]:
-    """Return the finished steps, each with when its files were written; all of them are there."""
+    """Return the modification times of all files of the finished steps."""
     path = out / "run.json"
     steps = json.loads(path.read_text())["steps"] if path.exists() else {}
     return {

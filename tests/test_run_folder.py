@@ -33,7 +33,7 @@ def _two_steps(out, mode="new", *, text="tree", step=None):
     return ran
 
 
-def test_a_run_leaves_its_files_and_what_repeats_it(tmp_path):
+def test_a_run_records_its_files_options_and_versions(tmp_path):
     out = tmp_path / "deep" / "out"
     _two_steps(out)
     data = read_run(out)
@@ -46,7 +46,7 @@ def test_a_run_leaves_its_files_and_what_repeats_it(tmp_path):
     assert not (out / ".staging").exists()
 
 
-def test_resume_skips_what_has_not_changed_and_redoes_what_has(tmp_path):
+def test_resume_repeats_only_changed_steps(tmp_path):
     out = tmp_path / "out"
     assert _two_steps(out) == ["parse", "compose"]
     assert _two_steps(out, "resume") == []
@@ -55,14 +55,14 @@ def test_resume_skips_what_has_not_changed_and_redoes_what_has(tmp_path):
     assert _two_steps(out, "resume", text="bush") == ["compose"]
 
 
-def test_a_step_that_writes_the_same_again_does_not_wake_the_next(tmp_path):
+def test_unchanged_outputs_do_not_invalidate_later_steps(tmp_path):
     out = tmp_path / "out"
     _two_steps(out)
     (out / "tree.json").unlink()
     assert _two_steps(out, "resume") == ["parse"]
 
 
-def test_a_damaged_output_is_made_again_and_the_changed_file_kept(tmp_path):
+def test_an_edited_output_is_rewritten_and_the_edit_set_aside(tmp_path):
     out = tmp_path / "out"
     _two_steps(out)
     for edit in ("mine", "mine too"):
@@ -73,7 +73,7 @@ def test_a_damaged_output_is_made_again_and_the_changed_file_kept(tmp_path):
     assert (out / "replaced" / "tree.json.old").read_text() == "mine too"
 
 
-def test_from_keeps_edits_before_the_step_and_so_does_a_later_resume(tmp_path):
+def test_redo_keeps_edits_of_earlier_steps_and_so_does_a_later_resume(tmp_path):
     out = tmp_path / "out"
     _two_steps(out)
     (out / "tree.json").write_text("edited")
@@ -83,7 +83,7 @@ def test_from_keeps_edits_before_the_step_and_so_does_a_later_resume(tmp_path):
     assert _two_steps(out, "resume") == []
 
 
-def test_from_redoes_the_step_and_all_after_it(tmp_path):
+def test_redo_repeats_the_step_and_later_ones(tmp_path):
     out = tmp_path / "out"
     _two_steps(out)
     with RunFolder(out, Config(), "redo", step="compose"):
@@ -92,7 +92,16 @@ def test_from_redoes_the_step_and_all_after_it(tmp_path):
     assert _two_steps(out, "redo", step="parse") == ["parse", "compose"]
 
 
-def test_an_existing_run_is_not_touched_unasked(tmp_path):
+def test_edited_keeps_edits_and_repeats_only_changed_later_steps(tmp_path):
+    out = tmp_path / "out"
+    _two_steps(out)
+    assert _two_steps(out, "edited", step="parse") == []
+    (out / "tree.json").write_text("edited")
+    assert _two_steps(out, "edited", step="parse", text="changed") == ["compose"]
+    assert (out / "objects" / "scene.txt").read_text() == "editededited"
+
+
+def test_an_existing_run_is_refused_by_default(tmp_path):
     out = tmp_path / "out"
     _two_steps(out)
     before = (out / "run.json").read_bytes()
@@ -101,7 +110,7 @@ def test_an_existing_run_is_not_touched_unasked(tmp_path):
     assert (out / "run.json").read_bytes() == before
 
 
-def test_a_run_that_never_finished_a_step_may_be_begun_again_and_keeps_its_books(tmp_path):
+def test_a_run_without_finished_steps_restarts_and_keeps_its_costs(tmp_path):
     out = tmp_path / "out"
     with pytest.raises(RunError), RunFolder(out, Config()) as run:
         run.record("mllm", cost_usd=1.5)
@@ -122,7 +131,7 @@ def test_overwrite_deletes_what_the_run_wrote_and_nothing_else(tmp_path):
     assert _two_steps(out, "overwrite") == ["parse", "compose"]
 
 
-def test_what_a_finished_run_no_longer_has_is_deleted(tmp_path):
+def test_files_of_removed_objects_are_deleted(tmp_path):
     out = tmp_path / "out"
     for names in (["cup", "spoon"], ["cup"]):
         with RunFolder(out, Config(), "resume") as run:
@@ -135,7 +144,7 @@ def test_what_a_finished_run_no_longer_has_is_deleted(tmp_path):
     assert [path.name for path in (out / "objects").iterdir()] == ["cup"]
 
 
-def test_a_step_done_again_drops_the_files_it_no_longer_writes(tmp_path):
+def test_a_repeated_step_deletes_files_that_it_no_longer_writes(tmp_path):
     out = tmp_path / "out"
     for name in ("a", "b"):
         with RunFolder(out, Config(), "resume") as run:
@@ -147,7 +156,7 @@ def test_a_step_done_again_drops_the_files_it_no_longer_writes(tmp_path):
 
 
 @pytest.mark.parametrize("what", ["file", "foreign", "foreign run.json", "below a file"])
-def test_folders_that_are_refused_are_left_as_they_are(tmp_path, what):
+def test_refused_folders_are_unchanged(tmp_path, what):
     out = tmp_path / "out"
     if what == "file":
         out.write_text("precious")
@@ -164,7 +173,7 @@ def test_folders_that_are_refused_are_left_as_they_are(tmp_path, what):
     assert [p for p in sorted(tmp_path.rglob("*")) if p.name != ".lock"] == before
 
 
-def test_a_folder_that_cannot_be_made_is_one_message():
+def test_a_folder_that_cannot_be_created_is_reported():
     with pytest.raises(RunError, match="cannot write /proc/nowhere"):
         RunFolder(Path("/proc/nowhere/out"), Config())
 
@@ -177,7 +186,7 @@ def test_a_second_run_in_the_same_folder_is_refused_until_the_first_ends(tmp_pat
         pass
 
 
-def test_a_failed_step_leaves_no_file_and_says_failed(tmp_path):
+def test_a_failed_step_leaves_no_file_and_sets_the_status(tmp_path):
     out = tmp_path / "out"
     with pytest.raises(ZeroDivisionError), RunFolder(out, Config()) as run:
         with run.step("parse", {}) as stage:
@@ -197,7 +206,7 @@ def test_a_missing_input_names_the_file(tmp_path):
                 pass
 
 
-def test_misspelt_steps_name_the_choices(tmp_path):
+def test_unknown_steps_list_the_choices(tmp_path):
     with pytest.raises(RunError, match="did you mean 'refine'"):
         RunFolder(tmp_path / "out", Config(), "redo", step="refin")
     with RunFolder(tmp_path / "out", Config()) as run:
@@ -205,7 +214,7 @@ def test_misspelt_steps_name_the_choices(tmp_path):
             pass
 
 
-def test_fallbacks_belong_to_their_step_and_go_when_it_is_done_again(tmp_path):
+def test_fallbacks_are_deleted_when_their_step_is_repeated(tmp_path):
     out = tmp_path / "out"
     with RunFolder(out, Config()) as run:
         for step in ("parse", "refine"):
@@ -235,7 +244,7 @@ def test_seconds_add_up_over_the_parts_of_a_step(tmp_path):
         assert 0.04 <= run.seconds()["program"] < 1.0
 
 
-def test_waiting_for_answers_is_counted_by_step(tmp_path):
+def test_waiting_for_models_is_counted_by_step(tmp_path):
     with RunFolder(tmp_path / "out", Config()) as run:
         awaited = [0.0]
         run.waited = lambda: awaited[0]
@@ -251,7 +260,7 @@ def test_waiting_for_answers_is_counted_by_step(tmp_path):
     assert read_run(tmp_path / "out")["steps"]["program/cup"]["waiting_s"] == 5.0
 
 
-def test_a_clock_that_is_set_back_leaves_a_run_that_goes_on(tmp_path, monkeypatch):
+def test_a_clock_that_is_set_back_keeps_the_run_readable(tmp_path, monkeypatch):
     clock = iter([100.0, -900.0])
     with RunFolder(tmp_path / "out", Config()) as run:
         monkeypatch.setattr(time, "perf_counter", lambda: next(clock, 0.0))
@@ -272,7 +281,7 @@ def test_header_values_stay_out_of_run_json(tmp_path):
 
 
 @pytest.mark.parametrize("writer", ["os", "own error"])
-def test_a_full_disk_is_one_message_and_the_run_goes_on_after(tmp_path, monkeypatch, writer):
+def test_a_full_disk_is_reported_and_the_run_can_be_resumed(tmp_path, monkeypatch, writer):
     out = tmp_path / "out"
 
     def fails():
@@ -288,7 +297,7 @@ def test_a_full_disk_is_one_message_and_the_run_goes_on_after(tmp_path, monkeypa
     assert _two_steps(out, "resume") == ["parse", "compose"]
 
 
-def test_a_really_full_disk(tmp_path):
+def test_a_full_file_system(tmp_path):
     if os.geteuid() != 0:
         pytest.skip("only root may mount a small tmpfs")
     disk = tmp_path / "disk"

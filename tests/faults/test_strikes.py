@@ -1,4 +1,4 @@
-"""Ten faults, one of each kind; `python -m benchmarks faults` strikes two hundred times."""
+"""Ten faults, one of each kind; `python -m benchmarks faults` injects two hundred."""
 
 import json
 import os
@@ -11,7 +11,7 @@ from tests.faults.strikes import FAULTS, SEARCH_FAULTS
 
 
 def strikes(first: int, count: int, *until: str) -> dict[str, dict]:
-    """Return the outcomes of some seeds, from a process without threads, which may be forked."""
+    """Return the outcomes of seeds, from a process without threads, which can be forked."""
     command = [sys.executable, "-m", "tests.faults.strikes", str(first), str(count), *until]
     done = subprocess.run(
         command, capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": "."}
@@ -27,12 +27,12 @@ def struck():
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_run_goes_on_after_a_fault_to_the_same_files(struck, fault):
+def test_a_run_resumes_after_a_fault_with_the_same_files(struck, fault):
     assert struck[fault]["wrong"] == "", struck[fault]
 
 
 @pytest.mark.slow
-def test_a_search_goes_on_when_the_engine_returns_nan():
+def test_a_search_continues_if_the_engine_returns_nan():
     fault = "engine NaN"
     row = strikes(SEARCH_FAULTS.index(fault), 1, "refine")[fault]
     assert row["moment"] == "a rollout" and row["wrong"] == "", row

@@ -38,7 +38,7 @@ def _object(box, **fields):
 
 
 @pytest.mark.parametrize("level", [0.0, 0.12])
-def test_a_box_is_where_the_photograph_shows_it(level):
+def test_a_3d_box_projects_onto_its_2d_box(level):
     true = Box3D(position=(0.6, 0.05, level), size=(0.1, 0.1, 0.16), yaw=math.pi)
     found = placed_box(_object(_seen(true)), CAMERA, level)
     assert np.allclose(found.position, true.position, atol=1e-3)
@@ -52,7 +52,7 @@ def test_a_known_size_places_an_object_whose_box_is_off():
     assert np.allclose(found.position, true.position, atol=2e-3)
 
 
-def test_a_template_says_how_deep_its_objects_are():
+def test_a_template_determines_the_depth_of_its_objects():
     box = Box2D(x0=250, y0=150, x1=390, y1=330)
     cabinet = placed_box(_object(box, kind="drawer_cabinet"), CAMERA, 0.0)
     plain = placed_box(_object(box), CAMERA, 0.0)
@@ -88,7 +88,7 @@ def test_every_plain_shape_builds_at_its_size(kind):
         ({"parent": "thing"}, "circle"),
     ],
 )
-def test_what_cannot_be_is_refused(fields, message):
+def test_invalid_annotations_are_refused(fields, message):
     box = Box2D(x0=250, y0=150, x1=390, y1=330)
     with pytest.raises(ValidationError, match=message):
         Annotation(
@@ -96,12 +96,12 @@ def test_what_cannot_be_is_refused(fields, message):
         )
 
 
-def test_an_empty_page_gives_no_tree():
+def test_an_annotation_without_objects_has_no_tree():
     with pytest.raises(SpecError, match="draw a box"):
         annotated_tree(Annotation(camera=CAMERA))
 
 
-def test_parents_carry_their_children():
+def test_children_stand_on_their_parents():
     tree = annotated_tree(coffee())
     saucer, cup = tree.node("saucer"), tree.node("cup")
     assert cup.parent == "saucer" and saucer.parent == GROUND
@@ -110,7 +110,7 @@ def test_parents_carry_their_children():
     assert (inside < np.array(tree.node(GROUND).box3d.size)[:2] / 2).all()
 
 
-def test_what_is_written_is_a_run_that_goes_on(tmp_path, photo, quick_config):
+def test_an_annotation_is_written_as_a_run_that_resumes(tmp_path, photo, quick_config):
     out = tmp_path / "out"
     write_annotated(photo, out, coffee(), quick_config, simulate=False)
     steps = json.loads((out / "run.json").read_text())["steps"]
@@ -141,7 +141,7 @@ def test_an_object_can_be_left_to_a_model(tmp_path, photo, quick_config):
     assert (out / "objects" / "saucer" / "program.py").is_file()
 
 
-def test_what_a_model_parsed_opens_for_correction(quick_run, tmp_path, photo, quick_config):
+def test_a_parsed_tree_opens_as_an_annotation(quick_run, tmp_path, photo, quick_config):
     annotation = read_annotation(quick_run)
     assert not (quick_run / ANNOTATION).exists()
     assert {obj.name for obj in annotation.objects} == {"saucer", "cup", "spoon"}

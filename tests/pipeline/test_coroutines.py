@@ -23,7 +23,7 @@ def test_a_coroutine_runs_with_and_without_a_loop_in_the_callers_context():
     assert asyncio.run(in_a_loop()) == "caller"
 
 
-def test_its_error_is_the_callers():
+def test_errors_are_raised_in_the_caller():
     async def fails():
         raise KeyError("x")
 

@@ -61,7 +61,7 @@ def _history(path, iterations=5, population=16, objects=3):
 
 @pytest.fixture
 def finished(tmp_path):
-    """A run folder with everything in it, made by hand."""
+    """A complete run folder with synthetic files."""
     out = tmp_path / "out"
     with RunFolder(out, load_config(None, {"refine": {"cem": {"population": 16}}})) as run:
         with run.step("parse", {}) as stage:
@@ -157,7 +157,7 @@ def test_failed_numbers_are_shown_as_failed(finished):
     assert 'class="value bad">unknown' in html
 
 
-def test_objects_that_fail_are_named_at_the_head_and_their_rows_are_open(finished):
+def test_failing_objects_are_listed_in_the_header_and_their_rows_are_open(finished):
     with RunFolder(finished, Config(), "resume") as run:
         run.record("metrics", passed=False, drift_m={"cup": 0.0004, "jar": 0.05})
         run.record("metrics", depths_m={"jar|cup": 0.004})
@@ -203,7 +203,7 @@ def test_allowed_overlaps_are_listed_with_their_reason(finished):
     assert "0.004" in page
 
 
-def test_objects_of_the_composed_scene_that_fall_are_named_at_the_head(finished):
+def test_unstable_objects_of_the_composed_scene_are_listed_in_the_header(finished):
     assert "not stay" not in _words(write_report(finished).read_text())
     phrase = "frame falls 1.6 m: it is attached to wall, but not fastened there"
     (finished / "compose").mkdir(exist_ok=True)
@@ -213,7 +213,7 @@ def test_objects_of_the_composed_scene_that_fall_are_named_at_the_head(finished)
     assert f"Before the search 1 object does not stay in place: {phrase}" in _words(head)
 
 
-def test_doubtful_checks_and_findings_of_the_critic_are_shown(finished):
+def test_borderline_checks_and_critic_findings_are_listed(finished):
     check = {"scenario": "static", "name": "part_depth:a:b", "outcome": "PASS", "value": 0.002}
     reported = {
         "passed": True,
@@ -269,7 +269,7 @@ def test_the_report_of_an_unfinished_run_names_what_is_missing(tmp_path):
     _Page(html)
 
 
-def test_damaged_files_cost_their_section_only(finished):
+def test_damaged_files_affect_only_their_section(finished):
     (finished / "refine" / "history.npz").write_bytes(b"PK\x03\x04 not a zip")
     (finished / "tree.json").write_text('{"nodes": [{"name": "cup"}], "camera": 3}')
     (finished / "scene.json").write_text("{half")
@@ -281,13 +281,13 @@ def test_damaged_files_cost_their_section_only(finished):
     assert "4.00 0.00 ✓ pass" in words
 
 
-def test_large_pictures_are_shrunk(finished):
+def test_large_pictures_are_reduced(finished):
     noise = np.random.default_rng(0).integers(0, 255, (1500, 2000, 3), np.uint8)
     Image.fromarray(noise).save(finished / "photo.png")
     assert write_report(finished).stat().st_size < 2_500_000
 
 
-def test_a_folder_that_is_no_run_is_refused(tmp_path):
+def test_a_folder_without_a_run_is_refused(tmp_path):
     with pytest.raises(RunError, match="not a run folder"):
         write_report(tmp_path)
 
@@ -368,8 +368,8 @@ def _change(name, place, scale=1.0, refused=""):
     return {name: change}
 
 
-def test_the_report_tells_what_was_said_and_who_moved_it(tmp_path):
-    """The round that was kept counts; a step that is not done yet leaves its column empty."""
+def test_changes_by_each_step_are_listed(tmp_path):
+    """The accepted round is shown; the column of an unfinished step is empty."""
     said = _change("cup", 0.0123, 0.95) | _change("jug", 0.0, refused="checks would report gap_m")
     rounds = [
         {"kept": False, "fit": {"objects": _change("cup", 0.9)}},

@@ -1,4 +1,4 @@
-"""How the parts of a scene are drawn on the page."""
+"""Meshes of parts on the page of `neoworld view`."""
 
 import json
 import struct
@@ -50,7 +50,7 @@ def arrays(glb):
     return document, *floats, np.frombuffer(views[3], "<u4").reshape(-1, 3)
 
 
-def test_a_part_is_one_mesh_with_the_colours_of_what_is_opaque(aquarium_like):
+def test_opaque_surfaces_become_one_mesh_with_vertex_colors(aquarium_like):
     (part,) = aquarium_like.parts
     opaque, clear = (visible_meshes(aquarium_like, part, opaque=choice) for choice in (True, False))
     assert len(opaque) == len(clear) == 1 and clear[0].alpha == pytest.approx(0.3)
@@ -63,7 +63,7 @@ def test_a_part_is_one_mesh_with_the_colours_of_what_is_opaque(aquarium_like):
     assert "extensions" not in document["materials"][0]
 
 
-def test_light_in_the_colours_comes_from_above_however_the_part_lies(aquarium_like):
+def test_baked_light_comes_from_above_in_every_orientation(aquarium_like):
     (part,) = aquarium_like.parts
     for quat in (UPRIGHT, np.array([0.0, 1, 0, 0])):
         document, _, normals, colours, _ = arrays(
@@ -101,7 +101,7 @@ def test_a_surface_that_is_not_closed_is_kept():
     assert simplified(vertices, faces, 0.1)[1] is faces
 
 
-def test_see_through_copies_take_the_place_of_the_surfaces(aquarium_like):
+def test_transparent_copies_replace_the_surfaces(aquarium_like):
     pytest.importorskip("viser", reason="the extra viewer is not installed")
     from neoworld_mjx.view.pages.local_server import close_server, open_server
 

@@ -94,7 +94,7 @@ def test_dragging_an_object_and_searching_again_changes_the_scene(quick_run, tmp
     assert after.object("cup").xy != before.object("cup").xy
     composed = read_scene(run / "compose" / "scene.json")
     assert np.allclose(composed.object("cup").xy, dragged)
-    # The patch holds when a program is built again.
+    # The patch still applies after a program is rebuilt.
     text = (run / "objects" / "saucer" / "program.py").read_text()
     _, result = rebuild(run, "saucer", text + "\n# the same saucer\n")
     assert result is not None
@@ -102,7 +102,7 @@ def test_dragging_an_object_and_searching_again_changes_the_scene(quick_run, tmp
     assert np.allclose(again.object("cup").xy, dragged)
 
 
-def test_fast_clicks_end_as_the_controls_say_and_a_box_drawn_is_searched_for(
+def test_fast_clicks_match_the_controls_and_the_search_uses_a_drawn_box(
     quick_run, tmp_path, served
 ):
     run = tmp_path / "run"

@@ -26,7 +26,7 @@ def cabinet():
     return alone(built.spec)
 
 
-def test_an_object_stands_where_its_handle_was_dragged_and_carries_what_is_on_it():
+def test_dragging_a_handle_moves_an_object_and_its_children():
     scene = snap(scenes.blocks())
     carried = next(o for o in scene.objects if o.parent and not scene.object(o.parent).environment)
     name = carried.parent
@@ -55,7 +55,7 @@ def test_a_joint_moves_its_part_and_no_other(cabinet):
     assert editor.patch.objects[obj.name].joint_state == {key: 0.5 * joint.upper}
 
 
-def test_the_simulation_begins_where_the_scene_is_shown(cabinet):
+def test_the_simulation_starts_at_the_shown_poses(cabinet):
     obj = cabinet.objects[0]
     joint, key = sliding_keys(obj)[0]
     editor = SceneEditor(cabinet, LayoutPatch())
@@ -99,7 +99,7 @@ def test_meshes_cover_the_object_and_keep_sharp_edges(cabinet):
 
 
 @pytest.mark.parametrize("kind", ["missing", "empty folder", "no program", "busy port"])
-def test_what_cannot_be_viewed_is_one_clear_error(kind, tmp_path):
+def test_invalid_targets_are_one_clear_error(kind, tmp_path):
     config = Config()
     if kind == "busy port":
         local = pytest.importorskip("neoworld_mjx.view.pages.local_server")

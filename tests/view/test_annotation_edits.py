@@ -15,19 +15,19 @@ from neoworld_mjx.view.pages.annotation_drawing import pixel_of
 from tests.support.annotations import coffee
 
 
-def test_what_stands_on_an_object_follows_its_name():
+def test_children_follow_a_renamed_object():
     renamed = with_change(coffee(), "saucer", {"name": "plate"})
     cup = find_object(renamed, "cup")
     assert cup is not None and cup.parent == "plate"
     assert find_object(renamed, "saucer") is None
 
 
-def test_what_stood_on_a_deleted_object_stands_on_the_ground():
+def test_children_of_a_deleted_object_move_to_the_ground():
     left = without(coffee(), "saucer")
     assert [(obj.name, obj.parent) for obj in left.objects] == [("cup", GROUND)]
 
 
-def test_boxes_get_names_of_their_own():
+def test_new_boxes_get_unique_names():
     box = Box2D(x0=1, y0=1, x1=9, y1=9)
     one, first = with_box(coffee(), box)
     two, second = with_box(one, box)
@@ -44,13 +44,13 @@ def test_boxes_get_names_of_their_own():
         ({"yaw_deg": 1e9}, "yaw_deg"),
     ],
 )
-def test_what_cannot_be_is_refused_in_words(change, message):
+def test_invalid_changes_are_refused_with_a_short_message(change, message):
     with pytest.raises(SpecError, match=message) as refused:
         with_change(coffee(), "saucer", change)
     assert "Annotation(" not in str(refused.value)
 
 
-def test_a_place_of_the_window_is_a_pixel_of_the_photograph():
+def test_window_positions_map_to_pixels_of_the_photograph():
     camera = coffee().camera
     # A window of the photograph's height and twice its width shows it in the middle.
     view = SimpleNamespace(image_width=1200, image_height=400, fov=camera.fovy)
@@ -93,7 +93,7 @@ def test_opening_an_annotation_and_choosing_its_objects_changes_nothing(opened_p
     assert (shown["name"], shown["parent"], shown["kind"]) == ("cup", "saucer", KEPT)
 
 
-def test_what_is_typed_at_once_is_all_kept(opened_page):
+def test_simultaneous_edits_are_all_kept(opened_page):
     """Viser calls from many threads, in no order, while the values are there already."""
     from viser import GuiEvent
 

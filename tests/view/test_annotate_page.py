@@ -18,7 +18,7 @@ EDGES, SAUCER_SIZE = ("depth", "width", "height"), (0.12, 0.12, 0.016)
 CHOICES = {"kind": "Kind", "material": "Material", "parent": "Support"}
 
 
-def test_a_photograph_becomes_a_stable_scene_by_clicks_alone(photo, quick_config, tmp_path):
+def test_a_photograph_becomes_a_stable_scene_by_clicks_only(photo, quick_config, tmp_path):
     from neoworld_mjx.view.pages.annotate_page import Annotator, empty_annotation
     from neoworld_mjx.view.pages.local_server import address, close_server, open_server
 
@@ -48,7 +48,7 @@ def test_a_photograph_becomes_a_stable_scene_by_clicks_alone(photo, quick_config
             page.page.get_by_text("Name", exact=True).wait_for(state="hidden")
             cup = _draw_box(page, server, annotator, CUP)
             _describe(page, cup, name="cup", kind="cup", material="ceramic", parent="saucer")
-            # What was typed of one is kept while the other is described.
+            # Edits of one object do not change the other.
             assert saucer().size == SAUCER_SIZE and cup().size is None
             page.choose("Object", "saucer")
             _until(lambda: annotator._sizes[2].value == SAUCER_SIZE[2])
@@ -66,7 +66,7 @@ def test_a_photograph_becomes_a_stable_scene_by_clicks_alone(photo, quick_config
     assert passes(measured(scene, quick_config.refine), quick_config.refine)
 
 
-def test_lines_that_are_clicked_give_the_camera(photo, quick_config, tmp_path):
+def test_clicked_lines_determine_the_camera(photo, quick_config, tmp_path):
     from neoworld_mjx.view.pages.annotate_page import Annotator, empty_annotation
     from neoworld_mjx.view.pages.local_server import address, close_server, open_server
 
