@@ -87,7 +87,7 @@ def test_words_for_axes_and_points():
         ("mirror([(0, 0)])", "3 entries"),
     ],
 )
-def test_wrong_words_say_which_are_right(line: str, words: str):
+def test_unknown_words_are_refused_with_the_valid_choices(line: str, words: str):
     text = HEAD + "p.add(box((0.02, 0.4, 0.4)), at=body.anchor('front'), by='back')\n" + line
     (signal,) = run(text, ProgramOptions(type_check=False)).signals
     assert signal.code == "value" and words in signal.message and signal.line == 7
@@ -103,7 +103,7 @@ def test_mirror_images():
     assert sorted(legs) == sorted((sx * 0.2, sy * 0.3, 0) for sx in (-1, 1) for sy in (-1, 1))
 
 
-def test_a_moved_shape_is_where_it_was_put():
+def test_moved_places_a_shape():
     text = HEAD + (
         "s = box((0.1, 0.2, 0.3)).moved((0, 0, 1), (0, 0, 1.5707963267948966), by='bottom')\n"
         "print([round(v, 6) for v in s.size], round(s.volume, 9), "

@@ -33,7 +33,7 @@ def lamp():
     return built.spec
 
 
-def test_it_turns_about_its_point_by_a_rotation_vector(lamp):
+def test_a_ball_joint_turns_by_a_rotation_vector(lamp):
     moved = link_poses(lamp, STATE)["head"]
     vector = np.array(list(STATE.values()))
     turn = from_axis_angle(vector, float(np.linalg.norm(vector)))
@@ -45,11 +45,11 @@ def test_it_turns_about_its_point_by_a_rotation_vector(lamp):
 @pytest.mark.parametrize(
     ("swing", "codes"), [("0.3", set()), ("2.5", {"overlap_in_motion"}), ("4", {"value"})]
 )
-def test_its_whole_cone_is_swept(swing: str, codes: set[str]):
+def test_the_joint_sweep_covers_the_whole_cone(swing: str, codes: set[str]):
     assert {signal.code for signal in build(LAMP.format(swing=swing)).signals} == codes
 
 
-def test_a_ball_beside_its_part_is_told():
+def test_a_ball_joint_outside_its_part_is_reported():
     text = LAMP.format(swing=0.3).replace('knuckle.anchor("centre")', "(0.2, 0, 0.332)")
     assert "axis_off" in {signal.code for signal in build(text).signals}
 
@@ -62,12 +62,12 @@ def test_a_ball_beside_its_part_is_told():
         ({"effort": 1.0}, "no mimic, effort"),
     ],
 )
-def test_what_a_ball_cannot_have(more, words):
+def test_invalid_arguments_of_a_ball_joint_are_refused(more, words):
     with pytest.raises(ValueError, match=words):
         JointSpec(name="b", type="ball", parent="p", child="q", **more)
 
 
-def test_all_formats_hold_it(lamp, tmp_path):
+def test_every_format_holds_a_ball_joint(lamp, tmp_path):
     export_object(lamp, tmp_path)
     (want,) = lamp.joints
     for read in (read_usd(tmp_path / "object.usda"), read_mjcf(tmp_path / "object.xml")):
@@ -97,7 +97,7 @@ def test_urdf_has_three_hinges_through_one_point(lamp, tmp_path):
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "object.urdf")).njnt == 3
 
 
-def test_our_urdf_gives_the_ball_again(lamp, tmp_path):
+def test_a_ball_joint_survives_a_round_trip_through_urdf(lamp, tmp_path):
     export_object(lamp, tmp_path)
     path = tmp_path / "object.urdf"
     made = import_urdf(path)
@@ -129,7 +129,7 @@ def test_our_urdf_gives_the_ball_again(lamp, tmp_path):
         assert len(said) == notes
 
 
-def test_the_battery_swings_it(lamp):
+def test_object_tests_drive_a_ball_joint(lamp):
     assert run_object_tests(lamp).verdict.passed
     far = lamp.joints[0].model_copy(update={"upper": 2.5})
     spec = lamp.model_copy(update={"joints": (far,)})
@@ -158,12 +158,12 @@ def test_physics_begins_where_the_state_says_and_stays_in_the_cone(lamp):
     assert 0.2 < angle < 0.33
 
 
-def test_the_scale_law_holds_for_it(lamp):
+def test_a_ball_joint_scales_with_its_object(lamp):
     big = scale(lamp, 2.0).joints[0]
     assert big.upper == 0.3 and big.pos[2] == pytest.approx(0.664)
     assert big.damping == pytest.approx(lamp.joints[0].damping * 2**4.5)
 
 
-def test_a_scene_names_its_three_values(lamp):
+def test_a_scene_names_the_three_values_of_a_ball_joint(lamp):
     with pytest.raises(ValueError, match=r"joints are neck\.x, neck\.y, neck\.z"):
         SceneSpec(objects=(SceneObject(name="lamp", spec=lamp, joint_state={"neck": 0.1}),))

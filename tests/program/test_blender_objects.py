@@ -77,7 +77,7 @@ def test_parts_materials_and_joints_come_back():
     assert inertial(spec, spec.part("lid")).mass == pytest.approx(720 * 0.2 * 0.3 * 0.02)
 
 
-def test_masses_of_objects_of_a_part_add_up_and_are_its_mass():
+def test_masses_of_a_part_s_objects_add_up():
     scene = chest()
     for given in scene["shapes"]:
         given |= {"part": "body", "mass": 0.4}
@@ -130,7 +130,7 @@ def test_a_follower_may_be_listed_before_its_leader():
         {"materials": ["unknown stuff"]},
     ],
 )
-def test_what_does_not_fit_is_an_error_of_the_program(change):
+def test_an_invalid_scene_is_an_error_of_the_program(change):
     scene = chest()
     scene["shapes"][0] |= change
     scene["materials"].append({"name": "unknown stuff"})
@@ -140,7 +140,7 @@ def test_what_does_not_fit_is_an_error_of_the_program(change):
 
 
 @pytest.mark.parametrize("extra", [{"surprise": 1}, {"joints": [{}]}, {"name": "x" * 201}])
-def test_an_answer_of_another_form_is_refused(extra):
+def test_a_scene_of_another_schema_is_refused(extra):
     with pytest.raises(ValueError, match="BlenderScene"):
         BlenderScene.model_validate(chest() | extra)
 
@@ -151,7 +151,7 @@ def test_limits_of_the_sdk_hold_for_blender():
     assert (signal.code, signal.severity) == ("too_big", "error")
 
 
-def test_names_become_names_and_materials_are_assumed_aloud():
+def test_names_become_identifiers_and_assumed_materials_give_a_warning():
     scene = {"shapes": [shape("../<x>", (0.1, 0.1, 0.1), materials=[])]}
     spec, (signal,) = read(scene)
     assert signal.code == "no_material"
@@ -178,7 +178,7 @@ def test_loose_solids_are_shapes_of_their_own():
     np.testing.assert_allclose(shapes[1][1].pos, (3, 3, 3))
 
 
-def test_a_turned_box_is_one_and_a_skewed_one_is_not():
+def test_a_rotated_box_is_recognized_and_a_skewed_one_is_not():
     turn = from_yaw(0.4)
     (island,) = islands(rotate(turn, CUBE * (1, 2, 3)), FACES, np.zeros(12, int))
     made, at = shape_of(island, False)
@@ -202,7 +202,7 @@ def test_a_cavity_stays_open():
     assert made.signed_distance(np.zeros((1, 3)))[0] > 0.3
 
 
-def test_meshes_turned_inside_out_are_turned_back():
+def test_inverted_meshes_are_reversed():
     (island,) = islands(CUBE, FACES[:, ::-1], np.zeros(12, int))
     assert isinstance(shape_of(island, False)[0], Box)
 
@@ -213,14 +213,14 @@ def test_faces_that_share_no_points_are_joined():
     assert len(island.vertices) == 8
 
 
-def test_without_blender_the_refusal_says_how_to_get_it(tmp_path, monkeypatch):
+def test_without_blender_the_error_names_the_install_command(tmp_path, monkeypatch):
     monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path))
     with pytest.raises(ProgramError, match="neoworld doctor --install blender"):
         run("import bpy\n", ProgramOptions(language="blender"))
     assert blender_availability.unavailable() is not None
 
 
-def test_the_sdk_says_whose_program_it_is():
+def test_the_sdk_refuses_a_blender_program_by_name():
     (signal,) = run("import bpy\nprint(bpy)\n").signals
     assert signal.code == "import"
     assert "program.language" in signal.message

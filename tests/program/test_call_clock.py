@@ -41,7 +41,7 @@ def test_a_call_that_catches_everything_is_ended():
             pytest.fail("it was caught")
 
 
-def test_calls_that_end_in_time_are_left_alone():
+def test_calls_that_end_in_time_are_not_interrupted():
     clock = CallClock()
     with clock.watching():
         for _ in range(20):
@@ -51,7 +51,7 @@ def test_calls_that_end_in_time_are_left_alone():
             time.sleep(0.3)  # Waiting is no processor time.
 
 
-def test_an_interruption_that_comes_too_late_is_taken_back():
+def test_a_late_interruption_is_cancelled():
     clock = CallClock()
     for _ in range(50):
         with clock.limited(1.0):
@@ -59,7 +59,7 @@ def test_an_interruption_that_comes_too_late_is_taken_back():
     spin(0.01)
 
 
-def test_busy_neighbours_cost_a_call_nothing():
+def test_other_threads_do_not_use_up_a_call_s_time():
     neighbours = [
         subprocess.Popen([sys.executable, "-c", "while True:\n    pass"]) for _ in range(3)
     ]

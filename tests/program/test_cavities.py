@@ -18,7 +18,7 @@ BY_FORMULA = {
 }
 
 
-def test_there_are_twenty_and_more():
+def test_there_are_at_least_twenty_vessels():
     assert len(VESSELS) >= 20
 
 

@@ -52,13 +52,13 @@ def possible():
         "os.sched_setaffinity(0, {0, 1})",
     ],
 )
-def test_what_is_outside_is_denied(code):
+def test_access_outside_the_sandbox_is_denied(code):
     done = confined(code)
     assert done.returncode == 1
     assert "PermissionError" in done.stderr or "not allowed to raise" in done.stderr
 
 
-def test_what_it_needs_stays():
+def test_blender_s_own_needs_are_allowed():
     done = confined(
         "os.kill(os.getpid(), 0)\n"
         "assert open(os.__file__).read(1)\n"

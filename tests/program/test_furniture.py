@@ -23,7 +23,7 @@ def test_doors_open_outwards_on_every_edge(hinge: str):
 
 
 @pytest.mark.parametrize("overlay", [0, 0.015])
-def test_drawers_run_free(overlay: float):
+def test_drawers_move_without_contact(overlay: float):
     text = HEAD + (
         f"d = o.drawer('d', body, x=0.2, y=(-0.28, 0.28), z=(0.02, 0.58), depth=0.35, "
         f"overlay={overlay})\n"
@@ -88,7 +88,7 @@ OVERLAP = HEAD + (
 )
 
 
-def test_an_allowance_is_granted_and_told():
+def test_an_allowance_is_applied_and_reported():
     assert {s.code for s in build(OVERLAP).signals} == {"overlap_at_rest"}
     granted = build(OVERLAP + "o.allow_overlap(body, d, 0.004, 'the rebate of the lid')")
     assert granted.ok

@@ -18,7 +18,7 @@ GIVEN = re.compile(r"given box ([\d.]+) x ([\d.]+) x ([\d.]+) m")
 
 
 @pytest.mark.parametrize("text", BLOCKS, ids=lambda text: re.search(r'Object\("(\w+)', text)[1])
-def test_every_block_builds_cleanly_and_alike(text: str):
+def test_every_block_builds_without_signals_and_deterministically(text: str):
     built = build(text)
     assert built.spec is not None and built.signals == ()
     trusted = run(text, ProgramOptions(sandbox="cpython"))
@@ -31,7 +31,7 @@ def test_every_block_builds_cleanly_and_alike(text: str):
 
 
 @pytest.mark.parametrize("text", BLOCKS, ids=lambda text: re.search(r'Object\("(\w+)', text)[1])
-def test_every_block_behaves(text: str):
+def test_every_block_passes_the_object_tests(text: str):
     spec = build(text).spec
     assert spec is not None
     verdict = run_object_tests(spec).verdict
@@ -49,7 +49,7 @@ def test_all_five_examples_state_their_box():
     assert sum(GIVEN.search(text) is not None for text in BLOCKS) == 5
 
 
-def test_the_guide_fits():
+def test_the_guide_has_a_bounded_length():
     # No tokenizer comes with the package; 3 characters a token is fewer than code and prose have.
     assert len(GUIDE) / 3 < 12_000
 

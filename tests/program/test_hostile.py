@@ -49,6 +49,6 @@ def test_every_hostile_program_ends_in_a_signal(name: str, type_check: bool):
     assert peak_mb() == peak or peak_mb() - memory < MEGABYTES
 
 
-def test_what_is_printed_is_bounded():
+def test_printed_output_is_bounded():
     for name in ("print_bomb", "long_string"):
         assert len(build(HOSTILE[name][0]).printed) < 30_000

@@ -61,5 +61,5 @@ def test_every_hostile_blender_program_is_contained(name, tmp_path, server, monk
 
 
 @pytest.mark.slow
-def test_a_fine_blender_program_builds_after_them():
+def test_a_valid_blender_program_builds_after_hostile_ones():
     assert build(FINE_BLENDER, OPTIONS).ok

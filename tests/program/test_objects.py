@@ -14,7 +14,7 @@ def test_there_are_programs():
 
 
 @pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: path.stem)
-def test_it_builds_and_passes_its_checks(path):
+def test_each_program_builds_and_passes_its_checks(path):
     built = build(path.read_text(encoding="utf-8"))
     errors = [signal.phrase() for signal in built.signals if signal.severity == "error"]
     assert built.spec is not None and not errors, errors

@@ -74,7 +74,7 @@ def test_type_check_names_every_misuse_with_its_line():
     assert {(s.code, s.line) for s in built.signals} == {("type", 3), ("type", 4), ("type", 5)}
 
 
-def test_a_wrong_value_is_told_where_it_happens():
+def test_a_wrong_value_is_reported_with_its_line():
     text = HEAD + "o = Object('x')\ndef leg(w):\n    return box((w, 1, 1))\n\nleg(-1)\n"
     (signal,) = run(text).signals
     assert (signal.code, signal.line) == ("value", 4)
@@ -108,7 +108,7 @@ def test_programs_share_nothing():
     assert "'mine'" in unknown.signals[0].message
 
 
-def test_losses_follow_from_the_child_where_none_are_given():
+def test_default_losses_follow_from_the_child():
     spec = run(CABINET).spec
     assert spec is not None
     hinge = next(joint for joint in spec.joints if joint.name == "hinge")

@@ -42,14 +42,14 @@ def stopped(monkeypatch):
     return workers
 
 
-def test_a_program_that_did_not_get_to_run_is_run_again(stopped):
+def test_a_starved_program_runs_again(stopped):
     built = run(GOOD, ProgramOptions(timeout_s=0.3))
     assert built.ok, built.signals
     assert [part.name for part in built.spec.parts] == ["body"]
     assert len(set(stopped)) == 2
 
 
-def test_an_endless_program_ends_though_it_is_waited_for(stopped):
+def test_an_endless_program_ends_in_the_patient_run(stopped):
     built = run(ENDLESS, ProgramOptions(timeout_s=0.3))
     assert [signal.code for signal in built.signals] == ["timeout"]
     assert len(stopped) == 2 and built.seconds < 5.0
@@ -62,7 +62,7 @@ def test_a_program_that_ran_is_not_starved(stopped):
     assert len(stopped) == 2
 
 
-def test_a_stopped_worker_is_told_from_a_slow_program(stopped):
+def test_a_stopped_worker_is_distinguished_from_a_slow_program(stopped):
     with pytest.raises(Starved):
         run_sandboxed(ENDLESS, Session(), ProgramOptions(timeout_s=0.3))
 
@@ -87,7 +87,7 @@ def charged(monkeypatch):
 
 
 @pytest.mark.parametrize(("slow_runs", "codes"), [(1, []), (9, ["timeout"])])
-def test_shapes_that_took_too_long_once_are_built_again(charged, slow_runs, codes):
+def test_shapes_that_time_out_once_are_built_again(charged, slow_runs, codes):
     sessions, slow = charged
     slow.append(slow_runs)
     built = run(GOOD, ProgramOptions(timeout_s=0.3))

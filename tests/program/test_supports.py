@@ -91,7 +91,7 @@ def test_a_support_fills_its_box_and_its_outline(outline, share, size):
     ],
     ids=["round", "polygon"],
 )
-def test_the_corners_outside_of_an_outline_carry_nothing(outline, carried, empty):
+def test_corners_outside_of_an_outline_support_nothing(outline, carried, empty):
     assert falls(support(outline, TALL), carried + empty) == [False] * len(carried) + [True] * len(
         empty
     )
@@ -148,7 +148,7 @@ def test_a_surface_of_glass_is_clear_and_a_plain_one_of_wood_has_no_grain():
     assert look.pattern == plain
 
 
-def test_boards_run_across_where_the_answer_says_so():
+def test_boards_run_along_the_declared_axis():
     boards = SurfacePattern(kind="boards", along="y", step=0.07)
     (look,) = surfaced(material="wood", pattern=boards).materials
     assert look.pattern == boards

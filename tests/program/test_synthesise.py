@@ -129,7 +129,7 @@ def synthesised(
     return asyncio.run(module.synthesise(node(**more), crop(), script, options, camera=camera))
 
 
-def test_a_good_program_takes_one_question_and_one_judgement():
+def test_a_valid_program_takes_one_request_and_one_critique():
     script = ScriptedModel(written(GOOD), *verdict(9, accept=True))
     outcome = synthesised(script)
     assert outcome.spec is not None and outcome.signals == () and outcome.reason == ""
@@ -142,7 +142,7 @@ def test_a_good_program_takes_one_question_and_one_judgement():
     assert "door (revolute)" in script.requests[0].prompt
 
 
-def test_signals_go_back_with_their_lines():
+def test_signals_return_to_the_programmer_with_their_lines():
     script = ScriptedModel(written(BROKEN), written(GOOD), *verdict(9, accept=True))
     outcome = synthesised(script)
     assert outcome.spec is not None and outcome.text.strip() == GOOD.strip()
@@ -163,7 +163,7 @@ def test_deleting_the_joint_is_no_repair():
     assert [signal.code for signal in lost if signal.severity == "error"] == ["lost", "lost"]
 
 
-def test_parts_named_as_removed_may_go():
+def test_parts_named_as_removed_may_be_left_out():
     script = ScriptedModel(
         written(WRONG_WAY), written(DOORLESS, "door", "hinge"), shape_verdict(6, accept=True)
     )
@@ -177,7 +177,7 @@ def test_a_moving_part_of_the_photo_is_required():
     assert "missing_joint" in script.requests[1].prompt
 
 
-def test_asserts_of_the_program_may_not_go():
+def test_asserts_of_the_program_must_stay():
     checked = GOOD + "assert door.anchor('front')[0] < 0.3\n"
     script = ScriptedModel(
         written(checked), *verdict(6), written(GOOD), written(checked), *verdict(6.5)
@@ -237,7 +237,7 @@ def test_an_open_part_enters_the_request_and_the_measured_box():
         ((0, 0, 1), 40, ""),
     ],
 )
-def test_programmer_and_critic_are_told_the_tilt(axis, degrees, words):
+def test_requests_to_programmer_and_critic_state_the_tilt(axis, degrees, words):
     tilt = tuple(from_axis_angle(axis, np.radians(degrees)).tolist())
     seen = node(base_tilt=tilt)
     requests = program_request(Subject(seen, Picture("crop", crop())), StageInput())
@@ -263,7 +263,7 @@ def test_programmer_and_critic_are_told_the_tilt(axis, degrees, words):
               "picture's left is its -x, its back"),
     ],
 )  # fmt: skip
-def test_the_request_says_from_where_the_photo_looks(yaw, words):
+def test_the_request_states_the_direction_of_view(yaw, words):
     camera = Camera(width=640, height_px=480, fovy=0.8, height=1.2, pitch=0.4)
     box = Box3D(position=(2, 0, 0), size=(0.4, 0.6, 0.5), yaw=float(np.radians(yaw - 1e-3)))
     subject = Subject(node(box3d=box), Picture("crop", crop()), camera=camera)
@@ -276,7 +276,7 @@ def test_the_request_says_from_where_the_photo_looks(yaw, words):
     )
 
 
-def test_a_critic_that_says_revise_is_obeyed_whatever_its_scores():
+def test_the_verdict_revise_overrules_the_scores():
     better = GOOD.replace("'oak'", "'pine'")
     script = ScriptedModel(written(GOOD), *verdict(10), written(better), *verdict(10, accept=True))
     synthesised(script)
@@ -295,7 +295,7 @@ def test_a_programmer_may_correct_the_measured_box():
     assert "over 4 times off" in kept.fallbacks[0][1]
 
 
-def test_a_critic_may_correct_the_measured_box_and_the_programmer_fills_that_one():
+def test_a_critic_may_correct_the_measured_box():
     flat = GOOD.replace("0.6, 0.6", "0.6, 0.3").replace("(0, 0, 0.3)", "(0, 0, 0.15)")
     wrong = shape_verdict(5).model_copy(update={"box": [0.4, 0.6, 0.3]})
     script = ScriptedModel(
@@ -308,7 +308,7 @@ def test_a_critic_may_correct_the_measured_box_and_the_programmer_fills_that_one
     assert outcome.text.strip() == flat.strip()
 
 
-def test_the_made_object_is_drawn_in_the_frame_of_its_crop():
+def test_the_built_object_is_rendered_in_the_frame_of_its_crop():
     spec = synthesised(ScriptedModel(written(GOOD), *verdict(9, accept=True))).spec
     assert spec is not None
     camera = Camera(width=640, height_px=480, fovy=0.8, height=1.2, pitch=0.4, roll=0.1)
@@ -335,7 +335,7 @@ def test_the_made_object_is_drawn_in_the_frame_of_its_crop():
     assert apart.pixels == draw(spec, obj, camera).pixels
 
 
-def test_the_best_round_is_kept_not_the_last():
+def test_the_best_round_wins_over_the_last():
     worse = GOOD.replace("material='oak'", "material='steel', mass=3")
     script = ScriptedModel(written(GOOD), *verdict(7), written(worse), *verdict(4))
     outcome = synthesised(script)
@@ -363,7 +363,7 @@ def test_a_failing_critic_is_a_fallback():
     assert outcome.fallbacks == (("cabinet: no judge (geometry) round", "server is down"),)
 
 
-def test_a_missing_answer_is_no_fallback():
+def test_a_missing_response_on_a_tape_is_an_error():
     with pytest.raises(MissingResponseError):
         synthesised(ScriptedModel(written(GOOD), MissingResponseError("no answer"), JOINTS_GOOD))
 
@@ -381,7 +381,7 @@ def test_each_critic_can_be_switched_off(critic: str):
     assert synthesised(ScriptedModel(written(GOOD)), none).spec is not None
 
 
-def test_one_critic_alone_may_ask_for_another_program():
+def test_a_single_critic_may_request_a_revision():
     better = GOOD.replace("1.6", "1.7")
     script = ScriptedModel(
         *(written(GOOD), shape_verdict(9, accept=True), JOINTS_BAD),
@@ -397,7 +397,7 @@ def test_one_critic_alone_may_ask_for_another_program():
     ("label", "size", "geoms"),
     [("wooden table", (0.6, 1.2, 0.7), 5), ("kitchen counter", (0.6, 1.2, 0.03), 1)],
 )
-def test_supports_are_made_without_a_model(
+def test_slabs_are_programmed_without_a_model(
     label: str, size: tuple[float, float, float], geoms: int
 ):
     box = Box3D(position=(1, 0, 0), size=size)
@@ -410,7 +410,7 @@ def test_supports_are_made_without_a_model(
     assert np.allclose(high - low, size)
 
 
-def test_furniture_of_the_room_is_programmed_as_objects_are():
+def test_furniture_of_the_environment_is_programmed_by_a_model():
     shape = {"environment": True, "furniture": True, "parent": None}
     script = ScriptedModel(written(GOOD), *verdict(9, accept=True))
     outcome = synthesised(script, **shape)
@@ -428,7 +428,7 @@ def test_the_record_holds_all_rounds():
     assert data["rounds"][1]["verdicts"]["geometry"]["geometry"] == 9
 
 
-def test_the_object_is_drawn_from_the_side_that_the_photo_shows():
+def test_the_object_is_rendered_from_the_photo_s_direction():
     spec = synthesised(ScriptedModel(written(GOOD), *verdict(9, accept=True))).spec
     assert spec is not None
     camera = Camera(width=640, height_px=480, fovy=0.8, height=1.2, pitch=0.4)
@@ -445,7 +445,7 @@ def test_the_object_is_drawn_from_the_side_that_the_photo_shows():
     assert isinstance(first, Picture) and opened_state(spec) == {"hinge": pytest.approx(1.28)}
 
 
-def test_a_picture_is_drawn_when_a_provider_wants_its_data_and_not_for_a_tape(monkeypatch):
+def test_a_picture_is_rendered_only_when_its_data_is_read(monkeypatch):
     drawn: list[str] = []
     judged = ScriptedModel(written(GOOD), *verdict(9, accept=True))
     spec = synthesised(judged).spec
@@ -477,7 +477,7 @@ IN_THREE = [
 ]
 
 
-def test_three_programs_are_asked_for_one_after_the_other_and_are_one():
+def test_three_stages_are_requested_in_turn_and_form_one_program():
     script = ScriptedModel(*IN_THREE)
     outcome = synthesised(script, THREE)
     assert [request.name.split(":")[0] for request in script.requests] == [
@@ -498,7 +498,7 @@ def test_three_programs_are_asked_for_one_after_the_other_and_are_one():
     assert one is not None and build(outcome.text).spec == spec == one
 
 
-def test_every_stage_has_its_own_debug_loop_with_its_own_lines():
+def test_every_stage_has_a_debug_loop_with_lines_of_its_own_text():
     jointed = written(GOOD)
     script = ScriptedModel(
         *(jointed, *IN_THREE[:2]),
@@ -540,7 +540,7 @@ def test_a_moving_part_of_the_photo_must_be_a_part_of_the_geometry():
     assert "missing_part" in script.requests[1].prompt
 
 
-def test_an_object_of_one_part_is_asked_for_no_joints():
+def test_an_object_of_one_part_needs_no_articulation_request():
     script = ScriptedModel(
         *(written(DOORLESS), shape_verdict(9, accept=True)), *(written("# fine"), EXPORT_GOOD)
     )
@@ -549,7 +549,7 @@ def test_an_object_of_one_part_is_asked_for_no_joints():
     assert [request.name for request in script.requests][2] == "export:cabinet"
 
 
-def test_a_broken_export_leaves_the_object_as_it_was_accepted():
+def test_a_failed_export_keeps_the_accepted_object():
     broken = written("door.set_mass(-1)\n")
     outcome = synthesised(ScriptedModel(*IN_THREE[:4], broken, broken), THREE)
     assert outcome.spec is not None and list(outcome.texts) == ["geometry", "articulation"]

@@ -62,7 +62,7 @@ def test_a_tray_slides_out_once_its_flap_is_open(given: str):
     assert ObjectSpec.model_validate_json(spec.to_json()) == spec
 
 
-def test_a_joint_that_waits_for_nothing_is_written_as_before():
+def test_a_joint_without_prerequisites_serializes_without_the_field():
     assert "after" not in spec_of(oven(after="", low="-0.01").replace("0.25)", "0)")).to_json()
 
 
@@ -77,16 +77,18 @@ def test_a_joint_that_waits_for_nothing_is_written_as_before():
         ({"low": "-0.08"}, "overlap_in_motion", "'slide' at -0.08 m drives 'tray' into 'body'"),
     ],
 )
-def test_nothing_is_tried_less(changes: dict[str, str], code: str, words: str):
+def test_prerequisites_do_not_reduce_the_joint_sweep(
+    changes: dict[str, str], code: str, words: str
+):
     assert words in told(oven(**changes))[code]
 
 
-def test_what_it_waits_for_must_be_in_its_way():
+def test_a_prerequisite_must_obstruct_the_joint():
     text = oven().replace("range=(0, 0.25)", "range=(-0.01, 0)")
     assert "'flap' is not in its way" in told(text)["after_needless"]
 
 
-def test_combinations_hold_only_what_can_be():
+def test_combinations_hold_only_reachable_states():
     text = oven() + (
         "lid = o.part('lid', material='oak')\n"
         "lid.add(box((0.2, 0.3, 0.02)), at=shell.anchor('top'), by='bottom')\n"
@@ -101,7 +103,7 @@ def test_combinations_hold_only_what_can_be():
     assert opened_state(spec)["flap_hinge"] == 1.5
 
 
-def test_what_waits_may_be_waited_for():
+def test_prerequisites_may_form_a_chain():
     text = oven(hinge="left", opens="1.57") + (
         "cup = o.part('cup', material='steel')\n"
         "cup.add(hollow_box((0.1, 0.1, 0.02), 0.002), at=tray.anchor('centre'))\n"
@@ -128,12 +130,12 @@ def test_what_waits_may_be_waited_for():
         ("3", "Part | Joint"),
     ],
 )
-def test_what_it_cannot_wait_for(after: str, words: str):
+def test_invalid_prerequisites_are_refused(after: str, words: str):
     messages = " ".join(told(oven(after=f", after={after}")).values())
     assert words in messages
 
 
-def test_the_description_refuses_it_too():
+def test_the_spec_refuses_invalid_prerequisites_too():
     spec = spec_of(oven())
 
     def joined(**update: object) -> None:
@@ -153,7 +155,7 @@ def test_the_description_refuses_it_too():
             joined(**update)
 
 
-def test_a_follower_does_not_wait():
+def test_a_mimic_joint_has_no_prerequisites():
     text = oven(after="") + "knob = o.part('knob', material='steel')\n"
     text += "knob.add(box((0.02, 0.02, 0.02)), at=shell.anchor('top'), by='bottom')\n"
     text += "o.prismatic('k', body, knob, axis='up', range=(0, 0.1), mimic=slide, after=flap)\n"
@@ -161,7 +163,7 @@ def test_a_follower_does_not_wait():
 
 
 @pytest.mark.parametrize("hinge", ["bottom", "top", "left"])
-def test_the_battery_tries_the_tray_with_its_flap_held_open(hinge: str):
+def test_object_tests_drive_the_tray_with_its_flap_open(hinge: str):
     spec = spec_of(oven(hinge=hinge, opens="1.57" if hinge == "left" else "1.5"))
     tests = run_object_tests(spec)
     assert tests.verdict.passed, [c for c in tests.verdict.checks if c.outcome == "FAIL"]
@@ -178,7 +180,7 @@ def test_the_battery_tries_the_tray_with_its_flap_held_open(hinge: str):
     assert seen == 7
 
 
-def test_without_the_word_the_battery_refuses_it():
+def test_object_tests_fail_without_the_prerequisite():
     spec = spec_of(oven())
     joints = tuple(j.model_copy(update={"after": ()}) for j in spec.joints)
     verdict = run_object_tests(spec.model_copy(update={"joints": joints})).verdict
@@ -212,17 +214,17 @@ o.revolute("hinge", body, lid, at={at}, axis={axis}, range={range}, opens={opens
         ({"opens": "'upwards'"}, {"value"}),
     ],
 )
-def test_the_way_it_opens_is_held_against_its_axis(changes: dict[str, str], codes: set[str]):
+def test_the_opening_direction_is_compared_with_the_axis(changes: dict[str, str], codes: set[str]):
     given = {"at": "'back.hinge'", "axis": "None", "range": "(0, 1)", "opens": "'up'"} | changes
     assert set(told(LID.format(**given))) == codes
 
 
-def test_doors_and_drawers_say_which_way_they_open():
+def test_doors_and_drawers_declare_their_opening_direction():
     joint = spec_of(oven()).joints[0]
     assert joint.intent is not None and joint.intent.opens == (1.0, 0.0, 0.0)
 
 
-def test_key_frames_show_what_stands_open():
+def test_key_frames_show_open_prerequisites():
     tests = run_object_tests(spec_of(oven()))
     check = next(c for c in tests.verdict.checks if c.name == "depth:slide")
     shown = _of_joint(tests, check.model_copy(update={"at": 0.25}), "depth").shows

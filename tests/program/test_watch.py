@@ -67,7 +67,7 @@ def watching(saved, tmp_path, monkeypatch, caplog):
     return running, builds
 
 
-def test_every_save_builds_again_and_errors_leave_what_was_there(saved, watching, caplog):
+def test_every_save_rebuilds_and_errors_keep_the_files(saved, watching, caplog):
     program, save = saved
     running, builds = watching
     with running() as (out, reported):
@@ -87,7 +87,7 @@ def test_every_save_builds_again_and_errors_leave_what_was_there(saved, watching
     assert builds == [3]
 
 
-def test_the_patch_beside_a_program_is_laid_over_every_build(saved, watching, caplog):
+def test_the_patch_of_a_program_applies_to_every_build(saved, watching, caplog):
     program, _ = saved
     heavy = lambda mass: Patch.model_validate({"parts": {"body": {"mass": mass}}})
     weighs = lambda out: json.loads((out / "spec.json").read_text())["parts"][0]["mass"]
@@ -132,7 +132,7 @@ def wait_for(found) -> None:
         pause.wait(0.02)
 
 
-def test_ctrl_c_ends_it_well(saved, tmp_path, request):
+def test_ctrl_c_ends_watching_with_exit_code_0(saved, tmp_path, request):
     program, _ = saved
     # What runs in the background of a shell ignores Ctrl-C, and so would what it starts.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -21,13 +21,13 @@ def answer(capfd):
     return command
 
 
-def test_all_are_listed(answer):
+def test_every_template_is_listed(answer):
     listed = answer()["templates"]
     assert list(listed) == list(templates())
     assert listed["drawer_cabinet"] == "drawer cabinet"
 
 
-def test_a_program_has_the_values_asked_for(answer, tmp_path):
+def test_a_program_has_the_requested_values(answer, tmp_path):
     out = tmp_path / "chest.py"
     size = ["--size", "0.5", "9", "0.9"]
     given = answer("drawer_cabinet", "--out", str(out), *size, "--set", "drawers=4")
@@ -40,7 +40,7 @@ def test_a_program_has_the_values_asked_for(answer, tmp_path):
     assert given["parameters"]["width"]["unit"] == "m"
 
 
-def test_the_page_runs_as_it_stands():
+def test_the_page_s_commands_run():
     page = (Path(__file__).parents[2] / "docs" / "templates.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", page, re.S)
     assert len(blocks) == 2
@@ -48,7 +48,7 @@ def test_the_page_runs_as_it_stands():
         exec(compile(block, "docs/templates.md", "exec"), {})
 
 
-def test_a_seed_draws(answer, tmp_path):
+def test_a_seed_samples_the_parameters(answer, tmp_path):
     out = tmp_path / "seven.py"
     answer("drawer_cabinet", "--out", str(out), "--seed", "7")
     cabinet = template("drawer_cabinet")

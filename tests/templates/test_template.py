@@ -38,7 +38,7 @@ def test_parameters_are_constants_with_a_range(block):
     assert block.parameters["depth"].unit == "m"
 
 
-def test_an_instance_differs_in_its_constants_alone(block):
+def test_an_instance_differs_only_in_its_constants(block):
     changed = block.program({"depth": 0.25, "bores": 3, "wood": "pine"})
     pairs = zip(SMALL.splitlines(), changed.splitlines(), strict=True)
     differ = [b for a, b in pairs if a != b]
@@ -59,7 +59,7 @@ def test_a_seed_draws_the_same_values_within_their_ranges(block):
     assert len({str(block.draw(seed)) for seed in range(50)}) == 50
 
 
-def test_a_box_is_held_within_the_ranges(block):
+def test_a_box_is_clipped_to_the_ranges(block):
     assert block.of_box((0.25, 1.0, 0.01)) == {"depth": 0.25, "width": 0.3, "height": 0.05}
 
 
