@@ -54,7 +54,7 @@ def test_the_pages_call_refines(tmp_path, monkeypatch):
     call = call.replace('{"terms": {"my_rewards:square": 1.0}}', small)
     space = {"scene": scenes.blocks()}
     exec(call, space)
-    assert space["found"].history["reward"].shape == (1, 16)
+    assert space["refined"].history["reward"].shape == (1, 16)
     assert space["refine"] is refine
 
 
