@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from neoworld_bench.fidelity.rendered_responses import noisy_response, exact_response
+from neoworld_bench.fidelity.rendered_responses import exact_response, noisy_response
 from neoworld_bench.fidelity.rendered_scenes import occluders, photo_scene, visible_shares
 from neoworld_bench.fidelity.semantic_ranking import semantic_rows
 from neoworld_bench.fidelity.step_errors import (

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from neoworld_bench.methods.scene_methods import METHODS
 from neoworld_bench.suites import MethodName
+from neoworld_bench.tables.success_table import success_table
 from neoworld_bench.tasks import all_tasks, find_task, success_runs
 from neoworld_bench.tasks.plan_format import rotation
 from neoworld_bench.tasks.reconstructed_plans import planned_there
 from neoworld_bench.tasks.success_runs import SuccessRow, known_successes, run_successes
 from neoworld_bench.tasks.success_summary import success_interval, success_summary
-from neoworld_bench.tables.success_table import success_table
 from neoworld_bench.tasks.task_photo import moved_whole, photographed_task
 
 from neoworld_mjx.config import ComposeOptions, RefineOptions

@@ -29,7 +29,6 @@ from .bare_scan import bare_scan
 from .table_scenes import COUNTS, crowded, noisy_layouts
 from .verdicts import Loop, compare, motion, naive_loop
 
-POPULATIONS = (64, 256, 1024, 4096, 16384)
 NAIVE_CANDIDATES = 128
 """Candidates that the naive loop is timed on, and that verdicts are compared with."""
 REPEATS = 5

@@ -2,68 +2,10 @@
 
 import math
 
-import jax
-import mujoco
-import numpy as np
-
 from neoworld_mjx.config import RefineOptions
-from neoworld_mjx.physics.engine import EarlyStop, Rollout, Schedule, record_steps
-from neoworld_mjx.physics.layout import Poses
-from neoworld_mjx.physics.mjcf import to_mjspec
-from neoworld_mjx.physics.model import SceneModel
-from neoworld_mjx.physics.recorder import Recorder, in_chunks
-from neoworld_mjx.spec import SceneSpec
-from neoworld_mjx.spec.scene import rearranged
-
-from ..engines.verdicts import started
 
 CMA_POPULATION = 16
 """Population of CMA-ES; 4 + 3 ln n is 13 to 15 for its 16 to 40 variables."""
-
-
-class OneByOne:
-    """Engine that compiles and steps one candidate after another."""
-
-    name = "sequential"
-
-    def rollout(
-        self,
-        scene: SceneModel,
-        poses: Poses,
-        *,
-        duration: float = 1.0,
-        record_every: float = 0.1,
-        early_stop: EarlyStop | None = None,
-    ) -> Rollout:
-        """Simulate every candidate on one thread; see `Engine.rollout`. Nothing stops early."""
-        timestep = scene.static.mjm.opt.timestep
-        schedule = Schedule(*record_steps(timestep, duration, record_every))
-        poses = jax.tree.map(lambda leaf: np.asarray(leaf, float), poses)
-
-        def run(one: Poses) -> Rollout:
-            recorder = Recorder(scene.static, one, schedule)
-            model, data = started(to_mjspec(_placed_scene(scene, one), timestep=timestep))
-            for t in range(schedule.records):
-                mujoco.mj_step(model, data, nstep=schedule.every)
-                recorder.record(t, data.qpos[None], None, None)
-                if not len(recorder.active):
-                    break
-            return recorder.rollout()
-
-        return in_chunks(scene.static, poses, 1, schedule, run)
-
-
-def _placed_scene(scene: SceneModel, poses: Poses) -> SceneSpec:
-    """Return the scene of a single candidate, with its objects placed in the world without
-    parents."""
-    alone = {"parent": None, "parent_link": None, "xy": (0.0, 0.0), "yaw": 0.0}
-    objects = tuple(
-        obj.model_copy(update={**alone, "base_tilt": tuple(poses.quat[0, i].tolist())})
-        for i, obj in enumerate(scene.spec.objects)
-    )
-    flat = scene.spec.model_copy(update={"objects": objects})
-    yaw, pos = np.zeros(len(objects)), poses.pos[0]
-    return rearranged(flat, pos[:, :2], yaw, np.log(poses.scale[0]), pos[:, 2])
 
 
 def algorithm1(options: RefineOptions) -> RefineOptions:

@@ -19,7 +19,6 @@ IMPRATIO = 10.0
 creep out of the fingers."""
 TIMESTEP = 0.002
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
-_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 
 
