@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, no_type_check
+from typing import TYPE_CHECKING, Any, no_type_check
 
 from .. import spec as S
 from ..checks.signals import in_radians
@@ -23,6 +23,12 @@ class ObjectJoints:
     """Methods of `Object` that connect its parts by joints."""
 
     _joints: list[Joint]
+    if TYPE_CHECKING:  # Members of `Object`.
+        name: str
+
+        def part(  # noqa: D102
+            self, name: str, material: str | None = None, mass: float | None = None
+        ) -> Part: ...
 
     def fixed(self, name: str, parent: Part, child: Part) -> Joint:
         """Fasten a part to another."""
@@ -140,7 +146,8 @@ class ObjectJoints:
             raise TypeError(f"{context}: mimic must be a joint of this object, made before")
         if leader is not None and leader._fields["type"] == "ball":
             raise ValueError(f"{context}: cannot follow {leader.name!r}, a ball")
-        fields = {"name": name, "type": kind, "parent": parent.name, "child": child.name}
+        fields: dict[str, Any] = {"name": name, "type": kind}
+        fields |= {"parent": parent.name, "child": child.name}
         fields |= _joint_fields(context, kind, parent, child, arguments)
         if arguments.get("after") is not None:
             fields["after"] = self._openers(arguments["after"], f"{context}: after")
