@@ -125,8 +125,8 @@ def test_a_ball_joint_survives_a_round_trip_through_urdf(lamp, tmp_path):
         path.write_text(text.replace(old, new))
         hinges = import_urdf(path)
         assert [j.type for j in hinges.spec.joints] == ["revolute"] * 3
-        said = [note for note in hinges.notes if "neck" in note]
-        assert len(said) == notes
+        edited = [note for note in hinges.notes if "ball joint neck" in note]
+        assert len(edited) == notes
 
 
 def test_object_tests_drive_a_ball_joint(lamp):
