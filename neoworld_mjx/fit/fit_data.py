@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -81,7 +82,7 @@ class FitData:
         """Return the unknowns of the tree."""
         return np.concatenate([np.zeros(CAMERA), self.values.ravel()])
 
-    def log_sizes(self, values: Float[np.ndarray, "k 7"], rows: object) -> Float[np.ndarray, "k 3"]:
+    def log_sizes(self, values: Float[np.ndarray, "k 7"], rows: Any) -> Float[np.ndarray, "k 3"]:
         """Return the logarithms of edge lengths over their initial ones, of some objects."""
         return np.where(self.rigid[rows][:, None], values[:, 3:4], values[:, 3:6])
 

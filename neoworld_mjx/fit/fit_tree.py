@@ -110,13 +110,12 @@ def _minimised(
         full[free] = part
         return full
 
-    def jacobian(part: Float[np.ndarray, " f"]) -> Any:
-        return problem.jacobian(expanded(part))[:, free]
-
+    # The stubs of scipy know only names of schemes for `jac`.
+    derivative: Any = lambda part: problem.jacobian(expanded(part))[:, free]
     result = least_squares(
         lambda part: problem.residuals(expanded(part)),
         initial[free],
-        jac=jacobian,
+        jac=derivative,
         x_scale="jac",
         tr_solver="exact" if len(problem.data.objects) <= EXACT else "lsmr",
         max_nfev=STEPS,

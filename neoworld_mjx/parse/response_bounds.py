@@ -1,6 +1,6 @@
-"""Bounds of every number in the reasoner's response, told to its author if they are exceeded.
+"""Bounds of every number in the reasoner's response, reported to its author if exceeded.
 
-They are not part of the JSON schema, as some servers turn schemas with bounds down.
+They are not part of the JSON schema, as some servers reject schemas with bounds.
 """
 
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     **{"camera.pitch_deg": (-90.0, 90.0), "camera.roll_deg": _TURN},
     **{"camera.fovy_deg": (1.0, 170.0), "camera.height": _PLACE},
 }
-"""Least and largest value [m, degrees, pixels, shares] by the path of a number in an object or in
+"""Least and largest value [m, degrees, pixels, fractions] by the path of a number in an object or in
 the response."""
 
 
@@ -41,7 +41,7 @@ def out_of_bounds(response: BaseModel) -> Iterator[str]:
             yield f"{where}{path} must lie in {low:g} .. {high:g}, got {value:g}"
 
 
-def too_long(response: BaseModel, at: str = "") -> Iterator[str]:
+def too_long(response: BaseModel, prefix: str = "") -> Iterator[str]:
     """Yield an error for each list of a response that is longer than any scene needs."""
     for field in type(response).model_fields:
         value = getattr(response, field)
@@ -49,22 +49,22 @@ def too_long(response: BaseModel, at: str = "") -> Iterator[str]:
         if not isinstance(parts, list):
             continue
         if len(parts) > MAX_LISTED:
-            yield f"{at}{field} lists {len(parts)} things, at most {MAX_LISTED} are taken"
+            yield f"{prefix}{field} lists {len(parts)} entries, at most {MAX_LISTED} are accepted"
             continue
         for part in parts:
             if isinstance(part, BaseModel):
-                yield from too_long(part, f"{at}{field}.")
+                yield from too_long(part, f"{prefix}{field}.")
 
 
-def _numbers(part: BaseModel, at: str = "", name: str = "") -> Iterator[tuple[str, str, float]]:
+def _numbers(part: BaseModel, prefix: str = "", name: str = "") -> Iterator[tuple[str, str, float]]:
     """Yield path, name of the object, and value of every number."""
     for field in type(part).model_fields:
         value = getattr(part, field)
-        # Paths of objects begin anew, as their names say which is meant.
-        path = "" if field == "objects" else f"{at}{field}"
+        # Paths start at the object, as the error names it.
+        path = "" if field == "objects" else f"{prefix}{field}"
         for inner in value if isinstance(value, list) else [value]:
             if isinstance(inner, float):
                 yield path, name, inner
             if isinstance(inner, BaseModel):
-                own = getattr(inner, "name", name)
-                yield from _numbers(inner, f"{path}." if path else "", own)
+                owner = getattr(inner, "name", name)
+                yield from _numbers(inner, f"{path}." if path else "", owner)

@@ -1,4 +1,4 @@
-"""Colours of supports, measured where the photograph shows a support and nothing else.
+"""Colours of supports, measured where the photograph shows only the support.
 
 A pixel shows a support if the support is the first that its ray meets, the pixel is within the
 support's 2D box, and it is in no object's box.
@@ -19,31 +19,31 @@ from .photo import Photo
 RASTER = 320
 """Columns or rows of the raster along the picture's longer side."""
 MARGIN = 0.012
-"""Width left out around other things and the support's own outline, over the longer side."""
+"""Width left out around objects and the support's own outline, over the longer side."""
 LEAST_SHARE = 0.004
-"""Least share of the picture in which a colour is measured."""
+"""Least fraction of the picture in which a colour is measured."""
 
 
 class SupportColour(NamedTuple):
-    """Colour of a support, and where it is from."""
+    """Colour of a support, and its source."""
 
     rgb: tuple[float, float, float] | None
     """0 to 1; None is that of its material."""
     source: Literal["photo", "answer", "material", "box"]
-    """`photo`: median over the pixels that show it alone; `answer`: the parse's; `box`: median over
+    """`photo`: median over the pixels that show only it; `answer`: the parsed one; `box`: median over
     its 2D box less those of objects, for supports without a declared surface."""
     share: float
-    """Share of the picture that shows it alone."""
+    """Fraction of the picture that shows only it."""
 
 
 def support_colours(photo: Photo, tree: SceneTree) -> dict[str, SupportColour]:
-    """Return the colour of every environment support that is made from its box.
+    """Return the colour of every support of the environment that is built from its box.
 
     The photograph's comes before the response's, where it shows the support well enough.
 
     Args:
         photo: the photograph.
-        tree: the parse; its numbers are taken as they are.
+        tree: the parse.
     """
     measured = measured_colours(photo, tree)
     colours = {}

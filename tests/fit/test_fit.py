@@ -55,7 +55,7 @@ def position_error(tree, truth):
     return np.linalg.norm(offsets - np.median(offsets, axis=0), axis=1).mean()
 
 
-def test_a_consistent_parse_stays_as_it_was():
+def test_a_consistent_parse_does_not_change():
     tree = answers.exact()
     fitted, report = fit_tree(tree)
     assert fitted is tree
@@ -65,7 +65,7 @@ def test_a_consistent_parse_stays_as_it_was():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_errors_as_models_make_them_shrink(seed):
+def test_typical_errors_of_models_shrink(seed):
     truth = answers.exact()
     wrong = disturbed(truth, seed)
     fitted, report = fit_tree(wrong)
@@ -81,7 +81,7 @@ def test_errors_as_models_make_them_shrink(seed):
     assert (fitted.camera.fovy, fitted.camera.roll) == (wrong.camera.fovy, wrong.camera.roll)
 
 
-def test_it_says_how_far_everything_moved():
+def test_the_report_gives_every_change():
     truth = answers.exact()
     wrong = answers.moved(truth, "right", position=(0.05, 0.03, 0))
     fitted, report = fit_tree(wrong)
@@ -102,7 +102,7 @@ def test_it_says_how_far_everything_moved():
     assert list(report.notes()) == []
 
 
-def test_notes_name_what_moved_far_and_what_was_refused():
+def test_notes_name_large_changes_and_refused_fits():
     wrong = answers.moved(answers.exact(), "right", position=(0.11, 0.05, 0))
     _, report = fit_tree(wrong)
     ((instead, reason),) = report.notes()
@@ -110,7 +110,7 @@ def test_notes_name_what_moved_far_and_what_was_refused():
     assert re.search(r"moved it by 1\d.\d cm", reason)
 
 
-def test_contacts_hold_and_floating_things_come_down():
+def test_contacts_hold_and_floating_objects_come_down():
     wrong = answers.moved(answers.exact(), "right", position=(0, 0, 0.06))
     fitted, report = fit_tree(wrong)
     assert report.applied
@@ -135,14 +135,14 @@ def behind(truth):
     )
 
 
-def test_what_hidden_sides_do_not_contradict_stays():
+def test_hidden_sides_that_agree_move_nothing():
     seen = behind(answers.exact())
     fitted, report = fit_tree(seen)
     assert report.objects["right"].hidden == (False, False, False, True)
     assert fitted.node("right") == seen.node("right")
 
 
-def test_a_hidden_thing_that_is_off_moves_by_its_visible_sides():
+def test_a_displaced_hidden_object_moves_by_its_visible_sides():
     wrong = answers.moved(behind(answers.exact()), "right", position=(0.04, 0.02, 0))
     fitted, _ = fit_tree(wrong)
     was, now = wrong.node("right").box3d.size, fitted.node("right").box3d.size
@@ -151,7 +151,7 @@ def test_a_hidden_thing_that_is_off_moves_by_its_visible_sides():
 
 
 @pytest.mark.parametrize("side", range(4))
-def test_a_thing_cut_by_any_border_stays_where_it_was_said_to_be(side):
+def test_an_object_cut_by_the_border_keeps_its_parsed_position(side):
     """Also where the cut takes away the points that would make the other sides."""
     tree = answers.exact()
     box, camera = tree.node("right").box3d, tree.camera
@@ -176,7 +176,7 @@ def test_a_thing_cut_by_any_border_stays_where_it_was_said_to_be(side):
     assert fitted.node("right") == node
 
 
-def test_one_bad_object_does_not_drop_the_others():
+def test_one_inconsistent_object_does_not_affect_the_others():
     """Also boxes that no camera could have seen so."""
     truth = answers.exact()
     wrong = answers.moved(truth, "right", position=(0.04, 0.02, 0))
@@ -188,7 +188,7 @@ def test_one_bad_object_does_not_drop_the_others():
     assert fitted.node("left") == wrong.node("left")
 
 
-def test_cues_pin_what_they_tell():
+def test_cues_fix_their_numbers():
     """A contact pixel gives the distance of a thing of which little else is seen."""
     truth = answers.exact()
     node = truth.node("right")
@@ -213,7 +213,7 @@ def test_cues_pin_what_they_tell():
     assert np.allclose(fitted.node("right").box3d.size, node.box3d.size, rtol=0.01)
 
 
-def test_real_shapes_take_the_place_of_outlines():
+def test_built_shapes_replace_outlines():
     """A toy of an unknown kind, half as wide above: its outline says little, its shape all."""
     toy = scenes.single(
         "toy", (Box(size=(0.1, 0.1, 0.04)), (0, 0, 0)), (Box(size=(0.05, 0.05, 0.1)), (0, 0, 0.04))
@@ -261,7 +261,7 @@ def test_twenty_objects_are_fitted_in_seconds():
     assert time.perf_counter() - begun < 20
 
 
-def test_edges_tell_what_of_a_surface_lies_in_the_picture():
+def test_extents_in_picture_match_dense_points():
     """Against dense points of the same surface, also where it goes past the camera."""
     camera = answers.exact().camera
     rng = np.random.default_rng(3)
@@ -289,7 +289,7 @@ def test_edges_tell_what_of_a_surface_lies_in_the_picture():
     assert extents_in_picture(camera, out, frame.edges) is None
 
 
-def test_what_the_border_cuts_is_placed_by_where_its_edges_leave_the_picture():
+def test_edges_that_leave_the_picture_locate_a_cut_object():
     """A plank that reaches out of the picture at the left: its visible lower side tells where."""
     plank = scenes.single("plank", (Box(size=(0.03, 1.6, 0.2)), (0, 0, 0)))
     item = answers.item("plank", (1.1, 0.5, 0.0), (0.03, 1.6, 0.2), label="plank")
@@ -310,7 +310,7 @@ def test_what_the_border_cuts_is_placed_by_where_its_edges_leave_the_picture():
     assert off(refit_tree(wrong, {"plank": plank}, shown)[0]) < 0.6 * off(wrong)
 
 
-def test_what_hangs_on_a_wall_neither_leaves_it_nor_turns():
+def test_objects_on_a_wall_neither_leave_it_nor_turn():
     tree = answers.exact()
     wall = tree.node("table").model_copy(
         update={
@@ -339,7 +339,7 @@ def test_what_hangs_on_a_wall_neither_leaves_it_nor_turns():
 
 
 @pytest.mark.parametrize("relation", ["in", "on"])
-def test_what_is_in_a_thing_is_looked_for_there_though_answered_nearer(relation):
+def test_contents_are_fitted_into_their_container(relation):
     tree = answers.exact()
     outer = tree.node("right").box3d
     place = np.array(outer.position)

@@ -26,7 +26,7 @@ def test_a_floor_that_runs_behind_the_camera_fills_the_picture_below_its_far_edg
     assert visible_box(CAMERA, corners) == pytest.approx([0, v, 800, 600], abs=1e-6)
 
 
-def test_what_is_behind_or_beside_is_not_seen():
+def test_boxes_outside_the_view_have_no_visible_box():
     for x, y in ((-1.0, 0), (0.5, 3.0)):
         corners = Box3D(position=(x, y, 0), size=(0.1, 0.1, 0.1)).corners()
         assert visible_box(CAMERA, corners) is None
@@ -40,7 +40,7 @@ def test_what_is_behind_or_beside_is_not_seen():
     st.tuples(*[st.floats(0.05, 2)] * 3),
     st.floats(-3, 3),
 )
-def test_the_visible_box_is_that_of_rays_that_hit(at, size, yaw):
+def test_visible_boxes_match_ray_casting(at, size, yaw):
     """Against rays through a grid of pixels, met with the box by slabs."""
     box = Box3D(position=at, size=size, yaw=yaw)
     rows, columns = np.mgrid[0:600:12, 0:800:12] + 6.0
@@ -82,7 +82,7 @@ def test_outlines_stay_in_the_box(label):
     assert (inner[2:] <= whole[2:] + 1e-6).all()
 
 
-def test_a_ball_is_seen_as_a_ball():
+def test_a_ball_projects_as_a_ball():
     obj = answers.item("a", (0.8, 0.0, 0), (0.1, 0.1, 0.1), label="orange")
     tree = answers.exact(answers.answer(obj))
     camera = tree.camera
@@ -114,7 +114,7 @@ def test_labels_are_known_by_their_head_noun(label, word):
     assert category_of(label) == CATEGORIES[word]
 
 
-def test_unknown_labels_have_no_kind():
+def test_unknown_labels_have_no_category():
     assert category_of("gizmo") is None
     assert category_of("") is None
     assert all(category.low < category.high for category in CATEGORIES.values())

@@ -54,7 +54,7 @@ def on_table(tree):
     ("below", "z", "relation"),
     [(tray(), 0.01, "in"), (answers.item("brick", (0.85, 0, 0), (0.2, 0.1, 0.06)), 0.06, "on")],
 )
-def test_what_stands_in_or_on_another_thing_is_not_on_the_table(below, z, relation):
+def test_an_object_in_or_on_another_one_is_not_on_the_table(below, z, relation):
     truth, shapes = photographed(below, cube(0.85, 0, z, parent=below["name"], relation=relation))
     fitted, report = refit_tree(on_table(truth), shapes)
     node = fitted.node("cube")
@@ -64,7 +64,7 @@ def test_what_stands_in_or_on_another_thing_is_not_on_the_table(below, z, relati
     assert "on table" in report.supports["cube"].phrase()
 
 
-def test_what_is_answered_on_a_thing_elsewhere_is_on_what_is_below_it():
+def test_an_object_far_from_its_parsed_support_is_on_the_object_below_it():
     brick = answers.item("brick", (0.8, -0.3, 0), (0.2, 0.1, 0.06))
     truth, shapes = photographed(tray(), brick, cube(0.85, 0, 0.01, parent="tray", relation="in"))
     wrong = answers.with_node(truth, "cube", parent="brick", relation="on")
@@ -82,7 +82,7 @@ def test_what_is_answered_on_a_thing_elsewhere_is_on_what_is_below_it():
     ],
 )
 @pytest.mark.parametrize("off", [(0, 0), (0.02, 0.01), (-0.02, 0.01)])
-def test_a_right_carrier_stays(things, off):
+def test_a_correct_support_stays(things, off):
     truth, shapes = photographed(*things)
     answer = answers.moved(truth, "cube", (*off, 0.0))
     fitted, report = refit_tree(answer, shapes)
@@ -90,14 +90,14 @@ def test_a_right_carrier_stays(things, off):
     assert fitted.node("cube").parent == truth.node("cube").parent
 
 
-def test_a_person_may_have_said_it():
+def test_supports_stay_on_request():
     truth, shapes = photographed(tray(), cube(0.85, 0, 0.01, parent="tray", relation="in"))
     fitted, report = refit_tree(on_table(truth), shapes, change_supports=False)
     assert fitted.node("cube").parent == "table"
     assert report.supports == {}
 
 
-def test_of_two_things_that_would_carry_each_other_the_clearer_change_stays():
+def test_of_a_cycle_of_supports_the_change_with_the_larger_gain_stays():
     tree = answers.exact()
     changes = {
         "left": OtherSupport("on table", "right", "on", 0.12, 20.0),

@@ -20,7 +20,7 @@ def test_a_consistent_parse_has_no_findings_and_a_full_score():
     assert check_score(tree, ()) == pytest.approx(1, abs=1e-6)
 
 
-def test_a_box_that_projects_elsewhere_is_told_where():
+def test_a_projection_error_states_its_direction():
     tree = answers.moved(answers.exact(), "right", position=(0.0, -0.08, 0.0))
     result = codes(tree, "right")["projection"]
     assert result.value == pytest.approx(agreement(tree, tree.node("right")))
@@ -29,7 +29,7 @@ def test_a_box_that_projects_elsewhere_is_told_where():
     assert codes(missing, "right")["projection"].severity == "error"
 
 
-def test_a_label_is_held_against_sizes():
+def test_sizes_are_compared_with_the_category():
     small = answers.moved(answers.exact(), "can", size=(3.5, 3.5, 3.5))
     result = codes(small, "can")["size_m"]
     assert (result.severity, result.threshold) == ("warning", 0.35)
@@ -43,7 +43,7 @@ def test_a_label_is_held_against_sizes():
     ("height", "word", "severity"),
     [(0.05, "floats", "warning"), (0.4, "floats", "error"), (-0.2, "below", "error")],
 )
-def test_floating_and_sunken_things(height, word, severity):
+def test_floating_and_sunken_objects(height, word, severity):
     tree = answers.moved(answers.exact(), "right", position=(0, 0, height))
     result = codes(tree, "right")["gap_m"]
     assert word in result.hint
@@ -51,7 +51,7 @@ def test_floating_and_sunken_things(height, word, severity):
     assert result.value == pytest.approx(abs(height) - (0.03 if word == "below" else 0))
 
 
-def test_a_thing_may_stand_in_a_hollow_but_not_in_a_table():
+def test_an_object_may_stand_in_a_hollow_but_not_in_a_table():
     tree = answers.exact()
     assert "gap_m" not in codes(answers.moved(tree, "can", position=(0, 0, -0.06)), "can")
     thick = answers.moved(answers.moved(tree, "table", position=(0, 0, -0.07)), "table", None)
@@ -61,7 +61,7 @@ def test_a_thing_may_stand_in_a_hollow_but_not_in_a_table():
     assert "sunk into table" in codes(sunk, "right")["gap_m"].hint
 
 
-def test_footprints_lie_in_that_of_the_carrier():
+def test_footprints_lie_in_that_of_the_support():
     tree = answers.exact()
     box = tree.node("can").box3d
     assert "footprint" not in codes(answers.moved(tree, "can", position=(0.05, 0, 0)), "can")
@@ -83,14 +83,14 @@ def test_flags():
     assert codes(unsaid, "can")["occluded_by"].threshold == 1
 
 
-def test_hanging_things_reach_what_they_hang_on():
+def test_attached_objects_reach_their_support():
     tree = answers.with_node(answers.exact(), "can", relation="attached")
     assert "attached" not in codes(tree, "can")
     off = answers.moved(tree, "can", position=(0, 0, 0.1))
     assert codes(off, "can")["attached"].severity == "error"
 
 
-def test_two_things_in_one_place_and_one_thing_listed_twice():
+def test_overlapping_objects_and_duplicates():
     tree = answers.exact()
     left = tree.node("left").box3d
     same = answers.with_node(tree, "right", box3d=left, box2d=tree.node("left").box2d)
@@ -106,7 +106,7 @@ def test_two_things_in_one_place_and_one_thing_listed_twice():
     ("label", "told"),
     [("desk lamp", False), ("side table", False), ("toaster", False), ("microwave", True)],
 )
-def test_what_leaves_room_in_its_box_may_hold_others_there(label, told):
+def test_loosely_filled_boxes_may_overlap_others(label, told):
     """An arm reaches over a cup, a trunk stands under a table; a microwave is solid."""
     tree = answers.exact()
     left = tree.node("left").box3d
@@ -135,7 +135,7 @@ def test_usual_sizes_are_no_findings(label, size, told):
     assert ("size_m" in codes(answers.with_node(tree, "can", box3d=box), "can")) == told
 
 
-def test_a_miss_of_a_few_pixels_is_no_finding_however_small_the_thing():
+def test_an_error_of_a_few_pixels_is_no_finding_for_small_objects():
     tree = answers.exact()
     x0, y0, _, _ = tree.node("can").box2d.as_tuple()
     card = answers.with_node(tree, "can", label="card")
@@ -148,7 +148,7 @@ def test_a_miss_of_a_few_pixels_is_no_finding_however_small_the_thing():
     assert "projection" in codes(answers.with_node(card, "can", box2d=far), "can")
 
 
-def test_sides_behind_an_occluder_or_at_the_edge_are_not_held_against_the_box():
+def test_hidden_sides_do_not_lower_the_agreement():
     tree = answers.exact()
     node = tree.node("right")
     x0, y0, x1, y1 = node.box2d.as_tuple()

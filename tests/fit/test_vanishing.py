@@ -27,7 +27,7 @@ def _lines(camera, yaw, noise=0.0, seed=0):
 @pytest.mark.parametrize("roll", [-0.2, 0.0, 0.15])
 @pytest.mark.parametrize(("pitch", "fovy"), [(0.35, 0.7), (0.9, 1.1)])
 @pytest.mark.parametrize("yaw", [0.5, 1.0])
-def test_lines_of_a_floor_give_the_camera_that_saw_them(pitch, fovy, roll, yaw):
+def test_lines_of_a_floor_give_the_camera(pitch, fovy, roll, yaw):
     true = EMPTY.model_copy(update={"pitch": pitch, "fovy": fovy, "roll": roll})
     found, finds_lens = camera_of_lines(EMPTY, *_lines(true, yaw))
     assert finds_lens
@@ -36,14 +36,14 @@ def test_lines_of_a_floor_give_the_camera_that_saw_them(pitch, fovy, roll, yaw):
     assert found.height == EMPTY.height
 
 
-def test_lines_square_to_the_view_keep_the_field_of_view():
+def test_lines_perpendicular_to_the_view_keep_the_field_of_view():
     true = EMPTY.model_copy(update={"pitch": 0.5})
     found, finds_lens = camera_of_lines(EMPTY, *_lines(true, 0.0))
     assert not finds_lens
     assert (found.fovy, found.pitch) == (pytest.approx(true.fovy), pytest.approx(0.5, abs=1e-6))
 
 
-def test_clicks_a_pixel_off_cost_a_degree_or_two():
+def test_errors_of_a_pixel_cost_at_most_two_degrees():
     true = EMPTY.model_copy(update={"pitch": 0.6, "fovy": 0.9})
     off = []
     for seed in range(20):
@@ -52,7 +52,7 @@ def test_clicks_a_pixel_off_cost_a_degree_or_two():
     assert np.median(off) < 1.0
 
 
-def test_what_gives_no_camera_is_refused():
+def test_degenerate_lines_are_rejected():
     along, across = _lines(EMPTY, 0.6)
     with pytest.raises(SpecError, match="one direction"):
         camera_of_lines(EMPTY, along, along + 1e-3)

@@ -42,7 +42,7 @@ def test_default_models_have_a_price_and_users_prices_win(tmp_path):
         ("x", False),
     ],
 )
-def test_dated_names_take_the_price_of_their_model(model, found):
+def test_dated_names_have_the_price_of_their_model(model, found):
     assert (price_of(model, PRICES) is not None) == found
 
 
@@ -56,7 +56,7 @@ def test_dated_names_take_the_price_of_their_model(model, found):
         ("m: {", "not valid YAML"),
     ],
 )
-def test_wrong_prices_are_one_message(tmp_path, text, words):
+def test_invalid_prices_are_one_error(tmp_path, text, words):
     path = tmp_path / "p.yaml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=words) as caught:
@@ -90,7 +90,7 @@ def test_carry_continues_the_books(make):
     assert isinstance(second.refuse(make.request(), bound), BudgetError)
 
 
-def test_bound_lies_above_any_call_of_the_same_request(make):
+def test_the_bound_exceeds_the_cost_of_any_call(make):
     ledger = Ledger(1.0, PRICES)
     requests = make.request(prompt="word " * 1000)
     # English text has about four letters a token; pictures a token for 750 pixels.
@@ -99,7 +99,7 @@ def test_bound_lies_above_any_call_of_the_same_request(make):
     assert most_tokens(requests, 256).output == 256
 
 
-def test_calls_under_way_are_held_against_the_cap():
+def test_pending_calls_count_towards_the_cap():
     ledger = Ledger(1.0, PRICES)
     ledger.hold(0.6)
     assert not ledger.fits(0.5)

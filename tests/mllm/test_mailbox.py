@@ -35,7 +35,7 @@ def in_background(work) -> threading.Thread:
     return thread
 
 
-def test_folder_holds_all_that_is_needed_to_answer(make, tmp_path):
+def test_a_folder_holds_the_whole_request(make, tmp_path):
     requests = make.request(name="program:cup", pictures=[Picture.of("the photo", make.noise())])
     message: list[str] = []
 
@@ -119,7 +119,7 @@ def test_many_wait_at_once_beyond_the_concurrency_limit(make, tmp_path):
     assert [given.value.name for given in answers] == [f"c{i}" for i in range(count)]
 
 
-def test_time_out_then_taken_up_again(make, tmp_path):
+def test_a_request_continues_after_a_timeout(make, tmp_path):
     with (
         panel_of(tmp_path, timeout_s=0.1) as panel,
         pytest.raises(ModelError, match=r"within 0\.1 s"),
@@ -139,7 +139,7 @@ def test_time_out_then_taken_up_again(make, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["0001-parse", "0002-parse"]
 
 
-def test_unwritable_mailbox_is_one_message(make, tmp_path):
+def test_an_unwritable_mailbox_is_one_error(make, tmp_path):
     (tmp_path / "file").write_text("")
     with (
         panel_of(tmp_path / "file") as panel,
@@ -157,7 +157,7 @@ def test_names_cannot_leave_the_mailbox(make, tmp_path):
     assert "1-x-y.png" in {path.name for path in folder.iterdir()}
 
 
-def test_recorded_answers_replay(make, tmp_path):
+def test_recorded_responses_replay(make, tmp_path):
     tape = tmp_path / "a.tape.json"
     folder = tmp_path / "box"
 

@@ -36,7 +36,7 @@ def other_models() -> MLLMOptions:
     return MLLMOptions(reasoner=role, programmer=role, critic=role)
 
 
-def test_auto_takes_the_bundled_tape_without_a_key(bundled):
+def test_auto_uses_the_bundled_tape_without_a_key(bundled):
     assert chosen(photo=PHOTO) == "replay"
 
 
@@ -51,7 +51,7 @@ def test_empty_key_is_no_key(bundled, monkeypatch, value):
     assert chosen(photo=PHOTO) == "replay"
 
 
-def test_auto_takes_openai_key_only_when_it_can_be_used(bundled, monkeypatch):
+def test_auto_uses_an_openai_key_only_with_sdk_and_models(bundled, monkeypatch):
     monkeypatch.setenv("OPENAI_API_KEY", "k" * 20)
     assert chosen(photo=PHOTO) == "replay"
     with pytest.raises(ModelError, match=r"OPENAI_API_KEY is set, but .*roles still name models"):
@@ -64,7 +64,7 @@ def test_auto_takes_openai_key_only_when_it_can_be_used(bundled, monkeypatch):
         chosen(other_models(), photo=None)
 
 
-def test_auto_with_nothing_lists_all_ways(bundled):
+def test_auto_without_key_and_tape_lists_the_options(bundled):
     with pytest.raises(ModelError) as caught:
         chosen(photo="cd" * 32)
     for direction in ("ANTHROPIC_API_KEY", "OPENAI_API_KEY", "base_url", "mailbox", ".tape.json"):
@@ -77,7 +77,7 @@ def test_given_tapes_come_before_bundled_ones(bundled, tmp_path):
     assert str(tmp_path / "mine") in str(panel.provider._where)
 
 
-def test_explicit_choices_say_what_they_lack(bundled):
+def test_explicit_providers_report_missing_inputs(bundled):
     with pytest.raises(ConfigError, match=r"got 'anthropc'.*did you mean 'anthropic'\?"):
         chosen(name="anthropc")
     with pytest.raises(ConfigError, match="mailbox needs a folder"):
@@ -90,7 +90,7 @@ def test_local_server_needs_no_key():
     assert chosen(MLLMOptions(base_url="http://localhost:1"), "anthropic") == "anthropic"
 
 
-def test_bundled_tapes_are_sound():
+def test_bundled_tapes_are_valid():
     for path in provider.bundled_tapes().glob("*.json"):
         tape = Tape.load(path)
         assert path.name.endswith(".tape.json")

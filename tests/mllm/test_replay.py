@@ -39,7 +39,7 @@ def test_round_trip_is_byte_for_byte_and_free_of_order(make, tmp_path):
     assert panel.ledger.to_json()["cost_usd"] == 0
 
 
-def test_prose_is_kept_as_it_came(make, tmp_path):
+def test_responses_that_are_no_json_are_kept_as_text(make, tmp_path):
     tape = Tape()
     text = 'Well: {"name": "red"}'
     tape.put(make.request(), text, "m")
@@ -63,7 +63,7 @@ def test_prose_is_kept_as_it_came(make, tmp_path):
         (lambda make: {"prompt": "other", "name": "zzz"}, "the tape holds: parse"),
     ],
 )
-def test_missing_answer_names_request_and_nearest(make, changes, what):
+def test_a_missing_response_names_the_request_and_the_nearest_entry(make, changes, what):
     panel = Panel(Replay(tape_of(make.request()), "some.tape.json"))
     missing = make.request(**changes(make))
     with panel, pytest.raises(MissingResponseError, match=what) as caught:
@@ -75,7 +75,7 @@ def test_missing_answer_names_request_and_nearest(make, changes, what):
     assert missing.key[:16] in message
 
 
-def test_tape_is_found_by_photo_only(make, tmp_path):
+def test_tapes_are_found_by_their_photo(make, tmp_path):
     tape_of(make.request()).save(tmp_path / "a.tape.json")
     (tmp_path / "broken.tape.json").write_text("{")
     result = find_tape("ab" * 32, [tmp_path / "none", tmp_path])
@@ -87,7 +87,7 @@ def test_tape_is_found_by_photo_only(make, tmp_path):
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"format": 2}', '{"answers": {"k": {}}}', '{"x": 1}'])
-def test_broken_tape_is_one_message(tmp_path, text):
+def test_a_broken_tape_is_one_error(tmp_path, text):
     path = tmp_path / "t.tape.json"
     path.write_text(text)
     with pytest.raises(ModelError, match="is not a tape"):
@@ -96,12 +96,12 @@ def test_broken_tape_is_one_message(tmp_path, text):
         Tape.load(tmp_path / "missing.tape.json")
 
 
-def test_replay_without_tape_says_where_it_looked(tmp_path):
+def test_replay_without_tape_lists_the_searched_places(tmp_path):
     with pytest.raises(MissingResponseError, match="no tape was recorded for this photo"):
         open_panel(Panel(Replay(Tape(), "")).options, "replay", photo="00", tapes=[tmp_path])
 
 
-def test_time_with_the_provider_counts_once_for_requests_side_by_side(make, monkeypatch):
+def test_waiting_time_of_concurrent_requests_counts_once(make, monkeypatch):
     now = [0.0]
     monkeypatch.setattr(calls, "time", SimpleNamespace(perf_counter=lambda: now[0]))
 

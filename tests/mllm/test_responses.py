@@ -49,12 +49,12 @@ def test_lists_become_tuples():
         ('{"a":' * 100000, "nested too deeply|broken"),
     ],
 )
-def test_reason_says_what_is_wrong(text, reason):
+def test_invalid_responses_state_the_reason(text, reason):
     with pytest.raises(InvalidResponse, match=reason):
         read_response(text, Share)
 
 
-def test_an_inner_object_does_not_pass_for_a_cut_off_answer():
+def test_an_inner_object_does_not_pass_for_a_cut_off_response():
     cut = '{"name": "table", "children": [{"name": "cup"}, {"na'
     for text in (cut, "```json\n" + cut, "Sure: " + cut):
         with pytest.raises(InvalidResponse, match="broken"):

@@ -42,7 +42,7 @@ def run(rounds, *, accept_at=99, stop_at=99, critic=True, criticise_last=True):
         ({"rounds": 0}, [(0, False)]),
     ],
 )
-def test_rounds_end_when_accepted_given_up_or_used_up(options, attempts):
+def test_rounds_end_by_acceptance_failure_or_their_limit(options, attempts):
     assert run(**options) == attempts
 
 
@@ -58,6 +58,6 @@ def test_a_failing_model_is_recorded_as_a_fallback(make):
 
 
 @pytest.mark.parametrize("error", [BudgetError("cap"), MissingResponseError("tape")])
-def test_a_spent_budget_and_a_missing_answer_end_the_run(make, error):
+def test_budget_and_missing_response_errors_end_the_run(make, error):
     with pytest.raises(type(error)):
         ask(error, make.request())

@@ -316,7 +316,7 @@ def test_openai_leaves_out_unsupported_parameters(connect, make, parameter):
         assert server.bodies[1]["max_completion_tokens"] == 16384
 
 
-def test_a_server_that_knows_no_token_limit_is_not_asked_for_ever(connect, make):
+def test_rejected_token_limits_end_the_retries(connect, make):
     message = "max_tokens and max_completion_tokens are not supported"
     server, panel = connect("openai", fails(400, message))
     assert "rejected the request" in failure_of(panel, make.request())
@@ -330,7 +330,7 @@ def test_openai_without_its_extra(monkeypatch):
         open_panel(MLLMOptions(), "openai")
 
 
-def test_a_batch_costs_half_and_its_gaps_are_asked_singly(connect, make, tmp_path):
+def test_a_batch_costs_half_and_its_gaps_are_sent_singly(connect, make, tmp_path):
     prices = tmp_path / "prices.yaml"
     prices.write_text("m: {input: 1000, output: 0}\n")
     requests = [make.request(prompt=str(i)) for i in range(4)]
@@ -410,7 +410,7 @@ def success(text: str) -> dict[str, Any]:
         {"base_url": f"http://localhost/?api_key={KEY}"},
     ],
 )
-def test_a_key_in_the_config_is_refused_and_not_shown(options):
+def test_a_key_in_the_config_is_rejected_and_not_shown(options):
     with pytest.raises(NeoWorldError, match=r"run\.json") as caught:
         load_config(None, {"mllm": options})
     assert KEY not in shown(caught.value)

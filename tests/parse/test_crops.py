@@ -36,7 +36,7 @@ def test_crops_have_a_margin_and_mark_neighbours():
     assert tuple(image[factor * (margin + 70), factor * (margin + 50)]) == (128, 128, 128)
 
 
-def test_what_a_crop_does_not_show_is_said():
+def test_crops_describe_hidden_and_cut_parts():
     found = crops(answers.photo(), scene())
     assert found["right"].note == ""
     assert "partly hidden by right" in found["left"].note
@@ -46,7 +46,7 @@ def test_what_a_crop_does_not_show_is_said():
     assert crops(answers.photo(), unsaid)["right"].note == "partly hidden"
 
 
-def test_colours_are_those_of_the_thing_alone():
+def test_colours_leave_out_other_objects():
     rgb = np.full((600, 800, 3), 128, np.uint8)
     rgb[250:350, 200:420] = (200, 20, 20)
     rgb[300:400, 400:500] = (20, 20, 200)

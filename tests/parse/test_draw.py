@@ -16,7 +16,7 @@ def count(image, colour):
     return int((image == colour).all(axis=-1).sum())
 
 
-def test_frames_lie_on_the_boxes_in_the_colour_of_the_carrier():
+def test_frames_lie_on_the_boxes_in_the_colour_of_the_support():
     tree = answers.exact()
     image = pixels(draw_parse(answers.photo(), tree))
     assert image.shape == (600, 800, 3)
@@ -29,7 +29,7 @@ def test_frames_lie_on_the_boxes_in_the_colour_of_the_carrier():
     assert tuple(image[590, 400]) == (128, 128, 128)
 
 
-def test_what_is_hidden_is_dashed():
+def test_boxes_of_hidden_objects_are_dashed():
     tree = answers.exact()
     whole = count(pixels(draw_parse(answers.photo(), tree)), COLOURS[1])
     hidden = answers.with_node(tree, "can", occluded=True)
@@ -37,7 +37,7 @@ def test_what_is_hidden_is_dashed():
     assert 0.4 * whole < dashed < 0.9 * whole
 
 
-def test_the_picture_does_not_depend_on_the_3d_boxes_unless_they_are_asked_for():
+def test_the_drawing_depends_on_3d_boxes_only_on_request():
     tree = answers.exact()
     moved = answers.moved(tree, "can", position=(0.1, 0, 0))
     assert draw_parse(answers.photo(), tree).data == draw_parse(answers.photo(), moved).data

@@ -39,7 +39,7 @@ def run(*texts, photo=None, **options):
     return parsed, [request.name for request in models.requests], models.requests
 
 
-def test_an_accepted_answer_takes_two_questions():
+def test_an_accepted_response_takes_two_requests():
     parsed, names, requests = run(consistent(), GOOD)
     assert names == ["parse", "parse:judge"]
     assert [request.role for request in requests] == ["reasoner", "critic"]
@@ -69,7 +69,7 @@ def test_faults_go_back_and_the_better_round_is_kept():
     assert parsed.tree.node("left").description == "now with a pen"
 
 
-def test_a_round_that_makes_it_worse_is_not_kept():
+def test_a_round_with_a_lower_score_is_not_kept():
     worse = consistent()
     worse["objects"] = worse["objects"][:2]
     parsed, _, _ = run(consistent(), BAD, worse, BAD | {"completeness": 2})
@@ -84,7 +84,7 @@ def test_rounds_are_bounded():
     assert names.count("parse:mend") == 2
 
 
-def test_the_same_answer_again_ends_the_rounds():
+def test_a_repeated_response_ends_the_rounds():
     _, names, _ = run(consistent(), BAD, consistent(), critic_rounds=3)
     assert names == ["parse", "parse:judge", "parse:mend"]
 
@@ -121,7 +121,7 @@ def test_a_box_outside_the_picture_goes_back_without_a_critic():
     assert parsed.kept == 1
 
 
-def test_no_usable_answer_is_one_message():
+def test_only_invalid_responses_are_one_error():
     outside = consistent()
     outside["objects"][1]["box"] = {"left": 900, "top": 10, "right": 950, "bottom": 50}
     other = copy.deepcopy(outside)
@@ -130,7 +130,7 @@ def test_no_usable_answer_is_one_message():
         run(outside, other)
 
 
-def test_a_critic_that_fails_is_a_fallback_not_the_end():
+def test_a_failed_critic_is_a_fallback():
     parsed, _, _ = run(consistent(), ModelError("the critic is out"))
     assert parsed.fallbacks == (("no judge round", "the critic is out"),)
     assert parsed.rounds[0].verdict is None
@@ -148,7 +148,7 @@ def test_the_fit_moves_the_tree_and_can_be_switched_off():
     assert fitted.tree.node("right").box2d == plain.tree.node("right").box2d
 
 
-def test_a_verdict_is_held_to_its_scale():
+def test_scores_are_clipped_to_their_scale():
     assert SceneCritique.model_validate(GOOD | {"boxes": 40, "completeness": -3}).score == (
         pytest.approx((10 + 0 + 9.5) / 30)
     )

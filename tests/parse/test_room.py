@@ -27,7 +27,7 @@ def parsed(outline, *objects) -> SceneTree:
     return to_tree(ParsedScene.model_validate(data), answers.photo())
 
 
-def test_an_answer_without_an_outline_has_a_rectangle():
+def test_the_default_outline_is_a_rectangle():
     assert parsed(None).node("table").outline == SupportOutline()
     assert (
         to_tree(ParsedScene.model_validate(answers.desk()), answers.photo()).node("table").outline
@@ -89,7 +89,7 @@ def test_an_object_has_no_outline():
         parsed(None, answers.item("can", outline={"shape": "round"}))
 
 
-def test_the_empty_corner_of_an_outline_carries_nothing():
+def test_the_cut_off_corner_of_an_outline_supports_nothing():
     """The table of 1.6 m reaches from x 0.2 to 1.8 and from y -0.8 to 0.8."""
     corner = answers.item("left", (0.4, 0.6, 0.0), (0.1, 0.1, 0.1))
     middle = answers.item("right", (0.9, -0.2, 0.0), (0.1, 0.1, 0.1))
@@ -105,7 +105,7 @@ def test_the_empty_corner_of_an_outline_carries_nothing():
     assert [i.node for i in issues if i.code == "footprint"] == ["rim"]
 
 
-def test_a_support_of_which_the_box_alone_is_in_view_is_out_of_view():
+def test_a_support_is_out_of_view_if_only_its_box_is_in_view():
     far = answers.item("shelf", (1.2, 1.8, -0.03), (2.0, 2.0, 0.03), label="shelf")
     far |= {"environment": True, "parent": None}
     left_out = [(-0.5, -0.5), (0.0, -0.5), (0.0, 0.0), (0.5, 0.0), (0.5, 0.5), (-0.5, 0.5)]
@@ -198,7 +198,7 @@ def test_colours_are_measured_where_the_photo_shows_the_support_alone():
     assert 0.01 < colour.share < 0.3
 
 
-def test_the_answers_colour_is_taken_where_the_photo_hardly_shows_the_support():
+def test_the_parsed_colour_is_used_where_the_photo_hardly_shows_the_support():
     tree = table_with(SURFACE)
     covered = answers.with_node(tree, "can", box2d=Box2D(x0=0, y0=0, x1=800, y1=590))
     photo = painted(tree)
@@ -214,7 +214,7 @@ def test_a_support_without_a_surface_keeps_the_colour_of_its_box():
     assert colour.source == "box" and colour.rgb is not None
 
 
-def test_furniture_is_built_and_not_made_of_its_box():
+def test_furniture_is_no_slab():
     shelf = answers.item("shelf", (1.2, 0.3, 0.0), (0.3, 0.8, 0.6), label="shelf")
     shelf |= {"environment": True, "furniture": True}
     tree = parsed(None, shelf)
@@ -236,6 +236,6 @@ def test_furniture_is_built_and_not_made_of_its_box():
         ),
     ],
 )
-def test_furniture_that_cannot_be_is_refused(fields, words):
+def test_contradictory_furniture_is_rejected(fields, words):
     with pytest.raises(ValidationError, match=f"object can: {words}"):
         parsed(None, answers.item("can", **fields))

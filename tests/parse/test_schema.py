@@ -35,7 +35,7 @@ def test_degrees_become_radians_and_shown_pixels_original_ones():
     assert result.node("cup").box3d.position == (0.8, 0.1, 0)
 
 
-def test_boxes_are_cut_at_the_picture_and_refused_outside_it():
+def test_boxes_are_clipped_at_the_picture_and_rejected_outside_it():
     data = answers.answer(answers.item("cup"))
     data["objects"][1]["box"] = {"left": -20, "top": 550, "right": 90, "bottom": 640}
     assert tree(data).node("cup").box2d.as_tuple() == (0, 550, 90, 600)
@@ -65,7 +65,7 @@ def test_cues_are_in_original_pixels_axes_and_radians():
     assert scene.node("table").cues == Cues()
 
 
-def test_a_doubt_of_zero_is_refused_by_name():
+def test_an_uncertainty_of_zero_is_rejected_by_name():
     with pytest.raises(ValidationError, match=r"cup: doubt.size must lie in 1e-06 .. 10, got 0"):
         tree(answers.answer(answers.item("cup", doubt={"size": 0})))
 
@@ -79,14 +79,14 @@ def test_a_doubt_of_zero_is_refused_by_name():
         ("right", (0, -1, 0)),
     ],
 )
-def test_a_tilt_takes_the_top_that_way(towards, top):
+def test_a_tilt_moves_the_top_in_its_direction(towards, top):
     quat = tilt_quat(ParsedTilt(towards=towards, degrees=90))
     assert rotate(quat, [0, 0, 1]) == pytest.approx(np.array(top), abs=1e-12)
 
 
 @pytest.mark.parametrize("yaw", [0, 50, 180])
 @pytest.mark.parametrize("degrees", [20, 90, 180])
-def test_the_position_of_a_tilted_thing_is_the_middle_of_its_footprint(yaw, degrees):
+def test_the_position_of_a_tilted_object_is_the_middle_of_its_footprint(yaw, degrees):
     tilt = {"towards": "forward", "degrees": degrees}
     data = answers.answer(
         answers.item("bottle", (0.8, 0.1, 0.02), (0.06, 0.08, 0.2), yaw_deg=yaw, tilt=tilt)
@@ -100,7 +100,7 @@ def test_the_position_of_a_tilted_thing_is_the_middle_of_its_footprint(yaw, degr
     assert middle == pytest.approx(np.array([0.8 * c + 0.1 * s, -0.8 * s + 0.1 * c]))
 
 
-def test_the_formula_that_the_reasoner_is_told_is_the_camera_with_its_roll():
+def test_the_formula_of_the_instructions_is_that_of_the_camera():
     text = package_text("neoworld_mjx.parse", "reasoner")
     formula = re.search(
         r"A = (.*?), B = (.*?) \(without.*?\n\s+t = (.*?), x = (.*?), y = (.*?)\.\n", text
@@ -120,7 +120,7 @@ def test_the_formula_that_the_reasoner_is_told_is_the_camera_with_its_roll():
     assert (known["x"], known["y"]) == pytest.approx((1.3, 0.25))
 
 
-def test_all_that_is_wrong_is_said_at_once():
+def test_all_errors_are_reported_at_once():
     bad = answers.answer(
         answers.item("cup", parent="tabel"),
         answers.item("2nd", size=(0.1, 0.0, 0.1)),
@@ -153,13 +153,13 @@ def test_all_that_is_wrong_is_said_at_once():
         ),
     ],
 )
-def test_the_tree_is_validated_when_the_answer_is_read(change, said):
+def test_the_tree_is_validated_with_the_response(change, said):
     data = answers.answer(answers.item("cup") | change)
     with pytest.raises(InvalidResponse, match=said):
         read_response(json.dumps(data), ParsedScene)
 
 
-def test_hidden_by_something_means_hidden():
+def test_objects_with_occluders_are_occluded():
     data = answers.answer(answers.item("a", occluded_by=["b", "b"]), answers.item("b"))
     node = tree(data).node("a")
     assert node.occluded
