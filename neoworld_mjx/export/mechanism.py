@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..errors import SpecError
 from ..spec import JointSpec, Mimic, ObjectSpec, Site, inertial
 from ..spec.base_shape import BaseShape
 from ..spec.forest import name_on_cycle
 from ..spec.object import Role
+from ..spec.pose import ArrayLike
 from .link_frames import inertia_tensor, link_origins
 
 GRAY = (0.7, 0.7, 0.7, 1.0)
