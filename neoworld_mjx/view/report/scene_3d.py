@@ -34,7 +34,7 @@ _STEPS, _NORMAL = 65535, 127
 @cache
 def script() -> str:
     """Return the script of the interactive view."""
-    return resources.files(__package__).joinpath("scene_3d.js").read_text("utf-8")
+    return resources.files("neoworld_mjx.view.report").joinpath("scene_3d.js").read_text("utf-8")
 
 
 def script_hash() -> str:
