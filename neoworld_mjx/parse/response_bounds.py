@@ -28,8 +28,8 @@ BOUNDS: dict[str, tuple[float, float]] = {
     **{"camera.pitch_deg": (-90.0, 90.0), "camera.roll_deg": _TURN},
     **{"camera.fovy_deg": (1.0, 170.0), "camera.height": _PLACE},
 }
-"""Least and largest value [m, degrees, pixels, fractions] by the path of a number in an object or in
-the response."""
+"""Least and largest value [m, degrees, pixels, fractions] by a number's path in an object or in the
+response."""
 
 
 def out_of_bounds(response: BaseModel) -> Iterator[str]:

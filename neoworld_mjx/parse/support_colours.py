@@ -30,8 +30,8 @@ class SupportColour(NamedTuple):
     rgb: tuple[float, float, float] | None
     """0 to 1; None is that of its material."""
     source: Literal["photo", "answer", "material", "box"]
-    """`photo`: median over the pixels that show only it; `answer`: the parsed one; `box`: median over
-    its 2D box less those of objects, for supports without a declared surface."""
+    """`photo`: median over the pixels that show only it; `answer`: the parsed one; `box`: median
+    over its 2D box less those of objects, for supports without a declared surface."""
     share: float
     """Fraction of the picture that shows only it."""
 
