@@ -58,7 +58,7 @@ that the effect was not measured.
 """
 _ABLATIONS = {
     "configs/ablations/refine.yaml": "benchmarks/figures/refine_ablation.yaml",
-    "configs/ablations/departures.yaml": "benchmarks/figures/departures_ablation.yaml",
+    "configs/ablations/differences.yaml": "benchmarks/figures/differences_ablation.yaml",
 }
 """Plans of ablations, and their results."""
 _EFFECTS = ((1, "valid {}"), (5, "xy error {} mm"), (8, "{} rollouts"), (9, "search {} s"))
