@@ -1,4 +1,4 @@
-"""Templates: every one built, checked and tried by the battery, at its defaults and as drawn."""
+"""Templates: every one built, checked and simulated, at its defaults and as drawn."""
 
 import os
 import time
@@ -36,7 +36,7 @@ class TemplateRow(BaseModel):
     joints: int
     """That move."""
     passed: bool
-    """True if it builds to its box and passes the compile checks and the battery."""
+    """True if it builds to its box and passes the compile checks and the object tests."""
     failed: list[str] = []
     battery_s: float = 0.0
 
