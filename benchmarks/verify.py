@@ -1,6 +1,6 @@
 """The fault matrix: kinds of faults times magnitudes in valid objects; detected, named, repaired.
 
-`faults` contradict physics or a declared intent. Of them, `detected` failed the battery, and
+`faults` contradict physics or a declared intent. Of them, `detected` failed the object tests, and
 `named` did so with the right fault as the cause. `false_alarms` are valid objects that failed. The
 faint magnitudes contradict nothing and are part of the curve alone.
 """
@@ -62,7 +62,7 @@ def verify_matrix(
     with_repair: bool = True,
     workers: int = 0,
 ) -> Iterator[ValidRow | FaultRow]:
-    """Run the battery on valid objects, then on each of them with each fault.
+    """Run the object tests on valid objects, then on each of them with each fault.
 
     Args:
         objects: number of valid objects; None is all.

@@ -26,7 +26,7 @@ def codes(text: str) -> set[str]:
     return {signal.code for signal in built.signals}
 
 
-def test_a_sound_door_has_no_signals():
+def test_a_valid_door_has_no_signals():
     assert codes(hinge()) == set()
     assert build(hinge()).ok
 
@@ -78,7 +78,7 @@ def test_depth_and_line_of_an_overlap():
     assert (signal.part, signal.line) == ("door", 5)
 
 
-def test_what_is_welded_may_overlap():
+def test_parts_with_a_fixed_joint_may_overlap():
     text = HEAD + FRAME + DOOR + "door.add(box((0.02, 0.6, 0.6)), at=(0.195, 0, 0.3))\n"
     assert codes(text + "o.fixed('f', body, door)") == set()
 
@@ -99,7 +99,7 @@ def test_combinations_of_joints_are_tried():
     assert build(text, ProgramOptions(sweep_combinations=0)).signals == ()
 
 
-def test_a_mimic_moves_along():
+def test_mimic_joints_move_in_the_sweep():
     text = HEAD + "body.add(box((0.1, 0.4, 0.02)), at=(0, 0, 0.01))\n"
     for name, y in (("a", 0.1), ("b", -0.1)):
         text += (
@@ -114,13 +114,13 @@ def test_a_mimic_moves_along():
     assert codes(meet) == {"overlap_in_motion"}
 
 
-def test_the_same_thing_is_told_once():
+def test_each_finding_is_reported_once():
     text = hinge(axis="(0, 0, -1)")
     result = [signal.code for signal in build(text).signals]
     assert len(result) == len(set(result)) == 1
 
 
-def test_authored_mass_answers_for_itself():
+def test_an_authored_mass_is_not_compared_with_density():
     text = HEAD.replace("material='oak'", "material='cast_iron', mass=10")
     assert codes(text + "body.add(cylinder(0.1, 0.05))") == set()
 
@@ -144,7 +144,7 @@ LID = HEAD + "steel = o.material('lid_steel', like='stainless_steel')\n"
 KNOB = "body.add(cylinder(0.015, 0.03), at=(0, 0, {z}), by='bottom', material=steel)\n"
 
 
-def test_a_pot_lid_of_17_kg_is_an_error_and_a_shell_is_none():
+def test_a_solid_pot_lid_of_17_kg_is_an_error_and_a_shell_is_not():
     solid = LID + "body.add(lathe([(0.145, 0), (0.145, 0.02), (0.10, 0.04)]), material=steel)\n"
     result = build(solid + KNOB.format(z=0.035)).signals
     (heavy,) = [signal for signal in result if signal.code == "too_heavy"]

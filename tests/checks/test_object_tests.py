@@ -1,4 +1,4 @@
-"""The battery on sound objects, and the lessons that others learned the hard way."""
+"""The object tests on valid objects, and on objects with one fault each."""
 
 import math
 
@@ -37,7 +37,7 @@ def bad(verdict):
 @pytest.mark.parametrize(
     "make", [scenes.cup, scenes.saucer, scenes.table, scenes.spoon, cupboard, chest]
 )
-def test_sound_objects_pass(make):
+def test_valid_objects_pass(make):
     verdict = verify(make())
     assert verdict.passed, bad(verdict)
     assert verdict.faults == ()
@@ -46,7 +46,7 @@ def test_sound_objects_pass(make):
     assert len(verdict.checks) >= 20
 
 
-def test_a_mass_is_reported():
+def test_the_verdict_reports_the_mass():
     assert verify(
         scenes.single("b", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
     ).mass_kg == pytest.approx(0.6)
@@ -73,7 +73,7 @@ def test_joints_move_with_and_without_gravity():
     assert named(verdict, "rests").outcome == "SKIP"
 
 
-def test_a_sliding_joint_is_no_part_that_came_apart():
+def test_a_drawer_out_of_its_carcass_is_not_detached():
     # At the end of its range the drawer is in the air before its carcass, as drawers are.
     verdict = verify(chest())
     assert verdict.passed, bad(verdict)
@@ -81,7 +81,7 @@ def test_a_sliding_joint_is_no_part_that_came_apart():
     assert named(verdict, "drive:slide").value > 0.9
 
 
-def test_what_hangs_in_the_air_beside_its_parent_is_detached():
+def test_a_part_with_a_gap_to_its_parent_is_detached():
     spec = chest()
     away = tuple(
         p.model_copy(
@@ -96,7 +96,7 @@ def test_what_hangs_in_the_air_beside_its_parent_is_detached():
     assert named(verdict, "gap:slide").joint == "slide"
 
 
-def test_parent_and_child_penetration_is_seen_although_contacts_are_filtered():
+def test_overlap_of_parent_and_child_is_detected_although_contacts_are_filtered():
     deep = tuple(
         p.model_copy(
             update={
@@ -112,7 +112,7 @@ def test_parent_and_child_penetration_is_seen_although_contacts_are_filtered():
     assert named(verdict, "part_depth:carcass:drawer").value == pytest.approx(0.02, abs=1e-3)
 
 
-def test_a_range_that_leads_into_the_carcass_is_seen_and_measured():
+def test_a_range_into_the_carcass_fails_and_its_free_part_is_measured():
     tests = run_object_tests(cupboard(lower=-0.3))
     check = named(tests.verdict, "depth:hinge")
     assert (check.outcome, check.fault) == ("FAIL", Fault.LIMIT_INTO_PART)
@@ -123,12 +123,12 @@ def test_a_range_that_leads_into_the_carcass_is_seen_and_measured():
     assert high == pytest.approx(1.57)
 
 
-def test_a_door_that_opens_into_its_carcass_runs_into_it_at_once():
+def test_a_door_that_opens_into_its_carcass_collides_from_the_start():
     verdict = verify(cupboard(axis=(0, 0, -1)))
     assert named(verdict, "depth:hinge").fault is Fault.JOINT_INTO_PART
 
 
-def test_a_reversed_axis_is_told_by_what_was_declared():
+def test_joints_are_compared_with_their_declared_intent():
     intent = {"type": "revolute", "opens": (1, 0, 0), "travel": 1.2}
     assert verify(cupboard(intent=intent)).passed
     verdict = verify(cupboard(intent=intent, axis=(0, 0, -1)))
@@ -139,8 +139,7 @@ def test_a_reversed_axis_is_told_by_what_was_declared():
     assert verdict.cause is Fault.JOINT_TYPE
 
 
-def test_damping_cannot_hide_a_fall():
-    """A thing that topples does so whatever its joints lose, and slow falls end tilted."""
+def test_joint_damping_does_not_hide_toppling():
     spec = chest(damping=1e4, friction=100.0)
     foot = geom("foot", (0.02, 0.02, 0.1), (0.15, 0, -0.05))
     parts = tuple(
@@ -150,11 +149,11 @@ def test_damping_cannot_hide_a_fall():
     verdict = verify(recentred(spec.model_copy(update={"parts": parts})))
     assert named(verdict, "balance").outcome == "FAIL"
     assert named(verdict, "tilt").outcome == "FAIL"
-    # Nor does the battery take over what the joint's damping makes of it: the joint is stuck.
+    # The damping makes the joint stuck.
     assert named(verdict, "drive:slide").fault is Fault.JOINT_STUCK
 
 
-def test_impact_is_no_resting_penetration():
+def test_depth_at_impact_is_not_resting_depth():
     # Dropped from 2 cm a block presses well over a millimetre into soft ground, then stands.
     options = VerifyOptions(high_drop_m=0.1)
     tests = run_object_tests(scenes.single("b", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0))), options)
@@ -163,7 +162,7 @@ def test_impact_is_no_resting_penetration():
     assert named(tests.verdict, "resting_depth:fall_high").value < 1e-4
 
 
-def test_the_floor_does_not_mask_friction():
+def test_the_slope_measures_the_objects_friction():
     def on(friction):
         slab = Material(name="wood", density=600, friction=friction)
         spec = scenes.single("b", (Box(size=(0.2, 0.2, 0.04)), (0, 0, 0)), material=slab)
@@ -176,7 +175,7 @@ def test_the_floor_does_not_mask_friction():
     assert on(6.0).fault is Fault.FRICTION_IMPLAUSIBLE
 
 
-def test_an_undamped_joint_and_a_stuck_one():
+def test_undamped_and_stuck_joints_fail():
     verdict = verify(cupboard(damping=0.0, friction=0.0))
     assert named(verdict, "coast:hinge").value == pytest.approx(0.0, abs=0.01)
     assert verdict.cause is Fault.JOINT_UNDAMPED
@@ -184,7 +183,7 @@ def test_an_undamped_joint_and_a_stuck_one():
     assert named(verdict, "drive:hinge").fault is Fault.JOINT_STUCK
 
 
-def test_an_error_of_the_tool_is_no_pass(monkeypatch):
+def test_an_error_inside_a_check_does_not_pass(monkeypatch):
     from neoworld_mjx.checks import object_tests
 
     def fails(*_):
@@ -197,7 +196,7 @@ def test_an_error_of_the_tool_is_no_pass(monkeypatch):
     assert verdict.score >= 1.0
 
 
-def test_what_lies_is_dropped_as_it_lies():
+def test_a_lying_object_is_dropped_in_its_resting_orientation():
     pole = scenes.single("pole", (Box(size=(0.02, 0.03, 0.5)), (0, 0, 0.25)))
     assert verify(pole).cause is not None
     half = math.sqrt(0.5)
@@ -205,7 +204,7 @@ def test_what_lies_is_dropped_as_it_lies():
     assert lying.passed, bad(lying)
 
 
-def test_a_ball_that_a_tilt_sets_rolling_is_no_fault():
+def test_a_ball_that_rolls_when_tilted_has_no_fault():
     # A dent that is slightly off its middle keeps it moving, as it does an orange.
     dent = (Sphere(radius=0.004), (0.039, 0, 0))
     ball = scenes.single("ball", (Sphere(radius=0.04), (0, 0, 0)), dent)
@@ -228,7 +227,7 @@ def test_the_same_object_gets_the_same_verdict_at_any_number_of_threads():
     assert one.to_json() == two.to_json()
 
 
-def test_an_impossible_inertia_is_told_and_the_rest_is_tried_without_it():
+def test_an_impossible_inertia_fails_and_the_object_is_simulated_without_it():
     spec = cupboard()
     for moments in ((-1e-3, 1e-3, 1e-3), (1e-9, 1e-9, 1e-9), (1e-3, 1e-3, 1e-1)):
         spread = AuthoredInertia(pos=(0.16, 0, 0.25), moments=moments)
@@ -249,7 +248,7 @@ def tap():
     block = geom("block", (0.1, 0.1, 0.1), (0, 0, 0.05))
     lever = geom("lever", (0.2, 0.02, 0.02), (0.1, 0, 0.115))
     middle = GeomSpec(name="bead", shape=Sphere(radius=0.001), pos=(0, 0, 0.1), material="helper")
-    # What a link without shape states of mass and inertia cannot be held against the bead.
+    # Its authored mass and inertia cannot be compared with those of the bead.
     heavy = AuthoredInertia(pos=(0, 0, 0.1), moments=(1e-4, 1e-4, 1e-4), products=(0, 0, 0))
     turns = {"type": "revolute", "pos": (0, 0, 0.1), "upper": 1.0, "friction": 0.05, "damping": 0.2}
     return spec.model_copy(
@@ -278,7 +277,7 @@ def tap():
     )
 
 
-def test_a_link_without_shape_is_not_held_against_the_bead_that_stands_for_it():
+def test_a_link_without_geometry_is_not_compared_with_its_placeholder():
     tests = run_object_tests(tap(), fixed_base=True)
     assert tests.verdict.passed, bad(tests.verdict)
     asked = {check.name for check in tests.verdict.checks}
@@ -290,7 +289,7 @@ def test_a_link_without_shape_is_not_held_against_the_bead_that_stands_for_it():
     assert arms["hot"] == pytest.approx(0.2, abs=0.01)
 
 
-def test_friction_does_not_drive_what_damping_stops_within_a_step():
+def test_friction_does_not_drive_a_joint_that_damping_stops_within_a_step():
     stiff = cupboard(friction=1.0, damping=2.0)
     switch = PartSpec(name="door", geoms=(geom("lever", (0.02, 0.06, 0.02), (0.16, 0.17, 0.25)),))
     verdict = verify(stiff.model_copy(update={"parts": (stiff.parts[0], switch)}), fixed_base=True)

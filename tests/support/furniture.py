@@ -1,4 +1,4 @@
-"""Small furniture that passes the battery; tests change one joint field of it."""
+"""Small furniture that passes the object tests; tests change one joint field of it."""
 
 from neoworld_mjx.spec import (
     Box,

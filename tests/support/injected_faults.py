@@ -1,4 +1,4 @@
-"""Faults to inject into valid objects: kinds, magnitudes, and the battery's names for them.
+"""Faults to inject into valid objects: kinds, magnitudes, and the faults that must be reported.
 
 A fault that counts contradicts physics or a declared intent. The faint magnitude of a kind does
 neither; it is part of the curve of detection, not of the score.
@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neoworld_mjx.checks.joint_checks import on_edge
-from neoworld_mjx.checks.static_checks import part_bounds
 from neoworld_mjx.checks.verdict import Fault
 from neoworld_mjx.spec import (
     AuthoredInertia,
@@ -22,6 +21,7 @@ from neoworld_mjx.spec import (
     PartSpec,
     bounds,
     inertial,
+    part_bounds,
     recentred,
 )
 from neoworld_mjx.spec.kinematics import carried, with_joint
@@ -35,13 +35,13 @@ class Kind:
 
     name: str
     causes: frozenset[Fault]
-    """Faults that name it rightly."""
+    """Reported faults that identify it."""
     unit: str
     magnitudes: tuple[float, float, float]
     faint: float | None
     inject: Inject
     repairable: bool
-    """Whether a patch can express its repair."""
+    """True if a patch can express its repair."""
 
 
 def _joint(spec: ObjectSpec, *types: str, opens: bool = False) -> JointSpec | None:
@@ -125,7 +125,7 @@ def limits_into_parent(spec: ObjectSpec, share: float) -> ObjectSpec | None:
     if joint is None:
         return None
     if joint.type == "revolute" and not on_edge(joint, *part_bounds(spec, spec.part(joint.child))):
-        return None  # A lever may turn either way.
+        return None  # A lever may turn in either direction.
     excess = share * (joint.upper - joint.lower)
     if joint.type == "prismatic" and share >= 0.05:
         excess = max(excess, 0.004)
@@ -265,7 +265,7 @@ def interpenetrating(spec: ObjectSpec, share: float) -> ObjectSpec | None:
 
 
 def wrong_type(spec: ObjectSpec, which: float) -> ObjectSpec | None:
-    """Give a joint the first, second or third of the types that it should not have."""
+    """Give a joint the first, second or third of the wrong types."""
     joint = _joint(spec, "revolute", "prismatic")
     if joint is None:
         return None
@@ -278,7 +278,7 @@ def wrong_type(spec: ObjectSpec, which: float) -> ObjectSpec | None:
 
 
 def off_balance(spec: ObjectSpec, share: float) -> ObjectSpec | None:
-    """Stand the object on a foot beside its centre of mass, by a share of its half width."""
+    """Put the object on a foot next to its centre of mass, by a share of its half width."""
     low, high = bounds(spec)
     total = sum(inertial(spec, p).mass for p in spec.parts)
     weighed = [inertial(spec, p).mass * np.array(inertial(spec, p).pos) for p in spec.parts]
@@ -289,7 +289,7 @@ def off_balance(spec: ObjectSpec, share: float) -> ObjectSpec | None:
     edge = centre[1] + share * (high[1] - low[1]) / 2
     root = spec.part(spec.root)
     foot = GeomSpec(
-        name="foot_of_trial",
+        name="test_foot",
         shape=Box(size=(float(width), float(width), float(tall))),
         pos=(float(centre[0]), float(edge + width / 2), float(low[2] - tall / 2)),
         material=root.geoms[0].material,
@@ -298,14 +298,14 @@ def off_balance(spec: ObjectSpec, share: float) -> ObjectSpec | None:
 
 
 def stuck(spec: ObjectSpec, factor: float) -> ObjectSpec | None:
-    """Give a joint a multiple of the friction that a hand overcomes at its child's far end."""
+    """Give a joint a multiple of the friction that a hand overcomes at the far end of its child."""
     joint = _joint(spec, "revolute", "prismatic")
     if joint is None:
         return None
     low, high = part_bounds(spec, spec.part(joint.child))
-    lever = 1.0 if joint.type == "prismatic" else float(np.linalg.norm(high - low))
+    arm = 1.0 if joint.type == "prismatic" else float(np.linalg.norm(high - low))
     weight = 9.81 * inertial(spec, spec.part(joint.child)).mass
-    return _change(spec, joint, friction=factor * lever * (100.0 + weight))
+    return _change(spec, joint, friction=factor * arm * (100.0 + weight))
 
 
 def slippery(spec: ObjectSpec, friction: float) -> ObjectSpec | None:

@@ -1,4 +1,4 @@
-"""Valid objects from programs, which the battery must pass and faults are injected into.
+"""Valid objects from programs: they pass the object tests, and faults are injected into them.
 
 Each family is a program with parameters, and declares the intents of its joints.
 """

@@ -1,4 +1,4 @@
-"""`neoworld check` on files from elsewhere: verdicts, and one clear message for broken files."""
+"""`neoworld check` on outside files: verdicts, and one clear message for broken files."""
 
 import json
 
@@ -25,7 +25,7 @@ def cache(tmp_path, monkeypatch):
 
 @pytest.fixture
 def checked(capfd):
-    """Run the command in this process; return its exit code, answer and what it said."""
+    """Run the command in this process; return its exit code, output and error output."""
 
     def run(*words):
         with pytest.raises(SystemExit) as ended:
@@ -196,14 +196,14 @@ def test_a_broken_file_exits_2_with_one_message(checked, tmp_path, name):
     assert "\n" not in answer["error"]
 
 
-def test_a_file_that_is_not_there(checked, tmp_path):
+def test_a_missing_file_exits_2(checked, tmp_path):
     code, answer, _ = checked(tmp_path / "no.urdf")
     assert code == 2
     assert "cannot read" in answer["error"]
 
 
 @pytest.mark.parametrize("file", ["object.urdf", "object.xml"])
-def test_a_sound_asset_passes_and_a_bad_one_fails_with_its_fault(checked, tmp_path, file):
+def test_a_valid_asset_passes_and_an_invalid_one_fails_with_its_fault(checked, tmp_path, file):
     export_object(objects.cupboard(), tmp_path / "good")
     code, answer, _ = checked(tmp_path / "good" / file)
     assert (code, answer["passed"], answer["faults"]) == (0, True, [])
@@ -227,7 +227,7 @@ o.site("grip", door, door.anchor("front"))
 """
 
 
-def test_a_patch_is_kept_beside_a_program_and_survives_a_rebuild(checked, tmp_path, capfd):
+def test_a_patch_is_stored_next_to_its_program_and_survives_a_rebuild(checked, tmp_path, capfd):
     program = tmp_path / "crate.py"
     program.write_text(PROGRAM.format(high=0.5, more="").replace(
         'o.site',
@@ -253,7 +253,7 @@ def test_a_patch_is_kept_beside_a_program_and_survives_a_rebuild(checked, tmp_pa
     assert spec["joints"][0]["damping"] > 0
 
 
-def test_the_mended_object_is_written_where_asked(checked, tmp_path):
+def test_the_repaired_object_is_written_to_the_given_folder(checked, tmp_path):
     export_object(objects.cupboard(damping=0.0, friction=0.0), tmp_path / "in")
     code, _, _ = checked(tmp_path / "in" / "object.xml", "--repair", "--out", tmp_path / "out")
     assert code == 0

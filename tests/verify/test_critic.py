@@ -1,4 +1,4 @@
-"""The critic sees labelled strips; the reasoner's edits are kept only where they help."""
+"""The critic sees labelled strips; the reasoner's edits are accepted only if they help."""
 
 import io
 
@@ -67,7 +67,7 @@ def test_strips_show_failed_checks_with_labels():
     assert result[0].pixels != strips(results_of(objects.cupboard(lower=-0.5)))[0].pixels
 
 
-def test_a_sound_object_has_no_strips():
+def test_a_valid_object_has_no_strips():
     tests = results_of(objects.cupboard())
     assert questionable(tests.verdict) == []
     assert "- none" in key_frames_request(tests).prompt
@@ -90,7 +90,7 @@ def only_just():
     return objects.cupboard(lower=-0.0035)
 
 
-def test_a_value_just_within_its_threshold_is_doubtful_and_shown():
+def test_a_value_just_within_its_threshold_is_borderline_and_shown():
     tests = results_of(only_just())
     assert tests.verdict.passed
     (check,) = tests.verdict.borderline
@@ -107,7 +107,7 @@ def test_a_value_just_within_its_threshold_is_doubtful_and_shown():
         (0.79, {"threshold": 1.0}, False),
         (0.81, {"threshold": 1.0}, True),
         (1.0, {"threshold": 1.0}, True),
-        (1.01, {"threshold": 1.0}, False),  # It fails: there is no doubt about it.
+        (1.01, {"threshold": 1.0}, False),  # It fails.
         (1.21, {"threshold": 1.0, "least": True}, False),
         (1.19, {"threshold": 1.0, "least": True}, True),
         (0.99, {"threshold": 0.9, "least": True, "best": 1.0}, False),
@@ -118,12 +118,12 @@ def test_a_value_just_within_its_threshold_is_doubtful_and_shown():
         (float("nan"), {"threshold": 1.0}, False),
     ],
 )
-def test_a_value_is_doubtful_near_its_threshold(value, limit, doubt):
+def test_a_value_is_borderline_near_its_threshold(value, limit, doubt):
     result = judged("static", "x", value, Limit(unit="m", fault=Fault.PARTS_OVERLAP, **limit))
     assert result.borderline is doubt
 
 
-def test_a_doubtful_object_is_shown_and_not_edited():
+def test_a_borderline_object_is_shown_and_not_edited():
     script = ScriptedModel(FOUND)
     result = verify_and_repair(only_just(), models=Panel(script))
     assert [request.role for request in script.requests] == ["critic"]
@@ -132,10 +132,10 @@ def test_a_doubtful_object_is_shown_and_not_edited():
     assert result.patch.empty
     script = ScriptedModel()
     verify_and_repair(objects.cupboard(), models=Panel(script))
-    assert script.requests == []  # Nothing in doubt: nobody is asked.
+    assert script.requests == []  # No borderline check, so no request.
 
 
-def test_always_shows_what_passes_in_the_standard_scenarios():
+def test_critic_always_shows_the_standard_scenarios_of_valid_objects():
     options = VerifyOptions(critic="always")
     script = ScriptedModel(MotionCritique(verdict="sound"))
     result = verify_and_repair(objects.cupboard(), options, models=Panel(script))
@@ -150,7 +150,7 @@ def test_always_shows_what_passes_in_the_standard_scenarios():
     assert script.requests == []  # A support is in no scenario.
 
 
-def test_what_a_tape_lacks_is_an_error_only_where_it_must_be_there():
+def test_a_missing_response_is_an_error_only_with_critic_always():
     lacking = lambda: Panel(ScriptedModel(MissingResponseError("no answer for simulation")))
     result = verify_and_repair(only_just(), models=lacking())
     assert result.seen == () and "the tape does not hold the answer" in result.tried[-1]
@@ -158,7 +158,7 @@ def test_what_a_tape_lacks_is_an_error_only_where_it_must_be_there():
         verify_and_repair(only_just(), VerifyOptions(critic="always"), models=lacking())
 
 
-def test_a_cached_result_is_taken_where_nothing_is_in_doubt(tmp_path, monkeypatch):
+def test_a_cached_result_without_borderline_checks_is_used(tmp_path, monkeypatch):
     monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path))
     first = verify_and_repair(objects.cupboard())
     monkeypatch.setattr(verification, "run_object_tests", None)
@@ -197,7 +197,7 @@ def test_without_rounds_the_object_is_shown_and_not_edited():
     assert not result.verdict.passed
 
 
-def test_an_edit_that_helps_is_kept():
+def test_an_edit_that_helps_is_accepted():
     repaired, critiques, _ = edited_by(FOUND, ProposedEdit(patch=MENDS))
     assert repaired.after.passed
     assert repaired.patch == MENDS
@@ -214,12 +214,12 @@ def test_an_edit_that_does_not_help_is_dropped_and_listed(patch):
     assert len(repaired.tried) == 1
 
 
-def test_an_object_to_be_reprogrammed_is_not_edited():
+def test_an_object_that_needs_reprogramming_is_not_edited():
     repaired, critiques, model = edited_by(MotionCritique(verdict="reprogram"))
     assert (repaired.patch.empty, len(critiques), len(model.requests)) == (True, 1, 1)
 
 
-def test_a_failing_model_costs_the_edit_not_the_run():
+def test_a_failing_model_costs_only_the_edit():
     repaired, critiques, _ = edited_by(ModelError("gone"))
     assert critiques == []
     assert [reason for _, reason in repaired.lost_critics] == ["gone"]
@@ -228,7 +228,7 @@ def test_a_failing_model_costs_the_edit_not_the_run():
 def test_direct_repairs_come_before_models():
     script = ScriptedModel()
     result = verify_and_repair(BAD, models=Panel(script))
-    assert result.verdict.passed  # Cut by direct repair: nobody was asked.
+    assert result.verdict.passed  # A direct repair cut the limits, so there was no request.
     assert script.requests == []
     flipped = objects.cupboard(axis=(0, 0, -1))
     script = ScriptedModel(MotionCritique(findings=FOUND.findings, verdict="reprogram"))

@@ -1,4 +1,4 @@
-"""Patches say only what Step 3 may say; repairs are kept only where they help."""
+"""Patches express only the edits of Step 3; repairs are accepted only if they help."""
 
 import json
 
@@ -16,8 +16,8 @@ from neoworld_mjx.verify.repairs import repair
 from tests.support import furniture as objects
 
 
-def seen(spec):
-    """What is seen of an object, part by part, apart from where parts are."""
+def visible_shapes(spec):
+    """Return the vertices of the visible shapes of each part."""
     return {
         part.name: [g.shape.surface()[0].tobytes() for g in part.geoms if g.role != "collision"]
         for part in spec.parts
@@ -41,12 +41,12 @@ def seen(spec):
         {"parts": {"door": {"mass": -1}}},
     ],
 )
-def test_topology_and_what_is_seen_cannot_be_said(edit):
+def test_a_patch_cannot_express_topology_or_visible_shapes(edit):
     with pytest.raises(ValidationError):
         Patch.model_validate(edit)
 
 
-def test_no_patch_changes_tree_types_axes_or_pictures():
+def test_a_patch_keeps_tree_types_axes_and_visible_shapes():
     spec = objects.cupboard()
     patch = Patch.model_validate(
         {
@@ -60,7 +60,7 @@ def test_no_patch_changes_tree_types_axes_or_pictures():
     )
     built, stale = apply(patch, spec)
     assert stale == ()
-    assert seen(built) == seen(spec)
+    assert visible_shapes(built) == visible_shapes(spec)
     assert [p.name for p in built.parts] == [p.name for p in spec.parts]
     for new, old in zip(built.joints, spec.joints, strict=True):
         assert (new.type, new.axis, new.parent, new.child) == (
@@ -70,14 +70,14 @@ def test_no_patch_changes_tree_types_axes_or_pictures():
     assert len(patch.changes()) == 8
 
 
-def test_what_is_gone_from_the_program_is_told_not_fatal():
+def test_edits_of_missing_items_are_reported_as_stale():
     patch = Patch.model_validate({"joints": {"gone": {"damping": 1.0}}})
     built, stale = apply(patch, objects.cupboard())
     assert built == objects.cupboard()
     assert stale == ("joint gone",)
 
 
-def test_edits_that_contradict_each_other_are_refused():
+def test_contradictory_edits_are_rejected():
     patch = Patch.model_validate({"joints": {"hinge": {"lower": 1.0, "upper": 0.5}}})
     with pytest.raises(SpecError, match="must be below"):
         apply(patch, objects.cupboard())
@@ -102,12 +102,12 @@ def test_patches_join_and_survive_json():
         (objects.cupboard(upper=0.4, intent={"travel": 1.3}), Fault.LIMITS_NARROW),
     ],
 )
-def test_numbers_mend_what_numbers_can_tell(spec, fault):
+def test_direct_repairs_fix_each_fault(spec, fault):
     built = repair(spec, run_object_tests)
     assert built.before.cause is fault
     assert built.after.passed, built.tried
     assert built.patch.changes()
-    assert seen(built.tests.spec) == seen(spec)
+    assert visible_shapes(built.tests.spec) == visible_shapes(spec)
     assert apply(built.patch, spec)[0] == built.tests.spec
 
 
@@ -123,7 +123,7 @@ def test_an_authored_inertia_is_recomputed():
     assert built.patch.parts["door"].inertia == "derived"
 
 
-def test_what_no_edit_can_mend_is_left_as_it_is():
+def test_a_fault_beyond_patches_leaves_the_object_unchanged():
     intent = {"opens": (1, 0, 0)}
     spec = objects.cupboard(axis=(0, 0, -1), intent=intent)
     built = repair(spec, run_object_tests, rounds=3)
@@ -143,14 +143,14 @@ def test_a_patch_that_does_not_help_is_dropped(monkeypatch):
     assert built.tried
 
 
-def test_results_are_kept_by_content_and_version(tmp_path, monkeypatch):
+def test_results_are_cached_by_content_and_version(tmp_path, monkeypatch):
     monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path))
     spec = objects.cupboard(damping=0.0, friction=0.0)
     first = verify_and_repair(spec)
     assert first.verdict.passed
     assert first.before is not None
     monkeypatch.setattr(
-        verification, "run_object_tests", lambda *_, **__: pytest.fail("it was there already")
+        verification, "run_object_tests", lambda *_, **__: pytest.fail("the result is cached")
     )
     assert verify_and_repair(spec) == first
     with pytest.raises(pytest.fail.Exception):
@@ -162,7 +162,7 @@ def test_results_are_kept_by_content_and_version(tmp_path, monkeypatch):
         verify_and_repair(spec)
 
 
-def test_with_no_rounds_nothing_is_changed(tmp_path, monkeypatch):
+def test_without_rounds_nothing_changes(tmp_path, monkeypatch):
     monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path))
     result = verify_and_repair(objects.cupboard(damping=0.0, friction=0.0), VerifyOptions(rounds=0))
     assert result.patch.empty

@@ -1,4 +1,4 @@
-"""Step 3 of a run: what the parse and the program know of an object reaches its trial."""
+"""Step 3 of a run: its object tests use the parse and the program of the object."""
 
 import json
 import math
@@ -107,7 +107,7 @@ def ran(verdict, scenario):
     return {c["name"] for c in verdict["checks"] if c["scenario"] == scenario}
 
 
-def test_an_overlap_that_the_program_asks_for_is_granted_and_told(tmp_path):
+def test_a_declared_overlap_passes_and_is_reported(tmp_path):
     verdict, reported = stepped(tmp_path / "plain", pot())
     assert any(check["fault"] == "parts_overlap" for check in verdict["checks"])
     assert reported
@@ -120,7 +120,7 @@ def test_an_overlap_that_the_program_asks_for_is_granted_and_told(tmp_path):
     assert GRANT.reason in check["evidence"]
 
 
-def test_what_is_deeper_than_granted_or_granted_to_others_fails():
+def test_an_overlap_deeper_than_declared_or_of_other_parts_fails():
     deep = run_object_tests(pot(0.0025), allowed=[GRANT]).verdict
     (check,) = [c for c in deep.checks if c.fault is not None and c.scenario == "static"]
     assert (check.name, check.threshold) == ("part_depth:pot:lid", 0.002)
@@ -131,12 +131,12 @@ def test_what_is_deeper_than_granted_or_granted_to_others_fails():
     assert small.passed
 
 
-def test_a_grant_belongs_to_what_is_kept():
+def test_the_cache_distinguishes_declared_overlaps():
     assert not verify_and_repair(pot(), VerifyOptions(rounds=0)).verdict.passed
     assert verify_and_repair(pot(), VerifyOptions(rounds=0), allowed=[GRANT]).verdict.passed
 
 
-def test_what_lies_is_dropped_lying(tmp_path):
+def test_a_lying_object_is_dropped_in_its_parsed_orientation(tmp_path):
     verdict, reported = stepped(tmp_path, rod(), base_tilt=tilted(83))
     tilts = {c["name"]: c["value"] for c in verdict["checks"] if c["scenario"] == "free_fall"}
     assert verdict["passed"], reported
@@ -146,7 +146,7 @@ def test_what_lies_is_dropped_lying(tmp_path):
 
 
 @pytest.mark.parametrize("relation", ["in", "on"])
-def test_what_is_held_tilted_by_another_thing_is_not_dropped(tmp_path, relation):
+def test_an_object_that_another_one_supports_tilted_is_not_dropped(tmp_path, relation):
     verdict, reported = stepped(
         tmp_path, rod(), base_tilt=tilted(25), parent="cup", relation=relation
     )
@@ -154,7 +154,7 @@ def test_what_is_held_tilted_by_another_thing_is_not_dropped(tmp_path, relation)
     assert verdict["passed"], reported
 
 
-def test_what_is_tilted_on_level_ground_and_rests_on_no_side_falls_as_it_is_seen(tmp_path):
+def test_an_object_tilted_on_level_ground_is_dropped_in_its_parsed_orientation(tmp_path):
     verdict, reported = stepped(tmp_path, rod(), base_tilt=tilted(45))
     assert "fall" in ran(verdict, "free_fall")
     failed = {c["name"]: c["value"] for c in verdict["checks"] if c["outcome"] == "FAIL"}
