@@ -21,7 +21,7 @@ from neoworld_mjx.physics.simulate import open_engine
 
 from ..rows import Row
 from .agreement_scenes import AGREEMENT
-from .model_fields import SINGLE, field_errors, loose_fields
+from .field_comparison import SINGLE, field_errors, loose_fields
 from .table_scenes import noisy_layouts
 from .verdicts import compare, motion, naive_loop, started
 
