@@ -27,7 +27,7 @@ from ..spec.fit_to_box import BoxFit, fit_to_box
 from ..spec.opening import matching_joint
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
 from .inside import covers, entrance
-from .joint_friction import held
+from .joint_friction import hold_joints
 from .leaning import lean
 from .resting_pose import on_level, resting_tilt, stands
 from .settle import settle
@@ -87,9 +87,9 @@ def compose(
         placed[node.name] = _place(node, tree, placed, spec, state, residual, notes)
         if options.settle:
             placed[node.name] = _settled(node, tree, placed, notes)
-            placed[node.name] = _let_in(placed[node.name], placed, notes)
+            placed[node.name] = _move_inside(placed[node.name], placed, notes)
         if options.hold_joints:
-            placed[node.name] = _held(placed[node.name], notes)
+            placed[node.name] = _with_held_joints(placed[node.name], notes)
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
     scene = snap(scene, options.gap_m)
     if options.settle:
@@ -222,7 +222,7 @@ def _settled(
     return resting
 
 
-def _let_in(obj: SceneObject, placed: dict[str, SceneObject], notes: list[str]) -> SceneObject:
+def _move_inside(obj: SceneObject, placed: dict[str, SceneObject], notes: list[str]) -> SceneObject:
     """Return what stands upright in a container, or covers it, as it stands in it."""
     upright = np.allclose(obj.base_tilt, IDENTITY)
     if obj.parent is None or obj.static or not upright or obj.relation not in ("on", "in"):
@@ -248,9 +248,9 @@ def _beside(obj: SceneObject, placed: dict[str, SceneObject]) -> list[SceneObjec
     return [other for other in others if (other.parent, other.parent_link) == where]
 
 
-def _held(obj: SceneObject, notes: list[str]) -> SceneObject:
+def _with_held_joints(obj: SceneObject, notes: list[str]) -> SceneObject:
     """Return an object with joints that stay where the parse shows them."""
-    holding, changes = held(obj)
+    holding, changes = hold_joints(obj)
     for joint, (before, after) in changes.items():
         unit = "N" if obj.spec.joint(joint).type == "prismatic" else "N m"
         notes.append(

@@ -17,7 +17,7 @@ NEGLIGIBLE = 1e-9
 """Load [N m or N] of nothing but rounding errors."""
 
 
-def held(obj: SceneObject) -> tuple[SceneObject, dict[str, tuple[float, float]]]:
+def hold_joints(obj: SceneObject) -> tuple[SceneObject, dict[str, tuple[float, float]]]:
     """Raise the dry friction of joints that would not stay where they are composed.
 
     Joints that springs move, balls and followers stay as they are; a follower's load is its

@@ -90,7 +90,7 @@ def roll_out(
     Returns:
         Rollouts on the host, without padded objects.
     """
-    together, rows = _together(poses, len(scene.names), runs)
+    together, rows = _concatenate(poses, len(scene.names), runs)
     r = o.rollout
     if r.duration_s:
         rollout = engine.rollout(
@@ -115,7 +115,7 @@ def settled(
 ) -> list[Poses]:
     """Let placed candidates of several runs come to rest, all at once; as `roll_out`."""
     real = len(scene.names)
-    together, rows = _together(poses, real, runs)
+    together, rows = _concatenate(poses, real, runs)
     ends = settle(scene, together, engine, o.rollout.duration_s)
     return [
         jax.tree.map(lambda whole, end, at=at: put(whole, end[at], np.s_[:, :real]), own, ends)
@@ -123,7 +123,7 @@ def settled(
     ]
 
 
-def _together(poses: Sequence[Poses], real: int, runs: int) -> tuple[Poses, list[slice]]:
+def _concatenate(poses: Sequence[Poses], real: int, runs: int) -> tuple[Poses, list[slice]]:
     """Put the candidates of several runs together, without padded objects.
 
     They are filled up with candidates that no engine simulates, so that few shapes are compiled as

@@ -14,13 +14,13 @@ from ..physics.settling import at_rest, moved
 from ..progress import update
 from ..spec import SceneSpec, world_poses
 from ..spec.pose import pose
+from .feasibility import failing
 from .rounds import Round, ranked
-from .soundness import failing
 
 COARSE_REST_PHASES = ((True, 0.5), (False, 1.0), (True, 0.5))
 """What an object that has come to rest in a coarse rollout does until the exact check; see
 `at_rest`."""
-DROPPED = ((False, 3.0),)
+INITIAL_REST_PHASES = ((False, 3.0),)
 """The same of the start, where no candidate passes: it moves freely for as long as it may take."""
 ALIKE_M = 1e-3
 """Mean distance up to which objects that failed a check are again where they failed."""
@@ -83,7 +83,7 @@ def choose(
         faulty = failing(model.names, measure, o) | np.isin(model.names, away)
         fell.append((faulty, places[t, k]))
     if o.settle != "never" and o.rollout.duration_s:
-        chosen = _dropped(model, start, o, most)
+        chosen = _settled_initial(model, start, o, most)
         if chosen.passed:
             return chosen
         if fallback is not None and _badness(chosen, o) < _badness(fallback, o):
@@ -126,11 +126,13 @@ def _untried(
     return 0
 
 
-def _dropped(model: SceneModel, start: Layout | None, o: RefineOptions, tried: int) -> Chosen:
+def _settled_initial(
+    model: SceneModel, start: Layout | None, o: RefineOptions, tried: int
+) -> Chosen:
     """Let the start come to rest without drag, and check it."""
     placed = model.spec if start is None else model.apply(start, 0)
     sizes = np.zeros(len(model.names)) if start is None else np.asarray(start.log_scale)[0]
-    scene = at_rest(snap_exactly(placed), DROPPED)
+    scene = at_rest(snap_exactly(placed), INITIAL_REST_PHASES)
     away = moved_away(model, snap_exactly(placed), scene, sizes)
     measure = measured(scene, o)
     passed = passes(measure, o) and not away

@@ -30,13 +30,13 @@ from ..physics.scene_arrays import SceneArrays
 from ..traces import computes_on_cpu
 from .algorithm import Problem, initial_state, open_problem, project, projects
 from .batching import map_runs, pad_rollout, put, roll_out, settled, take
+from .feasibility import InitialFeasibility, assess_initial, failing
 from .objective import Placement, Scores, evaluate, place
 from .pruning import RolloutPlan
 from .rewards import Term
 from .rounds import Round
 from .scorer import SemanticScorer
 from .search_run import SearchResult, SearchRun, population_at, prunes
-from .soundness import Soundness, failing, soundness
 
 
 class Evaluation(NamedTuple):
@@ -78,7 +78,7 @@ class Evaluation(NamedTuple):
                 new = [look(self.arrays, layouts[k], number) for k in own]
             else:
                 rows = [(layouts[k],) for k in own]
-                new = map_runs(_guessed if rest else placed, self.arrays, rows, self.tile)
+                new = map_runs(_approximated if rest else placed, self.arrays, rows, self.tile)
             known |= zip(own, new, strict=True)
         placements = self._placements(
             [(problems[k], layouts[k], known[k]) for k in range(len(layouts))]
@@ -90,7 +90,7 @@ class Evaluation(NamedTuple):
         rows = [(z, problem.objective.bounded, at) for problem, z, at in of]
         return map_runs(place, self.arrays, rows, self.tile)
 
-    def in_batches(
+    def run_plans(
         self,
         live: Sequence[SearchResult],
         layouts: list[Layout],
@@ -106,7 +106,7 @@ class Evaluation(NamedTuple):
             idle = [k for k in range(len(plans)) if k not in batches]
             waiting = {k: rows for k in idle if (rows := plans[k].waiting()) is not None}
             if waiting:
-                self._bring_to_rest(live, layouts, placements, plans, waiting)
+                self._settle_waiting(live, layouts, placements, plans, waiting)
                 continue
             if not batches:
                 return
@@ -116,7 +116,7 @@ class Evaluation(NamedTuple):
             for k, scores in zip(batches, self.score(own, some, rollouts), strict=True):
                 plans[k].add(scores)
 
-    def _bring_to_rest(
+    def _settle_waiting(
         self,
         live: Sequence[SearchResult],
         layouts: list[Layout],
@@ -163,7 +163,7 @@ class Evaluation(NamedTuple):
             placed_now.append((live[k].problem, layouts[k], jax.tree.map(put_in, whole, at)))
         for k, placement in zip(waiting, self._placements(placed_now), strict=True):
             plans[k].placed_at_rest(placement)
-            placements[k] = _left_out(placement, plans[k].ready)
+            placements[k] = _without_others(placement, plans[k].ready)
         self.clock["score"] += time.perf_counter() - began
 
     def with_scorer(
@@ -188,15 +188,15 @@ class Evaluation(NamedTuple):
         plan.add(self.score([r], some, rollouts)[0])
         return marks
 
-    def of_start(
+    def evaluate_initial(
         self, start: Layout, o: RefineOptions, terms: Sequence[Term]
-    ) -> tuple[Round, Soundness, SceneMeasure]:
+    ) -> tuple[Round, InitialFeasibility, SceneMeasure]:
         """Evaluate the layout that a search starts at, and tell which objects are sound in it.
 
         It is repeated to the populations' length, so that nothing is compiled for it.
 
         Returns:
-            The layout as an iteration, its soundness, and its final check.
+            The layout as an iteration, its feasibility, and its final check.
         """
         problem = open_problem(self.arrays, o, start, terms=terms)
         most = max(population_at(o, 0), population_at(o, 1))
@@ -211,7 +211,7 @@ class Evaluation(NamedTuple):
         scores = take(scores, slice(1))
         round_ = Round(take(repeated(start, 1), slice(1)), first.poses, scores, np.zeros(1, bool))
         measure = measured(snap_exactly(self.scene.apply(start, 0)), o)
-        sound = soundness(first, scores, failing(self.scene.names, measure, o), o)
+        sound = assess_initial(first, scores, failing(self.scene.names, measure, o), o)
         return round_.of_objects(len(self.scene.names)), sound, measure
 
     def roll_out(self, placements: Sequence[Placement], runs: int | None = None) -> list[Rollout]:
@@ -242,7 +242,7 @@ class Evaluation(NamedTuple):
         return scored
 
 
-def _left_out(placement: Placement, kept: np.ndarray) -> Placement:
+def _without_others(placement: Placement, kept: np.ndarray) -> Placement:
     """Leave all candidates but some out: they have no bound, and no engine simulates them."""
     keep = lambda x, none: put(np.full_like(x, none), np.asarray(x)[kept], kept)
     poses = jax.tree.map(lambda x: keep(x, np.nan), placement.poses)
@@ -251,7 +251,7 @@ def _left_out(placement: Placement, kept: np.ndarray) -> Placement:
     )
 
 
-def _guessed(scene: SceneArrays, layouts: Layout) -> Placed:
+def _approximated(scene: SceneArrays, layouts: Layout) -> Placed:
     return approximated(scene, placed_poses(scene, layouts))
 
 

@@ -38,7 +38,19 @@ from .algorithm import (
 from .batching import map_runs, take, tile_of
 from .cem import CEMState, elite_count, initial_sigma
 from .evaluation import Evaluation
-from .objective import Placement, Scores, open_objective, photograph_decides, try_terms
+from .feasibility import (
+    ITERATIONS_PER_STAGE,
+    SETTLE_BATCH,
+    always_falling,
+    deviation_share,
+    initial_line,
+    photo_mismatches,
+    search_farther,
+    should_settle,
+    stages,
+    widen_deviations,
+)
+from .objective import Placement, Scores, has_builtin_terms_only, open_objective, try_terms
 from .optimizer import Optimizer
 from .outcome import iteration_summary
 from .pruning import RolloutPlan
@@ -46,18 +58,6 @@ from .rewards import Term
 from .rounds import Round, best_first
 from .scorer import SemanticScorer
 from .search_run import SearchResult, SearchRun, bounded, population_at, prunes
-from .soundness import (
-    ROOM,
-    SETTLED_AT_ONCE,
-    disagreeing,
-    doubt,
-    never_held,
-    reaching_out,
-    settles_now,
-    stages,
-    start_line,
-    widened,
-)
 
 PADDED = ("cem", "random")
 """Optimizers that take a padded scene."""
@@ -102,10 +102,10 @@ def search(
     arrays = pad_scene(scene) if objective.padded and not own_optimizer else scene
     tile = tile_of(len(runs), max(o.cem.population, o.cem.first))
     evaluation = Evaluation(scene, arrays, engine, o, len(runs), tile, clock, began)
-    keeps = not own_optimizer and scorer is None and photograph_decides(objective)
+    keeps = not own_optimizer and scorer is None and has_builtin_terms_only(objective)
     results = _opened(evaluation, runs, terms, optimizer, keeps, progress)
     for r in results:
-        r.settles = settles_now(r.run.options, 0, scorer)
+        r.settles = should_settle(r.run.options, 0, scorer)
     live = results
     for t in range(max(run.options.cem.iterations for run in runs)):
         live = [r for r in live if t < r.run.options.cem.iterations and not r.finished]
@@ -118,7 +118,7 @@ def search(
         layouts, placements = take((layouts, placements), slice(pop))
         plans = [_plan(*of, scorer) for of in zip(live, placements, rests, strict=True)]
         if scorer is None:
-            evaluation.in_batches(live, layouts, placements, plans)
+            evaluation.run_plans(live, layouts, placements, plans)
         else:
             live[0].marks.append(
                 evaluation.with_scorer(live[0], layouts[0], placements[0], plans[0], scorer)
@@ -142,11 +142,11 @@ def search(
             if r.finished and r.later is not None:
                 _follow_photo(arrays, r, terms, clock)
             if not bool(r.state.seen_valid):
-                if not r.settles and settles_now(r.run.options, len(r.rounds), scorer):
+                if not r.settles and should_settle(r.run.options, len(r.rounds), scorer):
                     r.settles = True
                     r.stage_began = r.judged_from = len(r.rounds)
                 elif not own_optimizer:
-                    _make_room(arrays, scene.spec, r, terms)
+                    _widen_proposal(arrays, scene.spec, r, terms)
         _update_progress(results, runs, began)
     clock["search"] = time.perf_counter() - began
     return results
@@ -166,7 +166,7 @@ def _update_progress(
     )
 
 
-class _Start(NamedTuple):
+class _InitialScene(NamedTuple):
     """What runs that start alike share; fields as in `SearchResult`."""
 
     origin: Layout
@@ -187,7 +187,7 @@ def _opened(
 ) -> list[SearchResult]:
     """Open every run; those that start alike share what is known of their start."""
     # Not a vmap over starts: its gradients round differently, and Adam carries that on.
-    known: dict[Any, _Start] = {}
+    known: dict[Any, _InitialScene] = {}
     scene, results = evaluation.arrays, []
     for run in runs:
         o = run.options
@@ -202,14 +202,14 @@ def _opened(
             mask, share = [np.asarray(scene.optimised)], None
             later, first, checked = None, None, None
             if keeps and o.cem.keep_sound:
-                first, sound, checked = evaluation.of_start(start, o, terms)
+                first, sound, checked = evaluation.evaluate_initial(start, o, terms)
                 mask = stages(scene, sound, o.cem)
-                later = disagreeing(scene, sound, mask[0])
-                share = doubt(sound, o.cem)
+                later = photo_mismatches(scene, sound, mask[0])
+                share = deviation_share(sound, o.cem)
                 if progress is not None:
-                    progress(start_line(evaluation.scene.names, sound, mask[-1]))
+                    progress(initial_line(evaluation.scene.names, sound, mask[-1]))
             mean = _warm_start(scene, start, mask[0], share, o, evaluation.clock)
-            known[alike] = _Start(mean, mask, share, later, first, checked)
+            known[alike] = _InitialScene(mean, mask, share, later, first, checked)
         mean, mask, share, later, first, checked = known[alike]
         problem = open_problem(
             scene, o, mean, moves=mask[0], share=share, terms=terms, optimizer=optimizer
@@ -225,26 +225,28 @@ def _opened(
     return results
 
 
-def _make_room(scene: SceneArrays, spec: SceneSpec, r: SearchResult, terms: Sequence[Term]) -> None:
+def _widen_proposal(
+    scene: SceneArrays, spec: SceneSpec, r: SearchResult, terms: Sequence[Term]
+) -> None:
     """Let more objects move where nothing was valid, or end a search that has no hope."""
     since = r.rounds[r.judged_from :]
-    falling = never_held([np.asarray(round_.scores.drift) for round_ in since])
+    falling = always_falling([np.asarray(round_.scores.drift) for round_ in since])
     if falling is not None and falling.any():
         on_support = np.asarray(scene.arrangement.snapped)[: len(falling)]
-        if r.reached_out or not (falling & on_support).any():
+        if r.searched_farther or not (falling & on_support).any():
             r.falling, r.finished = falling, True
         else:
             # Their support may be farther than they were looked for.
-            r.reached_out, r.judged_from = True, len(r.rounds)
-            r.state = reaching_out(r.state, r.problem.sigma, falling, spec)
+            r.searched_farther, r.judged_from = True, len(r.rounds)
+            r.state = search_farther(r.state, r.problem.sigma, falling, spec)
         return
-    if len(r.rounds) - r.stage_began < ROOM or len(r.stages) < 2:
+    if len(r.rounds) - r.stage_began < ITERATIONS_PER_STAGE or len(r.stages) < 2:
         return
     r.stages.pop(0)
     r.stage_began = len(r.rounds)
     o = r.run.options
     r.problem = open_problem(scene, o, r.origin, moves=r.stages[0], share=r.share, terms=terms)
-    r.state = widened(r.state, r.problem.sigma)
+    r.state = widen_deviations(r.state, r.problem.sigma)
 
 
 def _follow_photo(
@@ -257,7 +259,7 @@ def _follow_photo(
         return
     moves = r.stages[0] | later
     r.problem = open_problem(scene, o, r.origin, moves=moves, share=r.share, terms=terms)
-    r.state = resumed(widened(r.state, r.problem.sigma))
+    r.state = resumed(widen_deviations(r.state, r.problem.sigma))
     if isinstance(r.state.optimizer, CEMState):
         mean = _warm_start(scene, r.state.optimizer.mean, later, r.share, o, clock)
         r.state = eqx.tree_at(lambda s: s.optimizer.mean, r.state, mean)
@@ -336,7 +338,7 @@ def _rests(r: SearchResult, population: int) -> int:
     """Return how many candidates come to rest at once: all where none may be left out."""
     if not r.settles:
         return 0
-    return min(SETTLED_AT_ONCE, population) if bounded(r.run.options, r.problem) else population
+    return min(SETTLE_BATCH, population) if bounded(r.run.options, r.problem) else population
 
 
 def _finalists(round_: Round, o: RefineOptions) -> Round:

@@ -149,7 +149,7 @@ def open_objective(
     )
 
 
-def photograph_decides(objective: Objective) -> bool:
+def has_builtin_terms_only(objective: Objective) -> bool:
     """Tell whether all terms speak of the photograph and of physics.
 
     A user's own may want what stands soundly to move.

@@ -22,7 +22,7 @@ from ..spec import SceneSpec, read_scene
 from .loop import search
 from .optimizer import Optimizer
 from .outcome import Refined, outcome
-from .returning import choose_and_return
+from .reverting import choose_and_revert
 from .rewards import Term
 from .rounds import Round, ranked, stacked
 from .scorer import Mark, SemanticScorer
@@ -117,7 +117,7 @@ def refine(
             if scorer is not None:
                 scorer.close()
         began = time.perf_counter()
-        chosen, layout, before = choose_and_return(
+        chosen, layout, before = choose_and_revert(
             model, rounds, o, result.problem.objective, start, result.checked
         )
         clock["check"] = time.perf_counter() - began
@@ -136,7 +136,7 @@ def refine(
             fallbacks=_ended_early(model, result)
             + (tuple(engine.refusals) if isinstance(engine, AutomaticEngine) else ())
             + (() if scorer is None else scorer.fallbacks),
-            kept=_kept(model, result),
+            kept=_unmoved_names(model, result),
         )
 
 
@@ -150,7 +150,7 @@ def _suits_cores(o: RefineOptions) -> bool:
     return max(o.cem.population, o.cem.first) <= FEW
 
 
-def _kept(model: SceneModel, result: SearchResult) -> tuple[str, ...]:
+def _unmoved_names(model: SceneModel, result: SearchResult) -> tuple[str, ...]:
     if not result.stages:
         return ()
     still = np.asarray(model.optimised) & ~result.stages[0][: len(model.names)]

@@ -19,7 +19,7 @@ from numpy import ndarray
 
 from ..config import SemanticOptions
 from ..errors import BudgetError, ConfigError, ModelError, NeoWorldError
-from ..mllm import Response, Panel, Picture, Request
+from ..mllm import Panel, Picture, Request, Response
 from ..mllm.ledger import price_of
 from ..mllm.requests import digest
 from ..render import render_plain, render_scene

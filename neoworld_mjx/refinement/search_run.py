@@ -52,7 +52,7 @@ class SearchResult:
     """Iteration in which the first of `stages` began."""
     judged_from: int = 0
     """Iteration from which on what falls in every candidate counts."""
-    reached_out: bool = False
+    searched_farther: bool = False
     """Whether what fell in every candidate was looked for farther away."""
     falling: np.ndarray | None = None
     """Mask [object] of what fell in every candidate, where that ended the search."""

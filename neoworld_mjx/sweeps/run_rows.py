@@ -12,7 +12,7 @@ from ..measure import SceneMeasure
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..refinement.outcome import Refined, iteration_summary
-from ..refinement.returning import Winner
+from ..refinement.reverting import Winner
 from ..refinement.search_run import SearchResult
 from .cases import Case
 from .plan import plain

@@ -20,8 +20,8 @@ from ..measure import SceneMeasure
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..progress import report
-from ..refinement.objective import open_objective, photograph_decides
-from ..refinement.returning import Winner, choose_and_return
+from ..refinement.objective import has_builtin_terms_only, open_objective
+from ..refinement.reverting import Winner, choose_and_revert
 from ..refinement.rounds import Round
 from ..refinement.scene_refinement import compile_for_search
 from ..refinement.search_run import SearchResult
@@ -33,7 +33,7 @@ process [s]; the first two measured for coffee on an AMD EPYC."""
 
 
 class _Job(NamedTuple):
-    """Arguments of `choose_and_return` for one run."""
+    """Arguments of `choose_and_revert` for one run."""
 
     options: RefineOptions
     rounds: list[Round]
@@ -57,7 +57,7 @@ def winners(
     """
     cores = os.cpu_count() or 1
     # Custom reward terms may be defined in this process only.
-    portable = all(photograph_decides(result.problem.objective) for result in results)
+    portable = all(has_builtin_terms_only(result.problem.objective) for result in results)
     if portable and processes_pay(len(results), cores):
         chosen = in_processes(scene, compile_options, results, min(cores, len(results)))
         if chosen is not None:
@@ -116,7 +116,7 @@ def _job(result: SearchResult) -> _Job:
 
 
 def _winner(model: SceneModel, job: _Job, objective: Any) -> Winner:
-    return choose_and_return(model, job.rounds, job.options, objective, job.start, job.checked)
+    return choose_and_revert(model, job.rounds, job.options, objective, job.start, job.checked)
 
 
 def _choose_share() -> None:

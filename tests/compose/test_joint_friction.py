@@ -5,7 +5,7 @@ import math
 import pytest
 
 from neoworld_mjx.compose.compose import compose
-from neoworld_mjx.compose.joint_friction import MARGIN, held, joint_loads
+from neoworld_mjx.compose.joint_friction import MARGIN, hold_joints, joint_loads
 from neoworld_mjx.config import ComposeOptions
 from neoworld_mjx.measure import scene_measure
 from neoworld_mjx.spec import (
@@ -64,11 +64,11 @@ def test_an_open_lid_stays_where_it_is_shown():
     arm = LID / 2 * math.cos(OPEN) - 0.01 * math.sin(OPEN)
     assert load == pytest.approx(-weight * arm, rel=1e-6)
     assert lid_turn(lid) > 30
-    holding, changes = held(lid)
+    holding, changes = hold_joints(lid)
     assert changes == {"hinge": (0.01, pytest.approx(MARGIN * abs(load)))}
     # Dry friction sticks: by MuJoCo's soft one the lid would creep by degrees.
     assert lid_turn(holding) < 0.1
-    assert held(holding) == (holding, {})
+    assert hold_joints(holding) == (holding, {})
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_an_open_lid_stays_where_it_is_shown():
 )
 def test_what_stays_by_itself_is_left_as_it_is(hinge, state):
     obj = placed(chest(**hinge), joint_state={"hinge": state})
-    assert held(obj) == (obj, {})
+    assert hold_joints(obj) == (obj, {})
 
 
 def test_a_leader_bears_what_follows_it():

@@ -180,7 +180,7 @@ def test_where_no_candidate_passes_the_start_is_dropped_unless_nothing_may_come_
 
 
 def test_few_come_to_rest_until_one_is_valid_whether_pruned_or_not(monkeypatch):
-    monkeypatch.setattr(loop, "SETTLED_AT_ONCE", 8)
+    monkeypatch.setattr(loop, "SETTLE_BATCH", 8)
     o = options(32, 3, 125).model_copy(update={"settle": "always"})
     runs = {}
     for prune in (True, False):

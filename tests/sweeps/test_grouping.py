@@ -7,8 +7,8 @@ from neoworld_mjx.compilations import compilations
 from neoworld_mjx.config import RefineOptions, list_options, option_values
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.refinement.cem import open_cem
+from neoworld_mjx.refinement.feasibility import InitialFeasibility, deviation_share
 from neoworld_mjx.refinement.objective import open_objective
-from neoworld_mjx.refinement.soundness import Soundness, doubt
 from neoworld_mjx.sweeps.grouping import STATIC, TRACED, grouped, reasons
 from tests.support import scenes
 
@@ -27,8 +27,8 @@ def put(path, value):
 
 def traced(options):
     gain = np.float32(options.cem.stop_gain)
-    agreeing = Soundness(np.ones(2, bool), np.zeros(2, bool), np.array([0.0, 9.0]))
-    share = doubt(agreeing, options.cem)
+    agreeing = InitialFeasibility(np.ones(2, bool), np.zeros(2, bool), np.array([0.0, 9.0]))
+    share = deviation_share(agreeing, options.cem)
     return eqx.filter(
         (open_objective(options), open_cem(MODEL, options.cem), gain, share), eqx.is_array_like
     )

@@ -14,7 +14,7 @@ from neoworld_mjx.refinement.batching import map_runs
 from neoworld_mjx.refinement.evaluation import Evaluation
 from neoworld_mjx.refinement.loop import _opened, search
 from neoworld_mjx.refinement.objective import evaluate, place
-from neoworld_mjx.refinement.returning import choose_and_return
+from neoworld_mjx.refinement.reverting import choose_and_revert
 from neoworld_mjx.refinement.scene_refinement import compile_for_search, refine
 from neoworld_mjx.refinement.search_run import SearchRun
 from neoworld_mjx.sweeps import winners as module
@@ -63,7 +63,7 @@ def same_as_alone(model, runs):
     alone = []
     for run, result in zip(runs, found, strict=True):
         one = refine(model, run.options, seed=run.seed, start=run.start, engine=ENGINE)
-        chosen, layout, _ = choose_and_return(
+        chosen, layout, _ = choose_and_revert(
             model, result.rounds, run.options, result.problem.objective, run.start
         )
         t, k = chosen.index

@@ -19,7 +19,7 @@ from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.physics.layout import Poses
 from neoworld_mjx.physics.model import SceneModel
 from neoworld_mjx.physics.settling import at_rest
-from neoworld_mjx.refinement.choosing import DROPPED
+from neoworld_mjx.refinement.choosing import INITIAL_REST_PHASES
 from neoworld_mjx.refinement.scene_refinement import compile_for_search, refine
 from neoworld_mjx.spec import SceneSpec
 
@@ -110,7 +110,7 @@ def outcome_of(
         began = time.perf_counter()
         scene = snap_exactly(composed)
         if method == "gravity":
-            scene = at_rest(scene, DROPPED)
+            scene = at_rest(scene, INITIAL_REST_PHASES)
         spent = time.perf_counter() - began
         return MethodResult(scene, measured(scene, o), spent, spent)
     options = (

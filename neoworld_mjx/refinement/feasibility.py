@@ -28,25 +28,25 @@ from .objective import Placement, Scores
 
 AGREES = 3.0
 """Error of a box side, in units of the noise, up to which an object agrees with the photograph."""
-SURE = 2.0
+BORDERLINE = 2.0
 """The same up to which it gives no reason to doubt the heading and size of an object, not even of a
 faulty one."""
-UNSETTLED = 1
+ITERATIONS_UNSETTLED = 1
 """Iterations without a valid candidate after which candidates come to rest."""
-SETTLED_AT_ONCE = 64
+SETTLE_BATCH = 64
 """Candidates that come to rest at once, those first that agree best with the photograph; no more do
 so in an iteration once one is valid. Most elites were among them on photographs."""
-ROOM = 2
+ITERATIONS_PER_STAGE = 2
 """Iterations without a valid candidate after which more objects may move."""
-LEAST_ROLLED_OUT = 64
+MIN_ROLLED_OUT = 64
 """Candidates in all of which an object must fall for the search to be without hope."""
-FARTHER = 4.0
+FARTHER_FACTOR = 4.0
 """Of the initial deviation of x and y, for objects that fell in every candidate."""
-FALLS = 2.0
+FALL_DRIFT = 2.0
 """Drift, in units of the stability bounds, of an object that nothing holds."""
 
 
-class Soundness(NamedTuple):
+class InitialFeasibility(NamedTuple):
     """Which objects are sound where they stand, and which are not for reasons of physics."""
 
     sound: Bool[np.ndarray, " object"]
@@ -56,12 +56,12 @@ class Soundness(NamedTuple):
     """How far each object's box is off the photograph's, in units of the noise."""
 
 
-def soundness(
+def assess_initial(
     placement: Placement,
     scores: Scores,
     failed: Bool[np.ndarray, " object"],
     o: RefineOptions,
-) -> Soundness:
+) -> InitialFeasibility:
     """Tell which objects are sound in the first candidate.
 
     Args:
@@ -77,7 +77,7 @@ def soundness(
     agrees = box_error <= AGREES
     faulty = ~(still & apart & np.isfinite(scores.absolute[0]))
     faulty |= np.pad(failed, (0, len(faulty) - len(failed)))
-    return Soundness(agrees & ~faulty, faulty, box_error)
+    return InitialFeasibility(agrees & ~faulty, faulty, box_error)
 
 
 def failing(
@@ -94,9 +94,9 @@ def failing(
 
 
 def stages(
-    scene: SceneArrays, start: Soundness, options: CEMOptions
+    scene: SceneArrays, start: InitialFeasibility, options: CEMOptions
 ) -> list[Bool[np.ndarray, " object"]]:
-    """Return the objects that may move at first, after ROOM iterations, and so on."""
+    """Return the objects that may move at first, after ITERATIONS_PER_STAGE iterations, and so on."""
     every = np.asarray(scene.optimised)
     first = every & start.faulty
     if not first.any():
@@ -110,26 +110,26 @@ def stages(
     return steps
 
 
-def disagreeing(
-    scene: SceneArrays, start: Soundness, first: Bool[np.ndarray, " object"]
+def photo_mismatches(
+    scene: SceneArrays, start: InitialFeasibility, first: Bool[np.ndarray, " object"]
 ) -> Bool[np.ndarray, " object"] | None:
     """Return the objects that only the photograph asks to move, unless they move from the first."""
     later = np.asarray(scene.optimised) & ~start.sound & ~first
     return later if later.any() else None
 
 
-def doubt(start: Soundness, options: CEMOptions) -> Float[np.ndarray, " object"]:
+def deviation_share(start: InitialFeasibility, options: CEMOptions) -> Float[np.ndarray, " object"]:
     """Return which share of the initial deviations of yaw and scale each object has.
 
     Answers judge headings and sizes well: where a box agrees with the photograph's, nothing asks
     for others, and what rests soundly beside its box is elsewhere rather than turned.
     """
-    doubted = start.faulty & (start.box_error > SURE)
+    doubted = start.faulty & (start.box_error > BORDERLINE)
     return np.where(doubted, 1.0, options.sigma_agreeing).astype(np.float32)
 
 
-def start_line(
-    names: Sequence[str], start: Soundness, optimised: Bool[np.ndarray, " object"]
+def initial_line(
+    names: Sequence[str], start: InitialFeasibility, optimised: Bool[np.ndarray, " object"]
 ) -> str:
     """Say which objects stay and which move."""
     count = int(optimised.sum())
@@ -142,7 +142,7 @@ def start_line(
     return f"{stay} of {count} objects are sound and stay; moving {moving}"
 
 
-def widened(state: SearchState, sigma: Layout) -> SearchState:
+def widen_deviations(state: SearchState, sigma: Layout) -> SearchState:
     """Give objects that may move from now on their initial deviation.
 
     Args:
@@ -156,12 +156,12 @@ def widened(state: SearchState, sigma: Layout) -> SearchState:
     return eqx.tree_at(lambda s: s.optimizer.std, state, std)
 
 
-def reaching_out(
+def search_farther(
     state: SearchState, sigma: Layout, falling: Bool[np.ndarray, " object"], spec: SceneSpec
 ) -> SearchState:
     """Look for objects that fell in every candidate over what carries them, and farther around.
 
-    Their mean moves by `off_carrier`, their deviation is FARTHER times that of the start.
+    Their mean moves by `offset_from_support`, their deviation is FARTHER_FACTOR times that of the start.
 
     Args:
         state: of a search by CEM, or one whose optimizer has no deviations of its own.
@@ -173,15 +173,15 @@ def reaching_out(
         return state
     mean, std = state.optimizer.mean, state.optimizer.std
     padded = np.pad(falling, (0, sigma.yaw.shape[1] - len(falling)))
-    far = np.where(padded[None, :, None], FARTHER * np.asarray(sigma.xy), np.asarray(std.xy))
+    far = np.where(padded[None, :, None], FARTHER_FACTOR * np.asarray(sigma.xy), np.asarray(std.xy))
     centre = np.array(mean.xy, np.float32)
     for k in np.flatnonzero(falling):
-        centre[0, k] -= off_carrier(spec, spec.objects[k], centre[0, k])
+        centre[0, k] -= offset_from_support(spec, spec.objects[k], centre[0, k])
     arrays = on_device((centre, far.astype(np.float32)))
     return eqx.tree_at(lambda s: (s.optimizer.mean.xy, s.optimizer.std.xy), state, arrays)
 
 
-def off_carrier(
+def offset_from_support(
     spec: SceneSpec, item: SceneObject, xy: Float[np.ndarray, " 2"]
 ) -> Float[np.ndarray, " 2"]:
     """Return how far an object's middle is beside where its carrier's box can hold it [m].
@@ -203,17 +203,17 @@ def off_carrier(
     return middle - np.clip(middle, low + margin, high - margin)
 
 
-def settles_now(o: RefineOptions, iterations: int, scorer: object) -> bool:
+def should_settle(o: RefineOptions, iterations: int, scorer: object) -> bool:
     """Tell whether candidates come to rest from now on, as nothing was valid so far.
 
     Not where there is no simulation, nor where a model scores pictures of layouts.
     """
     if o.settle == "never" or scorer is not None or not o.rollout.duration_s:
         return False
-    return o.settle == "always" or iterations >= UNSETTLED
+    return o.settle == "always" or iterations >= ITERATIONS_UNSETTLED
 
 
-def never_held(
+def always_falling(
     drifts: Sequence[Float[np.ndarray, "pop object"]],
 ) -> Bool[np.ndarray, " object"] | None:
     """Tell which objects fell in every candidate so far; None while too few were rolled out.
@@ -223,4 +223,4 @@ def never_held(
     """
     rolled = np.concatenate(drifts)
     rolled = rolled[np.isfinite(rolled).all(axis=1)]
-    return np.all(rolled > FALLS, axis=0) if len(rolled) >= LEAST_ROLLED_OUT else None
+    return np.all(rolled > FALL_DRIFT, axis=0) if len(rolled) >= MIN_ROLLED_OUT else None

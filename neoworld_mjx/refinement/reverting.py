@@ -29,10 +29,10 @@ from ..physics.settling import at_rest
 from ..physics.visibility import Visible
 from ..spec import SceneSpec
 from .choosing import Chosen, choose, moved_away, world_pose
-from .objective import Objective, photograph_decides
+from .feasibility import failing
+from .objective import Objective, has_builtin_terms_only
 from .rounds import Round
 from .semantic import boxes_off
-from .soundness import failing
 
 STILL_M, STILL = 1e-5, 1e-5
 """Changes of place [m], and of yaw [rad] or log scale, up to which an object has not moved."""
@@ -47,12 +47,12 @@ RETURN_PHASES = ((True, 1.0), (False, 1.0), (True, 0.5))
 NOISE = 0.03
 """Loss of an object's visible-box IoU that the noise of a parsed box explains."""
 JUDGED = {"yaw": np.radians(3.0), "log_scale": 0.03}
-"""Standard deviations of the headings [rad] and log scales of answers; see `_likelier`."""
+"""Standard deviations of the headings [rad] and log scales of answers; see `_log_likelihood_gain`."""
 OUTLYING = 3.0
 """Degrees of freedom of their distribution, Student's: few are much further off."""
 
 
-class Seen(NamedTuple):
+class PhotoAgreement(NamedTuple):
     """What the photograph says of a layout."""
 
     ious: dict[str, float]
@@ -71,7 +71,7 @@ class Winner(NamedTuple):
     """Final check of where the search started."""
 
 
-def choose_and_return(
+def choose_and_revert(
     model: SceneModel,
     rounds: list[Round],
     o: RefineOptions,
@@ -98,12 +98,12 @@ def choose_and_return(
     t, k = chosen.index
     layout = rounds[t].layouts[k : k + 1] if t >= 0 else origin
     rests = t >= 0 and bool(rounds[t].rests[k])
-    if o.semantic.scorer != "geometric" or not photograph_decides(objective):
+    if o.semantic.scorer != "geometric" or not has_builtin_terms_only(objective):
         return Winner(chosen, layout, before)
-    return Winner(*return_moved(model, chosen, layout, origin, before, o, rests=rests), before)
+    return Winner(*revert_moves(model, chosen, layout, origin, before, o, rests=rests), before)
 
 
-def return_moved(
+def revert_moves(
     model: SceneModel,
     chosen: Chosen,
     layout: Layout,
@@ -133,30 +133,34 @@ def return_moved(
     faulty = failing(model.names, before, o)
     groups = [(moved & ~faulty, WHOLE), (moved, HEADING), (moved & faulty, WHOLE), (moved, SIZE)]
     padded = pad_scene(model)
-    composed, as_placed = _placed_seen(model, padded, [start, layout])
-    seen = _rest_seen(model, padded, layout, chosen.scene) if rests else as_placed
+    composed, as_placed = _placed_agreement(model, padded, [start, layout])
+    seen = _settled_agreement(model, padded, layout, chosen.scene) if rests else as_placed
     steps, left = [(chosen, layout)], o.returns
-    looks: dict[_Try, tuple[Layout, Seen]] = {}
+    looks: dict[_Attempt, tuple[Layout, PhotoAgreement]] = {}
     while groups and left:
         group, parts = groups.pop(0)
         group = group & _moved(layout, start, parts)
-        for key in _tries(group, parts)[:left]:
+        for key in _attempts(group, parts)[:left]:
             left -= 1
             if key not in looks:
                 # What may be next is looked at beside it: a few cost as much as one.
-                keys = _ahead([(group, parts), *groups], layout, start)
-                new = [_mixed(layout, start, *t.values()) for t in keys]
-                seen_new = _placed_seen(model, padded, new)
+                keys = _upcoming_attempts([(group, parts), *groups], layout, start)
+                new = [_blended(layout, start, *t.values()) for t in keys]
+                seen_new = _placed_agreement(model, padded, new)
                 looks = dict(zip(keys, zip(new, seen_new, strict=True), strict=True))
             nearer, look = looks[key]
-            likelier = -np.inf if parts == WHOLE else _likelier(layout, nearer, start, group)
-            kept_placed = _kept(look, as_placed, composed, likelier)
-            found = None if kept_placed is None else _checked(model, nearer, o, rests)
+            likelier = (
+                -np.inf if parts == WHOLE else _log_likelihood_gain(layout, nearer, start, group)
+            )
+            kept_placed = _accepted(look, as_placed, composed, likelier)
+            found = None if kept_placed is None else _checked_scene(model, nearer, o, rests)
             if kept_placed is None or found is None:
                 continue
             kept = kept_placed
             if rests:
-                kept = _kept(_rest_seen(model, padded, nearer, found[0]), seen, composed, likelier)
+                kept = _accepted(
+                    _settled_agreement(model, padded, nearer, found[0]), seen, composed, likelier
+                )
             if kept is not None:
                 layout, as_placed, seen = nearer, kept_placed, kept
                 steps.append((replace(chosen, scene=found[0], measure=found[1]), layout))
@@ -174,7 +178,9 @@ def return_moved(
     return steps[0]
 
 
-def _kept(new: Seen, seen: Seen, composed: Seen, likelier: float) -> Seen | None:
+def _accepted(
+    new: PhotoAgreement, seen: PhotoAgreement, composed: PhotoAgreement, likelier: float
+) -> PhotoAgreement | None:
     """Return what is to be kept of the photograph's agreement if a return may be made, else None.
 
     Args:
@@ -192,7 +198,7 @@ def _kept(new: Seen, seen: Seen, composed: Seen, likelier: float) -> Seen | None
     return new if agrees and new.off - seen.off <= likelier else None
 
 
-def _checked(
+def _checked_scene(
     model: SceneModel, layout: Layout, o: RefineOptions, rests: bool
 ) -> tuple[SceneSpec, SceneMeasure] | None:
     """Return a layout's scene and its check if it passes one in which what rests sleeps."""
@@ -206,7 +212,7 @@ def _checked(
     return scene, measure
 
 
-def _likelier(
+def _log_likelihood_gain(
     layout: Layout, nearer: Layout, start: Layout, group: Bool[np.ndarray, " object"]
 ) -> float:
     """Return how much likelier headings and sizes nearer to the start's are, as a logarithm."""
@@ -221,32 +227,36 @@ def _likelier(
     return unlikely(layout) - unlikely(nearer)
 
 
-def _placed_seen(model: SceneModel, padded: SceneArrays, layouts: list[Layout]) -> list[Seen]:
+def _placed_agreement(
+    model: SceneModel, padded: SceneArrays, layouts: list[Layout]
+) -> list[PhotoAgreement]:
     """Look at layouts as they are placed."""
     if model.spec.camera is None:
-        return [Seen({}, 0.0)] * len(layouts)
+        return [PhotoAgreement({}, 0.0)] * len(layouts)
     many = jax.tree.map(lambda *x: np.concatenate([np.asarray(a) for a in x]), *layouts)
     visible = placed_in_chunks(padded, pad_objects(many, padded.count)).visible
-    return [_seen(model, padded, visible, k) for k in range(len(layouts))]
+    return [_agreement(model, padded, visible, k) for k in range(len(layouts))]
 
 
-def _rest_seen(model: SceneModel, padded: SceneArrays, layout: Layout, rest: SceneSpec) -> Seen:
+def _settled_agreement(
+    model: SceneModel, padded: SceneArrays, layout: Layout, rest: SceneSpec
+) -> PhotoAgreement:
     """Look at where a layout came to rest."""
     if model.spec.camera is None:
-        return Seen({}, 0.0)
+        return PhotoAgreement({}, 0.0)
     end = world_pose(rest, np.exp(np.asarray(layout.log_scale)[:, : len(model.names)]))
     end = jax.tree.map(np.float32, pad_objects(end, padded.count))
-    return _seen(model, padded, at_rest_in_chunks(padded, end, end).visible, 0)
+    return _agreement(model, padded, at_rest_in_chunks(padded, end, end).visible, 0)
 
 
-def _seen(model: SceneModel, padded: SceneArrays, visible: Visible, k: int) -> Seen:
+def _agreement(model: SceneModel, padded: SceneArrays, visible: Visible, k: int) -> PhotoAgreement:
     """Compare what the camera sees of a candidate with the photograph."""
     own = jax.tree.map(lambda x: np.asarray(x)[k : k + 1], visible)
     off = float(boxes_off(padded, own.outlines, np)[0])
-    return Seen(seen_box_iou(model.spec, padded, own), off)
+    return PhotoAgreement(seen_box_iou(model.spec, padded, own), off)
 
 
-class _Try(NamedTuple):
+class _Attempt(NamedTuple):
     """A share of the way back of parts of a group's layout."""
 
     group: tuple[bool, ...]
@@ -257,26 +267,28 @@ class _Try(NamedTuple):
         return np.array(self.group), self.share, self.parts
 
 
-def _ahead(
+def _upcoming_attempts(
     groups: Sequence[tuple[Bool[np.ndarray, " object"], tuple[str, ...]]],
     layout: Layout,
     start: Layout,
-) -> list[_Try]:
+) -> list[_Attempt]:
     """Return the next tries, those with halves of groups too; at most CPU_CHUNK."""
-    queue, tries = list(groups), dict[_Try, None]()
+    queue, tries = list(groups), dict[_Attempt, None]()
     while queue and len(tries) < CPU_CHUNK:
         mask, parts = queue.pop(0)
         group = mask & _moved(layout, start, parts)
-        tries |= dict.fromkeys(_tries(group, parts))
+        tries |= dict.fromkeys(_attempts(group, parts))
         if group.sum() > 1:
             queue += [(half, parts) for half in _halves(group)]
     return list(tries)[:CPU_CHUNK]
 
 
-def _tries(group: Bool[np.ndarray, " object"], parts: tuple[str, ...]) -> list[_Try]:
+def _attempts(group: Bool[np.ndarray, " object"], parts: tuple[str, ...]) -> list[_Attempt]:
     """Return what is tried with a group, one after the other until one may stay."""
     shares = SHARES[parts] if group.sum() == 1 else (1.0,)
-    return [_Try(tuple(group.tolist()), share, parts) for share in shares] if group.any() else []
+    return (
+        [_Attempt(tuple(group.tolist()), share, parts) for share in shares] if group.any() else []
+    )
 
 
 def _moved(
@@ -292,7 +304,7 @@ def _moved(
     return np.any([moved[part] for part in parts], axis=0)
 
 
-def _mixed(
+def _blended(
     layout: Layout,
     start: Layout,
     group: Bool[np.ndarray, " object"],

@@ -11,7 +11,13 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.scene_arrays import pad_scene
 from neoworld_mjx.refinement.choosing import Chosen
-from neoworld_mjx.refinement.returning import NOISE, Seen, _kept, _placed_seen, return_moved
+from neoworld_mjx.refinement.reverting import (
+    NOISE,
+    PhotoAgreement,
+    _accepted,
+    _placed_agreement,
+    revert_moves,
+)
 from tests.support.scenes import stored_scene
 
 OPTIONS = RefineOptions(check_duration_s=0.3)
@@ -36,7 +42,7 @@ def test_only_what_had_to_move_stays_moved(overlapping):
     assert before.depths_m["first|second"] > OPTIONS.max_depth_m
     chosen, layout = winner(model, [(0, 0), (0, -0.008), (0, 0.012), (0.004, -0.01)])
     assert chosen.passed
-    best, nearer = return_moved(
+    best, nearer = revert_moves(
         model, chosen, layout, Layout.zero(1, len(model.names)), before, OPTIONS
     )
     xy = np.asarray(nearer.xy)[0]
@@ -62,7 +68,7 @@ def test_what_had_to_move_need_not_stay_turned_or_shrunk(overlapping):
     assert passes(measure, OPTIONS)
     chosen = Chosen((0, 0), scene, measure, 1, True)
     start = Layout.zero(1, len(model.names))
-    best, nearer = return_moved(model, chosen, layout, start, before, OPTIONS)
+    best, nearer = revert_moves(model, chosen, layout, start, before, OPTIONS)
     assert best.passed and np.abs(np.asarray(nearer.xy)).max() > 0.003
     assert not np.asarray(nearer.yaw).any() and not np.asarray(nearer.log_scale).any()
 
@@ -82,7 +88,7 @@ def test_a_return_that_the_photograph_contradicts_is_not_made():
     before = measured(snap_exactly(moved.spec), OPTIONS)
     chosen, layout = winner(moved, [(0, 0), (0, 0), (0, 0), (0, -0.08)])
     assert chosen.passed
-    _, same = return_moved(moved, chosen, layout, Layout.zero(1, 4), before, OPTIONS)
+    _, same = revert_moves(moved, chosen, layout, Layout.zero(1, 4), before, OPTIONS)
     np.testing.assert_array_equal(np.asarray(same.xy), np.asarray(layout.xy))
 
 
@@ -98,23 +104,28 @@ def test_a_heading_that_boxes_hardly_show_goes_back():
     scene = snap_exactly(model.apply(layout, 0))
     chosen = Chosen((0, 0), scene, measured(scene, OPTIONS), 1, True)
     padded = pad_scene(model)
-    turned, straight = _placed_seen(model, padded, [layout, start])
+    turned, straight = _placed_agreement(model, padded, [layout, start])
     assert straight.ious["third"] < turned.ious["third"] - NOISE
-    _, nearer = return_moved(model, chosen, layout, start, chosen.measure, OPTIONS)
+    _, nearer = revert_moves(model, chosen, layout, start, chosen.measure, OPTIONS)
     assert not np.asarray(nearer.yaw).any()
 
 
 def test_boxes_that_tell_a_heading_keep_it():
-    composed, seen = Seen({"a": 0.6, "b": 0.9}, 12.0), Seen({"a": 0.85, "b": 0.9}, 4.0)
-    nearer = Seen({"a": 0.7, "b": 0.9}, 8.0)
-    assert _kept(nearer, seen, composed, likelier=5.0) == nearer
-    assert _kept(nearer, seen, composed, likelier=3.0) is None
-    assert _kept(nearer, seen, composed, likelier=-np.inf) is None
+    composed, seen = (
+        PhotoAgreement({"a": 0.6, "b": 0.9}, 12.0),
+        PhotoAgreement({"a": 0.85, "b": 0.9}, 4.0),
+    )
+    nearer = PhotoAgreement({"a": 0.7, "b": 0.9}, 8.0)
+    assert _accepted(nearer, seen, composed, likelier=5.0) == nearer
+    assert _accepted(nearer, seen, composed, likelier=3.0) is None
+    assert _accepted(nearer, seen, composed, likelier=-np.inf) is None
     # Neither may another object agree less than it did both here and where it was composed.
-    assert _kept(nearer._replace(ious={"a": 0.7, "b": 0.8}), seen, composed, 5.0) is None
+    assert _accepted(nearer._replace(ious={"a": 0.7, "b": 0.8}), seen, composed, 5.0) is None
     # Within the noise of boxes nothing is asked, but what is lost counts in the next step.
-    slightly = Seen({"a": 0.84, "b": 0.92}, 4.1)
-    assert _kept(slightly, seen, composed, -np.inf) == Seen({"a": 0.85, "b": 0.92}, 4.1)
+    slightly = PhotoAgreement({"a": 0.84, "b": 0.92}, 4.1)
+    assert _accepted(slightly, seen, composed, -np.inf) == PhotoAgreement(
+        {"a": 0.85, "b": 0.92}, 4.1
+    )
 
 
 def test_no_checks_return_nothing(overlapping):
@@ -122,4 +133,4 @@ def test_no_checks_return_nothing(overlapping):
     chosen, layout = winner(model, [(0, 0), (0, -0.008), (0, 0.012), (0.004, -0.01)])
     start = Layout.zero(1, len(model.names))
     none = OPTIONS.model_copy(update={"returns": 0})
-    assert return_moved(model, chosen, layout, start, before, none) == (chosen, layout)
+    assert revert_moves(model, chosen, layout, start, before, none) == (chosen, layout)

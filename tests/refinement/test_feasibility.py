@@ -8,10 +8,10 @@ from neoworld_mjx.measure import measured
 from neoworld_mjx.physics.exact import snap_exactly
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.scene_arrays import on_device
-from neoworld_mjx.refinement import evaluation, refine, soundness
+from neoworld_mjx.refinement import evaluation, feasibility, refine
 from neoworld_mjx.refinement.algorithm import SearchState
 from neoworld_mjx.refinement.cem import CEMState
-from neoworld_mjx.refinement.soundness import FARTHER, off_carrier, reaching_out
+from neoworld_mjx.refinement.feasibility import FARTHER_FACTOR, offset_from_support, search_farther
 from neoworld_mjx.spec import Box, Box2D, bounds, world_poses
 from tests.support import scenes
 from tests.support.scenes import on_table, single
@@ -167,9 +167,9 @@ def test_what_fell_in_every_candidate_is_looked_for_farther_away():
     state = SearchState(CEMState(Layout.zero(1, 4), sigma), *nothing)
     # The scene has three objects, padded to four.
     spec = on_table((block("low"), (0.0, 0.0), 0.0, {}), (block("other"), (0.0, 0.3), 0.0, {}))
-    far = reaching_out(state, sigma, np.array([False, True, False]), spec)
+    far = search_farther(state, sigma, np.array([False, True, False]), spec)
     np.testing.assert_allclose(
-        np.asarray(far.optimizer.std.xy)[0, :, 0], [0.01, 0.01 * FARTHER, 0.01, 0.01]
+        np.asarray(far.optimizer.std.xy)[0, :, 0], [0.01, 0.01 * FARTHER_FACTOR, 0.01, 0.01]
     )
     np.testing.assert_allclose(np.asarray(far.optimizer.std.yaw), 0.1)
     # On the table it is over what carries it.
@@ -185,11 +185,13 @@ def beside(aside):
 
 def test_the_mean_of_what_fell_moves_over_its_carrier():
     scene = beside(0.12)
-    off = off_carrier(scene, scene.object("peg"), np.zeros(2))
+    off = offset_from_support(scene, scene.object("peg"), np.zeros(2))
     # Its middle may be a quarter of the post's depth, 1 cm, beside the post's.
     np.testing.assert_allclose(off, [0.11, 0.005], atol=1e-6)
-    np.testing.assert_allclose(off_carrier(scene, scene.object("peg"), -off), 0.0, atol=1e-9)
-    assert not off_carrier(scene, scene.object("post"), np.zeros(2)).any()
+    np.testing.assert_allclose(
+        offset_from_support(scene, scene.object("peg"), -off), 0.0, atol=1e-9
+    )
+    assert not offset_from_support(scene, scene.object("post"), np.zeros(2)).any()
 
 
 def test_what_was_answered_beside_its_carrier_is_put_onto_it(monkeypatch):
@@ -198,5 +200,5 @@ def test_what_was_answered_beside_its_carrier_is_put_onto_it(monkeypatch):
     low = bounds(found.scene.object("peg").spec)[0][2]
     assert world_poses(found.scene)["peg"].pos[2] + low > 0.09
     # Without it nothing is found, however far it is looked for around where it was answered.
-    monkeypatch.setattr(soundness, "off_carrier", lambda *of: np.zeros(2))
+    monkeypatch.setattr(feasibility, "offset_from_support", lambda *of: np.zeros(2))
     assert not refine(beside(0.12), options(), engine="native").passed
