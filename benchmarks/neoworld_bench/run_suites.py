@@ -96,17 +96,16 @@ def run_photos(o: suites.Photos, config: Config) -> dict[str, Any]:
 
 def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
     """Run methods on the thirty scenes."""
-    from .methods import scene_runs
+    from .methods.method_runs import RunSettings
+    from .methods.scene_runs import chosen_scenes
+    from .methods.scene_runs import run_scenes as run_methods_on_scenes
     from .tables.scene_summary import summarise
 
-    rows = scene_runs.run_scenes(
-        scene_runs.chosen_scenes(o.scenes),
+    rows = run_methods_on_scenes(
+        chosen_scenes(o.scenes),
         o.method,
+        RunSettings(o.seed, config.refine, config.compose, o.noise),
         starts=o.starts,
-        seed=o.seed,
-        refine=config.refine,
-        compose=config.compose,
-        noise=o.noise,
         workers=o.workers,
         out=o.out,
         submission=o.submission,
@@ -149,6 +148,7 @@ def run_tasks(o: suites.Tasks) -> dict[str, Any]:
 
 def run_task_success(o: suites.TaskSuccess, config: Config) -> dict[str, Any]:
     """Plan tasks in reconstructed scenes, and execute the plans."""
+    from .methods.method_runs import RunSettings
     from .tasks.catalogue import find_tasks
     from .tasks.success_runs import run_successes
     from .tasks.success_summary import success_summary
@@ -156,11 +156,8 @@ def run_task_success(o: suites.TaskSuccess, config: Config) -> dict[str, Any]:
     rows = run_successes(
         find_tasks(o.task),
         o.method,
+        RunSettings(o.seed, config.refine, config.compose, o.noise),
         starts=o.starts,
-        seed=o.seed,
-        refine=config.refine,
-        compose=config.compose,
-        noise=o.noise,
         workers=o.workers,
         out=o.out,
     )

@@ -14,6 +14,7 @@ from neoworld_bench.engines.table_scenes import crowded
 from neoworld_bench.fidelity.rendered_responses import exact_response
 from neoworld_bench.fidelity.rendered_scenes import see
 from neoworld_bench.methods.layout_errors import displaced, layout_errors, tilt_deg
+from neoworld_bench.methods.method_runs import RunSettings
 from neoworld_bench.methods.scene_methods import METHODS, USUAL, OneForAll
 from neoworld_bench.methods.scene_runs import RESULTS, SceneRow, chosen_scenes, run_scenes
 from neoworld_bench.noise.initial_scenes import noise_number
@@ -278,11 +279,8 @@ def test_a_folder_holds_starts_of_one_noise(tmp_path):
         run_scenes(
             ("tents",),
             ("open_loop",),
+            RunSettings(0, RefineOptions(), ComposeOptions(), "exact"),
             starts=1,
-            seed=0,
-            refine=RefineOptions(),
-            compose=ComposeOptions(),
-            noise="exact",
             out=tmp_path,
         )
 

@@ -11,6 +11,7 @@ from neoworld_bench.dataset.truth_scene import truth_scene
 from neoworld_bench.fidelity.rendered_responses import exact_response
 from neoworld_bench.fidelity.rendered_scenes import see
 from neoworld_bench.methods.layout_errors import displaced, layout_errors, unmatched
+from neoworld_bench.methods.method_runs import RunSettings
 from neoworld_bench.methods.scene_runs import known_rows, run_scenes
 from neoworld_bench.methods.submission import submission_name, submitted, submitted_starts
 from neoworld_bench.methods.validity import validity
@@ -153,10 +154,14 @@ def test_rows_of_a_submission_stand_beside_others(tmp_path, truth: SceneSpec):
     def row(name: str, scene: SceneSpec):
         write(tmp_path / name, scene)
         (one,) = run_scenes(
-            ["dominoes"], ("ours",), starts=3, seed=0, refine=RefineOptions(),
-            compose=ComposeOptions(), noise="layout", workers=1, out=tmp_path / "results",
+            ["dominoes"],
+            ("ours",),
+            RunSettings(0, RefineOptions(), ComposeOptions(), "layout"),
+            starts=3,
+            workers=1,
+            out=tmp_path / "results",
             submission=tmp_path / name,
-        )  # fmt: skip
+        )
         return one
 
     perfect = row("perfect", truth)

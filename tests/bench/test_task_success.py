@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from neoworld_bench.methods.method_runs import RunSettings
 from neoworld_bench.methods.scene_methods import METHODS
 from neoworld_bench.suites import MethodName
 from neoworld_bench.tables.success_table import success_table
@@ -144,10 +145,12 @@ def test_photographs_show_the_front_and_what_hides_behind():
     assert abs(abs(math.degrees(row.scene.objects[0].yaw)) - 180.0) > 20.0
 
 
-def _run(out, **changes):
-    given = {"starts": 1, "seed": 0, "refine": RefineOptions(), "compose": ComposeOptions()}
-    given |= {"methods": ["open_loop"], "noise": "exact", "workers": 1, "out": out} | changes
-    return run_successes([find_task("cube_on_cube")], **given)
+EXACT = RunSettings(0, RefineOptions(), ComposeOptions(), "exact")
+
+
+def _run(out):
+    tasks = [find_task("cube_on_cube")]
+    return run_successes(tasks, ["open_loop"], EXACT, starts=1, workers=1, out=out)
 
 
 def test_rows_are_kept_and_what_raises_is_a_failure(tmp_path, monkeypatch):
@@ -163,15 +166,7 @@ def test_rows_are_kept_and_what_raises_is_a_failure(tmp_path, monkeypatch):
     assert known_successes(tmp_path) == [row] == _run(tmp_path)
     assert known_successes(tmp_path / "none") == []
     with pytest.raises(SpecError, match="method: got 'opn_loop'"):
-        run_successes(
-            [],
-            ["opn_loop"],
-            starts=1,
-            seed=0,
-            refine=RefineOptions(),
-            compose=ComposeOptions(),
-            noise="exact",
-        )
+        run_successes([], ["opn_loop"], EXACT, starts=1)
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from neoworld_kernels import Colliders, pair_depth, pair_depth_culled, pair_dept
 
 from neoworld_mjx.errors import ConfigError, EngineError
 from neoworld_mjx.io.files import write_atomic
+from neoworld_mjx.physics.array_types import AnyArray
 from neoworld_mjx.physics.layout import Poses, rotation
 from neoworld_mjx.physics.model import SceneModel, compile_scene
 
@@ -162,12 +163,12 @@ def _row(
     def total(pos: Array, rot: Array, scale: Array) -> Array:
         return jnp.sum(depth(pos, rot, scale, scene.samples, colliders))
 
-    where = (poses.pos, rotation(poses.quat), poses.scale)
+    arguments = (poses.pos, rotation(poses.quat), poses.scale)
     call = jax.jit(lambda pos, rot, scale: depth(pos, rot, scale, scene.samples, colliders))
     try:
-        depths, first, ms = _timed(call, where, budget / 2)
-        _, _, gradient = _timed(jax.jit(jax.value_and_grad(total)), where, budget / 2)
-    except Exception as error:  # a kernel that this device cannot compile raises what it likes
+        depths, first, ms = _timed(call, arguments, budget / 2)
+        _, _, gradient = _timed(jax.jit(jax.value_and_grad(total)), arguments, budget / 2)
+    except Exception as error:  # Compilers raise exceptions of many types.
         text = str(error).splitlines()[0][:160] if str(error) else ""
         return row.model_copy(update={"status": f"skipped: {type(error).__name__}: {text}"}), None
     gap = 0.0 if reference is None else float(np.abs(np.asarray(depths - reference[0])).max())
@@ -187,15 +188,15 @@ def _row(
     ), depths
 
 
-def _timed(call: Any, where: tuple[Array, ...], budget: float) -> tuple[Any, float, float]:
+def _timed(call: Any, arguments: tuple[AnyArray, ...], budget: float) -> tuple[Any, float, float]:
     """Return the result, the extra time of the first call [s], and a call's median time [ms]."""
     began = time.perf_counter()
-    result = jax.block_until_ready(call(*where))
+    result = jax.block_until_ready(call(*arguments))
     first = time.perf_counter() - began
     times: list[float] = []
     while len(times) < REPEATS and (not times or time.perf_counter() - began < budget):
         t0 = time.perf_counter()
-        jax.block_until_ready([call(*where) for _ in range(CALLS)])
+        jax.block_until_ready([call(*arguments) for _ in range(CALLS)])
         times.append((time.perf_counter() - t0) / CALLS)
     steady = float(np.median(times))
     return result, max(first - steady, 0.0), 1e3 * steady

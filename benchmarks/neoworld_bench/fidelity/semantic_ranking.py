@@ -4,8 +4,9 @@ from collections.abc import Iterator, Sequence
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
+from neoworld_mjx.physics.array_types import AnyArray
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.scene_arrays import SceneArrays, on_device, pad_scene
@@ -57,15 +58,14 @@ def semantic_rows(scenes: Sequence[int] = (), *, draws: int = 200) -> Iterator[S
 
 
 @eqx.filter_jit
-def _scores(scene: SceneArrays, layouts: Layout) -> Float[Array, " pop"]:
+def _scores(scene: SceneArrays, layouts: Layout) -> Float[AnyArray, " pop"]:
     return semantics(scene, layouts).value
 
 
 def _displaced(
     scene: SceneArrays, draws: int, number: int
 ) -> tuple[Layout, Int[np.ndarray, " draw"]]:
-    """Return the ground truth and displacements [1 + draws], and which object each of them
-    moves."""
+    """Return layouts [1 + draws], the ground truth first, and the object that each draw moves."""
     rng = np.random.default_rng((number, 47))
     objects = rng.choice(np.flatnonzero(np.asarray(scene.photo.judged)), draws)
     angle, far = rng.uniform(0, 2 * np.pi, draws), rng.uniform(NEAR_M, FAR_M, draws)

@@ -1,0 +1,180 @@
+"""Runner of methods on scenes or tasks from noisy initial scenes, in separate processes; files keep
+the rows."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from neoworld_mjx.config import ComposeOptions, RefineOptions
+from neoworld_mjx.io.files import content_hash
+from neoworld_mjx.spec import SceneSpec
+
+from ..fidelity.rendered_responses import exact_response
+from ..noise.initial_scenes import NoiseLevel, composed_start, is_evaluation, noise_number
+from ..noise.parse_noise import NoiseLog
+from ..row_files import RowFile, check_level, made_by_jobs, sized
+from ..rows import Row, log
+from .scene_objects import ObjectRow
+
+
+class MethodRow(Row):
+    """Columns that results of methods on scenes and on tasks share."""
+
+    noise: str
+    """Noise level of the initial scene."""
+    injected: str
+    """Kinds of errors of the initial scene other than its numbers, comma-separated; see
+    `parse_noise`."""
+    start: int
+    """Number of the initial scene."""
+    seed: int
+    evaluation: bool
+    """True if the initial scene is in the evaluation half."""
+    method: str
+    rollouts: int
+    fingerprint: str
+    """Hash of the ground truth, the noise and the options."""
+
+    @property
+    def subject(self) -> str:
+        """Name of the scene or task."""
+        raise NotImplementedError
+
+    @property
+    def summary(self) -> str:
+        """Line of the log."""
+        raise NotImplementedError
+
+    @property
+    def key(self) -> tuple[str, int, int, str]:
+        """Subject, initial scene, seed and method."""
+        return self.subject, self.start, self.seed, self.method
+
+
+R = TypeVar("R", bound=MethodRow)
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """Settings of a run that its rows depend on."""
+
+    seed: int
+    """Seed of noise and searches."""
+    refine: RefineOptions
+    """Options of the search and of the final check."""
+    compose: ComposeOptions
+    noise: NoiseLevel
+
+    def fingerprint(self, *parts: Any) -> str:
+        """Return the hash of JSON values, the noise and the options."""
+        options = (o.model_dump(mode="json") for o in (self.refine, self.compose))
+        return content_hash([self.noise, *parts, *options])[:16]
+
+
+@dataclass(frozen=True)
+class MethodJob:
+    """Methods to run on one scene or task from one initial scene."""
+
+    subject: str
+    start: int
+    methods: tuple[str, ...]
+    settings: RunSettings
+    threads: int
+    fingerprint: str
+    submission: Path | None = None
+    """Folder of another method's scenes to score in place of running methods."""
+
+    def composed(self, truth: SceneSpec, stream: str, errors: NoiseLog) -> SceneSpec:
+        """Compose the initial scene: a noisy response to a ground-truth scene.
+
+        Args:
+            truth: scene with a camera.
+            stream: name that the noise's random numbers derive from.
+            errors: log that receives the injected errors.
+        """
+        s = self.settings
+        number = noise_number(stream, s.seed, self.start)
+        response = exact_response(truth)
+        return composed_start(truth, response, number, s.compose, noise=s.noise, log=errors)
+
+    def columns(self, method: str, errors: NoiseLog) -> dict[str, Any]:
+        """Return the columns of `MethodRow`, except for `rollouts`."""
+        return {
+            "noise": self.settings.noise,
+            "injected": ", ".join(errors.injected),
+            "start": self.start,
+            "seed": self.settings.seed,
+            "evaluation": is_evaluation(self.start),
+            "method": method,
+            "fingerprint": self.fingerprint,
+        }
+
+
+def run_jobs(
+    work: Callable[[MethodJob], Iterable[tuple[R, Sequence[ObjectRow]]]],
+    row_type: type[R],
+    *,
+    fingerprints: Mapping[str, str],
+    starts: Mapping[str, Sequence[int]],
+    methods: Sequence[str],
+    settings: RunSettings,
+    workers: int = 0,
+    file: Path | None = None,
+    objects: Path | None = None,
+    submission: Path | None = None,
+) -> list[R]:
+    """Run methods on scenes or tasks, except for rows that the file already contains.
+
+    Args:
+        work: module-level function that yields the rows of a job, each with those of its objects.
+        row_type: type of the rows.
+        fingerprints: of each subject; rows with another fingerprint are run again.
+        starts: numbers of each subject's initial scenes.
+        methods: names.
+        settings: of the run.
+        workers: processes; 0 takes one for every two cores.
+        file: Parquet file of the rows; None stores none.
+        objects: Parquet file of the objects' rows; None stores none.
+        submission: folder of scenes to score, anew each time.
+
+    Returns:
+        All requested rows, those from the file included, sorted by key.
+
+    Raises:
+        RunError: a file cannot be read or written or has rows of another noise level, or a process
+            died.
+    """
+    stored = RowFile(file, row_type, lambda row: row.key)
+    check_level(stored, settings.noise)
+    stored_objects = RowFile(objects, ObjectRow, lambda row: row.key)
+
+    def is_current(row: R) -> bool:
+        return fingerprints.get(row.subject) == row.fingerprint
+
+    done = set() if submission else {row.key for row in stored.rows if is_current(row)}
+    workers, threads = sized(workers)
+    jobs = []
+    for subject, fingerprint in fingerprints.items():
+        for start in starts[subject]:
+            missing = tuple(m for m in methods if (subject, start, settings.seed, m) not in done)
+            if missing:
+                jobs.append(
+                    MethodJob(subject, start, missing, settings, threads, fingerprint, submission)
+                )
+    # An interrupted run has rows of all subjects.
+    jobs.sort(key=lambda job: job.start)
+    for row, object_rows in made_by_jobs(work, jobs, workers):
+        log.info(row.summary)
+        # Objects first: a stored row always has the rows of its objects.
+        stored_objects.put(object_rows, in_place_of=row.key)
+        stored.put([row], in_place_of=row.key)
+    requested = (
+        row
+        for row in stored.rows
+        if is_current(row)
+        and row.start in starts[row.subject]
+        and row.seed == settings.seed
+        and row.method in methods
+    )
+    return sorted(requested, key=lambda row: row.key)
