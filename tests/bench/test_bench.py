@@ -1,3 +1,5 @@
+"""Engine suites: scenes, throughput, agreement, kernels, and their commands."""
+
 import json
 import math
 import xml.etree.ElementTree as ET
@@ -30,7 +32,7 @@ def three():
     return scene, noisy_layouts(scene, 48)
 
 
-def test_scenes_are_the_same_by_seed_and_differ_between_seeds():
+def test_scenes_are_deterministic_in_the_seed():
     assert crowded(6).to_json() == crowded(6).to_json() != crowded(6, seed=1).to_json()
     for count in COUNTS:
         scene = crowded(count)
@@ -38,7 +40,7 @@ def test_scenes_are_the_same_by_seed_and_differ_between_seeds():
         assert scene.objects[0].environment
 
 
-def test_longer_populations_begin_with_the_shorter_ones(three):
+def test_larger_populations_begin_with_smaller_ones(three):
     scene, layouts = three
     subset = noisy_layouts(scene, 5)
     assert np.array_equal(subset.xy, layouts.xy[:5])
@@ -63,7 +65,7 @@ def _drawn(count):
     return scene, noisy_layouts(scene, 48)
 
 
-def test_the_naive_loop_is_mujoco_on_each_candidate_and_keeps_a_budget(three):
+def test_naive_loop_matches_native_engine_and_respects_budget(three):
     scene, layouts = three
     poses = scene.place_exactly(layouts)
     loop = naive_loop(scene, layouts[:12], poses_of(poses, 12))
@@ -82,14 +84,14 @@ def poses_of(poses, count):
     )
 
 
-def test_verdicts_near_a_bound_are_told_by_the_reference_alone():
+def test_borderline_verdicts_are_determined_by_the_reference():
     reported = compare(np.array([0.1, 0.6, 1.9, 5.0]), np.array([0.1, 1.2, 1.8, 0.9]))
     assert reported.near.tolist() == [False, True, True, False]
     assert reported.same.tolist() == [True, False, True, False]
     assert (reported.share(near=False), reported.share(near=True)) == (0.5, 0.5)
 
 
-def test_a_failed_candidate_has_moved_without_bound(three):
+def test_motion_of_a_failed_candidate_is_infinite(three):
     scene, _ = three
     broken = noisy_layouts(scene, 2)
     broken.xy[1, 1] = np.nan
@@ -125,7 +127,7 @@ def test_all_six_scenes_agree():
     assert len({row.scene for row in rows}) == len(AGREEMENT) == 6
 
 
-def test_a_wrong_law_of_scale_is_found(monkeypatch):
+def test_agreement_detects_wrong_inertia_scaling(monkeypatch):
     from neoworld_bench.engines import agreement as comparing
 
     from neoworld_mjx.physics import native
@@ -142,7 +144,7 @@ def test_a_wrong_law_of_scale_is_found(monkeypatch):
     assert "body_inertia" in row.loose_fields
 
 
-def test_rows_hold_the_rates_beside_the_naive_loop():
+def test_physics_rows_compare_rates_with_the_naive_loop():
     rows = list(physics((3,), (64,), ("native", "warp"), duration=0.5, budget=20, apart=False))
     assert [(row.engine, row.early_stop) for row in rows] == [
         *[("native", False), ("native", True)],
@@ -161,7 +163,7 @@ def test_rows_hold_the_rates_beside_the_naive_loop():
         assert row.status.startswith(("ok", "skipped"))
 
 
-def test_a_row_has_a_process_of_its_own_and_a_budget(monkeypatch):
+def test_row_runs_in_a_separate_process_within_its_budget(monkeypatch):
     task = Task(engine="native", objects=3, population=8, duration_s=0.1, budget_s=20)
     result = timing._in_a_process(task)
     assert result.steady_s and len(result.motion) == 8
@@ -170,7 +172,7 @@ def test_a_row_has_a_process_of_its_own_and_a_budget(monkeypatch):
     assert late == "skipped: budget"
 
 
-def test_an_engine_that_cannot_run_is_a_reason(monkeypatch):
+def test_unavailable_engine_is_skipped_with_its_reason(monkeypatch):
     def refuses(name):
         raise EngineError("no such device")
 
@@ -179,7 +181,7 @@ def test_an_engine_that_cannot_run_is_a_reason(monkeypatch):
     assert measure(task) == "skipped: no such device"
 
 
-def test_an_engine_with_other_verdicts_gets_no_rate(monkeypatch):
+def test_engine_with_wrong_verdicts_has_no_rate(monkeypatch):
     class Frozen:
         def rollout(self, scene, poses, **options):
             real = NativeEngine().rollout(scene, poses, duration=options["duration"])
@@ -211,7 +213,7 @@ def test_growth_recovers_a_power_law(tmp_path):
         assert ("native ~ objects^1.50" in text) == bool(curves)
 
 
-def test_kernels_are_timed_and_held_against_the_reference():
+def test_kernel_rows_have_times_and_errors_against_the_reference():
     rows = list(kernels((3,), (16,), samples=32, budget=5.0))
     assert [row.implementation for row in rows] == ["jnp", "culled", "pallas", "auto"]
     assert rows[0].max_error_m == 0
@@ -220,7 +222,7 @@ def test_kernels_are_timed_and_held_against_the_reference():
     assert {row.implementation for row in rows if row.status == "ok"} >= {"jnp", "culled", "auto"}
 
 
-def test_deep_overlaps_are_found_and_ranked_as_mujoco_ranks_them():
+def test_sampled_depths_agree_with_mujoco():
     rows = accuracy(random_pairs(4_000, each=4))
     total = rows[0]
     assert total.pairs == 4_000 and len(rows) == 1 + len(KINDS) * (len(KINDS) + 1) // 2
@@ -233,7 +235,7 @@ def test_deep_overlaps_are_found_and_ranked_as_mujoco_ranks_them():
         assert row.spearman >= 0.9, row
 
 
-def test_the_kernel_is_taken_from_where_it_was_faster_for_good():
+def test_dispatch_starts_at_the_size_from_which_the_kernel_stays_faster():
     def rows(population, jnp_ms, pallas_ms):
         sizes = {"objects": 4, "population": population, "samples": 10, "pieces": 5}
         return [
@@ -254,7 +256,7 @@ def _exit_code(*words):
     return ended.value.code
 
 
-def test_the_command_prints_rows(capfd, tmp_path, monkeypatch):
+def test_physics_command_prints_rows_and_draws_chart(capfd, tmp_path, monkeypatch):
     monkeypatch.setattr(timing, "_in_a_process", measure)
     chart, rows = tmp_path / "growth.svg", tmp_path / "rows.json"
     options = ["--objects", "3", "--population", "8", "--engine", "native", "--duration", "0.1"]
@@ -272,7 +274,7 @@ def test_the_command_prints_rows(capfd, tmp_path, monkeypatch):
     assert (tmp_path / "again.svg").read_bytes() == chart.read_bytes()
 
 
-def test_a_file_without_rows_is_named(tmp_path, capsys):
+def test_chart_of_a_file_without_rows_names_the_file(tmp_path, capsys):
     (tmp_path / "x.json").write_text("{}")
     assert _exit_code("chart", str(tmp_path / "x.json"), "--out", str(tmp_path / "x.svg")) == 2
     assert "x.json is not what bench run physics --json prints" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Estimates of what requests cost."""
+"""Estimates of tokens and prices of requests."""
 
 from typing import Any
 
@@ -15,12 +15,12 @@ class Reply(BaseModel):
     name: str
 
 
-def test_pictures_are_priced_as_servers_shrink_them():
+def test_image_tokens_follow_the_servers_resizing():
     assert _picture_tokens(750, 100) == 100
     assert _picture_tokens(3136, 1568) == _picture_tokens(1568, 784) == 1640
 
 
-def test_a_request_is_its_texts_schema_and_pictures():
+def test_request_tokens_are_those_of_texts_schema_and_images():
     plain: Any = Request(role="critic", name="a", system="s" * 400, prompt="p" * 400, schema=Reply)
     schema = _input_tokens(plain) - 200
     assert 0 < schema < 60 and _text_tokens("x" * 9) == 3

@@ -1,3 +1,5 @@
+"""Chamfer distance and F-score of surfaces."""
+
 import math
 
 import numpy as np
@@ -27,7 +29,7 @@ def turned(points, degrees):
     return points @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T
 
 
-def test_concentric_spheres_are_apart_by_the_difference_of_their_radii():
+def test_chamfer_of_concentric_spheres_is_the_difference_of_radii():
     a = surface_points(thing(sphere(0.50)), 20_000)
     b = surface_points(thing(sphere(0.52)), 20_000)
     result = closeness(a, b)
@@ -36,7 +38,7 @@ def test_concentric_spheres_are_apart_by_the_difference_of_their_radii():
     assert result.f_01 == 0 and result.f_05 == pytest.approx(100)
 
 
-def test_parallel_planes():
+def test_closeness_of_parallel_planes():
     """Samples on a lattice, one lattice straight above the other: every distance is the height."""
     flat = np.stack(np.meshgrid(np.arange(30) / 10, np.arange(20) / 10, [0.0]), -1).reshape(-1, 3)
     for height, f_01, f_05 in ((0.009, 100, 100), (0.03, 0, 100), (0.06, 0, 0)):
@@ -45,7 +47,7 @@ def test_parallel_planes():
         assert result.f_01 == pytest.approx(f_01) and result.f_05 == pytest.approx(f_05)
 
 
-def test_f_is_the_harmonic_mean_of_both_ways():
+def test_f_score_is_the_harmonic_mean_of_precision_and_recall():
     """Half of one set is far away: precision 1/2, recall 1."""
     near = np.random.default_rng(0).uniform(size=(100, 3))
     result = closeness(np.vstack([near, near + 50]), near)
@@ -55,7 +57,7 @@ def test_f_is_the_harmonic_mean_of_both_ways():
     assert swapped.chamfer_x10 == pytest.approx(result.chamfer_x10)
 
 
-def test_samples_are_even_by_area_and_repeatable():
+def test_samples_are_uniform_by_area_and_deterministic():
     spec = thing(block((0.2, 0.4, 0.8)))
     points = surface_points(spec, 20_000, seed=3)
     on_top = np.isclose(points[:, 2], 0.4).mean()
@@ -64,7 +66,7 @@ def test_samples_are_even_by_area_and_repeatable():
     assert np.any(points != surface_points(spec, 20_000, seed=4))
 
 
-def test_only_what_is_seen_is_sampled():
+def test_only_visible_geoms_are_sampled():
     spec = thing(
         block((0.2, 0.2, 0.2)),
         block((1, 1, 1), name="hull", role="collision"),
@@ -85,7 +87,7 @@ def chair(at=(0, 0, 0)):
     )
 
 
-def test_an_object_against_itself():
+def test_object_compared_with_itself():
     spec = chair()
     result = geometry_measure(spec, surface_points(spec, 10_000, seed=1))
     assert result.unaligned.f_05 > 99.9 and result.unaligned.f_01 > 70
@@ -97,7 +99,7 @@ OTHER_FITS = [pytest.param(*each, marks=pytest.mark.slow) for each in ((90, 1.0)
 
 
 @pytest.mark.parametrize(("turn", "factor"), [(-83, 0.6), *OTHER_FITS])
-def test_a_fit_undoes_turn_shift_and_size(turn, factor):
+def test_fit_recovers_rotation_translation_and_scale(turn, factor):
     spec = chair()
     true = turned(surface_points(spec, 3000, seed=1), turn) * factor + [0.3, -0.2, 0.1]
     result = geometry_measure(spec, true, samples=3000)
@@ -108,7 +110,7 @@ def test_a_fit_undoes_turn_shift_and_size(turn, factor):
     assert result.unaligned.chamfer_x10 > 3 * result.aligned.chamfer_x10
 
 
-def test_a_shifted_box_is_unaligned_by_its_shift():
+def test_unaligned_chamfer_of_a_translated_box_is_its_translation():
     """A cube of edge 1 shifted by d along x; what every point of one is off the other,
     integrated.
     """
@@ -125,7 +127,7 @@ def test_a_shifted_box_is_unaligned_by_its_shift():
     assert result.aligned.f_01 > 99
 
 
-def test_wrong_proportions_stay_wrong_after_the_fit():
+def test_fit_does_not_correct_wrong_proportions():
     built = surface_points(thing(block((0.4, 0.4, 1.0))), 3000)
     true = surface_points(thing(block((0.4, 0.4, 0.5))), 3000)
     assert geometry_measure(built, true).aligned.chamfer_x10 > 0.3

@@ -1,3 +1,5 @@
+"""Measure of joints against ground truth."""
+
 import math
 
 import numpy as np
@@ -45,7 +47,7 @@ def changed(joint, **update):
     return joint.model_copy(update=update)
 
 
-def test_the_truth_itself_is_without_error():
+def test_ground_truth_compared_with_itself_has_no_errors():
     result = joint_measure(TRUTH, TRUTH)
     assert (result.total, result.predicted, result.hits, result.correct) == (2, 2, 2, 2)
     assert result.miss == result.type_error == result.type_error_hits == 0
@@ -54,7 +56,7 @@ def test_the_truth_itself_is_without_error():
     assert (result.limits.value, result.limits.n) == (1, 2)
 
 
-def test_names_do_not_matter():
+def test_joint_names_do_not_affect_the_measure():
     result = joint_measure(
         cabinet(changed(DOOR, name="drawer"), changed(DRAWER, name="door")), TRUTH
     )
@@ -62,7 +64,7 @@ def test_names_do_not_matter():
     assert result.correct == 2
 
 
-def test_a_missed_joint_counts_as_a_type_error_over_all_and_is_in_no_mean():
+def test_missed_joint_counts_as_type_error_but_in_no_mean():
     result = joint_measure(cabinet(DOOR), TRUTH)
     assert result.missed == ("drawer",) and result.extra == ()
     assert result.miss == result.type_error == 0.5
@@ -70,13 +72,13 @@ def test_a_missed_joint_counts_as_a_type_error_over_all_and_is_in_no_mean():
     assert result.axis_deg.n == 1, "the mean says that it knows of one joint only"
 
 
-def test_extra_joints_are_counted_and_no_error_of_the_others():
+def test_extra_joints_do_not_affect_other_figures():
     knob = changed(DOOR, name="knob", moving_box=((0.2, 0.0, 0.6), (0.22, 0.02, 0.62)))
     result = joint_measure(cabinet(DOOR, DRAWER, knob), TRUTH)
     assert result.extra == ("knob",) and result.hits == 2 and result.predicted == 3
 
 
-def test_nothing_predicted_and_nothing_true():
+def test_measures_of_objects_without_joints():
     none = joint_measure(cabinet(), TRUTH)
     assert (none.hits, none.miss, none.type_error) == (0, 1, 1)
     assert none.type_error_hits is None and none.axis_deg.value is None and none.axis_deg.n == 0
@@ -84,7 +86,7 @@ def test_nothing_predicted_and_nothing_true():
     assert empty.miss is None and len(empty.extra) == 2
 
 
-def test_a_door_made_to_slide_is_a_hit_of_the_wrong_type():
+def test_sliding_door_is_a_hit_with_the_wrong_type():
     slid = changed(DOOR, type="prismatic", axis=(0, 1, 0), limits=(0, 0.3))
     result = joint_measure(cabinet(slid, DRAWER), TRUTH)
     assert result.hits == 2 and result.correct == 1
@@ -93,13 +95,13 @@ def test_a_door_made_to_slide_is_a_hit_of_the_wrong_type():
     assert result.pivot.n == 0 and result.limits.n == 1
 
 
-def test_a_hinge_on_the_other_side():
+def test_hinge_on_the_opposite_side():
     result = joint_measure(cabinet(changed(DOOR, pivot=(0.2, -0.3, 0.4)), DRAWER), TRUTH)
     assert result.pivot.value == pytest.approx(0.6 / SIZE)
     assert result.correct == 1 and result.axis_deg.value == 0
 
 
-def test_an_axis_that_points_the_other_way_is_the_same_line_with_its_range_turned():
+def test_reversed_axis_mirrors_the_range():
     same = changed(DOOR, axis=(0, 0, -1), limits=(-1.6, 0), pivot=(0.2, 0.3, 0.7))
     against = changed(DOOR, axis=(0, 0, -1), limits=(0, 1.6))
     assert joint_measure(cabinet(same), cabinet(DOOR)).limits.value == pytest.approx(1)
@@ -116,19 +118,19 @@ def test_an_axis_that_points_the_other_way_is_the_same_line_with_its_range_turne
         (None, (0, 1.6), None),
     ],
 )
-def test_overlap_of_ranges(made, true, overlap):
+def test_range_overlap(made, true, overlap):
     pair = joint_measure(cabinet(changed(DOOR, limits=made)), cabinet(changed(DOOR, limits=true)))
     assert pair.pairs[0].limits == (None if overlap is None else pytest.approx(overlap))
 
 
-def test_an_endless_joint_against_a_limited_one():
+def test_range_overlap_of_continuous_and_limited_joints():
     endless = changed(DOOR, type="continuous", limits=None)
     pair = joint_measure(cabinet(endless), cabinet(DOOR)).pairs[0]
     assert pair.limits == pytest.approx(1.6 / (2 * math.pi)) and not pair.correct
     assert joint_measure(cabinet(endless), cabinet(endless)).limits.value == 1
 
 
-def test_size_frame_and_front_do_not_matter():
+def test_size_frame_and_front_do_not_affect_the_measure():
     """Twice as large, shifted, its front along +y: the same joints."""
     turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
 
@@ -164,7 +166,7 @@ def test_canonical_frame():
     np.testing.assert_allclose(result.box, [(-1.5, -0.5, 0), (1.5, 0.5, 4)])
 
 
-def test_a_front_without_its_tray_is_the_same_drawer_but_a_knob_is_no_door():
+def test_drawer_front_without_tray_matches_but_knob_and_door_do_not():
     front = changed(DRAWER, moving_box=((0.18, -0.28, 0.55), (0.2, 0.28, 0.78)))
     assert joint_measure(cabinet(front), TRUTH).missed == ("door",)
     knob = changed(DOOR, moving_box=((0.2, -0.28, 0.2), (0.23, -0.25, 0.23)))
@@ -173,7 +175,7 @@ def test_a_front_without_its_tray_is_the_same_drawer_but_a_knob_is_no_door():
     assert joint_measure(cabinet(behind), cabinet(DOOR)).hits == 0
 
 
-def test_each_of_four_drawers_finds_its_own():
+def test_each_of_four_drawers_is_matched_with_its_counterpart():
     def stack(order):
         return [
             changed(
@@ -188,14 +190,14 @@ def test_each_of_four_drawers_finds_its_own():
     assert [p.true == p.predicted for p in result.pairs] == [True] * 4
 
 
-def test_motion_decides_between_joints_that_carry_the_same():
+def test_motion_decides_between_joints_that_move_the_same_parts():
     """A part on a slide and a hinge in a row: both joints carry the same box."""
     slide = changed(DOOR, name="slide", type="prismatic", axis=(1, 0, 0), limits=(0, 0.1))
     result = joint_measure(cabinet(slide, DOOR), cabinet(DOOR, slide))
     assert all(p.true == p.predicted and p.motion == pytest.approx(1) for p in result.pairs)
 
 
-def test_likeness_of_motion():
+def test_motion_similarity():
     assert alike(DOOR, DOOR) == pytest.approx(1)
     assert alike(changed(DOOR, axis=(0, 0, -3)), DOOR) == pytest.approx(1), "a sign says nothing"
     assert alike(changed(DOOR, axis=(0, 1, 0)), DOOR) < 0.5
@@ -211,7 +213,7 @@ def test_ball_joints_have_no_axis():
     assert pair.axis_deg is None and pair.pivot is None and pair.limits is None and pair.correct
 
 
-def test_lines():
+def test_line_angles_and_distances():
     x, y, z = np.eye(3)
     assert line_angle_deg(x, -x) == 0 and line_angle_deg(x, y) == pytest.approx(90)
     assert line_angle_deg(x, x + y) == pytest.approx(45)
@@ -224,7 +226,7 @@ def test_lines():
 
 @settings(max_examples=40, deadline=None)
 @given(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05), st.floats(0, 80), st.floats(-0.3, 0.3))
-def test_a_turned_and_shifted_axis_is_measured_as_such(dx, dy, tilt, along):
+def test_axis_and_pivot_errors_equal_the_applied_displacement(dx, dy, tilt, along):
     """The axis tilted about the line to it: angle is the tilt, distance the shift."""
     a = math.radians(tilt)
     built = changed(DOOR, axis=(0, math.sin(a), math.cos(a)), pivot=(0.2 + dx, 0.3, 0))
@@ -238,7 +240,7 @@ def test_a_turned_and_shifted_axis_is_measured_as_such(dx, dy, tilt, along):
     assert pair.pivot == pytest.approx(math.hypot(dx, dy) / SIZE, abs=1e-9)
 
 
-def test_pooling_counts_joints_not_objects():
+def test_pooled_means_weigh_joints_equally():
     one = joint_measure(TRUTH, TRUTH)
     other = joint_measure(cabinet(), cabinet(DOOR, name="shelf"))
     both = pooled([one, other])
@@ -247,7 +249,7 @@ def test_pooling_counts_joints_not_objects():
     assert both.axis_deg.n == 2
 
 
-def test_a_made_object_is_read_with_all_that_hangs_on_a_joint():
+def test_moving_box_covers_all_descendant_parts():
     built = build(
         "from neoworld_mjx.program.sdk import Object, box, cylinder\n"
         "o = Object('post')\n"
@@ -270,7 +272,7 @@ def test_a_made_object_is_read_with_all_that_hangs_on_a_joint():
     assert agree(truth.joints[0], truth.joints[0]) == pytest.approx(1)
 
 
-def test_reading(tmp_path):
+def test_read_truth_validates_the_file(tmp_path):
     path = tmp_path / "cabinet.json"
     path.write_text(TRUTH.model_dump_json())
     assert read_truth(path) == TRUTH

@@ -1,4 +1,4 @@
-"""Plans asked of a model, and feedback into the layout; the tapes are written by hand."""
+"""Plans requested from a model, and feedback into the layout; the tapes are written by hand."""
 
 import json
 
@@ -46,23 +46,23 @@ def rows_of(tape, **changes):
         return list(plan_rows(models, [TASK], **(given | changes)))
 
 
-def test_a_plan_that_fails_is_asked_again_with_its_outcome(tape):
+def test_failed_plan_is_revised_with_its_outcome(tape):
     (row,) = rows_of(tape)
     assert row.plans == 2 and row.in_scene and row.on_truth and row.reason == ""
     assert plan_figures([row]) == {"tasks": 1, "in_scene": 1, "after_feedback": 1, "on_truth": 1}
 
 
-def test_without_rounds_the_failure_stands(tape):
+def test_no_rounds_means_no_revision(tape):
     (row,) = rows_of(tape, rounds=0)
     assert row.plans == 1 and not row.in_scene and "upper within" in row.reason
 
 
-def test_a_tape_without_the_answer_says_so(tape):
+def test_missing_response_raises(tape):
     with pytest.raises(MissingResponseError):
         rows_of(tape, offset_m=0.02)
 
 
-def test_the_request_tells_the_scene_and_not_the_truth():
+def test_request_describes_the_scene_but_not_the_success_condition():
     prompt = plan_request(TASK, TASK.scene).prompt
     assert TASK.instruction in prompt and "- upper (wooden block, carried by table)" in prompt
     assert "(-0.120, -0.100, 0.025)" in prompt  # the middle of the upper cube
@@ -84,7 +84,7 @@ def test_feedback_moves_the_named_objects_until_the_plan_succeeds():
     assert result.scene.object("peg").xy == pytest.approx(wrong.object("peg").xy)
 
 
-def test_what_is_displaced_is_what_the_predicate_names():
+def test_only_objects_of_the_predicate_are_displaced():
     assert named_objects(TASK.predicate) == {"upper", "lower"}
     scene = displaced_layout(TASK, 0.02, 0)
     moved = {
@@ -94,7 +94,7 @@ def test_what_is_displaced_is_what_the_predicate_names():
     assert moved == pytest.approx({"table": 0, "lower": 0.02, "upper": 0.02, "peg": 0})
 
 
-def test_command_needs_a_provider_that_answers(capfd, tmp_path):
+def test_plans_command_requires_a_provider_with_responses(capfd, tmp_path):
     with pytest.raises(SystemExit) as ended:
         cli.main(["bench", "run", "plans", "--task", "bridge", "--provider", "mailbox"])
     assert ended.value.code == 2

@@ -45,7 +45,7 @@ def test_crowded_scenes_start_from_a_noisy_layout_for_each_seed():
     assert abs(first.xy[0, 1:]).max() > 0 and (first.xy != second.xy).any()
 
 
-def test_photographs_have_their_picture_and_box_overlap():
+def test_photo_scenes_have_a_photograph_and_box_overlap():
     result = case("photo:coffee", SOURCES)
     model = compile_scene(result.scene)
     assert result.photo is not None and result.photo.name == "coffee.png"

@@ -1,4 +1,4 @@
-"""Objects in the layout of PartNet-Mobility: true joints as written, made objects against them."""
+"""Objects in the layout of PartNet-Mobility: their joints, and scores of reconstructed objects."""
 
 import json
 import math
@@ -105,7 +105,7 @@ def partnet(tmp_path_factory) -> Path:
     return root
 
 
-def test_true_joints_are_those_that_were_written(partnet: Path):
+def test_joints_are_read_from_the_urdf(partnet: Path):
     folders = partnet_folders(partnet)
     assert set(folders) == {"41083", "1011"}
     cabinet = partnet_object(folders["41083"], samples=400)
@@ -146,7 +146,7 @@ cabinet.revolute("hinge", body, door, at=(0.21, {side}, 0.6), axis={axis}, range
 """
 
 
-def test_made_objects_are_scored_and_pooled(partnet: Path, tmp_path: Path):
+def test_reconstructed_objects_are_scored_and_pooled(partnet: Path, tmp_path: Path):
     made = tmp_path / "made"
     (made / "41083").mkdir(parents=True)
     (made / "41083" / "program.py").write_text(PROGRAM.format(side=0.25, axis=(0, 0, -1)))
@@ -173,20 +173,20 @@ def test_made_objects_are_scored_and_pooled(partnet: Path, tmp_path: Path):
     assert len(stored_scores(tmp_path)) == 2
 
 
-def test_what_was_not_made_is_missed_where_it_is_named(partnet: Path, tmp_path: Path):
+def test_requested_objects_without_reconstruction_count_as_missed(partnet: Path, tmp_path: Path):
     (tmp_path / "41083.py").write_text(PROGRAM.format(side=0.25, axis=(0, 0, -1)))
     rows = list(score_objects(tmp_path, partnet=partnet, objects=["1011"]))
     assert [(row.reason, row.hits, row.total) for row in rows] == [("not made", 0, 1)]
 
 
-def test_the_layout_itself_scores_perfectly(partnet: Path):
+def test_ground_truth_urdf_scores_perfectly(partnet: Path):
     made = partnet / "dataset"
     (tap,) = score_objects(made, partnet=partnet, objects=["1011"], front="+x", **QUICK)
     assert (tap.hits, tap.correct) == (1, 1) and tap.chamfer_x10 is not None
     assert tap.axis_deg == pytest.approx(0.0, abs=1e-6) and 0 < tap.chamfer_x10 < 1.0
 
 
-def test_truth_files_serve_as_well_and_tables_have_the_papers_rows(partnet: Path, tmp_path: Path):
+def test_truth_files_give_scores_and_tables_with_the_papers_rows(partnet: Path, tmp_path: Path):
     cabinet = partnet_object(partnet / "dataset" / "41083", samples=200)
     straight = canonical(cabinet.truth)
     (tmp_path / "truth").mkdir()
@@ -207,7 +207,7 @@ def test_truth_files_serve_as_well_and_tables_have_the_papers_rows(partnet: Path
         write_tables(tmp_path)
 
 
-def test_wrong_paths_name_what_is_expected(partnet: Path, tmp_path: Path):
+def test_errors_of_wrong_paths_name_the_expected_files(partnet: Path, tmp_path: Path):
     with pytest.raises(
         SpecError, match=r"no folder of PartNet-Mobility.*ID/mobility\.urdf.*OBJ|obj"
     ):

@@ -1,4 +1,4 @@
-"""The page of figures, and the data files that it is written from."""
+"""Benchmark pages and the figures that they are generated from."""
 
 import json
 
@@ -13,7 +13,7 @@ from neoworld_mjx import cli
 NAMES = sorted(path.stem for path in page.FIGURES.iterdir() if path.stem != "page")
 
 
-def test_the_pages_are_those_that_the_figures_give():
+def test_pages_match_the_figures():
     written = {path: (page.DOCS / path).read_text(encoding="utf-8") for path in page.pages()}
     assert written == page.pages(), "stale: run `uv run python -m benchmarks.page`"
     folder = {path.name for path in (page.DOCS / "benchmarks").iterdir()}
@@ -21,7 +21,7 @@ def test_the_pages_are_those_that_the_figures_give():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_figure_is_on_the_page_with_device_and_n(name):
+def test_pages_show_every_figure_with_device_and_n(name):
     figure = page.read_figure(name)
     assert (
         sum(
@@ -36,12 +36,12 @@ def test_every_figure_is_on_the_page_with_device_and_n(name):
     assert all(len(row) == len(figure.columns) for row in figure.rows)
 
 
-def test_a_figure_without_a_device_is_refused():
+def test_figure_without_a_device_is_refused():
     with pytest.raises(ValidationError, match="device"):
         page.Figure.model_validate({"title": "a", "command": "b", "n": "1", "date": "2026-01-01"})
 
 
-def test_what_a_suite_prints_is_a_figure(capfd):
+def test_output_of_a_suite_is_a_valid_figure(capfd):
     words = ["bench", "run", "agreement", "--scene", "stack", "--layouts", "2", "--json"]
     with pytest.raises(SystemExit):
         cli.main(words)

@@ -1,3 +1,5 @@
+"""Measure of parsed scene trees against ground truth."""
+
 import math
 
 import numpy as np
@@ -48,14 +50,14 @@ def changed(tree, name, **update):
     return SceneTree(camera=tree.camera, nodes=nodes)
 
 
-def test_overlap_of_boxes_in_a_picture():
+def test_iou_2d():
     assert iou_2d((0, 0, 2, 2), (0, 0, 2, 2)) == 1
     assert iou_2d((0, 0, 2, 2), (1, 0, 3, 2)) == pytest.approx(1 / 3)
     assert iou_2d((0, 0, 2, 2), (2, 0, 3, 2)) == 0
     assert iou_2d((0, 0, 4, 4), (1, 1, 3, 3)) == pytest.approx(1 / 4)
 
 
-def test_overlap_of_boxes_in_space():
+def test_iou_3d():
     a = Box3D(position=(0, 0, 0), size=(1, 1, 1))
     assert iou_3d(a, a) == pytest.approx(1)
     assert iou_3d(a, a.model_copy(update={"position": (0.5, 0, 0)})) == pytest.approx(1 / 3)
@@ -77,7 +79,7 @@ def test_overlap_of_boxes_in_space():
     st.tuples(*[st.floats(0.2, 2)] * 2),
     st.floats(-4, 4),
 )
-def test_shared_footprint_agrees_with_counting_points(at, size, turn):
+def test_shared_footprint_agrees_with_monte_carlo(at, size, turn):
     from neoworld_mjx.measure.boxes import footprint
 
     a = Box3D(position=(0, 0, 0), size=(1, 1.5, 1), yaw=at[2])
@@ -93,7 +95,7 @@ def test_shared_footprint_agrees_with_counting_points(at, size, turn):
     assert shared_footprint(footprint(a), footprint(b)) == pytest.approx(counted, abs=0.06)
 
 
-def test_the_upright_box_of_a_thing_that_lies():
+def test_upright_box_of_a_lying_object():
     lying = node("bottle", (0.8, 0, 0), (0.06, 0.08, 0.2), math.pi / 2)
     lying = lying.model_copy(update={"base_tilt": (math.sqrt(0.5), 0, math.sqrt(0.5), 0)})
     box = upright(lying)
@@ -103,7 +105,7 @@ def test_the_upright_box_of_a_thing_that_lies():
     assert box.corners().max(axis=0) == pytest.approx(corners.max(axis=0))
 
 
-def test_a_perfect_parse_is_perfect_whatever_the_names_and_order():
+def test_names_and_order_of_nodes_do_not_affect_the_measure():
     truth = three()
     renamed = {"table": "low", "low": "far", "high": "table", "far": "high"}
     nodes = tuple(
@@ -122,7 +124,7 @@ def test_a_perfect_parse_is_perfect_whatever_the_names_and_order():
     assert result.pitch_deg == result.fovy_deg == result.height_m == 0
 
 
-def test_missed_and_extra_objects_and_wrong_carriers():
+def test_missed_and_extra_objects_and_wrong_parents():
     truth = three()
     table_, low, high, far = truth.nodes
     extra = node("ghost", (0.5, -0.3, 0), (0.05, 0.05, 0.05))
@@ -138,7 +140,7 @@ def test_missed_and_extra_objects_and_wrong_carriers():
     assert result.iou_2d.n == 2
 
 
-def test_nothing_matched_is_no_figure():
+def test_means_without_matches_are_none():
     truth = three()
     elsewhere = node("a", (0.6, -0.4, 0), (0.02, 0.02, 0.02))
     result = parse_measure(SceneTree(camera=CAMERA, nodes=(table(), elsewhere)), truth)
@@ -149,7 +151,7 @@ def test_nothing_matched_is_no_figure():
     assert result.edge_f1 == 0
 
 
-def test_scale_about_the_camera_is_told_apart_from_the_rest():
+def test_scale_about_the_camera_is_separated_from_other_errors():
     truth, s = three(), 0.5
     camera = CAMERA.model_copy(update={"height": CAMERA.height * s})
     nodes = tuple(
@@ -173,7 +175,7 @@ def test_scale_about_the_camera_is_told_apart_from_the_rest():
     assert result.height_m == pytest.approx(-0.3)
 
 
-def test_orders_count_pairs_and_leave_ties_out():
+def test_orders_count_pairs_without_ties():
     truth = three()
     far = truth.node("far").box3d
     near = far.model_copy(update={"position": (0.3, -0.2, 0)})
@@ -192,7 +194,7 @@ def test_orders_count_pairs_and_leave_ties_out():
     assert result.size_ratio_log.value == pytest.approx(expected)
 
 
-def test_flags_parts_and_camera():
+def test_flags_parts_and_camera_errors():
     door = PartState(part="door", type="revolute", opening=0.2)
     drawer = PartState(part="drawer", type="prismatic")
     truth = changed(three(), "far", articulation=(door, drawer), occluded=True)
@@ -205,7 +207,7 @@ def test_flags_parts_and_camera():
     assert result.fovy_deg == pytest.approx(math.degrees(-0.1))
 
 
-def test_matching_takes_the_best_sum_not_the_first_come():
+def test_matching_maximises_the_total_overlap():
     a = node("a", (0.7, 0.0, 0))
     b = node("b", (0.7, 0.05, 0))
     truth = SceneTree(camera=CAMERA, nodes=(table(), a, b))

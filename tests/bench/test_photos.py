@@ -1,4 +1,4 @@
-"""Errors of answers to scenes with known truth, step by step."""
+"""Errors of noisy responses to rendered scenes, step by step."""
 
 import json
 
@@ -29,7 +29,7 @@ from neoworld_mjx.fit.refit import refit_tree
 @pytest.mark.parametrize(
     "scenes", [(8, 29), pytest.param((8, 10, 22, 29), marks=pytest.mark.slow)], ids=["two", "four"]
 )
-def test_steps_come_closer_to_the_truth(scenes):
+def test_each_step_reduces_the_errors(scenes):
     options = searching_little(RefineOptions(check_duration_s=0.3))
     rows = list(photo_rows(scenes, refine_options=options))
     summary = photo_summary(rows)
@@ -89,7 +89,7 @@ def test_occluders_are_named():
     assert shares["mug_0"] == 1.0 and 0.3 < shares["bin_3_in"] < 0.97
 
 
-def test_what_a_step_made_worse_is_listed_unless_it_was_unsound():
+def test_objects_that_a_step_made_worse_are_listed_unless_invalid_before():
     def error(mm, percent=1.0):
         return PoseError(position_mm=mm, layout_mm=mm, heading_deg=None, size_percent=percent)
 
@@ -120,21 +120,21 @@ def test_what_a_step_made_worse_is_listed_unless_it_was_unsound():
     assert "3/cup: position_mm" in text and "mm 30.00 (30.0)" in text
 
 
-def test_the_truth_scores_higher_than_displacements():
+def test_s_sem_prefers_the_ground_truth_to_displacements():
     (row,) = semantic_rows((1,), draws=64)
     assert row.truth > 0.98
     assert row.lower >= 0.98
     assert sum(row.higher.values()) == round((1 - row.lower) * 64)
 
 
-def test_an_unknown_scene_is_refused():
+def test_unknown_scene_is_refused():
     with pytest.raises(EngineError, match="scenes are 0 to 39"):
         next(photo_rows((40,)))
     with pytest.raises(EngineError, match="no scene -1"):
         next(semantic_rows((-1,)))
 
 
-def test_the_command_prints_one_json_object(capfd):
+def test_photos_command_prints_one_json_object(capfd):
     arguments = ["bench", "run", "photos", "--scenes", "8", "--no-search", "--json"]
     with pytest.raises(SystemExit, match="0"):
         cli.main(arguments)

@@ -1,4 +1,4 @@
-"""Picture measures, with tiny random models in the files in which the real ones come."""
+"""Image measures with tiny random models in the file formats of the published ones."""
 
 import json
 import sys
@@ -59,7 +59,7 @@ def models(tmp_path_factory):
     )
 
 
-def test_ssim_of_a_picture_and_itself_is_one_and_falls_with_shift_and_blur():
+def test_ssim_is_one_for_equal_images_and_falls_with_shift_and_blur():
     rgb = picture()
     assert ssim(rgb, rgb) == 1.0
     assert ssim(rgb, shifted(rgb, 1)) > ssim(rgb, shifted(rgb, 4)) > ssim(rgb, shifted(rgb, 12))
@@ -67,7 +67,7 @@ def test_ssim_of_a_picture_and_itself_is_one_and_falls_with_shift_and_blur():
     assert ssim(rgb, blurred(rgb)) == pytest.approx(ssim(blurred(rgb), rgb), abs=1e-12)
 
 
-def test_ssim_is_that_of_scikit_image():
+def test_ssim_matches_scikit_image():
     # structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
     # data_range=255, channel_axis=2) of scikit-image 0.26.0.
     rows, columns = np.mgrid[:20, :24]
@@ -76,12 +76,12 @@ def test_ssim_is_that_of_scikit_image():
     assert ssim(a, a[::-1]) == pytest.approx(0.217780461424, abs=1e-9)
 
 
-def test_pictures_of_different_size_are_refused():
+def test_images_of_different_sizes_are_refused():
     with pytest.raises(PhotoError, match="64 x 48 and 64 x 40"):
         ssim(picture(), picture(height=40))
 
 
-def test_without_models_only_ssim_is_there_and_the_rest_says_why():
+def test_measures_without_models_are_none_with_a_reason():
     measure = picture_measure(picture(), picture(), PictureModels.load())
     assert measure.ssim == 1.0
     assert {measure.lpips, measure.clip, measure.dino, measure.uni3d} == {None}
@@ -89,7 +89,7 @@ def test_without_models_only_ssim_is_there_and_the_rest_says_why():
 
 
 @needs_onnx
-def test_a_picture_against_itself_and_worse(models):
+def test_measures_of_equal_and_degraded_images(models):
     rgb, cloud = picture(), coloured_points(block(), count=200)
     same = picture_measure(rgb, rgb, models, cloud)
     assert same.why == {}
@@ -102,7 +102,7 @@ def test_a_picture_against_itself_and_worse(models):
 
 
 @needs_onnx
-def test_a_folder_without_onnx_below_and_the_old_form_of_sizes_are_read(tmp_path, models):
+def test_flat_folders_and_legacy_size_fields_are_read(tmp_path, models):
     made.image_tower(tmp_path / "vision_model.onnx")
     config = made.CLIP_CONFIG | {"size": made.SIDE, "crop_size": made.SIDE}
     (tmp_path / CONFIG).write_text(json.dumps(config))
@@ -113,7 +113,7 @@ def test_a_folder_without_onnx_below_and_the_old_form_of_sizes_are_read(tmp_path
     assert ImageEncoder(file, "clip").embed(rgb) == pytest.approx(expected, abs=1e-12)
 
 
-def test_preprocessing_resizes_the_shorter_side_and_cuts_the_middle():
+def test_preprocessing_resizes_the_shorter_side_and_crops_the_center():
     plan = Preprocessing(
         size=8, crop_size=4, image_mean=(0.5, 0.5, 0.5), image_std=(0.5, 0.25, 1.0), resample=0
     )
@@ -173,7 +173,7 @@ def _without_projection(folder):
         (_without_projection, "outputs last_hidden_state; expected is image_embeds"),
     ],
 )
-def test_a_wrong_folder_is_one_error_that_names_what_is_expected(tmp_path, spoil, message):
+def test_wrong_folder_raises_one_error_with_the_expected_files(tmp_path, spoil, message):
     spoil(made.clip_folder(tmp_path))
     with pytest.raises(ConfigError, match=message) as raised:
         PictureModels.load(clip=tmp_path)
@@ -184,14 +184,14 @@ def test_a_wrong_folder_is_one_error_that_names_what_is_expected(tmp_path, spoil
 @pytest.mark.parametrize(
     ("scale", "message"), [(np.float32("nan"), "not finite"), (0.0, "vector of zeros")]
 )
-def test_damaged_weights_are_an_error_and_no_figure(tmp_path, scale, message):
+def test_damaged_weights_raise(tmp_path, scale, message):
     model = PictureModels.load(clip=made.clip_folder(tmp_path, scale=scale))
     with pytest.raises(ConfigError, match=message):
         picture_measure(picture(), picture(), model)
 
 
 @needs_onnx
-def test_lpips_of_one_size_or_with_other_inputs_says_what_is_expected(tmp_path):
+def test_lpips_with_fixed_size_or_other_inputs_raises(tmp_path):
     fixed = LpipsModel(made.lpips_file(tmp_path / "lpips.onnx", size=(64, 64)))
     with pytest.raises(ConfigError, match="export it with any height and width"):
         fixed.distance(picture(), picture())
@@ -203,7 +203,7 @@ def test_lpips_of_one_size_or_with_other_inputs_says_what_is_expected(tmp_path):
 
 
 @needs_onnx
-def test_uni3d_of_other_files_says_what_is_expected(tmp_path):
+def test_uni3d_with_other_inputs_raises(tmp_path):
     with pytest.raises(ConfigError, match=r"holds no points\.onnx"):
         Uni3DModel(made.clip_folder(tmp_path / "clip"))
     model = Uni3DModel(made.uni3d_folder(tmp_path / "other", width=8))
@@ -212,7 +212,7 @@ def test_uni3d_of_other_files_says_what_is_expected(tmp_path):
 
 
 @needs_onnx
-def test_uni3d_knows_shape_and_colour_but_not_place_and_size(models):
+def test_uni3d_depends_on_shape_and_color_but_not_position_and_size(models):
     cloud = coloured_points(block(), count=200)
     moved = cloud * [3, 3, 3, 1, 1, 1] + [1, -2, 0.5, 0, 0, 0]
     embed = models.uni3d.embed
@@ -251,7 +251,7 @@ def block(second=(0.1, 0.2, 0.9)):
     return ObjectSpec(name="block", parts=tuple(parts), materials=materials)
 
 
-def test_points_lie_on_the_surface_in_the_colours_of_their_materials():
+def test_points_lie_on_surfaces_with_material_colors():
     cloud = coloured_points(block(), count=500)
     assert cloud.shape == (500, 6)
     low, high = cloud[:, :3].min(axis=0), cloud[:, :3].max(axis=0)
@@ -294,7 +294,7 @@ def test_groups_are_centred_in_the_unit_ball_with_y_and_z_exchanged():
         ),
     ],
 )
-def test_preprocessing_is_that_of_transformers(size, mean, std, expected):
+def test_preprocessing_matches_transformers(size, mean, std, expected):
     # Their numbers, of transformers 5.23.0 on a picture of 61 x 37 pixels.
     rows, columns = np.mgrid[:37, :61]
     rgb = np.stack([(7 * rows + 3 * columns) % 256, rows * columns % 256, 11 * columns % 256], -1)
@@ -304,7 +304,7 @@ def test_preprocessing_is_that_of_transformers(size, mean, std, expected):
     assert own == pytest.approx(expected, abs=2e-6)
 
 
-def test_pictures_are_resized_as_pillow_does():
+def test_resizing_matches_pillow():
     plan = Preprocessing(size=24, crop_size=24, image_mean=(0, 0, 0), image_std=(1, 1, 1))
     rgb = picture()
     expected = np.asarray(Image.fromarray(rgb).resize((32, 24), 3))[:, 4:28] / 255

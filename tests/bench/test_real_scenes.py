@@ -1,4 +1,4 @@
-"""Scenes of photographs as the benchmark refines them."""
+"""Search on the scenes of photographs."""
 
 import pytest
 from neoworld_bench.photographs.real_scenes import FOLDER, REAL, real_refinements
@@ -14,13 +14,13 @@ QUICK = RefineOptions.model_validate(
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_every_scene_is_there_with_its_camera(name):
+def test_scenes_have_cameras_and_boxes(name):
     scene = read_scene(FOLDER / f"{name}.json")
     assert scene.camera is not None
     assert sum(item.box2d is not None for item in scene.objects) >= 3
 
 
-def test_a_scene_that_stands_is_its_own_answer_and_compiles_nothing(monkeypatch):
+def test_valid_scene_stays_unchanged_and_compiles_nothing(monkeypatch):
     # A full process forgets what it has compiled; here that would be counted.
     monkeypatch.setattr(model, "make_room", lambda: False)
     (row,) = real_refinements(("rt1_move_near",), options=QUICK)
@@ -28,6 +28,6 @@ def test_a_scene_that_stands_is_its_own_answer_and_compiles_nothing(monkeypatch)
     assert row.programs == 0 and row.rollouts == 1
 
 
-def test_an_unknown_scene_is_refused_with_the_choices():
+def test_unknown_scene_is_refused_with_the_choices():
     with pytest.raises(EngineError, match="posecnn_3"):
         next(real_refinements(("posecnn",)))

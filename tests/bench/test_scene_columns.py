@@ -1,4 +1,4 @@
-"""Ablations as methods, and what is counted of the objects: P-Pen and what curves need."""
+"""Ablations as methods, rows of objects for P-Pen, and curves over thresholds."""
 
 import pytest
 from neoworld_bench.methods.part_depths import P_PEN_M, articulated, part_depth
@@ -29,7 +29,7 @@ LABELS = {
 }
 
 
-def test_ablations_switch_what_the_projects_ablations_switch():
+def test_ablation_methods_match_the_configured_ablations():
     by_label = {p.label: p.options for p in points(read("configs/ablations/refine.yaml", Ablation))}
     assert set(LABELS) == set(ABLATIONS)
     for method, label in LABELS.items():
@@ -56,14 +56,14 @@ def drawer(gap: float) -> ObjectSpec:
     )
 
 
-def test_parts_that_enter_their_parent_count():
+def test_p_pen_counts_parts_that_penetrate_their_parent():
     free, deep = drawer(0.001), drawer(-0.003)
     assert articulated(free)
     assert part_depth(free) == 0.0
     assert part_depth(deep) == pytest.approx(0.003, abs=1e-6) and part_depth(deep) > P_PEN_M
 
 
-def test_rows_of_objects_keep_what_curves_need():
+def test_object_rows_have_drift_tilt_and_depths():
     scene = SceneSpec(
         objects=(
             SceneObject(name="floor", spec=drawer(0.001), environment=True),
@@ -131,7 +131,7 @@ def test_curves_count_at_every_threshold():
     assert drawn is not None and "P-Pen [%]" in drawn and "ours" in drawn
 
 
-def test_shares_over_nothing_are_none():
+def test_shares_of_empty_sets_are_none():
     assert ratio_interval([("a", 0.0, 0.0)]) == (None, None, None)
     mean, low, high = ratio_interval([("a", 1.0, 1.0), ("b", 0.0, 0.0)])
     assert (mean, low, high) == (1.0, 1.0, 1.0)

@@ -1,4 +1,4 @@
-"""The thirty scenes: what is declared, what they are held to, how methods' rows are summed up."""
+"""The thirty scenes: declarations, ground truths, layout errors, summaries and tables."""
 
 import math
 from dataclasses import replace
@@ -45,17 +45,17 @@ def test_thirty_scenes_of_every_room():
 
 
 @pytest.mark.parametrize("name", CHEAP)
-def test_truth_passes_the_final_check(name: str):
+def test_ground_truth_passes_the_final_check(name: str):
     assert failures(truth_scene(declarations()[name])) == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(set(declarations()) - set(CHEAP)))
-def test_every_truth_passes_the_final_check(name: str):
+def test_every_ground_truth_passes_the_final_check(name: str):
     assert failures(truth_scene(declarations()[name])) == []
 
 
-def test_a_tent_without_one_board_falls():
+def test_tent_without_one_board_falls():
     scene = truth_scene(declarations()["tents"])
     without = [item for item in scene.objects if item.name != "leaf_0b"]
     alone = scene.model_copy(update={"objects": tuple(without)})
@@ -71,7 +71,7 @@ def test_a_tent_without_one_board_falls():
         (("camera: {", "camera: ["), "is no YAML of a scene"),
     ],
 )
-def test_a_broken_declaration_is_named(tmp_path, change: tuple[str, str], message: str):
+def test_errors_of_declarations_name_the_field(tmp_path, change: tuple[str, str], message: str):
     from neoworld_bench.dataset.declaration import SCENES
 
     path = tmp_path / "tents.yaml"
@@ -80,7 +80,7 @@ def test_a_broken_declaration_is_named(tmp_path, change: tuple[str, str], messag
         read_declaration(path)
 
 
-def test_unknown_scenes_and_programs_are_named(tmp_path):
+def test_errors_name_unknown_scenes_and_programs(tmp_path):
     with pytest.raises(SpecError, match="got 'tent', valid are"):
         chosen_scenes(["tent"])
     with pytest.raises(SpecError, match="1 to 30"):
@@ -93,7 +93,7 @@ def test_unknown_scenes_and_programs_are_named(tmp_path):
         truth_scene(broken)
 
 
-def test_a_perfect_answer_composes_to_the_truth():
+def test_exact_response_composes_to_the_ground_truth():
     # An open drawer with something inside: joints and carriers must be answered, too.
     scene = see(truth_scene(declarations()["desk_drawers"]))
     tree = exact_response(scene)
@@ -107,7 +107,7 @@ def test_a_perfect_answer_composes_to_the_truth():
     )
 
 
-def test_each_error_moves_its_own_figure():
+def test_each_error_affects_its_own_figure():
     scene = truth_scene(declarations()["dominoes"])
     zero = layout_errors(scene, scene)
     assert zero == {"xy_error_m": 0.0, "yaw_error_deg": 0.0, "scale_error": 0.0}
@@ -139,7 +139,7 @@ def test_toppled_and_fallen_objects_are_displaced():
     assert displaced(_with(scene, aside), scene) == []
 
 
-def test_how_large_or_where_turned_an_object_is_does_not_displace_it():
+def test_size_and_heading_do_not_count_as_displacement():
     scene = truth_scene(declarations()["overhang_stack"])
     tin = scene.object("tin")
     below = scene.object(tin.parent)
@@ -171,7 +171,7 @@ def _with(scene, item):
     return scene.model_copy(update={"objects": tuple(objects)})
 
 
-def test_moved_objects_are_where_they_were_put():
+def test_moved_objects_have_their_new_poses():
     scene = truth_scene(declarations()["pipes_and_plank"])
     poses = world_poses(scene)
     ends = {"plank": poses["brick"], "tin": poses["plank"]}
@@ -182,12 +182,12 @@ def test_moved_objects_are_where_they_were_put():
     np.testing.assert_allclose(placed["pipe_1"].pos, poses["pipe_1"].pos)
 
 
-def test_starts_have_noise_of_their_own():
+def test_initial_scenes_have_independent_noise():
     numbers = {noise_number(n, s, k) for n in declarations() for s in range(3) for k in range(9)}
     assert len(numbers) == 30 * 27
 
 
-def test_hashes_ignore_last_digits_only():
+def test_hashes_ignore_only_the_last_digits():
     assert rounded({"a": [0.1 + 0.2, 1e-17]}) == {"a": [0.3, 0.0]}
     assert rounded(1.00001) != rounded(1.00002)
 
@@ -230,7 +230,7 @@ def _row(method: str, *, valid: bool, scene: str = "tents", start: int = 0, **mo
     )
 
 
-def test_summary_counts_and_judges_difficulty():
+def test_summary_counts_results_and_rates_difficulty():
     rows = [_row("ours", valid=True, start=k) for k in range(2)]
     rows += [_row("open_loop", valid=k == 0, start=k, xy_error_m=0.02) for k in range(2)]
     rows += [_row("gravity", valid=False, xy_error_m=0.03, o_stab=0.5)]
@@ -268,7 +268,7 @@ def test_tables_mark_the_papers_figures():
     assert r"VIGA$^\ast$ & 30" in latex(records)
 
 
-def test_a_folder_holds_starts_of_one_noise(tmp_path):
+def test_results_folder_refuses_a_second_noise_level(tmp_path):
     row = _row("open_loop", valid=False).model_dump()
     kinds = {k: type(v) for k, v in row.items() if v is not None} | {
         "seconds_to_valid": float,
@@ -285,7 +285,7 @@ def test_a_folder_holds_starts_of_one_noise(tmp_path):
         )
 
 
-def test_a_rehearsal_simulates_one_candidate_and_says_the_same_of_all():
+def test_warm_up_engine_simulates_one_candidate_for_all():
     scene = compile_scene(crowded(3))
     layouts = Layout.zero(5, len(scene.names))
     poses = jax.tree.map(np.asarray, scene.place(layouts))
@@ -308,7 +308,7 @@ def test_a_rehearsal_simulates_one_candidate_and_says_the_same_of_all():
     assert not np.array_equal(mixed.quat[0], mixed.quat[1])
 
 
-def test_a_footprint_has_the_rim_of_a_lid_beside_its_plug():
+def test_footprint_of_a_lid_has_rim_and_plug():
     truth = truth_scene(declarations()["nested_lids"])
     foot = footprint(truth.object("lid_0"))
     foot = foot[np.isfinite(foot[:, 2])]

@@ -1,4 +1,4 @@
-"""The benchmark of scoring beside physics counts what it says it counts."""
+"""Scores of the benchmark of scoring."""
 
 import pytest
 
@@ -6,7 +6,7 @@ from benchmarks.scoring import scoring
 from neoworld_mjx.config import SemanticOptions
 
 
-def test_every_score_comes_to_its_own_candidate():
+def test_scores_are_assigned_to_their_candidates():
     row = scoring(
         "bounded",
         objects=3,

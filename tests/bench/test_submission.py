@@ -1,4 +1,4 @@
-"""Scenes of other methods: the truth scores as such, and what is wrong moves its own figure."""
+"""Scenes of other methods: reading, scores and errors."""
 
 import json
 import re
@@ -47,7 +47,7 @@ def without(scene: SceneSpec, name: str) -> SceneSpec:
     return scene.model_copy(update={"objects": objects})
 
 
-def test_the_truth_is_perfect_as_our_scene_and_as_mjcf(tmp_path, truth: SceneSpec):
+def test_ground_truth_as_json_and_mjcf_scores_perfectly(tmp_path, truth: SceneSpec):
     write(tmp_path, truth)
     (tmp_path / "dominoes" / "result.json").write_text('{"seconds": 12.5}')
     assert submitted_starts(tmp_path, "dominoes", 4) == (0,)
@@ -66,7 +66,7 @@ def test_the_truth_is_perfect_as_our_scene_and_as_mjcf(tmp_path, truth: SceneSpe
     assert read.measure.max_drift_m == pytest.approx(own.measure.max_drift_m, abs=1e-5)
 
 
-def test_what_is_wrong_moves_its_own_figure(tmp_path, truth: SceneSpec):
+def test_each_kind_of_error_affects_its_own_figure(tmp_path, truth: SceneSpec):
     movable = [item for item in truth.objects if not item.static]
     first = movable[0]
     pushed = changed(truth, first.name, xy=(first.xy[0], first.xy[1] + 0.5))
@@ -84,7 +84,7 @@ def test_what_is_wrong_moves_its_own_figure(tmp_path, truth: SceneSpec):
     assert scene.object(f"held_{first.name}").static
 
 
-def test_one_verdict_counts_for_every_method(tmp_path, truth: SceneSpec):
+def test_validity_does_not_depend_on_the_method(tmp_path, truth: SceneSpec):
     first = next(item for item in truth.objects if not item.static)
     judge = lambda made, given=None: validity(made.scene, made.measure, truth, QUICK, given=given)
     lacking = submitted(write(tmp_path, without(truth, first.name)), 0, truth, QUICK)
@@ -104,7 +104,7 @@ def test_one_verdict_counts_for_every_method(tmp_path, truth: SceneSpec):
     assert not sunk.check_passed and not sunk.valid
 
 
-def test_broken_submissions_are_named(tmp_path, truth: SceneSpec):
+def test_errors_of_broken_submissions_name_the_folder(tmp_path, truth: SceneSpec):
     file = tmp_path / "dominoes" / "scene.json"
     with pytest.raises(SpecError, match="nothing is no folder"):
         submitted_starts(tmp_path / "nothing", "dominoes", 1)
@@ -133,9 +133,7 @@ def test_broken_submissions_are_named(tmp_path, truth: SceneSpec):
     assert submission_name(tmp_path / "a|b <i>") == "submission:a_b__i_"
 
 
-def test_the_documented_program_submits_without_the_package(
-    tmp_path, truth: SceneSpec, monkeypatch
-):
+def test_documented_submission_program_needs_no_package(tmp_path, truth: SceneSpec, monkeypatch):
     code = re.search(r'```python title="boxes.py"\n(.*?)```', DOCS.read_text(), re.DOTALL)
     assert code is not None and "neoworld" not in code[1]
     monkeypatch.chdir(tmp_path)
@@ -148,7 +146,7 @@ def test_the_documented_program_submits_without_the_package(
 
 
 @pytest.mark.slow
-def test_rows_of_a_submission_stand_beside_others(tmp_path, truth: SceneSpec):
+def test_submissions_add_rows_to_a_results_folder(tmp_path, truth: SceneSpec):
     first = next(item.name for item in truth.objects if not item.static)
 
     def row(name: str, scene: SceneSpec):

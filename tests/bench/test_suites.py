@@ -1,4 +1,4 @@
-"""The tables of suites, and the commands that they make."""
+"""Tables of suites and their commands."""
 
 import json
 import re
@@ -13,24 +13,24 @@ from neoworld_mjx import cli
 
 
 @pytest.mark.parametrize("table", [suites.SUITES, developer_suites.SUITES])
-def test_every_row_names_a_function_and_options_with_help(table):
+def test_every_suite_has_a_function_and_documented_options(table):
     for name, suite in table.items():
         assert callable(suite.load()), name
         assert suite.options.__doc__
         suite.options()
 
 
-def test_developer_suites_are_the_ones_that_the_command_points_to():
+def test_developer_suites_match_the_list_of_the_command():
     assert set(suites.DEVELOPER_SUITES) == set(developer_suites.SUITES)
 
 
-def test_the_command_says_how_to_run_a_developer_suite(capsys):
+def test_command_explains_how_to_run_developer_suites(capsys):
     with pytest.raises(SystemExit, match="2"):
         cli.main(["bench", "run", "verify", "--json"])
     assert "uv run python -m benchmarks verify --json" in capsys.readouterr().err
 
 
-def test_a_developer_suite_prints_one_json_object(capfd):
+def test_developer_suite_prints_one_json_object(capfd):
     arguments = ["battery", "--objects", "1", "--engine", "native", "--json"]
     with pytest.raises(SystemExit, match="0"):
         developer.main(arguments)
@@ -38,7 +38,7 @@ def test_a_developer_suite_prints_one_json_object(capfd):
     assert (row["engine"], row["status"]) == ("native", "ok")
 
 
-def test_the_packages_import_nothing_of_tests_and_developer_suites():
+def test_packages_do_not_import_tests_or_developer_suites():
     imports = re.compile(r"^\s*(from|import) (tests|benchmarks)\b", re.MULTILINE)
     roots = (Path(cli.__file__).parent, Path(suites.__file__).parent)
     modules = [path for root in roots for path in root.rglob("*.py")]
@@ -57,7 +57,7 @@ def test_the_packages_import_nothing_of_tests_and_developer_suites():
         ("tasks --directions -1", "--directions must be 0 or more, got -1"),
     ],
 )
-def test_numbers_of_suites_have_bounds(words, message, capfd):
+def test_options_out_of_range_are_refused(words, message, capfd):
     with pytest.raises(SystemExit) as ended:
         cli.main(["bench", "run", *words.split(), "--json"])
     assert ended.value.code == 2

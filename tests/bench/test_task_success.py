@@ -1,4 +1,4 @@
-"""Tasks planned in reconstructions: plans follow the scene, failures are told, rows are kept."""
+"""Task success: plans from reconstructed scenes, rows and summaries."""
 
 import math
 
@@ -61,17 +61,17 @@ def _check_that_the_plan_moves_along(task):
 
 
 @pytest.mark.parametrize("name", ONE_OF_EACH)
-def test_plans_move_along_with_the_scene(name):
+def test_plans_transform_with_the_scene(name):
     _check_that_the_plan_moves_along(find_task(name))
 
 
 @pytest.mark.slow
-def test_every_plan_moves_along_with_the_scene():
+def test_every_plan_transforms_with_the_scene():
     for task in all_tasks():
         _check_that_the_plan_moves_along(task)
 
 
-def test_conditions_follow_what_lies_between_objects():
+def test_targets_follow_the_layout():
     task = find_task("push_block")
     assert task.predicate_in(task.scene).target == pytest.approx(task.predicate.target)
     marks = _moved(task, ("mark", "mark_2"), (0.05, 0.0))
@@ -84,7 +84,7 @@ def test_conditions_follow_what_lies_between_objects():
         assert a.target == pytest.approx(b.target, abs=2e-4)
 
 
-def test_grips_and_targets_grow_with_objects():
+def test_grips_and_targets_scale_with_objects():
     task = find_task("cube_on_cube")
     objects = [
         item.model_copy(update={"spec": scale(item.spec, 1.2), "z": 1.2 * item.z})
@@ -99,7 +99,7 @@ def test_grips_and_targets_grow_with_objects():
     assert task.predicate_in(larger).radius == task.predicate.radius
 
 
-def test_a_plan_from_a_wrong_layout_fails_in_the_truth():
+def test_plan_from_a_wrong_layout_fails_in_the_ground_truth():
     task = find_task("cube_on_cube")
     there = planned_there(task, _moved(task, ("upper",), (0.03, -0.02)))
     assert there.in_scene.success and not there.on_truth.success
@@ -107,7 +107,7 @@ def test_a_plan_from_a_wrong_layout_fails_in_the_truth():
     assert there.object_error_m == pytest.approx(math.hypot(0.03, 0.02))
 
 
-def test_what_all_objects_share_is_no_error():
+def test_common_offset_of_all_objects_is_no_error():
     task = find_task("cube_on_cube")
     names = [item.name for item in task.scene.objects if not item.environment]
     there = planned_there(task, _moved(task, names, (0.04, 0.03)))
@@ -115,7 +115,7 @@ def test_what_all_objects_share_is_no_error():
     assert there.on_truth.success and there.in_scene.success and not there.unaligned.success
 
 
-def test_shifted_plans_take_their_axes_along():
+def test_shifted_plans_shift_their_axes():
     plan = find_task("turn_faucet").plan
     there = plan.shifted((0.1, 0.2, 0.0))
     before, after = plan.moves[-1].about, there.moves[-1].about
@@ -124,7 +124,7 @@ def test_shifted_plans_take_their_axes_along():
     np.testing.assert_allclose(rotation(plan.moves[-1].turn), rotation(there.moves[-1].turn))
 
 
-def test_without_an_object_there_is_no_plan():
+def test_missing_object_means_no_plan():
     task = find_task("cube_on_cube")
     objects = [item for item in task.scene.objects if item.name != "lower"]
     there = planned_there(task, task.scene.model_copy(update={"objects": tuple(objects)}))
@@ -133,7 +133,7 @@ def test_without_an_object_there_is_no_plan():
     assert there.on_truth.reason.endswith("; the scene has no lower")
 
 
-def test_photographs_show_the_front_and_what_hides_behind():
+def test_task_photos_view_the_scene_from_a_side_without_occlusion():
     front = photographed_task(find_task("cube_on_cube").scene)
     for item in front.scene.objects[1:]:
         x0, y0, x1, y1 = item.box2d.as_tuple()
@@ -153,7 +153,7 @@ def _run(out):
     return run_successes(tasks, ["open_loop"], EXACT, starts=1, workers=1, out=out)
 
 
-def test_rows_are_kept_and_what_raises_is_a_failure(tmp_path, monkeypatch):
+def test_rows_are_stored_and_exceptions_count_as_failures(tmp_path, monkeypatch):
     def raising(*_, **__):
         raise ValueError("broken")
         yield
@@ -170,7 +170,7 @@ def test_rows_are_kept_and_what_raises_is_a_failure(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_an_exact_response_is_a_success(tmp_path):
+def test_exact_response_leads_to_task_success(tmp_path):
     (row,) = _run(tmp_path)
     assert row.on_truth and row.in_scene and row.valid and row.missed == 0
     assert row.shift_m < 1e-3 and row.object_error_m < 1e-3 and row.reason == ""
@@ -185,7 +185,7 @@ def _row(task, kind, method, on_truth, start=0, **more):
     return SuccessRow.model_validate(given | more)
 
 
-def test_figures_by_method_and_kind():
+def test_success_summary_by_method_and_kind():
     rows = [_row("a", "stacking", "ours", True), _row("a", "stacking", "ours", True, 1)]
     rows += [_row("b", "pushing", "ours", False), _row("b", "pushing", "ours", False, 1)]
     rows += [_row("b", "pushing", "gravity", False, reason="no plan: x")]
@@ -200,7 +200,7 @@ def test_figures_by_method_and_kind():
     assert success_interval(rows[:2], "success_on_truth") == (1.0, 1.0, 1.0)
 
 
-def test_the_table_has_ours_with_intervals_and_the_papers_marked():
+def test_success_table_has_intervals_and_marks_the_papers_rows():
     rows = [_row("a", "stacking", "ours", True), _row("b", "pushing", "ours", False, 1)]
     text = success_table(rows).markdown()
     assert "| ours | all | 2 | 50.0 (0.0 to 100.0) | 100.0 (100.0 to 100.0) |" in text
@@ -208,5 +208,5 @@ def test_the_table_has_ours_with_intervals_and_the_papers_marked():
     assert "| NeoWorld-Pro* |  |  |  | 92.85 |  |  |" in text
 
 
-def test_methods_on_the_command_line_are_all_methods():
+def test_command_line_offers_all_methods():
     assert set(MethodName.__args__) == set(METHODS)

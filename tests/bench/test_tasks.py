@@ -1,4 +1,4 @@
-"""Manipulation tasks: plans, the gripper, success on simulated states, and the table."""
+"""Manipulation tasks: plans, the gripper, success conditions, and the page."""
 
 import json
 import math
@@ -39,7 +39,7 @@ def cubes():
     return find_task("cube_on_cube")
 
 
-def test_a_reference_plan_succeeds_and_waiting_does_not(cubes):
+def test_reference_plan_succeeds_and_waiting_fails(cubes):
     outcome = execute(cubes.scene, cubes.plan, cubes.predicate)
     assert outcome.success and outcome.held == 1 and outcome.progress == 1
     assert outcome.seconds == pytest.approx(cubes.plan.seconds + 2.0, abs=0.05)
@@ -47,25 +47,25 @@ def test_a_reference_plan_succeeds_and_waiting_does_not(cubes):
     assert not waiting.success and waiting.drift_m < 0.001
 
 
-def test_the_plan_fails_where_the_object_is_elsewhere(cubes):
+def test_reference_plan_fails_for_a_displaced_object(cubes):
     outcome = execute(cubes.displaced(1.0), cubes.plan, cubes.predicate)
     assert not outcome.success and outcome.held == 0 and outcome.progress < 0.9
     assert "upper within" in outcome.reason
 
 
-def test_what_the_gripper_still_holds_is_not_placed(cubes):
+def test_held_object_does_not_count_as_placed(cubes):
     held = cubes.plan.model_copy(update={"moves": cubes.plan.moves[:5]})
     outcome = execute(cubes.scene, held, cubes.predicate)
     assert not outcome.success and outcome.progress == 1
 
 
-def test_a_plan_that_starts_inside_of_an_object_fails_and_names_it(cubes):
+def test_plan_that_starts_inside_an_object_fails_and_names_it(cubes):
     inside = plan(position=(0.15, 0.05, 0.03), opening=0.0)
     outcome = execute(cubes.scene, inside, cubes.predicate)
     assert not outcome.success and "deep in lower" in outcome.reason and outcome.seconds == 0
 
 
-def test_a_drawer_is_pushed_shut():
+def test_drawer_is_pushed_shut():
     task = find_task("close_cabinet_drawer")
     value = World(task.scene, None).joint("drawer_cabinet", "drawer_2_slide", fraction=True)[0]
     assert value == pytest.approx(0.6)
@@ -73,7 +73,7 @@ def test_a_drawer_is_pushed_shut():
     assert execute(task.scene, task.plan, task.predicate).success
 
 
-def test_fingers_hold_their_distance_and_the_tool_follows():
+def test_gripper_tracks_opening_and_pose():
     scene = scene_of("cup", put("mug"))
     way = ToolMove(displacement=(0.1, -0.05, 0.05), turn=(0, 0, 0.8), opening=0.03, seconds=1)
     seen = {}
@@ -92,7 +92,7 @@ def test_fingers_hold_their_distance_and_the_tool_follows():
     np.testing.assert_allclose(closing, (-math.sin(0.8), math.cos(0.8), 0), atol=5e-3)
 
 
-def test_a_move_about_a_point_goes_along_an_arc():
+def test_move_about_a_point_follows_an_arc():
     move = ToolMove(turn=(0, 0, math.pi / 2), about=(1, 0, 0), opening=0)
     place, quat = moved(np.array([2.0, 0, 0]), np.array([1.0, 0, 0, 0]), move, 0.5)
     np.testing.assert_allclose(place, (1 + math.sqrt(0.5), math.sqrt(0.5), 0))
@@ -119,14 +119,14 @@ def test_plans_have_bounds(changes, message):
         plan(**changes)
 
 
-def test_a_joint_without_a_range_has_no_fraction():
+def test_joint_fraction_requires_a_range():
     scene = scene_of("globe", put("desk_globe", fixed=True))
     goal = JointBetween(object="desk_globe", joint="spin", low=0, high=1, source="test")
     with pytest.raises(SpecError, match="desk_globe/spin has no range"):
         wait(scene, goal, 1.0)
 
 
-def test_no_object_may_have_the_grippers_name():
+def test_object_named_like_the_gripper_is_refused():
     scene = scene_of("cup", put("mug", name="end_effector"))
     with pytest.raises(SpecError, match="gripper's name"):
         World(scene, plan())
@@ -149,7 +149,7 @@ def test_programs_of_tasks_pass_the_checks():
             assert built.ok, (name, values, built.signals)
 
 
-def test_figures_of_the_checks():
+def test_summary_of_task_checks():
     row = TaskRow(
         task="a",
         kind="placement",
@@ -177,7 +177,7 @@ def command(*arguments):
     return ended.value.code
 
 
-def test_command(capfd):
+def test_tasks_command_prints_one_json_object(capfd):
     assert command("--task", "cube_on_cube", "--directions", "1", "--json") == 0
     answer = json.loads(capfd.readouterr().out)
     assert answer["tasks"] == answer["reference_succeeds"] == answer["displaced_runs"] == 1
@@ -194,7 +194,7 @@ def test_the_page_lists_every_task():
 
 
 @pytest.mark.slow
-def test_every_reference_plan_succeeds_and_nothing_is_true_without_one():
+def test_every_reference_plan_succeeds_and_waiting_fails():
     for task in all_tasks():
         outcome = execute(task.scene, task.plan, task.predicate)
         assert outcome.success, (task.name, outcome)
@@ -202,5 +202,5 @@ def test_every_reference_plan_succeeds_and_nothing_is_true_without_one():
 
 
 @pytest.mark.slow
-def test_the_table_of_the_page_is_as_generated():
+def test_page_matches_the_generated_table():
     assert PAGE.read_text(encoding="utf-8") == page(PAGE.read_text(encoding="utf-8"))

@@ -1,3 +1,5 @@
+"""Ground truth of MJCF models."""
+
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +37,7 @@ ARM = """
 
 
 @pytest.mark.parametrize("name", ["fs_microwave", "ia_cabinet4"])
-def test_an_exported_object_is_its_own_truth(name, tmp_path):
+def test_exported_object_matches_its_ground_truth(name, tmp_path):
     spec = build((OBJECTS / f"{name}.py").read_text()).spec
     export_object(spec, tmp_path)
     path = tmp_path / "object.xml"
@@ -50,7 +52,7 @@ def test_an_exported_object_is_its_own_truth(name, tmp_path):
     assert geometry_measure(spec, points, samples=4000).unaligned.f_05 > 99
 
 
-def test_what_a_model_says(tmp_path):
+def test_joints_and_surface_of_an_mjcf_model(tmp_path):
     path = tmp_path / "arm.xml"
     path.write_text(ARM)
     truth, points = truth_of_mjcf(path, front="-y", samples=500)
@@ -69,7 +71,7 @@ def test_what_a_model_says(tmp_path):
     assert joints["reach"].type == "prismatic" and joints["reach"].limits == (0, 0.3)
 
 
-def test_bad_models(tmp_path):
+def test_unreadable_models_raise(tmp_path):
     path = tmp_path / "bad.xml"
     path.write_text("<mujoco><worldbody><geom/></worldbody></mujoco>")
     with pytest.raises(SpecError, match=r"bad\.xml"):

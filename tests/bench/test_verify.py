@@ -1,4 +1,4 @@
-"""The fault matrix on a few objects; the whole of it is `python -m benchmarks verify`."""
+"""Fault matrix on a few objects; the full one is `python -m benchmarks verify`."""
 
 import numpy as np
 import pytest
@@ -12,21 +12,21 @@ from tests.support.injected_faults import KINDS
 from tests.support.valid_objects import FAMILIES, valid_objects
 
 
-def test_there_are_enough_objects_and_kinds():
+def test_fault_matrix_covers_enough_objects_and_kinds():
     assert sum(len(family.sizes) for family in FAMILIES.values()) >= 30
     assert len(KINDS) >= 12
     assert all(len(kind.magnitudes) == 3 for kind in KINDS)
     assert {fault for kind in KINDS for fault in kind.causes} <= set(Fault)
 
 
-def test_valid_objects_are_made_the_same_way_each_time():
+def test_valid_objects_are_deterministic():
     first, second = list(valid_objects(4)), list(valid_objects(4))
     assert first == second
     assert len({spec.name for spec in first}) == 4
 
 
 @pytest.mark.slow
-def test_a_row_of_the_matrix():
+def test_fault_matrix_row():
     rows = list(verify_matrix(2, ("no_damping", "limits_into_carcass"), workers=1))
     counts = summary(rows)
     assert counts["objects"] == 2
@@ -41,7 +41,7 @@ def test_a_row_of_the_matrix():
     assert sum(isinstance(row, ValidRow) for row in rows) == 2
 
 
-def test_what_is_missed_is_counted_as_missed():
+def test_undetected_faults_count_as_missed():
     rows = [
         ValidRow(object="a", joints=1, passed=False, battery_s=1.0),
         FaultRow(object="a", kind="mass", magnitude=20.0, counts=True, detected=True, named=False,
@@ -58,12 +58,12 @@ def test_what_is_missed_is_counted_as_missed():
     assert len(counts["missed"]) == 2
 
 
-def test_unknown_kinds_are_refused():
+def test_unknown_fault_kinds_are_refused():
     with pytest.raises(ConfigError, match="no_damping"):
         list(verify_matrix(1, ("no_dampin",)))
 
 
-def test_runs_of_many_objects_end_where_each_object_alone_does():
+def test_batched_and_single_objects_have_equal_results():
     options = VerifyOptions(duration_s=0.3)
     prepared = [prepare(spec, options) for spec in valid_objects(2)]
     for p, ends in zip(prepared, OnCores(prepared, 2).run(), strict=True):
@@ -78,14 +78,14 @@ def test_runs_of_many_objects_end_where_each_object_alone_does():
     assert agrees.tolist() == [False] + [True] * (len(agrees) - 1)
 
 
-def test_rows_of_many_objects_say_what_was_run():
+def test_batched_rows_report_their_settings():
     (row,) = batteries(2, ("native",))
     assert (row.objects, row.models, row.failed, row.status) == (2, 2, 0, "ok")
     assert row.runs > 20 and row.steps > 500
     assert row.simulate_s > 0 and row.same_end is None
 
 
-def test_too_many_objects_are_an_error():
+def test_too_many_objects_raise():
     with pytest.raises(EngineError, match="there are 128, not 129"):
         list(batteries(129))
     with pytest.raises(EngineError, match="1 to 31"):

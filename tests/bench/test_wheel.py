@@ -22,7 +22,7 @@ def tracked_files():
 
 
 @pytest.mark.slow
-def test_the_wheel_is_the_three_packages_with_their_data(tmp_path):
+def test_wheel_contains_the_three_packages_with_data_files(tmp_path):
     if shutil.which("uv") is None or not (ROOT / ".git").exists():
         pytest.skip("needs uv and a clone")
     command = ["uv", "build", "--wheel", "-q", "-o", str(tmp_path), str(ROOT)]

@@ -1,4 +1,4 @@
-"""Starts of the thirty scenes: each kind of noise, and how missed and extra objects count."""
+"""Initial scenes of the thirty scenes: each kind of noise, and missed and extra objects."""
 
 import numpy as np
 import pytest
@@ -52,7 +52,7 @@ from neoworld_mjx.fit.tree_checks import check_tree
 from neoworld_mjx.spec import ObjectSpec, SceneTree, bounds, inertial, part_bounds
 
 
-def test_missed_and_extra_objects_are_counted_and_no_error():
+def test_missed_and_extra_objects_do_not_affect_errors():
     truth = truth_scene(declarations()["dominoes"])
     first, *others = truth.objects[1:]
     doubled = others[0].model_copy(update={"name": "ghost", "xy": (9.0, 9.0)})
@@ -85,7 +85,7 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(3)
 
 
-def test_what_stood_on_a_missed_object_is_not_displaced_and_what_did_not_is():
+def test_children_of_missed_objects_do_not_count_as_displaced():
     truth = truth_scene(declarations()["overhang_stack"])
     on = {"tin": "plank_2", "peg": "plank_2"}
     nodes = []
@@ -106,7 +106,7 @@ def test_what_stood_on_a_missed_object_is_not_displaced_and_what_did_not_is():
     assert found == ["plank_1"]
 
 
-def test_without_noise_every_figure_is_perfect(desk, answer):
+def test_initial_scene_without_noise_has_no_errors(desk, answer):
     log = NoiseLog()
     start = composed_start(desk, answer, 5, noise="exact", log=log)
     assert log == NoiseLog()
@@ -119,7 +119,7 @@ def test_without_noise_every_figure_is_perfect(desk, answer):
         assert joint == pytest.approx(item.joint_state)
 
 
-def test_what_a_missed_object_carried_rests_on_its_carrier(answer):
+def test_children_of_a_missed_object_move_to_its_parent(answer):
     (tree,) = without(answer, "book_0", rng())
     assert len(tree.nodes) == len(answer.nodes) - 1
     assert (tree.node("book_1").parent, tree.node("book_1").relation) == ("table", "on")
@@ -130,7 +130,7 @@ def test_what_a_missed_object_carried_rests_on_its_carrier(answer):
     assert (dice.parent, dice.parent_link, dice.relation) == ("table", None, "on")
 
 
-def test_an_invented_object_stands_beside_the_one_it_resembles(answer):
+def test_extra_object_stands_next_to_its_original(answer):
     for tree in with_copy(answer, "tin", rng()):
         tin, ghost = tree.node("tin"), tree.node("tin_again")
         step = np.subtract(ghost.box3d.position, tin.box3d.position)
@@ -142,7 +142,7 @@ def test_an_invented_object_stands_beside_the_one_it_resembles(answer):
         assert not list(with_copy(tree, name, rng()))
 
 
-def test_an_object_taken_for_two_is_cut_in_halves(desk, answer):
+def test_split_object_becomes_two_halves(desk, answer):
     shapes = {item.name: item.spec for item in desk.objects}
     made: dict[str, ObjectSpec] = {}
     # What carries is not cut.
@@ -167,7 +167,7 @@ def test_an_object_taken_for_two_is_cut_in_halves(desk, answer):
         assert not list(with_halves(trees[-1], name, rng(), shapes | made, {}))
 
 
-def test_wrong_carriers_and_relations_leave_places_as_they_are(answer):
+def test_wrong_parents_and_relations_keep_positions(answer):
     trees = list(with_other_parent(answer, "book_0", rng()))
     carriers = {tree.node("book_0").parent for tree in trees}
     assert carriers == {"chest", "dice", "tin", "carton", "file", "cup", "pen"}
@@ -180,7 +180,7 @@ def test_wrong_carriers_and_relations_leave_places_as_they_are(answer):
         assert [n.box3d for n in tree.nodes] == [n.box3d for n in answer.nodes]
 
 
-def test_only_errors_that_the_checks_let_pass_are_made(desk, answer, monkeypatch):
+def test_injected_parse_errors_pass_the_checks(desk, answer, monkeypatch):
     monkeypatch.setattr(parse_noise, "UNSEEN", 0.25)
     monkeypatch.setattr(parse_noise, "SPLIT", 0.25)
     log = NoiseLog()
@@ -197,7 +197,7 @@ def test_only_errors_that_the_checks_let_pass_are_made(desk, answer, monkeypatch
     assert wrong_parse(answer, 4, NoiseLog(), shapes) == parsed
 
 
-def test_an_open_drawer_is_answered_as_closed_or_open_by_another_share(answer, monkeypatch):
+def test_opening_noise_closes_drawers_or_changes_their_opening(answer, monkeypatch):
     monkeypatch.setattr(parse_noise, "MISJUDGED", 0.0)
     monkeypatch.setattr(parse_noise, "UNSEEN", 0.0)
     monkeypatch.setattr(parse_noise, "SPLIT", 0.0)
@@ -213,7 +213,7 @@ def test_an_open_drawer_is_answered_as_closed_or_open_by_another_share(answer, m
     assert log.injected == ["closed"]
 
 
-def test_a_misjudged_view_keeps_the_layout(answer, monkeypatch):
+def test_wrong_field_of_view_keeps_the_layout(answer, monkeypatch):
     monkeypatch.setattr(parse_noise, "MISJUDGED", 1.0)
     for k in range(4):
         tree = parse_noise.with_misjudged_view(answer, np.random.default_rng(k), NoiseLog())
@@ -228,7 +228,7 @@ def test_a_misjudged_view_keeps_the_layout(answer, monkeypatch):
         assert np.abs(np.subtract(*pixels).mean(axis=0)).max() < 0.05 * answer.camera.width
 
 
-def test_supports_are_off_as_objects_are_and_tops_stay():
+def test_support_noise_has_the_documented_spread_and_keeps_heights():
     tree = exact_response(see(truth_scene(declarations()["shelf_boxes"])))
     moved = [with_other_supports(tree, tree, number) for number in range(200)]
     assert all(answer.nodes != tree.nodes for answer in moved)
@@ -252,7 +252,7 @@ def test_supports_are_off_as_objects_are_and_tops_stay():
             assert spread == pytest.approx(np.hypot(DEPTH, ASIDE), rel=0.2)
 
 
-def test_parameters_are_drawn_near_the_true_ones():
+def test_parameter_noise_has_the_documented_spread():
     tumbler = next(o for o in declarations()["desk_drawers"].objects if o.name == "cup")
     template, random = template_of(tumbler), rng()
     drawn = [near_parameters(template, tumbler.set, random) for _ in range(800)]
@@ -273,7 +273,7 @@ def mass(spec: ObjectSpec) -> float:
     return sum(inertial(spec, part).mass for part in spec.parts)
 
 
-def test_shapes_walls_and_parts_change_mass_with_them():
+def test_shape_wall_and_part_noise_changes_mass_consistently():
     crate = program("crate", wall=0.004)
     thicker = with_other_walls(crate, rng())
     wall = thicker.parts[0].geoms[0].shape.wall
@@ -297,7 +297,7 @@ def test_shapes_walls_and_parts_change_mass_with_them():
         assert {"body", "drawer_2"} <= {part.name for part in less.parts}
 
 
-def test_other_shares_keep_the_box_and_what_touches():
+def test_share_noise_keeps_bounds_and_contacts():
     cabinet = program("drawer_cabinet", drawers=3)
     other = with_other_shares(cabinet, rng())
     # Knobs are moved, not stretched, so the box changes by millimetres.
@@ -318,7 +318,7 @@ def test_other_shares_keep_the_box_and_what_touches():
 
 
 @pytest.mark.slow
-def test_drawn_programs_are_as_far_from_the_truth_as_measured_ones():
+def test_program_noise_has_the_measured_surface_error():
     kinds = ("desk", "dishwasher", "drawer_cabinet", "microwave", "oven", "wardrobe")
     distances = []
     for name in kinds:
@@ -331,7 +331,7 @@ def test_drawn_programs_are_as_far_from_the_truth_as_measured_ones():
     assert np.mean(distances) == pytest.approx(0.139, rel=0.12)
 
 
-def test_each_error_of_a_joint_is_its_own():
+def test_each_kind_of_joint_noise():
     chest = program("treasure_chest")
     (lid, *_) = [joint for joint in chest.joints if joint.type == "revolute"]
     name, axis = lid.name, np.array(lid.axis)
@@ -357,7 +357,7 @@ def test_each_error_of_a_joint_is_its_own():
     assert (slides.type, slides.parent, slides.child) == ("prismatic", lid.parent, lid.child)
 
 
-def test_an_error_that_does_not_pass_the_checks_is_not_made():
+def test_noise_that_fails_the_checks_is_refused():
     cabinet, log = program("drawer_cabinet", drawers=2), NoiseLog()
     draft = Draft(cabinet, (), rng(), log)
     slide = cabinet.joints[0]
@@ -375,7 +375,7 @@ def test_an_error_that_does_not_pass_the_checks_is_not_made():
     assert draft.spec.joint(slide.name) == shorter and log.injected == ["shorter"]
 
 
-def test_programs_of_a_start_are_the_same_everywhere(desk):
+def test_program_noise_is_deterministic(desk):
     log = NoiseLog()
     shapes = wrong_shapes(desk, 0, log)
     assert set(shapes) == {item.name for item in desk.objects if not item.environment}
@@ -386,7 +386,7 @@ def test_programs_of_a_start_are_the_same_everywhere(desk):
     assert log.refused == ["walls"]
 
 
-def test_a_start_with_all_noise_composes(desk):
+def test_initial_scene_with_all_noise_composes(desk):
     # Few objects, since a fit costs most of the time.
     names = ("table", "chest", "dice", "carton", "tin", "cup")
     few = desk.model_copy(update={"objects": tuple(desk.object(name) for name in names)})
@@ -400,7 +400,7 @@ def test_a_start_with_all_noise_composes(desk):
     assert layout_errors(start, few)["scale_error"] > 1e-3
 
 
-def test_what_the_checks_refuse_is_answered_once_more(desk, monkeypatch):
+def test_objects_that_fail_the_checks_are_redrawn_once(desk, monkeypatch):
     names = ("table", "carton", "tin")
     few = desk.model_copy(update={"objects": tuple(desk.object(name) for name in names)})
     tree = exact_response(few)

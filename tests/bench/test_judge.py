@@ -1,4 +1,4 @@
-"""Pictures, judge and films of joints on small scenes; the tapes are written by hand."""
+"""Image comparison, judge and joint films on small scenes; the tapes are written by hand."""
 
 import io
 import json
@@ -147,7 +147,7 @@ def folder(tmp_path):
     return own
 
 
-def test_scene_and_object_are_held_against_the_photograph(folder, tmp_path):
+def test_scene_and_objects_are_compared_with_the_photograph(folder, tmp_path):
     out = tmp_path / "compared"
     rows = list(picture_rows([folder], PictureModels.load(), side=96, out=out))
     assert [(row.kind, row.name) for row in rows] == [("scene", ""), ("object", "chest")]
@@ -166,7 +166,7 @@ def test_scene_and_object_are_held_against_the_photograph(folder, tmp_path):
         assert pair.size == (192, 72)
 
 
-def test_an_object_that_was_not_made_counts_with_what_is_seen_in_its_place(folder):
+def test_missing_object_is_compared_by_the_pixels_in_its_place(folder):
     made = list(picture_rows([folder], PictureModels.load(), side=96))[1]
     other = scene().objects[0].model_copy(update={"name": "other", "xy": (1.6, 5.0)})
     text = scene().model_copy(update={"objects": (other,)}).to_json()
@@ -176,13 +176,13 @@ def test_an_object_that_was_not_made_counts_with_what_is_seen_in_its_place(folde
     assert row.why["uni3d"] == "the object was not made"
 
 
-def test_the_photograph_of_the_scene_itself_has_ssim_one(folder):
+def test_rendered_image_compared_with_itself_has_ssim_one(folder):
     (folder / "photo.png").write_bytes(to_png(render_scene(scene())))
     (row,) = picture_rows([folder], PictureModels.load(), side=96, objects=False)
     assert row.ssim == pytest.approx(1, abs=1e-12)
 
 
-def test_a_data_set_stands_for_its_scenes(folder):
+def test_data_set_folder_expands_to_its_scenes(folder):
     whole = folder.parent / "set"
     (whole / "scenes").mkdir(parents=True)
     folder.rename(whole / "scenes" / "small")
@@ -241,13 +241,13 @@ def _no_camera(folder):
         (_no_camera, "has no camera"),
     ],
 )
-def test_a_folder_that_does_not_fit_says_why(folder, spoil, message):
+def test_errors_of_invalid_folders_name_the_cause(folder, spoil, message):
     spoil(folder)
     with pytest.raises(SpecError, match=message):
         made_scenes([folder])
 
 
-def test_commands_say_what_is_missing(capfd, folder):
+def test_commands_report_missing_arguments(capfd, folder):
     for arguments, message in (
         (["pictures"], "name at least one run folder"),
         (["pictures", str(folder), "--size", "8"], "--size takes 64 to 4096 pixels, got 8"),
@@ -261,7 +261,7 @@ def test_commands_say_what_is_missing(capfd, folder):
         assert message in capfd.readouterr().err
 
 
-def test_command_prints_figures_beside_the_papers(capfd, folder):
+def test_pictures_command_prints_figures(capfd, folder):
     arguments = ["bench", "run", "pictures", str(folder), "--no-objects", "--json"]
     with pytest.raises(SystemExit) as ended:
         cli.main(arguments)
@@ -288,7 +288,7 @@ def judged(folder, answers, out=None):
         return list(rating_rows(models, [made], repeats=len(answers), out=out))
 
 
-def test_judgements_are_bounded_and_what_is_no_score_is_missing(folder, tmp_path):
+def test_invalid_ratings_count_as_missing(folder, tmp_path):
     out = tmp_path / "judged"
     answers = [rating(6, 5, 4), rating(7, 5, 2), rating(9, 5, 5), "I would rather not."]
     rows = judged(folder, answers, out)
@@ -311,7 +311,7 @@ def test_judgements_are_bounded_and_what_is_no_score_is_missing(folder, tmp_path
     assert shown == {f"00_small-{label}.png" for label in ("photo", "scene", "aside", "open")}
 
 
-def test_a_scene_without_valid_answers_is_in_no_mean(folder):
+def test_scene_without_valid_ratings_is_in_no_mean(folder):
     figures = rating_figures(judged(folder, ["no", "no"]))
     assert (figures["scenes"], figures["n"], figures["completeness"]) == (1, 0, None)
     assert figures["sd_repeats"]["layout"] is None
@@ -319,12 +319,12 @@ def test_a_scene_without_valid_answers_is_in_no_mean(folder):
 
 
 @pytest.mark.parametrize("score", [0, 8, 3.5, "7", True, None])
-def test_scores_are_whole_numbers_from_one_to_seven(score):
+def test_scores_are_integers_from_one_to_seven(score):
     with pytest.raises(InvalidResponse, match="score"):
         read_response(json.dumps(rating(score, 5, 5)), SceneRating)
 
 
-def test_requests_of_the_judge_name_joints_and_differ_by_repeat_alone(folder):
+def test_judge_requests_list_joints_and_differ_only_by_repeat(folder):
     (made,) = made_scenes([folder])
     pictures = judged_pictures(made)
     first, second = (rating_request(made, pictures, k, 2) for k in (1, 2))
@@ -353,7 +353,7 @@ def compared(pair, verdicts):
         return list(joint_hit_rows(models, [pair]))
 
 
-def test_hits_are_what_the_model_says_of_films_beside_geometry(tmp_path):
+def test_hits_by_model_and_by_geometry(tmp_path):
     pair = pair_of(chest())
     same = {"reason": "both doors turn", "same_joint": True}
     rows = compared(pair, {"hinge": same, "slide": {"reason": "no", "same_joint": False}})
@@ -367,10 +367,10 @@ def test_hits_are_what_the_model_says_of_films_beside_geometry(tmp_path):
     assert figures["paper"]["joints"]["NeoWorld-Pro"]["hits"] == 216
 
 
-def test_joints_without_a_partner_are_missed_and_without_an_answer_undecided():
+def test_unmatched_joints_are_missed_and_unanswered_ones_undecided():
     pair = pair_of(chest(drawer=False))
     (hinge, slide) = compared(pair, {"hinge": "I cannot tell."})
-    assert hinge.hit is None and hinge.answers == 0 and "no valid answer" in hinge.why
+    assert hinge.hit is None and hinge.answers == 0 and "no valid response" in hinge.why
     assert slide.hit is False and slide.why == "no made joint is left for it"
     figures = joint_hit_figures([hinge, slide], [pair])
     assert (figures["hits"], figures["missed"], figures["unanswered"]) == (0, 1, 1)
@@ -381,7 +381,7 @@ def test_joints_without_a_partner_are_missed_and_without_an_answer_undecided():
     assert rows[0].why == "there is no made object of this name"
 
 
-def test_objects_are_paired_by_name_and_a_broken_one_was_not_made(tmp_path):
+def test_objects_are_paired_by_name_and_broken_ones_count_as_missing(tmp_path):
     for side in ("made", "true"):
         for name in ("whole", "broken"):
             (tmp_path / side / name).mkdir(parents=True)
@@ -401,7 +401,7 @@ def test_objects_are_paired_by_name_and_a_broken_one_was_not_made(tmp_path):
         object_pairs(tmp_path / "none", file, ProgramOptions())
 
 
-def test_a_tape_without_the_answer_stops_the_suite():
+def test_missing_response_ends_the_suite():
     with Panel(Replay(Tape(), "empty"), MLLMOptions()) as models:
         with pytest.raises(MissingResponseError, match="joint:chest:hinge:1"):
             list(joint_hit_rows(models, [pair_of(chest())]))
@@ -409,7 +409,7 @@ def test_a_tape_without_the_answer_stops_the_suite():
             list(joint_hit_rows(models, [], repeats=0))
 
 
-def test_films_show_the_joint_move_and_the_front_wherever_it_faces():
+def test_film_strips_show_joint_motion_for_any_front():
     frames = joint_frames(chest(), "hinge", -0.6)
     assert motion_is_seen(frames) and not motion_is_seen(frames[:1] * 3)
     first, second = pair_of(chest()).strips("hinge", "hinge")
@@ -421,7 +421,7 @@ def test_films_show_the_joint_move_and_the_front_wherever_it_faces():
     assert turned.strips("hinge", "hinge")[0].pixels != first.pixels
 
 
-def test_what_is_hidden_is_filmed_with_the_others_open():
+def test_hidden_parts_are_filmed_with_other_joints_open():
     inner = geom("plate", (0.1, 0.1, 0.02), (0.0, 0.0, 0.3), "pale")
     hollow = [
         geom("back", (0.02, 0.4, 0.5), (-0.14, 0.0, 0.25)),

@@ -1,4 +1,4 @@
-"""Rows that are kept, and the processes that make them."""
+"""Rows of Parquet files, and the processes that compute them."""
 
 import os
 
@@ -24,7 +24,7 @@ def dying(number: int) -> list[int]:
     os._exit(number)
 
 
-def test_rows_replace_those_of_their_key(tmp_path):
+def test_rows_replace_those_with_the_same_key(tmp_path):
     file = tmp_path / "new" / "rows.parquet"
     kept = RowFile(file, Kept, lambda row: row.name)
     kept.put([Kept(name="a", value=1.0)], in_place_of="a")
@@ -40,14 +40,14 @@ def test_rows_replace_those_of_their_key(tmp_path):
         RowFile(tmp_path / "file" / "rows.parquet", Kept, lambda row: row.name)
 
 
-def test_jobs_are_done_here():
+def test_one_worker_runs_jobs_in_this_process():
     assert list(made_by_jobs(squares, [2, 3], 1)) == [2, 4, 3, 9]
     workers, threads = sized(0)
     assert workers >= 1 and threads >= 1 and sized(10_000)[1] == 1
 
 
 @pytest.mark.slow
-def test_jobs_are_done_in_processes():
+def test_several_workers_run_jobs_in_processes():
     assert sorted(made_by_jobs(squares, [2, 3], 2)) == [2, 3, 4, 9]
     with pytest.raises(RunError, match="a process died"):
         list(made_by_jobs(dying, [3, 4], 2))
