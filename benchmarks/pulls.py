@@ -6,7 +6,7 @@ import numpy as np
 
 from neoworld_mjx.export.handles import frames
 from neoworld_mjx.spec import JointSpec, ObjectSpec, inertial
-from neoworld_mjx.spec.kinematics import carried
+from neoworld_mjx.spec.kinematics import moving_parts
 from neoworld_mjx.spec.pose import matrix
 
 PULL_S = 0.5
@@ -75,7 +75,7 @@ def _load(spec: ObjectSpec, joint: JointSpec) -> tuple[float, float]:
     What it moves is a mass [kg], or a moment [kg m^2] about the joint's axis.
     """
     axis, inertia, weight = np.array(joint.axis), 0.0, 0.0
-    for own in (inertial(spec, spec.part(name)) for name in carried(spec, joint)):
+    for own in (inertial(spec, spec.part(name)) for name in moving_parts(spec, joint)):
         if joint.type == "prismatic":
             inertia += own.mass
             weight += own.mass * GRAVITY * axis[2]

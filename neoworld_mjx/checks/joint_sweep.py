@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..config import JointSweepOptions
 from ..spec import JointSpec, joint_keys
-from ..spec.kinematics import carried, followers, welded
+from ..spec.kinematics import followers, moving_parts, welded
 from ..spec.opening import prerequisite_state, with_prerequisites
 from .allowance import Allowance
 from .part_distances import Near, Probe
@@ -158,7 +158,7 @@ def sweep_range(
     """
     spec = probe.spec
     opened = prerequisite_state(spec, joint) if opened is None else opened
-    moving = frozenset(probe.names.index(name) for name in carried(spec, joint))
+    moving = frozenset(probe.names.index(name) for name in moving_parts(spec, joint))
     changed = [pair for pair in pairs if (pair[0] in moving) != (pair[1] in moving)]
     if followers(spec, joint):
         changed += [pair for pair in pairs if pair[0] in moving and pair[1] in moving]

@@ -22,7 +22,7 @@ Rotation = Annotated[Quat, UNSCALED]
 
 
 class Spec(BaseModel):
-    """Base of all host-side descriptions: frozen, closed against unknown keys, JSON both ways."""
+    """Base of all host-side descriptions: immutable, without unknown keys, convertible to JSON."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -31,10 +31,9 @@ _Scalable = TypeVar("_Scalable", bound="ScalableSpec")
 
 
 class ScalableSpec(Spec):
-    """Base of what an object consists of: each field with numbers declares how they scale.
+    """Base of an object's description and its parts: every numeric field declares its scaling.
 
-    A subclass with a field that holds an `int` or `float` without a `Scaling` in its annotation
-    raises a TypeError when it is defined.
+    Defining a subclass with a numeric field whose annotation lacks a `Scaling` raises a TypeError.
     """
 
     scalings: ClassVar[dict[str, Scaling | None]] = {}
@@ -79,7 +78,7 @@ def unit_vector(value: tuple[float, ...], name: str) -> tuple:
     """Return a vector or quaternion divided by its length.
 
     Raises:
-        ValueError: it is zero.
+        ValueError: the vector is zero.
     """
     length = math.sqrt(sum(v * v for v in value))
     if length < 1e-9:

@@ -23,8 +23,9 @@ Sectors = Annotated[int, Field(ge=MIN_SECTORS, le=MAX_SECTORS), UNSCALED]
 class BaseShape(ScalableSpec):
     """Base of all shapes.
 
-    A shape states its convex pieces and its surface. Volume and distance follow from the surface
-    unless the shape knows them exactly; both are those of the true solid, not of its colliders.
+    A shape defines its convex pieces and its surface. Volume and distance are computed from the
+    surface, or exactly where a shape has a formula; both describe the true solid, not its
+    colliders.
     """
 
     def build_pieces(self) -> list[Piece]:
@@ -36,7 +37,7 @@ class BaseShape(ScalableSpec):
         return list(_shared_pieces(self))  # pyright: ignore[reportArgumentType] as in `surface`
 
     def primitive(self) -> Piece | None:
-        """Return the primitive piece that equals the shape; None without one."""
+        """Return the shape as a primitive piece, or None if it is not a primitive."""
         return None
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
@@ -46,8 +47,8 @@ class BaseShape(ScalableSpec):
     def surface(self) -> tuple[NDArray, NDArray]:
         """Return the closed outward surface, in the shape's frame.
 
-        Rendering and exported visuals use it, physics does not: colliders may be coarser and in
-        pieces, a surface is one watertight mesh of the whole shape.
+        Rendering and exported visuals use the surface, one watertight mesh; physics uses the
+        pieces, which may be coarser.
 
         Returns:
             vertices [v, 3] m, float64, and triangles [f, 3], int64, counter-clockwise from outside.

@@ -29,7 +29,11 @@ class Poly(NamedTuple):
 
 
 def poly(piece: Piece, at: Pose) -> tuple[Poly, NDArray]:
-    """Return a "box" or "mesh" piece at a pose, which includes the piece's own.
+    """Return a piece of kind "box" or "mesh" as a polyhedron.
+
+    Args:
+        piece: the piece.
+        at: its total pose, including the piece's own.
 
     Returns:
         The polyhedron, and its half-spaces n.x <= d, [f, 4].
@@ -52,7 +56,7 @@ def poly(piece: Piece, at: Pose) -> tuple[Poly, NDArray]:
 def split(solid: Poly, plane: NDArray, slack: float) -> tuple[Poly | None, Poly | None]:
     """Cut a polyhedron by a plane (n, d) of n.x = d.
 
-    Points within `slack` [m] of the plane count as on it, which prevents thinner slivers.
+    Points within `slack` [m] of the plane count as on it, so that no sliver is thinner.
 
     Returns:
         The parts with n.x <= d and n.x > d; None for an empty part.
@@ -67,7 +71,7 @@ def split(solid: Poly, plane: NDArray, slack: float) -> tuple[Poly | None, Poly 
 
 def _side(solid: Poly, height: NDArray, slack: float, normal: NDArray) -> Poly:
     """Return the part below height 0."""
-    where = np.where(height > slack, 1, np.where(height < -slack, -1, 0)).tolist()
+    side_of = np.where(height > slack, 1, np.where(height < -slack, -1, 0)).tolist()
     points: list[NDArray] = []
     index: dict[tuple[int, int], int] = {}
 
@@ -89,12 +93,12 @@ def _side(solid: Poly, height: NDArray, slack: float, normal: NDArray) -> Poly:
         loop: list[int] = []
         inside = False
         for a, b in zip(face, face[1:] + face[:1], strict=True):
-            if where[a] <= 0:
+            if side_of[a] <= 0:
                 loop.append(corner(a, a))
-                inside |= where[a] < 0
-                if where[a] == 0:
+                inside |= side_of[a] < 0
+                if side_of[a] == 0:
                     cap[loop[-1]] = None
-            if where[a] * where[b] < 0:
+            if side_of[a] * side_of[b] < 0:
                 loop.append(corner(a, b))
                 cap[loop[-1]] = None
         if inside and len(loop) > 2:

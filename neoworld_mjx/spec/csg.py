@@ -1,7 +1,7 @@
 """Algorithm of constructive solid geometry: an exact convex decomposition, and a boolean surface.
 
-Colliders result from cutting convex pieces along the face planes of the others, so the material
-that a difference removes is really absent. Round operands count as polyhedra with `sectors` facets,
+Colliders result from cutting convex pieces along the face planes of the others, so they leave the
+material that a difference removes empty. Round operands become polyhedra with `sectors` facets,
 whose corners lie on the true surface: colliders stay within r (1 - cos(pi / sectors)) of it. The
 visual surface comes from manifold3d, with finer facets. The shape itself is `shapes.CSG`.
 """
@@ -54,7 +54,7 @@ _Tool = tuple[_Convex, NDArray]
 
 
 class _Cutter:
-    """Cuts convex solids; counts the cuts and drops negligible remains."""
+    """Cutter of convex solids, with a limit on the number of cuts; it drops negligible parts."""
 
     def __init__(self, size: float) -> None:
         self.slack, self.negligible = SLACK * size, LEAST_VOLUME * size**3
@@ -69,14 +69,14 @@ class _Cutter:
                 result.append(one)
                 continue
             rest, outside = self._cut(one.solid, half)
-            # A solid that does not really overlap the tool stays whole.
+            # A solid that barely overlaps the tool stays whole.
             parts = [one.solid] if rest is None or self._is_negligible(rest) else outside
             result += [_convex(part) for part in parts if not self._is_negligible(part)]
             _check_count(result)
         return result
 
     def common(self, solids: list[_Convex], tools: list[_Tool]) -> list[_Convex]:
-        """Return what convex solids share with any of several convex ones that do not overlap."""
+        """Return the intersections of convex solids with convex tools that do not overlap."""
         result: list[_Convex] = []
         for one in solids:
             for body, half in tools:
@@ -173,14 +173,16 @@ def convex_operands(operand: PlacedShape, sectors: int) -> list[_Tool]:
     _check_count(pieces)
     tools = []
     for piece in pieces:
-        flat = piece if piece.kind in ("box", "mesh") else _flat(piece.kind, piece.size, sectors)
+        flat = piece
+        if piece.kind not in ("box", "mesh"):
+            flat = _faceted_piece(piece.kind, piece.size, sectors)
         solid, half = poly(flat, operand.pose().then(pose(piece.pos, piece.quat)))
         tools.append((_convex(solid), half))
     return tools
 
 
 @lru_cache(maxsize=64)
-def _flat(kind: Kind, size: tuple[float, ...], sectors: int) -> Piece:
+def _faceted_piece(kind: Kind, size: tuple[float, ...], sectors: int) -> Piece:
     """Return a round piece as a polyhedron."""
     return polytope(faceted(Piece(kind, size), sectors))
 

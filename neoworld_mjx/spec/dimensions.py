@@ -73,7 +73,7 @@ RATIO = Scaling(POSITION.turning, sliding=POSITION.sliding, per_leader=POSITION)
 
 
 def declared_scaling(annotation: Any, metadata: Iterable[object] = ()) -> Scaling | None:
-    """Return the scaling in a field's annotation; None for a field without numbers of its own.
+    """Return the scaling in a field's annotation; None for a field that holds no numbers itself.
 
     Raises:
         TypeError: a number has no `Scaling`, or numbers of one field have different ones.

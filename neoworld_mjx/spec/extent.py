@@ -13,9 +13,7 @@ from .pose import IDENTITY, Pose, pose
 
 
 def pieces(part: PartSpec, role: Role = "collision") -> list[tuple[GeomSpec, Piece, Pose]]:
-    """List a part's convex pieces of a role, or of role "both", with their poses in the object's
-    frame.
-    """
+    """List a part's convex pieces of `role` or "both", with their poses in the object's frame."""
     return list(_placed_pieces(part, role))  # pyright: ignore[reportArgumentType] it has a hash
 
 
@@ -54,10 +52,10 @@ def bounds(
 
 
 def translated(spec: ObjectSpec, offset: NDArray) -> ObjectSpec:
-    """Move everything in the object's frame by `offset` [3] m."""
+    """Return the object with all positions shifted by `offset` [3] m."""
 
-    def move(at: Vec3) -> Vec3:
-        return tuple((np.array(at) + offset).tolist())
+    def move(point: Vec3) -> Vec3:
+        return tuple((np.array(point) + offset).tolist())
 
     return spec.model_copy(
         update={
@@ -80,7 +78,7 @@ def translated(spec: ObjectSpec, offset: NDArray) -> ObjectSpec:
 
 
 def recentred(spec: ObjectSpec) -> ObjectSpec:
-    """Move the origin to the centre of the bounding box's bottom face."""
+    """Return the object with its origin at the centre of the bounding box's bottom face."""
     low, high = bounds(spec)
     return translated(spec, -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]))
 

@@ -145,7 +145,7 @@ def _tiles(outline: Loop, holes: tuple[Loop, ...]) -> tuple[Loop, ...]:
     loops = _wound(outline, holes)
     flat = np.vstack(loops)
     polygons = [list(map(int, t)) for t in _triangles(loops)]
-    # Edges whose polygons cannot be merged, until one of the two changes.
+    # Edges whose two polygons cannot be merged, until one of these changes.
     refused: set[tuple[int, int]] = set()
     merged = True
     while merged:
@@ -202,7 +202,7 @@ def _wound(outline: Loop, holes: tuple[Loop, ...]) -> list[NDArray]:
 
 
 def crossing_edges(loops: list[NDArray]) -> tuple[int, int] | None:
-    """Return two edges that meet elsewhere than at a common corner of neighbours, or None.
+    """Return two edges that cross or touch, other than neighbours at their common corner, or None.
 
     An edge has the index of its first point, counted over all loops.
     """

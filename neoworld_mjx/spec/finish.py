@@ -1,4 +1,4 @@
-"""Finish of materials: metallic, roughness and pattern, as stated or from a material's name."""
+"""Finish of materials: metallic, roughness and pattern, explicit or derived from the name."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -34,7 +34,7 @@ _PATTERNS: dict[str, PatternKind] = {
 }  # fmt: skip
 UNKNOWN_ROUGHNESS = 0.5
 """Roughness of a material with an unknown name."""
-_WHOLE = 4
+_MIN_AFFIX = 4
 """Least length of a name that may be a prefix or suffix of a word, as in hardwood."""
 
 
@@ -50,7 +50,7 @@ class Finish(NamedTuple):
 
 
 def finish(material: Material) -> Finish:
-    """Return the finish of a material: stated values, and others from its name.
+    """Return the finish of a material: its explicit values, and others derived from its name.
 
     The words of a name, separated by "_", identify the substance: "steel_b0b0b0", "dark_oak". The
     longest match applies.
@@ -84,7 +84,7 @@ def _substance(words: str) -> str | None:
         for name in (*_METALS, *_OTHERS)
         if f"_{name}_" in framed
         or (
-            len(name) >= _WHOLE
+            len(name) >= _MIN_AFFIX
             and any(word.startswith(name) or word.endswith(name) for word in split)
         )
     ]

@@ -13,7 +13,7 @@ from .tree import PartState, TreeNode
 
 
 class BoxFit(NamedTuple):
-    """Scale of an object whose joints are open as in the photograph."""
+    """Scale of an object whose joints are as far open as in the photograph."""
 
     spec: ObjectSpec
     """The object before scaling."""

@@ -28,7 +28,7 @@ class Mimic(ScalableSpec):
 
 
 class Intent(ScalableSpec):
-    """Purpose of a joint, for checks to compare it with; physics ignores it."""
+    """Intended motion of a joint, which checks compare with the actual one; physics ignores it."""
 
     type: JointType | None = None
     opens: Direction3 | None = None
@@ -44,8 +44,8 @@ class JointSpec(ScalableSpec):
     the child by the right-hand rule about, or along, `axis`; by convention positive opens.
 
     A ball joint turns about `pos` in any direction, by at most `upper` away from rest; 0 is no
-    limit. Its axis, lower limit, effort, velocity and mimic mean nothing. Its position is a
-    rotation vector in the object's axes, given as three values `<joint>.x`, `.y` and `.z` [rad].
+    limit. It does not use axis, lower limit, effort, velocity and mimic. Its position is a rotation
+    vector in the object's axes, given as three values `<joint>.x`, `.y` and `.z` [rad].
     """
 
     name: Name
@@ -65,9 +65,8 @@ class JointSpec(ScalableSpec):
     velocity: Annotated[Positive, SPEED] | None = None
     mimic: Mimic | None = None
     after: tuple[Name, ...] = Field(default=(), exclude_if=_is_empty)
-    """Joints that must be fully open whenever this one is away from 0, as the door of a rack.
-
-    Checks test it; physics ignores it."""
+    """Joints that must be fully open whenever this one is away from 0, such as the door in front of
+    a rack. Checks test this; physics ignores it."""
     intent: Intent | None = Field(default=None, exclude_if=_is_empty)
 
     @field_validator("axis")

@@ -97,7 +97,7 @@ def followers(spec: ObjectSpec, joint: JointSpec) -> set[str]:
     return leaders - {joint.name}
 
 
-def carried(spec: ObjectSpec, joint: JointSpec) -> set[str]:
+def moving_parts(spec: ObjectSpec, joint: JointSpec) -> set[str]:
     """Return the names of the parts that move with a joint and its followers."""
     moving_joints = {joint.name} | followers(spec, joint)
     moved: set[str] = set()

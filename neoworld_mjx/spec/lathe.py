@@ -11,7 +11,7 @@ from .base import Length
 from .base_shape import BaseShape, Point2, Sectors, rows
 from .convex import Piece, polytope
 from .dimensions import UNSCALED
-from .outlines import edges_distance, filled, inside_edges, loops_distance
+from .outlines import edges_distance, hull_excess, inside_edges, loops_distance
 from .pose import ArrayLike
 from .triangles import SECTORS, revolved
 
@@ -25,10 +25,10 @@ class Lathe(BaseShape):
     With `thickness` the profile is the outer face of a shell, walked from the foot to the rim; the
     wall grows to its left, which is inwards and upwards (a cup, a bowl, a saucer). Without it the
     profile bounds a solid and z must not decrease. Pieces are convex: frusta for a solid and for
-    what lies below the flat inner floor of a shell, wedges of each band above. Their corners lie on
+    the part of a shell below its flat inner floor, wedges for each band above. Their corners lie on
     the true surface of revolution, so along a circle of radius r they stay within
-    e = r (1 - cos(pi / sectors)) of it. A few neighbouring bands are one piece where that adds
-    nothing farther than e / 2 from the section, nor farther than a quarter of the wall.
+    e = r (1 - cos(pi / sectors)) of it. Neighbouring bands are joined into one piece if its section
+    exceeds theirs by at most e / 2 and a quarter of the wall.
     """
 
     type: Literal["lathe"] = "lathe"
@@ -130,15 +130,15 @@ class Lathe(BaseShape):
         stacks = [[self._ring(c, angles) for c in corners] for corners in joined]
         return [(polytope(np.vstack(stack)), 1) for stack in stacks]
 
-    def _joined(self, bands: list[NDArray], most: int) -> list[NDArray]:
-        """Join runs of at most `most` neighbouring convex (r, z) polygons; return their corners."""
+    def _joined(self, bands: list[NDArray], limit: int) -> list[NDArray]:
+        """Join up to `limit` neighbouring convex (r, z) polygons each; return their corners."""
         runs: list[list[NDArray]] = []
         for band in bands:
             if runs:
                 wider = np.vstack([*runs[-1], band])
                 allowed = wider[:, 0].max() * (1 - np.cos(np.pi / self.sectors)) / 2
                 allowed = min(allowed, (self.thickness or np.inf) / 4)
-                if len(runs[-1]) < most and filled([*runs[-1], band]) <= allowed:
+                if len(runs[-1]) < limit and hull_excess([*runs[-1], band]) <= allowed:
                     runs[-1].append(band)
                     continue
             runs.append([band])

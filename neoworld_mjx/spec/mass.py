@@ -93,17 +93,17 @@ def _principal(tensor: NDArray) -> tuple[NDArray, Quat]:
 
 
 def inertia_about(joint: JointSpec, child: Inertial) -> float:
-    """Return the inertia of a joint's child about its axis [kg m2], or its mass [kg] if it slides.
+    """Return the inertia of a joint's child about the axis [kg m^2], or its mass [kg] for a slide.
 
-    For a ball the largest moment counts.
+    The inertia for a ball joint is that about the child's principal axis of largest moment.
     """
     if joint.type == "prismatic":
         return child.mass
     arm = np.array(child.pos) - np.array(joint.pos)
     if joint.type == "ball":
-        own = max(child.diagonal)
+        about_com = max(child.diagonal)
     else:
         axis = np.array(joint.axis)
         arm = arm - (arm @ axis) * axis
-        own = rotate(conjugate(child.quat), axis) ** 2 @ np.array(child.diagonal)
-    return float(own) + child.mass * float(arm @ arm)
+        about_com = rotate(conjugate(child.quat), axis) ** 2 @ np.array(child.diagonal)
+    return float(about_com) + child.mass * float(arm @ arm)

@@ -13,14 +13,14 @@ from .dimensions import UNSCALED
 
 MAX_VERTICES, MAX_HULLS = 200_000, 512
 UNKNOWN, HELPER = "unknown", "helper"
-"""Prefixes of materials of imported objects: without a density, and of the small spheres of links
-without geometry."""
+"""Prefixes of the material names of imported objects: UNKNOWN for materials whose file states no
+density, HELPER for the small spheres that replace links without geometry."""
 
 
 class Mesh(BaseShape):
-    """Triangles that are seen, and the convex hulls that collide and have the mass.
+    """Visible triangles, with convex hulls that collide and carry the mass.
 
-    Without hulls the convex hull of all vertices is the collider. The triangles need not be closed.
+    Without hulls the convex hull of all vertices is the collider. The surface need not be closed.
     """
 
     type: Literal["mesh"] = "mesh"
@@ -43,5 +43,5 @@ class Mesh(BaseShape):
         return [polytope(np.array(points)) for points in self.hulls or (self.vertices,)]
 
     def build_surface(self) -> tuple[NDArray, NDArray]:
-        """Return the triangles as they are."""
+        """Return the triangles unchanged."""
         return np.array(self.vertices), np.array(self.faces, np.int64)

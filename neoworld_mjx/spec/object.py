@@ -34,7 +34,7 @@ Role = Literal["both", "visual", "collision"]
 
 
 class Material(ScalableSpec):
-    """Material of a geom: density, friction and looks."""
+    """Material of a geom: density, friction and appearance."""
 
     name: Name
     density: Annotated[float, Field(gt=0, le=30000), UNSCALED]
@@ -43,17 +43,17 @@ class Material(ScalableSpec):
     """Sliding friction coefficient."""
     rgba: Annotated[tuple[Share, Share, Share, Share], UNSCALED] = (0.7, 0.7, 0.7, 1.0)
     pattern: SurfacePattern | None = Field(default=None, exclude_if=lambda value: value is None)
-    """None uses the pattern of the name (`finish`): grain for wood, plain for most others."""
+    """None derives the pattern from the name (`finish`): grain for wood, plain for most others."""
     metallic: Annotated[Share, UNSCALED] | None = Field(
         default=None, exclude_if=lambda value: value is None
     )
-    """From 0 to 1; None uses the value of the name."""
+    """From 0 to 1; None derives it from the name."""
     roughness: Annotated[Share, UNSCALED] | None = Field(
         default=None, exclude_if=lambda value: value is None
     )
-    """From 0 to 1; None uses the value of the name."""
+    """From 0 to 1; None derives it from the name."""
     photo: PhotoPrint | None = Field(default=None, exclude_if=lambda value: value is None)
-    """Print of the photograph, instead of a pattern."""
+    """Print of the photograph, which replaces the pattern."""
 
     @property
     def see_through(self) -> bool:

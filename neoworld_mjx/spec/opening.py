@@ -23,8 +23,8 @@ def matching_joint(spec: ObjectSpec, part: str, kind: str) -> JointSpec | None:
 def opening_value(joint: JointSpec, opening: float) -> float:
     """Return the position of a joint opened by a share of its range [rad or m].
 
-    The closed position is 0, or the limit nearest to it; the open one is the limit farthest from
-    that. The range of a continuous joint is one revolution.
+    The closed position is 0, or the limit nearest to 0; the open position is the limit farthest
+    from it. The range of a continuous joint is one revolution.
     """
     if joint.type == "continuous":
         return float(2 * np.pi * opening)

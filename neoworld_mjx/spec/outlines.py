@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from .triangles import DISTANCE_CHUNK
 
 LID_POINTS = 17
-"""Points of a hull's edge at which its distance to the polygons is measured."""
+"""Number of points along each edge of a hull at which its distance to the polygons is measured."""
 
 
 def box_distance(p: NDArray, half: NDArray) -> NDArray:
@@ -35,11 +35,11 @@ def edges_distance(p: NDArray, a: NDArray, b: NDArray) -> NDArray:
     length = np.maximum(np.sum(edge * edge, axis=1), 1e-300)
     best = np.full(len(p), np.inf)
     for i in range(0, len(p), max(1, DISTANCE_CHUNK // len(a))):
-        own = slice(i, i + max(1, DISTANCE_CHUNK // len(a)))
-        from_a = p[own, None] - a
+        chunk = slice(i, i + max(1, DISTANCE_CHUNK // len(a)))
+        from_a = p[chunk, None] - a
         t = np.clip(np.sum(from_a * edge, axis=2) / length, 0.0, 1.0)
         gap = from_a - t[..., None] * edge
-        best[own] = np.sqrt(np.sum(gap * gap, axis=2).min(axis=1))
+        best[chunk] = np.sqrt(np.sum(gap * gap, axis=2).min(axis=1))
     return best
 
 
@@ -48,12 +48,12 @@ def inside_edges(p: NDArray, a: NDArray, b: NDArray) -> NDArray:
     x, y = p[:, :1], p[:, 1:]
     crosses = (a[:, 1] > y) != (b[:, 1] > y)
     with np.errstate(divide="ignore", invalid="ignore"):
-        at = a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
-    return np.sum(crosses & (at > x), axis=1) % 2 == 1
+        crossing = a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
+    return np.sum(crosses & (crossing > x), axis=1) % 2 == 1
 
 
-def filled(polygons: list[NDArray]) -> float:
-    """Return the largest distance of the convex hull of neighbouring polygons [n, 2] from them."""
+def hull_excess(polygons: list[NDArray]) -> float:
+    """Return the largest distance between neighbouring polygons [n, 2] and their convex hull."""
     from scipy.spatial import ConvexHull
 
     corners = np.vstack(polygons)

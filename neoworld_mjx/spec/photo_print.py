@@ -13,11 +13,11 @@ Row = Annotated[Vec3, PER_LENGTH]
 
 
 class PhotoPrint(ScalableSpec):
-    """A window of the photograph, projected on what faced the camera and was not covered.
+    """A window of the photograph, projected onto the surfaces that its camera saw.
 
     A point p of the object's frame at rest [m] lies at (turn p + shift) = (u w, v w, w): u to the
-    right and v down in the window, both from 0 to 1, and w its depth. It was seen where the depth
-    of the window there is w. The light of the photograph is in the colours.
+    right and v down in the window, both from 0 to 1, and w its depth. The camera saw the point if w
+    equals the window's depth there. The colours include the lighting of the photograph.
     """
 
     image: Encoded
@@ -25,9 +25,9 @@ class PhotoPrint(ScalableSpec):
     depth: Encoded
     """Depths: PNG of 16 bits in base64; 0 where not visible, otherwise near to far."""
     near: Annotated[float, Field(gt=0, allow_inf_nan=False), UNSCALED]
-    """Depth of a 1 [m of the photographed scene]."""
+    """Depth that the value 1 encodes [m of the photographed scene]."""
     far: Annotated[float, Field(gt=0, allow_inf_nan=False), UNSCALED]
-    """Depth of a 65535."""
+    """Depth that the value 65535 encodes."""
     turn: tuple[Row, Row, Row]
     """[1/m]"""
     shift: Annotated[Vec3, UNSCALED]

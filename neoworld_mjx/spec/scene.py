@@ -20,7 +20,7 @@ from .kinematics import joint_keys, link_poses
 from .object import ObjectSpec
 from .pose import IDENTITY, Pose, from_yaw, pose, quat_mul, rotate, yaw_of
 from .scale import scale, scaled_state
-from .semantics import described
+from .semantics import semantics_of
 from .tree import Box2D, Relation
 
 WORLD_POSES = "world_poses"
@@ -30,7 +30,7 @@ SEMANTICS = "semantics"
 
 
 class SceneObject(Spec):
-    """An object in its place."""
+    """An object with its place in the scene."""
 
     name: Name
     spec: ObjectSpec
@@ -122,11 +122,11 @@ class SceneSpec(Spec):
     def to_json(self) -> str:
         """Serialize deterministically, with world poses and semantics for other programs."""
         poses = {
-            name: {"pos": at.pos.tolist(), "quat": at.quat.tolist()}
-            for name, at in world_poses(self).items()
+            name: {"pos": world.pos.tolist(), "quat": world.quat.tolist()}
+            for name, world in world_poses(self).items()
         }
         content = self.model_dump_json(indent=1).removesuffix("\n}")
-        semantics = {item.name: described(item.spec) for item in self.objects}
+        semantics = {item.name: semantics_of(item.spec) for item in self.objects}
         derived = json.dumps({WORLD_POSES: poses, SEMANTICS: semantics}, indent=1).removeprefix(
             "{\n"
         )
@@ -134,7 +134,7 @@ class SceneSpec(Spec):
 
 
 def single_object_scene(item: SceneObject | ObjectSpec) -> SceneSpec:
-    """Return a scene that holds one object and has its name; an ObjectSpec stands at the origin."""
+    """Return a scene of one object, with its name; an ObjectSpec is placed at the origin."""
     placed = SceneObject(name=item.name, spec=item) if isinstance(item, ObjectSpec) else item
     return SceneSpec(name=item.name, objects=(placed,))
 
@@ -175,9 +175,9 @@ def world_poses(scene: SceneSpec) -> dict[str, Pose]:
         frame = pose()
         if obj.parent is not None:
             frame = support_frame(scene.object(obj.parent), poses[obj.parent], obj.parent_link)
-        at = frame.pos + rotate(frame.quat, np.array([*obj.xy, obj.z]))
+        pos = frame.pos + rotate(frame.quat, np.array([*obj.xy, obj.z]))
         yaw = quat_mul(frame.quat, from_yaw(obj.yaw))
-        poses[obj.name] = pose(at, quat_mul(yaw, obj.base_tilt))
+        poses[obj.name] = pose(pos, quat_mul(yaw, obj.base_tilt))
     return poses
 
 
@@ -192,13 +192,13 @@ def rearranged(
 
     Args:
         scene: the composed scene.
-        xy: offset of each object in its parent's frame at the parent's old size [m].
+        xy: offset of each object in its parent's frame, before the parent is scaled [m].
         yaw: offset of each object's yaw [rad].
         log_scale: log of each object's isotropic scale factor.
         z: snapped height of each object above its parent's origin [m].
 
     Returns:
-        A scene whose zero layout is the given one. Offsets scale with the parent, sizes of children
+        A scene whose zero layout is the given one. Offsets scale with the parent; sizes of children
         do not.
     """
     size = np.exp(np.asarray(log_scale, float))

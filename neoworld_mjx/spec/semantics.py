@@ -41,7 +41,7 @@ def purpose(spec: ObjectSpec, joint: JointSpec) -> str:
     return _BY_MOTION[joint.type]
 
 
-def described(spec: ObjectSpec) -> dict[str, Any]:
+def semantics_of(spec: ObjectSpec) -> dict[str, Any]:
     """Return an object's label, category, parts and the purposes of its joints, for JSON."""
     return {
         "label": spec.label,

@@ -24,11 +24,11 @@ from .primitives import Box, Capsule, Cylinder, Ellipsoid, HollowBox, Prism, Sph
 from .swept import Sweep
 
 MAX_DEPTH = 6
-"""Most CSG shapes nested in each other."""
+"""Largest nesting depth of CSG shapes."""
 
 
 class Operand(ScalableSpec):
-    """A shape in its place."""
+    """A shape with its pose."""
 
     shape: "Shape"
     pos: Point3 = (0.0, 0.0, 0.0)
@@ -40,15 +40,15 @@ class Operand(ScalableSpec):
         return unit_vector(value, "quat")
 
     def pose(self) -> Pose:
-        """Return the operand's pose in the frame of the whole."""
+        """Return the operand's pose in the frame of the CSG shape."""
         return pose(self.pos, self.quat)
 
 
 class CSG(BaseShape):
-    """A solid made of others: all of them, the first without the rest, or what all share.
+    """A boolean of solids: their union, the first minus the others, or their intersection.
 
-    Operands are written at size 1; `factor` scales the whole, so that a scaled copy is cut up in
-    the very same way.
+    Operands are stored at size 1 and `factor` scales the result, so that a scaled copy has the same
+    decomposition.
     """
 
     type: Literal["csg"] = "csg"

@@ -31,7 +31,7 @@ STEPS_M: dict[PatternKind, float] = {
 
 
 class SurfacePattern(ScalableSpec):
-    """Pattern of a material; physics leaves it out."""
+    """Pattern of a material; physics ignores it."""
 
     kind: PatternKind
     rgb: Annotated[RGB, UNSCALED] | None = None
@@ -41,8 +41,8 @@ class SurfacePattern(ScalableSpec):
     """Width of a board, edge of a tile, height of a brick, distance of veins, speckles, scratches
     or threads [m]; None uses the default."""
     along: Literal["x", "y"] = "x"
-    """Direction of boards and courses: the first or second axis of a face: x or y on top, y or z on
-    front and back, x or z on the sides."""
+    """Direction of boards and courses: a face's first axis ("x") or its second ("y"). The axes are
+    x and y on top, y and z on front and back, x and z on the sides."""
 
     @property
     def length(self) -> float:

@@ -14,11 +14,11 @@ from .pose import from_axis_angle, rotate
 
 
 class Sweep(BaseShape):
-    """An elliptic section swept along straight stretches that meet in mitres.
+    """An elliptic section swept along straight segments with mitred joints.
 
     The section's `width` lies across the plane in which the path first bends (across the horizontal
     for a straight path), its `thickness` in that plane; both are full diameters, one value for all
-    points of the path or one for each. Every stretch is one convex piece, and neighbours share the
+    points of the path or one for each. Every segment is one convex piece, and neighbours share the
     mitred face between them. The section is a polygon inside the ellipse, so pieces stay within
     d/2 (1 - cos(pi / sectors)) of it.
     """
@@ -103,7 +103,7 @@ class Sweep(BaseShape):
         return np.array(rings), np.array(normals)
 
     def build_pieces(self) -> list[Piece]:
-        """Return one piece for each stretch."""
+        """Return one piece for each segment."""
         rings, _ = self.rings(self.sectors)
         last = len(rings) if self.closed else len(rings) - 1
         return [polytope(np.vstack([rings[i], rings[(i + 1) % len(rings)]])) for i in range(last)]
@@ -133,7 +133,7 @@ def _first_side(unit: NDArray) -> NDArray:
         k = np.cross(a, b)
         if np.linalg.norm(k) > 1e-6:
             k = k / np.linalg.norm(k)
-            # Project onto the plane across the first stretch, which may precede the bend.
+            # Project onto the plane across the first segment, which may precede the bend.
             k = k - (k @ unit[0]) * unit[0]
             if np.linalg.norm(k) > 1e-6:
                 return k / np.linalg.norm(k)

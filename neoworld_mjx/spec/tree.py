@@ -112,7 +112,7 @@ class TreeNode(Spec):
     """Rotation before yaw, for objects that lean or lie."""
     articulation: tuple[PartState, ...] = ()
     held_by: str | None = None
-    """Means of attachment of an object that may come off; None if fastened."""
+    """Means by which a removable object is attached; None if fastened."""
     cues: Cues = Cues()
     outline: SupportOutline = RECTANGLE
     """Outline of an environment support within `box3d`, seen from above."""
@@ -123,7 +123,7 @@ class TreeNode(Spec):
 
     @property
     def slab(self) -> bool:
-        """True for an environment support without a program: a box, so flat on top."""
+        """True for an environment support without a program: a box with a flat top."""
         return self.environment and not self.furniture
 
     @property

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 SECTORS = 64
 """Least number of facets around a round shape."""
 BALL_SECTORS, RINGS = 32, 16
-"""Facets around a sphere, and from pole to pole; few, since only exports show them."""
+"""Numbers of facets around a sphere and from pole to pole; low, since only exports show them."""
 CREASE = math.radians(40.0)
 """Largest angle [rad] between faces with smooth shading."""
 DISTANCE_CHUNK = 400_000
@@ -18,7 +18,7 @@ DISTANCE_CHUNK = 400_000
 def corner_normals(vertices: NDArray, faces: NDArray, crease: float = CREASE) -> NDArray:
     """Return unit normals per triangle corner [f, 3, 3].
 
-    A corner takes the mean, weighted by area, of the faces around its vertex whose own normals are
+    A corner's normal is the area-weighted mean over the faces around its vertex whose normals are
     within `crease` [rad] of its face's normal; so cylinders shade smoothly and rims stay sharp.
     """
     a, b, c = (vertices[faces[:, k]] for k in range(3))
@@ -123,9 +123,9 @@ def distance_to_triangles(p: NDArray, vertices: NDArray, faces: NDArray) -> NDAr
     step = max(1, DISTANCE_CHUNK // len(faces))
     distances = np.empty(len(p))
     for i in range(0, len(p), step):
-        own = p[i : i + step, None]
-        near = _to_triangles(own, corners)
-        distances[i : i + step] = near * np.where(_winding(own, corners) > 0.5, -1.0, 1.0)
+        chunk = p[i : i + step, None]
+        near = _to_triangles(chunk, corners)
+        distances[i : i + step] = near * np.where(_winding(chunk, corners) > 0.5, -1.0, 1.0)
     return distances
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from neoworld_mjx.spec import Lathe
 from neoworld_mjx.spec.convex import planes
-from neoworld_mjx.spec.outlines import filled
+from neoworld_mjx.spec.outlines import hull_excess
 
 ANGLE = np.linspace(0, np.pi / 2, 17)
 BOWL = Lathe(
@@ -84,6 +84,6 @@ def test_a_scaled_lathe_has_the_same_pieces():
 
 def test_distance_of_a_hull_from_its_polygons():
     square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
-    assert filled([square, square + [1.0, 0]]) == pytest.approx(0.0, abs=1e-12)
+    assert hull_excess([square, square + [1.0, 0]]) == pytest.approx(0.0, abs=1e-12)
     # An L of three squares: the lid from (2, 1) to (1, 2) lies a diagonal's half off the corner.
-    assert filled([square, square + [1.0, 0], square + [0, 1.0]]) == pytest.approx(0.5)
+    assert hull_excess([square, square + [1.0, 0], square + [0, 1.0]]) == pytest.approx(0.5)

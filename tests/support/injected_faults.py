@@ -24,7 +24,7 @@ from neoworld_mjx.spec import (
     part_bounds,
     recentred,
 )
-from neoworld_mjx.spec.kinematics import carried, with_joint
+from neoworld_mjx.spec.kinematics import moving_parts, with_joint
 
 Inject = Callable[[ObjectSpec, float], "ObjectSpec | None"]
 
@@ -204,7 +204,7 @@ def missing_collider(spec: ObjectSpec, share: float) -> ObjectSpec | None:
 
 def _moved(spec: ObjectSpec, joint: JointSpec, offset: NDArray) -> ObjectSpec:
     """Move the parts below a joint, but not the joint."""
-    below = carried(spec, joint)
+    below = moving_parts(spec, joint)
     parts = tuple(
         p.model_copy(
             update={
